@@ -6,8 +6,9 @@
 
 (2) is Alart and Curnier's function (doi:10.1016/0045-7825(91)90022-X), solved to 1e-12 of the largest force. Contacts that
 depend on each other (a plate on four corners) make W singular; the proximal points (3) choose one of the force
-distributions, near the start (Rockafellar, doi:10.1137/0314056). rho falls with every point found, so that slips much slower
-than the impact, which move the forces by s / rho, are found too; a larger c on slips makes their direction visible to (2).
+distributions, near the start (Rockafellar, doi:10.1137/0314056). rho falls with every point found, so that slips and gaps much
+slower than the impact, which move the forces by s / rho, are found too. Newton's steps along such a distribution leave the
+cones by the square of their length: the line search looks behind some whole steps before it makes one shorter.
 """
 
 from __future__ import annotations
@@ -21,11 +22,10 @@ from ...errors import ConvergenceError
 from ...rotations import Array
 from .normal import ContactCounts, solve_least
 
-ATTEMPTS = ((1.0, 0, 0.0), (1.0, 0, 1e-4), (1e3, 16, 1e-4), (3e3, 64, 1e-4), (1e4, 16, 1e-4), (1.0, 64, 1e-4))
-"""Tried in turn: factor of c on slips; facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""
+ATTEMPTS = ((0, 0.0), (0, 1e-4), (16, 1e-4))
+"""Tried in turn: facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""
 FOUND = 1e-12  # residual of a solution, of the largest force
 ACCEPTED = 1e-10  # the same where roundoff in W (an elastic step of many wave transits) allows no better
-COARSE = 16  # facets up to which pivoting is cheap
 SHORTEST = 1e-2  # share of a Newton step below which the line search takes it
 
 
@@ -51,12 +51,10 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
     best: tuple[float, Array] = (np.inf, start)
     counts.solves += 1
 
-    # the cheapest start first, and the best answer of all counts; pivoting on fine pyramids, which may be long, comes last
-    for slips, facets, rho in problem.attempts:
-        if facets > COARSE and best[0] <= ACCEPTED:
-            continue
+    # the cheapest start first, and the best answer of all counts
+    for facets, rho in problem.attempts:
         x0 = _pivoted(problem, facets) if facets else start
-        size, x = _proximal_points(problem, x0, (rho, slips), counts)
+        size, x = _proximal_points(problem, x0, rho, counts)
         best = min(best, (size, x), key=lambda found: found[0])
         if size <= FOUND:
             break
@@ -178,8 +176,9 @@ class Coulomb:
     mu: Array
     c: Array
     shift: Array | float = 0.0
-    attempts: ClassVar[tuple[tuple[float, int, float], ...]] = ATTEMPTS
+    attempts: ClassVar[tuple[tuple[int, float], ...]] = ATTEMPTS
     enough: ClassVar[float] = 1e-13  # residual at which Newton's iteration stops
+    ahead: ClassVar[int] = 5  # whole Newton steps, one behind the other, before one is made shorter
 
     def gap(self, x: Array) -> Array:
         """Gaps and slips under forces x."""
@@ -202,18 +201,14 @@ class Coulomb:
         return solve_least(_blocks(it.dx) + _blocks(it.du) @ W, -it.F.ravel()).reshape(it.x.shape)
 
 
-def _proximal_points(
-    problem: Coulomb, x: Array, choice: tuple[float, float], counts: ContactCounts
-) -> tuple[float, Array]:
-    """Residual in the original problem, and forces, by (3) from x; ``choice``: rho_0 and the factor of c on slips."""
-    rho, slips = choice
-    sharp = replace(problem, c=problem.c * np.r_[1.0, np.full(x.shape[1] - 1, slips)])
+def _proximal_points(problem: Coulomb, x: Array, rho: float, counts: ContactCounts) -> tuple[float, Array]:
+    """Residual in the original problem, and forces, by (3) from x and the first ``rho``."""
     best, restart, before = (np.inf, x), rho, counts.iterations
 
     # Newton on a problem made easier by rho; rho falls as long as it succeeds
     for _ in range(40 if rho else 1):
         D = rho / problem.c
-        near = replace(sharp, q=problem.q - D * x, shift=D) if rho else sharp
+        near = replace(problem, q=problem.q - D * x, shift=D) if rho else problem
         x, found = _newton(near, x, counts)
         size = problem.size(problem.at(x, problem.gap(x)).F, x)
         best = min(best, (size, x), key=lambda pair: pair[0])
@@ -247,12 +242,24 @@ def _newton(problem: Coulomb, x: Array, counts: ContactCounts) -> tuple[Array, b
 
 
 def _searched(problem: Coulomb, it: Iterate) -> Iterate:
-    """The iterate after a Newton step, halved while the function does not fall."""
+    """The iterate after a Newton step, halved while the function does not fall.
+
+    Forces that depend on each other move along a curved valley: a whole step leaves it sideways, and those behind it come back.
+    They are tried before the step is made so short that it stays in the valley.
+    """
     s = problem.step(it)
     norm = np.linalg.norm(it.F)
     share = 1.0
     # gaps are linear in the forces: one product serves all shares of the step
     full = problem.gap(it.x + s)
+    ahead = problem.at(it.x + s, full)
+    for left in reversed(range(problem.ahead)):
+        if np.linalg.norm(ahead.F) <= (1.0 - 1e-4) * norm:
+            return ahead
+        if left and np.isfinite(ahead.F).all():
+            x = ahead.x + problem.step(ahead)
+            ahead = problem.at(x, problem.gap(x))
+
     while True:
         new = problem.at(it.x + share * s, it.u + share * (full - it.u))
         if np.linalg.norm(new.F) <= (1.0 - 1e-4 * share) * norm or share < SHORTEST:

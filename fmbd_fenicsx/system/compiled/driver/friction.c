@@ -3,7 +3,7 @@
    Python's: pivoting. */
 
 static const double FOUND = 1e-12, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
-enum { PLAIN = 40, POINTS = 40 };                                                     /* iterations, proximal points at most */
+enum { PLAIN = 40, POINTS = 40, AHEAD = 5 }; /* iterations, proximal points at most; whole steps before one is made shorter */
 
 /* A problem (3) and the iterate that was evaluated last. */
 typedef struct {
@@ -158,28 +158,44 @@ static void force_step(const Contacts *c, const Friction *o, double *A, double *
     least_solution(A, b, s, work, n);
 }
 
-/* Newton's iteration with a line search until the residual is small, 1, or does not fall, 0. ``work``: room for six vectors and two
+/* The iterate at forces o->x, whose squared residual is returned. */
+static double arrived(const Contacts *c, Friction *o)
+{
+    gaps_under(c, o, o->x, o->u);
+    evaluated(c, o);
+    return dot(o->F, o->F, o->n);
+}
+
+/* Newton's iteration with a line search until the residual is small, 1, or does not fall, 0. ``work``: room for seven vectors and two
    matrices. */
 static int searched(Contacts *c, Friction *o, double *work)
 {
     const int n = o->n;
-    double *s = work, *x = s + n, *u = x + n, *full = u + n, *rest = full + n, *A = rest + 2 * n, best = INFINITY, size;
-    gaps_under(c, o, o->x, o->u);
-    evaluated(c, o);
+    double *s = work, *x = s + n, *u = x + n, *full = u + n, *rest = full + n, *A = rest + 3 * n, best = INFINITY, size;
+    arrived(c, o);
     for (int k = 0; k < PLAIN; k++) {
         size = residual_of(c, o);
         if (size <= ENOUGH || !isfinite(size) || (k > 8 && size > 0.5 * best)) break;
         best = fmin(best, size);
 
-        double norm = dot(o->F, o->F, n), share = 1.0;
+        double norm = dot(o->F, o->F, n), share = 1.0, falls = (1.0 - 1e-4) * (1.0 - 1e-4);
         int before[MOST], changes = 0;
         memcpy(before, o->state, o->m * sizeof(int));
         memcpy(x, o->x, n * sizeof(double));
         memcpy(u, o->u, n * sizeof(double));
         force_step(c, o, A, s, rest);
         for (int i = 0; i < n; i++) o->x[i] = x[i] + s[i];
-        gaps_under(c, o, o->x, full);
-        for (;; share *= 0.5) {
+
+        /* whole steps, one behind the other, before one is made shorter: see _searched of coulomb.py */
+        double reached = arrived(c, o);
+        memcpy(full, o->u, n * sizeof(double));
+        for (int left = AHEAD; !(reached <= falls * norm) && isfinite(reached) && --left;) {
+            force_step(c, o, A, rest, rest + n);
+            add(o->x, 1.0, rest, n);
+            reached = arrived(c, o);
+        }
+
+        for (; !(reached <= falls * norm); share *= 0.5) {
             for (int i = 0; i < n; i++) {
                 o->x[i] = x[i] + share * s[i];
                 o->u[i] = u[i] + share * (full[i] - u[i]);
