@@ -124,6 +124,7 @@ class Stiffening:
         body.destroy()
 
         self._all = np.concatenate([self.columns, *self.load_columns], axis=1)
+        self._of_surfaces: list[Any] = []  # K_g of unit forces and moments on surfaces in use, likewise
         self._u0 = fem.Function(field.space)
 
         u = ufl.TrialFunction(field.space)
@@ -149,7 +150,7 @@ class Stiffening:
         m = self.field.motions
         d = self.field.dim
         f = self.field
-        G: list[Any] = []
+        G = self._of_surfaces
         blocks: list[Array] = []
         for i, s in enumerate(surfaces):
             if s in self.section_columns:
@@ -173,6 +174,22 @@ class Stiffening:
     def bent(self, U: Array) -> Array:
         """Columns K_g U (n d, :attr:`count`) for each of :meth:`coefficients`; collective."""
         return products(self._matrices, self.field.dim, U)
+
+    @cached_property
+    def entries(self) -> tuple[Any, Array]:
+        """The matrices of inertia, then those of :meth:`shortening`, on one rank: their common pattern, a sparse matrix of nodes,
+        and the values of its entries (entries, matrices).
+        """
+        import scipy.sparse as sp
+
+        d, n = self.field.dim, self.field.n
+        found = [A.getValuesCSR() for A in (*self._matrices[: d + d * d], *self._of_surfaces)]
+        places = [np.repeat(np.arange(n) * n, np.diff(start)) + columns for start, columns, _ in found]
+        known = np.unique(np.concatenate(places))
+        values = np.zeros((len(known), len(found)))
+        for k, (place, (_, _, x)) in enumerate(zip(places, found, strict=True)):
+            values[np.searchsorted(known, place), k] = x
+        return sp.csr_matrix((np.ones(len(known)), (known // n, known % n)), shape=(n, n)), values
 
     @cached_property
     def second(self) -> SecondOrder:

@@ -33,8 +33,10 @@ class FieldStepper(CompiledAlphaStepper):
 
     def _renewed(self, t: float, increments: dict[int, Array]) -> list[FactoredField]:
         """The fields' blocks with new tangents, for the driver in use, at the state that it evaluated last."""
-        _, q, v, *_ = self.driver.block(NEXT)
-        self.driver.field_blocks = self.solver.renew_fields(self.system.at(t, q, v), increments)
+        _, q, v, a, _, lam = self.driver.block(NEXT)
+        ev = self.system.at(t, q, v)
+        ev.forces = a, lam  # whose stress the tangents take
+        self.driver.field_blocks = self.solver.renew_fields(ev, increments)
         return self.solver.blocks
 
     def _first_march(self, h: float, watch: Watch | None = None, tape: Tape | None = None) -> int:

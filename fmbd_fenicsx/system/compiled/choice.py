@@ -41,8 +41,8 @@ def driver_states(system: System) -> DriverStates | None:
 
 
 def _covers_fields(system: System) -> bool:
-    """Whether nothing acts on fields that Python gives as a whole, and their surfaces move linearly."""
-    return not system.curved and not other_loads(system)
+    """Whether nothing acts on fields that Python gives as a whole."""
+    return not other_loads(system)
 
 
 def solves(evaluator: Evaluator) -> TypeGuard[DriverStates]:

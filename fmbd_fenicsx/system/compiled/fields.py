@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
+from ...mechanics.bodies.field_part import FieldPart
 from ...mechanics.bodies.floating import FloatingField
 from ...mechanics.placements import FrameMotion
 from ...mechanics.validity import TOO_LARGE
@@ -83,7 +84,16 @@ class FieldTable:
             "Y": block.Y.T, "A": inverse.A, "W": inverse.W, "G": inverse.G, "S": inverse.S,
             "Q": part.inertia_columns.T, "inertia": part.inertia, "moment": moment,
             "began": part.began if self.turns else np.zeros((2, d, d)),
-        }  # fmt: skip
+        } | ({} if part.stiffening is None else self._bent_tangent())  # fmt: skip
+
+    def _bent_tangent(self) -> dict[str, Array]:
+        """The same of bodies with stiffening: ports of second order, and what second-order displacements add to the frame's mass."""
+        part = self.part
+        bends = 0 if part.shortening is None else part.shortening.N.shape[1]
+        return {
+            "held": np.zeros((bends, part.n)) if part.shown is None else part.shown.slopes.T,
+            "second": part.second_inertia,
+        }
 
     def _motion(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
         """Motion and pose of the frame, and of the nodes, as C left them in ``state``."""
@@ -114,8 +124,10 @@ class FieldTable:
         i, j = np.tril_indices(width)
         unknown = tables.at_u[frame] + np.arange(width)
         address = tables.store.structure(self._field())
+        stiffening = part.stiffening
+        mean = np.zeros(0) if stiffening is None else stiffening.second.inverse
         return structure("Body", d)(
-            modes=self.count, at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,
+            modes=self.count, mean=tables.store.address(mean), at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,
             at_u=int(tables.at_u[frame]), mass=part.mass_total, large=(TOO_LARGE * part.size) ** 2 * part.field.n_global / d,
             block=tables.store.address(np.zeros((width, width))),
             dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])), field=address,
@@ -150,6 +162,7 @@ class FieldTable:
             inertial=self.inertial, turns=int(self.turns), frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
+            **self._stiffening(),
         )  # fmt: skip
 
     def _matrices(self) -> dict[str, np.ndarray]:
@@ -159,11 +172,37 @@ class FieldTable:
         d = self.tables.dim
         start, columns, values = field.M.getValuesCSR()
         K = sp.csr_matrix(field.K.getValuesCSR()[::-1], shape=(part.n, part.n)).tobsr((d, d))
-        ports = sp.csc_matrix(part.port_columns(self.ports, 0.0))
+        ports = sp.csc_matrix(FieldPart.port_columns(part, self.ports, 0.0))  # of the body that is not bent
         return {
             "M_start": start.astype(np.int32), "M_column": columns.astype(np.int32), "M": values,
             "K_start": K.indptr.astype(np.int32), "K_column": K.indices.astype(np.int32), "K": K.data,
             "port": ports.data, "port_start": ports.indptr.astype(np.int32), "port_on": ports.indices.astype(np.int32),
+        }  # fmt: skip
+
+    def _stiffening(self) -> dict[str, int]:
+        """What a field with stiffening has beside, see ``driver/stiffened.c``."""
+        part, d = self.part, self.tables.dim
+        if part.stiffening is None:
+            return {}
+        store, stiffening = self.tables.store, part.stiffening
+        told = linear_field(part)
+        pattern, entries = stiffening.entries
+        first = d + d * d
+        entries = entries if told else entries[:, first:]
+        stresses, bends = (first if told else 0), entries.shape[1] - (first if told else 0)
+
+        N = np.zeros((self.count, bends))
+        if part.shortening is not None:
+            N[self.inertial :] = part.shortening.N[self.ports]
+        second, k = stiffening.second, stresses + bends
+        arrays = {
+            "N": N, "bent": np.zeros((part.n, k)), "form": np.zeros((3, k)), "bias": np.zeros(self.count),
+            "pull": np.zeros(bends), "one": stiffening.first[:: d, 0], "first": np.concatenate((second.S0, second.X0.ravel())),
+        }  # fmt: skip
+        return {
+            "stresses": stresses, "bends": bends, "stress": store.shared(entries),
+            "stress_start": store.integers(pattern.indptr), "stress_column": store.integers(pattern.indices),
+            **{name: store.address(x) for name, x in arrays.items()},
         }  # fmt: skip
 
 
@@ -198,11 +237,11 @@ class Condensed:
 
 
 def known_field(part: Any) -> bool:
-    """Whether the driver takes a part with a field, floating or at rest: on one rank, of moderate size, with linear ports."""
+    """Whether the driver takes a part with a field, floating or at rest: on one rank, of moderate size."""
     if type(part) not in (FloatingField, RestingField):
         return False
     small = part.comm.size == 1 and part.n <= FIELD_LIMIT
-    return small and not (part.field.mixed or part.traces or part.stiffening is not None)
+    return small and not (part.field.mixed or part.traces)
 
 
 def linear_field(part: Any) -> bool:

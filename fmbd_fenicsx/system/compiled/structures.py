@@ -62,6 +62,8 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields(
             "state sums inertia moment Y S A W G frame_slot p rates accel force MU b z MX began T pz rest f h", _POINTER
         ),
+        *_fields("stresses bends", _INT),
+        *_fields("stress_start stress_column stress N bent form bias pull held second one first", _POINTER),
     ],
     "Front": [
         *_fields("pivots rows ld next", _INT),
@@ -210,6 +212,12 @@ class Store:
     def address(self, values: Any, dtype: Any = np.float64) -> int:
         """The address of a contiguous copy."""
         return self.array(values, dtype)[1]
+
+    def shared(self, values: Array) -> int:
+        """The address of an array itself, which C only reads, where it is contiguous."""
+        kept = np.ascontiguousarray(values)
+        self.kept.append(kept)
+        return address_of(kept)
 
     def structure(self, one: Any) -> int:
         """The address of a structure."""

@@ -11,14 +11,6 @@ static int sample(System *s, double t, double *last)
     return DONE;
 }
 
-/* The forces on a field's nodes: those evaluated last, and what acts on the columns of H. */
-static void on_nodes(const Field *e, int modes, const double *f, double *x)
-{
-    memcpy(x, e->force, e->n * sizeof(double));
-    for (int k = 0; k < modes; k++)
-        if (f[k] != 0.0) add_column(e, k, f[k], x);
-}
-
 /* The residual evaluated last, in the order of the unknowns and in world axes, as an array like v. */
 static void like_v(const System *s, const double *u, double *x)
 {
@@ -26,8 +18,10 @@ static void like_v(const System *s, const double *u, double *x)
         const Body *o = s->body + k;
         memcpy(x + TWIST * k, u + o->at_u, D * sizeof(double));
         to_body(s->frames + FRAME * k + TURN, u + o->at_u + D, x + TWIST * k + D);
-        if (o->field) on_nodes(o->field, o->modes, u + o->at_u + TWIST, x + o->at_v);
-        else memcpy(x + o->at_v, u + o->at_u + TWIST, o->modes * sizeof(double));
+        if (o->field) { /* the forces on its nodes, and what acts on its columns */
+            memcpy(x + o->at_v, o->field->force, o->field->n * sizeof(double));
+            add_columns(o, u + o->at_u + TWIST, x + o->at_v);
+        } else memcpy(x + o->at_v, u + o->at_u + TWIST, o->modes * sizeof(double));
     }
 }
 

@@ -45,7 +45,7 @@ void turn_velocity(System *s, const double *v)
         double *to = s->velocity + o->at_u;
         memcpy(to, v + TWIST * b, D * sizeof(double));
         to_world(s->frames + FRAME * b + TURN, v + TWIST * b + D, to + D);
-        if (o->field) field_columns(o, s->q, v);
+        if (o->field) field_rates(o, v);
         memcpy(to + TWIST, o->field ? o->field->rates : v + o->at_v, o->modes * sizeof(double));
     }
     for (int i = 0; i < s->surfaces; i++) {

@@ -44,7 +44,7 @@ static double column(const Field *e, int k, const double *U)
 }
 
 /* U += c H e_k */
-void add_column(const Field *e, int k, double c, double *U)
+static void add_column(const Field *e, int k, double c, double *U)
 {
     if (k < e->inertial)
         for (long i = 0; i < e->n; i++) U[i] += c * e->Q[e->n * k + i];
@@ -52,13 +52,7 @@ void add_column(const Field *e, int k, double c, double *U)
         for (int i = e->port_start[k - e->inertial]; i < e->port_start[k - e->inertial + 1]; i++) U[e->port_on[i]] += c * e->port[i];
 }
 
-void field_columns(const Body *o, const double *q, const double *v)
-{
-    for (int k = 0; k < o->modes; k++) {
-        o->field->p[k] = column(o->field, k, q + o->at_q);
-        o->field->rates[k] = column(o->field, k, v + o->at_v);
-    }
-}
+#include "stiffened.c"
 
 /* F = M A by nodes */
 static void mass_times(const Field *e, const double *A, double *F)
@@ -114,6 +108,7 @@ static int linear_field(const Body *o, const double *R, const Motion *m, const d
     const Field *e = o->field;
     const double *U = m->U, *Ud = m->Ud, *Udd = m->Udd, *w = m->twist + D, *accel = m->accel;
     double W[D * D], L[D * D], alpha[D * D], free_[D], base[D], sum[D] = {0.0}, N[D * D] = {0.0}, local[ROT], square = 0.0;
+    const double *rates[] = {U, Ud, Udd};
 
     for (int i = 0; i < D; i++) free_[i] = accel[i] - gravity[i];
     transposed(R, free_, base);
@@ -137,6 +132,7 @@ static int linear_field(const Body *o, const double *R, const Motion *m, const d
             sum[j] += e->force[D * i + j];
             for (int c = 0; c < D; c++) N[D * j + c] += (e->X[D * i + j] + U[D * i + j]) * e->force[D * i + c];
         }
+    if (e->stresses) stiffened(o, rates, W, accel + D, base, sum, N);
     times(R, sum, f);
     axial(N, local);
     to_world(R, local, f + D);
@@ -168,7 +164,7 @@ void frame_conditions(System *s, const Body *o, const double *lam)
     const Field *e = o->field;
     for (int i = 0; i < e->frames; i++) {
         s->gap[e->row + i] = e->p[e->frame_slot[i]];
-        add_column(e, e->frame_slot[i], lam[e->row + i], e->force);
+        add_column(e, e->frame_slot[i], lam[e->row + i], e->force); /* linear in every frame */
     }
 }
 
@@ -194,6 +190,7 @@ static void frame_block(const Body *o, const double *R, double *A, int n)
     spin(&one, world, A + n * 2);
 #endif
     for (int i = 0; i < D; i++) A[(n + 1) * i] = o->mass;
+    if (e->second) stiffened_block(e, R, A, n);
     for (int i = 0; i < D; i++)
         for (int j = 0; j < D; j++) A[n * (TWIST + i) + j] = R[D * j + i];
     for (int i = 0; i < ROT; i++)
@@ -270,10 +267,8 @@ static int field_alone(System *s, const Body *o, double scale, double t)
 
     /* what acts on the columns goes to the nodes: it is in balance with the rest, and what differs is small. Left to (2), whose S is
        stiff where columns do not move, each of both would leave its roundoff */
-    for (int i = 0; i < o->modes; i++) {
-        if (b[i] != 0.0) add_column(e, i, b[i], e->b);
-        b[i] = 0.0;
-    }
+    add_columns(o, b, e->b);
+    memset(b, 0, o->modes * sizeof(double));
     turn_nodes(e, e->b, e->n, 1);
     s->calls++;
     return s->python(FIELD, e->number, t) ? FAILED : DONE;
@@ -289,6 +284,8 @@ int field_load(System *s, const Body *o, double scale, double t)
 
     /* h closes the frame conditions */
     for (int i = 0; i < e->solved; i++) e->pz[i] = column(e, i, e->z);
+    for (int r = 0; r < e->bends; r++) e->pull[r] = long_dot(e->held + e->n * r, e->z, e->n); /* as the factor's columns are bent */
+    for (int i = 0; i < e->solved; i++) e->pz[i] -= dot(e->N + e->bends * i, e->pull, e->bends);
     for (int i = 0; i < e->frames; i++) open[i] = e->pz[e->frame_slot[i]] - wanted[i];
     for (int i = 0; i < e->frames; i++) e->h[i] = dot(e->A + e->frames * i, open, e->frames);
     for (int i = 0; i < e->solved; i++) e->pz[i] -= dot(e->W + e->frames * i, e->h, e->frames);
@@ -343,6 +340,7 @@ static void linear_energies(const Body *o, const double *R, const Motion *m, con
 {
     const Field *e = o->field;
     const double *U = m->U, *Ud = m->Ud, *twist = m->twist;
+    const double *rates[] = {U, Ud};
     double base[D], W[D * D], arm[D] = {0.0}, world[D], kinetic = 0.0, elastic = 0.0;
     transposed(R, twist, base);
     hat(twist + D, W);
@@ -359,6 +357,7 @@ static void linear_energies(const Body *o, const double *R, const Motion *m, con
     for (long i = 0; i < e->n; i++) e->accel[i] = e->X[i] + U[i];
     mass_times(e, e->accel, e->force);
     for (long i = 0; i < e->n; i++) arm[i % D] += e->force[i];
+    if (e->stresses) out[0] += stiffened_energy(o, rates, base, W, arm);
     times(R, arm, world);
 
     memset(e->force, 0, e->n * sizeof(double));

@@ -5,6 +5,7 @@
 #include "rotations.c"
 #include "parts.h"
 #include "surfaces.c"
+#include "second_order.c"
 
 /* The moments T(e_a, p) = T_a0 + sum_b eta_b T_ab of a reduced body, into U. */
 static void modal_moments(const Body *o, const double *eta)
@@ -14,10 +15,13 @@ static void modal_moments(const Body *o, const double *eta)
     for (int c = 0; c < o->modes; c++) add(o->U, eta[c], o->T + size * (c + 1), size);
 }
 
-/* Of p = X + Phi eta and its rates, in body axes: int rho p and int rho X p^T; of the second-order displacements m2 and P2^T. */
-typedef struct {
-    double s[3][D], T[3][D * D], m[3][D], P[3][D * D];
-} Moments;
+/* The undeformed body. */
+static Rest rest_of(const Body *o)
+{
+    Rest rest = {o->mass, {0.0}, o->mean};
+    for (int i = 0; i < D; i++) rest.S[i] = o->S[(o->modes + 1) * i];
+    return rest;
+}
 
 /* (1) of mechanics/reduction/second_order.py for count of eta, eta', eta''; K_c eta and K_ij eta into bent. */
 static void moments_of(const Body *o, const double **local, int count, Moments *z)
@@ -33,124 +37,34 @@ static void moments_of(const Body *o, const double **local, int count, Moments *
     for (int c = 0; c < D + DD; c++) {
         const double *K = o->stress + m * m * c;
         double *bent = o->bent + m * c;
-        int at = (c - D) % D * D + (c - D) / D;
         for (int i = 0; i < m; i++) bent[i] = dot(K + m * i, local[0], m);
         for (int r = 0; r < count; r++) {
             double value = (r ? 1.0 : 0.5) * dot(bent, local[r], m);
             for (int i = 0; r == 2 && i < m; i++) value += local[1][i] * dot(K + m * i, local[1], m);
-            *(c < D ? &z->m[r][c] : &z->P[r][at]) = value;
+            *moment_at(z, r, c) = value;
         }
     }
 }
 
-/* int rho V and int rho X V^T of V = sum turns_r p^(r) added to total and matrix. */
-static void collect(const double (*s)[D], const double (*T)[D * D], const double **turns, int count, double *total, double *matrix)
+/* (4) of second_order.py, added to force and N (body axes) and to the rows of the modes. */
+static void stiffened(const Body *o, const double **local, const double *W, const double *alpha, const double *acc, double *force,
+                      double *N, double *rows)
 {
-    for (int r = 0; r < count; r++) {
-        double one[D], all[D * D];
-        times(turns[r], s[r], one);
-        add(total, 1.0, one, D);
-        product_transposed(T[r], turns[r], all);
-        add(matrix, 1.0, all, D * D);
-    }
-}
-
-/* A constant translation v adds to these. */
-static void carry(const Body *o, const double *v, double *total, double *matrix)
-{
-    for (int i = 0; i < D; i++) {
-        total[i] += o->mass * v[i];
-        for (int j = 0; j < D; j++) matrix[D * i + j] += o->S[(o->modes + 1) * i] * v[j];
-    }
-}
-
-/* J^-1 of a moment. */
-static void mean_of(const Body *o, const double *total, const double *matrix, double *c)
-{
-    double x[TWIST];
-    memcpy(x, total, D * sizeof(double));
-    axial(matrix, x + D);
-    for (int i = 0; i < TWIST; i++) c[i] = dot(o->mean + TWIST * i, x, TWIST);
-}
-
-/* N += x y^T and N += A^T B^T */
-static void outer(const double *x, const double *y, double *N)
-{
-    for (int i = 0; i < D; i++) add(N + D * i, x[i], y, D);
-}
-
-static void both_transposed(const double *A, const double *B, double *N)
-{
-    for (int i = 0; i < D; i++)
-        for (int j = 0; j < D; j++)
-            for (int c = 0; c < D; c++) N[D * i + j] += A[D * c + i] * B[D * j + c];
-}
-
-/* a(c) and L(c) of a mean motion c with the rate c'. */
-static void acceleration(const double *c, const double *rate, const double *W, double *a, double *L)
-{
-    double C[D * D], E[D * D], turned[D];
-    hat(c + D, C);
-    hat(rate + D, E);
-    product(W, C, L);
-    add(L, 1.0, E, D * D);
-    times(W, c, turned);
-    for (int i = 0; i < D; i++) a[i] = rate[i] + turned[i];
-}
-
-/* (4) of second_order.py, added to force and N (body axes) and to the rows of the modes; a frame that moves evenly sees the same. */
-static void second_order(const Body *o, const double **local, const double *W, const double *alpha, const double *acc,
-                         double *force, double *N, double *rows)
-{
-    int m = o->modes, k = m + 1, DD = D * D;
+    int m = o->modes, DD = D * D;
+    double a[D], L[D * D], stress[D + D * D];
+    Rest rest = rest_of(o);
     Moments z;
     moments_of(o, local, 3, &z);
-    double one[D * D] = {0.0}, A[D * D];
-    for (int i = 0; i < D; i++) one[(D + 1) * i] = 1.0;
-    hat(alpha, A);
-    const double *speeds[] = {W, one}, *rates[] = {A, W, one};
-
-    double g[D] = {0.0}, G[D * D] = {0.0}, h[D] = {0.0}, H[D * D] = {0.0};
-    double gd[D] = {0.0}, Gd[D * D] = {0.0}, hd[D] = {0.0}, Hd[D * D] = {0.0};
-    collect(z.s, z.T, speeds, 2, g, G);
-    collect(z.m, z.P, speeds, 2, h, H);
-    collect(z.s, z.T, rates, 3, gd, Gd);
-    carry(o, acc, gd, Gd);
-    collect(z.m, z.P, rates, 3, hd, Hd);
-
-    double e[TWIST], ed[TWIST], b[TWIST], bd[TWIST], a[D], L[D * D], ab[D + D * D], *Lb = ab + D, C[D * D];
-    mean_of(o, h, H, e);
-    mean_of(o, hd, Hd, ed);
-    mean_of(o, g, G, b);
-    mean_of(o, gd, Gd, bd);
-    add(b, 1.0, e, TWIST);
-    add(bd, 1.0, ed, TWIST);
-    acceleration(e, ed, W, a, L);
-    acceleration(b, bd, W, ab, Lb);
-
-    for (int i = 0; i < D; i++) {
-        force[i] += o->mass * a[i];
-        for (int j = 0; j < D; j++) force[i] += L[D * i + j] * o->S[k * j];
-    }
-    outer(z.s[0], a, N);
-    both_transposed(z.T[0], L, N);
-    outer(z.m[0], ab, N);
-    both_transposed(z.P[0], Lb, N);
-    outer(g, e, N);
-    hat(e + D, C);
-    both_transposed(G, C, N);
-    outer(h, b, N);
-    hat(b + D, C);
-    both_transposed(H, C, N);
+    second_order(&rest, &z, W, alpha, acc, force, N, a, L, stress);
 
     memset(o->now, 0, m * m * sizeof(double));
     for (int i = 0; i < m; i++) {
         rows[i] += dot(o->T + DD * (i + 1), L, DD);
-        for (int j = 0; j < D; j++) rows[i] += a[j] * o->S[k * j + i + 1];
+        for (int j = 0; j < D; j++) rows[i] += a[j] * o->S[(m + 1) * j + i + 1];
     }
     for (int c = 0; c < D + DD; c++) {
-        add(rows, ab[c], o->bent + m * c, m);
-        add(o->now, ab[c], o->stress + m * m * c, m * m);
+        add(rows, stress[c], o->bent + m * c, m);
+        add(o->now, stress[c], o->stress + m * m * c, m * m);
     }
 }
 
@@ -163,6 +77,7 @@ static void second_block(const Body *o, const double *R, const double *eta)
     Moments z;
     moments_of(o, local, 1, &z);
     memset(A, 0, (size_t)4 * TWIST * n * sizeof(double));
+    Rest rest = rest_of(o);
 
     for (int j = 0; j < TWIST; j++) {
         /* a unit of translation or rotation along a world axis */
@@ -174,7 +89,7 @@ static void second_block(const Body *o, const double *R, const double *eta)
         hat(c + D, W);
         const double *turns[] = {W};
         collect(z.s, z.T, turns, 1, g, G);
-        carry(o, c, g, G);
+        carry(&rest, c, g, G);
         collect(z.m, z.P, turns, 1, h, H);
         for (int i = 0; i < D; i++) A[n * i + j] = g[i], B[n * i + j] = h[i];
         axial(G, x);
@@ -205,27 +120,6 @@ static void second_block(const Body *o, const double *R, const double *eta)
             add(o->block + n * i, A[n * r + i] + B[n * r + i], JB + n * r, i + 1);
             add(o->block + n * i, B[n * r + i], JA + n * r, i + 1);
         }
-}
-
-/* (3) itself, twist with its translation in body axes, added to the kinetic energy; m2 to the arm of the weight. */
-static double second_energy(const Body *o, const double *eta, const double *rate, const double *v, const double *W, double *arm)
-{
-    const double *local[] = {eta, rate};
-    Moments z;
-    moments_of(o, local, 2, &z);
-    double one[D * D] = {0.0}, g[D] = {0.0}, G[D * D] = {0.0}, h[D] = {0.0}, H[D * D] = {0.0}, e[TWIST], x[TWIST], y[TWIST];
-    for (int i = 0; i < D; i++) one[(D + 1) * i] = 1.0;
-    const double *speeds[] = {W, one};
-    collect(z.s, z.T, speeds, 2, g, G);
-    carry(o, v, g, G);
-    collect(z.m, z.P, speeds, 2, h, H);
-    mean_of(o, h, H, e);
-    memcpy(x, g, sizeof g);
-    axial(G, x + D);
-    memcpy(y, h, sizeof h);
-    axial(H, y + D);
-    add(arm, 1.0, z.m[0], D);
-    return dot(x, e, TWIST) + 0.5 * dot(y, e, TWIST);
 }
 
 /* Verdict LOOK outside of the range of the reduction. */
@@ -274,7 +168,7 @@ int reduced_force(const Body *o, const double *R, const double *q, const double 
             part[D * i + j] = N[D * i + j] + 2.0 * twice + T2[D * j + i] + Sp[0][i] * acc[j];
         }
     const double *rates[] = {eta, rate, second};
-    if (o->stress) second_order(o, rates, W, alpha, acc, more, part, Me + m);
+    if (o->stress) stiffened(o, rates, W, alpha, acc, more, part, Me + m);
     axial(part, local);
     to_world(R, local, f + D);
     times(L, Sp[0], L1);
@@ -384,7 +278,14 @@ void reduced_energies(const Body *o, const double *R, const double *q, const dou
             kinetic += 0.5 * WT[D * i + j] * W[D * i + j];
             kinetic += W[D * i + j] * T1[D * i + j];
         }
-    if (o->stress) kinetic += second_energy(o, eta, rate, local, W, arm);
+    if (o->stress) {
+        const double *both[] = {eta, rate};
+        Rest rest = rest_of(o);
+        Moments z;
+        moments_of(o, both, 2, &z);
+        kinetic += second_energy(&rest, &z, local, W);
+        add(arm, 1.0, z.m[0], D);
+    }
     for (int i = 0; i < m; i++) {
         kinetic += 0.5 * rate[i] * dot(o->modal + m * i, rate, m);
         elastic += 0.5 * eta[i] * dot(o->K + m * i, eta, m);

@@ -84,11 +84,13 @@ int place_surface(System *s, int number, const double *q)
     return DONE;
 }
 
-/* b_0' .. b_D' of a surface, or what the rates of the body alone add to b_0'' ..: -N (eta' G eta'). */
-static void port_rates(const Surface *k, const double *rates, int m, double *first, double *second)
+/* b_0' .. b_D' of a surface, and what the rates of the body alone add to b_0'' ..: -N (eta' G eta'). */
+static void port_rates(const Surface *k, const Body *body, const double *rates, double *first, double *second)
 {
+    const Field *e = body->field;
+    int m = body->modes;
     for (int j = 0; j < PORT; j++) first[j] = dot((k->bends ? k->now : k->ports) + m * j, rates, m);
-    memset(second, 0, PORT * sizeof(double));
+    for (int j = 0; j < PORT; j++) second[j] = e && e->bends ? dot(k->ports + m * j, e->bias, m) : 0.0;
     for (int r = 0; r < k->bends; r++) {
         double shortened = 0.0;
         for (int i = 0; i < m; i++) shortened += rates[i] * dot(k->G + (r * m + i) * m, rates, m);
@@ -133,7 +135,7 @@ void surface_bias(System *s, int number)
     const Body *body = s->body + k->body;
     const double *frame = s->frames + FRAME * k->body, *R = frame + TURN;
     double first[PORT], second[PORT], w[ROT], rate[ROT], spins[ROT], way[D], speed[D], x[D], y[D], accel[D];
-    port_rates(k, s->velocity + body->at_u + TWIST, body->modes, first, second);
+    port_rates(k, body, s->velocity + body->at_u + TWIST, first, second);
     own_turn(k, first, second, w, rate);
     to_body(R, frame + SPIN, spins);
     transposed(R, k->arm, way);

@@ -96,6 +96,13 @@ typedef struct {
     double *b, *z;                     /* n each: E z = b, by Python; b: Newton's increment, for new tangents */
     double *MX, *began, *T;            /* n; rotation of the factor's tangent, sum of X (M X)^T; rotation since, see turn_factor() */
     double *pz, *rest, *f, *h;         /* solved each, frames: see fields.c */
+    int stresses, bends;               /* with stiffening: of inertia, where C tells the forces; ports of second order */
+    int *stress_start, *stress_column; /* by rows of nodes: scalars, stresses + bends of each entry; see stiffened.c */
+    double *stress, *N;                /* N: modes x bends */
+    double *bent, *form;               /* n x (stresses + bends); 3 x (stresses + bends) */
+    double *bias, *pull;               /* modes; work: bends */
+    double *held, *second;             /* of the tangent: bends x n, G_r U; TWIST x TWIST of the frame, NULL without stiffening */
+    double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */
 } Field;
 
 typedef struct {
