@@ -63,6 +63,12 @@ class FieldTable:
         self.indefinite = False
         self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
 
+    @property
+    def spin_to_check(self) -> float:
+        """Angular velocity (rad/s) above which the body is to be warned of; infinite where it was, or stiffens."""
+        known = self.part.warned or self.part.stiffening is not None
+        return np.inf if known else float(self.part.spin_to_check)
+
     def solve(self) -> None:
         """z = E^-1 b."""
         self.z[:] = self.block.factor.solve(self.b)
@@ -87,7 +93,7 @@ class FieldTable:
         } | ({} if part.stiffening is None else self._bent_tangent())  # fmt: skip
 
     def _bent_tangent(self) -> dict[str, Array]:
-        """The same of bodies with stiffening: ports of second order, and what second-order displacements add to the frame's mass."""
+        """The same with stiffening: ports of second order, and what second-order displacements add to the frame's mass."""
         part = self.part
         bends = 0 if part.shortening is None else part.shortening.N.shape[1]
         return {
@@ -127,7 +133,8 @@ class FieldTable:
         stiffening = part.stiffening
         mean = np.zeros(0) if stiffening is None else stiffening.second.inverse
         return structure("Body", d)(
-            modes=self.count, mean=tables.store.address(mean), at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,
+            modes=self.count, mean=tables.store.address(mean),
+            at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,
             at_u=int(tables.at_u[frame]), mass=part.mass_total, large=(TOO_LARGE * part.size) ** 2 * part.field.n_global / d,
             block=tables.store.address(np.zeros((width, width))),
             dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])), field=address,

@@ -438,7 +438,7 @@ class Tables:
                 known = part.warned or part.constants.stiffening is not None
                 self.body_array[b].spin = np.inf if known else part.first_frequency**2
         for frame, field in self.floating.items():
-            self.body_array[frame].spin = np.inf if field.part.warned else field.part.spin_to_check**2
+            self.body_array[frame].spin = field.spin_to_check**2
 
 
 def covers_bodies(system: System) -> bool:

@@ -1,0 +1,61 @@
+"""Bodies with geometric stiffening in compiled steps: the digits, the iterations and the factors of NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from test_compiled import pair
+from test_driver import compiled
+from test_kernel import agree, floating
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.materials import plane_stress
+
+pytestmark = compiled
+FRAMES = {"mean axis": fmbd.MeanAxis(), "attached": fmbd.Attached("pin"), "chord": fmbd.Chord("pin", "tip")}
+
+
+def no_more_work(fast: fmbd.Run, slow: fmbd.Run) -> None:
+    """As many factors, and energies as close as the states."""
+    assert fast.counters["factorisations"] == slow.counters["factorisations"]
+    for name, series in fast.energy.items():
+        assert np.allclose(series, slow.energy[name], rtol=1e-8, atol=1e-8), name
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=str)
+def test_same_digits_as_numpy(rod_mesh: Callable[..., Any], dim: int, frame: str, form: Any) -> None:
+    """A stiffened rod with others on its bent end: ports of second order, and new tangents within the march."""
+    make = lambda: floating(rod_mesh(dim=dim, h=0.25), FRAMES[frame], stiffness_damping=1e-4, stiffening="pin")
+    fast, slow = pair(make, form, t_end=0.015, dt=5e-4)
+    assert fast.counters["compiled_steps"] >= 27
+    agree(fast, slow)
+    no_more_work(fast, slow)
+
+
+def test_above_the_first_frequency(rod_mesh: Callable[..., Any]) -> None:
+    """A soft blade that is spun up, with a spring and a load on its end, whose stress Python tells: no step is given back."""
+    mesh = rod_mesh(dim=2, h=0.5, height=0.1)
+
+    def make(load: bool) -> fmbd.Scene:
+        loads = (fmbd.loads.traction("tip", (0.0, 100.0)),) if load else ()
+        law = {"elastic": plane_stress(1e7, 0.3), "frame": fmbd.Attached("pin"), "loads": loads}
+        blade = fmbd.FloatingBody("blade", mesh, density=1000.0, stiffening=True, angular_velocity=30.0, **law)
+        blade = blade.with_(velocity=(0.0, 15.0))
+        scene = fmbd.Scene("spin")
+        pin = fmbd.revolute("pin", fmbd.ground, blade.surface("pin"), center=(0, 0))
+        scene.add(blade, pin, fmbd.drive("motor", fmbd.angle(pin), lambda t: (30.0 * t + 50.0 * t**2,)))
+        anchor = {"point_a": (1, 0.5), "point_b": (1, 0)}
+        scene.add(fmbd.Spring("spring", blade.surface("tip"), fmbd.ground, stiffness=20.0, damping=0.1, **anchor))
+        scene.sensor("tip", fmbd.position(blade.surface("tip")))
+        return scene
+
+    for load in (False, True):
+        fast, slow = pair(lambda load=load: make(load), t_end=0.04, dt=1e-3)
+        assert fast.counters["compiled_steps"] == 39
+        assert np.abs(fast["tip"] - slow["tip"]).max() < 1e-9
+        no_more_work(fast, slow)
