@@ -179,7 +179,9 @@ class Loop:
     def _recorder(self) -> Recorder:
         """Who records the march, with its start."""
         problem, first = self.problem, self.stepper.state
-        recorder = Recorder(problem.scene, problem.system, problem.markers, self.output, self.schedule.t_end)
+        steps = self.schedule.steps
+        expected = steps // self.output.every + 2 if steps else 0
+        recorder = Recorder(problem.scene, problem.system, problem.markers, self.output, self.schedule.t_end, expected)
         recorder.closed = Closed.under(problem.system, problem.scheme)
         recorder.warned = problem.warned
         recorder.take(0, first, self.stepper.evaluation)

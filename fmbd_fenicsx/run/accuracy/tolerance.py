@@ -9,7 +9,6 @@ with the step, so they are estimated again only when bodies have changed; runs w
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -302,9 +301,9 @@ def _often(wanted: Output, schedule: StepSchedule) -> int:
     return max(fits, default=1)
 
 
-def _thin_out(run: Run, indices: Sequence[int], every: int) -> None:
+def _thin_out(run: Run, indices: np.ndarray, every: int) -> None:
     """Leave only the records that were wanted: of every so many steps, and the last."""
-    keep = np.array([n % every == 0 for n in indices])
+    keep = indices % every == 0
     keep[-1:] = True
     run.times = run.times[keep]
     run.series = {name: x[keep] for name, x in run.series.items()}

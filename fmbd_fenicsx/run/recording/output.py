@@ -26,6 +26,7 @@ from ...system.system import State, System
 from ..judges.acceptance import Closed
 from .between import state_between
 from .ledger import Books
+from .rows import Rows
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,8 @@ class Recorder:
     markers: dict[str, int]
     output: Output
     t_end: float
-    indices: list[int] = field(default_factory=list)  # numbers of the recorded steps
+    expected: int = 0  # records of the whole run, where known
+    newest: int = -1  # the step recorded last
     snapshots: list[State] = field(default_factory=list)
     powers: list[dict[str, float]] = field(default_factory=list)
     works: list[dict[str, float]] = field(default_factory=list)
@@ -193,10 +195,10 @@ class Recorder:
     warned: Gathered | None = None  # the warnings of this run
 
     def __post_init__(self) -> None:
-        # series are kept as pieces, k records each: (k,) of times and energies, (k, size) of sensors
-        self.pieces: list[Array] = []
-        self.energies: dict[str, list[Array]] = {}
-        self.values: dict[str, list[Array]] = {n: [] for n in self.scene.sensors}
+        # (k,) of numbers of steps, times and energies, (k, size) of sensors
+        self.steps, self.moments = Rows(), Rows()
+        self.energies: dict[str, Rows] = {}
+        self.values: dict[str, Rows] = {n: Rows() for n in self.scene.sensors}
         times = self.output.times
         self._wanted = None if times is None else [float(t) for t in times if t <= self.t_end * (1 + 1e-12)]
         self._before: State | None = None
@@ -223,8 +225,9 @@ class Recorder:
         begin = clock.perf_counter()
         every = self.output.every
         start = (first // every + 1) * every
-        self.indices += range(start, start + every * len(seen), every)
-        self.pieces.append(seen.t)
+        self.newest = start + every * (len(seen) - 1)
+        self.steps.append(np.arange(start, self.newest + 1, every, dtype=float))
+        self.moments.append(seen.t)
         if self.closed is not None:
             self.closed.check_tape(seen)
 
@@ -245,7 +248,9 @@ class Recorder:
             self._one_by_one(seen, alone, unknown)
         if self.output.energy and not unknown:
             for name, values in seen.energies().items():
-                self.energies.setdefault(name, []).append(values)
+                self.energies.setdefault(name, Rows()).append(values)
+        for rows in (self.steps, self.moments, *self.energies.values(), *self.values.values()):
+            rows.joined(self.expected)  # the tape is written anew
 
         self.seconds += clock.perf_counter() - begin
 
@@ -257,7 +262,7 @@ class Recorder:
             for name, sensor in sensors:
                 self.values[name].append(sensor.read(ev, s, self.markers[name])[None])
             for name, value in ev.energies().items() if energy else ():
-                self.energies.setdefault(name, []).append(np.array([value]))
+                self.energies.setdefault(name, Rows()).append(np.array([value]))
 
     def quiet(self, n: int, t: float, h: float, *, through: bool = False) -> int:
         """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included; or all before one that
@@ -284,7 +289,7 @@ class Recorder:
 
         if n % self.output.every and state.t < self.t_end - rounding:
             return
-        if self.indices and self.indices[-1] == n:  # on tape
+        if self.newest == n:  # on tape
             return
         self._record(n, state, seen)
 
@@ -317,8 +322,9 @@ class Recorder:
         """
         begin = clock.perf_counter()
         ev = self.system.at(state.t, state.q, state.v) if seen is None else seen
-        self.indices.append(n)
-        self.pieces.append(np.array([state.t]))
+        self.newest = n
+        self.steps.append(np.array([n]))
+        self.moments.append(np.array([state.t]))
         for name, sensor in self.scene.sensors.items():
             self.values[name].append(np.asarray(sensor.read(ev, state, self.markers[name]))[None])
 
@@ -326,7 +332,7 @@ class Recorder:
             self._judge(n, state, ev)
         if self.output.energy:
             for name, value in ev.energies().items():
-                self.energies.setdefault(name, []).append(np.array([value]))
+                self.energies.setdefault(name, Rows()).append(np.array([value]))
         if self.output.ledger:
             self._book(ev, state)
 
@@ -369,16 +375,16 @@ class Recorder:
 
     def remember(self, m: Memory) -> None:
         """All that was recorded so far."""
-        steps, times = m("steps", (np.array(self.indices), self.times))
-        self.indices = [int(n) for n in steps]
-        self.pieces = [np.asarray(times, dtype=float)]
+        steps, times = m("steps", (self.indices, self.times))
+        self.newest = int(steps[-1])
+        self.steps, self.moments = Rows([np.asarray(steps)]), Rows([np.asarray(times, dtype=float)])
 
         sensors = self.scene.sensors
-        self.values = {n: [sensors[n].remember(m, f"sensor {n}", x)] for n, x in self.series.items()}
+        self.values = {n: Rows([sensors[n].remember(m, f"sensor {n}", x)]) for n, x in self.series.items()}
 
         kinds = m("kinds", list(self.energies))
         now = self.energy
-        self.energies = {k: [np.asarray(m(f"energy {k}", now.get(k, np.zeros(0))))] for k in kinds}
+        self.energies = {k: Rows([np.asarray(m(f"energy {k}", now.get(k, np.zeros(0))))]) for k in kinds}
 
         self.gap, self.slip, self.seconds, self._due = m("drift", (self.gap, self.slip, self.seconds, self._due))
 
@@ -398,17 +404,22 @@ class Recorder:
     @property
     def times(self) -> Array:
         """Times of the records (s), (n,)."""
-        return np.concatenate(self.pieces) if self.pieces else np.zeros(0)
+        return self.moments.joined()
+
+    @property
+    def indices(self) -> np.ndarray:
+        """Numbers of the recorded steps, (n,)."""
+        return self.steps.joined().astype(int)
 
     @property
     def series(self) -> dict[str, Array]:
         """Sensor name -> values, (n, size)."""
-        return {name: np.concatenate(values) if values else np.zeros((0, 0)) for name, values in self.values.items()}
+        return {name: rows.joined() for name, rows in self.values.items()}
 
     @property
     def energy(self) -> dict[str, Array]:
         """Kind -> energies in J, (n,)."""
-        return {name: np.concatenate(values) for name, values in self.energies.items()}
+        return {name: rows.joined() for name, rows in self.energies.items()}
 
 
 def _names(entries: Sequence[Mapping[str, float]]) -> list[str]:

@@ -26,7 +26,7 @@ class ContactTape(Tape):
         super().__init__(tables, judged, contact=sum(int(np.prod(x)) for x in self.shapes))
 
     def recorded(self) -> Recorded:
-        """What was recorded, copied."""
+        """What was recorded, until the tape begins anew."""
         return ContactRecorded(super().recorded(), self)
 
 

@@ -23,7 +23,7 @@ from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..system import State, System
 from .blocks import block_size, state_of
-from .structures import address_of, zeros_of
+from .structures import address_of, structure, zeros_of
 
 if TYPE_CHECKING:
     from .tables import Tables
@@ -36,7 +36,8 @@ BYTES = 1_000_000  # that they may take, so that they stay in the cache
 class Look:
     """What a sensor needs of each record beside the state: the motion of a ``marker``, a ``relative`` coordinate with its rate,
     the ``element`` with this name, the wrench of the ``joint`` with this name on its first body; ``rows``: all multipliers,
-    ``whole``: the state itself. What is told of contacts is recorded at any rate.
+    ``accelerated``: the acceleration of the marker too, ``side``: the wrench of the element on its first (0) or second (1) body.
+    What is told of contacts is recorded at any rate.
     """
 
     marker: int = -1
@@ -44,7 +45,15 @@ class Look:
     element: str = ""
     joint: str = ""
     rows: bool = False
-    whole: bool = False
+    accelerated: bool = False
+    side: int = -1
+
+    @property
+    def wrench(self) -> tuple[str, int] | None:
+        """The name and side of a joint (first body, -1) or element whose wrench is looked at."""
+        if self.joint:
+            return self.joint, -1
+        return (self.element, self.side) if self.side >= 0 else None
 
 
 def readable(system: System, look: Look) -> bool:
@@ -76,8 +85,9 @@ class Looks:
         self.markers = sorted({x.marker for x in self.of.values() if x.marker >= 0})
         self.rows = any(x.rows for x in self.of.values())
         self.complete = len(self.of) == len(system.sensed) and self.energies_known  # no state is read on its own
-        self.whole = any(x.whole for x in self.of.values()) or not self.complete
-        self.joints = sorted({x.joint for x in self.of.values() if x.joint})
+        self.whole = not self.complete
+        self.accelerated = any(x.accelerated for x in self.of.values())
+        self.wrenches = sorted({x.wrench for x in self.of.values() if x.wrench is not None})
         self.relatives = [(key, x.relative) for key, x in self.of.items() if x.relative is not None]
         self.elements = {x.element for x in self.of.values() if x.element}
         self.slots: dict[Any, slice] = {}  # of a sensor's identity or an element's name
@@ -119,6 +129,47 @@ class Looks:
         return all(type(f).energy is Loads.energy for f in rest)
 
 
+def seen_places(tables: Tables) -> int:
+    """The address of places (d) of the markers that sensors look at in their frames, and of how they are turned (d x d)."""
+    mk, seen = tables.system.markers, tables.looks.markers
+    place = np.where((tables.frame[seen] > tables.nb)[:, None], 0.0, mk.position[seen])
+    return tables.store.address(np.hstack((place, mk.rotation[seen].reshape(len(seen), tables.dim**2))))
+
+
+def reaction_of(tables: Tables, name: str, side: int) -> Any:
+    """One structure Reaction: the items of a joint's rows on the side of its first body, or of an element on a side."""
+    marker, found = _of_joint(tables, name) if side < 0 else _of_element(tables, tables.looks.slots[name].start, side)
+    batch, item, sides = np.array(found, dtype=int).reshape(-1, 3).T
+    frame = int(tables.frame[marker])
+    place = np.zeros(tables.dim) if frame > tables.nb else tables.system.markers.position[marker]
+    integers = tables.store.integers
+    return structure("Reaction", tables.dim)(
+        items=len(found), frame=frame, p=(ctypes.c_double * tables.dim)(*place),
+        batch=integers(batch), item=integers(item), side=integers(sides),
+    )  # fmt: skip
+
+
+def _of_joint(tables: Tables, joint: str) -> tuple[int, list[tuple[int, int, int]]]:
+    """The marker of a joint on its first body; number of the batch, of the item, and side of the items that act there."""
+    block = tables.system.block(joint)
+    found = []
+    for number, items in enumerate(tables.sources):
+        if items.row is not None:
+            inside = (items.row >= block.rows.start) & (items.row < block.rows.stop)
+            mine = np.argwhere(inside[:, None] & (items.markers == block.a))
+            found += [(number, int(i), int(side)) for i, side in mine]
+    return block.a, found
+
+
+def _of_element(tables: Tables, slot: int, side: int) -> tuple[int, list[tuple[int, int, int]]]:
+    """The same of an element that is read, on one of its sides."""
+    for number, items in enumerate(tables.sources):
+        if items.slot is not None and slot in items.slot:
+            i = int(np.flatnonzero(items.slot == slot)[0])
+            return int(items.markers[i, side]), [(number, i, side)]
+    raise AssertionError(slot)
+
+
 class _Tape(ctypes.Structure):
     """``Tape`` of tables.h."""
 
@@ -127,7 +178,7 @@ class _Tape(ctypes.Structure):
         *((name, ctypes.c_double) for name in "allowed roundoff length".split()),
         *(
             (name, ctypes.c_void_p)
-            for name in "units block lam frames energy reading reaction drift doubt contact".split()
+            for name in "units block lam sight energy reading reaction drift doubt contact".split()
         ),
     ]
 
@@ -155,10 +206,10 @@ class Tape:
         self._sizes: dict[str, tuple[int, ...]] = {
             "block": (size if looks.whole else 1,),
             "lam": (s.n_lam if looks.rows else 0,),
-            "frames": (len(looks.markers), FRAME[tables.dim]),
+            "sight": (len(looks.markers), FRAME[tables.dim] + tables.dim),
             "energy": (4,),
             "reading": (looks.count, 3),
-            "reaction": (len(looks.joints), tables.twist),
+            "reaction": (len(looks.wrenches), tables.twist),
             "drift": (4,),
             "contact": (contact,),
         }
@@ -199,11 +250,11 @@ class Tape:
             self.c.doubtful = -1 if self.c.doubtful == self.c.count else self.c.doubtful
 
     def recorded(self) -> Recorded:
-        """What was recorded, copied."""
+        """What was recorded, until the tape begins anew."""
         n = int(self.c.count)
         doubtful = self.c.doubtful >= 0
         doubt = self.tables.twin.state(state_of(self.tables.system, self.doubt)) if doubtful else None
-        return Recorded(self.tables, {name: x[:n].copy() for name, x in self.arrays.items()}, doubt)
+        return Recorded(self.tables, {name: x[:n] for name, x in self.arrays.items()}, doubt)
 
 
 class Recorded:
@@ -215,7 +266,6 @@ class Recorded:
         self.tables, self.system, self.looks = tables, tables.system, tables.looks
         self.arrays, self.doubt = arrays, doubt
         self.contact: Any = None  # of contacts in all records, as a state has it of one
-        self._frames: dict[int, tuple[Array, Array, Array]] = {}  # by the marker, for all of its sensors
         self.t, self.lam = arrays["block"][:, 0], arrays["lam"]
 
     def __len__(self) -> int:
@@ -226,65 +276,43 @@ class Recorded:
         return self.tables.twin.state(state_of(self.system, self.arrays["block"][i]))
 
     # -- markers ------------------------------------------------------------------------------------------------------------
-    def _frame(self, marker: int) -> tuple[Array, Array, Array]:
-        """Numbers of the marker's frame, its rotation, and the arm from the frame's origin to the marker (world axes)."""
-        if marker not in self._frames:
-            d = self.tables.dim
-            place = self.tables.seen_place[marker]
-            frame = self.arrays["frames"][:, self.looks.markers.index(marker)]
-            R = frame[:, d : d + d * d].reshape(-1, d, d)
-            self._frames[marker] = frame, R, sum(R[:, :, j] * place[j] for j in range(d))
-        return self._frames[marker]
+    def _sight(self, marker: int, first: int, count: int) -> Array:
+        """Some of a marker's numbers in all records: x, R by rows, v, w .. x'', world axes."""
+        return self.arrays["sight"][:, self.looks.markers.index(marker), first : first + count]
 
     def place(self, marker: int) -> Array:
         """x, (k, d) m."""
-        frame, _, arm = self._frame(marker)
-        return frame[:, : self.tables.dim] + arm
+        return self._sight(marker, 0, self.tables.dim)
 
     def rotation(self, marker: int) -> Array:
-        """R since the start, (k, d, d)."""
-        return np.asarray(self._frame(marker)[1] @ self.system.markers.rotation[marker])
+        """R since the start, by rows, (k, d^2)."""
+        return self._sight(marker, self.tables.dim, self.tables.dim**2)
 
     def twist(self, marker: int) -> Array:
         """Velocity (m/s) and angular velocity (rad/s), world axes, (k, d + n_rot)."""
-        m, d = self.system.motions, self.tables.dim
-        frame, _, arm = self._frame(marker)
-        at = d + d * d
-        w = frame[:, at + d : at + d + m.n_rot]
-        return np.concatenate((frame[:, at : at + d] + m.spin(w, arm), w), axis=1)
+        d = self.tables.dim
+        return self._sight(marker, d + d * d, d + self.system.motions.n_rot)
 
     def acceleration(self, marker: int) -> Array:
-        """x'' of a marker on a rigid body, (k, d) m/s^2."""
-        m = self.system.motions
-        d = self.tables.dim
-        n = self.tables.twist
-        body = int(self.system.markers.frame[marker])
-        frame, R, arm = self._frame(marker)
-        if body == self.tables.nb:
-            return np.zeros((len(self), d))
-        at = d + d * d + d
-        first = 1 + self.system.n_q + self.system.n_v + n * body
-        w = frame[:, at : at + m.n_rot]
-        a = self.arrays["block"][:, first : first + n]
-        turning = a[:, d:] if d == 2 else (R @ a[:, d:, None])[..., 0]
-        return np.asarray(a[:, :d] + m.spin(turning, arm) + m.spin(w, m.spin(w, arm)))
+        """x'' of a marker, (k, d) m/s^2."""
+        return self._sight(marker, FRAME[self.tables.dim], self.tables.dim)
 
     # -- coordinates, elements, joints ------------------------------------------------------------------------------------------
     def reading(self, key: Any) -> Array:
         """s, s' and the restoring effort of a sensor's coordinates or of the element of this name, (k, n, 3)."""
         return self.arrays["reading"][:, self.looks.slots[key]]
 
-    def wrench(self, joint: str) -> Array:
-        """Force and torque of a joint on its first body, (k, d + n_rot)."""
-        return self.arrays["reaction"][:, self.looks.joints.index(joint)]
+    def wrench(self, name: str, side: int = -1) -> Array:
+        """Force and torque of a joint on its first body, or of an element on that of a side (0, 1), (k, d + n_rot)."""
+        return self.arrays["reaction"][:, self.looks.wrenches.index((name, side))]
 
     def energies(self) -> dict[str, Array]:
         """Kind -> J, (k,), as :meth:`Evaluation.energies`."""
         kinds = ("kinetic", "elastic", "weight", "springs")
-        out: dict[str, Array] = dict(zip(kinds, self.arrays["energy"].T.copy(), strict=True))
+        out: dict[str, Array] = dict(zip(kinds, self.arrays["energy"].T, strict=True))
         for place, law in self.looks.stores:
             s = self.arrays["reading"][:, place, 0]
-            out["springs"] += np.array([law.stored(float(x)) for x in s[:, 0]])
+            out["springs"] = out["springs"] + np.array([law.stored(float(x)) for x in s[:, 0]])
         return out
 
     @property

@@ -25,7 +25,7 @@ from .listening import listeners
 from .mounts import mount_batch
 from .order import Fronts, RowGroup
 from .places import MatrixShape, Structure, batch_of, fronts_of, pivots_of, structure_of
-from .recording import Looks
+from .recording import Looks, reaction_of, seen_places
 from .resting import twin_of
 from .rods import RodTable, rod_pairs
 from .structures import Store, array_of, structure
@@ -318,6 +318,7 @@ class Tables:
             again=once, stiff=int(bool(self.rods) or any(f.stiff for f in s.forces)),
             remembers=max([0, *(x.remembers for x in self.items), *(x.remembers for x in self.listeners)]),
             storage=self.fronts.storage, seen=len(looks.markers), seen_frame=self.store.integers(self.frame[looks.markers]),
+            seen_place=seen_places(self), accelerated=int(looks.accelerated),
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
             foretells=int(any(part.foretells for part in parts)), indefinite=self._indefinite,
         )  # fmt: skip
@@ -332,7 +333,7 @@ class Tables:
             "angle": ("angles", angles(self)),
             "rod": ("rods", [rod.c for rod in self.rods]),
             "batch": ("batches", self.batches),
-            "reaction": ("reactions", [self._reaction(name) for name in self.looks.joints]),
+            "reaction": ("reactions", [reaction_of(self, *which) for which in self.looks.wrenches]),
         }
 
         counts, addresses = {}, {}
@@ -371,34 +372,6 @@ class Tables:
         # the ground does not turn
         self.arrays["frames"][self.nb, self.dim : self.dim + self.dim**2 : self.dim + 1] = 1.0
         return {name: address for name, (_, address) in arrays.items()}
-
-    @property
-    def seen_place(self) -> dict[int, Array]:
-        """Places of the markers that sensors look at in their frames, by number."""
-        mk = self.system.markers
-        on_surface = self.frame > self.nb
-        return {i: np.zeros(self.dim) if on_surface[i] else mk.position[i] for i in self.looks.markers}
-
-    def _reaction(self, joint: str) -> Any:
-        """One structure Reaction: the items of a joint's rows on the side of its first body."""
-        block = self.system.block(joint)
-        found = []
-        # items of the joint's rows on its first body
-        for number, items in enumerate(self.sources):
-            if items.row is None:
-                continue
-            inside = (items.row >= block.rows.start) & (items.row < block.rows.stop)
-            mine = np.argwhere(inside[:, None] & (items.markers == block.a))
-            found += [(number, int(i), int(side)) for i, side in mine]
-        batch, item, side = np.array(found, dtype=int).reshape(-1, 3).T
-
-        frame = int(self.frame[block.a])
-        place = np.zeros(self.dim) if frame > self.nb else self.system.markers.position[block.a]
-        integers = self.store.integers
-        return structure("Reaction", self.dim)(
-            items=len(found), frame=frame, p=(ctypes.c_double * self.dim)(*place),
-            batch=integers(batch), item=integers(item), side=integers(side),
-        )  # fmt: skip
 
     def coordinate(self, number: int) -> int:
         """The address of the batch of one of the ``coordinates``."""

@@ -86,6 +86,16 @@ class ElementWrench(_ElementSensor):
         d = ev.system.motions.dim
         return np.asarray(wrench[d:] if self.torque else wrench[:d])
 
+    def looks_at(self, system: System, marker: int) -> Look:
+        """What the element exerts on the body."""
+        return Look(element=self.element, side=int(self.on_b))
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """Components in world axes, (k, d or n_rot)."""
+        d = seen.tables.dim
+        wrench = seen.wrench(self.element, int(self.on_b))
+        return wrench[:, d:] if self.torque else wrench[:, :d]
+
 
 @dataclass(frozen=True, eq=False)
 class ElementPower(_ElementSensor):
@@ -97,6 +107,15 @@ class ElementPower(_ElementSensor):
         """Sum of wrench times twist over both markers, (1,)."""
         loads, at = find(ev.system, self.element)
         return np.array([power_of(loads, ev)[at].sum()])
+
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The element."""
+        return Look(element=self.element)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """- N s', (k, 1)."""
+        found = seen.reading(self.element)
+        return np.asarray(-found[:, :, 2] * found[:, :, 1])
 
 
 def _element(what: str, element: Any, *, scalar: bool = False) -> Force:

@@ -152,9 +152,9 @@ class Acceleration(_Vector):
             out = out + kin.jac_port[on[0]] @ port_acceleration(ev, state.a)[m.port[on[0]]]
         return np.asarray(out[: kin.x.shape[1]])
 
-    def looks_at(self, system: System, marker: int) -> Look | None:
-        """The marker, where it is on a rigid body."""
-        return None if marker in system.markers.surface else Look(marker, whole=True)
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The marker."""
+        return Look(marker, accelerated=True)
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """x'', m/s^2."""
@@ -176,7 +176,7 @@ class Rotation(Sensor):
     def series(self, seen: Recorded, marker: int) -> Array:
         """Angle or rotation matrix."""
         R = seen.rotation(marker)
-        return np.arctan2(R[:, 1, :1], R[:, 0, :1]) if R.shape[1] == 2 else R.reshape(len(R), 9)
+        return np.arctan2(R[:, 2:3], R[:, :1]) if R.shape[1] == 4 else R
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,10 +41,10 @@ static int lingers(const double *p, int done, double left)
     return done > 1 && left > 1.0 && -log(left) / log(p[THETA]) > p[NEW_TANGENT];
 }
 
-/* Whether a step gained energy from nothing, as run/judges/energy_check.py; frames are placed. */
-static int gained(System *s, double *p, const Block *now)
+/* Whether a step, whose energies go to e, gained energy from nothing, as run/judges/energy_check.py; frames are placed. */
+static int gained(System *s, double *p, const Block *now, double *e)
 {
-    double e[4], energy, motion;
+    double energy, motion;
     energies(s, *now->t, now->q, now->v, s->gravity, e);
     energy = e[0] + e[1] + e[2] + e[3];
     motion = e[0] + e[1] + fabs(e[3]);

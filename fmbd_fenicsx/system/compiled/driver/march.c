@@ -29,7 +29,7 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
     while (made < steps) {
         Block past[3], out = block_at(s, ring[3]);
         int known = (int)p[HISTORY];
-        double theta = p[THETA];
+        double theta = p[THETA], e[4];
         for (int i = 0; i <= known; i++) past[i] = block_at(s, ring[i]);
         if ((*verdict = step(s, p, past, known, out))) {
             p[THETA] = theta;
@@ -38,8 +38,8 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
         if (control && (*verdict = judged(s, p, control, past, &out))) break;
         if (control) arrive(control, &out);
         int recorded = tape && tape->left == 1;
-        int placed = (p[GUARDED] != 0.0 || recorded || s->remembers) && !place(s, out.q, out.v);
-        if (p[GUARDED] != 0.0 && placed && gained(s, p, &out)) {
+        int guarded = p[GUARDED] != 0.0, placed = (guarded || recorded || s->remembers) && !place(s, out.q, out.v);
+        if (guarded && placed && gained(s, p, &out, e)) {
             *verdict = GAIN;
             break;
         }
@@ -47,7 +47,7 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
             *verdict = LOOK;
             break;
         }
-        if (recorded && (*verdict = placed ? record(s, tape, &out) : LOOK)) break;
+        if (recorded && (*verdict = placed ? record(s, tape, &out, guarded ? e : 0) : LOOK)) break;
         if (s->remembers && (*verdict = keep(s, *out.t))) break;
         if (tape) tape->left = recorded ? tape->every : tape->left - 1;
         double *newest = ring[3];

@@ -84,7 +84,7 @@ static inline Block block_at(const System *s, double *x)
     return b;
 }
 
-int record(System *s, Tape *tape, const Block *now); /* the core */
+int record(System *s, Tape *tape, const Block *now, const double *known); /* the core */
 
 /* Whether the frame of a field rests where its body was meshed. */
 static inline int rests(const Field *e) { return e->inertial == 0; }

@@ -31,7 +31,45 @@ static int readings(System *s, double t, double *found)
     return DONE;
 }
 
-/* Force and torque of a joint on its first body about the joint's point there, world axes; rows as drift() left them. */
+/* Frames of the markers that sensors look at, and their accelerations where one asks for them. */
+static void sights(System *s, const Block *now, double *out)
+{
+    double arm[D], way[D];
+    double *one = out;
+    const double *p = s->seen_place;
+    for (int i = 0; i < s->seen; i++, one += SIGHT, p += D + D * D) {
+        const double *frame = s->frames + FRAME * s->seen_frame[i];
+        memcpy(one, frame, FRAME * sizeof(double));
+        times(frame + TURN, p, arm);
+        spin(frame + SPIN, arm, way);
+        add(one, 1.0, arm, D);
+        add(one + SPEED, 1.0, way, D);
+        product(frame + TURN, p + D, one + TURN);
+    }
+    if (!s->accelerated) return;
+
+    for (int i = 0; i < s->surfaces; i++) surface_bias(s, i);
+    turn_velocity(s, now->a);
+    one = out, p = s->seen_place;
+    for (int i = 0; i < s->seen; i++, one += SIGHT, p += D + D * D) {
+        int body = s->seen_frame[i], on = body - s->bodies - 1;
+        const double *frame = s->frames + FRAME * body, *second = s->velocity + (on < 0 ? s->body[body].at_u : s->nu + TWIST * on);
+        double *accel = one + FRAME, turning[D];
+        memset(accel, 0, D * sizeof(double));
+        if (body == s->bodies) continue; /* the ground */
+        times(frame + TURN, p, arm);
+        spin(second + D, arm, accel);
+        spin(frame + SPIN, arm, way);
+        spin(frame + SPIN, way, turning);
+        add(accel, 1.0, turning, D);
+        add(accel, 1.0, second, D);
+        if (on >= 0) add(accel, 1.0, s->surface[on].bias, D);
+    }
+    turn_velocity(s, now->v);
+}
+
+/* Force and torque of a joint or of a force element on one of its bodies about its point there, world axes; rows as drift() left
+   them, efforts as readings(). */
 static void reaction(const System *s, const Reaction *o, const double *lam, double *wrench)
 {
     const double *frame = s->frames + FRAME * o->frame;
@@ -40,7 +78,8 @@ static void reaction(const System *s, const Reaction *o, const double *lam, doub
     for (int i = 0; i < o->items; i++) {
         const Batch *k = s->batch + o->batch[i];
         const double *out = k->out + k->outputs * o->item[i] + 1;
-        double pull = lam[k->row[o->item[i]]] * k->factor[o->item[i]];
+        int item = o->item[i];
+        double pull = k->role == ROW ? lam[k->row[item]] * k->factor[item] : k->effort[item];
         for (int e = 0; e < k->outputs - 1; e++) {
             int component = k->component[e] - TWIST * o->side[i];
             if (component >= 0 && component < TWIST) wrench[component] -= pull * out[e];
@@ -86,13 +125,14 @@ static void judge_drift(System *s, Tape *tape, const Block *now, double *open)
         if (!(slip * tape->units[i] <= open[2])) open[2] = slip * tape->units[i];
         if (!(length <= widest)) widest = length;
     }
-    if (tape->doubtful >= 0 || widest <= tape->allowed + tape->roundoff * far_from_origin(s, now->q, tape->length)) return;
+    if (tape->doubtful >= 0 || widest <= tape->allowed) return;
+    if (widest <= tape->allowed + tape->roundoff * far_from_origin(s, now->q, tape->length)) return;
     tape->doubtful = tape->count;
     memcpy(tape->doubt, now->t, (1 + s->nq + 3 * (long)s->nv + s->rows) * sizeof(double));
 }
 
-/* One record of an accepted step whose frames are placed. */
-int record(System *s, Tape *tape, const Block *now)
+/* One record of an accepted step whose frames are placed; ``known``: its energies at the present weight, NULL where nobody asked. */
+int record(System *s, Tape *tape, const Block *now, const double *known)
 {
     long k = tape->count, size = 1 + s->nq + 3 * (long)s->nv + s->rows;
     int verdict = readings(s, *now->t, tape->reading + 3 * (long)s->readings * k);
@@ -101,9 +141,9 @@ int record(System *s, Tape *tape, const Block *now)
     if (tape->whole) memcpy(tape->block + size * k, now->t, size * sizeof(double));
     else tape->block[k] = *now->t;
     if (tape->rows) memcpy(tape->lam + s->rows * k, now->lam, s->rows * sizeof(double));
-    energies(s, *now->t, now->q, now->v, s->rest_gravity, tape->energy + 4 * k);
-    for (int i = 0; i < s->seen; i++)
-        memcpy(tape->frames + FRAME * (s->seen * k + i), s->frames + FRAME * s->seen_frame[i], FRAME * sizeof(double));
+    if (known && !memcmp(s->gravity, s->rest_gravity, D * sizeof(double))) memcpy(tape->energy + 4 * k, known, 4 * sizeof(double));
+    else energies(s, *now->t, now->q, now->v, s->rest_gravity, tape->energy + 4 * k);
+    sights(s, now, tape->sight + SIGHT * s->seen * k);
 
     judge_drift(s, tape, now, tape->drift + 4 * k);
     for (int i = 0; i < s->reactions; i++)

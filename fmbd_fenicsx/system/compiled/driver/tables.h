@@ -13,6 +13,7 @@ enum { D = 3, ROT = 3, POSE = 7, TWIST = 6, PORT = 12, FRAME = 18 };
 enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
 #endif
 enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
+enum { SIGHT = FRAME + D };                              /* of a marker in records: its own frame, x'' */
 
 enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE }; /* roles of items: a term of a constraint; an effort that is linear, */
                                                           /* given for the whole step, or from a law in Python; READ: only */
@@ -145,11 +146,11 @@ typedef struct {
     int *to;                           /* rows - pivots: their rows in the next front */
 } Front;
 
-/* What a joint does to its first body, in records: items of its rows on the side of that body. */
+/* What a joint does to its first body, or a force element to one of its bodies, in records: its items on the side of that body. */
 typedef struct {
     int items, frame;
     int *batch, *item, *side;
-    double p[D];                       /* the joint's point in the frame */
+    double p[D];                       /* its point in the frame */
 } Reaction;
 
 typedef struct {
@@ -178,7 +179,8 @@ typedef struct {
     long evaluations, factors, calls;
     int remembers;                     /* whether some formula has a memory; 2: a controller in Python has one */
     int seen, readings, reactions;     /* of records: frames, items that are read, joints whose reaction is */
-    int *seen_frame;
+    int *seen_frame, accelerated;      /* accelerated: whether accelerations of what is seen are recorded */
+    double *seen_place;                /* seen x (D + D x D): places of the markers in their frames, and how they are turned */
     Reaction *reaction;
     double *motion_rate, *rest_gravity, *slip;
     double settled;                    /* Newton's tolerance of a step */
@@ -196,7 +198,7 @@ typedef struct {
     long whole, rows, doubtful;        /* whether states and multipliers are kept; first record whose joints are open, or -1 */
     double allowed, roundoff, length;  /* m; share of the distance from the origin; of the model */
     double *units;                     /* of the rows, as lengths */
-    double *block, *lam, *frames, *energy, *reading, *reaction, *drift; /* drift: open by, opening at */
+    double *block, *lam, *sight, *energy, *reading, *reaction, *drift; /* drift: open by, opening at; sight: SIGHT each */
     double *doubt;                     /* the state of the doubtful record */
     double *contact;                   /* where there are contacts: see moreau.c */
 } Tape;
