@@ -22,7 +22,8 @@ from .judges.force_balance import Balanced
 from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, judges_of, make_stepper
 from .recording.moment import Moment
-from .recording.output import Output, Progress, Recorder
+from .recording.output import Output, Recorder
+from .recording.progress_bar import Progress
 from .schedule import StepSchedule
 
 if TYPE_CHECKING:

@@ -1,11 +1,8 @@
-"""What a run records and shows: sensor series, energies, drift of the constraints, snapshots, a progress
-bar.
-"""
+"""What a run records and shows: sensor series, energies, drift of the constraints, snapshots."""
 
 from __future__ import annotations
 
 import os
-import sys
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +12,6 @@ import numpy as np
 
 from ...checks import check_fields, instance, vector, whole
 from ...errors import InputError, require
-from ...log import world_rank
 from ...notices import Gathered
 from ...rotations import Array
 from ...system.compiled.recording import Openness, Recorded
@@ -430,28 +426,3 @@ def _names(entries: Sequence[Mapping[str, float]]) -> list[str]:
 def _entries(columns: Mapping[str, Array], count: int) -> list[dict[str, float]]:
     """A dictionary for each record from a column for each name."""
     return [{name: float(x[k]) for name, x in columns.items()} for k in range(count)]
-
-
-class Progress:
-    """A bar with the time left, on rank 0 of a terminal (needs tqdm; nothing without it)."""
-
-    def __init__(self, name: str, steps: int | None, wanted: bool | None) -> None:
-        self.bar: Any = None
-        show = sys.stderr.isatty() or "ipykernel" in sys.modules if wanted is None else wanted
-        if not show or world_rank() != 0:
-            return
-        try:
-            from tqdm.auto import tqdm  # a bar of text in a terminal, a widget in a notebook
-        except ImportError:
-            return
-        self.bar = tqdm(total=steps, desc=name, unit="step", file=sys.stderr, mininterval=0.2)
-
-    def update(self, steps: int = 1) -> None:
-        """So many steps done."""
-        if self.bar is not None:
-            self.bar.update(steps)
-
-    def close(self) -> None:
-        """Leave the bar as it stands."""
-        if self.bar is not None:
-            self.bar.close()
