@@ -6,7 +6,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.run.accuracy import estimates
-from fmbd_fenicsx.run.recording.output import Progress
+from fmbd_fenicsx.run.recording.progress_bar import Progress
 
 
 def pendulum():
