@@ -24,7 +24,8 @@ def panels(file, content, title):
             shade = 0.25 + 0.75 * (i + 1) / len(shapes)
             color = (1 - 0.8 * shade, 1 - 0.55 * shade, 1 - 0.3 * shade)
             axes.plot_surface(*np.moveaxis(rings, -1, 0), color=color, rstride=1, cstride=1, linewidth=0)
-        axes.set(title=name, xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
+        axes.set(xlabel="\nx (m)", ylabel="\ny (m)", zlabel="z (m)")
+        axes.set_title(name, y=0.96)
         axes.set_aspect("equal")
         axes.locator_params(nbins=4)
 

@@ -191,6 +191,25 @@ def test_joints(name: str) -> None:
         make(rod(), rod("other"))
 
 
+def test_a_drive_that_begins_elsewhere_says_where_its_coordinate_is_zero() -> None:
+    pin = fmbd.revolute("pin", fmbd.ground, (body := rod()), center=(0, 0, 0))
+    scene = fmbd.Scene("drive")
+    scene.add(body, pin, fmbd.drive("motor", fmbd.angle(pin), lambda t: 0.5 + t))
+    with pytest.raises(
+        ConstraintError, match=r'joint "motor" \(drive\) begins 0.5 m or rad away.*let the motion begin there'
+    ):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+def test_a_road_of_many_heights_says_what_it_is_asked() -> None:
+    """``x`` are coordinates of the wheel's centre, not one number."""
+    scene = law_scene(lambda body, hinge: fmbd.Tyre("w", body, road=lambda x, t: 0.1 * x, stiffness=1.0, up=(0, 0, 1)))
+    with pytest.raises(
+        CallbackError, match=r"one height at x, all coordinates of the wheel's centre, returned shape \(3,\)"
+    ):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
 @pytest.mark.parametrize("name", LAWS)
 def test_laws_at_the_start(name: str) -> None:
     """The error names the law and the time."""

@@ -44,6 +44,20 @@ def test_a_good_run_has_no_warnings() -> None:
     assert run.warnings == [] and "look at this" not in run.report()
 
 
+def test_arms_that_hold_each_other_at_rest_open_no_joints() -> None:
+    """Forty arms around a hub, none of which can fall: all that moves is the roundoff of places within a step."""
+    scene = fmbd.Scene("star", gravity=(0.0, -9.81, 0.0))
+    hub = fmbd.RigidBody("hub", 10.0, (1.0, 1.0, 1.0))
+    scene.add(hub, fmbd.spherical("ball", fmbd.ground, hub, center=(0.0, 0.0, 0.0)))
+    for i, angle in enumerate(2 * np.pi * np.arange(40) / 40):
+        out, along = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
+        arm = fmbd.RigidBody(f"arm {i}", 1.0, (0.1, 0.1, 0.1), position=1.5 * out)
+        pin = fmbd.revolute(f"pin {i}", hub, arm, center=out, axis=along)
+        scene.add(arm, pin, fmbd.joint_spring(f"spring {i}", fmbd.angle(pin), stiffness=5.0, damping=0.1))
+    run = fmbd.solve(scene, t_end=0.5, dt=1e-3)
+    assert run.warnings == [] and np.ptp(run.energy["kinetic"]) < 1e-18
+
+
 def test_a_scene_that_cannot_move_says_so() -> None:
     body = fmbd.RigidBody("bar", 1.0, 0.1, position=(0.5, 0.0))
     scene = fmbd.Scene("truss", gravity=(0.0, -9.81))

@@ -274,8 +274,8 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
     away = system.max_abs(newton.solver.solve(-r[0], -r[1])[0])
     if away > NOTHING * system.length:
         raise InputError(
-            f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest and are some "
-            f"{away:.2g} m away. Take the modes about fmbd.equilibrium(scene)."
+            f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest and are "
+            f"{f'some {away:.2g} m' if away < system.length else 'far'} away. Take the modes about fmbd.equilibrium(scene)."
         )
 
 

@@ -121,11 +121,21 @@ def _largest(system: System, g: Array) -> float:
 
 def _does_not_fit(system: System, t: float, g: Array) -> ConstraintError:
     """The error of bodies too far from where their joints want them, with the constraints g as given."""
+    worst = worst_block(system, g)
+    driven = worst.endswith("(drive)")
+    found = (
+        f"motion of {worst} begins {np.abs(g).max():.3g} m or rad away from its coordinate"
+        if driven
+        else f"{worst} is open by {np.abs(g).max():.3g} m"
+    )
+    remedy = (
+        "A joint coordinate is zero where the bodies were defined: let the motion begin there"
+        if driven
+        else "Check the positions of the bodies and the center of the joint"
+    )
     return ConstraintError(
-        f"The bodies do not fit together at t = {t:g} s: {worst_block(system, g)} is open by "
-        f"{np.abs(g).max():.3g} m, and closing "
-        f"it would move bodies by more than {REFUSED:g} of the model's length ({system.length:.3g} m). "
-        "Check the positions of the bodies and the center of the joint."
+        f"The bodies do not fit together at t = {t:g} s: {found}, and closing it would move bodies by more than {REFUSED:g} "
+        f"of the model's length ({system.length:.3g} m). {remedy}."
     )
 
 

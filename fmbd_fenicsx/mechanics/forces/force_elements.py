@@ -27,6 +27,8 @@ from .formulas import Formula, SampledEffort, formulas_of
 from .laws_together import LawsTogether
 from .user_laws import Repeatable, checked, checked_numbers
 
+ROAD = "road(x, t), which is asked for one height at x, all coordinates of the wheel's centre,"
+
 
 @dataclass(frozen=True)
 class MarkerTangent:
@@ -282,7 +284,7 @@ class TyreLoads(Loads):
         row = up.copy()
         for i, (f, road) in enumerate(zip(self.forces, self.laws, strict=True)):
             x = kin.x[self.a[i]]
-            c[i] = float(checked(f.name, road(x, t), 1, t)[0]) + f.radius - float(up[i] @ x)
+            c[i] = float(checked(f.name, road(x, t), 1, t, ROAD)[0]) + f.radius - float(up[i] @ x)
             # the road may rise in time, and along the way of the wheel: differences of its height
             rate[i] = rates(partial(road, x), t)[0]
             for k, e in enumerate(1e-5 * f.radius * np.eye(d)):

@@ -12,16 +12,16 @@ from ...errors import AGREEMENTS, CallbackError, named
 from ...rotations import Array
 
 
-def checked(name: str, value: Any, size: int, t: float) -> Array:
-    """A user's result as an array of the right size, or an error that names the force."""
+def checked(name: str, value: Any, size: int, t: float, what: str = "the law") -> Array:
+    """A user's result as an array of the right size, or an error that names the force; ``what``: the function, in it."""
     try:
         found = np.atleast_1d(np.asarray(value, dtype=float))
     except (TypeError, ValueError, OverflowError):
-        raise CallbackError(f'Force "{name}": the law returned {value!r} at t = {t:g} s, expected numbers.') from None
+        raise CallbackError(f'Force "{name}": {what} returned {value!r} at t = {t:g} s, expected numbers.') from None
     if found.shape != (size,):
-        raise CallbackError(f'Force "{name}": the law returned shape {found.shape} at t = {t:g} s, expected ({size},).')
+        raise CallbackError(f'Force "{name}": {what} returned shape {found.shape} at t = {t:g} s, expected ({size},).')
     if not np.isfinite(found).all():
-        raise CallbackError(f'Force "{name}": the law returned {found} at t = {t:g} s.')
+        raise CallbackError(f'Force "{name}": {what} returned {found} at t = {t:g} s.')
     return found
 
 

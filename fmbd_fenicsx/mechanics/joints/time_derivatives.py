@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from operator import mul
 from typing import Any
 
 import numpy as np
 
 from ...errors import FmbdError
-from ...rotations import Array
 
 EPS = float(np.finfo(float).eps)
 STEPS = tuple(2.0**k for k in range(-39, 19, 3))  # s
@@ -29,7 +30,6 @@ REFUSED = (TypeError, ValueError, OverflowError, AttributeError)  # of functions
 OUTSIDE = (*REFUSED, ArithmeticError, FmbdError)  # of functions of a part of the time only
 
 Rates = tuple[float, float]
-Estimates = list[tuple[float, float]]  # with their errors, by longer and longer steps
 
 
 class Jet:
@@ -224,67 +224,81 @@ def rates(function: Callable[[Any], Any], t: float) -> Rates:
     return found.first, found.second
 
 
-def _weights(nodes: Sequence[int]) -> Array:
-    """The w_k of (1) for m = 1 and 2 by all six nodes, and by the four nearest, (2, 2, 6)."""
+@dataclass(frozen=True)
+class Formula:
+    """Of the m-th derivative in (1): the w_k of all six nodes and of the four nearest, and the sum of the former's sizes."""
+
+    best: tuple[float, ...]
+    rough: tuple[float, ...]
+    size: float
+
+
+def _formulas(nodes: Sequence[int]) -> tuple[Formula, ...]:
+    """Those of the first and the second derivative, numbers of Python: six of them are summed sooner than an array is made."""
     found = np.zeros((2, 2, 6))
     for kind, used in enumerate((6, 4)):
         which = np.argsort(np.abs(nodes), kind="stable")[:used]
         powers = np.array(nodes, dtype=float)[which] ** np.arange(1, used + 1)[:, None]
         found[kind][:, which] = np.linalg.solve(powers, np.eye(used)[:, :2] * (1.0, 2.0)).T
-    return found
+    return tuple(
+        Formula(tuple(w.tolist()), tuple(r.tolist()), float(np.abs(w).sum())) for w, r in zip(*found, strict=True)
+    )
 
 
 SIDES = tuple(
-    (nodes, _weights(nodes)) for nodes in ((-3, -2, -1, 1, 2, 3), (1, 2, 3, 4, 5, 6), (-6, -5, -4, -3, -2, -1))
+    (nodes, _formulas(nodes)) for nodes in ((-3, -2, -1, 1, 2, 3), (1, 2, 3, 4, 5, 6), (-6, -5, -4, -3, -2, -1))
 )
+
+
+class Best:
+    """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it."""
+
+    __slots__ = ("contradicted", "error", "value")
+
+    def __init__(self) -> None:
+        self.value, self.error, self.contradicted = math.nan, math.inf, False
+
+    def take(self, value: float, doubt: float) -> None:
+        """Look at the estimate by the next longer step."""
+        if self.contradicted:
+            return
+        if not (math.isnan(self.value) or abs(value - self.value) <= AGREES * (self.error + doubt)):
+            self.contradicted = True
+        elif doubt < self.error:
+            self.value, self.error = value, doubt
 
 
 def _differenced(function: Callable[[Any], Any], t: float) -> Rates:
     """(1) for m = 1 and 2, each with the step that suits it best; NaN where the function is known at t alone."""
     here = float(function(t))
-    found: tuple[Estimates, Estimates] = ([], [])
+    found = (Best(), Best())
     for h in STEPS:
         if t + h == t:
             continue
         around = _around(function, t, h)
         if around is None:
             break
-        there, weights = around
+        there, formulas = around
 
         # values are known to their roundoff, and times to theirs
-        d = there - here
-        noise = EPS * max(abs(here), np.abs(there).max()) + EPS * abs(t) / h * np.abs(d).max()
-        values, rough = weights @ d
-        doubts = np.abs(values - rough) + noise * np.abs(weights[0]).sum(axis=1)
-        for m, estimates in enumerate(found):
-            estimates.append((float(values[m]) / h ** (m + 1), float(doubts[m]) / h ** (m + 1)))
+        d = [value - here for value in there]
+        noise = EPS * max(abs(here), max(map(abs, there))) + EPS * abs(t) / h * max(map(abs, d))
+        for power, best, formula in zip((h, h * h), found, formulas, strict=True):
+            value, rough = sum(map(mul, formula.best, d)), sum(map(mul, formula.rough, d))
+            best.take(value / power, (abs(value - rough) + noise * formula.size) / power)
 
-        if all(_best(estimates)[1] for estimates in found):
+        if found[0].contradicted and found[1].contradicted:
             break
-    first, second = (_best(estimates)[0] for estimates in found)
-    return first, second
+    return found[0].value, found[1].value
 
 
-def _around(function: Callable[[Any], Any], t: float, h: float) -> tuple[Array, Array] | None:
-    """Values at t + k h with the weights of these k: on both sides, else ahead, else behind; None where neither is known."""
-    for nodes, weights in SIDES:
+def _around(function: Callable[[Any], Any], t: float, h: float) -> tuple[list[float], tuple[Formula, ...]] | None:
+    """Values at t + k h with the formulas of these k: on both sides, else ahead, else behind; None where neither is known."""
+    for nodes, formulas in SIDES:
         try:
-            there = np.array([float(function(t + k * h)) for k in nodes])
+            there = [float(function(t + k * h)) for k in nodes]
         except OUTSIDE:
             continue
-        if np.isfinite(there).all():
-            return there, weights
+        if all(map(math.isfinite, there)):
+            return there, formulas
     return None
-
-
-def _best(found: Estimates) -> tuple[float, bool]:
-    """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it,
-    and whether one does.
-    """
-    best, error = math.nan, math.inf
-    for value, doubt in found:
-        if not (math.isnan(best) or abs(value - best) <= AGREES * (error + doubt)):
-            return best, True
-        if doubt < error:
-            best, error = value, doubt
-    return best, False
