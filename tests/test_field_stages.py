@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from tolerance_scenes import fe_crank
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, ConvergenceError, InputError
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
+from fmbd_fenicsx.schemes.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit_stepper import ImplicitStepper
 
 T_END = 0.25  # s
@@ -216,3 +219,21 @@ def test_high_order_bdf_with_constant_steps_is_refused_for_fields(rod_mesh: Call
     scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.2))
     with pytest.raises(InputError, match="amplifies elastic vibrations"):
         fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.BDF(4, fmbd.Index3(), None))
+
+
+def test_turning_of_local_coordinates(rod_mesh: Callable[..., Any]) -> None:
+    """Derivatives of the rates of local coordinates, found once for all frames: what differences along a direction say."""
+    scene = pendulum(rod_mesh(dim=3, h=0.5, height=0.2))
+    scene.add(fmbd.RigidBody("bob", 1.0, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0)))
+    system, start, _ = scene.build()
+    rng = np.random.default_rng(2)
+    v, real, imaginary = rng.normal(size=(3, system.n_v))
+    equations = FieldEquations(system, fmbd.GGL(), StepSolver(system))
+    tangent = equations.refresh(replace(start, v=v), np.zeros(equations.n_mult))
+
+    def along(d: np.ndarray) -> np.ndarray:
+        return (system.rate(1e-6 * d, v) - system.rate(-1e-6 * d, v)) / 2e-6
+
+    assert tangent.turning(real) == pytest.approx(along(real), abs=1e-8)
+    assert tangent.turning(real + 1j * imaginary) == pytest.approx(along(real) + 1j * along(imaginary), abs=1e-8)
+    assert np.abs(along(real)).max() > 0.1

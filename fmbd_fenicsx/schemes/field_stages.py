@@ -18,6 +18,7 @@ Source of the forms: :mod:`.dae`. Newton-Krylov methods: Knoll and Keyes, doi:10
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -74,18 +75,24 @@ class FieldTangent:
         # lengths: positions, and what velocities move within the time in which they change
         return SHIFT * system.length / max(place, speed**2 / max(push, 1e-300))
 
+    @cached_property
+    def _turnings(self) -> Array:
+        """Derivatives of rate(xi, v) by xi at xi = 0, frame by frame: (frames, n_twist, n_twist)."""
+        system, count = self.ev.system, self.ev.system.motions.n_twist
+        frames, k = system.n_frames, system.n_frames * count
+        one = np.zeros((count, system.n_v))
+        one[:, :k] = np.tile(1e-6 * np.eye(count), frames)
+
+        slopes = (system.rate(one, self.state.v) - system.rate(-one, self.state.v)) / 2e-6
+        return np.asarray(slopes[:, :k].reshape(count, frames, count).transpose(1, 2, 0))
+
     def turning(self, d: Array) -> Array:
         """Derivative of rate(xi, v) along d at xi = 0; not collective."""
         system, k = self.ev.system, self.ev.system.n_frames * self.ev.system.motions.n_twist
-        if system.motions.dim == 2 or not k:
-            return np.zeros_like(d)
-        if np.iscomplexobj(d):
-            return self.turning(d.real) + 1j * self.turning(d.imag)  # type: ignore[no-any-return]
-        size = float(np.abs(d[:k]).max(initial=0.0))
-        if size == 0.0:
-            return np.zeros_like(d)
-        e = 1e-6 / size
-        return (system.rate(e * d, self.state.v) - system.rate(-e * d, self.state.v)) / (2 * e)
+        found = np.zeros_like(d)
+        if system.motions.dim == 3 and k:
+            found[:k] = (self._turnings @ d[:k].reshape(system.n_frames, -1, 1)).ravel()
+        return found
 
 
 def lower(form: Form, levels: int, ev: Evaluation | EvaluationBatch, a: Array, lam: Array) -> Array:
