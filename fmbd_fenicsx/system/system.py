@@ -258,7 +258,7 @@ class System:
 
     def max_abs(self, x: Array) -> float:
         """Largest entry of an array like v, all entries as lengths (see :attr:`units`); collective."""
-        local = float(np.abs(self.units * x).max(initial=0.0))
+        local = float(np.maximum.reduce(np.abs(self.units * x), axis=None, initial=0.0))
         return local if not self.fields or self.comm.size == 1 else float(np.max(self.comm.allgather(local)))
 
     def each_max_abs(self, x: Array) -> Array:

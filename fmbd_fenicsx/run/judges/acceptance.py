@@ -141,7 +141,8 @@ class Closed(Remembering):
             return
         # (1), positions
         gap = self.units * np.abs(ev.constraint())
-        allowed = self.share * s.length + ROUNDOFF * farthest(s, ev.q)
+        known = ROUNDOFF * farthest(s, ev.q)
+        allowed = self.share * s.length + known
         if not gap.max() <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
@@ -150,17 +151,18 @@ class Closed(Remembering):
         # (2), velocities: over the step since the state before
         h = ev.t - self.last if self.last is not None and ev.t > self.last else 1.0
         if 1 in self.levels and ev.v is not None:
-            self._check_velocities(ev, ev.v, h)
+            self._check_velocities(ev, ev.v, h, known)
         self.last = ev.t
 
-    def _check_velocities(self, ev: Evaluation, v: Array, h: float) -> None:
+    def _check_velocities(self, ev: Evaluation, v: Array, h: float, known: float) -> None:
+        """(2) for velocities after a step of h (s); ``known``: roundoff of places, m."""
         s = self.system
         self.fastest = max(self.fastest, s.max_abs(v))
         rate = ev.constraint_rate()
-        slip = self.units * np.abs(ev.jacobian.times(v) + rate)
+        slip = self.units * np.abs(ev.opening())
         allowed = (SLIP + self.share) * (self.fastest + float((self.units * np.abs(rate)).max()))
         allowed += IN_A_STEP * self.share * s.length / h
-        allowed += ROUNDOFF * (s.length + farthest(s, ev.q)) / h  # of a body at rest
+        allowed += (ROUNDOFF * s.length + known) / h  # of a body at rest
         if not slip.max() <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, slip)} opens at {slip.max():.3g} m/s, {allowed:.2g} m/s is allowed. Take a "
