@@ -307,6 +307,32 @@ def test_forces_of_dependent_contacts_are_found_in_compiled_code(
         assert compiled["place"] == pytest.approx(numpy["place"], abs=1e-9)
 
 
+@pytest.mark.parametrize("reduced", [True, False])
+def test_forces_of_many_points_on_few_freedoms_are_found_in_compiled_code(
+    reduced: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plate falls flat on its side, without friction, or a rigid one on a hundred points: Python is asked for no forces."""
+    asked: list[int] = []
+    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: asked.append(m))
+    mesh = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.25, height=0.2)
+    elastic = fmbd.materials.plane_stress(1e7, 0.3)
+    body: Any = fmbd.FloatingBody("plate", mesh, density=1000.0, elastic=elastic).reduced(modes=3)
+    side = body.surface("side")
+    if not reduced:
+        body = fmbd.RigidBody("plate", 200.0, 17.0, (0.5, 0.0))
+        side = fmbd.contacts.corners(body, [(x, -0.1) for x in np.linspace(-0.5, 0.5, 100)])
+    ground = fmbd.Obstacle("floor", fmbd.HalfSpace((0, -0.12), (0, 1)))
+    scene = fmbd.Scene("flat", gravity=(0, -9.81))
+    scene.add(body, fmbd.contact("pair", side, ground, friction=0.0 if reduced else 0.3))
+    run = fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=fmbd.Moreau(), output=fmbd.Output(progress=False))
+    assert run.counters["compiled_steps"] == run.counters["steps"]
+    assert not asked
+    assert run.counters["complementarity_residual"] <= 1e-12
+    total = sum(run.energy.values())
+    assert total[-1] < -10.0  # the impact took energy
+    assert np.diff(total).max() <= 1e-9 * abs(total[-1])
+
+
 def test_a_motion_that_raises_is_named() -> None:
     """The compiled step gives it back, and NumPy's says which obstacle it is."""
 

@@ -43,6 +43,22 @@ def test_cycle_is_broken_and_counted() -> None:
     pytest.fail("no matrix of the sample cycles")
 
 
+@pytest.mark.parametrize("seed", range(30))
+def test_normal_problem_of_contacts_that_depend_on_each_other(seed: int) -> None:
+    """Many nodes on few modes, the last of them stiff: they cannot all close, and forces stay of the impact's size."""
+    rng = np.random.default_rng(seed)
+    m, modes = int(rng.integers(20, 42)), int(rng.integers(3, 6))
+    x = np.linspace(-1.0, 1.0, m)
+    N = np.polynomial.legendre.legvander(x, modes - 1) * np.r_[np.ones(modes - 1), 1e-3]
+    q = N @ np.r_[-1.0, 0.1 * rng.standard_normal(modes - 1)] * 1e-3 + 1e-9 * rng.standard_normal(m)
+    W, counts = N @ N.T, ContactCounts()
+    L = solve_normal(W, q, q < 0, counts)
+    g, size = q + W @ L, np.abs(q / np.diag(W)).max()
+    assert np.abs(np.minimum(L, g / np.diag(W))).max() <= 1e-10 * size
+    assert L.max() <= 10 * size
+    assert counts.residual <= 1e-10
+
+
 @given(st.integers(0, 10_000), st.integers(1, 5), st.sampled_from([2, 3]))
 def test_friction_problem(seed: int, m: int, d: int) -> None:
     W = matrix(seed, m * d)

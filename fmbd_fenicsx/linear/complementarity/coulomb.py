@@ -26,6 +26,10 @@ ATTEMPTS = ((0, 0.0), (0, 1e-4), (16, 1e-4))
 """Tried in turn: facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""
 FOUND = 1e-12  # residual of a solution, of the largest force
 ACCEPTED = 1e-10  # the same where roundoff in W (an elastic step of many wave transits) allows no better
+PAINLEVE = (
+    " With large friction coefficients no solution with finite forces may exist (Painleve); use the Moreau scheme, which has "
+    "impacts, or a smaller dt."
+)
 SHORTEST = 1e-2  # share of a Newton step below which the line search takes it
 
 
@@ -53,6 +57,8 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
 
     # the cheapest start first, and the best answer of all counts
     for facets, rho in problem.attempts:
+        if facets and not problem.mu.any():
+            continue
         x0 = _pivoted(problem, facets) if facets else start
         size, x = _proximal_points(problem, x0, rho, counts)
         best = min(best, (size, x), key=lambda found: found[0])
@@ -65,9 +71,8 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
         counts.residual = max(counts.residual, size)
         return x
     raise ConvergenceError(
-        f"The friction problem did not converge (residual {size:.1e} of the largest force). With large friction "
-        "coefficients no solution with finite forces may exist (Painleve); use the Moreau scheme, which has impacts, "
-        "or a smaller dt."
+        f"The contact problem did not converge (residual {size:.1e} of the largest force)."
+        + (PAINLEVE if problem.mu.any() else " Use a smaller dt.")
     )
 
 
@@ -281,6 +286,8 @@ def _alart_curnier(x: Array, u: Array, c: Array, mu: Array) -> tuple[Array, Arra
     du[:, 0, 0] = np.where(on, c[:, 0], 0.0)
 
     # tangential: inside the cone the point sticks, outside it slips along e
+    if d == 1:
+        return F, dx, du, on.astype(int)
     ct = c[:, 1]
     y = x[:, 1:] - ct[:, None] * u[:, 1:]
     radius = mu * np.maximum(x[:, 0], 0.0)

@@ -38,8 +38,29 @@ class ContactCounts:
 
 
 def solve_normal(W: Array, q: Array, start: np.ndarray, counts: ContactCounts) -> Array:
-    """L of (1), from the active set ``start`` (m,) bool."""
-    return active_set(_Dense(W, q), start, counts)
+    """L of (1), from the active set ``start`` (m,) bool.
+
+    Where contacts depend on each other gaps may contradict a set, and least squares answer it with any force: what does not
+    solve (1) is found by the proximal points of :mod:`.coulomb`, without friction.
+
+    Raises:
+        ConvergenceError: no solution found.
+    """
+    from .coulomb import ACCEPTED, Coulomb, solved
+
+    none = np.zeros(len(q))
+    problem = Coulomb(W, q[:, None], none, 1.0 / np.maximum(np.diag(W), 1e-300)[:, None])
+    worst = counts.residual
+    try:
+        L = active_set(_Dense(W, q), start, counts)
+    except ConvergenceError:
+        L = none
+    x = L[:, None]
+    if problem.size(problem.at(x, problem.gap(x)).F, x) <= ACCEPTED:
+        return L
+    counts.residual = worst
+    counts.solves -= 1
+    return solved(problem, none[:, None], counts)[:, 0]
 
 
 class _Dense:

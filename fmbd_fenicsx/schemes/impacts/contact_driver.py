@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = range(4)
 LIMIT, OWN = 4, 5  # behind the shapes that the driver knows; OWN: Python tells the distances
 BOUNDED = slots.AM
-MOST = 64  # closed at once: a step with more is NumPy's, whose problem is not dense then
+CLOSED = 128  # at once, as in driver/contact.c: a step with more is NumPy's
 POINTER = ctypes.c_void_p
 INT = ctypes.c_int
 REAL = ctypes.c_double
@@ -158,7 +158,7 @@ class ContactDriver:
         m = len(contacts.pair)
         d = s.motions.dim
         k = d if contacts.frictional else 1
-        room = min(m, MOST)
+        room = min(m, CLOSED)
         rows = room * k
         wide = s.motions.n_twist + int(self.tables.modes.max(initial=0))
         self._pairs()

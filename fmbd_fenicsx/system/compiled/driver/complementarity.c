@@ -2,7 +2,7 @@
    (doi:10.1016/0045-7825(91)90022-X). Problems that it does not solve at once, and dependent contacts, are those
    of friction.c, or Python's, see linear/complementarity. */
 
-enum { ROUNDS = 12 };
+enum { ROUNDS = 12 }; /* iterations at most */
 
 /* LU with row exchanges in place, and x in b; 1 where a pivot is not above this share of the largest entry. */
 static int solve_small(double *A, double *b, int n, double share)
@@ -78,7 +78,7 @@ static int contact_forces(Contacts *c, int m)
 {
     const int d = c->components, n = m * d;
     double *x = c->work, *u = x + n, *F = u + n, *A = F + n, dx[9], du[9], free = 0.0;
-    int before[64];
+    int before[CLOSED];
     memcpy(x, c->f, n * sizeof(double));
 
     for (int round = 0; round < ROUNDS; round++) {

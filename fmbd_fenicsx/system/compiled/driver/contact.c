@@ -6,6 +6,7 @@
 
 enum { HALF_SPACE, SPHERE, CYLINDER, BOX, LIMIT, OWN }; /* OWN: Python tells the distances */
 enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED };   /* what Python is asked for, or told, by contact */
+enum { CLOSED = 128 };                                 /* contacts that may be closed at once */
 
 typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */

@@ -9,7 +9,7 @@ enum { PLAIN = 40, POINTS = 40, AHEAD = 5 }; /* iterations, proximal points at m
 typedef struct {
     int m, n;
     double *q, *shift, *x, *u, *F, *dx, *du; /* n; dx, du: blocks d x d by point */
-    int state[MOST];
+    int state[CLOSED];
 } Friction;
 
 static double largest(const double *x, int n)
@@ -61,7 +61,7 @@ static double residual_of(const Contacts *c, const Friction *o)
    Golub and Van Loan, Matrix Computations, 5.5.2. */
 static void least_solution(double *A, double *b, double *s, double *work, int n)
 {
-    int order[3 * MOST], rank = 0;
+    int order[3 * CLOSED], rank = 0;
     double first = 0.0;
     for (int j = 0; j < n; j++) order[j] = j;
 
@@ -179,7 +179,7 @@ static int searched(Contacts *c, Friction *o, double *work)
         best = fmin(best, size);
 
         double norm = dot(o->F, o->F, n), share = 1.0, falls = (1.0 - 1e-4) * (1.0 - 1e-4);
-        int before[MOST], changes = 0;
+        int before[CLOSED], changes = 0;
         memcpy(before, o->state, o->m * sizeof(int));
         memcpy(x, o->x, n * sizeof(double));
         memcpy(u, o->u, n * sizeof(double));

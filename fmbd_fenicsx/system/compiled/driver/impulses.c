@@ -69,7 +69,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
 
         double *old = c->work + 4 * n + n * n;
         memcpy(old, c->f, n * sizeof(double));
-        if (m && contact_forces(c, m) && (d == 1 || frictional_forces(c, m))) {
+        if (m && contact_forces(c, m) && frictional_forces(c, m)) {
             if (c->python(COMPLEMENTARITY, m, middle)) return LOOK;
         }
         for (int k = 0; k < n; k++) {
