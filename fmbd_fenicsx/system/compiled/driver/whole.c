@@ -6,8 +6,8 @@
 #include "rotations.c"
 #include "parts.h"
 
-enum { PAIR = 2 * TWIST, SIGHT = D + D * D + TWIST, SIDE = D + D * D }; /* of both markers; of one: x, R, twist; constants of a side */
-enum { KNOWN = 2 * SIGHT + PAIR };
+enum { PAIR = 2 * TWIST, PLACED = D + D * D + TWIST, SIDE = D + D * D }; /* of both markers; of one: x, R, twist; constants of a side */
+enum { KNOWN = 2 * PLACED + PAIR };
 static const double WRONG = 0.01, FAINT = 0.1; /* share of a motion by which slopes may mislead, of Newton's tolerance that is nothing */
 
 /* Whether side 1 of a force is no marker of its own. */
@@ -68,7 +68,7 @@ static int surprised(const System *s, const Batch *k, long i)
     const double *known = k->known + KNOWN * i, *push = k->push + PAIR * i;
     double moved[PAIR] = {0.0}, faster[PAIR] = {0.0};
     for (int side = 0; side < 2; side++) {
-        const double *now = k->sight + SIGHT * k->marker[2 * i + side], *then = known + SIGHT * side;
+        const double *now = k->sight + PLACED * k->marker[2 * i + side], *then = known + PLACED * side;
         if (alone(k, i, side)) continue;
         moved_between(then, now, moved + TWIST * side);
         for (int j = 0; j < TWIST; j++) faster[TWIST * side + j] = now[SIDE + j] - then[SIDE + j];
@@ -77,7 +77,7 @@ static int surprised(const System *s, const Batch *k, long i)
     double miss[PAIR], missed = 0.0, change = 0.0, whole = 0.0;
     for (int j = 0; j < PAIR; j++) {
         const long row = (long)PAIR * (PAIR * i + j);
-        double went = push[j] - known[2 * SIGHT + j];
+        double went = push[j] - known[2 * PLACED + j];
         miss[j] = went + dot(k->K + row, moved, PAIR) + dot(k->B + row, faster, PAIR);
         missed += miss[j] * miss[j], change += went * went, whole += push[j] * push[j];
     }
@@ -91,7 +91,7 @@ static int surprised(const System *s, const Batch *k, long i)
             if (missed > 4e-4 * change) return 1;
             continue;
         }
-        for (int j = 0; j < D; j++) lever[j] = k->sight[SIGHT * k->marker[2 * i + side] + j] - s->frames[FRAME * frame + j];
+        for (int j = 0; j < D; j++) lever[j] = k->sight[PLACED * k->marker[2 * i + side] + j] - s->frames[FRAME * frame + j];
         at_origin(lever, miss + TWIST * side, on_body);
         if (misleads(s, frame, on_body, moved + TWIST * side)) return 1;
     }
@@ -103,8 +103,8 @@ static void keep_sights(Batch *k)
     for (long i = 0; i < k->n; i++) {
         double *known = k->known + KNOWN * i;
         for (int side = 0; side < 2; side++)
-            memcpy(known + SIGHT * side, k->sight + SIGHT * k->marker[2 * i + side], SIGHT * sizeof(double));
-        memcpy(known + 2 * SIGHT, k->push + PAIR * i, PAIR * sizeof(double));
+            memcpy(known + PLACED * side, k->sight + PLACED * k->marker[2 * i + side], PLACED * sizeof(double));
+        memcpy(known + 2 * PLACED, k->push + PAIR * i, PAIR * sizeof(double));
     }
 }
 
@@ -112,12 +112,12 @@ static void keep_sights(Batch *k)
 int whole_forces(System *s, Batch *k, double t)
 {
     for (long i = 0; i < 2 * k->n; i++)
-        if (!alone(k, i / 2, i % 2)) sight_of(s->frames + FRAME * k->pair[i], k->P + SIDE * i, k->sight + SIGHT * k->marker[i]);
+        if (!alone(k, i / 2, i % 2)) sight_of(s->frames + FRAME * k->pair[i], k->P + SIDE * i, k->sight + PLACED * k->marker[i]);
     s->calls++;
     if (s->python(WRENCHES, k->number, t)) return FAILED;
 
     for (long i = 0; i < 2 * k->n; i++) {
-        const double *frame = s->frames + FRAME * k->pair[i], *x = k->sight + SIGHT * k->marker[i];
+        const double *frame = s->frames + FRAME * k->pair[i], *x = k->sight + PLACED * k->marker[i];
         double lever[D], on_frame[TWIST];
         for (int j = 0; j < D; j++) lever[j] = x[j] - frame[j];
         at_origin(lever, k->push + TWIST * i, on_frame);
@@ -167,7 +167,7 @@ int whole_tangents(System *s, Batch *k, double cd, double ck, double t)
                 C[one] = 0.5 * (ck * (K[one] + K[other]) + cd * (B[one] + B[other]));
             }
         for (int side = 0; side < 2; side++) {
-            const double *frame = s->frames + FRAME * k->pair[2 * i + side], *x = k->sight + SIGHT * k->marker[2 * i + side];
+            const double *frame = s->frames + FRAME * k->pair[2 * i + side], *x = k->sight + PLACED * k->marker[2 * i + side];
             for (int j = 0; j < D; j++) lever[side][j] = x[j] - frame[j];
         }
         to_frames((const double (*)[D])lever, C);
