@@ -67,8 +67,7 @@ ELEMENTS = {
 
 def recorded(dim: int, element: str, *, one_by_one: bool) -> Any:
     """A run of 60 steps with every second recorded."""
-    on_step = (lambda now: None) if one_by_one else None
-    output = fmbd.Output(every=2, snapshots=3, on_step=on_step, progress=False)
+    output = fmbd.Output(every=2, snapshots=3, ledger=one_by_one, progress=False)  # powers are read from the states
     return fmbd.solve(chain(dim, ELEMENTS[element]), t_end=0.121, dt=2e-3, output=output)
 
 
@@ -93,13 +92,13 @@ def test_records_of_the_loop_are_those_of_single_states(dim: int, element: str) 
 def test_prescribed_motion_and_its_drift() -> None:
     """The rate of a driven joint is part of the drift of velocities."""
     runs = []
-    for on_step in (None, lambda now: None):
+    for ledger in (False, True):
         body = fmbd.RigidBody("body", 1.0, 0.1, (0.5, 0.0))
         scene = fmbd.Scene("driven", gravity=(0, -9.81))
         pin = fmbd.revolute("pin", fmbd.ground, body, center=(0, 0))
         scene.add(body, pin, fmbd.drive("drive", fmbd.angle(pin), lambda t: 0.5 * np.sin(3 * t)))
         scene.sensor("effort", fmbd.reaction_torque("drive"))
-        runs.append(fmbd.solve(scene, t_end=0.1, dt=1e-3, output=fmbd.Output(on_step=on_step, progress=False)))
+        runs.append(fmbd.solve(scene, t_end=0.1, dt=1e-3, output=fmbd.Output(ledger=ledger, progress=False)))
     assert runs[0]["effort"] == pytest.approx(runs[1]["effort"], rel=1e-9)
     assert runs[0].drift == pytest.approx(runs[1].drift, rel=1e-6, abs=1e-14)
     assert 0 < runs[0].drift[1] < 1e-4
@@ -148,9 +147,15 @@ def test_floating_fields_are_recorded_in_the_loop(monkeypatch: pytest.MonkeyPatc
 
 
 def test_steps_that_somebody_looks_at_are_compiled_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same states to the last bit as without; their forces are looked at every 64 steps and at the end."""
+    """The same states to the last bit as without; their forces are looked at every 64 steps and at the end. What is read of them
+    is what C has told; only the start and crossings are evaluated.
+    """
     from fmbd_fenicsx.run import time_loop
+    from fmbd_fenicsx.run.recording.moment import Moment
 
+    evaluated: list[float] = []
+    at = lambda now: (evaluated.append(now.t), now.system.at(now.state.t, now.state.q, now.state.v))[1]  # noqa: E731
+    monkeypatch.setattr(Moment, "evaluation", property(at))
     looks, parts = [0], [0]
     look, attempt = time_loop._look, time_loop.attempt
     monkeypatch.setattr(time_loop, "_look", lambda *args: (looks.append(1), look(*args))[1])
@@ -160,7 +165,7 @@ def test_steps_that_somebody_looks_at_are_compiled_ones(monkeypatch: pytest.Monk
     crossings: list[float] = []
     event = fmbd.Event("tip y", -0.005, then=lambda now: crossings.append(now.t))
     runs = []
-    for watch in ({}, {"on_step": lambda now: seen.append(now.t)}, {"events": [event]}):
+    for watch in ({}, {"on_step": lambda now: seen.append(now["tip"][1])}, {"events": [event]}):
         scene = chain(2, ELEMENTS["spring"])
         scene.sensor("tip", fmbd.position(list(scene.bodies.values())[-1]))
         looks.clear()
@@ -168,7 +173,9 @@ def test_steps_that_somebody_looks_at_are_compiled_ones(monkeypatch: pytest.Monk
         output = fmbd.Output(every=2, progress=False, **watch)
         runs.append(fmbd.solve(scene, t_end=0.15, dt=1e-3, output=output))
         assert not watch or (len(parts) <= 2 and len(looks) == 3)
-    assert len(seen) == 150
+        assert len(evaluated) < 30
+    assert len(seen) == 150 and seen[1::2] == pytest.approx(runs[0]["tip"][1:, 1], rel=1e-12)
     assert crossings
     for other in runs[1:]:
         assert (other.state.q == runs[0].state.q).all() and (other.state.lam == runs[0].state.lam).all()
+        assert other["tip"] == pytest.approx(runs[0]["tip"], rel=1e-12) and (other.times == runs[0].times).all()

@@ -10,7 +10,7 @@ from motion import Motion, first
 from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import CallbackError, InputError
+from fmbd_fenicsx.errors import CallbackError, InputError, LawError
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.system.force_tangent import force_tangent
 
@@ -208,6 +208,14 @@ def test_a_limit_binds_and_the_integral_does_not_wind_up() -> None:
     assert found[np.inf]["effort"].max() > 3.0
     assert abs(found[0.5]["phi"][-1, 0] - 1.0) < 0.1
     assert found[0.5]["phi"].max() < 1.5
+
+
+def test_a_reading_has_no_rate_behind_its_value() -> None:
+    scene = arm()
+    elbow = fmbd.angle(scene.joints["elbow"])
+    scene.add(fmbd.controller("hold", reads={"x": elbow}, acts=elbow, law=lambda t, y, z: -y["x"][0] - y["x"][1]))
+    with pytest.raises(LawError, match=r'"hold" failed.*IndexError.*"x" 1; a memory, 0\. The rate .* fmbd\.joint_rate'):
+        fmbd.solve(scene, t_end=0.01, dt=1e-3)
 
 
 def test_bad_input_is_named() -> None:

@@ -130,6 +130,15 @@ def test_variable_that_changes_later_is_seen() -> None:
     assert together(S, RATE, 0.0)[4] == 7.0 * S[4]
 
 
+def test_arrays_that_disagree_later_are_told_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    law = lambda s, rate, t: s if t < 1.0 or np.ndim(s) == 0 else 2.0 * s  # noqa: E731
+    together = LawsTogether([Repeatable("The law of spring", f"s{i}", law) for i in range(N)])
+    for t in (0.0, 0.5, 1.0, 1.5):
+        assert together(S, RATE, t) == pytest.approx(S)
+    said = [r.getMessage() for r in caplog.records if "asked with numbers from now on" in r.getMessage()]
+    assert len(said) == 1 and "at t = 1 s" in said[0] and 'law of "s' in said[0]
+
+
 def test_fault_in_an_array_names_its_element() -> None:
     def make(i: int) -> Law:
         return lambda s, rate, t: np.where((i == 6) & np.asarray(t > 1.0), np.nan, s + i)

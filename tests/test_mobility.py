@@ -10,6 +10,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, LinearSolveError
+from fmbd_fenicsx.system.mobility import Mobility
 
 BAR = (0.01, 0.08, 0.08)
 
@@ -58,6 +59,27 @@ def test_rank_does_not_depend_on_units() -> None:
     assert (found.redundant, found.freedom) == (5, 2)
     assert scene.check().conditioning > 0.1
     assert any("m long" in note for note in found.notes)
+
+
+def test_period_of_springs_has_one_unit() -> None:
+    """A spring of k N/m, and one of k l^2 N m/rad on an angle, l the model's length, are as fast as each other."""
+    said = []
+    for turning in (False, True):
+        bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(4, 0))
+        pin = fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0))
+        scene = fmbd.Scene("bob", gravity=(0, -9.81))
+        scene.add(bob, pin)
+        k = 100.0 * scene.build()[0].length ** 2 if turning else 100.0
+        spring = fmbd.Spring("s", fmbd.ground, bob, (4, 1), (4, 0), stiffness=k)
+        scene.add(fmbd.joint_spring("s", fmbd.angle(pin), stiffness=k) if turning else spring)
+        said += [note for note in scene.check().notes if "shortest period" in note]
+    assert len(said) == 2 and said[0] == said[1] and "about 0.63 s" in said[0]
+
+
+def test_joints_without_a_share_are_not_listed() -> None:
+    shares = {"real": 0.5, "roundoff": 4e-3}
+    text = str(Mobility(6, 3, 2, shares, 1.0, 0.0))
+    assert '"real" takes part with 0.50 rows' in text and "roundoff" not in text
 
 
 def test_duplicated_joint_is_redundant() -> None:

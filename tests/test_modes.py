@@ -240,11 +240,15 @@ def test_slow_motions_do_not_hide_fast_ones(rod_mesh: Any) -> None:
 
 
 @pytest.mark.parametrize(("inputs", "outputs", "what"), [([], ["phi"], "inputs"), (["turn"], [], "outputs")])
-def test_a_linear_model_of_nothing_is_refused(inputs: list[str], outputs: list[str], what: str) -> None:
+def test_a_response_of_nothing_is_refused(inputs: list[str], outputs: list[str], what: str) -> None:
+    """The matrix of the motion alone is a model: its eigenvalues are those of the modes."""
     arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.0, -0.5))
     pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
     scene = fmbd.Scene("arm", gravity=(0, -9.81))
     scene.add(arm, pin, fmbd.effort("turn", fmbd.angle(pin), lambda t: 0.0))
     scene.sensor("phi", fmbd.angle(pin))
     with pytest.raises(InputError, match=f"{what} = .. names nothing"):
-        fmbd.linearise(scene, inputs, outputs)
+        fmbd.frequency_response(scene, inputs, outputs, [1.0])
+    model = fmbd.linearise(scene, inputs, outputs)
+    assert (model.B.shape[1], model.C.shape[0]) == (len(inputs), len(outputs))
+    assert np.abs(np.linalg.eigvals(fmbd.linearise(scene).A)) == pytest.approx(fmbd.modes(scene, 1).omega[0], rel=1e-6)

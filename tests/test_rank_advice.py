@@ -27,3 +27,4 @@ def test_rigid_bodies_on_many_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rank_advice, "world_size", lambda: 3)
     rank_advice.advise_on_ranks(system)
     assert len(said) == 1 and "on 3 ranks: 1 would be faster" in said[0]
+    assert "no elastic body with the unknowns of its mesh" in said[0] and "reduced bodies are not" in said[0]

@@ -75,7 +75,7 @@ class LinearModel:
 
 @typed
 def linearise(
-    scene: Scene, inputs: Sequence[str], outputs: Sequence[str], *, at: Any = None, modes: int | None = None
+    scene: Scene, inputs: Sequence[str] = (), outputs: Sequence[str] = (), *, at: Any = None, modes: int | None = None
 ) -> LinearModel:
     """The linear model of a scene about a state; collective.
 
@@ -87,10 +87,8 @@ def linearise(
         modes: keep the first so many modes only; scenes with elastic fields take 20 and static answers where None.
 
     Raises:
-        InputError: no inputs or outputs, an unknown one, or a state that is not in equilibrium.
+        InputError: an unknown input or output, or a state that is not in equilibrium.
     """
-    for what, names in (("inputs", inputs), ("outputs", outputs)):
-        require(len(names) > 0, f"linearise: {what} = {names!r} names nothing. Give the names of some.")
     with prepared(scene, at, None) as made:
         forces = _inputs(made, inputs)
         small = projected(made.about, made.solver, modes or 20, shift=made.shift, inputs=[f for _, f in forces])
@@ -104,6 +102,8 @@ def frequency_response(
     scene: Scene, inputs: Sequence[str], outputs: Sequence[str], omega: Sequence[float] | Array, *, at: Any = None
 ) -> Array:
     """H(i omega), (n, outputs, inputs) complex, of :func:`linearise`; collective."""
+    for what, names in (("inputs", inputs), ("outputs", outputs)):
+        require(len(names) > 0, f"frequency_response: {what} = {names!r} names nothing. Give the names of some.")
     return linearise(scene, inputs, outputs, at=at).frequency_response(omega)
 
 

@@ -83,7 +83,7 @@ def quietly(
     h = stepper.stride(schedule.next(t))
     if not h:
         return 0
-    tape = stepper.tape(recorder.openness) if recorder.on_tape and not watched else None
+    tape = stepper.tape(recorder.openness) if recorder.on_tape else None
     quiet = recorder.quiet(done, t, h, through=not equal) if tape is None else recorder.free(t, h)
     steps = min(quiet, schedule.steps - done if equal else quiet, most)
     if steps == 1 and tape is None and equal and not watched:
@@ -95,7 +95,7 @@ def quietly(
     while made < steps and clock.perf_counter() - begin < CHUNK:
         now = min(chunk, steps - made)
         if tape is not None:
-            tape.begin(every, every - (done + made) % every)
+            tape.begin(*(1, 1) if watched else (every, every - (done + made) % every))
             now = min(now, tape.capacity * every)
         now = stepper.march(schedule.next(stepper.state.t), now, tape=tape)
         back = bool(now) and refused is not None and refused(h)
@@ -105,7 +105,10 @@ def quietly(
             if tape is not None:
                 tape.step_back()
         if tape is not None and now:
-            recorder.take_tape(tape.recorded(), done + made)
+            if watched:  # recorded only after who looks has seen it
+                recorder.newest_told = tape.recorded().copied()
+            else:
+                recorder.take_tape(tape.recorded(), done + made)
         made += now
         # steps with error control have their own: up to break points
         over = not equal and (schedule.broken(stepper.state.t) is not None or schedule.ended(stepper.state.t, 0))
@@ -271,7 +274,8 @@ class Loop:
 
     def _ends_by_event(self) -> bool:
         """Whether the newest step has met an event that ends the run, which is recorded then."""
-        met = None if self.events is None else self.events.look(self.progress.done, self.state, self.stepper)
+        told = self.recorder.told_of(self.state)
+        met = None if self.events is None else self.events.look(self.progress.done, self.state, self.stepper, told)
         if met is None:
             return False
         self.recorder.take_until(self.progress.done, self.state, met, self.stepper)
@@ -284,7 +288,8 @@ class Loop:
         self.recorder.take(done, self.state, seen or self.stepper.evaluation, self.stepper)
         if self.output.on_step is not None:
             problem = self.problem
-            self.output.on_step(Moment(problem.scene, problem.system, problem.markers, self.state, done))
+            told = self.recorder.told_of(self.state)
+            self.output.on_step(Moment(problem.scene, problem.system, problem.markers, self.state, done, told))
         self.bar.update(made)
         self.progress.first = self.progress.first or self.solver.back_solves
 

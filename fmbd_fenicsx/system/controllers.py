@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..checks import function, instance, typed, vector
-from ..errors import CallbackError, InputError, named, near, require
+from ..errors import CallbackError, InputError, LawError, named, near, require
 from ..mechanics.forces.effort_laws import PID
 from ..mechanics.forces.force_elements import Loads, MarkerTangent
 from ..mechanics.forces.forces import Force
@@ -121,7 +121,16 @@ class ControlLoads(Loads):
     def ask_law(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
         """Efforts (acts,) and rate (or next value) of the memory, checked."""
         c = self.controller
-        found = self.law(t, Readings(y), z.copy())
+        try:
+            found = self.law(t, Readings(y), z.copy())
+        except LawError as error:
+            if not isinstance(error.__cause__, IndexError):
+                raise
+            sizes = ", ".join(f'"{name}" {len(x)}' for name, x in y.items())
+            raise LawError(
+                f"{error}. What it reads holds so many numbers: {sizes}; a memory, {len(z)}. The rate of a joint coordinate is a "
+                'reading of its own: reads={"rate": fmbd.joint_rate(...)}.'
+            ) from error.__cause__
         if not len(z) and isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], tuple) and not found[1]:
             found = found[0]  # an empty memory, returned as it was given
         # with a memory a law returns two things

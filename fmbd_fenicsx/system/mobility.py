@@ -29,6 +29,7 @@ from .system import System
 
 RANK_TOLERANCE = 1e-9  # singular values below this share of the largest count as zero
 NEAR_SINGULAR = 1e-6
+LEAST_SHARE = 0.005  # of a row, that is listed
 CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
 INVERSE_ITERATIONS = 4
 
@@ -73,6 +74,8 @@ class Mobility:
             f"  open by           {self.open:9.1e} m",
         ]
         for joint, share in self.shares.items():
+            if share < LEAST_SHARE:
+                continue
             lines.append(f'  redundant: joint "{joint}" takes part with {share:.2f} rows; its reaction is not unique')
         return "\n".join(lines + [f"  note: {n}" for n in self.notes])
 
@@ -257,10 +260,12 @@ def check(scene: Any, deep: bool = False) -> Mobility:
         notes.append(f"the constraints are open by {found.open:.2g} m; the start will close them")
 
     # springs on bodies of the mean mass: a time step far longer sees nothing of them
-    rates = [_fastest(loads) for loads in system.forces if isinstance(loads, ScalarLoads)]
+    rates = [_fastest(loads, system.length) for loads in system.forces if isinstance(loads, ScalarLoads)]
     fastest = max(rates, default=0.0) / np.sqrt(system.mass / max(len(system.frame_names), 1)) if rates else 0.0
     if fastest > 0:
-        notes.append(f"springs: shortest period about {2 * np.pi / fastest:.2g} s (mean mass of a body)")
+        notes.append(
+            f"springs: shortest period about {2 * np.pi / fastest:.2g} s (mean mass of a body, at the model's length from angles)"
+        )
 
     return Mobility(
         found.velocities, found.rows, found.rank, found.shares, found.conditioning, found.open, tuple(notes)
@@ -294,8 +299,10 @@ def _pressures(scene: Any) -> list[str]:
     ]
 
 
-def _fastest(loads: ScalarLoads) -> float:
-    return float(np.sqrt(np.abs(loads.k).max(initial=0.0)))
+def _fastest(loads: ScalarLoads, length: float) -> float:
+    """Square root of the largest stiffness, N/m; that of an angle acts at the end of a lever of this ``length`` (m)."""
+    turning = np.array([f.coordinate is not None and f.coordinate.unit == "rad" for f in loads.forces], dtype=bool)
+    return float(np.sqrt((np.abs(loads.k) / np.where(turning, length**2, 1.0)).max(initial=0.0)))
 
 
 def _units(scene: Any, system: System) -> list[str]:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import AGREEMENTS
+from ...log import log
 from ...rotations import Array
 from .user_laws import Repeatable
 
@@ -81,6 +82,12 @@ class OneKind:
         at = (0,) * (s.ndim - 1) + (self.turn,)
         one = self.laws[self.turn].number(float(s[at]), float(rate[at]), t)
         self.takes_arrays = bool(abs(one - found[at]) <= SAME * max(abs(one), 1e-3 * float(np.abs(found).max())))
+        if not self.takes_arrays and single is None:
+            log.warning(
+                'the law of "%s" gives %.9g with numbers and %.9g with arrays at t = %g s, although it agreed before: it is '
+                "asked with numbers from now on. Write branches (if) with numpy.where",
+                self.laws[self.turn].name, one, found[at], t,
+            )  # fmt: skip
         return found if self.takes_arrays else self.alone(s, rate, t)
 
     def alone(self, s: Array, rate: Array, t: float) -> Array:

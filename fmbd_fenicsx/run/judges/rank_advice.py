@@ -30,6 +30,6 @@ def advise_on_ranks(system: System) -> None:
     shared = (
         f"{unknowns} unknowns of elastic bodies"
         if unknowns
-        else "no elastic bodies, whose unknowns alone are shared out,"
+        else "no elastic body with the unknowns of its mesh, which alone are shared out (rigid and reduced bodies are not),"
     )
     note(f"{shared} on {ranks} ranks: {better} would be faster (a rank is worth while from about {WORTH} unknowns on)")

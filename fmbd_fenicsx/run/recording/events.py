@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 
 from ...checks import check_fields, number
 from ...errors import InputError, near, require
+from ...system.compiled.recording import Recorded
 from ...system.scene.scene import Scene
 from ...system.system import State, System
 from .between import state_between
@@ -82,8 +83,10 @@ class EventWatch:
         self.columns = [component(self.scene, now, e.sensor) for e in self.events]
         self.before, self.values = state, [self._value(k, state) for k in range(len(self.events))]
 
-    def look(self, n: int, after: State, stepper: Any) -> State | None:
-        """Call what belongs to the crossings of step n in their order; the state at which the run ends, or None. Collective."""
+    def look(self, n: int, after: State, stepper: Any, told: Recorded | None = None) -> State | None:
+        """Call what belongs to the crossings of step n in their order; the state at which the run ends, or None. ``told``: what
+        compiled code told of the end of the step. Collective.
+        """
         before = self.before
         span = after.t - before.t
 
@@ -96,7 +99,8 @@ class EventWatch:
 
         found: list[tuple[float, int]] = []
         for k, event in enumerate(self.events):
-            points = [(before.t, self.values[k]), *((s.t, self._value(k, s)) for s in (*inner, after))]
+            points = [(before.t, self.values[k]), *((s.t, self._value(k, s)) for s in inner)]
+            points.append((after.t, self._value(k, after, told)))
             found += [(self._locate(k, at, a, b), k) for a, b in pairwise(points) if _crosses(a[1], b[1], event)]
             self.values[k] = points[-1][1]
         self.before = after
@@ -118,10 +122,10 @@ class EventWatch:
             brentq(lambda t: self._value(k, at(t)), a[0], b[0], xtol=ROUNDOFF * max(b[0], 1e-300), rtol=ROUNDOFF)
         )
 
-    def _value(self, k: int, state: State) -> float:
+    def _value(self, k: int, state: State, told: Recorded | None = None) -> float:
         """Value less level of an event's sensor."""
         (name, column), event = self.columns[k], self.events[k]
-        read = Moment(self.scene, self.system, self.markers, state, 0)[name]
+        read = Moment(self.scene, self.system, self.markers, state, 0, told)[name]
         if column is None and len(read) != 1:
             labels = [*self.scene.sensors[name].labels, *range(1, len(read) + 1)][: len(read)]
             listed = ", ".join(f'"{name} {x}"' for x in labels)

@@ -178,6 +178,7 @@ class Recorder:
     t_end: float
     expected: int = 0  # records of the whole run, where known
     newest: int = -1  # the step recorded last
+    newest_told: Recorded | None = None  # what compiled code told of the newest step, where somebody looks at each
     snapshots: list[State] = field(default_factory=list)
     powers: list[dict[str, float]] = field(default_factory=list)
     works: list[dict[str, float]] = field(default_factory=list)
@@ -208,6 +209,11 @@ class Recorder:
     def on_tape(self) -> bool:
         """Whether records may be made inside of a march."""
         return self._wanted is None and not self.output.ledger  # powers need a state of their own
+
+    def told_of(self, state: State) -> Recorded | None:
+        """What compiled code told of a state, if it is the newest one and somebody looks at each."""
+        told = self.newest_told
+        return told if told is not None and told.t[-1] == state.t else None
 
     @property
     def openness(self) -> Openness:
@@ -291,7 +297,11 @@ class Recorder:
             return
         if self.newest == n:  # on tape
             return
-        self._record(n, state, seen)
+        told = self.told_of(state)
+        if told is not None and n % self.output.every == 0:
+            self.take_tape(told, n - 1)
+        else:
+            self._record(n, state, seen)
 
     def take_until(self, n: int, state: State, met: State, stepper: Any) -> None:
         """Record step n up to the state at which an event has ended the run, it included; collective."""

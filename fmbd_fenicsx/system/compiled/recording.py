@@ -271,6 +271,14 @@ class Recorded:
     def __len__(self) -> int:
         return len(self.t)
 
+    def copied(self) -> Recorded:
+        """The same with arrays of its own, which the next records leave as they are."""
+        return Recorded(self.tables, {name: x.copy() for name, x in self.arrays.items()}, self.doubt)
+
+    def newest(self, sensor: Any, marker: int) -> Array | None:
+        """What a sensor reads in the newest record, (size,); None where it has to be read from the state."""
+        return sensor.series(self, marker)[-1] if id(sensor) in self.looks.of else None
+
     def state(self, i: int) -> State:
         """One of the states."""
         return self.tables.twin.state(state_of(self.system, self.arrays["block"][i]))
