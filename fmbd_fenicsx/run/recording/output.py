@@ -386,7 +386,7 @@ class Recorder:
     def remember(self, m: Memory) -> None:
         """All that was recorded so far."""
         steps, times = m("steps", (self.indices, self.times))
-        self.newest = int(steps[-1])
+        self.newest = int(steps[-1]) if len(steps) else -1
         self.steps, self.moments = Rows([np.asarray(steps)]), Rows([np.asarray(times, dtype=float)])
 
         sensors = self.scene.sensors
