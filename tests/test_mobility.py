@@ -10,6 +10,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, LinearSolveError
+from fmbd_fenicsx.linear.configuration_warnings import NearSingular
 from fmbd_fenicsx.system.mobility import Mobility
 
 BAR = (0.01, 0.08, 0.08)
@@ -225,6 +226,32 @@ def test_driven_through_the_dead_centre(phase: float, caplog: pytest.LogCaptureF
     assert len(lines) == (phase < 1e-4)
     if lines:
         assert 'joint "' in lines[0] and "t = 0.05 s" in lines[0]
+
+
+SCHEMES = [fmbd.ExplicitRungeKutta(), fmbd.Radau(), fmbd.BDF(), fmbd.GeneralizedAlpha(rtol=1e-4, compiled=False)]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name.split("(")[0])
+@pytest.mark.parametrize("accepted", [False, True])
+def test_near_singular_is_said_of_accepted_steps(
+    scheme: Any, accepted: bool, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A trial that meets the dead centre is given up, or counts."""
+    dead, state, _ = slider_crank(1.0, np.pi / 2, 3.0).build()
+    begin, first = NearSingular.begin_trial, [True]
+
+    def trial(near: NearSingular) -> None:
+        begin(near)
+        if first:
+            first.clear()
+            near.look(dead.at(state.t, state.q, state.v), None)
+            if not accepted:
+                begin(near)
+
+    monkeypatch.setattr(NearSingular, "begin_trial", trial)
+    fmbd.solve(slider_crank(1.0, 0.3, 3.0), t_end=0.01, scheme=scheme, output=fmbd.Output(progress=False))
+    said = [r.getMessage() for r in caplog.records if "near-singular" in r.getMessage()]
+    assert not first and len(said) == accepted
 
 
 def test_locked_body_leaves_the_system() -> None:

@@ -32,7 +32,7 @@ from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from .border import AroundSolver, Border
 from .configuration import MatrixConfiguration
-from .configuration_warnings import CLOSE, mover, rows_depend, warn_near_singular
+from .configuration_warnings import CLOSE, NearSingular, mover, rows_depend
 from .core import ADVICE, TIE_LIMIT, CoreSolver, dense
 from .core_matrix import core_matrix
 from .driver_solver import DriverSolver, driver_solver
@@ -58,7 +58,7 @@ class StepSolver:
         """
         self.system, self.linear, self.prefix = system, linear, prefix
         self._look = redundant is None
-        self._near_singular, self._masses = False, None
+        self.near_singular, self._masses = NearSingular(), None
         self._held: MatrixConfiguration | None = None  # that of the matrices
         self._driver: tuple[Evaluator | None, DriverSolver | None] = None, None
         self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
@@ -155,8 +155,8 @@ class StepSolver:
                 f"{mover(s, error.motion)} has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}"
             ) from error
         self._held = self._configuration(ev, weights)
-        if s.n_lam and (self.core.ratio < 1e-5 or self._near_singular):
-            self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular)
+        if s.n_lam and (self.core.ratio < 1e-5 or self.near_singular.now):
+            self.near_singular.look(ev, self.core.rank)
 
     def look_for_dependent_rows(self, ev: Evaluation) -> None:
         """Whether constraint rows depend on each other, unless that is known; collective.
@@ -169,7 +169,7 @@ class StepSolver:
 
     def note_lost_gaps(self, ev: Evaluation) -> None:
         """Gaps of roundoff were all that an iteration could close: say so where the position is close to a singular one."""
-        self._near_singular = warn_near_singular(ev, self.core.rank, self._near_singular, limit=CLOSE)
+        self.near_singular.look(ev, self.core.rank, limit=CLOSE)
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
         """Whether :meth:`prepare` would make the matrices again that are there; collective."""

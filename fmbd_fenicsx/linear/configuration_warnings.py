@@ -64,12 +64,39 @@ def mover(system: System, motion: Array) -> str:
     return f'Body "{owner.name}"'
 
 
-def warn_near_singular(ev: Evaluation, rank: int | None, warned: bool, *, limit: float = NEAR_SINGULAR) -> bool:
-    """One line for each time that the configuration comes close to a singular one; whether it is close now.
+class NearSingular:
+    """One line for each time that the configuration comes close to a singular one; ``now``: whether it is close.
 
-    ``limit``: sigma_min / sigma_max below which it is. Once warned of, a position is left behind above ``CLOSE``.
+    Of steps that may be rejected only what an accepted one has met is said: those that fail look far ahead.
     """
-    ratio, joint = nearly_dependent(ev, rank or ev.system.n_lam)
-    if ratio < limit and not warned:
-        log.warning('near-singular: sigma_min/sigma_max = %.1e, joint "%s", t = %g s', ratio, joint, ev.t)
-    return bool(ratio < (CLOSE if warned else limit))
+
+    def __init__(self) -> None:
+        self.now = False
+        self._began = False
+        self._met: list[tuple[float, str, float]] | None = None  # in a trial
+
+    def look(self, ev: Evaluation, rank: int | None, *, limit: float = NEAR_SINGULAR) -> None:
+        """``limit``: sigma_min / sigma_max below which it is close. Once warned of, a position is left behind above ``CLOSE``."""
+        ratio, joint = nearly_dependent(ev, rank or ev.system.n_lam)
+        if ratio < limit and not self.now:
+            met = (ratio, joint, ev.t)
+            if self._met is None:
+                self._say(met)
+            else:
+                self._met.append(met)
+        self.now = bool(ratio < (CLOSE if self.now else limit))
+
+    def begin_trial(self) -> None:
+        """A step begins that may be rejected, and so was the one before, if that was not accepted."""
+        if self._met is not None:
+            self.now = self._began
+        self._began, self._met = self.now, []
+
+    def accept_trial(self) -> None:
+        """The step counts: say what it met."""
+        for met in self._met or ():
+            self._say(met)
+        self._met = None
+
+    def _say(self, met: tuple[float, str, float]) -> None:
+        log.warning('near-singular: sigma_min/sigma_max = %.1e, joint "%s", t = %g s', *met)

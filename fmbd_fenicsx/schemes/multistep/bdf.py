@@ -182,6 +182,7 @@ class BDFStepper(Corrector):
         while True:
             h = lands(min(self.proposed, farthest), limit)
             moves(s.t, h, self.control.fault)
+            self.solver.near_singular.begin_trial()
             self.norm.update(s, h)
             found = self._newton(h, self.k)
             if not isinstance(found, str) and turns_too_far(self.system, found.xi):
@@ -201,6 +202,7 @@ class BDFStepper(Corrector):
                     break
             self._reject(h, error, cause)
 
+        self.solver.near_singular.accept_trial()
         self.local_error = error
         new = self._choose(h, found, error)
         self.control.rejections.clear()

@@ -109,8 +109,10 @@ class ExplicitStepper(TimeStepper):
         farthest = turn_limit(self.system, self.state)
         while True:
             h = lands(min(self.proposed, farthest), limit)
+            self.solver.near_singular.begin_trial()
             made, error, cause = self._attempt(h)
             if made is not None and error <= 1.0:
+                self.solver.near_singular.accept_trial()
                 break
             self.stats.rejected[cause] += 1
             self.proposed = self.control.rejected(self.state.t, h, error, cause)

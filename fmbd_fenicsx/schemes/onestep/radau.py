@@ -167,6 +167,7 @@ class RadauStepper(StageNewton):
         while True:
             h = lands(min(self.proposed, farthest), limit)
             moves(s.t, h)
+            self.solver.near_singular.begin_trial()
             self.norm.update(s, h)
             self.eq.begin(s)
 
@@ -187,6 +188,7 @@ class RadauStepper(StageNewton):
             if not isinstance(points, str):
                 error, cause = self._estimate(h, points), "error estimate"
                 if error <= 1.0:
+                    self.solver.near_singular.accept_trial()
                     return h, points, error
                 self._theta = max(self._theta, 1e-3)
             self.stats.rejected[cause] += 1

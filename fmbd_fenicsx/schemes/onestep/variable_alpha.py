@@ -174,6 +174,7 @@ class VariableAlpha(TimeStepper):
             level = self._level(min(self.proposed, farthest))
             h = self.stretch / parts(level)
             moves(s.t, h)
+            self.solver.near_singular.begin_trial()
             try:
                 error, cause = self._ahead(h), "a load within the step"
             except LinearSolveError as failure:  # M is lost beside s K, and with it the motion of a free body
@@ -182,6 +183,7 @@ class VariableAlpha(TimeStepper):
             if error <= 1.0:
                 error, cause = self._attempt(h, level)
             if error <= 1.0:
+                self.solver.near_singular.accept_trial()
                 break
             self.stats.rejected[cause] += 1
             self.proposed = min(self.control.rejected(s.t, h, error, cause), 0.9 * h)
