@@ -198,10 +198,11 @@ class Recorder:
         self.values: dict[str, Rows] = {n: Rows() for n in self.scene.sensors}
         times = self.output.times
         self._wanted = None if times is None else [float(t) for t in times if t <= self.t_end * (1 + 1e-12)]
-        require(
-            self._wanted is None or len(self._wanted) > 0,
-            f"Output: all times, from {times and times[0]} s on, lie after the end of the run, {self.t_end:g} s.",
-        )
+        if times is not None:
+            require(
+                bool(self._wanted),
+                f"Output: all times, from {times[0]} s on, lie after the end of the run, {self.t_end:g} s.",
+            )
         self._before: State | None = None
         self._due = self.output.due(self.t_end)
 
