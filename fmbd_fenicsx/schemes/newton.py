@@ -117,7 +117,7 @@ class Newton:
                         self.theta = 0.1
                         continue
                 # one bad increment is no divergence
-                stalled = len(history) > 3 and size > self.slow * history[-3]
+                stalled = len(history) > 3 and min(history[-2:]) > self.slow * history[-3]
                 if size > 1.0 and stalled:
                     return False, history
             else:

@@ -19,6 +19,7 @@ from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State
 from ..exact_tangent import Pair, exact_increment
 from ..newton import ExactTangent, Newton, above_roundoff, known_gaps
+from ..secants import Secants
 
 # of the model's length: after a larger increment, rows and the core's matrix are taken where it led
 FAR = 1e-4
@@ -121,8 +122,11 @@ class AlphaStep:
         self.stiff = any(loads.stiff for loads in system.forces)
         self.springs = foretold_efforts(system)
         self.tolerance = self._tolerance()
+        self.foretells = any(part.foretells for _, part in system.fields)  # new tangents are exact ones
 
         # what it has found
+        self.secants = Secants(system)
+        self.renewed = False  # fields have a new tangent
         self.done = 0
         self.at: Evaluation | None = None  # where the last increment began
         self.far = True  # the last increment was long
@@ -140,9 +144,7 @@ class AlphaStep:
 
     def solve(self) -> tuple[bool, list[float]]:
         """Iterate; whether it converged, and the history of increments over the tolerance."""
-        foretells = any(part.foretells for _, part in self.system.fields)
-        renew = self._take_tangent_ahead if foretells else self._take_tangent
-        return self.newton.solve(self._increment, renew, ahead=foretells, misfit=lambda: self.misfit)
+        return self.newton.solve(self._increment, self._renew, ahead=self.foretells, misfit=lambda: self.misfit)
 
     @property
     def found(self) -> State:
@@ -162,7 +164,7 @@ class AlphaStep:
         self._prepare(ev)
         self.done += 1
 
-        increment = self._solved(ev, r, g)
+        increment = self._improved(self._solved(ev, r, g))
         self._apply(increment)
         self.gaps, self.newest = g, increment.q
         self._foretell(ev, increment)
@@ -177,6 +179,8 @@ class AlphaStep:
     def _prepare(self, ev: Evaluation) -> None:
         """The matrix, anew where that is worth it; without what springs push across where that makes it indefinite."""
         keep = not self._wants_tangent()
+        if not keep and not self.far:
+            self.secants.forget()
         try:
             self.solver.prepare(ev, self.weights, keep=keep)
         except LinearSolveError:
@@ -201,8 +205,9 @@ class AlphaStep:
 
     def _wants_tangent(self) -> bool:
         """Whether the next increment is worth a tangent of its own."""
-        turned = self.stiff and self.done > 0 and (self.done == 1 or self.newton.theta > SLOW_TURN or self.misfit > 0.0)
-        impatient = self.done > self.patience and not self.system.fields
+        slow = self.newton.theta > SLOW_TURN and not self.secants.poor
+        turned = self.stiff and self.done > 0 and (self.done == 1 or slow or self.misfit > 0.0)
+        impatient = self.done > self.patience and not self.system.fields and not self.secants.poor
 
         return self.far or self.tangent is not None or turned or impatient
 
@@ -261,6 +266,26 @@ class AlphaStep:
         """The largest entry of an increment, as a length."""
         size = self.system.max_abs(increment.q)
         return size if increment.closing is None else max(size, self.system.max_abs(increment.closing))
+
+    def _improved(self, increment: Increment) -> Increment:
+        """With what the tangent leaves out, where earlier increments tell it; the best tangent that there is comes first."""
+        if self.tangent is not None or (self.foretells and not self.renewed):
+            return increment
+        blocks = [increment.q] if increment.closing is None else [increment.q, increment.closing]
+        found = self.secants.improved(np.concatenate((*blocks, increment.lam)), len(blocks))
+        n = self.system.n_v
+        closing = None if increment.closing is None else found[n : 2 * n]
+        return Increment(found[:n], found[len(blocks) * n :], closing)
+
+    def _renew(self) -> bool:
+        """A new tangent of fields, if earlier increments do not tell what the one in use leaves out; whether there is one."""
+        if self.secants.learning and not self.foretells:
+            return False
+        taken = self._take_tangent_ahead() if self.foretells else self._take_tangent()
+        if taken:
+            self.secants.forget()
+            self.renewed = True
+        return taken
 
     def _take_tangent(self) -> bool:
         """A new tangent where the last increment began; whether there is one."""

@@ -165,6 +165,7 @@ def enumeration(first: str) -> dict[str, int]:
 
 
 LANES = 8  # numbers in a line of the cache
+SECANTS = 23  # vectors of ``driver/secants.c``: of ten pairs, and three more
 _BYTE: Any = ctypes.c_char.from_buffer
 
 

@@ -28,7 +28,7 @@ from .places import MatrixShape, Structure, batch_of, fronts_of, pivots_of, stru
 from .recording import Looks, reaction_of, seen_places
 from .resting import twin_of
 from .rods import RodTable, rod_pairs
-from .structures import Store, array_of, structure
+from .structures import SECANTS, Store, array_of, structure
 from .whole import WholeLoads
 
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
@@ -362,7 +362,7 @@ class Tables:
         arrays = store.zeros({
             "velocity": self.nothing + 1, "residual": self.nothing + 1,
             "L": self.fronts.storage + 8, "diagonal": size, "inverse": size, "b": size, "local": size + 8,
-            "work": once + s.n_v + self.rows, "big": (2 * self.twist + 1) * 2 * widest + size,
+            "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows), "big": (2 * self.twist + 1) * 2 * widest + size,
             **dict.fromkeys(("gap", "slip", "weight", "motion", "motion_rate"), self.rows),
             "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},
         })  # fmt: skip

@@ -29,7 +29,7 @@ int judge(double *p, const double *sizes, int done, double *error)
         theta = theta > 0.999 ? 0.999 : theta < 1e-4 ? 1e-4 : theta;
         p[THETA] = theta;
         left = theta / (1 - theta) * size;
-        if (size > 1.0 && done > 3 && size > p[SLOW] * sizes[done - 3]) return -1;
+        if (size > 1.0 && done > 3 && fmin(size, last) > p[SLOW] * sizes[done - 3]) return -1; /* one bad increment is none */
     }
     *error = left;
     return left <= 1.0 || size <= 1e-3;
@@ -112,6 +112,9 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     double misfit = 0.0; /* of the springs' pulls across in the matrix */
     int verdict, far = 1, converged = 0, done = 0, afresh = s->redundant, begun_at = 0; /* of the multipliers */
     int evaluated = 0, renewals = 0;       /* whether the end was evaluated already; new tangents of fields */
+    const int stable = p[STABILISED] != 0.0, width = 2 * n + m;
+    double *room = s->work + s->again + n + m;
+    Secants told = {.last = room, .made = room + width, .pair = room + 2 * width};
     s->share = h * p[BETA] / gamma;
 
     if (s->samples) {
@@ -148,13 +151,15 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         evaluated = 0;
         /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
            have other slopes there */
-        s->renewed = done > 0 && p[THETA] > SLOW_TURN;
+        int slow = done > 0 && p[THETA] > SLOW_TURN;
+        s->renewed = slow && !told.poor;
         int cheap = done == 1 && s->fields; /* beside a solution with the factor of a field */
         int turning = s->stiff && done > 0 && (s->renewed || cheap || misfit > 0.0 || misled(s) || other_slopes(s, damp, scale));
         /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
-        int impatient = done > (int)p[PATIENCE] && !s->fields; /* fields go on with one tangent while they converge */
-        int reactions = (done > 1 && s->renewed) || impatient;
+        int impatient = done > (int)p[PATIENCE] && !s->fields && !told.poor; /* fields go on with one tangent while they converge */
+        int reactions = (done > 1 && slow) || impatient;
         if (far || turning || impatient) {
+            if (!far) forget(&told);
             s->led = done > 0;
             verdict = prepare(s, out.q, damp, scale, lam, reactions, t);
             s->led = 0;
@@ -162,18 +167,18 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         }
 
         double closed = 0.0, size;
-        if (p[STABILISED] != 0.0) {
-            if ((verdict = stabilised(s, scale, damp, x, closing, y, none, t))) return verdict;
+        if ((verdict = stable ? stabilised(s, scale, damp, x, closing, y, none, t) : increment(s, scale, x, y, t))) return verdict;
+        /* the best tangent that there is comes first; multipliers found anew are no increments */
+        if (s->redundant && done == begun_at) forget(&told);
+        else if (!s->foretells || renewals) improve(s, &told, x, stable ? closing : NULL, y);
+        if (stable) {
             closed = largest_of(s->units, closing, n);
             add(x, 1.0, closing, n);
             misfit = s->stiff ? other_pulls(s, x) : 0.0;
             add(x, -1.0, closing, n);
             for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, closing + TWIST * b);
             for (int i = 0; i < n; i++) xi[i] += closing[i];
-        } else {
-            if ((verdict = increment(s, scale, x, y, t))) return verdict;
-            misfit = s->stiff ? other_pulls(s, x) : 0.0;
-        }
+        } else misfit = s->stiff ? other_pulls(s, x) : 0.0;
         size = largest_of(s->units, x, n);
         if (!(closed <= size)) size = closed; /* nan stays */
         far = size > p[FAR];
@@ -187,8 +192,10 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         }
         converged = judge(p, sizes, done, &left);
         if (converged > 0 && misfit * sizes[done - 1] > 1.0) converged = 0;
-        if (size < INFINITY && renewals < RENEWALS && worth_tangents(s, p, sizes[0], done, left)) {
+        int soon = learning(&told) && !s->foretells; /* earlier increments may tell what the tangent leaves out */
+        if (size < INFINITY && renewals < RENEWALS && !soon && worth_tangents(s, p, sizes[0], done, left)) {
             renewals++;
+            forget(&told);
             if (s->foretells) {
                 end_of(s, p, &now, xi, &out);
                 if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;

@@ -14,6 +14,7 @@
 #include "record.c"
 #include "answers.c"
 #include "explicit.c"
+#include "secants.c"
 #include "alpha.c"
 #include "control.c"
 #include "march.c"
