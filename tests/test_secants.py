@@ -1,4 +1,4 @@
-"""What increments of a step tell of the terms that its tangent leaves out: soft blades that turn fast, in frames at their roots."""
+"""What increments of a step tell of the terms that its tangent leaves out: soft blades that turn fast in frames at an end."""
 
 from __future__ import annotations
 
