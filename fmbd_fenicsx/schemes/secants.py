@@ -39,6 +39,7 @@ class Secants:
         self.poor = False
         self.pairs: list[tuple[Array, Array]] = []  # p_i, d_i
         self._last: tuple[Array, Array] | None = None  # the tangent's newest increment, and the one that was made
+        self._made = 0.0  # its length
 
     @property
     def learning(self) -> bool:
@@ -47,16 +48,16 @@ class Secants:
 
     def improved(self, f: Array, blocks: int) -> Array:
         """(1) for the tangent's increment with so many blocks like v."""
-        if self._last is not None:
+        size = self._size(f, blocks)
+        self.poor = self.poor or (self._last is not None and size > POOR * self._made)
+        s = f
+        if self.poor and self._last is not None:
             before, made = self._last
             self._learn(made, before - f, blocks)
-            self.poor = self.poor or self._size(f, blocks) > POOR * self._size(made, blocks)
-
-        s = f
-        if self.poor:
             for p, d in self.pairs:
                 s = s + self._dot(d, f, blocks) * (p - d)
-        self._last = f, s
+            size = self._size(s, blocks)
+        self._last, self._made = (f, s), size
         return s
 
     def _learn(self, p: Array, d: Array, blocks: int) -> None:
@@ -76,8 +77,9 @@ class Secants:
         return self.system.units * x[: blocks * self.system.n_v].reshape(blocks, -1)
 
     def _dot(self, x: Array, y: Array, blocks: int) -> float:
-        pairs = zip(self._blocks(x, blocks), self._blocks(y, blocks), strict=True)
-        return sum(self.system.dot(a, b) for a, b in pairs)
+        a, b = self._blocks(x, blocks), self._blocks(y, blocks)
+        return float(sum([self.system.dot(a[i], b[i]) for i in range(blocks)]))
 
     def _size(self, x: Array, blocks: int) -> float:
-        return max(self.system.max_abs(b) for b in x[: blocks * self.system.n_v].reshape(blocks, -1))
+        parts = x[: blocks * self.system.n_v].reshape(blocks, -1)
+        return max([self.system.max_abs(parts[i]) for i in range(blocks)])

@@ -9,6 +9,7 @@ static const double ALIKE = 1e-6;      /* share of an image that the earlier one
 typedef struct {
     int count, poor, known;            /* known: whether there is an increment before */
     double *last, *made, *pair;        /* the tangent's newest increment, the one that was made, then p and d of each pair */
+    double size;                       /* length of the one that was made */
 } Secants;
 
 static void forget(Secants *k) { k->count = k->poor = k->known = 0; }
@@ -23,10 +24,10 @@ static double lengths_dot(const System *s, const double *a, const double *b)
     return sum;
 }
 
-static double length_of(const System *s, const double *a)
+static double length_of(const System *s, const double *x, const double *closing)
 {
-    double x = largest_of(s->units, a, s->nv), closed = largest_of(s->units, a + s->nv, s->nv);
-    return closed > x ? closed : x;
+    double size = largest_of(s->units, x, s->nv), closed = closing ? largest_of(s->units, closing, s->nv) : 0.0;
+    return closed > size ? closed : size;
 }
 
 /* One more pair: the increment made changed that of the tangent from last to f. */
@@ -58,20 +59,22 @@ static void improve(const System *s, Secants *k, double *x, double *closing, dou
     if (closing) memcpy(f + n, closing, n * sizeof(double));
     else memset(f + n, 0, n * sizeof(double));
     memcpy(f + 2 * n, y, s->rows * sizeof(double));
-    if (k->known) {
-        learn(s, k, f);
-        if (length_of(s, f) > POOR * length_of(s, k->made)) k->poor = 1;
-    }
+    double size = length_of(s, x, closing);
+    if (k->known && size > POOR * k->size) k->poor = 1;
 
-    memcpy(k->made, f, w * sizeof(double));
-    for (const double *p = k->pair; k->poor && p < k->pair + 2 * w * k->count; p += 2 * w) {
-        double share = lengths_dot(s, p + w, f);
-        for (int i = 0; i < w; i++) k->made[i] += share * (p[i] - p[w + i]);
-    }
+    if (k->poor && k->known) {
+        learn(s, k, f);
+        memcpy(k->made, f, w * sizeof(double));
+        for (const double *p = k->pair; p < k->pair + 2 * w * k->count; p += 2 * w) {
+            double share = lengths_dot(s, p + w, f);
+            for (int i = 0; i < w; i++) k->made[i] += share * (p[i] - p[w + i]);
+        }
+        memcpy(x, k->made, n * sizeof(double));
+        if (closing) memcpy(closing, k->made + n, n * sizeof(double));
+        memcpy(y, k->made + 2 * n, s->rows * sizeof(double));
+        size = length_of(s, x, closing);
+    } else memcpy(k->made, f, w * sizeof(double));
     memcpy(k->last, f, w * sizeof(double));
     k->known = 1;
-    if (!k->poor) return;
-    memcpy(x, k->made, n * sizeof(double));
-    if (closing) memcpy(closing, k->made + n, n * sizeof(double));
-    memcpy(y, k->made + 2 * n, s->rows * sizeof(double));
+    k->size = size;
 }
