@@ -24,6 +24,7 @@ from .collocation import Tableau, lagrange
 
 LONGER = 1.2  # steps so much longer than that of a rate do not rely on it
 CAUTIOUS = 0.05  # with constant steps no rate below this is believed
+KEPT = 0.05  # rate up to which stages go on with the tangents that each has
 
 
 class StageNewton(ImplicitStepper):
@@ -159,7 +160,8 @@ class StageNewton(ImplicitStepper):
         """The stages by Newton's iteration with a tangent of its own for each stage.
 
         For stiff springs that turn: with a frozen direction the iteration converges for h omega sqrt(k / m) h << 1 only (Lubich,
-        doi:10.1007/BF01385643); constant steps have no other way out. For singular configurations too.
+        doi:10.1007/BF01385643); constant steps have no other way out. For singular configurations too. Tangents of an iteration
+        serve the next ones of the step while these converge fast.
         """
         if not self.eq.dense:
             return "Newton too slow"
@@ -172,37 +174,44 @@ class StageNewton(ImplicitStepper):
             floor = 1.0 + np.finfo(float).eps ** 0.5 / self.norm.rtol
             calm = 3
 
-        last = np.inf
+        last, pencil = np.inf, None
         for k in range(2 * self.newton.max_iterations):  # at a singular position each halves the error
-            increment = self._solve_with_own_tangents(h, self._stages(h, xi, v, mult))
+            points = self._stages(h, xi, v, mult)
+            residual = self.eq.residual(self.state.t + h * self.tab.c, points)
+            fresh = pencil is None
+            pencil = pencil or self._own_pencil(h, points)
+            increment = self._solve_with_own_tangents(pencil, *residual)
             xi, v, mult = xi + increment[0], v + increment[1], mult + increment[2]
             size = self._counted(h, increment)
 
             if not np.isfinite(size):
                 return "Newton diverged"
             calmed = k > calm and size > 0.3 * last
-            if size <= enough or (calmed and (size <= floor or self._still)):
+            fast = size <= KEPT * last
+            if (size <= enough and (fresh or fast)) or (calmed and (size <= floor or self._still)):
                 self._iterations, self._theta = k + 1, 1.0
                 return self._finished(h, xi, v, mult)
+            pencil = pencil if fast else None
             last = size
         return "Newton too slow"
 
-    def _solve_with_own_tangents(self, h: float, points: Points) -> tuple[Array, Array, Array]:
-        """Increments of xi, v and of the multipliers of all stages, with a tangent at each; one large matrix."""
-        n, m = self.system.n_v, self.system.n_lam
-        stages, levels = len(self.tab.c), self.eq.levels
+    def _own_pencil(self, h: float, points: Points) -> Pencil:
+        """One large matrix of all stages, with a tangent at each."""
         times = self.state.t + h * self.tab.c
-        kin, low = self.eq.residual(times, points)
         each = zip(times, points.xi, points.v, points.vd, points.mult, strict=True)
         tangents = [self.eq.tangent_at(float(t), *values) for t, *values in each]
+        self.stats.factorisations += 1
+        coupling = np.kron(self.tab.W / h, np.eye(self.system.n_v))
+        return Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
+
+    def _solve_with_own_tangents(self, pencil: Pencil, kin: Array, low: Array) -> tuple[Array, Array, Array]:
+        """Increments of xi, v and of the multipliers of all stages by that matrix."""
+        n, m = self.system.n_v, self.system.n_lam
+        stages, levels = len(self.tab.c), self.eq.levels
 
         # rows of all stages: balance, then the constraints level by level, then efforts
         cuts = cuts_of(low.shape[1], n, m, self.eq.n_mult - levels * m)
         below = np.concatenate([low[:, i:j].ravel() for i, j in pairwise(cuts)])
-        coupling = np.kron(self.tab.W / h, np.eye(n))
-        pencil = Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
-        self.stats.factorisations += 1
-
         change, by_level = pencil.solve(kin.reshape(1, -1), below[None])
         dxi, dv = change.reshape(2, stages, n)
         of_joints = by_level[0, : stages * levels * m].reshape(levels, stages, m).swapaxes(0, 1).reshape(stages, -1)
