@@ -74,7 +74,11 @@ def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
     }
 
     if c.stiffening is not None:
-        arrays |= {"stress": c.stiffening.transpose(0, 2, 1), "now": np.zeros((m, m)), "bent": np.zeros((d + d * d, m))}
+        arrays |= {
+            "stress": c.stiffening.transpose(0, 2, 1),
+            "now": np.zeros((m, m)),
+            "bent": np.zeros((d + d * d + 1, m)),
+        }
         second = SecondOrder(c.mass, c.S[:, 0], c.T[0, 0])
         arrays |= {"mean": second.inverse, "heavy": np.zeros((4 * len(second.inverse), len(second.inverse) + m))}
     return arrays
@@ -98,7 +102,7 @@ def surface(tables: Tables, marker: int) -> Any:
         N = part.shortening.N[ports]
         mine = np.flatnonzero(np.abs(N).max(axis=0) > 0)
         one.bends = len(mine)
-        one.N, one.G = store.address(N[:, mine]), store.address(part.shortening.G[mine])
-        one.now = store.address(np.zeros((len(ports), part.n)))
+        one.N, one.G = store.address(N[:, mine]), store.address(part.shortening.G[mine].transpose(0, 2, 1))
+        one.now = store.address(np.zeros((len(ports) + 1, part.n)))
         one.bend_map = store.address(np.zeros((tables.twist, max(len(mine), 1))))
     return one

@@ -23,10 +23,25 @@ static Rest rest_of(const Body *o)
     return rest;
 }
 
-/* (1) of mechanics/reduction/second_order.py for count of eta, eta', eta''; K_c eta and K_ij eta into bent. */
+/* y = K x for the matrix whose columns are the rows of K: by columns, of which the processor adds several entries at once. */
+static void by_columns(const double *K, const double *x, int m, double *y)
+{
+    memset(y, 0, m * sizeof(double));
+    for (int j = 0; j < m; j++) add(y, x[j], K + m * j, m);
+}
+
+/* K_c eta and K_ij eta of the configuration into bent. */
+static void bend_modes(const Body *o, const double *eta)
+{
+    int m = o->modes;
+    for (int c = 0; c < D + D * D; c++) by_columns(o->stress + m * m * c, eta, m, o->bent + m * c);
+}
+
+/* (1) of mechanics/reduction/second_order.py for count of eta, eta', eta''; bent is there. */
 static void moments_of(const Body *o, const double **local, int count, Moments *z)
 {
     int m = o->modes, k = m + 1, DD = D * D, size = k * DD;
+    double *turned = o->bent + m * (D + DD);
     memset(z, 0, sizeof *z);
     memcpy(z->T[0], o->T, DD * sizeof(double));
     for (int i = 0; i < D; i++) z->s[0][i] = o->S[k * i];
@@ -35,14 +50,11 @@ static void moments_of(const Body *o, const double **local, int count, Moments *
         for (int b = 0; b < m; b++) add(z->T[r], local[r][b], o->T + size * (b + 1), DD);
     }
     for (int c = 0; c < D + DD; c++) {
-        const double *K = o->stress + m * m * c;
-        double *bent = o->bent + m * c;
-        for (int i = 0; i < m; i++) bent[i] = dot(K + m * i, local[0], m);
-        for (int r = 0; r < count; r++) {
-            double value = (r ? 1.0 : 0.5) * dot(bent, local[r], m);
-            for (int i = 0; r == 2 && i < m; i++) value += local[1][i] * dot(K + m * i, local[1], m);
-            *moment_at(z, r, c) = value;
-        }
+        const double *bent = o->bent + m * c;
+        for (int r = 0; r < count; r++) *moment_at(z, r, c) = (r ? 1.0 : 0.5) * dot(bent, local[r], m);
+        if (count < 3) continue;
+        by_columns(o->stress + m * m * c, local[1], m, turned);
+        *moment_at(z, 2, c) += dot(turned, local[1], m);
     }
 }
 
@@ -54,6 +66,7 @@ static void stiffened(const Body *o, const double **local, const double *W, cons
     double a[D], L[D * D], stress[D + D * D];
     Rest rest = rest_of(o);
     Moments z;
+    bend_modes(o, local[0]);
     moments_of(o, local, 3, &z);
     second_order(&rest, &z, W, alpha, acc, force, N, a, L, stress);
 
@@ -75,6 +88,7 @@ static void second_block(const Body *o, const double *R, const double *eta)
     double *A = o->heavy, *B = A + TWIST * n, *JA = B + TWIST * n, *JB = JA + TWIST * n;
     const double *local[] = {eta};
     Moments z;
+    bend_modes(o, eta);
     moments_of(o, local, 1, &z);
     memset(A, 0, (size_t)4 * TWIST * n * sizeof(double));
     Rest rest = rest_of(o);
@@ -282,6 +296,7 @@ void reduced_energies(const Body *o, const double *R, const double *q, const dou
         const double *both[] = {eta, rate};
         Rest rest = rest_of(o);
         Moments z;
+        bend_modes(o, eta);
         moments_of(o, both, 2, &z);
         kinetic += second_energy(&rest, &z, local, W);
         add(arm, 1.0, z.m[0], D);

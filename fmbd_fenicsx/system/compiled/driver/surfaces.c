@@ -3,12 +3,14 @@
 /* The rates of the ports of a surface at the modes eta: ports - N (G eta), see mechanics/reduction/foreshortening.py. */
 static void bend(Surface *k, const double *eta, int m)
 {
+    double *slope = k->now + PORT * m;
     memcpy(k->now, k->ports, PORT * m * sizeof(double));
-    for (int r = 0; r < k->bends; r++)
-        for (int i = 0; i < m; i++) {
-            double slope = dot(k->G + (r * m + i) * m, eta, m);
-            for (int j = 0; j < PORT; j++) k->now[j * m + i] -= k->N[j * k->bends + r] * slope;
-        }
+    for (int r = 0; r < k->bends; r++) {
+        memset(slope, 0, m * sizeof(double));
+        for (int j = 0; j < m; j++) add(slope, eta[j], k->G + (r * m + j) * m, m);
+        for (int j = 0; j < PORT; j++)
+            if (k->N[j * k->bends + r] != 0.0) add(k->now + j * m, -k->N[j * k->bends + r], slope, m);
+    }
 }
 
 /* The row of the surface's velocity or angular velocity (component i, world axes) on the body's rates: equation (2) of frames.py. */

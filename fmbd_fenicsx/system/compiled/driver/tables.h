@@ -63,9 +63,9 @@ typedef struct {
 /* A surface of a reduced body, symbols as in mechanics/frames.py. */
 typedef struct {
     int body;
-    double *reference, *ports, *now;   /* PORT, PORT x modes: of the surface; now: rates of ports of second order */
+    double *reference, *ports, *now;   /* PORT, PORT x modes: of the surface; now: rates of ports of second order, a row */
     int bends;
-    double *N, *G;                     /* PORT x bends, bends x modes x modes */
+    double *N, *G;                     /* PORT x bends, bends x modes x modes, each by columns */
     double p[D];                       /* lever of the marker from the centroid */
     double b[PORT];                    /* its ports */
     double Z[ROT * ROT], turn[D * D], lever[D], arm[D];
@@ -111,7 +111,7 @@ typedef struct {
     double mass, large, spin;          /* bounds: eta . modal mass . eta and |omega|^2 */
     double *inertia;                   /* rigid: ROT x ROT, body axes */
     double *S, *T, *V, *modal, *K, *C, *stress; /* reduced, see mechanics/reduction/reduced.py; stress NULL without stiffening */
-    double *U, *now, *bent;            /* work: T(e_a, p), stiffness of the present stress, K_c eta and K_ij eta */
+    double *U, *now, *bent;            /* work: T(e_a, p), stiffness of the present stress, K_c eta and K_ij eta, a row */
     double *mean, *heavy, *block;      /* J^-1 of second_order.py, TWIST x TWIST; work: 4 TWIST x (TWIST + modes), the step's block */
     int *dest;                         /* places of the lower half of the block */
     Field *field;                      /* of floating elastic bodies, whose modes are the numbers H^T U; else NULL */
