@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
+from ...errors import ConvergenceError
 from ...mechanics.bodies.field_part import FieldPart
 from ...mechanics.bodies.floating import FloatingField
 from ...mechanics.placements import FrameMotion
@@ -221,14 +222,16 @@ class Condensed:
     """
 
     def __init__(self, W: Array, at: np.ndarray, inertial: int) -> None:
+        if not np.isfinite(W).all():
+            raise ConvergenceError("The tangent of a field is not finite where an iteration led.")
         self.A = np.linalg.inv(W[np.ix_(at, at)])
         self.W = W[:, at]
         self.G = self.A @ W[at]
         compliance = W - self.W @ self.G
 
         # columns at one scale; those of ports that vanish have that of the smallest one. Frame conditions are no measure for
-        # the others: they are large where a body's mass is a large number
-        size = np.sqrt(np.maximum(W.diagonal(), 0.0))
+        # the others: they are large where a body's mass is a large number. Bodies that are pressed give way: negative ones
+        size = np.sqrt(np.abs(W.diagonal()))
         ports = np.arange(len(W)) >= inertial
         ports[at] = False
         vanishes = ports & (size <= VANISHING * size[ports].max(initial=0.0))
