@@ -76,6 +76,18 @@ def test_free_motion_is_refused_by_name() -> None:
         fmbd.equilibrium(scene)
 
 
+def test_what_moves_freely_is_named_beside_what_swings() -> None:
+    """A level pendulum has no stiffness where it is; the body that nothing holds has none anywhere."""
+    arm, other = (
+        fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0)),
+        fmbd.RigidBody("other", 1.0, 0.1, position=(3.0, 0.0)),
+    )
+    scene = fmbd.Scene("two", gravity=(0.0, -9.81))
+    scene.add(arm, fmbd.revolute("pin", fmbd.ground, arm, center=(0.0, 0.0)), other)
+    with pytest.raises(ConvergenceError, match='body "other" can move freely'):
+        fmbd.equilibrium(scene)
+
+
 @pytest.mark.mpi
 def test_rotation_stretches_a_spring() -> None:
     """r = k l_0 / (k - m W^2) for a mass on a spring in steady rotation."""

@@ -77,6 +77,18 @@ def test_outputs_of_one_number_and_of_the_plane() -> None:
     assert H[2] == pytest.approx(H[0], rel=1e-9) and np.abs(H[1]).max() < 1e-12
 
 
+def test_rates_of_real_eigenvalues_are_printed() -> None:
+    """A pendulum on its head falls with sqrt(m g l / (J + m l^2))."""
+    rod = fmbd.RigidBody("rod", 3.0, 1.0, position=(0.0, 1.0))
+    scene = fmbd.Scene("head", gravity=(0.0, -10.0))
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod, center=(0.0, 0.0)))
+    found = fmbd.modes(scene, 1, at=fmbd.equilibrium(scene))
+    assert np.abs(found.growth) == pytest.approx(np.sqrt(30.0 / 4.0), rel=1e-9)
+    head, row = str(found).splitlines()[1:]
+    assert head.split() == ["Hz", "rad/s", "damping", "growth", "1/s"]
+    assert float(row.split()[-1]) == pytest.approx(found.growth[0], rel=1e-5)
+
+
 def test_damping_ratio_of_one_mass() -> None:
     """zeta = c / 2 sqrt(k m)."""
     scene = fmbd.Scene("one")

@@ -57,8 +57,12 @@ def test_other_exceptions_of_a_variant_come_back() -> None:
             raise ZeroDivisionError("of mine")
         return pendulum(length)
 
-    with pytest.raises(ZeroDivisionError, match="of mine"):
-        fmbd.study.map(make, [1.0, 0.5, -1.0], t_end=0.01, dt=1e-3)
+    for lengths in ([1.0, 0.5, -1.0], [-1.0]):  # in a copy of the process, and in this one
+        with pytest.raises(ZeroDivisionError, match="of mine") as caught:
+            fmbd.study.map(make, lengths, t_end=0.01, dt=1e-3)
+        (note,) = caught.value.__notes__
+        assert note.startswith("Variant -1.0 of study.map: ")
+        assert note.endswith("in make")
 
 
 def test_scenes_of_one_structure_share_their_places() -> None:

@@ -318,14 +318,19 @@ def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriu
     """What a missing equilibrium means: a body that moves freely, or a load above the limit."""
     system = newton.residual.system
     motion, grown, push = _softest(newton, start, t, np.ones(system.n_v))
-    free = grown > 1.0 - 1e-6
+    free, moved = grown > 1.0 - 1e-6, _shares(system, motion)
     if free and system.contacts is None:
         # beside a body that moves freely the push is the same; beside a lever that its weight cannot hold it is not
-        ways = (replace(start, q=system.compose(start.q, way * system.length * motion)) for way in (ASIDE, -ASIDE))
+        ways = [replace(start, q=system.compose(start.q, way * system.length * motion)) for way in (ASIDE, -ASIDE)]
         pushes = [push, *(_softest(newton, aside, t, motion)[2] for aside in ways)]
         free = float(np.ptp(pushes)) <= SAME * float(np.abs(pushes).max())
+        # of bodies that move together, those that forces move by as much there
+        for aside in ways:
+            other = _shares(system, _image(newton, aside, t, motion) - motion)
+            moved = {name: size for name, size in moved.items() if other[name] <= SAME * size} or moved
     if free:
-        return f"No static equilibrium: {_mover(system, motion)} can move freely ({error}). Hold it by a joint or a spring."
+        name = max(moved, key=lambda name: moved[name])
+        return f'No static equilibrium: body "{name}" can move freely ({error}). Hold it by a joint or a spring.'
     return (
         f"No static equilibrium was found from the given placement: {error}. The load may be above its limit: "
         "follow the equilibria with path=fmbd.ArcLength(...), or give a start nearer to the solution."
@@ -342,16 +347,27 @@ def _softest(newton: StaticNewton, start: StaticPoint, t: float, motion: Array) 
     grown = 0.0
     for _ in range(6):
         motion = motion / max(system.max_abs(motion), 1e-300)
-        ev = newton.residual.at(q, t)
-        inertia = ev.balance(motion) - ev.balance(np.zeros(system.n_v))
-        motion = answer(newton.solver.weights.cm * inertia)
+        motion = answer(_inertia(newton, q, t, motion))
         grown = system.max_abs(motion)
     motion = motion / max(grown, 1e-300)
     return motion, grown, system.dot(motion, newton.residual.at(q, t).balance(np.zeros(system.n_v)))
 
 
-def _mover(system: System, motion: Array) -> str:
-    """The body with the largest part in a motion."""
+def _image(newton: StaticNewton, start: StaticPoint, t: float, motion: Array) -> Array:
+    """What inertia forces of a motion move about a point: the motion itself where it has no stiffness."""
+    q, answer = newton.respond(start, t)
+    return answer(_inertia(newton, q, t, motion))
+
+
+def _inertia(newton: StaticNewton, q: Array, t: float, motion: Array) -> Array:
+    """Inertia forces of a motion, as the preconditioner weighs them."""
+    ev = newton.residual.at(q, t)
+    forces: Array = newton.solver.weights.cm * (ev.balance(motion) - ev.balance(np.zeros(newton.residual.system.n_v)))
+    return forces
+
+
+def _shares(system: System, motion: Array) -> dict[str, float]:
+    """The largest displacement (m) of each body in a motion; collective."""
     n, sizes = system.motions.n_twist, {}
     weighted = np.abs(system.units * motion)
     for i, name in enumerate(system.frame_names):
@@ -361,4 +377,4 @@ def _mover(system: System, motion: Array) -> str:
         sizes[p.name] = max(
             sizes.get(p.name, 0.0), part if not p.distributed else float(np.max(p.comm.allgather(part)))
         )
-    return f'body "{max(sizes, key=lambda name: sizes[name])}"'
+    return sizes

@@ -83,6 +83,11 @@ class Modes:
         size = np.abs(self.eigenvalues)
         return np.where(size > 0, -self.eigenvalues.real / np.where(size > 0, size, 1.0), 0.0)
 
+    @property
+    def growth(self) -> Array:
+        """Rates Re l (1/s) at which amplitudes grow, (n,); negative where they decay. All there is of real eigenvalues."""
+        return np.asarray(self.eigenvalues.real)
+
     def whirl(self, axis: Sequence[float] = (0.0, 0.0, 1.0)) -> Array:
         """Sense in which each mode circles about an axis, (n,): 1 with it, -1 against it, 0 for motions in a plane; collective.
 
@@ -110,11 +115,10 @@ class Modes:
         return replace(self.about, q=self.system.compose(self.about.q, y))
 
     def __str__(self) -> str:
-        rows = [f"  {k:>3} {f:14.6g} {w:14.6g} {z:10.2e}" for k, (f, w, z) in enumerate(self._table())]
-        return "\n".join([f'modes of scene "{self.scene.name}"', "           Hz          rad/s    damping", *rows])
-
-    def _table(self) -> list[tuple[float, float, float]]:
-        return list(zip(self.frequencies, self.omega, self.damping, strict=True))
+        table = zip(self.frequencies, self.omega, self.damping, self.growth, strict=True)
+        rows = [f"  {k:>3} {f:14.6g} {w:14.6g} {z:10.2e} {g:14.6g}" for k, (f, w, z, g) in enumerate(table)]
+        head = f"  {'':3} {'Hz':>14} {'rad/s':>14} {'damping':>10} {'growth 1/s':>14}"
+        return "\n".join([f'modes of scene "{self.scene.name}"', head, *rows])
 
 
 def _circling(moves: Sequence[Array], axis: Sequence[float]) -> Array:

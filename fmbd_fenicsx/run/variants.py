@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 import os
 import pickle
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -125,6 +126,12 @@ def _one(make: Callable[[Any], Scene], parameter: Any, settings: dict[str, Any])
         run = solve(scene, **settings)
     except FmbdError as error:
         raise type(error)(f"Variant {parameter!r:.80}: {error}") from error
+    except Exception as error:
+        # others keep their kind; where it was raised stays behind in the copy of the process
+        *_, place = traceback.extract_tb(error.__traceback__)
+        note = f"Variant {parameter!r:.80} of study.map: {place.filename}, line {place.lineno}, in {place.name}"
+        vars(error).setdefault("__notes__", []).append(note)  # as add_note, from Python 3.11 on
+        raise
     end = run.state.q.copy(), run.state.v.copy()
     return Variant(parameter, run.times, run.series, run.energy, end, run.counters)
 
@@ -159,7 +166,8 @@ def _packed(error: BaseException) -> bytes:
         text = pickle.dumps(error)
         pickle.loads(text)
     except Exception:
-        return pickle.dumps(FmbdError(f"{type(error).__name__}: {error}"))
+        notes = getattr(error, "__notes__", [])
+        return pickle.dumps(FmbdError("\n".join([f"{type(error).__name__}: {error}", *notes])))
     return text
 
 

@@ -27,7 +27,7 @@ import numpy as np
 from ..checks import check_fields
 from ..errors import ConvergenceError, require
 from ..fem.fields import rank_sum
-from ..rotations import Array
+from ..rotations import Array, hat
 from ..system.linearise import Sizes
 from ..system.serialisation import Memory, Remembering, plain
 from ..system.system import State, System
@@ -62,7 +62,8 @@ class ErrorNorm(Remembering):
 
     Deformations, of fields and of amplitudes of modes, count by their displacements against the largest one of their body that
     was seen, at least a hundredth of the model's length, their rates as h e_v / w_q in all forms: a stiff body with vibrations
-    too small to matter does not hold the steps down. A field counts by its root mean square.
+    too small to matter does not hold the steps down. A field counts by its root mean square. The nodes of a rod are frames: what
+    is no rigid motion of all of them is a deformation too (:class:`.RigidMotions`).
     """
 
     keeps: ClassVar = {
@@ -80,11 +81,14 @@ class ErrorNorm(Remembering):
         self.scale: Array = np.ones(system.n_v)  # of positions, in the model
         self.wq: Array = np.ones(system.n_v)
         self.wv: Array = np.ones(system.n_v)
+        self.rods: RigidMotions | None = None
 
     def update(self, state: State, h: float) -> None:
         """Take notice of a state; ``h`` is the step about to be taken. Collective where there are elastic fields."""
         s = self.system
         v = np.abs(state.v[: s.n_core])
+        if s.elements and self.index < 3:
+            self.rods = RigidMotions.at(s, state)
         self.q_size = np.maximum(self.q_size, self.sizes.positions(state.q))
         # the velocities that the accelerations reach within the step count too
         fast = np.maximum(v, h * np.abs(state.a[: s.n_core]))
@@ -147,7 +151,15 @@ class ErrorNorm(Remembering):
         if self.index == 3:
             kinds = [e_q / wq, e_v * (h / wq)] + ([] if e_a is None else [e_a * (h * h / wq)])
         else:
-            kinds = [e_q / wq, e_v / wv] + ([] if e_a is None or self.index == 1 else [e_a * (h / wv)])
+            kinds = [e_q / wq]
+            for error, power in ((e_v, 0), (None if self.index == 1 else e_a, 1)):
+                if error is None:
+                    continue
+                if self.rods is not None:
+                    bent = self.rods.rest(error)
+                    kinds.append(bent * (h ** (power + 1) / wq))
+                    error = error - bent
+                kinds.append(error * (h**power / wv))
         return max((self.mean(x) for x in kinds), default=0.0)
 
     def mean(self, x: Array) -> float:
@@ -169,6 +181,44 @@ class ErrorNorm(Remembering):
         s = self.system
         typical = max(s.max_abs(state.a), 1e-3 * s.max_abs(state.v) / h)
         return max(self.rtol * h * h * typical, 64 * EPS * s.length)
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMotions:
+    """The rigid motions of rods as they lie: velocities of their nodes by least squares, V + W x (x - mean) and W,
+
+    where rotations count by a hundredth of the rod's size: sections turn against the rod with little inertia.
+
+    ``bases``: numbers in v of a rod's nodes (n,), their weights (n,), and an orthonormal basis (n, 6) of its weighted motions.
+    """
+
+    ARM: ClassVar[float] = 1e-2
+    bases: tuple[tuple[np.ndarray, Array, Array], ...]
+
+    @staticmethod
+    def at(system: System, state: State) -> RigidMotions:
+        """Of all rods in a state."""
+        ev = system.at(state.t, state.q)
+        bases = []
+        for elements in system.elements:
+            frames = np.unique(elements.frames)
+            arms = ev.pose[frames, :3] - ev.pose[frames, :3].mean(axis=0)
+            size = float(np.abs(arms).max())
+            motions = np.zeros((len(frames), 6, 6))
+            motions[:, :3, :3], motions[:, :3, 3:] = np.eye(3), -hat(arms)
+            motions[:, 3:, 3:] = np.swapaxes(ev.rotation[frames], 1, 2)  # rotations stand in body axes
+            weights = np.tile([1.0, 1.0, 1.0, *[RigidMotions.ARM * size] * 3], len(frames))
+            basis = np.linalg.qr(weights[:, None] * motions.reshape(-1, 6))[0]
+            bases.append(((6 * frames[:, None] + np.arange(6)).ravel(), weights, basis))
+        return RigidMotions(tuple(bases))
+
+    def rest(self, v: Array) -> Array:
+        """What velocities (..., n_v) have beside the rigid motions of the rods; zero on all other bodies."""
+        out = np.zeros_like(v)
+        for at, weights, basis in self.bases:
+            own = weights * v[..., at]
+            out[..., at] = (own - own @ basis @ basis.T) / weights
+        return out
 
 
 def _largest(u: Array, rms: Array | None) -> float:
