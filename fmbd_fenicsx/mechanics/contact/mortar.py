@@ -27,7 +27,7 @@ from ...fem.traces.mortar import diameters, overlap
 from ...fem.traces.multipliers import Continuous, Dual, Ends
 from ...fem.traces.traces import Trace as Facets
 from ...fem.traces.traces import scatter
-from ...rotations import Array
+from ...rotations import Array, Motions
 from .rows import ContactSet, Here, LinearRows, Rows, Side, Touch, bodies_overlap, tangents_of
 from .trace import ContactTrace
 
@@ -89,6 +89,11 @@ class MortarPair:
         self.count = len(carriers)
         self.thickness = traces[sides[1].trace].thickness
         self.pairing: Pairing | None = None
+
+    @classmethod
+    def together(cls, pairs: list[MortarPair], motions: Motions, traces: Any) -> list[MortarPair]:
+        """Each evaluates itself, see :meth:`.Pair.together`."""
+        return pairs
 
     def overlap(self, system: Any, depth: float, x: Array, normal: Array) -> str:
         """The sentence that refuses a start with an overlap, as :meth:`.Pair.overlap`."""
@@ -168,7 +173,7 @@ class MortarPair:
         def linear(direction: Array) -> LinearRows:
             made = contacts.blank(self.count)
             for side, W in ((self.slave, S), (self.master, -Q)):
-                contacts.add_nodes(made, side.trace, (W, direction), here.nodes(side.trace)[1:], by_row=True)
+                contacts.add_nodes(made, side.trace, (W, direction), here.nodes(side.trace)[1:])
             return LinearRows(made[0], tuple(made[1]))
 
         directions = tangents_of(touch.normal) if contacts.frictional else []
@@ -181,7 +186,7 @@ class MortarPair:
             restitution=0.0 * one,
             normal=touch.normal,
             drift=np.zeros((self.count, len(directions))),
-            trace=np.full(self.count, contacts.carrier_of(self.slave)),
+            trace=np.full(self.count, self.slave.trace if self.slave.trace in contacts.on_fields else -1),
         )
 
 

@@ -1,89 +1,137 @@
-"""Rows of a slave against an obstacle: equation (1) of :mod:`.rows`."""
+"""Rows of slaves against obstacles: equation (1) of :mod:`.rows`, for all pairs at once."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from ...rotations import Array
+from ...rotations import Array, Motions
 from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch, tangents_of
+from .shapes import distances
+from .trace import ContactTrace, FieldTrace
 
 
 class ObstaclePair(Pair):
     """A slave, points or nodes, against an obstacle."""
+
+    @classmethod
+    def together(cls, pairs: list[Any], motions: Motions, traces: tuple[ContactTrace, ...]) -> list[Any]:
+        """One search for all of them."""
+        return [ObstacleSearch(pairs, motions, traces)]
 
     @property
     def thickness(self) -> float:
         """Shortest way through the obstacle, m."""
         return float(self.shape.thickness)
 
+
+class ObstacleSearch:
+    """Pairs with obstacles that follow each other: places, distances and rows of all their candidates (m,) in arrays."""
+
+    def __init__(self, pairs: list[ObstaclePair], motions: Motions, traces: tuple[ContactTrace, ...]) -> None:
+        counts = [p.count for p in pairs]
+        self.of = np.repeat(np.arange(len(pairs)), counts)
+        self.count = len(self.of)
+        self.radius, self.friction, self.restitution = (
+            np.repeat(x, counts)
+            for x in zip(*((p.slave.radius, p.friction, p.restitution) for p in pairs), strict=True)
+        )
+
+        # obstacles: at rest, prescribed, or carried by a frame
+        carriers = [p.carrier for p in pairs]
+        self.at_rest = np.array([c.offset for c in carriers])
+        self.prescribed = [(i, c.motion) for i, c in enumerate(carriers) if c.motion is not None]
+        self.frame = np.array([c.frame for c in carriers])
+        self.carried = np.flatnonzero(self.frame >= 0)
+        self.pushed = np.flatnonzero(self.frame[self.of] >= 0)
+        self.shapes = distances([p.shape for p in pairs], self.of, motions.dim)
+
+        # points of frames
+        sides = [p.slave for p in pairs]
+        rigid = [s for s in sides if s.surface is None]
+        self.rigid = np.flatnonzero(np.repeat([s.surface is None for s in sides], counts))
+        self.places = np.concatenate([np.zeros((0, motions.dim)), *(s.points for s in rigid)])
+        frames = np.concatenate([np.zeros(0, dtype=int), *(s.frames for s in rigid)])
+        self.frames, self.on = np.unique(frames, return_inverse=True)
+
+        # nodes of traces: candidates, their nodes, and both as a matrix (m, n_trace)
+        of_trace = np.repeat([s.trace for s in sides], counts)
+        self.nodes: dict[int, tuple[np.ndarray, np.ndarray, Any]] = {}
+        for i in np.unique(of_trace[of_trace >= 0]):
+            at = np.flatnonzero(of_trace == i)
+            nodes = np.concatenate([s.surface.nodes for s in sides if s.surface is not None and s.trace == i])
+            picked = sp.csr_matrix((np.ones(len(at)), (at, nodes)), shape=(self.count, traces[i].n))
+            self.nodes[int(i)] = at, nodes, picked
+        on_fields = [i for i, tr in enumerate(traces) if isinstance(tr, FieldTrace)]
+        self.multiplier = np.where(np.isin(of_trace, on_fields), of_trace, -1)
+
     def _place(
         self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here
-    ) -> tuple[Touch, tuple[Any, ...]]:
+    ) -> tuple[Touch, tuple[Array, ...]]:
+        """Where all candidates stand, and the frames that this was found with; collective."""
         t, q = at
-        m, side = contacts.m, self.slave
-        pose = contacts.pose(system, self.carrier, t, q)
-        r = pose[: m.dim]
-        R = m.matrix(pose)
+        m, poses = contacts.m, system.poses(q)
+        d = m.dim
 
-        # points of the slave
-        P: Array = np.zeros((0, m.dim))
-        origin: Array = np.zeros(m.dim)
-        if side.surface is not None:
-            x_all, P, Rb = here.nodes(side.trace)
-            x = x_all[side.surface.nodes]
-        else:
-            own = system.poses(q)[side.frames]
-            origin = own[:, : m.dim]
-            Rb = m.matrix(own)
-            x = origin + (Rb @ side.points[:, :, None])[..., 0]
-        # distances in the axes of the obstacle
-        y = (x - r) @ R
-        dist, grad = self.shape.evaluate(y)
-        normal = grad @ R.T
-        return Touch(dist - side.radius, x - side.radius * normal, normal, y), (r, R, P, origin, Rb)
+        obstacles = self.at_rest.copy()
+        obstacles[self.carried] = poses[self.frame[self.carried]]
+        for i, motion in self.prescribed:
+            obstacles[i] = motion(t)
+        r, R = obstacles[self.of, :d], m.matrix(obstacles)[self.of]
+
+        # points of the slaves
+        own = poses[self.frames]
+        origin, turned = own[self.on, :d], m.matrix(own)[self.on]
+        x = np.empty((self.count, d))
+        x[self.rigid] = origin + (turned @ self.places[:, :, None])[:, :, 0]
+        for trace, (rows, nodes, _) in self.nodes.items():
+            x[rows] = here.nodes(trace)[0][nodes]
+
+        # distances in the axes of the obstacles
+        y = ((x - r)[:, None] @ R)[:, 0]
+        gap, gradient = np.empty(self.count), np.empty_like(x)
+        for rows, told in self.shapes:
+            gap[rows], gradient[rows] = told(y[rows])
+        normal = (R @ gradient[:, :, None])[:, :, 0]
+        return Touch(gap - self.radius, x - self.radius[:, None] * normal, normal, y), (r, R, origin, turned)
 
     def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here) -> Touch:
-        """Gaps of this pair; collective."""
+        """Gaps of all candidates; collective."""
         return self._place(contacts, system, at, here)[0]
 
     def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], here: Here) -> Rows:
-        """Candidates of this pair; collective."""
+        """All candidates with their rows; collective."""
         t, q, since = at
-        side, d = self.slave, contacts.m.dim
-        touch, (r, R, P, origin, Rb) = self._place(contacts, system, (t, q), here)
-        count = len(touch.gap)
+        touch, (r, R, origin, turned) = self._place(contacts, system, (t, q), here)
+        x = touch.x
+        on = self.pushed
 
-        def linear(direction: Array) -> LinearRows:
-            core, field = contacts.blank(count)
-            if side.surface is not None:
-                full = np.zeros((contacts.traces[side.trace].n, d))
-                full[side.surface.nodes] = direction
-                contacts.add_nodes((core, field), side.trace, (contacts.picked(self), full), (P, Rb))
-            else:
-                contacts.add_frames(core, side.frames, (direction, touch.x, origin, Rb))
-            if 0 <= self.carrier.frame < system.n_frames and self.carrier.motion is None:
-                contacts.add_frames(core, np.full(count, self.carrier.frame), (-direction, touch.x, r, R))
+        def linear(e: Array) -> LinearRows:
+            core, field = contacts.blank(self.count)
+            for trace, (_, _, picked) in self.nodes.items():
+                contacts.add_nodes((core, field), trace, (picked, e), here.nodes(trace)[1:])
+            contacts.add_frames(core, self.rigid, self.frames[self.on], (e[self.rigid], x[self.rigid], origin, turned))
+            contacts.add_frames(core, on, self.frame[self.of[on]], (-e[on], x[on], r[on], R[on]))
             return LinearRows(core, tuple(field))
 
-        directions = tangents_of(touch.normal) if contacts.frictional else []
-        drift = np.zeros((count, len(directions)))
-        if since is not None and self.carrier.motion is not None and directions:
-            before = self.carrier.motion(since[0])
-            after = self.carrier.motion(since[0] + since[1])
-            y = (touch.x - r) @ R
-            turned = y @ (contacts.m.matrix(after) - contacts.m.matrix(before)).T
-            moved = after[:d] - before[:d] + turned
-            drift = np.stack([(e * moved).sum(1) for e in directions], axis=1)
-        one = np.ones(count)
+        tangents = tangents_of(touch.normal) if contacts.frictional else []
+        drift = np.zeros((self.count, len(tangents)))
+        if since is not None and tangents:
+            for i, motion in self.prescribed:
+                rows = self.of == i
+                before, after = motion(since[0]), motion(since[0] + since[1])
+                turn = contacts.m.matrix(after) - contacts.m.matrix(before)
+                moved = (after - before)[: contacts.m.dim] + touch.relative[rows] @ turn.T
+                drift[rows] = np.stack([(e[rows] * moved).sum(1) for e in tangents], axis=1)
         return Rows(
             gap=touch.gap,
             N=linear(touch.normal),
-            tangents=tuple(linear(e) for e in directions),
-            friction=self.friction * one,
-            restitution=self.restitution * one,
+            tangents=tuple(linear(e) for e in tangents),
+            friction=self.friction,
+            restitution=self.restitution,
             normal=touch.normal,
             drift=drift,
-            trace=np.full(count, contacts.carrier_of(side)),
+            trace=self.multiplier,
         )

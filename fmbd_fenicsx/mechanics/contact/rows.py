@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -121,6 +122,11 @@ class Pair:
         """The sentence that refuses a start with an overlap of a depth (m), at a point x along a normal, world axes."""
         return bodies_overlap(self.name, depth, x, normal)
 
+    @classmethod
+    def together(cls, pairs: list[Any], motions: Motions, traces: tuple[ContactTrace, ...]) -> list[Any]:
+        """What evaluates pairs of this kind: each for itself, or some in one."""
+        return pairs
+
     def update(self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
         """Nothing to pair anew: an obstacle is met where it is."""
 
@@ -182,8 +188,9 @@ class ContactSet:
         self.on_fields = {i: tr for i, tr in enumerate(traces) if isinstance(tr, FieldTrace)}
         self.frictional = any(p.friction > 0 for p in pairs)
         self.names = tuple(p.name for p in pairs)
+        self.groups = [g for kind, some in groupby(pairs, type) for g in kind.together(list(some), motions, traces)]
+        self._chosen = np.array([np.nan if p.search is None else p.search for p in pairs])
         self._blank: dict[int, list[Any]] = {}
-        self._picked: dict[str, Any] = {}
 
     # -- kinematics ------------------------------------------------------------------------------------------
     def nodes(self, system: Any, q: Array, trace: int) -> tuple[Array, Array, Array]:
@@ -197,24 +204,18 @@ class ContactSet:
 
         return pose[: self.m.dim] + P @ R.T, P, R
 
-    def pose(self, system: Any, carrier: Carrier, t: float, q: Array) -> Array:
-        """Pose of an obstacle."""
-        if carrier.motion is not None:
-            return carrier.motion(t)
-        return carrier.offset if carrier.frame < 0 else system.poses(q)[carrier.frame]
-
     def rows(self, system: Any, t: float, q: Array, since: tuple[float, float] | None = None) -> Rows:
         """All candidates at (t, q); ``since`` = (start, h) of the step over which the tangential drift of
         obstacles counts. Collective.
         """
         here = Here(self, system, t, q)
-        parts = [p.rows(self, system, (t, q, since), here) for p in self.pairs]
+        parts = [g.rows(self, system, (t, q, since), here) for g in self.groups]
         return _stack(parts)
 
     def touch(self, system: Any, t: float, q: Array) -> Touch:
         """Gaps, points and normals of all candidates at (t, q), without derivatives; collective."""
         here = Here(self, system, t, q)
-        parts = [p.touch(self, system, (t, q), here) for p in self.pairs]
+        parts = [g.touch(self, system, (t, q), here) for g in self.groups]
         if len(parts) == 1:
             return parts[0]
         return Touch(
@@ -244,16 +245,11 @@ class ContactSet:
         """Search distances (m,) from the gaps now and one step ahead: twice the approach, or the pair's own
         choice.
         """
-        reach = np.empty_like(now)
-        first = 0
-        for p in self.pairs:
-            rows = slice(first, first + p.count)
-            first += p.count
-            both = np.isfinite(now[rows]) & np.isfinite(then[rows])
-            # gaps of points with nothing opposite are infinite
-            approach = np.abs(then[rows][both] - now[rows][both]).max(initial=0.0)
-            reach[rows] = max(2.0 * approach, 1e-6 * length) if p.search is None else p.search
-        return reach
+        # gaps of points with nothing opposite are infinite
+        both = np.isfinite(now) & np.isfinite(then)
+        approach = np.zeros(len(self.pairs))
+        np.maximum.at(approach, self.pair[both], np.abs(then[both] - now[both]))
+        return np.where(np.isnan(self._chosen), np.maximum(2.0 * approach, 1e-6 * length), self._chosen)[self.pair]
 
     def fastest(self, system: Any, v: Array) -> float:
         """A bound of the speed of any contact node, m/s; collective."""
@@ -299,11 +295,6 @@ class ContactSet:
             system.local_v(out, tr.part)[:] += tr.spread(np.asarray(rows.field[i].T @ force).reshape(-1, self.m.dim))
         return out
 
-    def carrier_of(self, side: Side) -> int:
-        """Number of the trace whose field carries the multipliers of a slave, -1 where the core does."""
-        on_field = side.trace >= 0 and isinstance(self.traces[side.trace], FieldTrace)
-        return side.trace if on_field else -1
-
     # -- building blocks of rows -----------------------------------------------------------------------------
     def blank(self, m: int) -> tuple[Array, list[Any]]:
         """Empty core rows and sparse field rows, these not to be written into."""
@@ -311,27 +302,15 @@ class ContactSet:
             self._blank[m] = [sp.csr_matrix((m, t.n * self.m.dim)) for t in self.traces]
         return np.zeros((m, self.n_core)), list(self._blank[m])
 
-    def picked(self, pair: Pair) -> Any:
-        """Which nodes of their trace the candidates of a pair are, sparse (m, n_trace)."""
-        if pair.name not in self._picked:
-            assert pair.slave.surface is not None
-            nodes, n = pair.slave.surface.nodes, self.traces[pair.slave.trace].n
-            each = np.arange(len(nodes) + 1)
-            self._picked[pair.name] = sp.csr_matrix((np.ones(len(nodes)), nodes, each), shape=(len(nodes), n))
-        return self._picked[pair.name]
-
     def add_nodes(
-        self, linear: tuple[Array, list[Any]], trace: int, entries: tuple[Any, Array], at: tuple[Array, Array],
-        *, by_row: bool = False,
-    ) -> None:  # fmt: skip
-        """Add rows sum_k W_jk n . x_k' of a trace: entries = (W csr (m, n_trace), n), n a node (n_trace, d),
-        or ``by_row`` (m, d).
-        """
+        self, linear: tuple[Array, list[Any]], trace: int, entries: tuple[Any, Array], at: tuple[Array, Array]
+    ) -> None:
+        """Add rows sum_k W_jk n_j . x_k' of a trace: entries = (W csr (m, n_trace), n (m, d))."""
         (core, field), (W, direction), (P, R), d = linear, entries, at, self.m.dim
         tr = self.traces[trace]
         row = np.repeat(np.arange(W.shape[0]), np.diff(W.indptr))
         # of each node: components in world and in body axes
-        world = direction[row if by_row else W.indices] * W.data[:, None]
+        world = direction[row] * W.data[:, None]
         local = world @ R
         columns = (W.indices[:, None] * d + np.arange(d, dtype=W.indices.dtype)).ravel()
         nodal = sp.csr_matrix((local.ravel(), columns, W.indptr * d), shape=(len(core), tr.n * d))
@@ -347,15 +326,16 @@ class ContactSet:
             block = np.concatenate((world, self.m.moment(P[W.indices], local)), axis=1)
             np.add.at(core[:, at_frame], row, block)
 
-    def add_frames(self, core: Array, frames: np.ndarray, geometry: tuple[Array, Array, Array, Array]) -> None:
-        """Add rows n . x' of points x on moving frames (m,): geometry = (n (m, d), x (m, d), r (d,) or (m, d), R likewise)."""
+    def add_frames(
+        self, core: Array, rows: np.ndarray, frames: np.ndarray, geometry: tuple[Array, Array, Array, Array]
+    ) -> None:
+        """Add n . x' of points x on moving ``frames`` (k,) to ``rows`` (k,): geometry = (n, x, r (k, d), R (k, d, d))."""
         n, x, r, R = geometry
         arm, direction = ((y[:, None, :] @ R)[:, 0] for y in (x - r, n))
         block = np.concatenate((n, self.m.moment(arm, direction)), axis=1)
 
-        rows = np.arange(len(frames))[:, None]
         columns = frames[:, None] * self.m.n_twist + np.arange(self.m.n_twist)
-        core[rows, columns] += block
+        core[rows[:, None], columns] += block
 
 
 def tangents_of(normal: Array) -> list[Array]:

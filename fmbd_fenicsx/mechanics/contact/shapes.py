@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -43,6 +43,15 @@ class Shape:
 
     def evaluate(self, y: Array) -> tuple[Array, Array]:
         """Distances (n,) and unit gradients (n, d) at points y (n, d)."""
+        return self.distance(y, self.numbers(y.shape[1]))
+
+    def numbers(self, dim: int) -> tuple[Any, ...]:
+        """What :meth:`distance` reads, in the order in which the compiled driver reads it."""
+        raise NotImplementedError
+
+    @staticmethod
+    def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:
+        """As :meth:`evaluate`, from the :meth:`numbers` of one shape, or of one for each point: arrays with n in front."""
         raise NotImplementedError
 
 
@@ -62,16 +71,16 @@ class HalfSpace(Shape):
             f"HalfSpace: point {self.point} and normal {self.normal} must have the same number of components.",
         )
 
-    def evaluate(self, y: Array) -> tuple[Array, Array]:
-        """Gap over the plane and its normal; see :class:`Shape`."""
-        point, normal = self.plane
-        n = normal[: y.shape[1]]
-        return (y - point[: y.shape[1]]) @ n, np.broadcast_to(n, y.shape).copy()
+    def numbers(self, dim: int) -> tuple[Any, ...]:
+        """Unit normal, and the level of the plane along it."""
+        normal = _unit(self.normal, "HalfSpace: normal")[:dim]
+        return normal, np.asarray(self.point, dtype=float)[:dim] @ normal
 
-    @cached_property
-    def plane(self) -> tuple[Array, Array]:
-        """Point and unit normal."""
-        return np.asarray(self.point, dtype=float), _unit(self.normal, "HalfSpace: normal")
+    @staticmethod
+    def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:
+        """Gap over the plane and its normal; see :class:`Shape`."""
+        normal, level = numbers
+        return (y * normal).sum(1) - level, np.broadcast_to(normal, y.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +100,19 @@ class Sphere(Shape):
         """Diameter; a hollow has no other side."""
         return np.inf if self.inside else 2.0 * self.radius
 
-    def evaluate(self, y: Array) -> tuple[Array, Array]:
+    def numbers(self, dim: int) -> tuple[Any, ...]:
+        """Centre, radius, 1 or -1 for a hollow."""
+        return np.asarray(self.center, dtype=float)[:dim], self.radius, -1.0 if self.inside else 1.0
+
+    @staticmethod
+    def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:
         """Distance from the circle or sphere and its radial normal; see :class:`Shape`."""
-        r = y - np.asarray(self.center, dtype=float)[: y.shape[1]]
+        center, radius, sign = numbers
+        r = y - center
         length = np.linalg.norm(r, axis=1)
         # at the centre any normal serves
         n = np.where(length[:, None] > 0, r / np.where(length > 0, length, 1.0)[:, None], np.eye(y.shape[1])[0])
-        sign = -1.0 if self.inside else 1.0
-        return sign * (length - self.radius), sign * n
+        return sign * (length - radius), np.reshape(sign, (-1, 1)) * n
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,28 +138,24 @@ class Cylinder(Shape):
         """The smaller of diameter and length."""
         return min(2.0 * self.radius, self.length)
 
-    @cached_property
-    def direction(self) -> Array:
-        """Unit vector along the axis."""
-        return _unit(self.axis, "Cylinder: axis")
+    def numbers(self, dim: int) -> tuple[Any, ...]:
+        """Unit vector along the axis, centre, radius, length."""
+        require(dim == 3, "Cylinder is a shape of space; use Sphere for a disk in the plane.")
+        return _unit(self.axis, "Cylinder: axis"), np.asarray(self.center, dtype=float), self.radius, self.length
 
-    def evaluate(self, y: Array) -> tuple[Array, Array]:
+    @staticmethod
+    def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:
         """Distance from the cylinder, rounded outside its rims, and its gradient; see :class:`Shape`."""
-        require(y.shape[1] == 3, "Cylinder is a shape of space; use Sphere for a disk in the plane.")
-        e = self.direction
-        r = y - np.asarray(self.center, dtype=float)
+        e, center, radius, length = numbers
+        r = y - center
         # along the axis, and across it
-        z = r @ e
+        z = (r * e).sum(1)
         across = r - z[:, None] * e
         rho = np.linalg.norm(across, axis=1)
         n_side = across / np.where(rho > 0, rho, 1.0)[:, None]
-        if not np.isfinite(self.length):
-            return rho - self.radius, n_side
 
-        side = rho - self.radius
-        cap = np.abs(z) - self.length / 2
         n_cap = np.sign(z)[:, None] * e
-        return _rounded(side, cap, n_side, n_cap)
+        return _rounded(rho - radius, np.abs(z) - 0.5 * np.asarray(length), n_side, n_cap)
 
 
 def _rounded(a: Array, b: Array, na: Array, nb: Array) -> tuple[Array, Array]:
@@ -188,16 +198,20 @@ class Box(Shape):
         """The shortest edge."""
         return float(np.min(np.asarray(self.size, dtype=float)))
 
-    def evaluate(self, y: Array) -> tuple[Array, Array]:
-        """Distance from the box, rounded outside its edges, and its gradient; see :class:`Shape`."""
-        dim = y.shape[1]
+    def numbers(self, dim: int) -> tuple[Any, ...]:
+        """Half edges, centre, directions of the edges, rows."""
         half = np.asarray(self.size, dtype=float)[:dim] / 2
         require(
             len(half) == dim and bool((half > 0).all()),
             f"Box: size {self.size!r} must be {dim} positive lengths.",
         )
+        return half, np.asarray(self.center, dtype=float)[:dim], self.axes.T
 
-        r = (y - np.asarray(self.center, dtype=float)[:dim]) @ self.axes
+    @staticmethod
+    def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:
+        """Distance from the box, rounded outside its edges, and its gradient; see :class:`Shape`."""
+        half, center, edges = numbers
+        r = (edges @ (y - center)[:, :, None])[:, :, 0]
         # outside: distance to the nearest point of the box; inside: to the nearest side
         over = np.abs(r) - half
         outside = np.maximum(over, 0.0)
@@ -206,9 +220,38 @@ class Box(Shape):
         d = np.where(far > 0, far, inner)
 
         side = np.where(r < 0, -1.0, 1.0)
-        n_in = side * (np.arange(dim) == over.argmax(axis=1)[:, None])
+        n_in = side * (np.arange(y.shape[1]) == over.argmax(axis=1)[:, None])
         n_out = side * outside / np.where(far > 0, far, 1.0)[:, None]
-        return d, np.where(far[:, None] > 0, n_out, n_in) @ self.axes.T
+        local = np.where(far[:, None] > 0, n_out, n_in)
+        return d, (local[:, None] @ edges)[:, 0]
+
+
+KNOWN = (HalfSpace, Sphere, Cylinder, Box)  # given by numbers, in the order of the compiled driver
+
+
+Distance = Callable[[Array], tuple[Array, Array]]
+
+
+def distances(shapes: list[Shape], of: np.ndarray, dim: int) -> list[tuple[np.ndarray, Distance]]:
+    """Which points see shapes of one kind, and what tells their distances and gradients in one call.
+
+    ``of`` (m,): number of the shape that each point sees.
+    """
+    kinds: dict[Any, list[int]] = {}
+    for i, shape in enumerate(shapes):
+        kinds.setdefault(type(shape) if type(shape) in KNOWN else id(shape), []).append(i)
+
+    found: list[tuple[np.ndarray, Distance]] = []
+    for members in kinds.values():
+        first = shapes[members[0]]
+        at = np.flatnonzero(np.isin(of, members))
+        if type(first) not in KNOWN:
+            found.append((at, first.evaluate))
+            continue
+        which = np.searchsorted(members, of[at])
+        numbers = zip(*(shapes[i].numbers(dim) for i in members), strict=True)
+        found.append((at, partial(first.distance, numbers=tuple(np.array(x)[which] for x in numbers))))
+    return found
 
 
 @dataclass(frozen=True, eq=False)

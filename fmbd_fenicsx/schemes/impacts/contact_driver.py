@@ -16,7 +16,7 @@ from ...linear.complementarity.normal import ContactCounts
 from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import ContactSet
-from ...mechanics.contact.shapes import Box, Cylinder, HalfSpace, Shape, Sphere
+from ...mechanics.contact.shapes import KNOWN, Shape
 from ...mechanics.joints.relative import ExpressedCoordinate
 from ...rotations import Array, Motions
 from ...system.compiled.blocks import Ring, block_size, state_of
@@ -104,19 +104,11 @@ def pair_structure(motions: Motions) -> type[ctypes.Structure]:
     return type("Pair", (ctypes.Structure,), {"_fields_": fields})
 
 
-def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
+def shape_data(shape: Shape, dim: int) -> tuple[int, Array]:
     """Kind and numbers of a shape as ``driver/contact.c`` reads them."""
-    if type(shape) is HalfSpace:
-        point, normal = (x[:dim] for x in shape.plane)
-        return 0, [*normal, float(point @ normal)]
-    if type(shape) is Sphere:
-        return 1, [*np.asarray(shape.center, dtype=float)[:dim], shape.radius, -1.0 if shape.inside else 1.0]
-    if type(shape) is Cylinder:
-        return 2, [*shape.direction, *np.asarray(shape.center, dtype=float), shape.radius, shape.length]
-    if type(shape) is Box:
-        half = np.asarray(shape.size, dtype=float)[:dim] / 2
-        return 3, [*half, *np.asarray(shape.center, dtype=float)[:dim], *shape.axes.T.ravel()]
-    return OWN, []
+    if type(shape) not in KNOWN:
+        return OWN, np.zeros(0)
+    return KNOWN.index(type(shape)), np.concatenate([np.ravel(x) for x in shape.numbers(dim)])
 
 
 def known(contacts: ContactSet, pair: Any) -> bool:
@@ -233,13 +225,11 @@ class ContactDriver:
     def _obstacle(self, one: Any, pair: ObstaclePair) -> None:
         """Shape and carrier of an obstacle, and the modes of the nodes that may touch it."""
         found = shape_data(pair.shape, self.tables.dim)
-        one.shape, one.data[: len(found[1])] = found[0], found[1]
+        one.shape, one.data[: len(found[1])] = found[0], list(found[1])
         if not pair.moving and 0 <= pair.carrier.frame < self.system.n_frames:
             one.carrier = pair.carrier.frame
         elif not pair.moving:
-            # of the ground: no configuration matters
-            at_rest = self.contacts.pose(self.system, pair.carrier, 0.0, np.zeros(self.nq))
-            one.pose[:] = list(at_rest)
+            one.pose[:] = list(pair.carrier.offset)
         if pair.slave.surface is not None:
             trace: Any = self.contacts.traces[pair.slave.trace]
             modes = trace.modes.reshape(trace.n, self.tables.dim, -1)

@@ -132,7 +132,8 @@ class ContactLedger(Remembering):
         force = np.zeros_like(end.x)
         if forces.rows is not None:
             force[forces.near] = in_world(forces.rows, forces.force)
-            self.impulse = self.impulse + h * np.array([force[c.pair == i].sum(0) for i in range(len(self.impulse))])
+            self.impulse = self.impulse.copy()
+            np.add.at(self.impulse, c.pair, h * force)
         normal = self.force[:, 0].copy()
         found = ContactForces(
             c.names, forces.time, c.pair, end.x, end.normal, end.geometric, normal, force, c.pressures(normal),
