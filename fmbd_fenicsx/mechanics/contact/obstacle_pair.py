@@ -59,13 +59,13 @@ class ObstacleSearch:
         # nodes of traces: candidates, their nodes, and both as a matrix (m, n_trace)
         of_trace = np.repeat([s.trace for s in sides], counts)
         self.nodes: dict[int, tuple[np.ndarray, np.ndarray, Any]] = {}
-        for i in np.unique(of_trace[of_trace >= 0]):
+        for i in sorted(set(of_trace[of_trace >= 0].tolist())):
             at = np.flatnonzero(of_trace == i)
             nodes = np.concatenate([s.surface.nodes for s in sides if s.surface is not None and s.trace == i])
             picked = sp.csr_matrix((np.ones(len(at)), (at, nodes)), shape=(self.count, traces[i].n))
-            self.nodes[int(i)] = at, nodes, picked
-        on_fields = [i for i, tr in enumerate(traces) if isinstance(tr, FieldTrace)]
-        self.multiplier = np.where(np.isin(of_trace, on_fields), of_trace, -1)
+            self.nodes[i] = at, nodes, picked
+        on_field = np.array([*(isinstance(tr, FieldTrace) for tr in traces), False])
+        self.multiplier = np.where(on_field[of_trace], of_trace, -1)
 
     def _place(
         self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here

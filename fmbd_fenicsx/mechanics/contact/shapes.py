@@ -244,13 +244,14 @@ def distances(shapes: list[Shape], of: np.ndarray, dim: int) -> list[tuple[np.nd
     found: list[tuple[np.ndarray, Distance]] = []
     for members in kinds.values():
         first = shapes[members[0]]
-        at = np.flatnonzero(np.isin(of, members))
+        place = np.full(len(shapes), -1)
+        place[members] = np.arange(len(members))
+        at = np.flatnonzero(place[of] >= 0)
         if type(first) not in KNOWN:
             found.append((at, first.evaluate))
             continue
-        which = np.searchsorted(members, of[at])
         numbers = zip(*(shapes[i].numbers(dim) for i in members), strict=True)
-        found.append((at, partial(first.distance, numbers=tuple(np.array(x)[which] for x in numbers))))
+        found.append((at, partial(first.distance, numbers=tuple(np.array(x)[place[of[at]]] for x in numbers))))
     return found
 
 
