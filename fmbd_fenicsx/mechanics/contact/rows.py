@@ -188,7 +188,9 @@ class ContactSet:
         self.on_fields = {i: tr for i, tr in enumerate(traces) if isinstance(tr, FieldTrace)}
         self.frictional = any(p.friction > 0 for p in pairs)
         self.names = tuple(p.name for p in pairs)
-        self.groups = [g for kind, some in groupby(pairs, type) for g in kind.together(list(some), motions, traces)]
+        self.groups = [
+            g for join, some in groupby(pairs, lambda p: p.together) for g in join(list(some), motions, traces)
+        ]
         self._chosen = np.array([np.nan if p.search is None else p.search for p in pairs])
         self._blank: dict[int, list[Any]] = {}
 
