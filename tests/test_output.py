@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.errors import ConvergenceError, InputError
 from fmbd_fenicsx.run.accuracy import estimates
 from fmbd_fenicsx.run.recording.progress_bar import Progress
 
@@ -64,6 +64,12 @@ def test_records_after_the_end_of_the_run_are_refused():
 @pytest.fixture(scope="module")
 def fine():
     return solve(2e-4, energy=False)
+
+
+def test_times_after_the_end_are_refused():
+    output = fmbd.Output(times=(0.05, 0.1, 0.2, 0.3))
+    with pytest.raises(InputError, match=r"up to 0\.3 s, and the run ends at t_end = 0\.1 s: 2 of 4"):
+        fmbd.solve(pendulum(), t_end=0.1, dt=0.01, output=output)
 
 
 @pytest.mark.parametrize("every", [1, 7])

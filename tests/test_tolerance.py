@@ -14,7 +14,7 @@ from tolerance_more import MORE
 from tolerance_scenes import CASES, MESHES, TIMES, check
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import ConvergenceError, PartsError
+from fmbd_fenicsx.errors import ConvergenceError, InputError, PartsError
 from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run import single_run
 from fmbd_fenicsx.run.accuracy import companion_runs, estimates, next_attempt, shared_runs, tolerance
@@ -115,6 +115,12 @@ def test_meshes_are_looked_at_with_few_steps() -> None:
     first, look, last = run.history
     assert look.step >= 3.9 * last.step and look.then == "finer meshes" and look.worst > 0.6
     assert (first.meshes, look.meshes, last.meshes) == (0, 1, 2) and last.then == "done"
+
+
+@pytest.mark.parametrize(("tol", "words"), [(1e-3, "0.001"), ("tip", "1e-3")])
+def test_a_tolerance_without_its_sensor_is_refused_with_the_remedy(tol: Any, words: str) -> None:
+    with pytest.raises(InputError, match=rf'names no sensor.*tol={{"x": {words}}}'):
+        fmbd.solve(pendulum(), t_end=0.1, tol=tol)
 
 
 @pytest.mark.parametrize("name", ["mass on spring", "clamped beam", "geared chain"])

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..checks import instance, shown
-from ..errors import require
+from ..errors import InputError, require
 from ..schemes.dae import Index3
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.contents import contents_of
 from ..system.scene.scene import Scene
-from .recording.output import Output
+from .recording.output import ROUNDING, Output
 
 
 def check_settings(scene: Any, newton: Any, output: Any, restart: Any) -> None:
@@ -39,6 +40,27 @@ def check_ways(linear: Any, checkpoint: Any) -> None:
         from .checkpoints.checkpoint import Checkpoint
 
         instance("solve: checkpoint", checkpoint, Checkpoint)
+
+
+def check_is_of_sensors(scene: Scene, tol: Any) -> None:
+    """Refuse a tolerance that names no sensor: what it allows depends on what is measured."""
+    name = next(iter(scene.sensors), "tip")
+    given = f"{tol:g}" if isinstance(tol, int | float) else "1e-3"
+    require(
+        isinstance(tol, Mapping),
+        f"solve: tol {shown(tol)} names no sensor. Give each sensor that matters its tolerance, in its unit or as a share of its "
+        f'range: tol={{"{name}": {given}}}, tol={{"{name}": fmbd.relative(1e-3)}}.',
+    )
+
+
+def check_times(times: Sequence[float], t_end: float) -> None:
+    """Refuse times (s) to record at when a run that ends at ``t_end`` (s) is over."""
+    after = sum(t > t_end * (1 + ROUNDING) for t in times)
+    if after:
+        raise InputError(
+            f"Output: times go up to {times[-1]:g} s, and the run ends at t_end = {t_end:g} s: {after} of {len(times)} would never "
+            "come. Leave them out, or take a larger t_end."
+        )
 
 
 def check_tangent(scheme: Any, newton: Newton | None) -> None:

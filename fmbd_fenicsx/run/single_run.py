@@ -23,6 +23,7 @@ from .problem import Problem, make_solver
 from .recording.output import Output, refuse_too_many
 from .result import Run
 from .schedule import StepSchedule
+from .settings import check_times
 from .time_loop import March, march
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ def run_once(
     task: Task, built: Built, *, checkpoint: Checkpoint | None = None, restart: str | Path | None = None
 ) -> Solved:
     """Consistent start and march of a system that may have made other runs before; collective."""
+    if task.output.times is not None:
+        check_times(task.output.times, task.schedule.t_end)
     refuse_too_many(task.output, built.system, task.schedule.t_end, task.schedule.steps)
     advise_on_ranks(built.system)
 

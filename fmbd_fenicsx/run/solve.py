@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..checks import instance
 from ..errors import require
 from ..log import install_hooks
 from ..schemes.declared import Declared, checked_scheme
@@ -18,7 +17,7 @@ from .built import build
 from .recording.output import Output
 from .result import Run
 from .schedule import step_schedule
-from .settings import check_contents, check_settings, check_tangent, check_ways
+from .settings import check_contents, check_is_of_sensors, check_settings, check_tangent, check_ways
 from .single_run import Task, run_once
 
 if TYPE_CHECKING:
@@ -72,7 +71,7 @@ def solve(
     check_settings(scene, newton, output, restart)
     check_ways(linear, checkpoint)
     if tol is not None:
-        instance("solve: tol", tol, Mapping)
+        check_is_of_sensors(scene, tol)
         if scheme is not None:
             check_contents(scene, checked_scheme(scheme))
         from .accuracy.tolerance import solve_within

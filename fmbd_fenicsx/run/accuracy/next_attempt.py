@@ -128,7 +128,8 @@ def next_plan(
         tried = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes) and np.isinf(a.worst)]
         return (None, run.space_unstated) if tried else (finer_steps(plan, NEAR), "finer steps")
 
-    over = {kind: max(share(run.certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
+    certificate = run.certificate
+    over = {kind: max(share(certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
     made, done = plan, []
     if over["algebra"] > AIM:
         smaller = shared.newton.tolerance * TIGHTER / over["algebra"]
@@ -155,7 +156,7 @@ def next_plan(
             made = replace(made, scene=scene, modes=made.modes + 1, below=tuple(below))
             done.append("more modes")
     except InputError as error:
-        known = run.certificate.unstated.get("space")
+        known = certificate.unstated.get("space")
         return None, f"{error}" + (f" Of its error in space: {known}." if known else "")
 
     made = replace(made, known=_still_known(plan, made, run, over, limits))

@@ -27,6 +27,7 @@ from ..result import Run
 from ..schedule import StepSchedule, step_schedule
 from ..settings import check_tangent
 from ..single_run import Solved
+from .certificate import Certificate
 from .companion_runs import UNFIT, Compared
 from .estimates import TimeError, reduction_error, tolerance_error, warn_of_uncertain
 from .next_attempt import AttemptPlan, Looked, finer_steps, next_plan, space_first, space_limit
@@ -170,11 +171,12 @@ def _one_more(
         return looked.plan
 
     run, orders = _attempt(plan, tol, shared, wanted)
-    ratio = worst(run.certificate, tol)
+    certificate = run.certificate
+    ratio = worst(certificate, tol)
     found.take(run, ratio, plan)
-    made, then = _after(replace(plan, orders=orders), run, ratio, tol=tol, shared=shared, found=found)
+    made, then = _after(replace(plan, orders=orders), run, certificate, tol=tol, shared=shared, found=found)
 
-    errors = {n: run.certificate[n].sum for n in tol}
+    errors = {n: certificate[n].sum for n in tol}
     seconds = clock.perf_counter() - begun
     found.history.append(Attempt(plan.step, plan.meshes, plan.modes, ratio, errors, seconds, then))
     if made is None:
@@ -188,10 +190,11 @@ def _anew(plan: AttemptPlan) -> AttemptPlan:
 
 
 def _after(
-    tried: AttemptPlan, run: Run, ratio: float, *, tol: Tolerance, shared: SharedRuns, found: Search
+    tried: AttemptPlan, run: Run, certificate: Certificate, *, tol: Tolerance, shared: SharedRuns, found: Search
 ) -> tuple[AttemptPlan | None, str]:
     """The plan after an attempt and what it changes, or None and why there is none; collective."""
-    if safe(run.certificate, tol):
+    ratio = worst(certificate, tol)
+    if safe(certificate, tol):
         return None, "done"
     if why := found.stalled(tried, ratio):
         return None, why
@@ -253,8 +256,9 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: Outp
 
 def _doubtful(run: Run, tol: Tolerance) -> bool:
     """Whether a run keeps its tolerance if errors go with the usual power of that of its scheme, but not with the least one."""
-    time = max(share(run.certificate, n, x, "time") for n, x in tol.items())
-    likely = worst(run.certificate, tol)
+    certificate = run.certificate
+    time = max(share(certificate, n, x, "time") for n, x in tol.items())
+    likely = worst(certificate, tol)
     return likely <= SAFE < likely + time * (1.0 / doubt(run.scheme.order) - 1.0)
 
 
