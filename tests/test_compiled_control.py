@@ -119,6 +119,8 @@ def solve(scene: fmbd.Scene, t_end: float, *, rtol: float = 1e-4, **given: Any) 
     """A run with steps of its own choice."""
     law = {name: given.pop(name) for name in ("form", "atol") if name in given}
     dt = {"dt": given.pop("dt")} if "dt" in given else {}
+    if "times" in given:
+        given["times"] = tuple(t for t in given["times"] if t <= t_end)
     scheme = fmbd.GeneralizedAlpha(rtol=rtol, **law)
     return fmbd.solve(scene, t_end=t_end, scheme=scheme, output=fmbd.Output(**QUIET, **given), **dt)
 

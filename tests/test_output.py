@@ -56,11 +56,6 @@ def test_impossible_output_is_refused(bad):
         fmbd.Output(**bad)
 
 
-def test_records_after_the_end_of_the_run_are_refused():
-    with pytest.raises(fmbd.errors.InputError, match=r"all times, from 1.5 s on, lie after the end of the run"):
-        solve(1e-3, times=(1.5, 2.0))
-
-
 @pytest.fixture(scope="module")
 def fine():
     return solve(2e-4, energy=False)

@@ -86,6 +86,16 @@ def test_a_looser_run_tells_errors_of_controlled_steps(
     assert true <= tol and 0.5 < run.certificate["x"].total / true < 3.0
 
 
+def test_an_attempt_tells_the_error_of_the_next_one_with_controlled_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its records are those of a run with a looser tolerance: no other one is made."""
+    case, made = CASES["pendulum, Radau"], marches(monkeypatch)
+    output = fmbd.Output(energy=False, progress=False)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"x": 3e-5}, output=output, **case.settings)
+    assert [x.scheme.rtol for x in made] == [1e-4, 1e-3, run.scheme.rtol] and len(run.history) == 2
+    true = float(np.abs(run["x"] - case.reference(case, run.times)).max())
+    assert true <= 3e-5 and 0.5 < run.certificate["x"].total / true < 3.0
+
+
 def test_a_run_in_finer_spaces_that_does_not_end_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     """Smaller steps are tried once; then the search ends with the reason, and not with one about corners."""
 

@@ -16,9 +16,14 @@ from test_field_stages import pendulum
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import LinearSolveError
 from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.run.accuracy.companion_runs import companion
+from fmbd_fenicsx.run.built import build
+from fmbd_fenicsx.run.schedule import StepSchedule
+from fmbd_fenicsx.run.single_run import Task, run_once
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.schemes.onestep.variable_alpha import VariableAlpha, parts
+from fmbd_fenicsx.system.compiled.tables import Tables
 
 PATTERN = (1.0, 0.5, 0.5, 1.5, 0.75, 0.25, 1.5, 2.0)  # sizes of steps over their mean
 
@@ -279,13 +284,23 @@ def test_a_look_ahead_that_cannot_be_solved_is_a_step_too_large(
     assert run.counters["rejected: linear solve failed"] == len(refused)
 
 
-def test_a_few_sizes_of_steps_have_a_driver_each(rod_mesh: Callable[..., Any]) -> None:
-    """Tables of compiled steps are made once for each size that is kept, and steps go back and forth between them."""
-    stepper = stepper_of(knocked(rod_mesh(dim=2, h=0.5, height=0.1)), fmbd.Index3())
-    for h in (1e-3, 2e-3) * 4:
-        stepper.step(h)
-    made = stepper.inner._drivers
-    assert len(made) == 2 and stepper.inner.counters["compiled_steps"] >= 5
-    for h in (1e-3, 2e-3) * 2:
-        stepper.step(h)
-    assert {id(d) for d in stepper.inner._drivers} == {id(d) for d in made}
+def test_sizes_of_steps_and_runs_of_a_system_share_their_tables(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tables of compiled steps and of solutions between them go on with other factors, and tell the same as new ones."""
+    scene = knocked(rod_mesh(dim=2, h=0.5, height=0.1))
+    built, schedule, scheme = build(scene), StepSchedule(0.9, 0, (0.8, 0.802)), fmbd.GeneralizedAlpha(rtol=1e-3)
+    output, made, sized = fmbd.Output(energy=False, progress=False), [], Tables.__init__
+
+    def counted(self: Tables, *given: Any, **more: Any) -> None:
+        made.append(self)
+        sized(self, *given, **more)
+
+    monkeypatch.setattr(Tables, "__init__", counted)
+    first = run_once(Task(scene, scheme, schedule, fmbd.Newton(), None, output), built)
+    assert first.run.counters["factorisations"] > 4 and len(made) <= 3
+    made.clear()
+    again = companion(first.problem, schedule, output)
+    assert not made
+    np.testing.assert_allclose(again.recorder.times, first.run.times, rtol=1e-12)
+    np.testing.assert_allclose(again.state.q, first.run.state.q, atol=1e-11)

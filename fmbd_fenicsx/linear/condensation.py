@@ -423,7 +423,7 @@ class StepSolver:
         """
         ev.take_tangents(increments=self._exact(increments))
         self._held = None
-        self.blocks = self.elastic.of(self.jacobian, self.weights, ties_apart=False, splits=False)
+        self.blocks = self.elastic.of(ev.jacobian, self.weights, ties_apart=False, splits=False)
         return self.blocks
 
     def _exact(self, increments: Mapping[int, Array]) -> dict[int, Array]:

@@ -12,7 +12,7 @@ from ..rotations import Array
 from ..system.compiled.choice import solves
 from ..system.compiled.evaluation import DriverEvaluation, DriverStates
 from ..system.compiled.explicit import ExplicitStates, Stages, Tableau
-from ..system.compiled.field_states import FactoredFieldStates, FieldStates
+from ..system.compiled.field_states import FieldStates
 from ..system.evaluation import Evaluation
 from ..system.system import State, System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
@@ -102,7 +102,7 @@ class DriverSolver:
 
 
 class FieldDriverSolver(DriverSolver):
-    """The same with elastic fields: tables of their own for the factors of each size of step, as long as these are kept.
+    """The same with elastic fields: tables with the factors of a size of step, which the runs of a system share.
 
     Rows that depend on each other are NumPy's.
     """
@@ -111,30 +111,24 @@ class FieldDriverSolver(DriverSolver):
         """``states``: those that are asked for; ``elastic``: the factors of fields."""
         super().__init__(states, core)
         self.told, self.elastic = states, elastic
-        self._sets: list[tuple[list[FactoredField], FactoredFieldStates, ExplicitStates]] = []
         self._versions: list[tuple[Any, Any]] = []  # of tangents and columns in the matrix prepared last
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
-        """Whether the matrix prepared last is this one, by the same tangents."""
-        return super().holds(ev, weights) and self._versions == self.elastic.versions(ev.t)
+        """Whether the matrix prepared last is this one, by the same tangents; another solver may have used the tables since."""
+        same = self.told.factored_by(self.blocks) and super().holds(ev, weights)
+        return same and self._versions == self.elastic.versions(ev.t)
 
     def _evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         return self.told.evaluated(ev)
 
     def _choose(self, ev: DriverEvaluation, weights: Weights) -> None:
-        """Take the tables with the factors of a size of step; new ones where these are."""
-        blocks, before = self.elastic.of(ev.jacobian, weights, ties_apart=False, splits=False), self.blocks
+        """Give the tables the factors of a size of step."""
+        self.blocks = self.elastic.of(ev.jacobian, weights, ties_apart=False, splits=False)
         self._versions = self.elastic.versions(ev.t)
-        if blocks is before:
-            return
-        self._sets = [x for x in self._sets if self.elastic.keeps(x[0])]
-        found = next((x for x in self._sets if x[0] is blocks), None)
-        if found is None:
-            states = FactoredFieldStates(self.told, blocks)
-            found = blocks, states, ExplicitStates(states)
-            self._sets.append(found)
-        self._counted += found[1].factors - self.states.factors
-        self.blocks, self.states, self.explicit = found
+        found = self.told.factored(self.blocks)
+        if found is not self.states:
+            self._counted += found.factors - self.states.factors
+            self.states, self.explicit = found, ExplicitStates(found)
 
     def _usable_at(self, t: float, q: Array, v: Array) -> bool:
         if self.usable is False:

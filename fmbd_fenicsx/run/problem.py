@@ -40,6 +40,7 @@ class Problem:
     pressures: list[Array]  # that bodies carry as unknowns
     warned: Gathered | None = None  # the warnings of the run; None: it warns of nothing
     most_parts: float | None = None  # times that steps may be halved; None: as often as that helps
+    beside: tuple[float, ...] = ()  # times at which sensors are recorded beside what the run is asked for, s
 
 
 def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:

@@ -58,8 +58,8 @@ def check_times(times: Sequence[float], t_end: float) -> None:
     after = sum(t > t_end * (1 + ROUNDING) for t in times)
     if after:
         raise InputError(
-            f"Output: times go up to {times[-1]:g} s, and the run ends at t_end = {t_end:g} s: {after} of {len(times)} would never "
-            "come. Leave them out, or take a larger t_end."
+            f"Output: times go up to {times[-1]:g} s, and the run ends at t_end = {t_end:g} s: {after} of {len(times)} would "
+            "never come. Leave them out, or take a larger t_end."
         )
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Task:
-    """What a run is asked for; ``newton`` is its own, and counts. ``most_parts``: see :class:`.problem.Problem`."""
+    """What a run is asked for; ``newton`` is its own, and counts. ``most_parts``, ``beside``: see :class:`.Problem`."""
 
     scene: Scene
     scheme: Any
@@ -41,6 +41,7 @@ class Task:
     linear: Any
     output: Output
     most_parts: float | None = None
+    beside: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,7 @@ def _problem(task: Task, built: Built, solver: StepSolver, start: ConsistentStar
         pressures=solver.pressures,
         warned=built.warned,
         most_parts=task.most_parts,
+        beside=task.beside,
     )
 
 

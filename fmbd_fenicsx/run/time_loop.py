@@ -186,6 +186,10 @@ class Loop:
         steps = self.schedule.steps
         expected = steps // self.output.every + 2 if steps else 0
         recorder = Recorder(problem.scene, problem.system, problem.markers, self.output, self.schedule.t_end, expected)
+        if problem.beside:
+            from .recording.accompanied import Accompanied
+
+            recorder = Accompanied(recorder, problem.beside)
         recorder.closed = Closed.under(problem.system, problem.scheme)
         recorder.warned = problem.warned
         recorder.take(0, first, self.stepper.evaluation)

@@ -53,7 +53,7 @@ def companion(problem: Problem, schedule: StepSchedule, output: Output, of: Buil
             problem = replace(problem, system=system, markers=of.markers, given=of.given)
 
         newton, pressures = problem.newton.afresh(), solver.pressures
-        made = replace(problem, start=start, newton=newton, pressures=pressures, warned=None)
+        made = replace(problem, start=start, newton=newton, pressures=pressures, warned=None, beside=())
         marched = march(made, solver, schedule, output)
     finally:
         solver.destroy()

@@ -18,6 +18,7 @@ from ...system.scene.refinement import finer_space
 from ...system.scene.scene import Scene
 from ..built import Built, build
 from ..problem import Problem
+from ..recording.accompanied import Accompanied
 from ..recording.output import Output, Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March
@@ -37,7 +38,7 @@ ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 FALLING = 3.0  # from one level to the next; below, the differences of levels do not tell the error
 UNENDED = "the run with finer spaces did not end"
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
-LOOKED_AT = 100  # instants at which runs with steps of their own choice are compared
+LOOKED_AT = 50  # instants at which runs with steps of their own choice are compared
 TENTH = 1.25  # the error of a run with a tenth of the tolerance counts as at most a fifth of that of the given one
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
 
@@ -172,15 +173,35 @@ def tolerance_error(problem: Problem, coarse: Recorder, schedule: StepSchedule) 
     return {n: scaled(x, TENTH) for n, x in apart.items()}
 
 
-def looser_error(problem: Problem, given: Compared, power: float) -> tuple[dict[str, Deviation], Compared]:
-    """The same from a run with ten times the tolerance, and that run, where errors go with a ``power`` of it; collective.
-
-        x - x_r ~ (x_r - x_10r) / (10^power - 1)                                                                     (1)
+def looser_run(problem: Problem, given: Compared) -> tuple[dict[str, Deviation], Compared]:
+    """What a given run has beyond one with ten times the tolerance, and that one; collective.
 
     It costs half of what a tenth does, and knows less: powers seen between two runs scatter between 1/2 and 1.2.
     """
     apart, loose = _from_tolerance(problem, given, 10.0 * problem.scheme.rtol)
-    return {n: scaled(x, -1.0 / (10.0**power - 1.0)) for n, x in apart.items()}, loose
+    return {n: scaled(x, -1.0) for n, x in apart.items()}, loose
+
+
+def beyond(given: Recorder, before: Compared) -> dict[str, Deviation]:
+    """What a given run has beyond an attempt before it with a larger tolerance, at the records of that."""
+    assert isinstance(given, Accompanied)
+    beside, rows = given.beside, looked_at(before.recorder)
+    return {n: Deviation(beside.times, x - before.recorder.series[n][rows]) for n, x in beside.series.items()}
+
+
+def of_tolerances(apart: dict[str, Deviation], ratio: float, power: float) -> dict[str, Deviation]:
+    """Errors from what a run has beyond one with a tolerance larger by a ``ratio``, where errors go with a ``power`` of it:
+
+    x - x_r ~ (x_r - x_Rr) / (R^power - 1)                                                                           (1)
+    """
+    return {n: scaled(x, 1.0 / (ratio**power - 1.0)) for n, x in apart.items()}
+
+
+def looked_at(made: Recorder) -> np.ndarray:
+    """Rows of some of the records of a run."""
+    # records between the ends of steps are made one by one
+    count = len(made.times)
+    return np.unique(np.linspace(0, count - 1, min(count, LOOKED_AT)).round().astype(int))
 
 
 def usual_power(order: int) -> float:
@@ -193,9 +214,7 @@ def usual_power(order: int) -> float:
 def _from_tolerance(problem: Problem, given: Compared, rtol: float) -> tuple[dict[str, Deviation], Compared]:
     """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective."""
     recorder, schedule = given.recorder, given.schedule
-    # records between the ends of steps are made one by one
-    count = len(recorder.times)
-    rows = np.unique(np.linspace(0, count - 1, min(count, LOOKED_AT)).round().astype(int))
+    rows = looked_at(recorder)
     wanted = Output(energy=False, progress=False, times=tuple(recorder.times[rows]))
     other = replace(problem, scheme=replace(problem.scheme, rtol=rtol))
     made = Compared(companion(other, schedule, wanted).recorder, schedule, other.scheme)

@@ -30,14 +30,16 @@ from .estimates import (
     FEWEST,
     UNENDED,
     TimeError,
+    beyond,
     compare_steps,
     finer_scene,
     from_below,
     levels_compared,
-    looser_error,
+    looked_at,
+    looser_run,
     of_order,
+    of_tolerances,
     run_like,
-    scaled,
     space_deviations,
     tolerance_error,
     unended,
@@ -48,6 +50,7 @@ from .orders import REGULAR, expected_orders, resolved
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
+LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
 LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
@@ -84,6 +87,7 @@ class SharedRuns:
         self._finer: dict[int, tuple[Scene, str, Built | None]] = {}
         self._runs: dict[int, dict[int, Compared]] = {}
         self._newest: Problem | None = None  # of a run: others have its scheme and settings
+        self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
@@ -105,7 +109,9 @@ class SharedRuns:
 
     def solve(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Solved:
         """One run, kept for later ones with smaller steps to be compared with; collective."""
-        task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, PARTED * schedule.steps)
+        parted, before = PARTED * schedule.steps, self._before(scene, scheme, schedule)
+        beside = () if before is None else tuple(before.recorder.times[looked_at(before.recorder)])
+        task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, parted, beside)
         solved = run_once(task, self.built(scene))
         self._newest = solved.problem
         if not solved.run.counters.get("halved_steps"):
@@ -238,23 +244,35 @@ class SharedRuns:
     def tolerance_error(self, solved: Solved, allowed: Allowed) -> TimeError:
         """The error by the tolerance of a scheme with error control; collective.
 
-        A run with ten times the tolerance tells it, where it is too large anyway, and where it is not even if errors fell with
-        the least power of tolerances only; in between one with a tenth.
+        A run with a looser one, the attempt before or one with ten times the tolerance, tells it where it is too large anyway,
+        and where it is not even if errors fell with the least power of tolerances only; in between one with a tenth.
         """
         problem, given = solved.problem, solved.compared
-        power, order = LEAST_POWER, problem.scheme.order
-        if problem.scheme.rtol <= LOOSE:
+        before = self._before(problem.scene, problem.scheme, given.schedule)
+        self._chosen[id(problem.scene)] = given
+        looser: tuple[dict[str, Deviation], Compared] | None = None
+        if before is not None:
+            looser = beyond(given.recorder, before), before
+        elif problem.scheme.rtol <= LOOSE:
             try:
-                errors, loose = looser_error(problem, given, power)
+                looser = looser_run(problem, given)
             except UNFIT:
                 pass
-            else:
-                likely = {n: scaled(x, doubt(order)) for n, x in errors.items()}
-                if allowed.share(errors) <= allowed.room:
-                    return TimeError(likely, {}, loose)
-                if allowed.share(likely) > allowed.room:
-                    return TimeError(likely, {}, given)
+
+        if looser is not None:
+            apart, loose = looser
+            ratio, order = loose.scheme.rtol / problem.scheme.rtol, problem.scheme.order
+            least, likely = (of_tolerances(apart, ratio, power) for power in (LEAST_POWER, usual_power(order)))
+            if allowed.share(least) <= allowed.room or allowed.share(likely) > allowed.room:
+                return TimeError(likely, {}, loose)
         return TimeError(tolerance_error(problem, given.recorder, given.schedule), {}, given)
+
+    def _before(self, scene: Scene, scheme: Any, schedule: StepSchedule) -> Compared | None:
+        """The attempt before with steps of its own choice, where its tolerance is as much looser as tells an error."""
+        found = None if schedule.steps else self._chosen.get(id(scene))
+        if found is None or not LOOSER[0] <= found.scheme.rtol / scheme.rtol <= LOOSER[1]:
+            return None
+        return found
 
     # -- errors in space ----------------------------------------------------------------------------------------------
     def space_error(

@@ -15,6 +15,7 @@ import numpy as np
 from ...rotations import Array
 from ...system.compiled.blocks import Block as StateBlock
 from ...system.compiled.blocks import Ring
+from ...system.compiled.bodies import covers_bodies
 from ...system.compiled.calls import Calls
 from ...system.compiled.choice import STORAGE_LIMIT, solves
 from ...system.compiled.fields import Block
@@ -23,7 +24,7 @@ from ...system.compiled.library import driver_library, units_of
 from ...system.compiled.recording import Openness, Tape
 from ...system.compiled.resting import twin_of
 from ...system.compiled.structures import address_of, enumeration
-from ...system.compiled.tables import Tables, covers_bodies
+from ...system.compiled.tables import Tables
 from ...system.system import State, System
 
 if TYPE_CHECKING:
@@ -41,9 +42,9 @@ DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE = enumeration("DONE").values()
 class AlphaDriver:
     """The driver for one system: its tables, its calls into Python, and a ring of four states."""
 
-    def __init__(self, library: Any, tables: Tables, calls: Calls, *, blocks: Sequence[Block] = ()) -> None:
+    def __init__(self, library: Any, tables: Tables, calls: Calls) -> None:
         system = tables.system
-        self.system, self.library, self.field_blocks = system, library, blocks
+        self.system, self.library = system, library
         self.tables, self.calls = tables, calls
         self.address = ctypes.addressof(self.tables.c)
         self.ring = Ring(system, 4)
@@ -165,6 +166,22 @@ def alpha_driver(
     library = drivable(system)
     if library is None:
         return None
+    tables, calls = _field_tables(system, redundant, blocks)
+    return AlphaDriver(library, tables, calls) if tables.fronts.storage <= STORAGE_LIMIT else None
+
+
+def _field_tables(system: System, redundant: bool, blocks: Sequence[Block]) -> tuple[Tables, Calls]:
+    """Tables with factors of the fields: those that another size of step or an earlier run had, where these remember nothing of
+    its steps and its tangents.
+    """
+    known: tuple[Tables, Calls] | None = system.cache.get("tables of steps")
+    if known is not None and blocks:
+        tables = known[0]
+        remembers = (
+            tables.c.remembers or tables.sampled or tables.whole or any(field.changes for field in tables.fields)
+        )
+        if not remembers and tables.c.redundant == redundant and tables.take(blocks):
+            return known
     tables = Tables(system, redundant=redundant, blocks=blocks)
-    small = tables.fronts.storage <= STORAGE_LIMIT
-    return AlphaDriver(library, tables, Calls(tables), blocks=blocks) if small else None
+    made = system.cache["tables of steps"] = tables, Calls(tables)
+    return made

@@ -11,7 +11,7 @@ from ...system.system import State
 from ..dae import GGL
 from . import alpha_driver as slots
 from .alpha_driver import AlphaDriver, settings
-from .alpha_step import FAR, PATIENCE, AlphaStep
+from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
 from .generalized_alpha import CLOSINGS, SHUT, AlphaStepper
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ class CompiledAlphaStepper(AlphaStepper):
         self._driven = False  # the driver made the last step, and has its factor
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
         self._refused: tuple[State, float] | None = None  # where the driver gave a step of this size back
+        self._foretold: tuple[float, StepStart] | None = None  # the first step of a size, s
         super().__init__(*data)
         self.counters["compiled_steps"] = 0.0
         if driver is not None:
@@ -135,10 +136,19 @@ class CompiledAlphaStepper(AlphaStepper):
             return super().advance(h)
         return self.state  # who called notes the memory of elements when the step is accepted
 
+    def _first(self, rule: Rule) -> StepStart:
+        """As :meth:`Stepper._first`, found once for a step that the driver gives back."""
+        known = self._foretold
+        if known is None or known[0] != rule.h or known[1].state is not self.state:
+            self._foretold = known = rule.h, super()._first(rule)
+        return known[1]
+
     def _first_march(self, h: float, watch: Watch | None = None, tape: Tape | None = None) -> int:
         """The first step after a consistent start, as :meth:`Stepper._first` prepares it; 1, or 0 where it fails."""
         s = self.state
-        start = self._predicted(self.scheme.rule(h))
+        start = self._predicted(self.scheme.rule(h))  # which factors the fields
+        if not self._ready(h):
+            return 0
 
         # the predictor of the driver is a line through two states: one before the start that leads to what was predicted
         place = np.zeros(self.system.n_q)

@@ -1,11 +1,11 @@
 """Compiled steps of systems with floating elastic fields: the driver needs the fields' factors of a step's size first.
 
-There is one driver for each set of factors that the solver keeps, so that steps may change between a few sizes.
+Its tables go on with other factors when the size of steps changes, and in other runs of the system.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .alpha_driver import AlphaDriver, alpha_driver
 from .compiled_stepper import CompiledAlphaStepper
@@ -21,26 +21,18 @@ NEXT = 3  # block of a ring that a step writes
 
 
 class FieldStepper(CompiledAlphaStepper):
-    """The same; the first step of a size, and the first new tangent of a frame with mean axes, are NumPy's."""
-
-    def __init__(self, data: Any, driver: AlphaDriver | None) -> None:
-        self._drivers: list[AlphaDriver] = []  # the one used last is the last
-        super().__init__(data, driver)
+    """The same; the first new tangent of a frame with mean axes is NumPy's."""
 
     def _use(self, driver: AlphaDriver) -> None:
         super()._use(driver)
-        driver.tables.renewed = self._renewed
+        driver.tables.renewed, driver.tables.user = self._renewed, self
 
     def _renewed(self, t: float, increments: dict[int, Array]) -> list[FactoredField]:
         """The fields' blocks with new tangents, for the driver in use, at the state that it evaluated last."""
         _, q, v, a, _, lam = self.driver.block(NEXT)
         ev = self.system.at(t, q, v)
         ev.forces = a, lam  # whose stress the tangents take
-        self.driver.field_blocks = self.solver.renew_fields(ev, increments)
-        return self.solver.blocks
-
-    def _first_march(self, h: float, watch: Watch | None = None, tape: Tape | None = None) -> int:
-        return 0
+        return self.solver.renew_fields(ev, increments)
 
     def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
         return super()._march(h, steps, watch, tape) if not self.fresh and self._ready(h) else 0
@@ -54,25 +46,22 @@ class FieldStepper(CompiledAlphaStepper):
         return bool(self.solver.blocks) and self.solver.weights.ck == self.scheme.rule(h).weights.ck and self._bound()
 
     def _bound(self) -> bool:
-        """Whether there is a driver with the solver's present factors."""
+        """Whether there is a driver with the solver's present factors, for the steps of this stepper."""
         solver = self.solver
         if solver.split is not None or not solver.blocks:
             return False
-        if self._driver is None or self._driver.field_blocks is not solver.blocks:
-            found = self._driver_of_factors()
-            if found is None:
-                return False
-            self._settle()
+        tables = None if self._driver is None else self._driver.tables
+        if tables is not None and tables.user is self and tables.blocks is solver.blocks:
+            return True
+        self._settle()
+        found = self._driver_of_factors()
+        if found is not None:
             self._use(found)
-        return True
+        return found is not None
 
     def _driver_of_factors(self) -> AlphaDriver | None:
-        """The driver with the solver's present factors, an earlier one where there is one."""
-        solver = self.solver
-        found = next((d for d in self._drivers if d.field_blocks is solver.blocks), None)
-        if found is None:
-            found = alpha_driver(self.system, redundant=solver.core.redundant, blocks=solver.blocks)
-        if found is not None:
-            others = [d for d in self._drivers if d is not found]
-            self._drivers = [*others, found][-solver.elastic.kept :]
-        return found
+        """The driver with the solver's present factors: the one in use, where its tables go on with them."""
+        solver, driver = self.solver, self._driver
+        if driver is not None and driver.tables.take(solver.blocks):
+            return driver
+        return alpha_driver(self.system, redundant=solver.core.redundant, blocks=solver.blocks)

@@ -7,9 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.reduction.second_order import SecondOrder
+from ...mechanics.rods.elements import RodElements
 from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
+from ..system import System
+from .fields import known_field
 from .places import rigid_places
 from .structures import structure
 
@@ -106,3 +110,12 @@ def surface(tables: Tables, marker: int) -> Any:
         one.now = store.address(np.zeros((len(ports) + 1, part.n)))
         one.bend_map = store.address(np.zeros((tables.twist, max(len(mine), 1))))
     return one
+
+
+def covers_bodies(system: System) -> bool:
+    """Whether all bodies are rigid, reduced, floating or rods, without loads that the driver does not know."""
+    parts: tuple[Any, ...] = system.parts
+    known = all(known_field(p) if p.distributed else type(p) is ReducedPart and not p.constants.loads for p in parts)
+    plain = system.markers.section is None
+    rods = all(isinstance(e, RodElements) for e in system.elements)
+    return known and plain and rods and not system.port_constraints and not system.traces and system.n_frames > 0

@@ -1,7 +1,8 @@
 """States of systems with elastic fields by the driver: balance and constraints in one call each.
 
 The driver's tables of a field hold its matrices and ports, and what its own factor has solved for a size of step: there are
-tables for states, where nothing is solved, and some for each set of factors. Rows of constraints with their ports are NumPy's.
+tables for states, where nothing is solved, and some with factors, which change with the size of the step. Rows of constraints
+with their ports are NumPy's.
 """
 
 from __future__ import annotations
@@ -41,6 +42,20 @@ class FieldStates(DriverStates):
     """The driver of a system with fields, for states that Python asks for."""
 
     solves = False
+    _factored: FactoredFieldStates | None = None
+
+    def factored(self, blocks: Sequence[Block]) -> FactoredFieldStates:
+        """The same system with factors of its fields; the last one that was asked for goes on with these."""
+        made = self._factored
+        if made is None or self.remembers:
+            self._factored = made = FactoredFieldStates(self, blocks)
+        elif made.blocks is not blocks:
+            made.take(blocks)
+        return made
+
+    def factored_by(self, blocks: Sequence[Block]) -> bool:
+        """Whether the tables have these factors now."""
+        return self._factored is not None and self._factored.blocks is blocks
 
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""
@@ -63,6 +78,14 @@ class FactoredFieldStates(FieldStates):
     def __init__(self, states: FieldStates, blocks: Sequence[Block]) -> None:
         self.blocks = blocks
         super().__init__(states.system, states.library)
+
+    def take(self, blocks: Sequence[Block]) -> None:
+        """Go on with the factors of another size of step."""
+        self.blocks = blocks
+        if self.tables.take(blocks):
+            self._held = None
+        else:
+            self.renew()
 
     def tables_of(self) -> Tables:
         """Tables with these factors."""

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .tables import Tables
 
 FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the driver's copies of the matrices memory
+SIZES = 9  # of steps, whose compliances are kept
 VANISHING = 1e-9  # size of the column of a surface's port, against the largest
 LEAST = 1e-10  # compliance of a combination of columns, against the largest
 
@@ -47,6 +48,7 @@ class FieldTable:
         self.part: Any = system.parts[k]
         self.rows = system.frame_rows[k]
         self.turns = isinstance(self.part, RestingField) and self.part.turns
+        self.changes = self.turns or not linear_field(self.part)  # matrices with the steps that were made
 
         first = system.port_slice(k).start
         seen = [x for x in np.unique(system.markers.port) - first if 0 <= x < self.part.n_port]
@@ -63,6 +65,8 @@ class FieldTable:
         self.b = self.z = self.force = self.sums = self.state = nothing  # those of the structure
         self.indefinite = False
         self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
+        # of the factors in use, which sizes of steps come back to
+        self._condensed: dict[int, tuple[Array, Condensed]] = {}
 
     @property
     def spin_to_check(self) -> float:
@@ -74,6 +78,13 @@ class FieldTable:
         """z = E^-1 b."""
         self.z[:] = self.block.factor.solve(self.b)
 
+    def alike(self, block: Block) -> bool:
+        """Whether another factor has solved for the same columns; ports of stiffened bodies change with the tangent."""
+        if self.part.stiffening is not None:
+            return False
+        same = block.Y.shape == self.block.Y.shape and self.part.inertia_columns.shape[1] == self.inertial
+        return same and np.array_equal(block.used, self.block.used)
+
     def take(self, block: Block) -> None:
         """Go on with another factor, and with the inertia of the frame that goes with it."""
         self.block = block
@@ -83,7 +94,7 @@ class FieldTable:
     def _of_tangent(self) -> dict[str, Array]:
         """What changes with the tangent."""
         part, block = self.part, self.block
-        inverse = Condensed(block.W, self.frame_slots, self.inertial)
+        inverse = self._inverse(block.W)
         self.indefinite = inverse.indefinite
         d = self.tables.dim
         moment = part.moment if part.column_version(0.0) else np.zeros(d)
@@ -101,6 +112,16 @@ class FieldTable:
             "held": np.zeros((bends, part.n)) if part.shown is None else part.shown.slopes.T,
             "second": part.second_inertia,
         }
+
+    def _inverse(self, W: Array) -> Condensed:
+        """The compliance W of a factor without the frame conditions; kept, as steps change between a few sizes."""
+        known = self._condensed.pop(id(W), None)
+        if known is None or known[0] is not W:
+            known = W, Condensed(W, self.frame_slots, self.inertial)
+        self._condensed[id(W)] = known
+        for old in list(self._condensed)[:-SIZES]:
+            del self._condensed[old]
+        return known[1]
 
     def _motion(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
         """Motion and pose of the frame, and of the nodes, as C left them in ``state``."""

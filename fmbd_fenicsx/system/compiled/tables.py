@@ -14,12 +14,11 @@ from ...mechanics.forces.formulas import MEMORY
 from ...mechanics.joints.relative import Relative
 from ...mechanics.kinds.frames import FRAME
 from ...mechanics.reduction.reduced import ReducedPart
-from ...mechanics.rods.elements import RodElements
 from ...rotations import Array
 from ..system import System
 from .angles import angles, free_markers, theta_places
 from .bodies import reduced_body, rigid_bodies, surface
-from .fields import Block, FieldTable, known_field
+from .fields import Block, FieldTable
 from .items import LAW, READ, ROW, Items, items_of, other_loads
 from .listening import listeners
 from .mounts import mount_batch
@@ -82,6 +81,8 @@ class Tables:
         reduced: tuple[Any, ...] = system.parts
         self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
         numbered = enumerate(zip(system.fields, blocks, strict=True))
+        self.blocks = blocks
+        self.user: Any = None  # the stepper whose steps were made last
         self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
         self.floating = {field.part.frame: field for field in self.fields}
         self.looks = Looks(system)
@@ -203,15 +204,22 @@ class Tables:
             raise ConvergenceError(
                 "The columns of a frame with mean axes change their number with the first new tangent."
             )
-        blocks = self.renewed(t, {field.k: field.b.copy() for field in self.fields})
+        self._take(self.renewed(t, {field.k: field.b.copy() for field in self.fields}))
+
+    def take(self, blocks: Sequence[Block]) -> bool:
+        """Go on with other factors of the fields, for another size of step; False where their columns are others."""
+        if not all(field.alike(block) for field, block in zip(self.fields, blocks, strict=True)):
+            return False
+        self._take(blocks)
+        return True
+
+    def _take(self, blocks: Sequence[Block]) -> None:
+        """Write what depends on the factors of the fields."""
         for field, block in zip(self.fields, blocks, strict=True):
             field.take(block)
-        self.c.indefinite = self._indefinite
-
-    @property
-    def _indefinite(self) -> int:
-        """Whether ports of a field give way where they are pulled: of bodies that buckle."""
-        return int(any(field.indefinite for field in self.fields))
+        self.blocks = blocks
+        # ports that give way where they are pulled: of bodies that buckle
+        self.c.indefinite = int(any(field.indefinite for field in self.fields))
 
     # -- batches -------------------------------------------------------------------------------------------------------------
     def _split(self, items: Items) -> list[Items]:
@@ -320,7 +328,7 @@ class Tables:
             storage=self.fronts.storage, seen=len(looks.markers), seen_frame=self.store.integers(self.frame[looks.markers]),
             seen_place=seen_places(self), accelerated=int(looks.accelerated),
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
-            foretells=int(any(part.foretells for part in parts)), indefinite=self._indefinite,
+            foretells=int(any(part.foretells for part in parts)), indefinite=int(any(field.indefinite for field in self.fields)),
         )  # fmt: skip
         self.look()
 
@@ -412,12 +420,3 @@ class Tables:
                 self.body_array[b].spin = np.inf if known else part.first_frequency**2
         for frame, field in self.floating.items():
             self.body_array[frame].spin = field.spin_to_check**2
-
-
-def covers_bodies(system: System) -> bool:
-    """Whether all bodies are rigid, reduced, floating or rods, without loads that the driver does not know."""
-    parts: tuple[Any, ...] = system.parts
-    known = all(known_field(p) if p.distributed else type(p) is ReducedPart and not p.constants.loads for p in parts)
-    plain = system.markers.section is None
-    rods = all(isinstance(e, RodElements) for e in system.elements)
-    return known and plain and rods and not system.port_constraints and not system.traces and system.n_frames > 0
