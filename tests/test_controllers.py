@@ -152,6 +152,78 @@ def test_newton_sees_the_exact_tangent() -> None:
     assert np.abs(D @ dv - rate).max() < 1e-6 * np.abs(rate).max()
 
 
+def three_links(dim: int, law: Any, rod: Any = None) -> fmbd.Scene:
+    """Three links, the first one reduced ``rod`` where given: the law acts on the first and the last hinge and reads both and the tip."""
+    scene, hinges = fmbd.Scene("links", gravity=(0.0, -G, 0.0)[:dim]), []
+    before: Any = fmbd.ground
+    for i in range(3):
+        link: Any = fmbd.RigidBody(f"link {i}", 1.0, 0.1 if dim == 2 else (0.02, 0.1, 0.11), (i + 0.5, 0.0, 0.0)[:dim])
+        sides: Any = before, link
+        if rod is not None and i == 0:
+            link, sides = rod, (before, rod.surface("pin"))
+        elif rod is not None and i == 1:
+            sides = rod.surface("tip"), link
+        axis: Any = {} if dim == 2 else {"axis": (0.1, 0.2 * (-1) ** i, 1.0)}
+        hinges.append(fmbd.revolute(f"hinge {i}", *sides, center=(float(i), 0.0, 0.0)[:dim], **axis))
+        scene.add(link, hinges[-1])
+        before = link
+    one, last = fmbd.angle(hinges[0]), fmbd.angle(hinges[2])
+    reads: Any = {"a": one, "b": last, "a'": fmbd.joint_rate(one), "b'": fmbd.joint_rate(last)}
+    reads |= {"tip": fmbd.position(before), "v": fmbd.velocity(before), "w": fmbd.angular_velocity(before)}
+    scene.add(fmbd.controller("across", reads=reads, acts=(one, last), law=law))
+    scene.sensor("tip", fmbd.position(before))
+    return scene
+
+
+def across(k: float, c: float) -> Any:
+    """A spring and a damper between two coordinates."""
+
+    def law(t: float, y: dict[str, Array], z: Array) -> tuple[float, float]:
+        force = float(k * (y["a"][0] - y["b"][0]) + c * (y["a'"][0] - y["b'"][0]))
+        return -force, force
+
+    return law
+
+
+def lifted(k: float, c: float) -> Any:
+    """Efforts by the place, the velocity and the turning of the tip, which are no coordinate of theirs."""
+    return lambda t, y, z: (-k * y["tip"][1] - c * y["v"][1], -c * y["w"][-1])
+
+
+@pytest.mark.parametrize("where", ["plane", "space", "reduced"])
+def test_newton_sees_what_efforts_answer_to_beside_their_coordinates(where: str, rod_mesh: Any) -> None:
+    """Stiffness and damping between two hinges, or of a marker: few iterations, no halves, one factor a step, the motion of NumPy."""
+    rod = None
+    if where == "reduced":
+        elastic = fmbd.materials.plane_stress(5e8, 0.3)
+        rod = fmbd.FloatingBody("rod", rod_mesh(2, 0.1, 0.1), density=1000.0, elastic=elastic).reduced(modes=4)
+    dim, n, dt = 3 if where == "space" else 2, 10, 1e-3
+    for law in (
+        across(1e3, 1.0),
+        across(1e6, 1e2),
+        across(1e9, 0.0),
+        across(0.0, 1e6),
+        lifted(1e6, 1.0),
+        lifted(0.0, 1e3),
+    ):
+        both = [
+            fmbd.solve(three_links(dim, law, rod), t_end=n * dt, dt=dt, scheme=fmbd.GeneralizedAlpha(compiled=how))
+            for how in (True, False)
+        ]
+        for run in both:
+            assert run.counters["newton_iterations"] <= 3 * n
+            assert run.counters.get("halved_steps", 0) == 0
+        assert both[0].counters["compiled_steps"] == n
+        assert both[0].counters["core_factorisations"] <= n + 4
+        np.testing.assert_allclose(both[0]["tip"], both[1]["tip"], atol=1e-9)
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4)], ids=["radau", "bdf"])
+def test_schemes_with_error_control_see_it_too(scheme: Any) -> None:
+    run = fmbd.solve(three_links(2, across(1e7, 1e3)), t_end=0.02, scheme=scheme)
+    assert run.counters["newton_iterations"] <= 4 * run.counters["steps"]
+
+
 def test_controller_of_the_users_own_runs() -> None:
     coarse, fine = (fmbd.solve(crossed(), t_end=0.4, dt=dt) for dt in (5e-3, 2.5e-3))
     assert np.abs(coarse["elbow"] - fine["elbow"][::2]).max() < 2e-3

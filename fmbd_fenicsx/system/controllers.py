@@ -29,7 +29,7 @@ from ..mechanics.forces.joint_elements import motion_of
 from ..mechanics.frames import Kinematics
 from ..mechanics.joints.drives import JointCoordinate
 from ..mechanics.joints.relative import Relative
-from ..rotations import Array, Motions
+from ..rotations import Array, Motions, hat
 from .control_laws import PidLaw, numbers_of
 from .sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Sensor, Velocity
 
@@ -78,14 +78,17 @@ class Reading:
         return self.sensor.read(_Seen(kin), None, self.marker)  # type: ignore[arg-type]
 
     def rows(self, kin: Kinematics, size: int) -> list[tuple[int, Array, bool]]:
-        """(marker, rows (size, n), of velocities) by which it answers to markers; empty where that is left out."""
+        """(marker, rows (size, n), of velocities) by which it answers to markers."""
         d, n = kin.x.shape[1], kin.jac_frame.shape[1]
         if self.relative is not None:
             ra, rb = self.relative.rows(kin)
             return [(int(m[0]), r, bool(self.level)) for m, r in ((self.relative.a, ra), (self.relative.b, rb))]
         if isinstance(self.sensor, Position | Velocity):
             return [(self.marker, np.eye(d, n), isinstance(self.sensor, Velocity))]
-        return []
+        turning = np.eye(n)[d:]
+        if isinstance(self.sensor, Rotation) and d == 3:  # of the columns r of R: theta x r
+            turning = (-hat(kin.R[self.marker].T)).swapaxes(0, 1).reshape(size, d) @ turning
+        return [(self.marker, turning, isinstance(self.sensor, AngularVelocity))]
 
 
 class Readings(dict[str, Array]):
@@ -211,8 +214,6 @@ class ControlLoads(Loads):
         entries: list[tuple[int, int, Array, bool]] = []
         for reading in self.readings:
             rows = reading.rows(kin, len(y[reading.name]))
-            if not rows:
-                continue
             slopes = self.slopes(t, y, reading.name)
             for j in range(len(self.acts)):
                 for marker, row, fast in rows:

@@ -61,6 +61,7 @@ class Items:
     table: Array = field(default_factory=lambda: np.zeros((0, 0)))  # of constants, as C reads them
     sampled: Callable[[], float] | None = None  # an effort that stays the same between samples
     told: bool = False
+    linked: bool = False  # whether a law reads more than its own coordinate
     frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))  # of both sides
     arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
 
@@ -83,7 +84,7 @@ class Items:
             some(self.row), some(self.factor), some(self.stiffness), some(self.damping), some(self.free), some(self.effort),
             *self._laws(which),
         )  # fmt: skip
-        made.slot, made.told = some(self.slot), self.told
+        made.slot, made.told, made.linked = some(self.slot), self.told, self.linked
         made.frames = self.frames[which] if len(self.frames) else self.frames
         made.formula = None if self.formula is None else self.formula.part(which)
         return made

@@ -31,7 +31,7 @@ Fields = Sequence[tuple[str, Any]]
 ALIKE: dict[str, Fields] = {  # in the plane and in space
     "Batch": [
         *_fields("value rates tangent", _POINTER),
-        *_fields("role outputs live products curved number flow driven told", _INT),
+        *_fields("role outputs live products curved number flow driven linked told", _INT),
         *_fields("n width", _LONG),
         *_fields(
             "pair P out entry at row factor dest stiffness damping free s rate effort weight slope foretold", _POINTER
@@ -104,7 +104,9 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         ("accelerated", _INT),
         *_fields("seen_place reaction motion_rate rest_gravity slip", _POINTER),
         ("settled", _REAL),
-        *_fields("again renewed led renewable foretells renewals indefinite", _INT),
+        *_fields("again renewed led renewable foretells renewals linkable links", _INT),
+        *_fields("push pull answer mutual", _POINTER),
+        ("indefinite", _INT),
     ],
 }
 

@@ -45,6 +45,7 @@ DIRECTIONS = {  # constants that are directions in the axes of a marker: of whic
     "follower_couple": {"load": 1},
 }
 OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
+LINKS_LIMIT = 1_000_000  # entries of the rows of efforts that answer to more than their own coordinate
 ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
 
 
@@ -93,6 +94,9 @@ class Tables:
         self.maps: list[Array] = []  # of surfaces: twist from the rates of the body
         self._lay_out()
         self._place_surfaces()
+        if sum(one.links for one in self.listeners) * self.nu > LINKS_LIMIT:
+            for one in self.listeners:
+                one.unlink()
         self.structure = structure_of(self._connections(), self._shape)
         self.fronts = self.structure.fronts
 
@@ -281,6 +285,7 @@ class Tables:
             "known": (n, 3 if items.role == LAW else 0), "numbers": (len(OF_ITEMS), n),
         })  # fmt: skip
         items.table, one.P = room["P"]
+        items.arrays["out"] = room["out"][0]
         self._constants(items, items.table)
         one.out, one.hessian, one.known = room["out"][1], room["hessian"][1], room["known"][1]
 
@@ -329,6 +334,7 @@ class Tables:
             seen_place=seen_places(self), accelerated=int(looks.accelerated),
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
             foretells=int(any(part.foretells for part in parts)), indefinite=int(any(field.indefinite for field in self.fields)),
+            **self._links(),
         )  # fmt: skip
         self.look()
 
@@ -380,6 +386,17 @@ class Tables:
         # the ground does not turn
         self.arrays["frames"][self.nb, self.dim : self.dim + self.dim**2 : self.dim + 1] = 1.0
         return {name: address for name, (_, address) in arrays.items()}
+
+    def _links(self) -> dict[str, int]:
+        """Room for efforts that answer to more than their own coordinate, see links.c."""
+        count = sum(one.links for one in self.listeners)
+        if not count:
+            return {}
+        wide = count, self.nothing + 1
+        sizes = {"push": wide, "pull": wide, "answer": (count, self.nu + self.rows), "mutual": (count, count)}
+        made = self.store.zeros(sizes)
+        self.arrays |= {name: x for name, (x, _) in made.items()}
+        return {"linkable": count, **{name: address for name, (_, address) in made.items()}}
 
     def coordinate(self, number: int) -> int:
         """The address of the batch of one of the ``coordinates``."""

@@ -9,6 +9,7 @@
 #include "formulas.c"
 #include "mapped.c"
 #include "evaluate.c"
+#include "links.c"
 #include "matrix.c"
 #include "states.c"
 #include "record.c"

@@ -109,6 +109,7 @@ static int surprises(const Batch *k, long i)
 {
     const double *known = k->known + 3 * i;
     double change = k->effort[i] - known[2], foretold = k->stiffness[i] * (k->s[i] - known[0]) + k->damping[i] * (k->rate[i] - known[1]);
+    if (k->linked) foretold = k->foretold[i] - known[2];
     return fabs(change - foretold) > 0.02 * fmax(fabs(change), fabs(foretold)) + 1e-12 * fabs(k->effort[i]);
 }
 

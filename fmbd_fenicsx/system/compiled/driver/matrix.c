@@ -1,4 +1,4 @@
-/* The step's matrix at the state evaluated last:
+/* The step's matrix at the state evaluated last; links.c adds what efforts answer to beside their own coordinates:
 
        [ M + cd C + ck K   G^T ]      K, C: of elastic bodies and of efforts, N r on a row r = ds/dV:
        [ G                  0  ]      (ck dN/ds + cd dN/ds') r r^T + ck N dr/dq                                        (1)
@@ -84,6 +84,7 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
 {
     int verdict, masses = cd == 0.0 && ck == 0.0; /* of a start: no stiffness */
     clear(s);
+    s->links = 0;
     s->cd = cd;
     s->ck = ck;
     for (int b = 0; b < s->bodies; b++) {
@@ -103,7 +104,8 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
     }
     for (Rod *k = s->rod; k < s->rod + s->rods && !masses; k++)
         if (rod_tangents(s, k, t, geometric)) return FAILED;
-    return factor(s);
+    if ((verdict = factor(s)) || masses || !s->linkable) return verdict;
+    return link_efforts(s, t);
 }
 
 /* The factor at the state evaluated last; without geometric stiffness where that makes the bodies' part indefinite (a large pull
@@ -119,6 +121,7 @@ void solution(System *s, double *x, double *y)
 {
     double *b = s->b;
     back_solve(s, b);
+    if (s->links) add_links(s, b);
 
     for (int k = 0; k < s->bodies; k++) {
         const Body *o = s->body + k;

@@ -31,6 +31,7 @@ typedef struct {
     int role, outputs, live, products, curved, number; /* outputs: of the value kernel; number: for calls into Python */
     int flow;                          /* whether the kind is a speed; a ROW then holds velocities and has no s */
     int driven;                        /* whether a motion of time is among its constants; s' has a part of its own then */
+    int linked;                        /* LAW: whether it reads more than its coordinate; Python tells what its slopes foretell */
     int told;                          /* READ: whether its s and s' are told at every evaluation, to controllers */
     long n, width;                     /* width: constants of an item */
     int *pair;                         /* n x 2 frames */
@@ -41,7 +42,7 @@ typedef struct {
     int *dest;                         /* ROW: n x live places in the fronts */
     double *stiffness, *damping, *free; /* efforts: N = stiffness (s - free) + damping s' */
     double *s, *rate, *effort, *weight, *slope; /* n each */
-    double *foretold;                  /* LINEAR: n efforts where the last increment of a step leads */
+    double *foretold;                  /* LINEAR: n efforts where the last increment of a step leads; LAW, linked: what the slopes foretell */
     int formula;                       /* FORMULA: which; n x FORMULA_WIDTH constants, n x MEMORY memory of accepted steps */
     double *constants, *kept;
     double *known;                     /* LAW: n x 3, s, s' and N where the slopes were taken; WHOLE, MOUNT: see whole.c, mounts.c */
@@ -189,6 +190,8 @@ typedef struct {
     int led;                           /* whether the matrix takes the efforts foretold: after an increment of a step */
     int renewable, foretells, renewals; /* whether Python takes new tangents of fields in a step, and where the last increment */
                                        /* led; how many the last step took */
+    int linkable, links;               /* efforts that may answer to more than their coordinate, and those that do; see links.c */
+    double *push, *pull, *answer, *mutual; /* linkable x (nu + TWIST surfaces + 1), twice; x (nu + rows); x linkable */
     int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
 } System;
 
@@ -227,6 +230,6 @@ typedef struct {
 
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
-       FIELD_TANGENTS, KEEP };
+       FIELD_TANGENTS, KEEP, LINKS };
 enum { OUTSIDE = 2 };
 

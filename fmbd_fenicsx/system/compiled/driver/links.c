@@ -1,0 +1,87 @@
+/* Efforts of laws in Python that answer to other coordinates than their own, or to the motion of markers. With a row l of what an effort
+   pushes on and a row w of its slopes by all else that it reads, weighted as in matrix.c, the step's matrix is
+
+       B = A + L W^T                                                                                                   (1)
+
+   and A, which is symmetric and keeps its fronts, is solved with once for each effort (Sherman, Morrison and Woodbury):
+
+       B^-1 b = z - P V z,   z = A^-1 b,   P = A^-1 L,   V = (1 + W^T P)^-1 W^T                                        (2) */
+
+static const double MUTUAL = 1e-13; /* smallest pivot of 1 + W^T P, over its largest entry */
+
+/* What stands in a row on twists of surfaces, on the rates of their bodies. */
+static void fold(const System *s, double *row)
+{
+    for (int i = 0; i < s->surfaces; i++) {
+        const Surface *k = s->surface + i;
+        const int width = TWIST + s->body[k->body].modes;
+        const double *on = row + s->nu + TWIST * i;
+        for (int j = 0; j < TWIST; j++)
+            if (on[j] != 0.0) add(row + s->body[k->body].at_u, on[j], k->map + j * width, width);
+    }
+}
+
+static void swap_rows(double *a, double *b, int n)
+{
+    for (int i = 0; i < n; i++) {
+        double kept = a[i];
+        a[i] = b[i], b[i] = kept;
+    }
+}
+
+/* V in place of W, by elimination with row exchanges; 0 where a pivot is too small. */
+static int eliminate_links(System *s, int m, long wide)
+{
+    double largest = 0.0;
+    for (int i = 0; i < m * m; i++) largest = fmax(largest, fabs(s->mutual[i]));
+    for (int k = 0; k < m; k++) {
+        double *row = s->mutual + k * m, *pull = s->pull + k * wide;
+        int best = k;
+        for (int i = k; i < m; i++)
+            if (fabs(s->mutual[i * m + k]) > fabs(s->mutual[best * m + k])) best = i;
+        if (best != k) {
+            swap_rows(row, s->mutual + best * m, m);
+            swap_rows(pull, s->pull + best * wide, s->nu);
+        }
+        if (!(fabs(row[k]) > MUTUAL * largest)) return 0;
+        for (int i = 0; i < m; i++) {
+            double share = s->mutual[i * m + k] / row[k];
+            if (i == k || share == 0.0) continue;
+            add(s->mutual + i * m, -share, row, m);
+            add(s->pull + i * wide, -share, pull, s->nu);
+        }
+    }
+    for (int k = 0; k < m; k++)
+        for (int i = 0; i < s->nu; i++) s->pull[k * wide + i] /= s->mutual[k * m + k];
+    return 1;
+}
+
+/* (2) for the factor in the fronts; Python tells L, W and how many rows they have. */
+static int link_efforts(System *s, double t)
+{
+    const long wide = s->nu + TWIST * s->surfaces + 1, size = s->nu + s->rows;
+    s->calls++;
+    if (s->python(LINKS, 0, t)) return FAILED;
+    int m = s->links;
+    s->links = 0; /* until they are known */
+    for (int k = 0; k < m; k++) {
+        double *push = s->push + k * wide, *answer = s->answer + k * size;
+        fold(s, push);
+        fold(s, s->pull + k * wide);
+        memcpy(answer, push, s->nu * sizeof(double));
+        memset(answer + s->nu, 0, s->rows * sizeof(double));
+        back_solve(s, answer);
+    }
+    for (int i = 0; i < m; i++)
+        for (int k = 0; k < m; k++) s->mutual[i * m + k] = (i == k) + dot(s->pull + i * wide, s->answer + k * size, s->nu);
+    if (eliminate_links(s, m, wide)) s->links = m;
+    return DONE;
+}
+
+/* b <- solution of the whole matrix, from that of the fronts. */
+static void add_links(System *s, double *b)
+{
+    const long wide = s->nu + TWIST * s->surfaces + 1, size = s->nu + s->rows;
+    for (int k = 0; k < s->links; k++) s->mutual[k] = dot(s->pull + k * wide, b, s->nu);
+    for (int k = 0; k < s->links; k++) add(b, -s->mutual[k], s->answer + k * size, size);
+}
