@@ -153,7 +153,7 @@ def test_newton_sees_the_exact_tangent() -> None:
 
 
 def three_links(dim: int, law: Any, rod: Any = None) -> fmbd.Scene:
-    """Three links, the first one reduced ``rod`` where given: the law acts on the first and the last hinge and reads both and the tip."""
+    """Three links, the first is ``rod`` where given; the law acts on the outer hinges and reads both and the tip."""
     scene, hinges = fmbd.Scene("links", gravity=(0.0, -G, 0.0)[:dim]), []
     before: Any = fmbd.ground
     for i in range(3):
@@ -192,19 +192,18 @@ def lifted(k: float, c: float) -> Any:
 
 @pytest.mark.parametrize("where", ["plane", "space", "reduced"])
 def test_newton_sees_what_efforts_answer_to_beside_their_coordinates(where: str, rod_mesh: Any) -> None:
-    """Stiffness and damping between two hinges, or of a marker: few iterations, no halves, one factor a step, the motion of NumPy."""
+    """Stiffness and damping between hinges, or of a marker: few iterations, no halves, one factor a step, the motion of NumPy."""
     rod = None
     if where == "reduced":
         elastic = fmbd.materials.plane_stress(5e8, 0.3)
-        rod = fmbd.FloatingBody("rod", rod_mesh(2, 0.1, 0.1), density=1000.0, elastic=elastic).reduced(modes=4)
-    dim, n, dt = 3 if where == "space" else 2, 10, 1e-3
+        rod = fmbd.FloatingBody("rod", rod_mesh(2, 0.1), density=1000.0, elastic=elastic).reduced(modes=4)
+    dim, n, dt = 3 if where == "space" else 2, 5, 1e-3
     for law in (
         across(1e3, 1.0),
         across(1e6, 1e2),
         across(1e9, 0.0),
         across(0.0, 1e6),
-        lifted(1e6, 1.0),
-        lifted(0.0, 1e3),
+        lifted(1e6, 1e3),
     ):
         both = [
             fmbd.solve(three_links(dim, law, rod), t_end=n * dt, dt=dt, scheme=fmbd.GeneralizedAlpha(compiled=how))
