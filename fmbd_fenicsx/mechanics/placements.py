@@ -205,6 +205,7 @@ class FrameElements(Protocol):
     """
 
     name: str
+    frames: np.ndarray  # of the nodes of each element, (m, k)
     kept: Any  # memory of elements that have one, changed by accepted steps only; else None
 
     def forces(self, t: float, pose: Array, twist: Array | None) -> list[tuple[np.ndarray, Array]]:
