@@ -59,7 +59,7 @@ class ObstacleSearch:
         # nodes of traces: candidates, their nodes, and both as a matrix (m, n_trace)
         of_trace = np.repeat([s.trace for s in sides], counts)
         self.nodes: dict[int, tuple[np.ndarray, np.ndarray, Any]] = {}
-        for i in sorted(set(of_trace[of_trace >= 0].tolist())):
+        for i in sorted({s.trace for s in sides if s.surface is not None}):
             at = np.flatnonzero(of_trace == i)
             nodes = np.concatenate([s.surface.nodes for s in sides if s.surface is not None and s.trace == i])
             picked = sp.csr_matrix((np.ones(len(at)), (at, nodes)), shape=(self.count, traces[i].n))
