@@ -17,6 +17,7 @@ from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.compiled.library import driver_library
 from fmbd_fenicsx.system.compiled.order import Elimination, Fronts, RowGroup, joint_tree
+from fmbd_fenicsx.system.compiled.tables import Tables
 from fmbd_fenicsx.system.evaluation import Evaluation
 
 compiled = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
@@ -411,3 +412,38 @@ def test_sampled_controllers_hold_their_efforts_in_compiled_steps(dim: int) -> N
     fmbd.solve(scene, t_end=0.1, dt=1e-3)
     assert np.allclose(sorted(set(asked)), 0.007 * np.arange(15))
     assert len(asked) <= 16  # once more at the start
+
+
+@compiled
+def test_samples_leave_the_tables_of_steps_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps go on behind a sample with the tables that they have: none more for ten samples than for two."""
+    made, begin = [], Tables.__init__
+
+    def counted(self: Tables, *given: Any, **more: Any) -> None:
+        made.append(self)
+        begin(self, *given, **more)
+
+    monkeypatch.setattr(Tables, "__init__", counted)
+    counts = []
+    for t_end in (0.015, 0.055):
+        made.clear()
+        fmbd.solve(sampled(2), t_end=t_end, dt=1e-3)
+        counts.append(len(made))
+    assert counts[0] == counts[1] > 0
+
+
+@compiled
+def test_first_steps_behind_samples_of_a_field_are_compiled(rod_mesh: Any) -> None:
+    """All but the first step of the run, which has no factors yet; the same motion as in NumPy."""
+
+    def run(compiled: bool) -> fmbd.Run:
+        rod = fmbd.FloatingBody("rod", rod_mesh(2, 0.1), density=100.0, elastic=fmbd.materials.linear_elastic(1e7, 0.3))
+        scene = fmbd.Scene("arm", gravity=(0, -9.81))
+        hinge = fmbd.revolute("hinge", fmbd.ground, rod.surface("pin"), center=(0, 0))
+        scene.add(rod, hinge, fmbd.pid("motor", fmbd.angle(hinge), target=0.1, gains=(20, 5, 0.1), every=2e-3))
+        scene.sensor("tip", fmbd.position(rod.surface("tip")))
+        return fmbd.solve(scene, t_end=0.012, dt=1e-3, scheme=fmbd.GeneralizedAlpha(compiled=compiled))
+
+    fast, slow = run(True), run(False)
+    assert fast.counters["compiled_steps"] == 11
+    assert np.abs(fast["tip"] - slow["tip"]).max() <= 1e-10

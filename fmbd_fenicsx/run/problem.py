@@ -100,20 +100,28 @@ def make_stepper(
         return made if watch is None else Guarded(made, watch)
 
     def renew(state: State) -> TimeStepper:
-        return _made_anew(problem, solver, state, schedule.next(0.0))
+        return _made_anew(problem, solver, steps.stepper, state, schedule.next(0.0))
 
     said = Declared.by(problem.scheme)
     goes_on = said.start is not None or said.free_steps
-    return ConstantSteps(made, system, None if goes_on else renew, watch, judges, problem.most_parts)
+    steps = ConstantSteps(made, system, None if goes_on else renew, watch, judges, problem.most_parts)
+    return steps
 
 
-def _made_anew(problem: Problem, solver: StepSolver, state: State, h: float) -> TimeStepper:
-    """A stepper for steps of h (s) from the consistent state nearest to one that a failed step began with."""
+def _made_anew(problem: Problem, solver: StepSolver, stepper: TimeStepper, state: State, h: float) -> TimeStepper:
+    """A stepper for steps of h (s) from the consistent state nearest to one at which forces jump, or that a failed step began
+    with: the one before, where it can begin anew.
+    """
     problem.newton.theta = 0.5
     system = problem.system
     if system.fields:  # tangents of a failed iteration are of no use
         ev = system.at(state.t, state.q, state.v)
         ev.forces = state.a, state.lam
         ev.take_tangents()
-    start, _ = consistent(system, state, solver, h=h)
-    return made_stepper(problem.scheme, system, solver, problem.newton, start)
+
+    def start() -> State:
+        return consistent(system, state, solver, h=h)[0]
+
+    if stepper.begin_anew(start):
+        return stepper
+    return made_stepper(problem.scheme, system, solver, problem.newton, start())

@@ -225,10 +225,12 @@ class ConstantSteps(TimeStepper):
         if self.renew is None:
             self.stepper.state = state
         else:
-            self._past, self._size = self._sum(), None
+            before, counted, self._size = self.stepper, self._sum(), None
             try:
                 self.stepper = self.renew(state)
             except ConstraintError as error:
                 raise ConvergenceError(
                     f"No step can begin from what parts of a step left: {error} Take a smaller dt."
                 ) from None
+            if self.stepper is not before:  # one that goes on counts on
+                self._past = counted

@@ -6,6 +6,7 @@ user's own derives from :class:`TimeStepper` and has to say how it advances; all
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, require
@@ -64,6 +65,12 @@ class TimeStepper(Remembering):
     def restart(self, t: float) -> None:
         """Go on behind a jump of forces at t (s)."""
         raise InputError(f"{_kind(self)} cannot go on behind a jump of forces: give it a method restart(t).")
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """Go on from the consistent state that ``start`` finds as a stepper does that was just made; whether it can. Tables, room
+        and factors that it holds serve on.
+        """
+        return False
 
     def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
         """Up to so many steps in one call, recorded on the ``tape``; how many were made. None here: they are made one by one."""

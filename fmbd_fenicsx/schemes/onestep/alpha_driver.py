@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from ...system.compiled.tables import Tables
 from ...system.system import State, System
 
 if TYPE_CHECKING:
+    from ...system.compiled.evaluation import DriverStates
     from ..newton import Newton
     from .compiled_control import CompiledControl
 
@@ -43,6 +45,7 @@ class AlphaDriver:
     """The driver for one system: its tables, its calls into Python, and a ring of four states."""
 
     def __init__(self, library: Any, tables: Tables, calls: Calls) -> None:
+        self.evaluator: DriverStates | None = None  # whose the tables are
         system = tables.system
         self.system, self.library = system, library
         self.tables, self.calls = tables, calls
@@ -51,6 +54,11 @@ class AlphaDriver:
         self.parameters = np.zeros(25)
         self._verdict = ctypes.c_int(0)
         self._tape: Tape | None = None
+
+    def idle(self) -> AbstractContextManager[None]:
+        """Between steps: who evaluates the system may have its tables back, where they are its own."""
+        evaluator = self.evaluator
+        return nullcontext() if evaluator is None or evaluator.tables is not self.tables else evaluator.back()
 
     def load(self, states: Sequence[StateBlock]) -> None:
         """Take the last states, the newest first, at most three."""
@@ -161,7 +169,9 @@ def alpha_driver(
     if alone and solves(evaluator):
         tables, calls = evaluator.give()
         tables.c.redundant = int(redundant)
-        return AlphaDriver(evaluator.library, tables, calls)
+        made = AlphaDriver(evaluator.library, tables, calls)
+        made.evaluator = evaluator
+        return made
 
     library = drivable(system)
     if library is None:

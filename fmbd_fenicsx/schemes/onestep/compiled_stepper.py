@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,6 +50,13 @@ class CompiledAlphaStepper(AlphaStepper):
         driver.parameters[slots.FAR] = FAR * self.system.length
         driver.parameters[slots.PATIENCE] = PATIENCE
         driver.parameters[slots.STABILISED] = isinstance(self.scheme.form, GGL)
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """As :meth:`TimeStepper.begin_anew`; the driver's tables serve the start too, where they are those of evaluations."""
+        with nullcontext() if self._driver is None else self._driver.idle():
+            found = start()
+        self._tail, self._driven, self._ahead, self._refused, self.slopes = None, False, False, None, None
+        return super().begin_anew(lambda: found)
 
     @property
     def driver(self) -> AlphaDriver:

@@ -32,6 +32,7 @@ Arnold and Bruels, doi:10.1007/s11044-007-9084-0.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -193,6 +194,11 @@ class AlphaStepper(TimeStepper):
         self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
     ) -> None:
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
+        self.counters = {}
+        self._begin_from(state)
+
+    def _begin_from(self, state: State) -> None:
+        """A consistent state, without a past."""
         self.state = state
         self.A = state.a.copy()
         self.fresh = True  # the next step is the first after a consistent start
@@ -200,7 +206,11 @@ class AlphaStepper(TimeStepper):
         self._begun: tuple[State, Array, Array] | None = None  # state, v and A as the last step took them
         self.size = 0.0  # of the last step, s
         self.local_error = 0.0
-        self.counters = {}
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """As :meth:`TimeStepper.begin_anew`."""
+        self._begin_from(start())
+        return True
 
     def _predict(self, h: float) -> tuple[Array, Array]:
         """a and lambda extrapolated by the parabola through the last steps (less at the start)."""

@@ -8,7 +8,8 @@ when someone asks for them. Systems without elastic fields.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeGuard
@@ -82,6 +83,15 @@ class DriverStates:
         for loads in self.tables.whole:
             loads.astray[0] = 1
         return self.tables, self.calls
+
+    @contextmanager
+    def back(self) -> Iterator[None]:
+        """Tables that steps have taken are one's own meanwhile, between two of them."""
+        self.taken, self._held = False, None
+        try:
+            yield
+        finally:
+            self.give()
 
     def begin_anew(self) -> None:
         """Serve another run, the one before is over: tables that remember nothing of its steps serve again."""
