@@ -99,18 +99,17 @@ def make_stepper(
     if not schedule.steps:
         return made if watch is None else Guarded(made, watch)
 
-    def renew(state: State) -> TimeStepper:
-        return _made_anew(problem, solver, steps.stepper, state, schedule.next(0.0))
+    def renew(state: State, before: TimeStepper | None = None) -> TimeStepper:
+        return _made_anew(problem, solver, before, state, schedule.next(0.0))
 
     said = Declared.by(problem.scheme)
     goes_on = said.start is not None or said.free_steps
-    steps = ConstantSteps(made, system, None if goes_on else renew, watch, judges, problem.most_parts)
-    return steps
+    return ConstantSteps(made, system, None if goes_on else renew, watch, judges, problem.most_parts)
 
 
-def _made_anew(problem: Problem, solver: StepSolver, stepper: TimeStepper, state: State, h: float) -> TimeStepper:
+def _made_anew(problem: Problem, solver: StepSolver, before: TimeStepper | None, state: State, h: float) -> TimeStepper:
     """A stepper for steps of h (s) from the consistent state nearest to one at which forces jump, or that a failed step began
-    with: the one before, where it can begin anew.
+    with: the one ``before``, where it can begin anew. That of a failed step cannot.
     """
     problem.newton.theta = 0.5
     system = problem.system
@@ -122,6 +121,6 @@ def _made_anew(problem: Problem, solver: StepSolver, stepper: TimeStepper, state
     def start() -> State:
         return consistent(system, state, solver, h=h)[0]
 
-    if stepper.begin_anew(start):
-        return stepper
+    if before is not None and before.begin_anew(start):
+        return before
     return made_stepper(problem.scheme, system, solver, problem.newton, start())

@@ -46,7 +46,8 @@ class Judges:
 class ConstantSteps(TimeStepper):
     """A stepper with constant steps, whole or in parts.
 
-    ``renew`` makes a stepper from a state, None: the stepper goes on with another size. ``watch``: the energy guard, if any.
+    ``renew`` makes a stepper from a state, or takes one that goes on behind a jump of forces; None: the stepper goes on with
+    another size. ``watch``: the energy guard, if any.
     ``most``: times that steps and parts may be halved, None: as often as that helps.
     """
 
@@ -60,7 +61,7 @@ class ConstantSteps(TimeStepper):
         self,
         stepper: TimeStepper,
         system: System,
-        renew: Callable[[State], TimeStepper] | None,
+        renew: Callable[..., TimeStepper] | None,
         watch: Watch | None,
         judges: Judges | None = None,
         most: float | None = None,
@@ -190,7 +191,7 @@ class ConstantSteps(TimeStepper):
         # where forces jump the past of the stepper is that of others
         remembered = self.stepper.note()
         if not remembered and accept(self.system, after):
-            self._begin(after)  # the past of the stepper is that of other forces
+            self._begin(after, goes_on=True)  # the past of the stepper is that of other forces
 
     def _look(self, state: State, h: float) -> None:
         """Refuse a state with open joints, or without balance after a step of size h (s).
@@ -218,16 +219,16 @@ class ConstantSteps(TimeStepper):
 
     def restart(self, t: float) -> None:
         """Go on behind a jump of forces at t."""
-        self._begin(self.stepper.state)
+        self._begin(self.stepper.state, goes_on=True)
 
-    def _begin(self, state: State) -> None:
-        """A new stepper from a state."""
+    def _begin(self, state: State, *, goes_on: bool = False) -> None:
+        """A new stepper from a state; ``goes_on``: the one before serves, its steps did not fail."""
         if self.renew is None:
             self.stepper.state = state
         else:
             before, counted, self._size = self.stepper, self._sum(), None
             try:
-                self.stepper = self.renew(state)
+                self.stepper = self.renew(state, before) if goes_on else self.renew(state)
             except ConstraintError as error:
                 raise ConvergenceError(
                     f"No step can begin from what parts of a step left: {error} Take a smaller dt."
