@@ -88,7 +88,11 @@ def test_pairs_solve_a_linear_system_in_as_many_increments_as_it_has_directions(
     J = Q @ np.diag((9.0, -4.0, *np.ones(n - 2))) @ Q.T
     b = rng.standard_normal(n)
     system: Any = SimpleNamespace(
-        units=np.full(n, 2.0), n_v=n, dot=lambda x, y: float(x @ y), max_abs=lambda x: float(np.abs(2.0 * x).max())
+        units=np.full(n, 2.0),
+        n_v=n,
+        leaves_out=True,
+        dot=lambda x, y: float(x @ y),
+        max_abs=lambda x: float(np.abs(2.0 * x).max()),
     )
     pairs, x = Secants(system), np.zeros(n)
     for _ in range(4):

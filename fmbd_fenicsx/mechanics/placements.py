@@ -88,6 +88,7 @@ class Part(Protocol):
     rms: Array | None = None  # (n,) root mean square displacement by amplitudes of one, m; None: no amplitudes
     plain: bool = False  # whether the ports are the coordinates
     shortening: Shortening | None = None  # of ports that are of second order in u
+    leaves_out: bool = False  # whether Newton's matrix lacks terms of its motion: gyroscopic and centrifugal ones
 
     def remember(self, m: Any) -> None:
         """Write to a checkpoint what the part remembers beside its coordinates, or take it from there: nothing, unless it holds a

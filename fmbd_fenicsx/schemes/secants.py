@@ -25,7 +25,8 @@ LEARNT = 4  # pairs without which the rate tells nothing of the tangent
 
 
 class Secants:
-    """The pairs (p_i, d_i) of one step; methods are collective.
+    """The pairs (p_i, d_i) of one step; methods are collective. None are learnt where the tangent has all terms: an iteration that
+    is slow by itself, with tangents of its own, is not one that (1) is for.
 
     An increment is one array: blocks like v, to be compared as lengths, then multipliers.
     """
@@ -48,6 +49,8 @@ class Secants:
 
     def improved(self, f: Array, blocks: int) -> Array:
         """(1) for the tangent's increment with so many blocks like v."""
+        if not self.system.leaves_out:
+            return f
         size = self._size(f, blocks)
         self.poor = self.poor or (self._last is not None and size > POOR * self._made)
         s = f

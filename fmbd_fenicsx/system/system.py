@@ -122,6 +122,11 @@ class System:
         return tuple((k, p) for k, p in enumerate(self.parts) if p.shortening is not None)
 
     @cached_property
+    def leaves_out(self) -> bool:
+        """Whether Newton's matrix lacks terms of the motion of a part."""
+        return any(p.leaves_out for p in self.parts)
+
+    @cached_property
     def n_core(self) -> int:
         """Replicated velocity components: frames and replicated parts."""
         return self.n_frames * self.motions.n_twist + sum(p.n for _, p in self.core_parts)

@@ -36,6 +36,8 @@ class FloatingField(FieldPart):
     forces whose stress stiffens the body, None for no stiffening.
     """
 
+    leaves_out = True
+
     def __init__(
         self,
         field: Field,

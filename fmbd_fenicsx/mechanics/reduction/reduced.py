@@ -101,6 +101,8 @@ def placed_modes(body: Any, site: Site, frame: tuple[Array, Array] | None = None
 class ReducedPart(Part):
     """A reduced body as a replicated part of a system: local coordinates are the modal amplitudes eta, (m,)."""
 
+    leaves_out = True
+
     def __init__(self, name: str, constants: ReducedConstants, frame: int, surfaces: Sequence[str]) -> None:
         import scipy.linalg as sl
 

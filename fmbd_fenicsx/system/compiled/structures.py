@@ -106,7 +106,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         ("settled", _REAL),
         *_fields("again renewed led renewable foretells renewals linkable links", _INT),
         *_fields("push pull answer mutual", _POINTER),
-        ("indefinite", _INT),
+        *_fields("indefinite leaves_out", _INT),
     ],
 }
 

@@ -334,7 +334,7 @@ class Tables:
             seen_place=seen_places(self), accelerated=int(looks.accelerated),
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
             foretells=int(any(part.foretells for part in parts)), indefinite=int(any(field.indefinite for field in self.fields)),
-            **self._links(),
+            leaves_out=int(s.leaves_out), **self._links(),
         )  # fmt: skip
         self.look()
 

@@ -170,7 +170,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
         if ((verdict = stable ? stabilised(s, scale, damp, x, closing, y, none, t) : increment(s, scale, x, y, t))) return verdict;
         /* the best tangent that there is comes first; multipliers found anew are no increments */
         if (s->redundant && done == begun_at) forget(&told);
-        else if (!s->foretells || renewals) improve(s, &told, x, stable ? closing : NULL, y);
+        else if (s->leaves_out && (!s->foretells || renewals)) improve(s, &told, x, stable ? closing : NULL, y);
         if (stable) {
             closed = largest_of(s->units, closing, n);
             add(x, 1.0, closing, n);

@@ -193,6 +193,7 @@ typedef struct {
     int linkable, links;               /* efforts that may answer to more than their coordinate, and those that do; see links.c */
     double *push, *pull, *answer, *mutual; /* linkable x (nu + TWIST surfaces + 1), twice; x (nu + rows); x linkable */
     int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
+    int leaves_out;                    /* whether the matrix lacks terms of the motion of a body, see secants.c */
 } System;
 
 /* Records of accepted steps; every array holds ``capacity`` of them. ``left``: steps up to the next. */
