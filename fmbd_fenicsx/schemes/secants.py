@@ -25,8 +25,9 @@ LEARNT = 4  # pairs without which the rate tells nothing of the tangent
 
 
 class Secants:
-    """The pairs (p_i, d_i) of one step; methods are collective. None are learnt where the tangent has all terms: an iteration that
-    is slow by itself, with tangents of its own, is not one that (1) is for.
+    """The pairs (p_i, d_i) of one step; methods are collective.
+
+    None are learnt where the tangent has all terms: (1) is not for an iteration that is slow by itself.
 
     An increment is one array: blocks like v, to be compared as lengths, then multipliers.
     """
