@@ -275,10 +275,11 @@ def test_runs_with_many_steps_in_parts_end_early(monkeypatch: pytest.MonkeyPatch
     coarse = fmbd.solve(scene, t_end=1.0, dt=1 / 20, output=output)
     parts = coarse.counters["halved_steps"]
     assert 0 < parts < shared_runs.PARTED * 20
-    assert shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 20), output).run.status == "finished"
+    fresh = shared_runs.SharedRuns(None, None, 12)
+    assert fresh.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 20), output).run.status == "finished"
     monkeypatch.setattr(shared_runs, "PARTED", 0.5 * parts / 20)
     with pytest.raises(PartsError, match="of 20"):
-        shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 20), output)
+        shared_runs.SharedRuns(None, None, 12).solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 20), output)
 
 
 def test_strains_take_plain_numbers() -> None:

@@ -133,7 +133,7 @@ def seen_places(tables: Tables) -> int:
     """The address of places (d) of the markers that sensors look at in their frames, and of how they are turned (d x d)."""
     mk, seen = tables.system.markers, tables.looks.markers
     place = np.where((tables.frame[seen] > tables.nb)[:, None], 0.0, mk.position[seen])
-    return tables.store.address(np.hstack((place, mk.rotation[seen].reshape(len(seen), tables.dim**2))))
+    return tables.store.address(np.concatenate((place, mk.rotation[seen].reshape(len(seen), tables.dim**2)), axis=1))
 
 
 def reaction_of(tables: Tables, name: str, side: int) -> Any:
