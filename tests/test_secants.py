@@ -90,7 +90,6 @@ def test_pairs_solve_a_linear_system_in_as_many_increments_as_it_has_directions(
     system: Any = SimpleNamespace(
         units=np.full(n, 2.0),
         n_v=n,
-        leaves_out=True,
         dot=lambda x, y: float(x @ y),
         max_abs=lambda x: float(np.abs(2.0 * x).max()),
     )

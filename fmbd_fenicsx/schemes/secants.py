@@ -27,8 +27,6 @@ LEARNT = 4  # pairs without which the rate tells nothing of the tangent
 class Secants:
     """The pairs (p_i, d_i) of one step; methods are collective.
 
-    None are learnt where the tangent has all terms: (1) is not for an iteration that is slow by itself.
-
     An increment is one array: blocks like v, to be compared as lengths, then multipliers.
     """
 
@@ -50,8 +48,6 @@ class Secants:
 
     def improved(self, f: Array, blocks: int) -> Array:
         """(1) for the tangent's increment with so many blocks like v."""
-        if not self.system.leaves_out:
-            return f
         size = self._size(f, blocks)
         self.poor = self.poor or (self._last is not None and size > POOR * self._made)
         s = f

@@ -268,8 +268,12 @@ class AlphaStep:
         return size if increment.closing is None else max(size, self.system.max_abs(increment.closing))
 
     def _improved(self, increment: Increment) -> Increment:
-        """With what the tangent leaves out, where earlier increments tell it; the best tangent that there is comes first."""
-        if self.tangent is not None or (self.foretells and not self.renewed):
+        """With what the tangent leaves out, where earlier increments tell it; the best tangent that there is comes first.
+
+        A tangent with all terms has no use for it: its iteration is slow by itself.
+        """
+        best_is_due = self.foretells and not self.renewed
+        if self.tangent is not None or best_is_due or not self.system.leaves_out:
             return increment
         blocks = [increment.q] if increment.closing is None else [increment.q, increment.closing]
         found = self.secants.improved(np.concatenate((*blocks, increment.lam)), len(blocks))
