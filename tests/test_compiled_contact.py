@@ -115,6 +115,14 @@ def board() -> Any:
     return [body, fmbd.contact("pair", fmbd.contacts.corners(body, edge), ground, friction=0.3, restitution=0.4)]
 
 
+def tumbling() -> Any:
+    """A rod that falls on a tip so that Newton's law and friction, which turns the slip about, would create energy."""
+    rod = fmbd.RigidBody("rod", 1.0, 1 / 12, (0.0, 0.6), np.pi / 4, velocity=(1.0, -3.0))
+    ends = fmbd.contacts.corners(rod, [(-0.5, 0.0), (0.5, 0.0)])
+    ground = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
+    return [rod, fmbd.contact("pair", ends, ground, friction=0.8, restitution=0.9)]
+
+
 def loop() -> Any:
     """A planar four-bar in space, three rows of which depend on the others, with stops of its crank."""
     places = [np.array(p) for p in ((0.0, 0.0, 0.0), (0.0, 0.0, 0.3), (0.8, 0.0, 0.5), (0.7, 0.0, 0.0))]
@@ -167,7 +175,7 @@ SCENES = {
     "stops and friction": lambda: links(3, True), "reduced": lambda: plate(0.0, False),
     "dependent rows": loop, "many points": board,
     "reduced, friction": lambda: plate(0.4, False), "stop of reduced": lambda: plate(0.0, True),
-    "own shape": lambda: in_a_bowl(False), "own shape carried": lambda: in_a_bowl(True),
+    "energy of an impact": tumbling, "own shape": lambda: in_a_bowl(False), "own shape carried": lambda: in_a_bowl(True),
     "rod": lambda: rope(0.0), "rod, friction": lambda: rope(0.3),
 }  # fmt: skip
 

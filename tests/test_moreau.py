@@ -121,6 +121,43 @@ def test_plate_rattles_to_rest_on_redundant_corners(dim: int, friction: float, r
     assert run.counters["complementarity_residual"] <= 1e-12
 
 
+@pytest.mark.parametrize("restitution", [0.9, 1.0])
+def test_impact_whose_friction_turns_the_slip_about_adds_no_energy(restitution: float) -> None:
+    """A rod that hits a floor with its tip, and sticks: by Newton's law it would leave with up to 10 % more energy.
+
+    The tip's impulse P is that of U_1 = (0, -s e U_0n) by the compliance W of the tip, and P . (U_0 + U_1) = 0 tells s.
+    """
+    angle, v = np.pi / 4, np.array([1.0, -3.0])
+    rod = fmbd.RigidBody("rod", 1.0, 1 / 12, (0.0, 0.6), angle, velocity=tuple(v))
+    ground = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
+    tips = fmbd.corners(rod, [(-0.5, 0.0), (0.5, 0.0)])
+    pair = fmbd.contact("floor", tips, ground, friction=0.8, restitution=restitution)
+    scene = fmbd.Scene("rod")
+    scene.add(rod, pair)
+    scene.sensor("v", fmbd.velocity(rod))
+    scene.sensor("work", fmbd.contact_work())
+    run = fmbd.solve(scene, t_end=0.09, dt=3e-3, scheme=fmbd.Moreau())
+    assert run.counters["impacts"] == 1
+
+    arm = 0.5 * np.array([np.sin(angle), -np.cos(angle)])  # of the turn: speed of the tip for a unit angular velocity
+    W = np.eye(2) + 12.0 * np.outer(arm, arm)
+
+    def impulse(share: float) -> Any:
+        return np.linalg.solve(W, np.array([0.0, -share * restitution * v[1]]) - v)
+
+    lower, upper = 0.0, 1.0
+    for _ in range(60):
+        share = 0.5 * (lower + upper)
+        gained = impulse(share) @ (v + np.array([0.0, -share * restitution * v[1]])) > 0.0
+        lower, upper = (lower, share) if gained else (share, upper)
+    assert 0.5 < lower < 0.95
+    found = impulse(lower)
+    assert abs(found[0]) < 0.8 * found[1]
+    assert run["v"][-1] == pytest.approx(v + found, abs=1e-6)
+    energy = sum(run.energy.values())
+    assert np.abs(energy - energy[0]).max() <= 1e-7 * energy[0]
+
+
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 def test_corners_that_hit_at_nearly_one_time_stay_above_the_floor(size: float) -> None:
     """A plate that falls nearly flat, one corner right after the other: the second is not closed at its speed, for the rest of

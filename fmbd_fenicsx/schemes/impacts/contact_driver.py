@@ -75,7 +75,9 @@ class Contacts(ctypes.Structure):
         *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
         *_fields("energy springs time last", REAL),
         ("loaded", INT),
-        *_fields("rows drift rate W q f mu Y work least ahead xi kept saved was rested path own", POINTER),
+        *_fields(
+            "rows drift rate before rebound W q f mu Y work least ahead xi kept saved was rested path own", POINTER
+        ),
         *_fields("size most done total parts", INT),
         ("system", POINTER),
         ("tally", Tally),
@@ -159,6 +161,7 @@ class ContactDriver:
 
         sizes = {
             "held": m * k, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
+            "before": rows, "rebound": room,
             "rows": 2 * rows * wide, "W": rows**2, "q": rows, "f": rows, "mu": room,
             "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2,
             "least": 20 * rows + 2 * rows**2, "ahead": self.nq, "xi": self.n, "still": self.n,

@@ -20,14 +20,18 @@ from ...linear.complementarity.normal import ContactCounts, solve_normal
 from ...mechanics.contact.rows import ContactSet, Rows
 from ...rotations import Array
 from .contact_detection import components
+from .restitution import Impact
 
 
 class UnilateralForces:
     """Forces ``force`` (m, 1 or d) on the candidates of one step, improved by each call of
-    :meth:`increment`.
+    :meth:`increment`. ``impact``: what bounds rebounds, for impacts.
     """
 
-    def __init__(self, compliance: Compliance, counts: ContactCounts, force: Array) -> None:
+    def __init__(
+        self, compliance: Compliance, counts: ContactCounts, force: Array, impact: Impact | None = None
+    ) -> None:
+        self.impact = impact
         self.compliance, self.counts, self.force = compliance, counts, force
         self.solver, self.contacts = compliance.solver, compliance.contacts
         self.rows: Rows | None = None
@@ -55,10 +59,13 @@ class UnilateralForces:
             self._blocks = blocks
         W = self._W
         gap = u.ravel() + contacts.times(system, L, z)
-        if d > 1:
-            force = frictional_forces(W, gap, rows.friction, self.force, self.counts)
-        else:
-            force = normal_forces(W, gap, self.force[:, 0], self.counts)[:, None]
+
+        def solve(gap: Array) -> Array:
+            if d > 1:
+                return frictional_forces(W, gap, rows.friction, self.force, self.counts)
+            return normal_forces(W, gap, self.force[:, 0], self.counts)[:, None]
+
+        force = solve(gap) if self.impact is None else self.impact.forces(W, gap, self.force, solve)
 
         # what the change of the forces adds
         change, self.force = force - self.force, force

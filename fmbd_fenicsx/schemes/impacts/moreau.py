@@ -11,7 +11,8 @@ When one contact hits more than three times in a step, its impacts accumulate (Z
 has more than ``impacts`` of them, the rest of it is taken as classical time stepping: contacts whose gap, extrapolated to
 the middle, is not positive are closed, with those that would else end below zero, and P is the impulse of all that
 happens. Energy: P (U_0 + U_1) / 2 =
--(1 - e) / 2 P |U_0| <= 0. Joints are kept on velocity level by (2) and projected on position level after the step.
+-(1 - e) / 2 P |U_0| <= 0; with friction see :mod:`.restitution`.
+Joints are kept on velocity level by (2) and projected on position level after the step.
 
 Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Jean, doi:10.1016/S0045-7825(98)00383-1.
 """
@@ -41,6 +42,7 @@ from .contact_detection import candidates, refuse_penetration, tell_rest
 from .contact_ledger import StepForces
 from .contact_newton import UnilateralForces, openings
 from .contact_stepper import ContactStepper
+from .restitution import Impact
 
 IMPACT = 1e-9  # length of an impact, as a share of the step
 TOUCH = 1e-9  # gap of a closed contact, as a share of the model's length
@@ -347,7 +349,7 @@ class _Step:
         s, contacts = stepper.state, stepper.contacts
 
         self.v, self.lam = s.v.copy(), s.lam.copy()
-        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed])
+        self.impact: Impact | None = None
         self.bouncing = np.broadcast_to(bounce, closed.shape)
 
         self.prepared, self.rows = False, None
@@ -359,13 +361,24 @@ class _Step:
             at = (stepper.system, s.t + h / 2, middle)
             self.rows = contacts.rows(*at, since=(s.t, self.span)).take(closed)
             self.rate = contacts.gap_rate(*at, self.span)[closed]
-            before = contacts.times(stepper.system, self.rows.N, s.v) + self.rate
-            self.rebound = np.where(self.bouncing[closed], self.rows.restitution * np.minimum(before, 0.0), 0.0)
+            before = self._openings(s.v)
+            rebound = np.where(self.bouncing[closed], self.rows.restitution * np.minimum(before[:, 0], 0.0), 0.0)
+            self.impact = Impact(before, rebound)
+        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed], self.impact)
 
         converged, history = stepper.newton.solve(self.increment, self.renew)
         if not converged:
             raise not_converged(s.t + h, h, history)
         self.iterations = len(history)
+
+    def _openings(self, v: Array) -> Array:
+        """Rates of gaps, and slips (m/s), of the closed contacts at velocities v: (m, 1 or d)."""
+        p = self.p
+        assert self.rows is not None
+        rate = p.contacts.times(p.system, self.rows.N, v) + self.rate
+        u = openings(p.contacts, p.system, self.rows, rate, self.span * v)
+        u[:, 1:] /= self.span  # slips over the step become velocities
+        return u
 
     def renew(self) -> bool:
         """A new tangent where the last increment began; whether there is one."""
@@ -385,10 +398,9 @@ class _Step:
 
         slip = ev.jacobian.times(self.v) + ev.constraint_rate() if system.n_lam else np.zeros(0)
 
-        if self.rows is not None:
-            rate = p.contacts.times(system, self.rows.N, self.v) + self.rate + self.rebound
-            u = openings(p.contacts, system, self.rows, rate, self.span * self.v)
-            u[:, 1:] /= self.span  # slips over the step become velocities
+        if self.rows is not None and self.impact is not None:
+            u = self._openings(self.v)
+            u[:, 0] += self.impact.rebound
             dv, dlam = self.contact.increment(self.rows, u, (r, slip), 1.0)
         else:
             dv, dlam = solver.solve(-r, -slip)

@@ -46,6 +46,7 @@ typedef struct {
     double energy, springs, time, last;       /* time: when forces act; last: error of the last part */
     int loaded;                               /* whether there are force elements */
     double *rows, *drift, *rate;              /* of closed contacts: components x 2 wide, body axes; tangential; of gaps */
+    double *before, *rebound;                 /* of closed contacts: rates before a part; e times those of normals that bounce */
     double *W, *q, *f, *mu, *Y, *work;        /* the small problem; A^-1 L^T; see moreau.c */
     double *least;                            /* room for friction.c */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */

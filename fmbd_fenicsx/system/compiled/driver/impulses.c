@@ -1,5 +1,8 @@
 /* Velocities and impulses of a part of a Moreau step, equations (1) to (3) of schemes/impacts/moreau.py, and the works of both. */
 
+static const double ADDED = 1e-9, CLOSE = 1e-10, NARROW = 1e-12; /* as in restitution.py */
+enum { TRIED = 40 };
+
 /* Rows and compliance of the closed contacts at the frames evaluated last, whose matrix is factored. */
 static void compliance(System *s, Contacts *c, const int *closed, int m)
 {
@@ -23,6 +26,73 @@ static void compliance(System *s, Contacts *c, const int *closed, int m)
         for (int k = 0; k < n; k++) c->W[r * n + k] = along(c, closed[r / d], c->rows + 2 * c->wide * r, c->Y + (long)size * k);
     for (int r = 0; r < n; r++)
         for (int k = 0; k < r; k++) c->W[r * n + k] = c->W[k * n + r] = 0.5 * (c->W[r * n + k] + c->W[k * n + r]);
+}
+
+/* Impulses of the m closed contacts for the openings c->q without any, from ``start``; 1 where they are not found. */
+static int impulses(Contacts *c, int m, const double *start, double t)
+{
+    memcpy(c->f, start, m * c->components * sizeof(double));
+    return contact_forces(c, m) && frictional_forces(c, m) && c->python(COMPLEMENTARITY, m, t);
+}
+
+/* The work that the impulses c->f do on the contacts in an impact with a share of the rebound, and in ``size`` that of their sizes. */
+static double work_of_impact(const Contacts *c, int m, double share, double *size)
+{
+    const int d = c->components, n = m * d;
+    double work = 0.0;
+    *size = 0.0;
+    for (int k = 0; k < n; k++) {
+        double after = c->q[k] + dot(c->W + k * n, c->f, n) - (k % d ? 0.0 : share * c->rebound[k / d]);
+        work += 0.5 * c->f[k] * (c->before[k] + after);
+        *size += 0.5 * fabs(c->f[k]) * (fabs(c->before[k]) + fabs(after));
+    }
+    return work;
+}
+
+/* Impulses with the largest share of the rebound by which an impact adds no energy, as schemes/impacts/restitution.py finds it; the
+   rebound is what is left of it. 1 where they are not found. */
+static int lawful_impulses(Contacts *c, int m, const double *start, double t)
+{
+    const int d = c->components;
+    double lower = 0.0, upper = 1.0, share = 1.0, least = 0.0, most, size, work;
+    int bounces = 0, side = 0;
+    if (impulses(c, m, start, t)) return 1;
+    for (int k = 0; k < m; k++) bounces |= c->rebound[k] != 0.0;
+    if (!bounces) return 0;
+    most = work_of_impact(c, m, 1.0, &size);
+    if (!(most > ADDED * size)) return 0;
+
+    /* without a rebound energy is lost; then secants that halve the work of an end which stays */
+    for (int round = 0; round <= TRIED && upper - lower > NARROW; round++) {
+        double next = round ? upper - most * (upper - lower) / (most - least) : 0.0;
+        if (round && !(next > lower && next < upper)) next = 0.5 * (lower + upper);
+        for (int k = 0; k < m; k++) c->q[k * d] += (next - share) * c->rebound[k];
+        share = next;
+        if (impulses(c, m, start, t)) return 1;
+        work = work_of_impact(c, m, share, &size);
+        if (!round) {
+            least = work;
+            if (work > -CLOSE * size) break;
+        } else if (work > 0.0) {
+            upper = share, most = work;
+            if (side > 0) least *= 0.5;
+            side = 1;
+        } else {
+            lower = share, least = work;
+            if (work > -CLOSE * size) break;
+            if (side < 0) most *= 0.5;
+            side = -1;
+        }
+    }
+    if (share != lower) {
+        for (int k = 0; k < m; k++) c->q[k * d] += (lower - share) * c->rebound[k];
+        if (impulses(c, m, start, t)) return 1;
+    }
+    for (int k = 0; k < m; k++) {
+        c->rate[c->closed[k]] -= (1.0 - lower) * c->rebound[k];
+        c->rebound[k] *= lower;
+    }
+    return 0;
 }
 
 /* The step of length h with the closed contacts: velocities in out.v, multipliers in out.lam, impulses in c->f. */
@@ -69,9 +139,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
 
         double *old = c->work + 4 * n + n * n;
         memcpy(old, c->f, n * sizeof(double));
-        if (m && contact_forces(c, m) && frictional_forces(c, m)) {
-            if (c->python(COMPLEMENTARITY, m, middle)) return LOOK;
-        }
+        if (m && lawful_impulses(c, m, old, middle)) return LOOK;
         for (int k = 0; k < n; k++) {
             add(x, c->f[k] - old[k], c->Y + (long)size * k, s->nv);
             add(y, c->f[k] - old[k], c->Y + (long)size * k + s->nv, s->rows);

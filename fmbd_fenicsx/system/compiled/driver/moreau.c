@@ -111,7 +111,10 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
         if (drifts(c, i, c->ahead, t, length, span, &c->end, c->drift + d * k)) return LOOK;
         memcpy(c->f + d * k, c->held + d * i, d * sizeof(double));
         c->mu[k] = o->friction;
-        if (c->bouncing[i]) c->rate[i] += o->restitution * fmin(along(c, i, rows, now.v) + c->rate[i], 0.0);
+        for (int a = 0; a < d; a++)
+            c->before[d * k + a] = along(c, i, rows + 2 * c->wide * a, now.v) + (a ? -c->drift[d * k + a] / span : c->rate[i]);
+        c->rebound[k] = c->bouncing[i] ? o->restitution * fmin(c->before[d * k], 0.0) : 0.0;
+        c->rate[i] += c->rebound[k];
     }
     if (s->samples && s->python(SAMPLE, 0, t + 0.5 * length)) return FAILED;
     return velocities(s, c, p, now, out, m, length, span);
