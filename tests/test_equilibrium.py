@@ -88,6 +88,16 @@ def test_what_moves_freely_is_named_beside_what_swings() -> None:
         fmbd.equilibrium(scene)
 
 
+def test_a_joint_that_cannot_close_is_named() -> None:
+    """A level that the arm does not reach: not a load above its limit."""
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0))
+    scene = fmbd.Scene("far", gravity=(0.0, -9.81))
+    scene.add(arm, fmbd.revolute("pin", fmbd.ground, arm, center=(0.0, 0.0)))
+    scene.add(fmbd.constraint("level", fmbd.ground, arm, lambda a, b, t: b.x[1] - 3.0, point_b=(1.0, 0.0)))
+    with pytest.raises(ConvergenceError, match=r'"level" \(own\) is open by 3 m.*points of the joint'):
+        fmbd.equilibrium(scene)
+
+
 @pytest.mark.mpi
 def test_rotation_stretches_a_spring() -> None:
     """r = k l_0 / (k - m W^2) for a mass on a spring in steady rotation."""

@@ -24,6 +24,7 @@ from ..mechanics.forces.forces import CoordinateForce
 from ..mechanics.reduction.modes import first_eigenvalue_bound
 from ..ranks import OneAnswer
 from ..rotations import Array
+from ..schemes.consistent import worst_block
 from ..system.scene.scene import Scene
 from ..system.speed_rows import speed_rows
 from ..system.system import State, System
@@ -331,6 +332,13 @@ def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriu
     if free:
         name = max(moved, key=lambda name: moved[name])
         return f'No static equilibrium: body "{name}" can move freely ({error}). Hold it by a joint or a spring.'
+    g = newton.residual.values(newton.residual.at(start.q, t), start.lam)[1]
+    gap = float(np.abs(g).max(initial=0.0))
+    if gap > 0.1 * system.length:
+        return (
+            f"No static equilibrium was found from the given placement, in which {worst_block(system, g)} is open by "
+            f"{gap:.3g} m: {error}. Check the positions of the bodies and the points of the joint."
+        )
     return (
         f"No static equilibrium was found from the given placement: {error}. The load may be above its limit: "
         "follow the equilibria with path=fmbd.ArcLength(...), or give a start nearer to the solution."
