@@ -149,7 +149,8 @@ class Mesh:
 
         Args:
             position: of the mesh's origin, m, (d,); None: where it is.
-            rotation: an angle (rad) in the plane, a matrix (3, 3) or quaternion (scalar last) in space; None: unturned.
+            rotation: an angle (rad) in the plane; in space a matrix (3, 3), quaternion (scalar last) or SciPy's Rotation;
+                None: unturned.
         """
         from dolfinx.mesh import meshtags
 

@@ -226,12 +226,14 @@ class Motions:
         """Angular velocity from body to space axes."""
         return (R @ w[..., None])[..., 0] if self.dim == 3 else w
 
-    def pose(self, position: Array, rotation: Array | None = None) -> Array:
-        """Pose from a position (d,) and a rotation: None, an angle (plane), or a rotation matrix or quaternion (space)."""
+    def pose(self, position: Array, rotation: Any = None) -> Array:
+        """Pose from a position (d,) and a rotation: None, an angle (plane), a matrix, quaternion or SciPy's Rotation (space)."""
         q = self.identity
         q[: self.dim] = position
         if rotation is None:
             return q
+        if hasattr(rotation, "as_quat"):
+            rotation = rotation.as_quat()
         given = array("rotation", rotation, shape="numbers: an angle, a matrix or a quaternion")
         shapes = ((), (2, 2)) if self.dim == 2 else ((4,), (3, 3))
         require(

@@ -163,3 +163,23 @@ def test_bodies_at_rest_do_not_gain_energy_by_roundoff() -> None:
         scene = fmbd.Scene("rest")
         scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin"), center=(0.0, 0.3 * size)))
         assert fmbd.solve(scene, t_end=0.02, dt=0.01).warnings == []
+
+
+def test_velocities_that_joints_do_not_allow_are_told_at_the_start() -> None:
+    """An arm on a pin is told to turn but its centre is not: said by name; not where both fit, or where a drive moves it."""
+
+    def told(velocity: tuple[float, float] | None, rate: float, *, driven: bool = False) -> list[str]:
+        arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0), velocity=velocity, angular_velocity=rate)
+        pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0.0, 0.0))
+        scene = fmbd.Scene("arm")
+        scene.add(arm, pin)
+        if driven:
+            scene.add(fmbd.drive("motor", fmbd.angle(pin), lambda t: 2.0 * t))
+        return [w for w in fmbd.solve(scene, t_end=0.01, dt=1e-3).warnings if "contradict" in w]
+
+    (found,) = told(None, 2.0)
+    assert (
+        'body "arm" is changed by 0.714 m/s' in found
+    )  # the rate that keeps the angular momentum about the pin: 2 I / (I + m l^2)
+    assert not told((0.0, 1.0), 2.0)
+    assert not told(None, 0.0, driven=True)

@@ -124,6 +124,7 @@ def test_pose_accepts_angle_matrix_and_quaternion() -> None:
     by_matrix, by_quaternion = SPACE.pose((1, 2, 3), R.as_matrix()), SPACE.pose((1, 2, 3), 3 * R.as_quat())
     assert np.abs(SPACE.matrix(by_matrix) - R.as_matrix()).max() < 1e-15
     assert np.abs(SPACE.matrix(by_quaternion) - R.as_matrix()).max() < 1e-15
+    assert (SPACE.pose((1, 2, 3), R) == SPACE.pose((1, 2, 3), R.as_quat())).all()
     c, s = np.cos(2.0), np.sin(2.0)
     assert np.abs(PLANE.matrix(PLANE.pose((0, 0), 2.0)) - [[c, -s], [s, c]]).max() < 1e-15
     assert np.abs(PLANE.pose((0, 0), np.array([[c, -s], [s, c]]))[2] - 2.0) < 1e-15

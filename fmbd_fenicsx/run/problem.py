@@ -21,6 +21,7 @@ from .judges.acceptance import Closed
 from .judges.energy_check import Guarded, Watch
 from .judges.force_balance import Balanced
 from .judges.forecast import Forecast
+from .judges.given_velocities import warn_of_changed_velocities
 from .schedule import StepSchedule
 from .step_bisection import ConstantSteps, Judges
 
@@ -55,7 +56,9 @@ def begin(
     reset(system, given)
     system.evaluator.begin_anew()
     with OneAnswer(system.comm):
-        return _begun(scene, scheme, system, given, solver=solver, h=h)
+        start, correction = _begun(scene, scheme, system, given, solver=solver, h=h)
+    warn_of_changed_velocities(system, given, start, correction)
+    return start, correction
 
 
 def _begun(

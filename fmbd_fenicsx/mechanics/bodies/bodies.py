@@ -42,7 +42,8 @@ class RigidBody(Body):
         mass: kg, positive.
         inertia: about the centre of mass in body axes, kg m^2: a number (plane), or (3,) principal values or (3, 3) (space).
         position: centre of mass at the start, world axes, m, (d,).
-        rotation: attitude at the start: an angle (rad) in the plane, a matrix (3, 3) or quaternion (scalar last) in space.
+        rotation: attitude at the start: an angle (rad) in the plane; in space a matrix (3, 3), quaternion (scalar last) or
+            SciPy's Rotation.
         velocity: of the centre of mass at the start, m/s, (d,).
         angular_velocity: at the start, body axes, rad/s: a number or (3,).
         locked: True keeps the body where it is; it then has no unknowns.

@@ -171,7 +171,8 @@ def _rounded(a: Array, b: Array, na: Array, nb: Array) -> tuple[Array, Array]:
 @dataclass(frozen=True, eq=False)
 class Box(Shape):
     """A box (in the plane: a rectangle) with edges ``size`` (m, (d,)) about ``center``, along the shape's axes or turned
-    from them by ``rotation``: an angle (rad) in the plane, a matrix (3, 3) or quaternion (scalar last) in space.
+    from them by ``rotation``: an angle (rad) in the plane; in space a matrix (3, 3), quaternion (scalar last) or SciPy's
+    Rotation.
     """
 
     size: Vector

@@ -1,0 +1,36 @@
+"""Whether a run begins with the velocities that bodies were given: where joints contradict them, it begins with the nearest ones.
+
+    |v_i - v_given,i|  >  0.01 max |v_given|        of a frame i that was given a velocity, entries as lengths over time      (1)
+
+The nearest velocities are those after an impact without rebound: they cost energy, and set elastic bodies into vibration.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...log import log
+from ...schemes.consistent import Correction
+from ...system.system import State, System
+
+CHANGED = 0.01
+
+
+def warn_of_changed_velocities(system: System, given: State, start: State, correction: Correction) -> None:
+    """Warn by (1) of the body whose velocity was changed most; looks at frames, which are the same on all ranks."""
+    n = system.motions.n_twist
+    frames = slice(0, system.n_frames * n)
+    if not system.n_frames or not correction.velocity > CHANGED * np.abs(given.v[frames]).max() > 0.0:
+        return
+
+    told, taken = ((system.units[frames] * state.v[frames]).reshape(-1, n) for state in (given, start))
+    fastest = float(np.abs(told).max())
+    change = np.abs(taken - told).max(axis=1) * told.any(axis=1)
+    if not change.max() > CHANGED * fastest:
+        return
+    log.warning(
+        'the velocities that bodies were given contradict the joints: that of body "%s" is changed by %.3g m/s (or rad/s times a '
+        "length), the largest given is %.3g m/s. The run begins with the nearest velocities that joints allow, as after an "
+        "impact. velocity= is that of the centre of mass; angular_velocity= of rigid bodies has body axes",
+        system.frame_names[int(np.argmax(change))], float(change.max()), fastest,
+    )  # fmt: skip
