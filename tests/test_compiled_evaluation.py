@@ -108,6 +108,17 @@ def test_equal_to_numpy(name: str) -> None:
     assert moved[1] == pytest.approx(moved[0], rel=1e-14, abs=1e-14)
     assert np.array_equal(driven.compose(q[0], 0.1 * v), driven.compose(np.broadcast_to(q[0], q.shape), 0.1 * v))
 
+    # increments back, the smallest ones and those nearest to others, and their rates
+    for turns in (0.1, 2.5, 9.0):
+        there = plain.compose(q, turns * v)
+        for near in (None, 0.9 * turns * v, 0.0 * v):
+            back = [system.difference(q, there, near=near) for system in (plain, driven)]
+            assert back[1] == pytest.approx(back[0], rel=1e-12, abs=1e-12)
+        rates = [system.rate(turns * v, a) for system in (plain, driven)]
+        assert rates[1] == pytest.approx(rates[0], rel=1e-11, abs=1e-11)
+    back = [system.difference(q[0], q[0], near=9.0 * v[0]) for system in (plain, driven)]
+    assert back[1] == pytest.approx(back[0], rel=1e-12, abs=1e-12)
+
 
 @compiled
 def test_laws_of_time_are_asked_once_a_state() -> None:

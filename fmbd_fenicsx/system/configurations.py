@@ -23,10 +23,11 @@ def _flat(system: System) -> bool:
     return system.counted_angles.stop == system.n_frames * system.motions.n_twist
 
 
-def _together(x: Array, y: Array) -> tuple[tuple[int, ...], Array, Array]:
-    """Two arrays with the same leading axes, and these."""
-    lead = np.broadcast_shapes(x.shape[:-1], y.shape[:-1])
-    return lead, np.broadcast_to(x, (*lead, x.shape[-1])), np.broadcast_to(y, (*lead, y.shape[-1]))
+def _together(*arrays: Array) -> tuple[Array, ...]:
+    """Arrays with the same leading axes."""
+    leads = [x.shape[:-1] for x in arrays]
+    lead = np.broadcast_shapes(*leads)
+    return tuple(np.broadcast_to(x, (*lead, x.shape[-1])) for x in arrays)
 
 
 def _poses(system: System, q: Array) -> Array:
@@ -48,12 +49,12 @@ def compose(system: System, q: Array, xi: Array) -> Array:
     if _flat(system):
         return q + xi
 
-    _, q, xi = _together(q, xi)
     return system.evaluator.compose(q, xi)
 
 
 def composed(system: System, q: Array, xi: Array) -> Array:
-    """The same of arrays with the same leading axes, in NumPy."""
+    """The same in NumPy."""
+    q, xi = _together(q, xi)
     at = system.counted_angles
     lead = q.shape[:-1]
     k = system.n_frames * system.motions.n_twist
@@ -66,29 +67,40 @@ def composed(system: System, q: Array, xi: Array) -> Array:
 
 
 def difference(system: System, q0: Array, q1: Array, near: Array | None = None) -> Array:
-    """The increment xi with q0 o exp(xi) = q1: of all rotations the smallest, or the one nearest to that of ``near``."""
+    """The increment xi with q0 o exp(xi) = q1, by who evaluates the system: of all rotations the smallest, or the one nearest to
+    that of ``near``.
+    """
     if _flat(system):
         return q1 - q0
 
+    return system.evaluator.difference(q0, q1, near)
+
+
+def increment_between(system: System, q0: Array, q1: Array, near: Array | None = None) -> Array:
+    """The same in NumPy."""
+    q0, q1 = _together(q0, q1)
     at = system.counted_angles
     k = system.n_frames * system.motions.n_twist
-    lead, q0, q1 = _together(q0, q1)
     guess = None if near is None else _twists(system, near)
 
     frames = system.motions.difference(_poses(system, q0), _poses(system, q1), guess)
-    return np.concatenate((frames.reshape(*lead, k), q1[..., at.stop :] - q0[..., at.stop :]), axis=-1)
+    return np.concatenate((frames.reshape(*q0.shape[:-1], k), q1[..., at.stop :] - q0[..., at.stop :]), axis=-1)
 
 
 def rate(system: System, xi: Array, v: Array) -> Array:
-    """d(xi)/dt of the local coordinates q o exp(xi) for the velocity v."""
+    """d(xi)/dt of the local coordinates q o exp(xi) for the velocity v, by who evaluates the system."""
+    if system.motions.dim == 2 or not system.n_frames:
+        return v
+    return system.evaluator.rate(xi, v)
+
+
+def rate_of_increment(system: System, xi: Array, v: Array) -> Array:
+    """The same in NumPy."""
+    xi, v = _together(xi, v)
     m = system.motions
     k = system.n_frames * m.n_twist
-    if m.dim == 2 or not k:
-        return v
-
-    lead, xi, v = _together(xi, v)
     frames = m.rate(_twists(system, xi), _twists(system, v))
-    return np.concatenate((frames.reshape(*lead, k), v[..., k:]), axis=-1)
+    return np.concatenate((frames.reshape(*v.shape[:-1], k), v[..., k:]), axis=-1)
 
 
 # -- counted angles ---------------------------------------------------------------------------------------------------

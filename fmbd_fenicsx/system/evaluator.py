@@ -1,6 +1,7 @@
 """Who evaluates the states of a system: NumPy, or compiled code where a run has asked for it and knows all of the system.
 
-A system has one evaluator; :meth:`.System.at`, :meth:`.System.batch` and :meth:`.System.compose` ask it, and nobody else does.
+A system has one evaluator; :meth:`.System.at`, :meth:`.System.batch` and the geometry of configurations, :meth:`.System.compose`,
+``difference`` and ``rate``, ask it, and nobody else does.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from ..rotations import Array
-from .configurations import composed
+from .configurations import composed, increment_between, rate_of_increment
 from .evaluation import Evaluation
 from .evaluation_batch import CoordinateBatch, EvaluationBatch, in_coordinates
 
@@ -27,7 +28,13 @@ class Evaluator(Protocol):
         """Many configurations at the times t (k,): q (k, n_q), v (k, n_v)."""
 
     def compose(self, q: Array, xi: Array) -> Array:
-        """q o exp(xi) of arrays with the same leading axes, see :func:`.configurations.compose`."""
+        """q o exp(xi), leading axes broadcast, see :func:`.configurations.compose`."""
+
+    def difference(self, q0: Array, q1: Array, near: Array | None) -> Array:
+        """The increment from q0 to q1, likewise, see :func:`.configurations.difference`."""
+
+    def rate(self, xi: Array, v: Array) -> Array:
+        """d(xi)/dt for the velocity v, likewise, see :func:`.configurations.rate`."""
 
     def begin_anew(self) -> None:
         """Serve another run, the one before is over."""
@@ -49,8 +56,16 @@ class NumPyEvaluator:
         return made(self.system, t, q, v)
 
     def compose(self, q: Array, xi: Array) -> Array:
-        """q o exp(xi) of arrays with the same leading axes."""
+        """q o exp(xi), leading axes broadcast."""
         return composed(self.system, q, xi)
+
+    def difference(self, q0: Array, q1: Array, near: Array | None) -> Array:
+        """The increment from q0 to q1, likewise."""
+        return increment_between(self.system, q0, q1, near)
+
+    def rate(self, xi: Array, v: Array) -> Array:
+        """d(xi)/dt for the velocity v, likewise."""
+        return rate_of_increment(self.system, xi, v)
 
     def begin_anew(self) -> None:
         """Nothing: it keeps nothing of a run."""

@@ -96,7 +96,7 @@ class System:
         raise InputError(f'Body "{name}" has no part in this system. {near(name, [p.name for p in self.parts])}')
 
     # -- sizes --------------------------------------------------------------------------------------------------
-    @property
+    @cached_property
     def n_frames(self) -> int:
         """Moving frames."""
         return len(self.frame_names)

@@ -24,6 +24,7 @@ from ..mobility import certainly_regular
 from ..system import System
 from .calls import Calls
 from .exchange import Exchange, Room
+from .geometry import CompiledGeometry
 from .structures import address_of, enumeration
 from .tables import Tables
 
@@ -33,7 +34,7 @@ LOOK = enumeration("DONE")["LOOK"]  # a verdict
 Configurations = tuple[Array, Array, Array]  # t (k,), q (k, n_q), v (k, n_v)
 
 
-class DriverStates:
+class DriverStates(CompiledGeometry):
     """The driver of a system, for states that Python asks for; arrays have the configurations in front, (k, ..)."""
 
     solves = True  # whether it factors matrices too
@@ -119,13 +120,6 @@ class DriverStates:
         """Configurations at the times t (k,): q (k, n_q), v (k, n_v)."""
         self.anew = True
         return DriverBatch(self, t, q, v)
-
-    def compose(self, q: Array, xi: Array) -> Array:
-        """q o exp(xi), arrays with the same leading axes: :func:`~..configurations.compose`."""
-        q, xi, made = np.ascontiguousarray(q), np.ascontiguousarray(xi), np.empty(q.shape)
-        count = q.size // q.shape[-1]
-        self.library.driver_compose(self.address, count, address_of(q), address_of(xi), address_of(made))
-        return made
 
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""

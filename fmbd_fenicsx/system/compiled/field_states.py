@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from ..configurations import composed
 from .evaluation import Configurations, DriverStates
 from .fields import Block
 from .tables import Tables
@@ -65,9 +64,10 @@ class FieldStates(DriverStates):
         """None: G of a field is kept by its ports."""
         return None
 
-    def compose(self, q: Array, xi: Array) -> Array:
-        """q o exp(xi) in NumPy: most of it is a sum."""
-        return composed(self.system, q, xi)
+    @property
+    def same_rows(self) -> bool:  # type: ignore[override]
+        """Not where absolute bodies have frames at rest."""
+        return self.twin.system is self.system
 
 
 class FactoredFieldStates(FieldStates):

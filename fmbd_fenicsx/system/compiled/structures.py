@@ -176,7 +176,7 @@ def address_of(x: np.ndarray) -> int:
     try:
         return ctypes.addressof(_BYTE(x))  # costs half of x.ctypes, of which a scene would make hundreds
     except (TypeError, ValueError):  # nothing in it, or only to be read
-        return int(x.ctypes.data)
+        return int(x.__array_interface__["data"][0])
 
 
 def zeros_of(sizes: Mapping[str, int | tuple[int, ...]]) -> dict[str, tuple[Array, int]]:

@@ -210,8 +210,32 @@ EXPORT int driver_solve(System *s, const double *q, const double *b, const doubl
     return verdict;
 }
 
-/* q0 o exp(xi). */
-EXPORT void driver_compose(const System *s, long count, const double *q0, const double *xi, double *q)
+/* Geometry of many increments. ``step``: numbers from one row of an array to the next, 0 where one row serves all.
+
+   q0 o exp(xi): */
+EXPORT void driver_compose(const System *s, long count, const double *q0, long step, const double *xi, long xi_step, double *q)
 {
-    for (long i = 0; i < count; i++, q0 += s->nq, xi += s->nv, q += s->nq) configuration(s, q0, xi, q);
+    for (long i = 0; i < count; i++, q += s->nq) configuration(s, q0 + i * step, xi + i * xi_step, q);
+}
+
+/* xi with q0 o exp(xi) = q1, of all rotations those nearest to the ones of ``near``, or (NULL) the smallest. */
+EXPORT void driver_difference(const System *s, long count, const double *q0, long step, const double *q1, long end_step,
+                              const double *near, long near_step, double *xi)
+{
+    int frames = TWIST * s->bodies, poses = POSE * s->bodies + s->angles;
+    for (long i = 0; i < count; i++, xi += s->nv) {
+        const double *from = q0 + i * step, *to = q1 + i * end_step, *guess = near ? near + i * near_step : NULL;
+        for (int b = 0; b < s->bodies; b++)
+            pose_difference(from + POSE * b, to + POSE * b, guess ? guess + TWIST * b : NULL, xi + TWIST * b);
+        for (int k = frames, j = poses; k < s->nv; k++, j++) xi[k] = to[j] - from[j];
+    }
+}
+
+/* The rates of local coordinates xi for the velocities v. */
+EXPORT void driver_rate(const System *s, long count, const double *xi, long step, const double *v, long v_step, double *rates)
+{
+    for (long i = 0; i < count; i++, rates += s->nv) {
+        memcpy(rates, v + i * v_step, s->nv * sizeof(double));
+        for (int b = 0; b < s->bodies; b++) rate_of(xi + i * step + TWIST * b, rates + TWIST * b);
+    }
 }

@@ -123,6 +123,33 @@ static void rate_of(const double *xi, double *x)
     for (int i = 0; i < 3; i++) x[3 + i] += 0.5 * u[i] + c * uu[i];
 }
 
+/* xi with q0 o exp(xi) = q1 for one pose: of all rotations the smallest, or the one nearest to that of ``near`` (NULL: none). */
+static void pose_difference(const double *q0, const double *q1, const double *near, double *xi)
+{
+    const double *p = q0 + 3, *r = q1 + 3;
+    double u[3], c = dot(p, r, 4), *theta = xi + 3, sine, angle;
+
+    moment(p, r, u);
+    for (int i = 0; i < 3; i++) {
+        xi[i] = q1[i] - q0[i];
+        theta[i] = p[3] * r[i] - r[3] * p[i] - u[i];
+        if (c < 0) theta[i] = -theta[i]; /* q and -q are one rotation: the smaller angle */
+    }
+    sine = sqrt(dot(theta, theta, 3));
+    angle = 2.0 * atan2(sine, fabs(c));
+    for (int i = 0; i < 3; i++) theta[i] *= sine > 1e-8 ? angle / sine : 2.0 + sine * sine / 3.0;
+    if (!near) return;
+
+    /* by whole turns more or less; where nothing turns the axis is that of ``near`` */
+    const double *guess = near + 3, *axis = theta;
+    double size = sqrt(dot(theta, theta, 3)), turns;
+    if (size <= 1e-8) axis = guess, angle = sqrt(dot(guess, guess, 3)); else angle = size;
+    if (!(angle > 0)) return;
+    turns = rint((dot(guess, axis, 3) / angle - size) / 6.283185307179586476925);
+    for (int i = 0; i < 3; i++) u[i] = axis[i] / angle;
+    add(theta, 6.283185307179586476925 * turns, u, 3);
+}
+
 /* inverse of a symmetric positive definite 3 x 3 matrix; 1 where it is not one */
 static int inverse(const double *A, double *B)
 {
@@ -252,6 +279,12 @@ static inline void compose(const double *q0, const double *xi, double *q)
 }
 
 static inline void rate_of(const double *xi, double *x) { (void)xi; (void)x; }
+
+static inline void pose_difference(const double *q0, const double *q1, const double *near, double *xi)
+{
+    (void)near;
+    for (int i = 0; i < 3; i++) xi[i] = q1[i] - q0[i];
+}
 
 static int polar(const double *b, double *turn, double *Z)
 {
