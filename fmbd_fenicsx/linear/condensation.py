@@ -312,11 +312,14 @@ class StepSolver:
 
     # -- solution -----------------------------------------------------------------------------------------------
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """Increment like v and multiplier increment (n_lam,) for right-hand sides b (like v) and c (n_lam,)."""
+        """Increment like v and multiplier increment (n_lam,) for right-hand sides b (like v) and c (n_lam,), complex ones too."""
         s = self.system
         driver = self.driver
         if driver is not None and driver.ready:
             return driver.solve(b, c)
+        if b.dtype.kind == "c":
+            (x, y), (u, w) = self.solve(b.real, c.real), self.solve(b.imag, c.imag)
+            return x + 1j * u, y + 1j * w
         if not s.fields:
             return self.core.solve(b, c)
         if self.whole:

@@ -59,20 +59,19 @@ class Form:
         """Name in reports and tables."""
         return type(self).__name__
 
-    def rows(self, ev: Any, a: Array) -> Array:
-        """The constraints of all levels, one after another, (k, levels n_lam), of k configurations with accelerations a."""
-        made = {0: self._position, 1: self._velocity, 2: self._acceleration}
-        return np.concatenate([made[level](ev, a) for level in self.levels], axis=-1)
+    def rows(self, ev: Any, a: Array) -> list[Array]:
+        """The constraints of each level, (k, n_lam), of k configurations with accelerations a."""
+        found = []
+        for level in self.levels:
+            if level == 2:
+                found.append(self._acceleration(ev, a))
+            else:
+                found.append(ev.opening() if level else ev.constraint())
+        return found
 
     def rows_scale(self, s: Any) -> Any:
         """What a motion exp(s t) multiplies g by in the first of the rows, for a frequency s (1/s)."""
         return s ** self.levels[0]
-
-    def _position(self, ev: Any, a: Array) -> Array:
-        return ev.constraint()
-
-    def _velocity(self, ev: Any, a: Array) -> Array:
-        return ev.opening()
 
     def _acceleration(self, ev: Any, a: Array) -> Array:
         return ev.jacobian.times(a) + ev.gamma()
@@ -154,8 +153,7 @@ class Baumgarte(Form):
         return s**2 + 2 * self.alpha * s + self.beta**2
 
     def _acceleration(self, ev: Any, a: Array) -> Array:
-        rate = self._velocity(ev, a)
-        return super()._acceleration(ev, a) + 2 * self.alpha * rate + self.beta**2 * ev.constraint()
+        return super()._acceleration(ev, a) + 2 * self.alpha * ev.opening() + self.beta**2 * ev.constraint()
 
 
 @dataclass(frozen=True)
@@ -214,7 +212,7 @@ class Projected(Form):
         """Of the inner form."""
         return self.of.index
 
-    def rows(self, ev: Any, a: Array) -> Array:
+    def rows(self, ev: Any, a: Array) -> list[Array]:
         """The rows of the form that is projected."""
         return self.of.rows(ev, a)
 

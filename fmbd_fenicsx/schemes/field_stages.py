@@ -52,20 +52,16 @@ class FieldTangent:
 
     def along(self, dq: Array, dv: Array, da: Array) -> Array:
         """Derivative of balance and rows along (dq, dv, da), complex directions by their two parts; collective."""
-        given = dq, dv, da
-        if any(np.iscomplexobj(d) for d in given):
-            real, imaginary = self._along(*(np.array([d.real, d.imag]) for d in given))
-            return np.asarray(real + 1j * imaginary)
-        return np.asarray(self._along(*(d[None] for d in given))[0])
-
-    def _along(self, dq: Array, dv: Array, da: Array) -> Array:
-        """The same for directions (k, n_v)."""
         system, s = self.ev.system, self.state
-        sizes = system.each_max_abs(np.stack((dq, dv, da), axis=1))
-        eps = np.array([[self._shift(float(place), float(speed), float(push))] for place, speed, push in sizes])
-        ev = system.batch(s.t, system.compose(s.q, eps * dq), s.v + eps * dv)
-        lam = np.repeat(s.lam[None], len(dq), axis=0)
-        return np.asarray((lower(self.form, self.levels, ev, s.a + eps * da, lam) - self.low) / eps)
+        direction = np.array((dq, dv, da))
+        parts = (direction.real, direction.imag) if direction.dtype.kind == "c" else (direction,)
+        eps = [self._shift(*sizes) for sizes in system.each_max_abs(np.array(parts)).tolist()]
+
+        moved = np.array([x * part for x, part in zip(eps, parts, strict=True)])
+        ev = system.batch(s.t, system.compose(s.q, moved[:, 0]), s.v + moved[:, 1])
+        lam = np.array([s.lam] * len(parts))
+        change = lower(self.form, self.levels, ev, s.a + moved[:, 2], lam) - self.low
+        return change[0] / eps[0] if len(parts) == 1 else change[0] / eps[0] + 1j * (change[1] / eps[1])
 
     def _shift(self, place: float, speed: float, push: float) -> float:
         """The length of a difference along a direction with parts of these sizes; collective."""
@@ -86,11 +82,13 @@ class FieldTangent:
         slopes = (system.rate(one, self.state.v) - system.rate(-one, self.state.v)) / 2e-6
         return np.asarray(slopes[:, :k].reshape(count, frames, count).transpose(1, 2, 0))
 
-    def turning(self, d: Array) -> Array:
+    def turning(self, d: Array) -> Array | float:
         """Derivative of rate(xi, v) along d at xi = 0; not collective."""
         system, k = self.ev.system, self.ev.system.n_frames * self.ev.system.motions.n_twist
+        if system.motions.dim == 2 or not k:
+            return 0.0
         found = np.zeros_like(d)
-        if system.motions.dim == 3 and k:
+        if k:
             found[:k] = (self._turnings @ d[:k].reshape(system.n_frames, -1, 1)).ravel()
         return found
 
@@ -98,7 +96,7 @@ class FieldTangent:
 def lower(form: Form, levels: int, ev: Evaluation | EvaluationBatch, a: Array, lam: Array) -> Array:
     """Balance and constraint rows, (n_v + levels n_lam,), of one configuration or, (k, ..), of many; collective."""
     balance = ev.balance(a, lam if levels else None)
-    return np.concatenate((balance, form.rows(ev, a)), axis=-1) if levels else balance
+    return np.concatenate((balance, *form.rows(ev, a)), axis=-1) if levels else balance
 
 
 class FieldEquations(Remembering):
@@ -183,16 +181,17 @@ class FieldEquations(Remembering):
 
     def closing(self, slips: Array) -> Array:
         """N c of slips (k, n_lam), (k, n_v); complex ones by their parts."""
-        if np.iscomplexobj(slips):
-            real, imaginary = np.split(self.closing(np.concatenate((slips.real, slips.imag))), 2)
-            return np.asarray(real + 1j * imaginary)
         if self._basis is None:
             assert self._begun is not None
             self._basis = self.system.at(self._begun.t, self._begun.q)
-        if slips.shape[1] > COLUMNS:
-            self.prepare(self._basis, self.metric)
-            return self.solver.closing(slips.T).T
-        return slips @ self._closing_motions(self._basis).T
+        if slips.shape[1] <= COLUMNS:
+            return slips @ self._closing_motions(self._basis).T
+
+        self.prepare(self._basis, self.metric)
+        closing = self.solver.closing
+        if np.iscomplexobj(slips):
+            return np.asarray(closing(slips.real.T).T + 1j * closing(slips.imag.T).T)
+        return closing(slips.T).T
 
     def _closing_motions(self, basis: Evaluation) -> Array:
         """N of (1), (n_v, n_lam), solved for once where derivatives are taken."""

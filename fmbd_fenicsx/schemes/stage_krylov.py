@@ -116,7 +116,7 @@ class Directions:
 
     def norm(self, x: Array) -> float:
         """Size of a motion; collective."""
-        return float(np.sqrt(self.dot(x[None], x)[0].real))
+        return float(self.dot(x[None], x)[0].real) ** 0.5
 
 
 class FieldStages:
@@ -202,21 +202,16 @@ class FieldStages:
         return motion, multipliers, r[self.eq.system.n_v + self.eq.system.n_lam :]
 
     def _precondition(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """P^-1 of (1), real and imaginary parts one after the other."""
-        solve = self.eq.solver.solve
+        """P^-1 of (1)."""
         self.judge.solves += 1
-        if not np.iscomplexobj(b):
-            return solve(b, c)
-        c = c.astype(complex)
-        (x, y), (u, w) = solve(b.real, c.real), solve(b.imag, c.imag)
-        return x + 1j * u, y + 1j * w
+        return self.eq.solver.solve(b, c)
 
     def _dot(self, V: Array, w: Array) -> Array:
         """Inner products of vectors (k, n_v) with one: mean squares of each field, sums of the core; collective."""
         system, n = self.eq.system, self.eq.system.n_core
         w = (self.square * w).conj()
         if system.comm.size == 1:
-            return np.asarray((V @ w).conj())
+            return (V @ w).conj()
         core = V[:, :n] @ w[:n]
         return np.asarray((core + rank_sum(system.comm, V[:, n:] @ w[n:])).conj())
 

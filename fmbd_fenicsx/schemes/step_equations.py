@@ -92,12 +92,11 @@ class StepEquations(Remembering):
         lam, efforts = mult[:, :m], mult[:, self.levels * m :]
         if not len(ties):
             balance = ev.balance(a, lam if self.levels else None)
-            return np.concatenate((balance, self.form.rows(ev, a)), axis=1) if self.levels else balance
+            return np.concatenate((balance, *self.form.rows(ev, a)), axis=1) if self.levels else balance
 
         rows = [ev.balance(a, ties.forces(lam, efforts))]
         if self.levels:
-            every = self.form.rows(ev, a).reshape(len(a), self.levels, -1)
-            rows.append(every[:, :, ties.joints].reshape(len(a), -1))
+            rows += [every[:, ties.joints] for every in self.form.rows(ev, a)]
         rows.append(ties.residual(ev.constraint(), ev.opening(), efforts))
         return np.concatenate(rows, axis=1)
 

@@ -8,9 +8,8 @@ when someone asks for them. Systems without elastic fields.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeGuard
 
@@ -55,11 +54,14 @@ class DriverStates(CompiledGeometry):
         self.taken = False
         self.twin = self.tables.twin  # between arrays of the system and those of the tables
         n, m = self.tables.system.n_v, self.system.n_lam
-        self._given = Exchange({"q": self.tables.system.n_q, "b": n, "c": m})  # what C reads
-        self._found = Exchange({"x": n, "y": m})  # and writes
+        # what C reads and writes for a solution: two right-hand sides are those of a complex one
+        self._given = Exchange({"q": self.tables.system.n_q, "b": (2, n), "c": (2, m)})
+        self._found = Exchange({"x": (2, n), "y": (2, m)})
         self._kept_room: Room | None = None
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
         self._last: DriverEvaluation | None = None  # made by :meth:`at`
+        tables = self.tables
+        self.recalls = bool(tables.sampled or tables.remembering or tables.listeners)  # whether elements have a memory
 
     def tables_of(self) -> Tables:
         """New tables of the system."""
@@ -193,11 +195,13 @@ class DriverStates(CompiledGeometry):
 
     def _ask(self, function: Any, room: Room, places: Sequence[int | None]) -> bool:
         """One call for all configurations; whether they have been evaluated."""
-        self.tables.recall()
+        if self.recalls:
+            self.tables.recall()
         self.calls.trusted = not self.anew
         verdict = function(self.address, room.count, *room.state_at, *places)
         self.calls.trusted = self.anew = False
-        self.calls.raise_error()
+        if self.calls.error is not None:
+            self.calls.raise_error()
         if verdict == LOOK:
             self.tables.look()
         return not verdict
@@ -242,12 +246,17 @@ class DriverStates(CompiledGeometry):
         self.factors += self._held is not None and new
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """x like v and y (n_lam,) for the right-hand sides b and c."""
+        """x like v and y (n_lam,) for the right-hand sides b and c, complex ones too."""
         assert self._held is not None
-        twin, (x, y) = self.twin, self._found.arrays
+        twin, (x, y), parts = self.twin, self._found.arrays, np.iscomplexobj(b)
+        if parts:
+            b, c = np.array((b.real, b.imag)), np.array((c.real, c.imag))
         q, right, below = self._given.put(twin.configurations(self._held[1]), twin.velocities(b), c)
-        self.library.driver_solve(self.address, q, right, below, *self._found.at)
-        return twin.forces(x).copy(), y.copy()
+        self.library.driver_solve(self.address, 1 + parts, q, right, below, *self._found.at)
+        if self.calls.error is not None:
+            self.calls.raise_error()
+        x = twin.forces(x)
+        return (x[0] + 1j * x[1], y[0] + 1j * y[1]) if parts else (x[0].copy(), y[0].copy())
 
     def independent(self) -> bool:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
@@ -256,43 +265,38 @@ class DriverStates(CompiledGeometry):
         assert self._held is not None
         size = np.sqrt(self.tables.arrays["weight"])
         places = self._given.put(self.twin.configurations(self._held[1]), np.zeros(self.tables.system.n_v))
-        below, found = self._given.arrays[2], self._found.arrays[1]
+        below, found = self._given.arrays[2][0], self._found.arrays[1][0]
 
         def solve(x: Array) -> Array:
             np.multiply(size, x, out=below)
-            self.library.driver_solve(self.address, *places, self._given.at[2], *self._found.at)
+            self.library.driver_solve(self.address, 1, *places, self._given.at[2], *self._found.at)
             return np.asarray(size * found)
 
         return certainly_regular(solve, len(size), float(len(size)))
 
 
-@dataclass(frozen=True)
-class Told:
-    """What the driver told of constraints, in the order of :meth:`DriverStates.constraints`; None where it did not."""
-
-    found: Array | None
-
-    def get(self, which: int, numpy: Callable[[], Array]) -> Array:
-        """One of the answers, the caller's own; that of ``numpy`` where there is none."""
-        return numpy() if self.found is None else self.found[which].copy()
-
-
 class _Constraints:
-    """Constraints by the driver, of one configuration or of many; those of NumPy, the next base, where it did not tell."""
+    """Constraints by the driver, of one configuration or of many; those of NumPy, the next base, where it did not tell.
 
-    _told: Told
+    Answers are the caller's own.
+    """
+
+    _told: Array | None  # in the order of :meth:`DriverStates.constraints`
 
     def constraint(self) -> Array:
         """g(q, t), (n_lam,) or (k, n_lam)."""
-        return self._told.get(0, super().constraint)  # type: ignore[misc]
+        told = self._told
+        return super().constraint() if told is None else told[0].copy()  # type: ignore[misc]
 
     def opening(self) -> Array:
         """G v + g_t, likewise."""
-        return self._told.get(1, super().opening)  # type: ignore[misc]
+        told = self._told
+        return super().opening() if told is None else told[1].copy()  # type: ignore[misc]
 
     def gamma(self) -> Array:
         """g'' - G a, likewise."""
-        return self._told.get(3, super().gamma)  # type: ignore[misc]
+        told = self._told
+        return super().gamma() if told is None else told[3].copy()  # type: ignore[misc]
 
 
 class DriverEvaluation(_Constraints, Evaluation):
@@ -322,13 +326,13 @@ class DriverEvaluation(_Constraints, Evaluation):
         return other
 
     @cached_property
-    def _told(self) -> Told:  # type: ignore[override]
+    def _told(self) -> Array | None:  # type: ignore[override]
         found = self.states.constraints(self.alone)
-        return Told(None if found is None else found[:, 0])
+        return None if found is None else found[:, 0]
 
     def constraint_rate(self) -> Array:
         """g_t, (n_lam,)."""
-        return self._told.get(2, super().constraint_rate)
+        return super().constraint_rate() if self._told is None else self._told[2].copy()
 
     @cached_property
     def jacobian(self) -> Jacobian:
@@ -410,8 +414,8 @@ class DriverBatch(_Constraints, EvaluationBatch):
         self.states, self.all = states, (t, q, v)
 
     @cached_property
-    def _told(self) -> Told:  # type: ignore[override]
-        return Told(self.states.constraints(self.all))
+    def _told(self) -> Array | None:  # type: ignore[override]
+        return self.states.constraints(self.all)
 
     @cached_property
     def jacobian(self) -> Jacobians:
@@ -423,5 +427,5 @@ class DriverBatch(_Constraints, EvaluationBatch):
         found = self.states.together(self.all, a, lam)
         if found is None or not np.isfinite(found[0]).all():
             return super().balance(a, lam)
-        self._told = Told(found[1])
+        self._told = found[1]
         return found[0]

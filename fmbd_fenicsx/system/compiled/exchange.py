@@ -12,16 +12,16 @@ from .structures import zeros_of
 class Exchange:
     """Arrays of the given sizes that C knows by their addresses ``at``."""
 
-    def __init__(self, sizes: Mapping[str, int]) -> None:
+    def __init__(self, sizes: Mapping[str, int | tuple[int, ...]]) -> None:
         made = zeros_of(sizes).values()
         self.arrays = [x for x, _ in made]
         self.at = [address for _, address in made]
 
     def put(self, *values: Array | None) -> list[int]:
-        """Copy in the first arrays, as far as there are values; their addresses."""
+        """Copy in the first arrays, as far as there are values, or their first rows; their addresses."""
         for x, value in zip(self.arrays, values, strict=False):
             if value is not None:
-                x[:] = value
+                (x if x.ndim == value.ndim else x[0])[:] = value
         return self.at[: len(values)]
 
 

@@ -199,14 +199,18 @@ static int load_nodes(System *s, const double *b)
     return loaded;
 }
 
-/* x and y for right-hand sides b and c, with the factor of this configuration. */
-EXPORT int driver_solve(System *s, const double *q, const double *b, const double *c, double *x, double *y)
+/* x and y for right-hand sides b and c, each so many rows, with the factor of this configuration. */
+EXPORT int driver_solve(System *s, long count, const double *q, const double *b, const double *c, double *x, double *y)
 {
-    int verdict = place(s, q, b), failed;
-    memcpy(s->b, s->velocity, s->nu * sizeof(double));
-    memcpy(s->b + s->nu, c, s->rows * sizeof(double));
-    if ((failed = with_fields(s, load_nodes(s, b), x, y, 0.0))) return failed;
-    if (s->redundant) close_dependent(s, x, y);
+    int verdict = DONE, failed;
+    for (long i = 0; i < count; i++, b += s->nv, c += s->rows, x += s->nv, y += s->rows) {
+        int placed = place(s, q, b);
+        if (placed) verdict = placed;
+        memcpy(s->b, s->velocity, s->nu * sizeof(double));
+        memcpy(s->b + s->nu, c, s->rows * sizeof(double));
+        if ((failed = with_fields(s, load_nodes(s, b), x, y, 0.0))) return failed;
+        if (s->redundant) close_dependent(s, x, y);
+    }
     return verdict;
 }
 
