@@ -300,5 +300,5 @@ class System:
 
     def batch(self, t: float | Array, q: Array, v: Array) -> EvaluationBatch:
         """The system in many configurations q (k, n_q), v (k, n_v) at the times t, (k,) or one for all; collective."""
-        times = t if isinstance(t, np.ndarray) else np.full(len(q), t)
+        times = t if isinstance(t, np.ndarray) else np.array([t] * len(q), dtype=float)
         return self.evaluator.batch(times, q, v)

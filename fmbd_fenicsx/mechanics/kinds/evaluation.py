@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ...kernel_cache import address_of
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from .derivation import Kind, numpy_kernel
@@ -39,7 +40,7 @@ class KindItems:
     @cached_property
     def addresses(self) -> tuple[int, int]:
         """Of the pairs and of the table, for C."""
-        return self.pair.ctypes.data, self.table.ctypes.data
+        return address_of(self.pair), address_of(self.table)
 
     @cached_property
     def table(self) -> Array:
@@ -71,9 +72,9 @@ class KindItems:
             return made
 
         out = np.empty((n, len(self.kind.outputs[which])))
-        at = None if weight is None else weight.ctypes.data
+        at = None if weight is None else address_of(weight)
         pair, table = self.addresses
-        compiled(n, pair, frames.ctypes.data, table, at, out.ctypes.data)
+        compiled(n, pair, address_of(frames), table, at, address_of(out))
         return out
 
     # -- what follows from the definition -----------------------------------------------------------------------

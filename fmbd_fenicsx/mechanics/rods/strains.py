@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from ... import kernel_cache
 from ...rotations import Array
 from ..kinds.expressions import Expression, Program, c_lines, gradient, symbol
 from ..kinds.frames import Vector, cross
@@ -157,7 +158,6 @@ def _c_library() -> str:
 @cache
 def _library() -> Any:
     """The compiled functions; None without a compiler."""
-    from ... import kernel_cache
     from ..kinds import expressions, frames
 
     made_from = b"".join(Path(str(file)).read_bytes() for file in (__file__, expressions.__file__, frames.__file__))
@@ -179,8 +179,8 @@ def _evaluated(name: str, z: Array, S: Array, size: int) -> Array:
     z = np.ascontiguousarray(z, dtype=float)
     S = np.ascontiguousarray(S, dtype=float)
     out = np.empty((*z.shape[:-1], size))
-    pointers = [ctypes.c_void_p(x.ctypes.data) for x in (z, S, out)]
+    at_z, at_S, at_out = (ctypes.c_void_p(kernel_cache.address_of(x)) for x in (z, S, out))
 
     count = ctypes.c_long(z.size // 11)
-    getattr(library, f"{name}s")(count, pointers[0], pointers[1], ctypes.c_long(S.shape[-1]), pointers[2])
+    getattr(library, f"{name}s")(count, at_z, at_S, ctypes.c_long(S.shape[-1]), at_out)
     return out

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ...kernel_cache import address_of as address_of
 from ...rotations import Array
 
 _INT = ctypes.c_int
@@ -168,15 +169,6 @@ def enumeration(first: str) -> dict[str, int]:
 
 LANES = 8  # numbers in a line of the cache
 SECANTS = 23  # vectors of ``driver/secants.c``: of ten pairs, and three more
-_BYTE: Any = ctypes.c_char.from_buffer
-
-
-def address_of(x: np.ndarray) -> int:
-    """Where the numbers of an array are, for C."""
-    try:
-        return ctypes.addressof(_BYTE(x))  # costs half of x.ctypes, of which a scene would make hundreds
-    except (TypeError, ValueError):  # nothing in it, or only to be read
-        return int(x.__array_interface__["data"][0])
 
 
 def zeros_of(sizes: Mapping[str, int | tuple[int, ...]]) -> dict[str, tuple[Array, int]]:
