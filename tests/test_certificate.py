@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum as point_pendulum
+from dae_problems import pendulum_at
 from test_field_stages import pendulum
 
 import fmbd_fenicsx as fmbd
@@ -18,6 +19,7 @@ from fmbd_fenicsx.run.accuracy.estimates import order_seen, scattered_order
 from fmbd_fenicsx.system.scene.refinement import finer_space, more_modes, refined, with_bodies
 
 ALL = fmbd.Output(estimate_error=True, estimate_space=True, estimate_reduction=True)
+ESTIMATED = fmbd.Output(estimate_error=True)
 
 
 def loaded(mesh: Any, degree: int = 2, modes: int | None = None) -> fmbd.Scene:
@@ -63,6 +65,25 @@ def test_stated_error_of_an_error_controlled_run(form: Any) -> None:
     exact = fmbd.solve(point_pendulum(), t_end=2.0, scheme=fmbd.Radau(5, rtol=1e-11), output=fmbd.Output(times=times))
     true = float(np.abs(run["x"] - exact["x"]).max())
     assert 0.5 <= run.certificate["x"].time / true <= 3.0
+
+
+def test_values_between_steps_are_not_taken_for_the_error_of_their_ends() -> None:
+    """At the ends of Radau's steps the order is nine, between them five: 20 times the true error was stated."""
+    run = fmbd.solve(point_pendulum(), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-6), output=ESTIMATED)
+    exact = np.array([pendulum_at(t)[1] for t in run.times])
+    assert 0.5 <= run.certificate["v"].time / float(np.abs(run["v"] - exact).max()) <= 3.0
+
+
+def test_memories_that_steps_are_not_chosen_by_are_of_their_own_order() -> None:
+    """A motor's integral goes by the trapezoidal rule under a scheme of order eight: a tenth of its tolerance halves the error."""
+    scene, arm = fmbd.Scene("motor", gravity=(0.0, -9.81)), fmbd.RigidBody("arm", 1.0, 0.05, (0.4, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+    motor = fmbd.pid("motor", fmbd.angle(pin), target=lambda t: np.sin(2.0 * t), gains=(30.0, 40.0, 3.0))
+    scene.add(arm, pin, motor)
+    scene.sensor("tip", fmbd.position(arm))
+    run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.schemes.ExplicitRungeKutta(1e-7), output=ESTIMATED)
+    fine = fmbd.solve(scene, t_end=1.0, dt=1e-3, output=fmbd.Output(times=tuple(run.times)))
+    assert 0.8 <= run.certificate["tip"].time / float(np.abs(run["tip"] - fine["tip"]).max()) <= 3.0
 
 
 def test_statements_in_files(rod_mesh: Callable[..., Any], tmp_path: Any) -> None:

@@ -17,22 +17,27 @@ from ..system.scene.scene import Scene
 
 @dataclass(frozen=True)
 class StepSchedule:
-    """Where the steps of a march end: ``steps`` equal ones, or (0) as the scheme likes, hitting each of ``stops`` and the end."""
+    """Where the steps of a march end: ``steps`` equal ones, or (0) as the scheme likes, hitting each of ``stops``, at which the
+    solution may have a kink, each of ``marks``, at which it goes on, and the end.
+    """
 
     t_end: float
     steps: int
     stops: tuple[float, ...] = ()
     largest: float = np.inf
+    marks: tuple[float, ...] = ()
 
     def next(self, t: float) -> float:
         """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""
         if self.steps:
             return self.t_end / self.steps
         # steps that the scheme chooses: up to the next break point, on its near side
-        for stop in self.stops:
-            if stop - 64 * np.spacing(stop) > t:
-                return min(stop - 16 * np.spacing(stop) - t, self.largest)
-        return min(self.t_end - t, self.largest)
+        left = self.t_end - t
+        for places in (self.stops, self.marks):
+            ahead = next((x for x in places if x - 64 * np.spacing(x) > t), self.t_end)
+            if ahead < self.t_end:
+                left = min(left, ahead - 16 * np.spacing(ahead) - t)
+        return min(left, self.largest)
 
     def broken(self, t: float) -> float | None:
         """The break point at t, where the solution may have a kink."""

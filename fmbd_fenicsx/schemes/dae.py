@@ -42,7 +42,9 @@ from ..system.scene.contents import Contents
 
 @dataclass(frozen=True)
 class Form:
-    """Which levels of the constraints hold. ``index`` is the differentiation index: it scales the components in error norms."""
+    """Which levels of the constraints hold. ``index`` is the differentiation index: it scales the components in error norms. A form
+    with several levels counts as of index 2: what its rows tell, and no differential equation, is seen by multipliers alone.
+    """
 
     levels: ClassVar[tuple[int, ...]] = (0,)
     index: ClassVar[int] = 3
@@ -179,7 +181,7 @@ class StateSpace(Form):
     """The ODE in the tangent space of the constraints at the start of each step; the normal part follows from all levels."""
 
     levels = (0, 1, 2)
-    index = 1
+    index = 2  # with 1 a mechanism without freedom, all of whose places its drives give, took steps of any size
     frozen = True
 
 

@@ -22,6 +22,7 @@ class Declared:
     ``refusal``: why it does not take what a scene holds, "" where it does.
     ``turn_limit``: angle (rad) by which rows of joints may turn in a step, None for any
     (:mod:`~fmbd_fenicsx.run.judges.turning_rows`).
+    ``ends_ahead``: values at the ends of steps are of a higher order than those between them.
     ``orders``: of positions, velocities, and accelerations with multipliers, where there are any; None: the scheme's in all.
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
@@ -35,6 +36,7 @@ class Declared:
     refusal: Callable[[Contents], str] | None = None
     turn_limit: float | None = None
     orders: tuple[int, int, int] | None = None
+    ends_ahead: bool = False
     timeless: bool = False
     compiled: bool = True
 

@@ -13,6 +13,7 @@ from ...errors import InputError
 from ...log import log
 from ...notices import Gathered
 from ...schemes.control import FINEST
+from ...schemes.declared import Declared
 from ...system.scene.refined_basis import finer_system
 from ...system.scene.refinement import finer_space
 from ...system.scene.scene import Scene
@@ -38,8 +39,10 @@ ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 FALLING = 3.0  # from one level to the next; below, the differences of levels do not tell the error
 UNENDED = "the run with finer spaces did not end"
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
-LOOKED_AT = 50  # instants at which runs with steps of their own choice are compared
-TENTH = 1.25  # the error of a run with a tenth of the tolerance counts as at most a fifth of that of the given one
+LOOKED_AT = 50  # instants at which runs of a search with steps of their own choice are compared
+CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and reactions are narrow
+# share of its error that a run with a tenth of the tolerance is thought to have left, at least and at most
+TENTH, LEFT = 0.2, 0.6
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
 
 
@@ -155,22 +158,30 @@ def of_order(
     return {n: scaled(_deviation(given.recorder, coarser.recorder, n), x) for n, x in factors.items()}
 
 
-def tolerance_error(problem: Problem, coarse: Recorder, schedule: StepSchedule) -> dict[str, Deviation]:
+def tolerance_error(
+    problem: Problem, coarse: Recorder, schedule: StepSchedule, instants: int = LOOKED_AT
+) -> dict[str, Deviation]:
     """Error of each sensor by the tolerance of an error-controlled scheme, both runs at the recorded times; collective.
 
     Empty, with a warning, where the second one fails.
 
-        |x_r - x| <= |x_r - x_s| + |x_s - x| <= 5/4 |x_r - x_s|,     s = r / 10,  as long as  |x_s - x| <= |x_r - x| / 5     (1)
+        |x_r - x| <= |x_r - x_s| + |x_s - x| <= 1 / (1 - k) |x_r - x_s|,     s = r / 10,     k = (n_r / n_s)^p           (1)
 
-    Errors like r^(2/3), the least of all schemes, fall to 0.22 of their size.
+    with n_r, n_s the steps that the runs took and p the order of the scheme in the sensor: multipliers, and all where memories
+    go by the trapezoidal rule, have lower ones than the steps are chosen by. k counts as a fifth at least: errors like r^(2/3)
+    fall to 0.22 of their size.
     """
+    given = Compared(coarse, schedule, problem.scheme)
     rtol = max(0.1 * problem.scheme.rtol, FINEST)
     try:
-        apart, _ = _from_tolerance(problem, Compared(coarse, schedule, problem.scheme), rtol)
+        apart, finer = _from_tolerance(problem, given, rtol, instants)
     except UNFIT as error:
         log.warning("no error estimate: the run with a tenth of the tolerance did not end: %s", error)
         return {}
-    return {n: scaled(x, TENTH) for n, x in apart.items()}
+    steps = coarse.indices[-1] / max(finer.recorder.indices[-1], 1)
+    orders = expected_orders(problem.scheme, problem.scene, problem.system)
+    left = {n: min(max(steps**p, TENTH), LEFT) for n, p in orders.items()}
+    return {n: scaled(x, 1.0 / (1.0 - left[n])) for n, x in apart.items()}
 
 
 def looser_run(problem: Problem, given: Compared) -> tuple[dict[str, Deviation], Compared]:
@@ -197,11 +208,11 @@ def of_tolerances(apart: dict[str, Deviation], ratio: float, power: float) -> di
     return {n: scaled(x, 1.0 / (ratio**power - 1.0)) for n, x in apart.items()}
 
 
-def looked_at(made: Recorder) -> np.ndarray:
+def looked_at(made: Recorder, most: int = LOOKED_AT) -> np.ndarray:
     """Rows of some of the records of a run."""
     # records between the ends of steps are made one by one
     count = len(made.times)
-    return np.unique(np.linspace(0, count - 1, min(count, LOOKED_AT)).round().astype(int))
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
 def usual_power(order: int) -> float:
@@ -211,13 +222,22 @@ def usual_power(order: int) -> float:
     return min(order / (order + 1.0), STEEPEST)
 
 
-def _from_tolerance(problem: Problem, given: Compared, rtol: float) -> tuple[dict[str, Deviation], Compared]:
-    """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective."""
+def _from_tolerance(
+    problem: Problem, given: Compared, rtol: float, most: int = LOOKED_AT
+) -> tuple[dict[str, Deviation], Compared]:
+    """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective.
+
+    Steps of a finer run end there where values between ends of steps are of a lower order: their errors would be taken for the
+    given run's.
+    """
     recorder, schedule = given.recorder, given.schedule
-    rows = looked_at(recorder)
-    wanted = Output(energy=False, progress=False, times=tuple(recorder.times[rows]))
+    rows = looked_at(recorder, most)
+    instants = tuple(recorder.times[rows])
+    wanted = Output(energy=False, progress=False, times=instants)
     other = replace(problem, scheme=replace(problem.scheme, rtol=rtol))
-    made = Compared(companion(other, schedule, wanted).recorder, schedule, other.scheme)
+    ahead = Declared.by(problem.scheme).ends_ahead and rtol < problem.scheme.rtol
+    landing = replace(schedule, marks=instants) if ahead else schedule
+    made = Compared(companion(other, landing, wanted).recorder, schedule, other.scheme)
     apart = {n: Deviation(made.recorder.times, x - recorder.series[n][rows]) for n, x in made.recorder.series.items()}
     return apart, made
 
@@ -378,7 +398,7 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
     """The estimates that were asked for; collective."""
     ended = clock.perf_counter()
     if output.estimate_error and not made.schedule.steps:
-        run.state_error("time", tolerance_error(problem, made.recorder, made.schedule))
+        run.state_error("time", tolerance_error(problem, made.recorder, made.schedule, CERTIFIED_AT))
         run.seconds["error estimate"] = clock.perf_counter() - ended
     elif output.estimate_error:
         found = time_error(problem, made.recorder, made.schedule)

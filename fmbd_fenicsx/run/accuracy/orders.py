@@ -14,6 +14,7 @@ from ...system.system import System
 SEEN = 0.75  # share of the expected order above which runs with larger steps follow the same motion
 REGULAR = 0.9  # the same above which an order is what it seems
 LEAST_ORDER = 0.5
+OF_MEMORIES = 2  # the trapezoidal rule of controllers and of arms of rods that relax
 BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to the expected one; and the most that this may be
 TOO_HIGH = 1.0  # what an order is beyond that of the scheme that belongs to another motion
 LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
@@ -22,11 +23,13 @@ FALLING = 0.5  # order below which differences do not fall with the step: a tent
 
 def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]:
     """The order that a scheme has in each sensor: multipliers, and motion that constraints take part in, may have a lower one
-    than positions (:attr:`.Declared.orders`).
+    than positions (:attr:`.Declared.orders`), and none is above that of the memories of continuous elements.
     """
     orders = Declared.by(scheme).orders if system.blocks else None
     known = (scheme.order,) * 3 if orders is None else orders
-    return {name: known[sensor.derivative] for name, sensor in scene.sensors.items()}
+    remembers = any(len(keeper.memory_values()) for keeper in system.keepers)
+    highest = OF_MEMORIES if remembers else max(known)
+    return {name: min(known[sensor.derivative], highest) for name, sensor in scene.sensors.items()}
 
 
 def resolved(seen: Mapping[str, float], expected: Mapping[str, int], share: float = SEEN) -> bool:

@@ -103,8 +103,8 @@ class CompiledAlphaStepper(AlphaStepper):
         """As :meth:`Stepper.error`, with the driver's factor where it made the last step."""
         if not self._ahead:
             return super().error(h)
-        s, scale, jump = self._of_error(h)
-        found = self.driver.error(scale, 0.5 * h, (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump)
+        s, scale, jump, span = self._of_error(h)
+        found = self.driver.error(scale, span, (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump)
         return super().error(h) if found is None else found
 
     def _shut(self, t: float, q: Array, v: Array) -> Array:

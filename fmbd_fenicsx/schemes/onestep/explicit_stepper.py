@@ -36,6 +36,7 @@ class ExplicitScheme:
     atol: float | None = None
     order: ClassVar[int]
     holds = (0, 1)
+    ends_ahead = True
 
     def __post_init__(self) -> None:
         check_fields(self)

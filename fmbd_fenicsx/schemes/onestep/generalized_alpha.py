@@ -327,22 +327,23 @@ class AlphaStepper(TimeStepper):
 
     def error(self, h: float) -> Array:
         """The error of the last step, of size h (s), as :mod:`.variable_alpha` defines it, (n_v,); collective."""
-        s, scale, jump = self._of_error(h)
+        s, scale, jump, span = self._of_error(h)
         ev = self.system.at(s.t, s.q, s.v)
         # M times the jump of accelerations: times h^2, it would be lost beside those of short steps
         change = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
         self.solver.prepare(ev, self.scheme.rule(h).weights)
 
-        across, rolling = 0.5 * h * ev.opening(), speed_rows(self.system)
-        if rolling.size:  # rows on velocities hold no places
-            across[rolling] = ev.jacobian.times(scale * jump)[rolling]
+        free = ev.jacobian.times(scale * jump)
+        across = span * ev.opening() if span else free
+        held = speed_rows(self.system)  # rows on velocities hold no places
+        across[held] = free[held]
         return self.solver.solve(scale * change, across)[0]
 
-    def _of_error(self, h: float) -> tuple[State, float, Array]:
-        """The newest state, h^2 (beta - 1/6), and the jump of A."""
+    def _of_error(self, h: float) -> tuple[State, float, Array, float]:
+        """The newest state, h^2 (beta - 1/6), the jump of A, and how long velocities open constraints, s: 0 where they hold them."""
         assert self.begun is not None
         scale = h * h * (self.scheme.parameters[3] - 1.0 / 6.0)
-        return self.state, scale, self.A - self.begun[2]
+        return self.state, scale, self.A - self.begun[2], 0.0 if isinstance(self.scheme.form, GGL) else 0.5 * h
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step: q, v by cubics with the slopes of (1) to (3), a and lambda by straight

@@ -6,7 +6,7 @@
 Each stage is linear in (a_j, lambda_j): the multiplier of stage j is what makes the next stage's velocity (for the last
 stage, the new velocity) satisfy the constraints. Positions are closed by a projection in the mass metric at the end of the
 step. An embedded formula that meets the conditions of order three, freed of its share across the constraints, gives the error
-estimate; it falls like h^3 or faster. Orders of q and v: 4; the recorded a and lambda solve the
+estimate, together with what the projection moves; it falls like h^3 or faster. Orders of q and v: 4; the recorded a and lambda solve the
 accelerations at the new state and have the same order.
 
 Sources: Brasey and Hairer, doi:10.1137/0730025 (half-explicit methods, the coefficients HEM4); Hairer and Wanner, Solving
@@ -120,6 +120,7 @@ class HalfExplicitStepper(ExplicitStepper):
             self.solver.prepare(after, MASS)
             zero = np.zeros_like(v)
             across_q, across_v = (after.jacobian.times(e) for e in errors)
+            across_q += after.constraint()  # what places miss the constraints by is an error of the step's own
             across_q[speed_rows(system)] = 0.0  # rows on velocities hold no places: errors of these stay
             e_q, e_v = (e - self.solver.solve(zero, x)[0] for e, x in zip(errors, (across_q, across_v), strict=True))
             errors = e_q, e_v

@@ -63,6 +63,7 @@ class Radau(OfForm):
     form: Form = field(default_factory=GGL)
     rtol: float | None = 1e-6
     atol: float | None = None
+    ends_ahead: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_controlled(self)

@@ -20,9 +20,9 @@ count:
 
 Positions meet their constraints; what velocities miss them by, of order h^2, tells how far the motion within a step is from the
 one that they prescribe. Without it a mechanism without freedom, all of whose places its drives give, took one step for three
-turns. Rows on velocities hold no places: across these e is as it were without them, G e = h^2 (beta - 1/6) G (A_n+1 - A_n). The
-slopes of places miss the constraints by a higher order: with these for v driven mechanisms took half the steps and had four
-times the error.
+turns. Rows on velocities hold no places, and velocities of the stabilised form miss nothing: across these e is as it were without
+constraints, G e = h^2 (beta - 1/6) G (A_n+1 - A_n). The slopes of places miss the constraints by a higher order: with these for v
+driven mechanisms took half the steps and had four times the error.
 
 Sources: Bruels and Arnold, doi:10.1115/1.2960475 (variable steps); Zienkiewicz and Xie, doi:10.1002/eqe.4290200907 (the
 error); Shampine and Baca, doi:10.1145/357456.357462 (filters).

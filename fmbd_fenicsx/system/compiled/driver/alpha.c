@@ -230,7 +230,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
 }
 
 /* The error (3) of schemes/onestep/variable_alpha.py with the factor of the step that led to a state, e like v: ``a`` has the jump of
-   accelerations, which ``scale`` weights and which ``missed`` is, so weighted; velocities open constraints for ``span`` (s).
+   accelerations, which ``scale`` weights and which ``missed`` is, so weighted; velocities open constraints for ``span`` (s), 0 where they hold them.
    y: its multipliers. */
 EXPORT int driver_error(System *s, double scale, double span, const double *q, const double *v, const double *a, const double *lam,
                         double t, const double *missed, double *e, double *y)
@@ -241,6 +241,7 @@ EXPORT int driver_error(System *s, double scale, double span, const double *q, c
     for (int i = 0; i < s->rows; i++) s->gap[i] = -span * s->slip[i];
     turn_velocity(s, missed);
     slips(s, 0);
+    for (int i = 0; span == 0.0 && i < s->rows; i++) s->gap[i] = -s->slip[i];
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++) /* rows on velocities hold no places */
         for (long i = 0; k->role == ROW && k->flow && i < k->n; i++) s->gap[k->row[i]] = -s->slip[k->row[i]];
     return increment(s, -scale, e, y, t);

@@ -69,7 +69,8 @@ static int judged(System *s, const double *p, Control *c, const Block *now, cons
         c->a[i] = out->a[i] + jump;
         c->missed[i] = scale * jump;
     }
-    int verdict = driver_error(s, scale, 0.5 * p[H], out->q, out->v, c->a, out->lam, *out->t, c->missed, c->e, c->y);
+    const double span = p[STABILISED] != 0.0 ? 0.0 : 0.5 * p[H];
+    int verdict = driver_error(s, scale, span, out->q, out->v, c->a, out->lam, *out->t, c->missed, c->e, c->y);
     if (verdict) return verdict;
 
     reach(c, out->q);
