@@ -75,7 +75,7 @@ def test_values_between_steps_are_not_taken_for_the_error_of_their_ends() -> Non
 
 
 def test_memories_that_steps_are_not_chosen_by_are_of_their_own_order() -> None:
-    """A motor's integral goes by the trapezoidal rule under a scheme of order eight: a tenth of its tolerance halves the error."""
+    """A motor's integral goes by the trapezoidal rule under a scheme of order eight: a tenth of its tolerance leaves half."""
     scene, arm = fmbd.Scene("motor", gravity=(0.0, -9.81)), fmbd.RigidBody("arm", 1.0, 0.05, (0.4, 0.0))
     pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
     motor = fmbd.pid("motor", fmbd.angle(pin), target=lambda t: np.sin(2.0 * t), gains=(30.0, 40.0, 3.0))

@@ -42,8 +42,8 @@ from ..system.scene.contents import Contents
 
 @dataclass(frozen=True)
 class Form:
-    """Which levels of the constraints hold. ``index`` is the differentiation index: it scales the components in error norms. A form
-    with several levels counts as of index 2: what its rows tell, and no differential equation, is seen by multipliers alone.
+    """Which levels of the constraints hold. ``index`` is the differentiation index: it scales the components in error norms. A
+    form with several levels counts as of index 2: what its rows tell, and no differential equation, is seen by multipliers alone.
     """
 
     levels: ClassVar[tuple[int, ...]] = (0,)

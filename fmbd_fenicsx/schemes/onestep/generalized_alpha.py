@@ -340,7 +340,7 @@ class AlphaStepper(TimeStepper):
         return self.solver.solve(scale * change, across)[0]
 
     def _of_error(self, h: float) -> tuple[State, float, Array, float]:
-        """The newest state, h^2 (beta - 1/6), the jump of A, and how long velocities open constraints, s: 0 where they hold them."""
+        """The newest state, h^2 (beta - 1/6), the jump of A, and how long velocities open constraints (s), 0 where they hold."""
         assert self.begun is not None
         scale = h * h * (self.scheme.parameters[3] - 1.0 / 6.0)
         return self.state, scale, self.A - self.begun[2], 0.0 if isinstance(self.scheme.form, GGL) else 0.5 * h

@@ -6,8 +6,8 @@
 Each stage is linear in (a_j, lambda_j): the multiplier of stage j is what makes the next stage's velocity (for the last
 stage, the new velocity) satisfy the constraints. Positions are closed by a projection in the mass metric at the end of the
 step. An embedded formula that meets the conditions of order three, freed of its share across the constraints, gives the error
-estimate, together with what the projection moves; it falls like h^3 or faster. Orders of q and v: 4; the recorded a and lambda solve the
-accelerations at the new state and have the same order.
+estimate, together with what the projection moves; it falls like h^3 or faster. Orders of q and v: 4; the recorded a and lambda
+solve the accelerations at the new state and have the same order.
 
 Sources: Brasey and Hairer, doi:10.1137/0730025 (half-explicit methods, the coefficients HEM4); Hairer and Wanner, Solving
 ODEs II, section VII.6, doi:10.1007/978-3-642-05221-7.
