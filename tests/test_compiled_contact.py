@@ -341,6 +341,47 @@ def test_forces_of_many_points_on_few_freedoms_are_found_in_compiled_code(
     assert np.diff(total).max() <= 1e-9 * abs(total[-1])
 
 
+def test_steps_with_very_many_closed_contacts_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of more points than C finds forces for Python finds them, and only where they change."""
+    asked: list[int] = []
+    found = contact_driver.ContactDriver._forces
+    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: (asked.append(m), found(self, m)))
+
+    def board() -> Any:
+        body = fmbd.RigidBody("board", 2.0, 0.2, (0.0, 0.051), velocity=(0.2, 0.0))
+        edge = [(x, -0.05) for x in np.linspace(-0.5, 0.5, 160)]
+        ground = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
+        scene = fmbd.Scene("board", gravity=(0, -9.81))
+        scene.add(body, fmbd.contact("pair", fmbd.contacts.corners(body, edge), ground, friction=0.3))
+        scene.sensor("place", fmbd.position(body))
+        return fmbd.solve(scene, t_end=0.1, dt=2e-3, scheme=fmbd.Moreau(), output=fmbd.Output(progress=False))
+
+    compiled = board()
+    assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
+    assert set(asked) == {160}
+    monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+    assert compiled["place"] == pytest.approx(board()["place"], abs=1e-9)
+
+
+def test_poses_of_moving_obstacles_are_asked_for_once_a_time() -> None:
+    """A block that a belt carries: the middle of a step, its end, and two times for the speed of its gaps."""
+    times: list[float] = []
+
+    def moving(t: float) -> Any:
+        times.append(t)
+        return (2.0 * t, 0.0), 0.0
+
+    block = fmbd.RigidBody("block", 1.0, 1 / 600, (0.0, 0.05))
+    belt = fmbd.Obstacle("belt", fmbd.HalfSpace((0, 0), (0, 1)), motion=moving)
+    feet = fmbd.contacts.corners(block, [(-0.05, -0.05), (0.05, -0.05)])
+    scene = fmbd.Scene("belt", gravity=(0, -9.81))
+    scene.add(block, fmbd.contact("pair", feet, belt, friction=0.4))
+    scene.sensor("v", fmbd.velocity(block))
+    run = fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=fmbd.Moreau(), output=fmbd.Output(every=100, progress=False))
+    assert run["v"][-1] == pytest.approx([0.4 * 9.81 * 0.1, 0.0], abs=1e-9)
+    assert len(times) <= 4.3 * run.counters["steps"]
+
+
 def test_a_motion_that_raises_is_named() -> None:
     """The compiled step gives it back, and NumPy's says which obstacle it is."""
 

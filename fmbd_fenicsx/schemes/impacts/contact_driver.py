@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = range(4)
 LIMIT, OWN = 4, 5  # behind the shapes that the driver knows; OWN: Python tells the distances
 BOUNDED = slots.AM
-CLOSED = 128  # at once, as in driver/contact.c: a step with more is NumPy's
+CLOSED, TOLD = 128, 6  # as in driver/contact.c
+MOST = 1024  # contacts closed at once: a step with more is NumPy's
 POINTER = ctypes.c_void_p
 INT = ctypes.c_int
 REAL = ctypes.c_double
@@ -95,7 +96,9 @@ def pair_structure(motions: Motions) -> type[ctypes.Structure]:
         *_fields("radius friction restitution thickness", REAL),
         ("data", REAL * 16),
         ("pose", REAL * poses),
-        ("asked", REAL),
+        ("told", REAL * (TOLD * poses)),
+        ("asked", REAL * TOLD),
+        ("oldest", LONG),
         *_fields("modes batch", POINTER),
         ("item", LONG),
         *_fields("pushes marked", INT),
@@ -153,8 +156,8 @@ class ContactDriver:
         m = len(contacts.pair)
         d = s.motions.dim
         k = d if contacts.frictional else 1
-        room = min(m, CLOSED)
-        rows = room * k
+        room = min(m, MOST)
+        rows, few = room * k, min(m, CLOSED) * k
         wide = s.motions.n_twist + int(self.tables.modes.max(initial=0))
         self._pairs()
         on, place = self._points()
@@ -163,13 +166,14 @@ class ContactDriver:
             "held": m * k, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
             "before": rows, "rebound": room,
             "rows": 2 * rows * wide, "W": rows**2, "q": rows, "f": rows, "mu": room,
-            "Y": rows * (self.n + self.m), "work": 6 * rows + rows**2,
-            "least": 20 * rows + 2 * rows**2, "ahead": self.nq, "xi": self.n, "still": self.n,
+            "Y": rows * (self.n + self.m), "work": 4 * rows + few**2,
+            "least": 20 * few + 2 * few**2, "ahead": self.nq, "xi": self.n, "still": self.n,
             "kept": self.m + 1, "own": m * (1 + 2 * d),
             "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.impacts + 2) * block_size(s),
         }  # fmt: skip
         counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m}
-        places = {name: self._array(name, np.zeros(size)) for name, size in sizes.items()}
+        self.arrays.update({name: np.zeros(size) for name, size in sizes.items()})
+        places = {name: self.arrays[name].ctypes.data for name in sizes}
         return Contacts(
             pairs=len(contacts.pairs), points=m, components=k, known=0, room=room, pair=ctypes.addressof(self.pairs),
             stops=len(self.stops), wide=wide, on=self._array("on", on, np.int32),
@@ -215,7 +219,8 @@ class ContactDriver:
         for pair in self.contacts.pairs:
             one = kind(
                 first=first, count=pair.count, moving=int(pair.moving), radius=pair.slave.radius, carrier=-1,
-                friction=pair.friction, restitution=pair.restitution, thickness=pair.thickness, asked=np.nan,
+                friction=pair.friction, restitution=pair.restitution, thickness=pair.thickness,
+                asked=(REAL * TOLD)(*[np.nan] * TOLD),
             )  # fmt: skip
             if isinstance(pair, LimitPair):
                 self._stop(one, pair)

@@ -73,25 +73,27 @@ static int coulomb(const double *x, const double *u, double cn, double ct, doubl
 }
 
 /* Newton's iteration for m points from the forces f, as linear/complementarity/coulomb.py does at first; without friction it is
-   that of active sets. 1 where it does not find the forces. */
+   that of active sets. 1 where it does not find the forces. Of many contacts it only sees whether they have them already. */
 static int contact_forces(Contacts *c, int m)
 {
     const int d = c->components, n = m * d;
-    double *x = c->work, *u = x + n, *F = u + n, *A = F + n, dx[9], du[9], free = 0.0;
+    double *x = c->work, *u = x + n, *F = u + n, *A = F + 2 * n, dx[9], du[9], free = 0.0;
     int before[CLOSED];
+    const int many = m > CLOSED;
     memcpy(x, c->f, n * sizeof(double));
 
     for (int round = 0; round < ROUNDS; round++) {
         double residual = 0.0, largest = 0.0;
-        memset(A, 0, n * n * sizeof(double));
+        if (!many) memset(A, 0, n * n * sizeof(double));
         for (int i = 0; i < n; i++) u[i] = c->q[i] + dot(c->W + i * n, x, n);
         for (int i = 0; i < m; i++) {
             double cn = 1.0 / fmax(c->W[i * d * (n + 1)], 1e-300), ct = INFINITY;
             for (int k = 1; k < d; k++) ct = fmin(ct, 1.0 / fmax(c->W[(i * d + k) * (n + 1)], 1e-300));
             int status = coulomb(x + i * d, u + i * d, cn, ct, c->mu[i], d, F + i * d, dx, du);
+            free = fmax(free, fabs(cn * c->q[i * d]));
+            if (many) continue;
             c->tally.changes += round && status != before[i];
             before[i] = status;
-            free = fmax(free, fabs(cn * c->q[i * d]));
             for (int a = 0; a < d; a++) {
                 double *row = A + (i * d + a) * n;
                 for (int b = 0; b < d; b++) {
@@ -111,7 +113,7 @@ static int contact_forces(Contacts *c, int m)
             c->tally.solves++;
             return 0;
         }
-        if (!isfinite(residual) || solve_small(A, F, n, 1e-10)) return 1;
+        if (many || !isfinite(residual) || solve_small(A, F, n, 1e-10)) return 1;
         for (int i = 0; i < n; i++) x[i] -= F[i];
         c->tally.iterations++;
     }

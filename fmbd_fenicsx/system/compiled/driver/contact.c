@@ -6,13 +6,16 @@
 
 enum { HALF_SPACE, SPHERE, CYLINDER, BOX, LIMIT, OWN }; /* OWN: Python tells the distances */
 enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED };   /* what Python is asked for, or told, by contact */
-enum { CLOSED = 128 };                                 /* contacts that may be closed at once */
+enum { CLOSED = 128 };                                 /* closed contacts whose forces are found here; those of more are Python's */
+enum { TOLD = 6 };                                     /* poses of a moving obstacle that are kept: those of the times of a step */
 
 typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
     double radius, friction, restitution, thickness;
     double data[16];                          /* of the shape: see contact_driver.py */
-    double pose[POSE], asked;                 /* of an obstacle that no body carries; the time it was last asked for */
+    double pose[POSE];                        /* of an obstacle that no body carries, */
+    double told[TOLD * POSE], asked[TOLD];    /* of one that moves those told last, and their times; */
+    long oldest;                              /* which of them is the oldest */
     double *modes;                            /* count x D x modes: of nodes of a reduced body, NULL for points fixed in a body */
     Batch *batch;                             /* LIMIT: of the coordinate, which is its item; */
     long item;
@@ -136,11 +139,19 @@ static double distance(const Pair *o, const double *y, double *n)
 /* Place and rotation of an obstacle; 1 where Python failed. */
 static int obstacle(const Contacts *c, Pair *o, const double *q, double t, double *r, double *R)
 {
-    if (o->moving && o->asked != t) {
-        if (c->python(POSE_OF, (int)(o - c->pair), t)) return 1;
-        o->asked = t;
-    }
     const double *pose = o->carrier >= 0 ? q + POSE * o->carrier : o->pose;
+    if (o->moving) {
+        int k = 0;
+        while (k < TOLD && o->asked[k] != t) k++;
+        if (k == TOLD) {
+            if (c->python(POSE_OF, (int)(o - c->pair), t)) return 1;
+            k = (int)o->oldest;
+            o->oldest = (k + 1) % TOLD;
+            o->asked[k] = t;
+            memcpy(o->told + POSE * k, o->pose, POSE * sizeof(double));
+        }
+        pose = o->told + POSE * k;
+    }
     memcpy(r, pose, D * sizeof(double));
     rotation(pose, R);
     return 0;

@@ -254,6 +254,7 @@ static double attempt(Contacts *c, int m, double rho, double *best, double least
 /* Forces of m contacts with friction; 1 where two attempts do not find them, with nothing counted. */
 static int frictional_forces(Contacts *c, int m)
 {
+    if (m > CLOSED) return 1;
     Tally before = c->tally;
     double *best = c->least, size = attempt(c, m, 0.0, best, INFINITY);
     if (!(size <= FOUND)) {
