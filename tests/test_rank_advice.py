@@ -10,7 +10,30 @@ from fmbd_fenicsx.run.judges.rank_advice import WORTH, faster_ranks
 
 
 def test_ranks_that_are_worth_while() -> None:
-    assert [faster_ranks(n, 4) for n in (0, WORTH - 1, 2 * WORTH, 100 * WORTH)] == [1, 1, 2, 4]
+    assert [faster_ranks([n], 4) for n in (0, WORTH - 1, 2 * WORTH, 100 * WORTH)] == [1, 1, 2, 4]
+    assert faster_ranks([], 4) == 1
+
+
+def test_bodies_count_by_their_size() -> None:
+    """Each body has interfaces of its own: many small ones are worth no more ranks than one of them."""
+    assert faster_ranks([WORTH] * 20, 4) == 1
+    assert faster_ranks([2 * WORTH] * 20, 4) == 2
+    # a large one beside small ones is worth fewer ranks than alone, and they no more than it
+    assert faster_ranks([4 * WORTH], 4) == 4
+    assert 1 < faster_ranks([4 * WORTH, WORTH // 20], 4) < 4
+
+
+@pytest.mark.parametrize(
+    ("bodies", "ratio"),
+    [
+        # seconds of a step on one rank over those on two, docs/performance.md; nearer to 1 than a tenth is not told apart
+        ([5_787], 0.75), ([14_214], 1.12), ([22_365], 1.29), ([36_624], 1.38), ([10_066], 0.50), ([71_666], 1.64),
+        ([5_820], 0.42), ([12_588], 0.85), ([6_746], 0.46), ([13_833], 1.38),
+        ([5_787] * 4, 0.67), ([14_214] * 3, 1.43), ([22_365] * 3, 1.54),
+    ],
+)  # fmt: skip
+def test_what_was_measured(bodies: list[int], ratio: float) -> None:
+    assert faster_ranks(bodies, 2) == (2 if ratio > 1 else 1)
 
 
 def test_rigid_bodies_on_many_ranks(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from motion import Motion, first, second
+from mpi4py import MPI
 from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd
@@ -91,6 +92,20 @@ def test_jacobian_and_gamma_against_differences(dim: int, a: str, b: str, slidin
 def test_tie_holds_at_the_start_as_built() -> None:
     system, state, _ = scene_of(2, "floating", "absolute", False).build()
     assert np.abs(system.at(0.0, state.q).constraint()).max() < 1e-14
+
+
+@pytest.mark.mpi
+def test_a_shape_that_fails_on_one_rank_is_an_error_on_all() -> None:
+    upper, comm = body("floating", "upper", 2), MPI.COMM_WORLD
+    scene = fmbd.Scene("fails")
+
+    def shape(x):
+        return [][0] if comm.rank == comm.size - 1 else x
+
+    scene.add(upper, fmbd.tie_surface("floor", upper.surface("bottom"), fmbd.ground, shape=shape))
+    with pytest.raises(LawError, match='shape of tie "floor" failed: IndexError'):
+        scene.build()
+    assert len(comm.allgather(None)) == comm.size  # none is left behind
 
 
 @pytest.mark.mpi

@@ -398,9 +398,10 @@ def _elastic_side(part: Any, number: int, trace: Trace, A: sp.csr_matrix) -> tup
 
 
 def _imposed(tie: SurfaceTie, mu: Multipliers) -> Array:
-    """D_j = int mu_j d(X), (n, d)."""
-    from ...errors import CallbackError
+    """D_j = int mu_j d(X), (n, d); collective."""
+    from ...errors import CallbackError, named
     from ...fem.traces.traces import quadrature, scatter, shape_functions
+    from ...ranks import OneAnswer
 
     t = mu.trace
     m = t.dim - 1
@@ -410,7 +411,8 @@ def _imposed(tie: SurfaceTie, mu: Multipliers) -> Array:
     # values of the shape at quadrature points, checked
     q, w = quadrature(m, 6 + mu.degree)
     x = t.place(q).reshape(-1, t.dim)
-    found = np.asarray(tie.shape(x.T), dtype=float)
+    with OneAnswer(t.comm):
+        found = np.asarray(named("The shape of tie", tie.name, tie.shape, time=None)(x.T), dtype=float)
     if found.shape != x.T.shape or not np.isfinite(found).all():
         raise CallbackError(f'Tie "{tie.name}": shape(X) returned {found.shape}, expected {x.T.shape} finite numbers.')
     values = found.T.reshape(len(t.nodes), len(q), t.dim)
