@@ -179,3 +179,70 @@ def test_steps_that_somebody_looks_at_are_compiled_ones(monkeypatch: pytest.Monk
     for other in runs[1:]:
         assert (other.state.q == runs[0].state.q).all() and (other.state.lam == runs[0].state.lam).all()
         assert other["tip"] == pytest.approx(runs[0]["tip"], rel=1e-12) and (other.times == runs[0].times).all()
+
+
+@pytest.mark.parametrize("kind", ["reduced", "floating", "absolute", "rod"])
+def test_what_follows_from_states_is_read_from_all_records_at_once(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points, strains, largest values, coordinates, sections: those of single states, of which none is evaluated."""
+    import ufl
+    from combinations import BODIES, pinned
+
+    from fmbd_fenicsx.run.recording.output import Recorder
+
+    def run(one_by_one: bool) -> fmbd.Run:
+        rod = BODIES[kind]()
+        scene = fmbd.Scene(kind, gravity=rod.at(0, -9.81))
+        scene.add(rod.body)
+        pinned(scene, rod)
+        s = fmbd.sensors
+        if kind == "rod":
+            scene.sensor("forces", s.section_forces(rod.left))
+            scene.sensor("strains", s.section_strains(rod.left))
+        else:
+            point = {"point": (0.6, 0.02)}
+            for what in (s.position, s.velocity, s.acceleration, s.elastic_displacement, s.strain):
+                scene.sensor(what.__name__, what(rod.body, **point))
+            scene.sensor("value", s.point_value(rod.body, ufl.grad, **point))
+            scene.sensor("largest", s.largest(rod.body, lambda u: ufl.inner(ufl.grad(u), ufl.grad(u))))
+            scene.sensor("coordinates", s.coordinates(rod.body, level=1))
+        output = fmbd.Output(ledger=one_by_one, progress=False)
+        return fmbd.solve(scene, t_end=0.02, dt=1e-3, output=output)
+
+    slow = run(one_by_one=True)
+    monkeypatch.setattr(Recorder, "_one_by_one", lambda self, *args: pytest.fail("a state was read by itself"))
+    fast = run(one_by_one=False)
+    for name, values in slow.series.items():
+        assert np.array_equal(fast[name], values), name
+        assert np.abs(values).max() > 0, name
+
+
+def test_sensors_of_the_users_own_find_markers_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a sensor of the user's own reads of markers is what C told of them; Jacobians are there when it asks."""
+    from fmbd_fenicsx.mechanics.frames import Markers
+
+    found, evaluate = [0], Markers.evaluate
+
+    class Own(Sensor):
+        def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+            x = [*ev.kin.x[marker], *ev.kin.R[marker].ravel(), *ev.kin.twist[marker]]
+            return np.array([*x, *ev.kin.jac_frame[marker].ravel()] if self.unit == "all" else x)
+
+    def counted(self: Any, *args: Any, **kwargs: Any) -> Any:
+        found[0] += 1
+        return evaluate(self, *args, **kwargs)
+
+    monkeypatch.setattr(Markers, "evaluate", counted)
+    runs, counts = [], []
+    for unit, ledger in (("", False), ("all", False), ("all", True)):
+        scene = chain(3, ELEMENTS["spring"])
+        link = scene.bodies["link 2"]
+        scene.sensor("own", Own(link, unit, (0.27, 0.02, 0.01)))
+        del scene.sensors["momentum"]
+        found[0] = 0
+        runs.append(fmbd.solve(scene, t_end=0.1, dt=2e-3, output=fmbd.Output(ledger=ledger, progress=False)))
+        counts.append(found[0])
+    assert counts[0] < 20 < 45 < counts[1]  # a start, and one of each of 50 records
+    told, fast, slow = (run["own"] for run in runs)
+    assert np.array_equal(told[1:, :3], runs[0]["x"][1:])  # the first is NumPy's
+    assert np.array_equal(told, fast[:, :18])
+    np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-10 * np.abs(slow).max())

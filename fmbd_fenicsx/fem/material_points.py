@@ -39,10 +39,10 @@ class MaterialPoint:
     own: np.ndarray
 
     def nodal(self, U: Array) -> Array:
-        """Values (k, m) of the cell's nodes from those of the nodes that this rank owns, (n, m); collective."""
-        found = np.zeros((len(self.own), U.shape[1]))
+        """Values (.., k, m) of the cell's nodes from those of the nodes that this rank owns, (.., n, m); collective."""
+        found = np.zeros((*U.shape[:-2], len(self.own), U.shape[-1]))
         here = self.own >= 0
-        found[here] = U[self.own[here]]
+        found[..., here, :] = U[..., self.own[here], :]
 
         return rank_sum(self.comm, found)
 

@@ -15,6 +15,7 @@ leaves the system without massless coordinates. With S' = F R_s^T its rate in bo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import Any
@@ -58,6 +59,40 @@ class Kinematics:
     def bias(self) -> Array | None:
         """d/dt of the twist at zero accelerations, (n, d + n_rot); None without velocities."""
         return None if self.moving is None else self.moving.bias()
+
+
+class SeenKinematics(Kinematics):
+    """Markers whose motion is known: x (n, d), R (n, d, d) and twist (n, d + n_rot); all else follows from ``whole`` when someone
+    asks for it.
+    """
+
+    def __init__(self, x: Array, R: Array, twist: Array, whole: Callable[[], Kinematics]) -> None:
+        self.x, self.R, self.evaluated = x, R, {}
+        self.twist, self._whole = twist, whole
+
+    @cached_property
+    def _rest(self) -> Kinematics:
+        return self._whole()
+
+    @cached_property
+    def jac_frame(self) -> Array:  # type: ignore[override]
+        """By the twists of the frames."""
+        return self._rest.jac_frame
+
+    @cached_property
+    def jac_port(self) -> Array:  # type: ignore[override]
+        """By the rates of the ports."""
+        return self._rest.jac_port
+
+    @cached_property
+    def moving(self) -> Moving | None:  # type: ignore[override]
+        """What biases follow from."""
+        return self._rest.moving
+
+    @cached_property
+    def turned(self) -> Array | None:  # type: ignore[override]
+        """Counted angles."""
+        return self._rest.turned
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,10 @@ class Evaluation:
     @cached_property
     def kin(self) -> Kinematics:
         """The markers: positions, rotations, Jacobians, and velocities where v is given."""
+        return self.markers()
+
+    def markers(self) -> Kinematics:
+        """The same, found anew."""
         s = self.system
         rates = None if self.v is None else (self.twist, self.port_rate)
         kin = s.markers.evaluate(self.pose, self.rotation, self.port, rates)

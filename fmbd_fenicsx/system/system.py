@@ -197,19 +197,36 @@ class System:
         n = self.n_frames * self.motions.n_pose
         return np.concatenate((q[:n].reshape(-1, self.motions.n_pose), self.ground))
 
+    def frame_poses(self, q: Array) -> Array:
+        """Poses of the moving frames in arrays q (.., n_q): (.., n_frames, n_pose)."""
+        n = self.motions.n_pose
+        return q[..., : self.n_frames * n].reshape(*q.shape[:-1], self.n_frames, n)
+
     def twists(self, v: Array) -> Array:
         """Twists (or their rates) of all frames, the ground last, (n_frames + 1, n_twist)."""
         out = np.zeros((self.n_frames + 1, self.motions.n_twist))
         out[:-1] = v[: self.n_frames * self.motions.n_twist].reshape(-1, self.motions.n_twist)
         return out
 
+    def pose_of(self, q: Array, k: int) -> Array:
+        """Pose of frame k, or of the ground behind the last, in arrays q (.., n_q): (.., n_pose)."""
+        n = self.motions.n_pose
+        if k < self.n_frames:
+            return q[..., n * k : n * (k + 1)]
+        return np.broadcast_to(self.ground[0], (*q.shape[:-1], n))
+
+    def twist_of(self, v: Array, k: int) -> Array:
+        """Twist of the same frame in arrays v (.., n_v), or its rate: (.., n_twist)."""
+        n = self.motions.n_twist
+        return v[..., n * k : n * (k + 1)] if k < self.n_frames else np.zeros((*v.shape[:-1], n))
+
     def local_q(self, q: Array, k: int) -> Array:
-        """Local coordinates of part k in q."""
-        return q[self.slices[0][k]]
+        """Local coordinates of part k in q, (.., n)."""
+        return q[..., self.slices[0][k]]
 
     def local_v(self, v: Array, k: int) -> Array:
-        """Local coordinates of part k in v or a."""
-        return v[self.slices[1][k]]
+        """Local coordinates of part k in v or a, (.., n)."""
+        return v[..., self.slices[1][k]]
 
     def ports(self, x: Array, t: float, *, rates: bool = False) -> Array:
         """Ports of all parts at time t (s) for an array like q, or their ``rates`` for one like v; collective."""

@@ -71,18 +71,20 @@ class RodElements:
 
     # -- kinematics ---------------------------------------------------------------------------------------------
     def interpolated(self, pose: Array) -> tuple[tuple[Array, Array, Array], Array]:
-        """z at the Gauss points, and the quaternions of the nodes (m, k, 4), of one sign within each element."""
-        nodal = pose[self.frames]
+        """z at the Gauss points, (.., m, q, ..), and the quaternions of the nodes (.., m, k, 4), of one sign within each element,
+        for poses of all frames, (.., n_frames, 7).
+        """
+        nodal = pose[..., self.frames, :]
         x = nodal[..., :3]
         p = nodal[..., 3:].copy()
         # q and -q are one rotation: neighbours on one side, or their mean would be none
-        for i in range(1, p.shape[1]):
-            p[:, i] *= np.where((p[:, i] * p[:, i - 1]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+        for i in range(1, p.shape[-2]):
+            p[..., i, :] *= np.where((p[..., i, :] * p[..., i - 1, :]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
         N = self.shape.N
         return (self.slopes @ x, N @ p, self.slopes @ p), p
 
     def strains(self, pose: Array) -> Array:
-        """Strains less those that are free of stress, (m, q, 6)."""
+        """Strains less those that are free of stress, (.., m, q, 6), for poses of all frames, (.., n_frames, 7)."""
         return strains(*self.interpolated(pose)[0]) - self.natural
 
     def directions(self, columns: Array) -> Array:
@@ -115,8 +117,15 @@ class RodElements:
         nodal = twist[self.frames].reshape(len(self.frames), 1, -1, 1)
         return lambda: np.asarray((E @ (Z @ nodal))[..., 0])
 
+    @property
+    def elastic(self) -> bool:
+        """Whether section forces follow from strains alone."""
+        return self.arms is None and not self.beta
+
     def section_forces(self, t: float, pose: Array, twist: Array | None) -> Array:
         """Forces and moments (m, q, 6) of the sections at the Gauss points, in their axes."""
+        if self.elastic:
+            return np.asarray(self.law.stress(self.strains(pose)))
         z, p = self.interpolated(pose)
         e, E = strain_jacobian(*z)
         return self._stress(t, e - self.natural, self._rate(E, self.directions(spins(p)), twist))

@@ -261,7 +261,7 @@ class Recorder:
         """What only a state of its own can tell, of all records."""
         for i in range(len(seen)):
             s = seen.state(i)
-            ev = self.system.at(s.t, s.q, s.v)
+            ev = seen.evaluation(s, i)
             for name, sensor in sensors:
                 self.values[name].append(sensor.read(ev, s, self.markers[name])[None])
             for name, value in ev.energies().items() if energy else ():

@@ -3,7 +3,7 @@
 A sensor says what it looks at (:class:`Look`): the motion of a marker, a coordinate between two markers, the effort of an
 element, the reaction of a joint. The driver writes these numbers, the energies and where needed the state at each record; the
 sensor computes its series from :class:`Recorded` with arrays over all records. A sensor that cannot say what it looks at is read
-from the states one by one.
+from the states one by one; what it asks for most, the motion of markers, the driver has told.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
+from ...mechanics.frames import SeenKinematics
 from ...mechanics.joints.relative import Relative
 from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
@@ -26,6 +27,7 @@ from .blocks import block_size, state_of
 from .structures import address_of, structure, zeros_of
 
 if TYPE_CHECKING:
+    from ..evaluation import Evaluation
     from .tables import Tables
 
 FIRST, CAPACITY = 64, 2048  # records between two visits of Python, at first and at most
@@ -37,7 +39,7 @@ class Look:
     """What a sensor needs of each record beside the state: the motion of a ``marker``, a ``relative`` coordinate with its rate,
     the ``element`` with this name, the wrench of the ``joint`` with this name on its first body; ``rows``: all multipliers,
     ``accelerated``: the acceleration of the marker too, ``side``: the wrench of the element on its first (0) or second (1) body.
-    What is told of contacts is recorded at any rate.
+    ``states``: the states themselves. What is told of contacts is recorded at any rate.
     """
 
     marker: int = -1
@@ -47,6 +49,7 @@ class Look:
     rows: bool = False
     accelerated: bool = False
     side: int = -1
+    states: bool = False
 
     @property
     def wrench(self) -> tuple[str, int] | None:
@@ -82,10 +85,13 @@ class Looks:
             if look is not None and readable(system, look):
                 self.of[id(sensor)] = look
 
-        self.markers = sorted({x.marker for x in self.of.values() if x.marker >= 0})
+        told = len(self.of) == len(system.sensed)
+        # who reads a state on its own may look at any marker
+        seen = {x.marker for x in self.of.values() if x.marker >= 0} if told else range(len(system.markers.frame))
+        self.markers = sorted(seen)
         self.rows = any(x.rows for x in self.of.values())
-        self.complete = len(self.of) == len(system.sensed) and self.energies_known  # no state is read on its own
-        self.whole = not self.complete
+        self.complete = told and self.energies_known  # no state is read on its own
+        self.whole = not self.complete or any(x.states for x in self.of.values())
         self.accelerated = any(x.accelerated for x in self.of.values())
         self.wrenches = sorted({x.wrench for x in self.of.values() if x.wrench is not None})
         self.relatives = [(key, x.relative) for key, x in self.of.items() if x.relative is not None]
@@ -281,7 +287,25 @@ class Recorded:
 
     def state(self, i: int) -> State:
         """One of the states."""
-        return self.tables.twin.state(state_of(self.system, self.arrays["block"][i]))
+        return self.tables.twin.state(state_of(self.tables.system, self.arrays["block"][i]))
+
+    def evaluation(self, s: State, i: int) -> Evaluation:
+        """The system in one of the states, with the motion of its markers as the driver told it."""
+        ev = self.tables.twin.original.at(s.t, s.q, s.v)
+        d, sight = self.tables.dim, self.arrays["sight"][i]
+        x, R, rest = np.split(sight, (d, d + d * d), axis=1)
+        told = x, R.reshape(-1, d, d), rest[:, : d + self.system.motions.n_rot]
+        ev.kin = SeenKinematics(*told, ev.markers)
+        return ev
+
+    # -- states of all records ------------------------------------------------------------------------------------------------
+    @cached_property
+    def motion(self) -> tuple[System, Array, Array, Array]:
+        """The system, and q, v and a in all records, (k, ..)."""
+        s, twin, block = self.tables.system, self.tables.twin, self.arrays["block"]
+        n, at = s.n_v, 1 + s.n_q
+        q, v, a = block[:, 1:at], block[:, at : at + n], block[:, at + n : at + 2 * n]
+        return twin.original, twin.places(q), twin.forces(v), twin.forces(a)
 
     # -- markers ------------------------------------------------------------------------------------------------------------
     def _sight(self, marker: int, first: int, count: int) -> Array:

@@ -79,7 +79,7 @@ class Twin:
     forces: Callable[[Array], Array] = staticmethod(np.asarray)
 
     def __init__(self, system: System) -> None:
-        self.system = system
+        self.original = self.system = system
 
     def widened(self, block: Block) -> Block:
         """The parts of a block of the system as those of the twin."""
@@ -109,6 +109,7 @@ class RestingTwin(Twin):
         names = (*system.frame_names, *(part.name for _, part in still))
         markers = replace(system.markers, frame=_frames(system, [k for k, _ in still]))
         super().__init__(replace(system, frame_names=names, parts=tuple(parts), markers=markers, cache={}))
+        self.original = system
 
     def configurations(self, q: Array) -> Array:
         """Arrays like q, (.., n_q), with the frames at rest."""

@@ -12,8 +12,9 @@ from ...errors import require
 from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array
+from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..system import State
+from ..system import State, System
 from .sensors import Sensor
 
 
@@ -33,23 +34,38 @@ class Largest(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The largest value over the body, (1,); collective."""
-        key = f"largest {id(self)}"
-        if key not in ev.system.cache:
-            ev.system.cache[key] = self._prepare(ev)
-        k, u, expression, cells, basis = ev.system.cache[key]
-        local = ev.system.local_q(state.q, k)
-        nodal = local if basis is None else basis @ local
-        u.x.array[: len(nodal)] = nodal
-        u.x.scatter_forward()
-        mesh = u.function_space.mesh
-        values = expression.eval(mesh, cells) if len(cells) else np.full(1, -np.inf)
-        return np.array([max(mesh.comm.allgather(float(values.max())))])
+        return self._told(ev.system, state.q[None])[0]
 
-    def _prepare(self, ev: Evaluation) -> tuple[Any, ...]:
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The states."""
+        return Look(states=True)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The largest value in all records, (k, 1)."""
+        return self._told(*seen.motion[:2])
+
+    def _told(self, system: System, q: Array) -> Array:
+        """The largest value over the body in states q (k, n_q): (k, 1); collective."""
+        key = f"largest {id(self)}"
+        if key not in system.cache:
+            system.cache[key] = self._prepare(system)
+        k, u, expression, cells, basis = system.cache[key]
+        mesh = u.function_space.mesh
+
+        found = np.full((len(q), 1), -np.inf)
+        for i, local in enumerate(system.local_q(q, k)):
+            nodal = local if basis is None else basis @ local
+            u.x.array[: len(nodal)] = nodal
+            u.x.scatter_forward()
+            if len(cells):
+                found[i] = expression.eval(mesh, cells).max()
+        return np.asarray(np.max(mesh.comm.allgather(found), axis=0))
+
+    def _prepare(self, system: System) -> tuple[Any, ...]:
         import basix
         from dolfinx import fem
 
-        k, part = ev.system.part(self.body.name)
+        k, part = system.part(self.body.name)
         modes = part.body.reduction if isinstance(self.body, ReducedBody) else None
         space = part.field.space if modes is None else modes.space
         u = fem.Function(space)

@@ -22,6 +22,7 @@ from ...fem.material_points import MaterialPoint, check_point, material_point
 from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array
+from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
 from .sensors import Sensor
@@ -43,13 +44,17 @@ class PointOfBody:
     lever: Array
 
     def nodal(self, local: Array) -> Array:
-        """Displacements (k, d) of the cell's nodes, or rates of them, from local coordinates; collective."""
+        """Displacements (.., k, d) of the cell's nodes, or rates of them, from local coordinates (.., n); collective."""
         if self.modes is not None:
-            return self.modes @ local
+            return np.asarray((self.modes @ local[..., None, :, None])[..., 0])
         d = len(self.lever)
         count = self.space.dofmap.index_map.size_local
 
-        return self.point.nodal(local[: count * d].reshape(-1, d))
+        return self.point.nodal(local[..., : count * d].reshape(*local.shape[:-1], -1, d))
+
+    def value(self, local: Array) -> Array:
+        """Displacement (.., d) of the point, or its rate, likewise; collective."""
+        return np.asarray(self.point.shape @ self.nodal(local))
 
 
 def find(system: System, body: Any, X: Array) -> PointOfBody:
@@ -72,7 +77,7 @@ def find(system: System, body: Any, X: Array) -> PointOfBody:
 
 @dataclass(frozen=True, eq=False)
 class PointSensor(Sensor):
-    """A quantity at the material point ``at`` (d,) of a body."""
+    """A quantity at the material point ``at`` (d,) of a body, read from one state or from many at a time."""
 
     body: Any = None
     at: tuple[float, ...] = ()
@@ -94,10 +99,26 @@ class PointSensor(Sensor):
             system.cache[key] = find(system, self.body, np.array(self.at))
         return system.cache[key]  # type: ignore[no-any-return]
 
-    def displacements(self, ev: Evaluation) -> Array:
-        """Displacements (k, d) of the nodes of the point's cell, body axes; collective."""
-        p = self.found(ev.system)
-        return p.nodal(ev.system.local_q(ev.q, p.number))
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        """The quantity, (size,); collective."""
+        return self.told(ev.system, state.q, state.v, state.a)
+
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The states."""
+        return Look(states=True)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The quantity in all records, (k, size)."""
+        return self.told(*seen.motion)
+
+    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
+        """The quantity, (.., size), in states q (.., n_q), v and a (.., n_v); collective."""
+        raise NotImplementedError
+
+    def displacements(self, s: System, q: Array) -> Array:
+        """Displacements (.., k, d) of the nodes of the point's cell, body axes; collective."""
+        p = self.found(s)
+        return p.nodal(s.local_q(q, p.number))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,40 +127,41 @@ class PointMotion(PointSensor):
 
     derivative: int = 0
 
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
         """x, x' or x''."""
-        s = ev.system
-        p = self.found(ev.system)
-        k = s.parts[p.number].frame
-        d = len(self.at)
-        R = ev.rotation[k]
-        P = p.lever + p.point.shape @ self.displacements(ev)
+        p, s, m = self.found(system), system, system.motions
+        k, d = s.parts[p.number].frame, len(self.at)
+        pose, twist = s.pose_of(q, k), s.twist_of(v, k)
+        R = m.matrix(pose)
+
+        P = p.lever + p.value(s.local_q(q, p.number))
         if self.derivative == 0:
-            return np.asarray(ev.pose[k, :d] + R @ P)
+            return np.asarray(pose[..., :d] + _turned(R, P))
 
-        w = ev.twist[k, d:]
-        rate = p.point.shape @ p.nodal(s.local_v(state.v, p.number))
+        w = twist[..., d:]
+        rate = p.value(s.local_v(v, p.number))
         if self.derivative == 1:
-            return np.asarray(ev.twist[k, :d] + R @ (_cross(w, P) + rate))
+            return np.asarray(twist[..., :d] + _turned(R, m.spin(w, P) + rate))
 
-        accel = s.twists(state.a)[k]
-        second = p.point.shape @ p.nodal(s.local_v(state.a, p.number))
-        turning = _cross(accel[d:], P) + _cross(w, _cross(w, P)) + 2 * _cross(w, rate)
-        return np.asarray(accel[:d] + R @ (turning + second))
+        accel = s.twist_of(a, k)
+        second = p.value(s.local_v(a, p.number))
+        turning = m.spin(accel[..., d:], P) + m.spin(w, m.spin(w, P)) + 2 * m.spin(w, rate)
+        return np.asarray(accel[..., :d] + _turned(R, turning + second))
 
 
-def _cross(w: Array, x: Array) -> Array:
-    """w x x in the plane (w a single number) and in space."""
-    return w[0] * np.array([-x[1], x[0]]) if len(x) == 2 else np.cross(w, x)
+def _turned(R: Array, x: Array) -> Array:
+    """R x, (.., d)."""
+    return np.asarray((R @ x[..., None])[..., 0])
 
 
 @dataclass(frozen=True, eq=False)
 class PointDisplacement(PointSensor):
     """u of the point, axes of the body's frame, (d,)."""
 
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
         """u, m."""
-        return np.asarray(self.found(ev.system).point.shape @ self.displacements(ev))
+        p = self.found(system)
+        return p.value(system.local_q(q, p.number))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,13 +176,14 @@ class PointStrain(PointSensor):
         """Components of the tensor."""
         return ["xyz"[i] + "xyz"[j] for i, j in PAIRS[len(self.at)]]
 
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
         """Components of the strain."""
-        H = self.displacements(ev).T @ self.found(ev.system).point.gradient
-        strain = 0.5 * (H + H.T)
+        H = np.swapaxes(self.displacements(system, q), -1, -2) @ self.found(system).point.gradient
+        Ht = np.swapaxes(H, -1, -2)
+        strain = 0.5 * (H + Ht)
         if not isinstance(self.body, ReducedBody) and self.body.energy is not None:
-            strain = strain + 0.5 * H.T @ H
-        return np.array([strain[i, j] for i, j in PAIRS[len(self.at)]])
+            strain = strain + 0.5 * Ht @ H
+        return np.stack([strain[..., i, j] for i, j in PAIRS[len(self.at)]], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,23 +197,26 @@ class PointQuantity(PointSensor):
         """None: a scalar, or numbered components row by row."""
         return ()
 
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
         """The components, row by row; collective."""
-        s = ev.system
-        p = self.found(ev.system)
+        p = self.found(system)
         key = f"point value {id(self)}"
-        if key not in s.cache:
-            s.cache[key] = self._prepare(p)
-        u, expression = s.cache[key]
+        if key not in system.cache:
+            system.cache[key] = self._prepare(p)
+        u, expression = system.cache[key]
 
         # one cell is evaluated, so the values of its nodes are enough
-        nodal = self.displacements(ev)
-        value = None
+        d, nodal = len(self.at), self.displacements(system, q)
+        values = None
         if p.point.cell >= 0:
-            nodes = p.space.dofmap.cell_dofs(p.point.cell)
-            u.x.array.reshape(-1, len(self.at))[nodes] = nodal
-            value = np.asarray(expression.eval(p.space.mesh, np.array([p.point.cell], np.int32))).ravel()
-        return np.asarray(p.space.mesh.comm.bcast(value, root=p.point.owner))
+            nodes, cell = p.space.dofmap.cell_dofs(p.point.cell), np.array([p.point.cell], np.int32)
+            on_nodes = u.x.array.reshape(-1, d)
+            found = []
+            for one in nodal.reshape(-1, len(nodes), d):
+                on_nodes[nodes] = one
+                found.append(np.array(expression.eval(p.space.mesh, cell)).ravel())
+            values = np.array(found).reshape(*q.shape[:-1], -1)
+        return np.asarray(p.space.mesh.comm.bcast(values, root=p.point.owner))
 
     def _prepare(self, p: PointOfBody) -> tuple[Any, Any]:
         from dolfinx import fem

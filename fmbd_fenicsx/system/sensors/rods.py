@@ -14,8 +14,9 @@ from ...mechanics.rods.elements import RodElements
 from ...mechanics.rods.rods import Rod
 from ...mechanics.rods.strains import values_at
 from ...rotations import Array
+from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..system import State
+from ..system import State, System
 from .sensors import Sensor
 
 
@@ -29,19 +30,33 @@ class SectionSensor(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Values at the Gauss points, continued to s; at a node between two elements the mean of both sides."""
-        rod = next(e for e in ev.system.elements if isinstance(e, RodElements) and e.name == self.rod)
-        found = (
-            rod.strains(ev.pose)
-            if self.strain
-            else rod.section_forces(ev.t, ev.pose, None if ev.v is None else ev.twist)
-        )
+        rod = self._rod(ev.system)
+        if self.strain:
+            return self._at(rod, rod.strains(ev.pose))
+        return self._at(rod, rod.section_forces(ev.t, ev.pose, None if ev.v is None else ev.twist))
 
+    def looks_at(self, system: System, marker: int) -> Look | None:
+        """The states, where forces are functions of strains."""
+        return Look(states=True) if self.strain or self._rod(system).elastic else None
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The same in all records, (k, 6)."""
+        s, q, _, _ = seen.motion
+        rod = self._rod(s)
+        found = rod.strains(s.frame_poses(q))
+        return self._at(rod, found if self.strain else np.array([rod.law.stress(e) for e in found]))
+
+    def _rod(self, system: System) -> RodElements:
+        return next(e for e in system.elements if isinstance(e, RodElements) and e.name == self.rod)
+
+    def _at(self, rod: RodElements, found: Array) -> Array:
+        """Values (.., 6) at the place from those at the Gauss points, (.., m, q, 6)."""
         edge = 1e-9 * rod.breaks[-1]
         inside = (rod.breaks[:-1] <= self.s + edge) & (self.s - edge <= rod.breaks[1:])
         values = []
         for k in np.flatnonzero(inside):
             start, end = rod.breaks[k : k + 2]
-            values.append(values_at(rod.shape, (2 * self.s - start - end) / (end - start)) @ found[k])
+            values.append(values_at(rod.shape, (2 * self.s - start - end) / (end - start)) @ found[..., k, :, :])
         mean: Array = np.mean(values, axis=0)
         return mean
 

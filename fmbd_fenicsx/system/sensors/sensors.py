@@ -327,12 +327,21 @@ class Coordinates(Sensor):
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """The coordinates of the body, or their rates."""
-        for k, part in enumerate(ev.system.parts):
+        return self._told(ev.system, state.q, state.v, state.a).copy()
+
+    def looks_at(self, system: System, marker: int) -> Look:
+        """The states."""
+        return Look(states=True)
+
+    def series(self, seen: Recorded, marker: int) -> Array:
+        """The same in all records."""
+        return self._told(*seen.motion)
+
+    def _told(self, system: System, q: Array, v: Array, a: Array) -> Array:
+        for k, part in enumerate(system.parts):
             if part.name == self.body:
-                if self.derivative == 0:
-                    return ev.system.local_q(state.q, k).copy()
-                return ev.system.local_v(state.v if self.derivative == 1 else state.a, k).copy()
-        own = near(self.body, (p.name for p in ev.system.parts))
+                return system.local_v((v, a)[self.derivative - 1], k) if self.derivative else system.local_q(q, k)
+        own = near(self.body, (p.name for p in system.parts))
         raise InputError(
             f'Body "{self.body}" has no coordinates beside its place and rotation: fmbd.coordinates reads those of reduced '
             f"bodies, lines and bodies by own equations. {own} Take fmbd.position and fmbd.rotation of rigid bodies."
