@@ -147,8 +147,8 @@ def test_floating_fields_are_recorded_in_the_loop(monkeypatch: pytest.MonkeyPatc
 
 
 def test_steps_that_somebody_looks_at_are_compiled_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same states to the last bit as without; their forces are looked at every 64 steps and at the end. What is read of them
-    is what C has told; only the start and crossings are evaluated.
+    """The same states to the last bit as without; their forces are looked at every 64 steps and at the end, with events where one
+    is met. What is read of them is what C has told; only the start and crossings are evaluated.
     """
     from fmbd_fenicsx.run import time_loop
     from fmbd_fenicsx.run.recording.moment import Moment
@@ -172,7 +172,7 @@ def test_steps_that_somebody_looks_at_are_compiled_ones(monkeypatch: pytest.Monk
         parts.clear()
         output = fmbd.Output(every=2, progress=False, **watch)
         runs.append(fmbd.solve(scene, t_end=0.15, dt=1e-3, output=output))
-        assert not watch or (len(parts) <= 2 and len(looks) == 3)
+        assert not watch or (len(parts) <= 2 and len(looks) == (3 if "on_step" in watch else 2))
         assert len(evaluated) < 30
     assert len(seen) == 150 and seen[1::2] == pytest.approx(runs[0]["tip"][1:, 1], rel=1e-12)
     assert crossings
@@ -246,3 +246,35 @@ def test_sensors_of_the_users_own_find_markers_known(monkeypatch: pytest.MonkeyP
     assert np.array_equal(told[1:, :3], runs[0]["x"][1:])  # the first is NumPy's
     assert np.array_equal(told, fast[:, :18])
     np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-10 * np.abs(slow).max())
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_steps_without_events_are_made_in_one_call(ends: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Crossings, records and the end are, to the last bit, those of steps that are looked at one by one, in far fewer calls."""
+    from fmbd_fenicsx.run.recording.events import EventWatch
+
+    looks, look = [0], EventWatch.look
+    monkeypatch.setattr(EventWatch, "look", lambda *args: (looks.append(1), look(*args))[1])
+    runs, met, counts = [], [], []
+    for one_by_one in (False, True):
+        scene, found = chain(2, ELEMENTS["spring"]), []
+        tell = lambda name: lambda now: found.append((name, now.t, *now["x"]))  # noqa: E731, B023
+        events = [
+            fmbd.Event("v x", 0.0, direction=-1, then=tell("v")),
+            fmbd.Event("hinge 0 angle", -0.11, then=tell("angle")),
+            fmbd.Event("element_effort", 0.2, direction=-1, then=None if ends else tell("tension")),
+        ]
+        on_step = (lambda now: None) if one_by_one else None
+        output = fmbd.Output(every=3, snapshots=3, progress=False, events=events, on_step=on_step)
+        looks.clear()
+        runs.append(fmbd.solve(scene, t_end=0.4, dt=1e-3, output=output))
+        met.append(found)
+        counts.append(len(looks))
+    assert met[0] == met[1] and len(met[0]) > (0 if ends else 3)
+    fast, slow = runs
+    assert (fast.status == "ended by an event") is ends
+    assert counts[0] < 30 < 100 < counts[1]
+    assert np.array_equal(fast.times, slow.times) and np.array_equal(fast.state.q, slow.state.q)
+    assert [s.t for s in fast.snapshots] == [s.t for s in slow.snapshots]
+    for name, values in slow.series.items():
+        assert np.array_equal(fast[name], values), name

@@ -69,21 +69,26 @@ def quietly(
     *,
     most: int,
     refused: Callable[[float], bool] | None = None,
+    events: EventWatch | None = None,
 ) -> int:
     """How many steps, at most so many, were made in one call, where the stepper can: recorded on the way or up to a record.
 
-    ``refused``: looks at the newest of steps with error control, which is taken back where it says so.
+    ``refused``: looks at the newest of steps with error control, which is taken back where it says so. ``events``: who looks for
+    those of the run; compiled steps that can tell them end where one is met.
     """
     t, equal = stepper.state.t, bool(schedule.steps)
-    watched = recorder.output.on_step is not None or bool(recorder.output.events)
-    if watched:  # every step, and records are what is seen then
-        if not equal:
-            return 0
-        most = 1
+    watched = recorder.output.on_step is not None or events is not None
+    if watched and not equal:
+        return 0
     h = stepper.stride(schedule.next(t))
     if not h:
         return 0
     tape = stepper.tape(recorder.openness) if recorder.on_tape else None
+    rider = events if tape is not None and recorder.output.on_step is None else None
+    if rider is not None and tape is not None and rider.rides(tape):
+        watched = False
+    elif watched:  # every step, and records are what is seen then
+        rider, most = None, 1
     quiet = recorder.quiet(done, t, h, through=not equal) if tape is None else recorder.free(t, h)
     steps = min(quiet, schedule.steps - done if equal else quiet, most)
     if steps == 1 and tape is None and equal and not watched:
@@ -109,10 +114,13 @@ def quietly(
                 recorder.newest_told = tape.recorded().copied()
             else:
                 recorder.take_tape(tape.recorded(), done + made)
+                if rider is not None:
+                    recorder.newest_told = tape.looked_at()
+                    rider.passed(stepper, recorder.newest_told)
         made += now
         # steps with error control have their own: up to break points
         over = not equal and (schedule.broken(stepper.state.t) is not None or schedule.ended(stepper.state.t, 0))
-        if not now or back or over:
+        if not now or back or over or (rider is not None and recorder.newest_told is not None):
             break
         chunk *= 4
     return made
@@ -220,7 +228,7 @@ class Loop:
             self.motions.look(self.state.t + h)
 
         most = self.schedule.steps if self.keeper is None else 1  # a checkpoint may be due after every step
-        made = quietly(self.stepper, self.schedule, self.recorder, self.progress.done, most=most)
+        made = quietly(self.stepper, self.schedule, self.recorder, self.progress.done, most=most, events=self.events)
         done = self.progress.done + made
         due = made > 1 or self.keeper is not None or done % LOOK == 0 or done == self.schedule.steps
         if made and due:
@@ -241,8 +249,9 @@ class Loop:
         system = self.problem.system
         if self.keeper is None:
             made = quietly(
-                self.stepper, self.schedule, self.recorder, self.progress.done, most=MOST, refused=self._unbalanced
-            )
+                self.stepper, self.schedule, self.recorder, self.progress.done,
+                most=MOST, refused=self._unbalanced, events=self.events,
+            )  # fmt: skip
             if made:
                 self.state = self.stepper.state
                 if self.motions is not None:

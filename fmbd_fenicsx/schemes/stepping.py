@@ -93,6 +93,11 @@ class TimeStepper(Remembering):
         return False
 
     @property
+    def origin(self) -> State:
+        """The state that the last step of :meth:`march` began with, for those that have a tape."""
+        raise NotImplementedError(f"{_kind(self)} has no origin.")
+
+    @property
     def kinks(self) -> tuple[float, ...]:
         """Times (s) within the last step at which velocities may jump."""
         return ()

@@ -1,6 +1,7 @@
 """Events: the instants at which a sensor crosses a value, found on the way of a run.
 
-After each step the value at its end is compared with that at its start; where the sign of (value - level) has changed, the
+After each step the value at its end is compared with that at its start, in compiled steps by C where the value is a number of
+the record; where the sign of (value - level) has changed, the
 instant is located on the dense output of the step (:mod:`.between`) by Brent's method, to the accuracy of that polynomial. Steps
 of schemes with error control are large: there values at quarters of the step are looked at too. Two crossings closer than that
 cancel out.
@@ -18,7 +19,8 @@ from scipy.optimize import brentq
 
 from ...checks import check_fields, number
 from ...errors import InputError, near, require
-from ...system.compiled.recording import Recorded
+from ...schemes.stepping import TimeStepper
+from ...system.compiled.recording import CROSSING, Recorded, Tape
 from ...system.scene.scene import Scene
 from ...system.system import State, System
 from .between import state_between
@@ -76,18 +78,33 @@ class EventWatch:
     ) -> None:
         self.events, self.scene, self.system, self.markers = events, scene, system, markers
         self.places = QUARTERS if samples else ()
+        self.crossings = np.zeros(len(events), CROSSING)  # "before": values less levels where all has been looked at
+        self.crossings["level"] = [e.level for e in events]
+        self.crossings["direction"] = [e.direction for e in events]
 
     def start(self, state: State) -> None:
         """The state that the first step begins from; collective."""
         now = Moment(self.scene, self.system, self.markers, state, 0)
         self.columns = [component(self.scene, now, e.sensor) for e in self.events]
-        self.before, self.values = state, [self._value(k, state) for k in range(len(self.events))]
+        self.before = state
+        self.crossings["before"] = [self._value(k, state) for k in range(len(self.events))]
+        self.read = [(self.scene.sensors[name], self.markers[name], column or 0) for name, column in self.columns]
+
+    def rides(self, tape: Tape) -> bool:
+        """Whether compiled steps end where an event is met: what is between has been looked at then."""
+        return tape.stops_at(self.crossings, self.read)
+
+    def passed(self, stepper: TimeStepper, told: Recorded | None) -> None:
+        """Take note that nothing is met in compiled steps, but in the newest one where C has ``told`` of it."""
+        self.before = stepper.state if told is None else stepper.unwrapped.origin
 
     def look(self, n: int, after: State, stepper: Any, told: Recorded | None = None) -> State | None:
         """Call what belongs to the crossings of step n in their order; the state at which the run ends, or None. ``told``: what
         compiled code told of the end of the step. Collective.
         """
         before = self.before
+        if before is after:
+            return None
         span = after.t - before.t
 
         def at(t: float) -> State:
@@ -99,10 +116,10 @@ class EventWatch:
 
         found: list[tuple[float, int]] = []
         for k, event in enumerate(self.events):
-            points = [(before.t, self.values[k]), *((s.t, self._value(k, s)) for s in inner)]
+            points = [(before.t, float(self.crossings["before"][k])), *((s.t, self._value(k, s)) for s in inner)]
             points.append((after.t, self._value(k, after, told)))
             found += [(self._locate(k, at, a, b), k) for a, b in pairwise(points) if _crosses(a[1], b[1], event)]
-            self.values[k] = points[-1][1]
+            self.crossings["before"][k] = points[-1][1]
         self.before = after
 
         # in the order of time, up to the first that ends the run

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from ...mechanics.contact.rows import ContactSet
@@ -24,6 +27,10 @@ class ContactTape(Tape):
         # as record_contacts() of driver/moreau.c writes them
         self.shapes = [(m,), (m, d), (m, d), (m,), (m, d), (pairs, d), (len(WORKS),), ()]
         super().__init__(tables, judged, contact=sum(int(np.prod(x)) for x in self.shapes))
+
+    def stops_at(self, crossings: np.ndarray, read: Sequence[tuple[Any, int, int]]) -> bool:
+        """No: steps are cut by impacts, between which values may cross and come back."""
+        return False
 
     def recorded(self) -> Recorded:
         """What was recorded, until the tape begins anew."""

@@ -99,6 +99,13 @@ class CompiledAlphaStepper(AlphaStepper):
         self._settle()
         return self._begun
 
+    @property
+    def origin(self) -> State:
+        """As :meth:`TimeStepper.origin`."""
+        begun = self.begun
+        assert begun is not None
+        return begun[0]
+
     def error(self, h: float) -> Array:
         """As :meth:`Stepper.error`, with the driver's factor where it made the last step."""
         if not self._ahead:
@@ -215,7 +222,7 @@ class CompiledAlphaStepper(AlphaStepper):
         if self.fresh:
             made = self._first_march(h, watch, tape)
             largest = self.local_error
-            if not made or steps == 1:
+            if not made or steps == 1 or (tape is not None and tape.c.crossed):
                 return made
             self.driver.tables.remember()  # what later steps begin with
             made += self._steps(h, steps - 1, watch, tape)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -180,13 +181,20 @@ class _Tape(ctypes.Structure):
     """``Tape`` of tables.h."""
 
     _fields_ = [
-        *((name, ctypes.c_long) for name in "every left capacity count whole rows doubtful".split()),
+        *((name, ctypes.c_long) for name in "every left capacity count crossings crossed".split()),
+        ("crossing", ctypes.c_void_p),
+        *((name, ctypes.c_long) for name in "whole rows doubtful".split()),
         *((name, ctypes.c_double) for name in "allowed roundoff length".split()),
         *(
             (name, ctypes.c_void_p)
             for name in "units block lam sight energy reading reaction drift doubt contact".split()
         ),
     ]
+
+
+# what events are about, ``Crossing`` of tables.h
+INTEGERS, NUMBERS = ("stride", "direction"), ("scale", "level", "before")
+CROSSING = np.dtype([("at", np.uintp), *((x, int) for x in INTEGERS), *((x, float) for x in NUMBERS)])
 
 
 @dataclass(frozen=True)
@@ -228,15 +236,43 @@ class Tape:
             whole=looks.whole, rows=looks.rows, units=address_of(self.units), allowed=judged.allowed,
             roundoff=judged.roundoff, length=s.length, doubt=address_of(self.doubt),
         )  # fmt: skip
+        self._watched: tuple[np.ndarray, Sequence[tuple[Any, int, int]]] | None = None
         self._make_room(min(FIRST, self.most))
 
     def _make_room(self, capacity: int) -> None:
-        """Room for so many records, none of them made."""
-        room = zeros_of({name: (capacity, *shape) for name, shape in self._sizes.items()})
+        """Room for so many records, none of them made, and for a step that is only looked at."""
+        room = zeros_of({name: (capacity + 1, *shape) for name, shape in self._sizes.items()})
         self.arrays = {name: x for name, (x, _) in room.items()}
         self.capacity = self.c.capacity = capacity
         for name, (_, address) in room.items():
             setattr(self.c, name, address)
+        self._find_watched()
+
+    def stops_at(self, crossings: np.ndarray, read: Sequence[tuple[Any, int, int]]) -> bool:
+        """Whether marches end with the step in which one of these is met: ``read`` are the sensor, marker and component of each,
+        ``crossings`` (n,) of the type CROSSING. What a sensor has to compute of a record is not looked at in C.
+        """
+        if self._watched is None or self._watched[0] is not crossings:
+            self._watched = crossings, read
+            self._find_watched()
+        return bool(self.c.crossings)
+
+    def _find_watched(self) -> None:
+        """Where the records have what events are about, when all of them are numbers of records."""
+        self.c.crossings = 0
+        if self._watched is None:
+            return
+        crossings, read = self._watched
+        every = self._records(slice(None))
+        for one, (sensor, marker, component) in zip(crossings, read, strict=True):
+            if id(sensor) not in self.tables.looks.of:
+                return
+            numbers, one["scale"] = sensor.numbers(every, marker)
+            found = numbers[:, component]
+            if not any(np.may_share_memory(found, x) for x in self.arrays.values()):
+                return
+            one["at"], one["stride"] = found.ctypes.data, found.strides[0] // found.itemsize
+        self.c.crossing, self.c.crossings = address_of(crossings), len(crossings)
 
     @property
     def address(self) -> int:
@@ -247,7 +283,7 @@ class Tape:
         """Nothing recorded; the first record after ``left`` steps, then every so many. One that was full has more room then."""
         if self.c.count == self.capacity < self.most:
             self._make_room(min(4 * self.capacity, self.most))
-        self.c.every, self.c.left, self.c.count, self.c.doubtful = every, left, 0, -1
+        self.c.every, self.c.left, self.c.count, self.c.doubtful, self.c.crossed = every, left, 0, -1, 0
 
     def step_back(self) -> None:
         """Forget the record of the newest step, if it has one."""
@@ -257,10 +293,17 @@ class Tape:
 
     def recorded(self) -> Recorded:
         """What was recorded, until the tape begins anew."""
+        return self._records(slice(int(self.c.count)))
+
+    def looked_at(self) -> Recorded | None:
+        """The step at which an event has ended the march, with arrays of its own; None where none has."""
         n = int(self.c.count)
+        return self._records(slice(n, n + 1)).copied() if self.c.crossed else None
+
+    def _records(self, which: slice) -> Recorded:
         doubtful = self.c.doubtful >= 0
         doubt = self.tables.twin.state(state_of(self.tables.system, self.doubt)) if doubtful else None
-        return Recorded(self.tables, {name: x[:n] for name, x in self.arrays.items()}, doubt)
+        return Recorded(self.tables, {name: x[which] for name, x in self.arrays.items()}, doubt)
 
 
 class Recorded:

@@ -63,7 +63,12 @@ class ElementScalar(_ElementSensor):
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """The value, (k, 1)."""
-        return np.asarray(self.sign * seen.reading(self.element)[:, :, self.which])
+        numbers, sign = self.numbers(seen, marker)
+        return np.asarray(sign * numbers)
+
+    def numbers(self, seen: Recorded, marker: int) -> tuple[Array, float]:
+        """As :meth:`Sensor.numbers`."""
+        return seen.reading(self.element)[:, :, self.which], self.sign
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ class Largest(Sensor):
 
         found = np.full((len(q), 1), -np.inf)
         for i, local in enumerate(system.local_q(q, k)):
-            nodal = local if basis is None else basis @ local
+            nodal: Array = local if basis is None else basis @ local
             u.x.array[: len(nodal)] = nodal
             u.x.scatter_forward()
             if len(cells):

@@ -46,6 +46,12 @@ class Sensor:
         """The values in all records at once, (k, size): those of :meth:`read`."""
         raise NotImplementedError
 
+    def numbers(self, seen: Recorded, marker: int) -> tuple[Array, float]:
+        """What the values in all records are multiples of, (k, size), and by which factor: numbers of the records where they can
+        be, then C finds the steps in which an event is met.
+        """
+        return self.series(seen, marker), 1.0
+
     @property
     def coordinates(self) -> tuple[JointCoordinate, ...]:
         """Joint coordinates that it reads."""

@@ -37,7 +37,7 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
         }
         if (control && (*verdict = judged(s, p, control, past, &out))) break;
         if (control) arrive(control, &out);
-        int recorded = tape && tape->left == 1;
+        int due = tape && tape->left == 1, recorded = due || (tape && tape->crossings);
         int guarded = p[GUARDED] != 0.0, placed = (guarded || recorded || s->remembers) && !place(s, out.q, out.v);
         if (guarded && placed && gained(s, p, &out, e)) {
             *verdict = GAIN;
@@ -49,7 +49,7 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
         }
         if (recorded && (*verdict = placed ? record(s, tape, &out, guarded ? e : 0) : LOOK)) break;
         if (s->remembers && (*verdict = keep(s, *out.t))) break;
-        if (tape) tape->left = recorded ? tape->every : tape->left - 1;
+        if (tape) tape->left = due ? tape->every : tape->left - 1;
         double *newest = ring[3];
         for (int i = 3; i > 0; i--) ring[i] = ring[i - 1];
         ring[0] = newest;
@@ -59,6 +59,7 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
             *verdict = SIZE;
             break;
         }
+        if (recorded && tape->crossed) break;
     }
     return made;
 }

@@ -131,11 +131,24 @@ static void judge_drift(System *s, Tape *tape, const Block *now, double *open)
     memcpy(tape->doubt, now->t, (1 + s->nq + 3 * (long)s->nv + s->rows) * sizeof(double));
 }
 
-/* One record of an accepted step whose frames are placed; ``known``: its energies at the present weight, NULL where nobody asked. */
+/* Whether an event is met in the newest step, record k: then values are kept as they were before. */
+static int crossed(Tape *tape, long k)
+{
+    for (const Crossing *c = tape->crossing; c < tape->crossing + tape->crossings; c++) {
+        double before = c->before, after = c->scale * c->at[c->stride * k] - c->level;
+        if (before < 0.0 && after >= 0.0 && c->direction >= 0) return 1;
+        if (before > 0.0 && after <= 0.0 && c->direction <= 0) return 1;
+    }
+    for (Crossing *c = tape->crossing; c < tape->crossing + tape->crossings; c++) c->before = c->scale * c->at[c->stride * k] - c->level;
+    return 0;
+}
+
+/* One record of an accepted step whose frames are placed; ``known``: its energies at the present weight, NULL where nobody asked.
+   It counts where it is due, and where no event is met: Python looks at that step first. */
 int record(System *s, Tape *tape, const Block *now, const double *known)
 {
     long k = tape->count, size = 1 + s->nq + 3 * (long)s->nv + s->rows;
-    int verdict = readings(s, *now->t, tape->reading + 3 * (long)s->readings * k);
+    int due = tape->left == 1, verdict = readings(s, *now->t, tape->reading + 3 * (long)s->readings * k);
     if (verdict) return verdict;
 
     if (tape->whole) memcpy(tape->block + size * k, now->t, size * sizeof(double));
@@ -145,9 +158,11 @@ int record(System *s, Tape *tape, const Block *now, const double *known)
     else energies(s, *now->t, now->q, now->v, s->rest_gravity, tape->energy + 4 * k);
     sights(s, now, tape->sight + SIGHT * s->seen * k);
 
-    judge_drift(s, tape, now, tape->drift + 4 * k);
+    if (due) judge_drift(s, tape, now, tape->drift + 4 * k);
+    else if (s->reactions) drift(s);
     for (int i = 0; i < s->reactions; i++)
         reaction(s, s->reaction + i, now->lam, tape->reaction + TWIST * (s->reactions * k + i));
-    tape->count++;
+    tape->crossed = crossed(tape, k);
+    tape->count += due && !tape->crossed;
     return DONE;
 }

@@ -196,9 +196,20 @@ typedef struct {
     int leaves_out;                    /* whether the matrix lacks terms of the motion of a body, see secants.c */
 } System;
 
-/* Records of accepted steps; every array holds ``capacity`` of them. ``left``: steps up to the next. */
+/* A number of a record that an event is about, times ``scale``: where it is in the first one, how many numbers further in the next;
+   from which side it is to cross its level (1 from below, -1 from above, 0 any); what it was beyond that level before the newest
+   step. */
 typedef struct {
-    long every, left, capacity, count;
+    const double *at;
+    long stride, direction;
+    double scale, level, before;
+} Crossing;
+
+/* Records of accepted steps; every array holds ``capacity`` of them and one more, which steps that are only looked at are written
+   to. ``left``: steps up to the next; ``crossed``: whether a march ends because of an event. */
+typedef struct {
+    long every, left, capacity, count, crossings, crossed;
+    Crossing *crossing;
     long whole, rows, doubtful;        /* whether states and multipliers are kept; first record whose joints are open, or -1 */
     double allowed, roundoff, length;  /* m; share of the distance from the origin; of the model */
     double *units;                     /* of the rows, as lengths */
