@@ -199,3 +199,14 @@ def test_rooms_of_the_house_are_there():
     for folder, rooms in re.findall(r"^\| \d \| `([a-z]+)/` \| (.*) \|$", house, re.M):
         for room in re.findall(r"`([a-z_]+)/?`", rooms):
             assert (SOURCE / folder / room).is_dir() or (SOURCE / folder / f"{room}.py").is_file(), (folder, room)
+
+
+def test_sensor_gives_all_records_at_once(monkeypatch):
+    from fmbd_fenicsx.run.recording.output import Recorder
+
+    monkeypatch.setattr(Recorder, "_one_by_one", lambda *args: pytest.fail("a state was read by itself"))
+    scene = pendulum()
+    scene.sensor("speed", example("Speed")["Speed"](scene.bodies["bob"], "m/s", (1.0, 0.0)))
+    scene.sensor("v", fmbd.velocity(scene.bodies["bob"], point=(1.0, 0.0)))
+    run = fmbd.solve(scene, t_end=0.2, dt=0.01)
+    assert run["speed"][:, 0] == pytest.approx(np.linalg.norm(run["v"], axis=1)) and run["speed"].max() > 1
