@@ -335,11 +335,16 @@ class Recorded:
     def evaluation(self, s: State, i: int) -> Evaluation:
         """The system in one of the states, with the motion of its markers as the driver told it."""
         ev = self.tables.twin.original.at(s.t, s.q, s.v)
-        d, sight = self.tables.dim, self.arrays["sight"][i]
-        x, R, rest = np.split(sight, (d, d + d * d), axis=1)
-        told = x, R.reshape(-1, d, d), rest[:, : d + self.system.motions.n_rot]
-        ev.kin = SeenKinematics(*told, ev.markers)
+        x, R, twist = self._markers
+        ev.kin = SeenKinematics(x[i], R[i], twist[i], ev.markers)
         return ev
+
+    @cached_property
+    def _markers(self) -> tuple[Array, Array, Array]:
+        """x, R and twist of all markers in all records, (k, n, ..)."""
+        d, sight = self.tables.dim, self.arrays["sight"]
+        turn, speed = slice(d, d + d * d), slice(d + d * d, 2 * d + d * d + self.system.motions.n_rot)
+        return sight[..., :d], sight[..., turn].reshape(*sight.shape[:2], d, d), sight[..., speed]
 
     # -- states of all records ------------------------------------------------------------------------------------------------
     @cached_property
