@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum as point_pendulum
+from dae_problems import pendulum_at
 from honesty_scenes import HONEST, bent_block, judge
 from tolerance_scenes import rise, spun_up
 
@@ -161,6 +162,15 @@ def test_the_error_of_algebra_is_measured() -> None:
         loose["tip"] - fmbd.solve(spun_up(), t_end=1.0, dt=0.01, newton=fmbd.Newton(tolerance=1e-11))["tip"]
     ).max()
     assert off <= 3.0 * loose.certificate["tip"].algebra
+
+
+def test_what_iterations_leave_is_measured_beside_small_errors_of_time() -> None:
+    """By the tolerance of the iteration alone 12 to 18 times the true error was stated, of runs that show no order."""
+    output = fmbd.Output(estimate_error=True)
+    run = fmbd.solve(point_pendulum(), t_end=0.3, dt=0.015, scheme=fmbd.Radau(3, rtol=None), output=output)
+    for level, name in enumerate("xv"):
+        exact = np.array([pendulum_at(t)[level] for t in run.times])
+        assert 0.5 < run.certificate[name].total / float(np.abs(run[name] - exact).max()) < 3.0
 
 
 @pytest.mark.parametrize("scheme", [fmbd.BDF(2, rtol=None), fmbd.EnergyMomentum(), fmbd.Rattle()], ids=lambda s: s.name)

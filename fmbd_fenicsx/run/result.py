@@ -47,7 +47,7 @@ class Run:
         space_error: sensor name -> estimated error by the meshes, in the sensor's unit; empty when not asked for.
             ``space_unstated``: what of it could not be stated, and why.
         newton_accuracy: mean relative error that Newton's iteration left: its tolerance or less.
-        deviations: kind (space, time, modes) -> sensor -> estimated error over time, with its sign.
+        deviations: kind (space, time, modes, algebra) -> sensor -> estimated error over time, with its sign.
         history: attempts of :func:`solve` with ``tol``.
         memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" on request.
@@ -90,13 +90,13 @@ class Run:
         return self.series[sensor]
 
     def state_error(self, kind: str, found: dict[str, Deviation]) -> None:
-        """Take the estimated errors of one kind: "space", "time" or "modes"."""
+        """Take the estimated errors of one kind: "space", "time", "modes" or "algebra"."""
         self.deviations[kind] = found
         if kind == "time":
             self.error_estimate = sizes(found)
         elif kind == "modes":
             self.reduction_error = sizes(found)
-        else:
+        elif kind == "space":
             self.space_error = sizes(found)
 
     def report(self) -> str:

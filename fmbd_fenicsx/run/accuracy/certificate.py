@@ -95,7 +95,7 @@ def certificate_of(run: Run) -> Certificate:
     """The certificate of a run from the estimates that it was asked for.
 
     The error of algebra is that of Newton's iteration: what it left on average, relative to accelerations and reactions, as a
-    share of the range of each sensor. The total adds errors of space, time and modes with their signs, see
+    share of the range of each sensor, or as it was measured (:mod:`.algebra`). The total adds errors of known signs, see
     :func:`.deviation.together`.
     """
     reduced, meshed = bool(modal_bodies(run.scene)), bool(meshed_bodies(run.scene))
@@ -120,10 +120,12 @@ def certificate_of(run: Run) -> Certificate:
         space = run.space_error.get(name) if meshed else 0.0
         modes = run.reduction_error.get(name) if reduced else 0.0
         # with error control Newton's share is a part of the tolerance, and in the error of time
-        own = 0.0 if controlled else run.newton_accuracy * span
+        bound = 0.0 if controlled else run.newton_accuracy * span
+        measured = run.deviations.get("algebra", {}).get(name)
+        left, more = (bound, bound) if measured is None else (measured.size, 0.0)
         found = [kind[name] for kind in run.deviations.values() if name in kind]
         time = run.error_estimate.get(name)
-        made.append(Statement(name, sensor.unit, space, time, modes, own, together(found) + own, span))
+        made.append(Statement(name, sensor.unit, space, time, modes, left, together(found) + more, span))
     spans = moving(run.series, run.scene.sensors)
     reasons = {s.sensor: [*_uncertain_in_time(run, s), *_uncertain_in_space(s)] for s in made if s.sensor in spans}
     uncertain = {name: ". ".join(why) for name, why in reasons.items() if why}

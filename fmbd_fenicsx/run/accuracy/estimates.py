@@ -23,6 +23,7 @@ from ..recording.accompanied import Accompanied
 from ..recording.output import Output, Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March
+from .algebra import algebra_error, tighter_run
 from .certificate import moving
 from .companion_runs import UNFIT, Compared, StoppedError, again, as_recorded, companion
 from .deviation import Deviation
@@ -402,6 +403,11 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
         run.seconds["error estimate"] = clock.perf_counter() - ended
     elif output.estimate_error:
         found = time_error(problem, made.recorder, made.schedule)
+        tight = tighter_run(problem, made, found.errors)
+        if tight is not None:
+            run.state_error("algebra", algebra_error(made, tight[1]))
+            problem, made = tight
+            found = time_error(problem, made.recorder, made.schedule)
         run.state_error("time", found.errors)
         run.observed_order, made = found.orders, found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended

@@ -57,7 +57,8 @@ class Output:
         progress: a progress bar; None shows it on rank 0 when standard error is a terminal.
         estimate_error: run again with 2 and 4 times the step and estimate the time-discretisation error of
             each sensor (about 3/4 of the time of the run itself, not counted in its seconds and counters; where these follow
-            another motion, with half the step as well: twice the time).
+            another motion, with half the step as well: twice the time; where Newton's iteration leaves as much as that, with a
+            tighter one as well: three times).
         estimate_reduction: run again with more modes of each reduced body and estimate the error that the left-out modes cause
             in each sensor (one more run of about twice the modes, not counted either).
         estimate_space: run again with each body in a finer space (displacements of one degree more, or half the cell size) and
