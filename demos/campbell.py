@@ -21,7 +21,8 @@ def main():
     """Blade to 1 % up to mu = 50, shaft to 0.1 %, top to 1e-6, disc to what a rim of 50 edges and static stretch leave."""
     args = demo.arguments(__doc__)
     n = 6 if args.fast else 12
-    blades = fmbd.campbell(lambda _: blade(n), MU * UNIT, 2)
+    speeds_of_blade, known_of_blade = (x[:: 5 if args.fast else 1] for x in (MU, FLAPWISE))
+    blades = fmbd.campbell(lambda _: blade(n), speeds_of_blade * UNIT, 2)
     flap = blades.omega[:, 1] / UNIT  # the first is chordwise
 
     about = fmbd.Spin(0.0, axis=(1.0, 0.0, 0.0))
@@ -36,7 +37,10 @@ def main():
     bessel = np.array([symmetric(w) for w in plates])
     nearest = np.array([[w[np.abs(w - x).argmin()] for x in row] for w, row in zip(every, bessel, strict=True)])
     checks = [
-        *(Check.relative(f"flapwise at mu = {m:g}", w, r, 1e-2) for m, w, r in zip(MU, flap, FLAPWISE, strict=True)),
+        *(
+            Check.relative(f"flapwise at mu = {m:g}", w, r, 1e-2)
+            for m, w, r in zip(speeds_of_blade, flap, known_of_blade, strict=True)
+        ),
         Check("critical speeds of the shaft", len(turned.critical_speeds), 1),
         Check.relative("critical speed (rad/s)", turned.critical_speeds[0], 56.853, 1e-3),
         Check.relative("backward whirl at 30 rad/s (rad/s)", turned.fixed[1].min(), -56.853, 1e-3),

@@ -41,11 +41,13 @@ reference = fmbd.solve(scene(), t_end=1.0, scheme=exact, newton=fmbd.Newton(max_
 
 short, usual = (
     {3: (40, 80, 160), 2: (20, 40, 80), 1: (8, 16, 32)},
-    (20, 40, 80) if args.fast else (80, 160, 320),
+    (20, 40) if args.fast else (80, 160, 320),
 )  # three stages: above roundoff
 cases = [(fmbd.Radau(2, f, None), short[3]) for f in forms]
 cases += [] if args.fast else [(fmbd.Radau(3, f, None), short[f.index]) for f in forms]
-cases += [(fmbd.BDF(k, f, None), usual) for k in (2, 3) for f in (BASIC[:3] if args.fast else ALL)]
+cases += [
+    (fmbd.BDF(k, f, None), usual) for k in ((2,) if args.fast else (2, 3)) for f in (BASIC[:3] if args.fast else ALL)
+]
 cases += [(fmbd.GeneralizedAlpha(0.8, form=f), usual) for f in (fmbd.Index3(), fmbd.GGL())]
 cases += [(s, usual) for s in (fmbd.Rattle(), fmbd.EnergyMomentum(), fmbd.HalfExplicit(None))]
 rows, checks = [["scheme", "form", "q", "v", "lambda"]], []
@@ -63,7 +65,7 @@ demo.say(study.aligned(rows))
 makers = {f"Radau IIA(3), {f.name}": lambda r, f=f: fmbd.Radau(3, f, r) for f in forms}
 makers |= {f"BDF, {f.name}": lambda r, f=f: fmbd.BDF(5, f, r) for f in forms} | {"half-explicit (4)": fmbd.HalfExplicit}
 runs = {n: lambda r, m=m: fmbd.solve(scene(), t_end=1.0, scheme=m(r)) for n, m in makers.items()}
-tolerances = [1e-3, 1e-5] if args.fast else [1e-3, 1e-5, 1e-7, 1e-9]
+tolerances = [1e-3] if args.fast else [1e-3, 1e-5, 1e-7, 1e-9]
 lines = [study.Configuration(name, run, tolerances) for name, run in runs.items()]
 done = study.work_precision(lines, reference=reference, names=quantities, repeats=1 if args.fast else 3)
 demo.say(done)

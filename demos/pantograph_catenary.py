@@ -36,7 +36,7 @@ def drive(speed, h=dt, form=None):
 
 section = (60.0, 120.0) if args.fast else (240.0, 360.0)
 checks, runs = [], {}
-for kmh, ranges in RANGES.items():
+for kmh, ranges in list(RANGES.items())[: 1 if args.fast else None]:
     v = kmh / 3.6
     run = runs[kmh] = drive(v)
     f = model.figures(run, v, section=section)

@@ -42,8 +42,7 @@ def numpy_disk(dim: int, radius: float) -> Any:
     return distance
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.mpi), 3])
 @pytest.mark.parametrize("make", [ufl_disk, numpy_disk])
 def test_own_distance_carried_by_a_rigid_body(make: Any, dim: int) -> None:
     """The same motion as with the shape of the library, and the reaction acts on the body that carries it."""

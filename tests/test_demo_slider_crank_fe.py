@@ -26,8 +26,7 @@ def test_run_up_has_these_rates_and_ends_after_one_turn() -> None:
     assert fe.run_up(0.999999 * fe.RAMP)[0] == pytest.approx(2 * np.pi, rel=1e-5)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.mpi), 3])
 def test_reduced_rod_follows_the_floating_one(dim: int) -> None:
     """Same motion of the edges and nearly the same force of the knee; the same bits on all ranks."""
     rod = fe.rod(0.032, 0.032, dim)

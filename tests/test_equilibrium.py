@@ -33,7 +33,6 @@ def push_of(y: Any) -> Any:
     return 2.0 * STIFFNESS * (LENGTH / np.hypot(HALF, y) - 1.0) * y
 
 
-@pytest.mark.mpi
 def test_path_passes_both_limit_points() -> None:
     """Every point of the path is on the exact curve; the turns are at the exact limit loads."""
     scene = truss(100.0)

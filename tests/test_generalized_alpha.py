@@ -181,9 +181,9 @@ def test_stabilised_form_is_second_order_from_the_first_step(rho: float) -> None
 
 
 def test_stabilised_form_holds_both_levels_and_permits_no_damping() -> None:
-    """rho_inf = 1 blows up within 1e4 steps of the index-3 form; with both levels the energy stays."""
+    """rho_inf = 1 blows up under the index-3 form; with both levels the energy stays."""
     scheme = fmbd.GeneralizedAlpha(1.0, form=fmbd.GGL())
-    states = dae_problems.march(dae_problems.pendulum(2.0, 0.0, 1.0), scheme, 50.0, 5000, 1e-9)
+    states = dae_problems.march(dae_problems.pendulum(2.0, 0.0, 1.0), scheme, 15.0, 1500, 1e-9)
     energy = np.array([0.5 * s.v @ s.v + s.q[1] for s in states])
     assert max(abs(s.q @ s.q - 1) for s in states) < 1e-11
     assert max(abs(s.q @ s.v) for s in states) < 1e-9

@@ -134,8 +134,7 @@ def pendulum(mesh: Any, energy: Any, scheme: Any = None) -> fmbd.Run:
     return fmbd.solve(scene, t_end=0.1, dt=2.5e-3, scheme=scheme, output=QUIET)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.mpi)])
 def test_volume_in_motion(rod_mesh: Callable[..., Any], dim: int) -> None:
     """A falling soft rod keeps its volume to 1e-8, and moves as with a large lambda."""
     mesh = rod_mesh(dim=dim, h=0.1)

@@ -169,7 +169,7 @@ scene.add(rod)
 {line}
 fmbd.solve(scene, t_end=0.02, dt=0.01)
 """
-PROGRAMS = {
+MISTAKES = {
     "missing file": ("import fmbd_fenicsx as f; f.read_gmsh('meshes/rood.py')", "rood.py does not exist"),
     "inverted": (
         "import fmbd_fenicsx as f; f.read_gmsh('tests/faulty.py', fault='inverted')",
@@ -197,12 +197,22 @@ PROGRAMS = {
         '"rod": displacement',
     ),
 }
+PROGRAMS = ("inverted", "load on one rank")  # of the mesh, which rank 0 makes, and of a law that differs between ranks
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", [name for name in MISTAKES if name not in PROGRAMS])
+def test_mistakes_are_told_on_all_ranks(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(HERE.parent)
+    code, words = MISTAKES[name]
+    with pytest.raises(FmbdError, match=re.escape(words)):
+        exec(code, {})  # noqa: S102
 
 
 @pytest.mark.serial
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_bad_input_ends_two_ranks_with_one_message(name: str) -> None:
-    code, words = PROGRAMS[name]
+    code, words = MISTAKES[name]
     done = launch(code, 2, timeout=60)
     assert done.returncode != 0
     # not from the start of a line on: what mpirun forwards of two ranks may begin in a line of its own words
@@ -212,7 +222,7 @@ def test_bad_input_ends_two_ranks_with_one_message(name: str) -> None:
 
 @pytest.mark.serial
 def test_bad_input_ends_a_serial_program() -> None:
-    done = launch(PROGRAMS["missing file"][0], 1)
+    done = launch(MISTAKES["missing file"][0], 1)
     assert done.returncode != 0
     assert done.stderr.count("MeshError: Mesh file meshes/rood.py does not exist") == 1
 

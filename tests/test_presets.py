@@ -18,17 +18,18 @@ from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, 
 KEPT1 = Continuous(1, Ends.KEPT)
 
 
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     "dim, up, low, degree, space",
     [
         (2, 6, 6, 1, Continuous()),
-        (2, 6, 9, 1, Continuous()),
-        (2, 7, 11, 1, Dual()),
-        (2, 8, 5, 2, KEPT1),
+        pytest.param(2, 6, 9, 1, Continuous(), marks=pytest.mark.mpi),
+        pytest.param(2, 7, 11, 1, Dual(), marks=pytest.mark.mpi),
+        pytest.param(2, 8, 5, 2, KEPT1, marks=pytest.mark.mpi),
         (2, 8, 4, 2, Continuous()),
-    ]
-    + [(3, 2, 3, 1, Continuous()), (3, 5, 3, 1, Dual()), (3, 3, 2, 2, KEPT1)],
+        pytest.param(3, 2, 3, 1, Continuous(), marks=pytest.mark.mpi),
+        (3, 3, 2, 1, Dual()),
+        (3, 3, 2, 2, KEPT1),
+    ],
 )
 def test_patch(dim: int, up: int, low: int, degree: int, space) -> None:
     """A linear displacement passes a non-matching interface to roundoff, and so do the tractions."""
@@ -63,8 +64,7 @@ def test_patch(dim: int, up: int, low: int, degree: int, space) -> None:
     release(s)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("degree, step", [(1, 1.0), (2, 1e-3), (2, 10.0)])
+@pytest.mark.parametrize("degree, step", [pytest.param(1, 1.0, marks=pytest.mark.mpi), (2, 1e-3), (2, 10.0)])
 def test_ideal_schur_complement_needs_three_iterations(degree: int, step: float) -> None:
     s = tied(6, degree=degree, step=step)
     solver = FieldSplit(multiplier=Exact(), rtol=1e-9).solver(s)

@@ -41,7 +41,7 @@ def links(masses: Sequence[float]) -> fmbd.Scene:
 def test_as_rigid_links(masses: tuple[float, ...], scheme: Any) -> None:
     """Errors and work do not grow with the stiffness, and nothing is warned of."""
     rigid = fmbd.solve(links(masses), t_end=END, scheme=scheme).counters
-    for k in (1e8, 1e10, 1e12, 1e14):
+    for k in (1e8, 1e14):
         run = fmbd.solve(chain(masses, k), t_end=END, scheme=scheme)
         assert error(run, masses) <= ERRORS[name_of(scheme)]
         assert run.counters["newton_iterations"] <= 1.6 * rigid["newton_iterations"]
@@ -61,7 +61,7 @@ def test_tighter(scheme: Any) -> None:
 
 
 @pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=None), fmbd.BDF(order=2, rtol=None)], ids=name_of)
-@pytest.mark.parametrize("k", [1e10, 1e12])
+@pytest.mark.parametrize("k", [1e12])
 def test_a_tonne_on_a_gram(scheme: Any, k: float) -> None:
     """Constant steps end where increments are roundoff: on a link and a spring, with a multiplier of 1e4 N on a gram."""
     masses = (1e-3, 1e3)

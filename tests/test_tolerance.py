@@ -165,7 +165,7 @@ def test_far_larger_steps_tell_the_error_where_the_order_is_seen(monkeypatch: py
     assert 0.8 < far / true < 1.25 and 0.8 < near / true < 1.25
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-5])
+@pytest.mark.parametrize("tol", [1e-4])
 def test_all_attempts_together_take_few_steps(monkeypatch: pytest.MonkeyPatch, tol: float) -> None:
     """An earlier attempt tells the error of the last one: all runs together take at most 1.7 times the steps of the last."""
     made = marches(monkeypatch)
@@ -336,10 +336,10 @@ def test_no_run_is_made_twice(name: str, k: int, spaces: int, monkeypatch: pytes
 def test_newton_is_tightened_where_it_leaves_too_much() -> None:
     """Its share is seen in the first attempt; a user's own tolerance is left as it is, with what it should be."""
     tol, output = {"x": 1e-11}, fmbd.Output(every=1000, progress=False)
-    run = fmbd.solve(pendulum(), t_end=0.1, tol=tol, output=output)
+    run = fmbd.solve(pendulum(), t_end=0.02, tol=tol, output=output)
     assert "Newton" in run.history[0].then and run.history[-1].then == "done"
     assert run.certificate["x"].sum <= 1e-11
-    kept = fmbd.solve(pendulum(), t_end=0.1, tol=tol, output=output, newton=fmbd.Newton())
+    kept = fmbd.solve(pendulum(), t_end=0.02, tol=tol, output=output, newton=fmbd.Newton())
     assert "Newton(tolerance=" in kept.history[-1].then and len(kept.history) == 1
 
 

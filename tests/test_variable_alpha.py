@@ -90,7 +90,6 @@ def knocked(mesh: Any, *stops: float, until: float = 0.802) -> fmbd.Scene:
     return made
 
 
-@pytest.mark.mpi
 def test_a_sudden_load_on_a_rod_takes_a_fifth_of_the_steps(rod_mesh: Callable[..., Any]) -> None:
     """Where nothing happens steps are large: at equal error a fifth of the steps."""
     scene = knocked(rod_mesh(dim=2, h=0.5, height=0.1), 0.8, 0.802)

@@ -142,7 +142,6 @@ def flying(mesh: Any, viscous: Any, h: float) -> fmbd.Run:
     return fmbd.solve(scene, t_end=0.4, dt=h, scheme=fmbd.GeneralizedAlpha(0.9), output=wanted)
 
 
-@pytest.mark.mpi
 def test_flight_under_generalized_alpha(rod_mesh: Callable[..., Any]) -> None:
     """A spinning rod rings down: momenta stay, energy falls, with second order to that of energy-momentum."""
     mesh, law = rod_mesh(dim=2, h=0.5, height=0.2), kelvin_voigt(1.0)

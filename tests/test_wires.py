@@ -91,7 +91,6 @@ def test_element_borders_are_not_felt() -> None:
     assert run.counters["contact lost"] == 0
 
 
-@pytest.mark.mpi
 def test_height_under_a_moving_force_converges_with_the_mesh() -> None:
     y = [moving_load(n)["y"][-1, 0] for n in (120, 240, 480)]
     assert abs(y[2] - y[1]) < 0.2 * abs(y[1] - y[0])

@@ -37,10 +37,8 @@ from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_loa
 from .steady import Residual, Spin, steady_rates
 
 FEW = 120  # coordinates up to which stability is looked at
-ASIDE, SAME = (
-    0.1,
-    1e-3,
-)  # displacement, over the model's length, and relative change of the force along a free motion there
+ASIDE = 0.1  # displacement along a motion that may be free, over the model's length
+SAME = 1e-3  # relative change of the force along a free motion there
 PERIODS = 300.0  # of the preconditioner's step, over a bound of elastic periods
 
 
@@ -318,16 +316,17 @@ def _slow(system: System, t: float) -> float:
 def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriumError) -> str:
     """What a missing equilibrium means: a body that moves freely, or a load above the limit."""
     system = newton.residual.system
-    motion, grown, push = _softest(newton, start, t, np.ones(system.n_v))
-    free, moved = grown > 1.0 - 1e-6, _shares(system, motion)
+    here = _softest(newton, start, t, np.ones(system.n_v))
+    free, moved = here.grown > 1.0 - 1e-6, _shares(system, here.motion)
     if free and system.contacts is None:
+        ways = [replace(start, q=system.compose(start.q, way * system.length * here.motion)) for way in (ASIDE, -ASIDE)]
+        aside = [_softest(newton, there, t, here.motion) for there in ways]
         # beside a body that moves freely the push is the same; beside a lever that its weight cannot hold it is not
-        ways = [replace(start, q=system.compose(start.q, way * system.length * motion)) for way in (ASIDE, -ASIDE)]
-        pushes = [push, *(_softest(newton, aside, t, motion)[2] for aside in ways)]
+        pushes = [here.push, *(there.push for there in aside)]
         free = float(np.ptp(pushes)) <= SAME * float(np.abs(pushes).max())
         # of bodies that move together, those that forces move by as much there
-        for aside in ways:
-            other = _shares(system, _image(newton, aside, t, motion) - motion)
+        for there in aside:
+            other = _shares(system, there.image - here.motion)
             moved = {name: size for name, size in moved.items() if other[name] <= SAME * size} or moved
     if free:
         name = max(moved, key=lambda name: moved[name])
@@ -345,26 +344,36 @@ def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriu
     )
 
 
-def _softest(newton: StaticNewton, start: StaticPoint, t: float, motion: Array) -> tuple[Array, float, float]:
-    """The motion (largest displacement 1 m) that forces move farthest about a point, how far, and the force (N) along it.
+@dataclass(frozen=True)
+class Softest:
+    """The motion (largest displacement 1 m) that forces move farthest about a point.
 
-    Inertia forces of a motion without any stiffness move it by as much: 1.
+    Attributes:
+        motion: like v.
+        grown: how far; inertia forces of a motion without any stiffness move it by as much: 1.
+        push: the force along it, N.
+        image: what inertia forces of the motion that the search began with move there.
     """
+
+    motion: Array
+    grown: float
+    push: float
+    image: Array
+
+
+def _softest(newton: StaticNewton, start: StaticPoint, t: float, motion: Array) -> Softest:
+    """By inverse iteration from a motion."""
     system = newton.residual.system
     q, answer = newton.respond(start, t)
-    grown = 0.0
+    images: list[Array] = []
     for _ in range(6):
         motion = motion / max(system.max_abs(motion), 1e-300)
         motion = answer(_inertia(newton, q, t, motion))
-        grown = system.max_abs(motion)
+        images.append(motion)
+    grown = system.max_abs(motion)
     motion = motion / max(grown, 1e-300)
-    return motion, grown, system.dot(motion, newton.residual.at(q, t).balance(np.zeros(system.n_v)))
-
-
-def _image(newton: StaticNewton, start: StaticPoint, t: float, motion: Array) -> Array:
-    """What inertia forces of a motion move about a point: the motion itself where it has no stiffness."""
-    q, answer = newton.respond(start, t)
-    return answer(_inertia(newton, q, t, motion))
+    push = system.dot(motion, newton.residual.at(q, t).balance(np.zeros(system.n_v)))
+    return Softest(motion, grown, push, images[0])
 
 
 def _inertia(newton: StaticNewton, q: Array, t: float, motion: Array) -> Array:

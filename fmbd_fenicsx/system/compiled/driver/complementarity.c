@@ -4,38 +4,6 @@
 
 enum { ROUNDS = 12 }; /* iterations at most */
 
-/* LU with row exchanges in place, and x in b; 1 where a pivot is not above this share of the largest entry. */
-static int solve_small(double *A, double *b, int n, double share)
-{
-    double largest = 0.0;
-    for (int i = 0; i < n * n; i++) largest = fmax(largest, fabs(A[i]));
-    for (int k = 0; k < n; k++) {
-        int p = k;
-        for (int i = k + 1; i < n; i++)
-            if (fabs(A[i * n + k]) > fabs(A[p * n + k])) p = i;
-        if (!(fabs(A[p * n + k]) > share * largest)) return 1;
-        for (int j = 0; j < n && p != k; j++) {
-            double swap = A[k * n + j];
-            A[k * n + j] = A[p * n + j];
-            A[p * n + j] = swap;
-        }
-        double swap = b[k];
-        b[k] = b[p];
-        b[p] = swap;
-        for (int i = k + 1; i < n; i++) {
-            double factor = A[i * n + k] / A[k * n + k];
-            if (factor == 0.0) continue;
-            for (int j = k; j < n; j++) A[i * n + j] -= factor * A[k * n + j];
-            b[i] -= factor * b[k];
-        }
-    }
-    for (int k = n - 1; k >= 0; k--) {
-        for (int j = k + 1; j < n; j++) b[k] -= A[k * n + j] * b[j];
-        b[k] /= A[k * n + k];
-    }
-    return 0;
-}
-
 /* Alart and Curnier's function of one point, and its derivatives by force and by opening; its status. */
 static int coulomb(const double *x, const double *u, double cn, double ct, double mu, int d, double *F, double *dx, double *du)
 {
@@ -113,7 +81,7 @@ static int contact_forces(Contacts *c, int m)
             c->tally.solves++;
             return 0;
         }
-        if (many || !isfinite(residual) || solve_small(A, F, n, 1e-10)) return 1;
+        if (many || !isfinite(residual) || solve_dense(A, n, F, 1, 1, 1e-10)) return 1;
         for (int i = 0; i < n; i++) x[i] -= F[i];
         c->tally.iterations++;
     }

@@ -115,3 +115,45 @@ static void back_solve(System *s, double *b)
         }
     }
 }
+
+static void swap(double *a, double *b, int n)
+{
+    for (int i = 0; i < n; i++) {
+        double kept = a[i];
+        a[i] = b[i];
+        b[i] = kept;
+    }
+}
+
+/* A^-1 B in place of B, n rows of ``columns`` numbers, ``ld`` apart: elimination with row exchanges of a small full matrix, which is
+   lost. 1 where a pivot is not above this share of the largest entry. */
+int solve_dense(double *A, int n, double *B, long ld, int columns, double share)
+{
+    double largest = 0.0;
+    for (int i = 0; i < n * n; i++) largest = fmax(largest, fabs(A[i]));
+
+    for (int k = 0; k < n; k++) {
+        double *row = A + k * n, *right = B + k * ld;
+        int p = k;
+        for (int i = k + 1; i < n; i++)
+            if (fabs(A[i * n + k]) > fabs(A[p * n + k])) p = i;
+        if (!(fabs(A[p * n + k]) > share * largest)) return 1;
+        if (p != k) {
+            swap(row, A + p * n, n);
+            swap(right, B + p * ld, columns);
+        }
+        for (int i = k + 1; i < n; i++) {
+            double factor = A[i * n + k] / row[k];
+            if (factor == 0.0) continue;
+            add(A + i * n + k, -factor, row + k, n - k);
+            add(B + i * ld, -factor, right, columns);
+        }
+    }
+
+    for (int k = n - 1; k >= 0; k--) {
+        double *right = B + k * ld;
+        for (int j = k + 1; j < n; j++) add(right, -A[k * n + j], B + j * ld, columns);
+        for (int i = 0; i < columns; i++) right[i] /= A[k * n + k];
+    }
+    return 0;
+}

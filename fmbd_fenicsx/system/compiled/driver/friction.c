@@ -146,7 +146,7 @@ static void force_step(const Contacts *c, const Friction *o, double *A, double *
         s[r] = -o->F[r];
     }
     memcpy(copy, A, n * n * sizeof(double));
-    if (!solve_small(copy, s, n, 0.0)) {
+    if (!solve_dense(copy, n, s, 1, 1, 0.0)) {
         for (int r = 0; r < n; r++) {
             double left = dot(A + r * n, s, n) + o->F[r];
             off = left == left ? fmax(off, fabs(left)) : INFINITY;

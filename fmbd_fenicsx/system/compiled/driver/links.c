@@ -7,7 +7,7 @@
 
        B^-1 b = z - P V z,   z = A^-1 b,   P = A^-1 L,   V = (1 + W^T P)^-1 W^T                                        (2) */
 
-static const double MUTUAL = 1e-13; /* smallest pivot of 1 + W^T P, over its largest entry */
+static const double MUTUAL = 1e-13; /* smallest pivot of 1 + W^T P, over its largest entry; V takes the place of W */
 
 /* What stands in a row on twists of surfaces, on the rates of their bodies. */
 static void fold(const System *s, double *row)
@@ -19,41 +19,6 @@ static void fold(const System *s, double *row)
         for (int j = 0; j < TWIST; j++)
             if (on[j] != 0.0) add(row + s->body[k->body].at_u, on[j], k->map + j * width, width);
     }
-}
-
-static void swap_rows(double *a, double *b, int n)
-{
-    for (int i = 0; i < n; i++) {
-        double kept = a[i];
-        a[i] = b[i], b[i] = kept;
-    }
-}
-
-/* V in place of W, by elimination with row exchanges; 0 where a pivot is too small. */
-static int eliminate_links(System *s, int m, long wide)
-{
-    double largest = 0.0;
-    for (int i = 0; i < m * m; i++) largest = fmax(largest, fabs(s->mutual[i]));
-    for (int k = 0; k < m; k++) {
-        double *row = s->mutual + k * m, *pull = s->pull + k * wide;
-        int best = k;
-        for (int i = k; i < m; i++)
-            if (fabs(s->mutual[i * m + k]) > fabs(s->mutual[best * m + k])) best = i;
-        if (best != k) {
-            swap_rows(row, s->mutual + best * m, m);
-            swap_rows(pull, s->pull + best * wide, s->nu);
-        }
-        if (!(fabs(row[k]) > MUTUAL * largest)) return 0;
-        for (int i = 0; i < m; i++) {
-            double share = s->mutual[i * m + k] / row[k];
-            if (i == k || share == 0.0) continue;
-            add(s->mutual + i * m, -share, row, m);
-            add(s->pull + i * wide, -share, pull, s->nu);
-        }
-    }
-    for (int k = 0; k < m; k++)
-        for (int i = 0; i < s->nu; i++) s->pull[k * wide + i] /= s->mutual[k * m + k];
-    return 1;
 }
 
 /* (2) for the factor in the fronts; Python tells L, W and how many rows they have. */
@@ -74,7 +39,7 @@ static int link_efforts(System *s, double t)
     }
     for (int i = 0; i < m; i++)
         for (int k = 0; k < m; k++) s->mutual[i * m + k] = (i == k) + dot(s->pull + i * wide, s->answer + k * size, s->nu);
-    if (eliminate_links(s, m, wide)) s->links = m;
+    if (!solve_dense(s->mutual, m, s->pull, wide, s->nu, MUTUAL)) s->links = m;
     return DONE;
 }
 

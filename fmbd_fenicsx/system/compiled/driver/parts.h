@@ -54,6 +54,7 @@ int inertia(System *s, const double *q, const double *v, const double *a, double
 int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t);
 int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t);
 void solution(System *s, double *x, double *y);
+int solve_dense(double *A, int n, double *B, long ld, int columns, double share);
 void slips(System *s, int rates);
 void configuration(const System *s, const double *q0, const double *xi, double *q);
 void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out);
