@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 from typing import Any
 
@@ -118,6 +119,44 @@ def test_equal_to_numpy(name: str) -> None:
         assert rates[1] == pytest.approx(rates[0], rel=1e-11, abs=1e-11)
     back = [system.difference(q[0], q[0], near=9.0 * v[0]) for system in (plain, driven)]
     assert back[1] == pytest.approx(back[0], rel=1e-12, abs=1e-12)
+
+
+def calls_of(what: Any) -> int:
+    """Python functions that a call of ``what`` enters, itself left out."""
+    count = [-1]
+
+    def entered(frame: Any, event: str, arg: Any) -> None:
+        count[0] += event == "call"
+
+    sys.setprofile(entered)
+    try:
+        what()
+    finally:
+        sys.setprofile(None)
+    return count[0]
+
+
+@compiled
+def test_calls_of_python_for_one_call_of_c() -> None:
+    """One start with many increments, as stages ask: NumPy would see some thirty calls in that one row serves all. The balance
+    with its rows: one call of C.
+    """
+    _, driven, (t, q, v, a, lam) = pair_of(rolling)
+    asked = {
+        "compose": lambda: driven.compose(q[0], 0.1 * v),
+        "difference": lambda: driven.difference(q[0], q, near=v),
+        "rate": lambda: driven.rate(0.1 * v, a),
+    }
+    for name, what in asked.items():
+        what()
+        assert calls_of(what) <= 10, name
+
+    def equations() -> None:
+        ev = driven.batch(t, q, v)
+        ev.balance(a, lam), ev.constraint(), ev.opening()
+
+    equations()
+    assert calls_of(equations) <= 16
 
 
 @compiled

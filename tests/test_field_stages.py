@@ -9,15 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import march
+from test_compiled_evaluation import calls_of
+from test_driver import compiled
 from test_wave_through_tie import tied_bar
 from tolerance_scenes import fe_crank
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, ConvergenceError, InputError
-from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.schemes.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit_stepper import ImplicitStepper
+from fmbd_fenicsx.system.compiled.choice import use_driver
 
 T_END = 0.25  # s
 
@@ -237,3 +240,28 @@ def test_turning_of_local_coordinates(rod_mesh: Callable[..., Any]) -> None:
     assert tangent.turning(real) == pytest.approx(along(real), abs=1e-8)
     assert tangent.turning(real + 1j * imaginary) == pytest.approx(along(real) + 1j * along(imaginary), abs=1e-8)
     assert np.abs(along(real)).max() > 0.1
+
+
+@compiled
+def test_complex_directions_and_right_hand_sides_are_two_real_ones(rod_mesh: Callable[..., Any]) -> None:
+    """In compiled code in one call, and with few calls of Python."""
+    system, start, _ = pendulum(rod_mesh(h=0.5)).build()
+    use_driver(system)
+    rng = np.random.default_rng(3)
+    solver = StepSolver(system)
+    equations = FieldEquations(system, fmbd.GGL(), solver)
+    tangent = equations.refresh(start, np.zeros(equations.n_mult))
+    equations.prepare(tangent.ev, Weights(1.0, 1e-3, 1e-6))
+    assert solver.driver is not None and solver.driver.ready
+
+    real, imaginary = rng.normal(size=(2, 3, system.n_v))
+    parts = tangent.along(*real) + 1j * tangent.along(*imaginary)
+    assert np.abs(parts.imag).max() > 0
+    assert tangent.along(*(real + 1j * imaginary)) == pytest.approx(parts, rel=1e-12, abs=1e-12)
+    assert calls_of(lambda: tangent.along(*(real + 1j * imaginary))) <= 35
+
+    c = rng.normal(size=(2, system.n_lam))
+    each = [solver.solve(b[0], c[i]) for i, b in enumerate((real, imaginary))]
+    both = solver.solve(real[0] + 1j * imaginary[0], c[0] + 1j * c[1])
+    for found, (x, y) in zip(both, zip(*each, strict=True), strict=True):
+        assert np.array_equal(found, x + 1j * y)

@@ -160,9 +160,10 @@ class Pencil:
         left = np.abs(_times(self.matrix, y) - rhs)
         if self.redundant:  # dependent rows agree up to the nonlinear residual only
             left = left[:, : self.n]
-        size = np.abs(rhs).max(axis=1, initial=0.0) + np.abs(y).max(axis=1, initial=0.0)
-        most = left.max(axis=1, initial=0.0)
-        worst = int(np.argmax(most / np.where(size > 0, size, 1.0)))
+        largest = np.maximum.reduce  # what numpy.max calls
+        size = largest(np.abs(rhs), axis=1, initial=0.0) + largest(np.abs(y), axis=1, initial=0.0)
+        most = largest(left, axis=1, initial=0.0)
+        worst = int((most / np.where(size > 0, size, 1.0)).argmax())
         return float(most[worst]), float(size[worst])
 
 

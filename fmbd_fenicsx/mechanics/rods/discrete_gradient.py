@@ -38,16 +38,14 @@ def mean_forces(rod: RodElements, poses: tuple[Array, Array], twist: Array, h: f
 
     e0 = strains(*z0) - rod.natural
     e1 = strains(*z1) - rod.natural
-    S = 0.5 * (rod.law.stress(e0) + rod.law.stress(e1))
+    S = mean = 0.5 * (rod.law.stress(e0) + rod.law.stress(e1))
     C = rod.law.tangent(0.5 * (e0 + e1))
     along = (C @ change[..., None])[..., 0]
     if rod.beta:
         S = S + (rod.beta / h) * along
     if rod.arms is not None:
         S = S + rod.arms.stress(rod.kept, rod.kept.t + 0.5 * h, 0.5 * (e0 + e1))
-    gained = (
-        rod.law.energy(e1) - rod.law.energy(e0) - 0.5 * ((rod.law.stress(e0) + rod.law.stress(e1)) * change).sum(-1)
-    )
+    gained = rod.law.energy(e1) - rod.law.energy(e0) - (mean * change).sum(-1)
     square = float((rod.weights[..., None] * change * along).sum())
     if square > 0.0:
         S = S + float((rod.weights * gained).sum()) / square * along
@@ -59,7 +57,13 @@ def mean_forces(rod: RodElements, poses: tuple[Array, Array], twist: Array, h: f
 
 def _directions(rod: RodElements, p: Array) -> Array:
     """dz by places and turns in space axes: w (x) p / 2, (m, q, 11, 6 k)."""
-    pure = np.zeros((3, 4))
-    pure[range(3), range(3)] = 0.5
-    columns = np.stack([quaternion_product(np.broadcast_to(u, p.shape), p) for u in pure], axis=-1)
-    return rod.directions(columns)
+    return rod.directions((p @ _TURNS).reshape(*p.shape, 3))
+
+
+def _turns() -> Array:
+    """Constants (4, 12) that turn p into the columns w (x) p / 2 for the three unit w."""
+    half = 0.5 * np.eye(4)
+    return np.stack([quaternion_product(np.tile(w, (4, 1)), np.eye(4)) for w in half[:3]], axis=-1).reshape(4, 12)
+
+
+_TURNS = _turns()

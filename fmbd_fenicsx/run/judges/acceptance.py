@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import isfinite
 from typing import Any, ClassVar
 
 import numpy as np
@@ -53,8 +54,8 @@ def attempt(system: System, stepper: Any, h: float) -> State:
     except np.linalg.LinAlgError as error:
         raise ConvergenceError(f"{_diverged(t, h)}: {error}. Take a smaller dt or rtol.") from error
 
-    sizes = system.max_abs(made.v), system.max_abs(made.a), float(np.abs(made.lam).max(initial=0.0))
-    if not np.isfinite(sizes).all():
+    sizes = system.max_abs(made.v), system.max_abs(made.a), np.maximum.reduce(np.abs(made.lam), initial=0.0)
+    if not all(map(isfinite, sizes)):
         raise ConvergenceError(f"{_diverged(t, h)}: the state is not finite. Take a smaller dt or rtol.")
     return made
 
