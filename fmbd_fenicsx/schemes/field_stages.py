@@ -55,7 +55,8 @@ class FieldTangent:
         system, s = self.ev.system, self.state
         direction = np.array((dq, dv, da))
         parts = (direction.real, direction.imag) if direction.dtype.kind == "c" else (direction,)
-        eps = [self._shift(*sizes) for sizes in system.each_max_abs(np.array(parts)).tolist()]
+        sizes = system.each_max_abs(np.array(parts))
+        eps = [self._shift(float(place), float(speed), float(push)) for place, speed, push in sizes]
 
         moved = np.array([x * part for x, part in zip(eps, parts, strict=True)])
         ev = system.batch(s.t, system.compose(s.q, moved[:, 0]), s.v + moved[:, 1])

@@ -113,8 +113,8 @@ class CholeskyFactor(FieldFactor):
 
     def _judge(self, r: Array, b: Array, x: Array) -> None:
         """|E| by its largest row sum, an upper bound of its 2-norm (E is symmetric)."""
-        rr, bb, xx = np.sqrt(rank_sum(self.field.comm, np.array([r @ r, b @ b, x @ x]))).tolist()
-        self.judge.check(rr, bb, grown=self.factor.norm * xx)
+        rr, bb, xx = np.sqrt(rank_sum(self.field.comm, np.array([r @ r, b @ b, x @ x])))
+        self.judge.check(float(rr), float(bb), grown=self.factor.norm * float(xx))
 
     def destroy(self) -> None:
         """Free the factor; collective."""
