@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from test_joints import AXIS, CENTER, check_derivatives
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import kernel_cache
 from fmbd_fenicsx.errors import CallbackError, InputError
 from fmbd_fenicsx.mechanics.joints.couplings import smooth_motion
 
@@ -281,3 +282,87 @@ def test_an_own_joint_between_two_points_is_a_rope() -> None:
     assert max(np.abs(x - places[0]).max() for x in places) < 1e-9
     with pytest.raises(InputError, match="center, where both markers sit, or point_a"):
         fmbd.own_joint("rope", trolley, load, rope, center=(0, 0), point_a=(0, 0))
+
+
+def cam(function: Any, size: float = 1.0) -> fmbd.Scene:
+    """A cam that turns freely lifts a sprung follower as a function says."""
+    scene = fmbd.Scene("cam")
+    disc = fmbd.RigidBody("disc", 2.0, 0.5 * size**2, angular_velocity=10.0)
+    follower = fmbd.RigidBody("follower", 0.5, size**2, position=(0, 5 * size))
+    scene.add(disc, follower, fmbd.revolute("axle", fmbd.ground, disc, center=(0, 0)))
+    scene.add(fmbd.prismatic("guide", fmbd.ground, follower, axis=(0, 1), center=(0, 5 * size)))
+    scene.add(fmbd.own_joint("cam", disc, follower, function, point_a=(0.1 * size, 0), point_b=(0, 5 * size)))
+    scene.add(fmbd.Spring("spring", fmbd.ground, follower, (0, 20 * size), (0, 5 * size), stiffness=20.0, length=size))
+    scene.sensor("disc", fmbd.rotation(disc))
+    scene.sensor("cam", fmbd.reaction("cam"))
+    return scene
+
+
+def lift(size: float, square: Any) -> Any:
+    """The function of that cam with the square of a sine by ``square``."""
+    return lambda xa, Ra, xb, Rb, t: [xb[1] - xa[1] - size * (5 + 2 * square(Ra[1, 0]))]
+
+
+TABLE = CubicSpline(np.linspace(-1.5, 1.5, 9), np.linspace(-1.5, 1.5, 9) ** 2)
+SQUARES = {
+    "drops imaginary parts": lambda s: abs(s) ** 2,
+    "a table": lambda s: TABLE(s),
+    "no arrays": lambda s: math.pow(s, 2),
+}
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-4])
+@pytest.mark.parametrize("square", SQUARES.values(), ids=SQUARES)
+def test_a_function_of_numbers_is_a_joint_of_compiled_steps_in_all_sizes(square: Any, size: float) -> None:
+    """What the function reads of the disc matters at no first order where it starts: rows that leave it out are noticed later."""
+    calls = 0
+
+    def counted(*args: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        return lift(size, square)(*args)
+
+    found, steps = [], 40
+    for function in (lift(size, lambda s: s * s), counted):
+        found.append(fmbd.solve(cam(function, size), t_end=0.1, dt=0.1 / steps))
+    formula, numbers = found
+    for name, close in (("disc", 1e-7), ("cam", 1e-6)):
+        assert np.abs(numbers[name] - formula[name]).max() < close * np.abs(formula[name]).max()
+    if kernel_cache.compiler() is not None:
+        assert numbers.counters["compiled_steps"] == steps
+    assert np.abs(formula["disc"][-1] - np.cos(1.0)).max() > 0.05  # the cam has braked it
+
+    calls = 0
+    fmbd.solve(cam(counted, size), t_end=0.1, dt=0.1 / steps)
+    each = calls / numbers.counters["newton_iterations"]
+    assert each < (15 if square is SQUARES["a table"] else 50)
+
+
+def test_compiled_steps_and_numpy_agree_on_a_function_of_numbers() -> None:
+    runs = [
+        fmbd.solve(
+            cam(lift(1.0, SQUARES["a table"])), t_end=0.05, dt=1e-3, scheme=fmbd.GeneralizedAlpha(compiled=compiled)
+        )
+        for compiled in (True, False)
+    ]
+    for name in ("disc", "cam"):
+        assert np.abs(runs[0][name] - runs[1][name]).max() < 1e-9 * np.abs(runs[0][name]).max()
+
+
+def test_a_function_of_numbers_moves_in_time() -> None:
+    """Terms that cancel at the start leave their roundoff to the differences of its rate in time."""
+
+    def rope(xa: Any, Ra: Any, xb: Any, Rb: Any, t: Any, sine: Any = np.sin) -> Any:
+        return np.sqrt((xb - xa) @ (xb - xa)) - 0.5 * (1 + 0.1 * sine(t))
+
+    rates = []
+    for function in (
+        rope,
+        lambda *x: [math.sqrt(float((x[2] - x[0]) @ (x[2] - x[0]))) - 0.5 * (1 + 0.1 * math.sin(float(x[4])))],
+    ):
+        ball = fmbd.RigidBody("ball", 1.0, (0.1, 0.1, 0.1), position=(0.3, 0.4, 0))
+        scene = fmbd.Scene("rope", gravity=(0, 0, -9.81))
+        scene.add(ball, fmbd.own_joint("rope", fmbd.ground, ball, function, point_a=(0, 0, 0), point_b=(0.3, 0.4, 0)))
+        scene.sensor("pull", fmbd.reaction("rope"))
+        rates.append(fmbd.solve(scene, t_end=0.02, dt=2e-3)["pull"])
+    assert np.abs(rates[1] - rates[0]).max() < 1e-5 * np.abs(rates[0]).max()

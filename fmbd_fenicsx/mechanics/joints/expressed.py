@@ -24,7 +24,7 @@ import numpy as np
 from ...checks import function as checked_function
 from ...checks import typed, vector
 from ...errors import InputError, require
-from ...rotations import Array
+from ...rotations import Array, Motions
 from ..bodies.bodies import RigidBody
 from ..kinds.own import OwnTerm, finite_at, own_term, traced
 from . import constraints as ct
@@ -43,7 +43,9 @@ class ExpressedJoint(Joint):
 
     @property
     def reaction_units(self) -> tuple[str, ...]:
-        """Multipliers of formulas of rotations alone are moments."""
+        """Multipliers of formulas of rotations alone are moments; what functions of numbers return is not known."""
+        if not self.rows:
+            return ()
         dim = len(self.rows[0].direction)
         width = 3 * (dim - 1)
         turning = [all(i % width >= dim for i in row.own.entries) for row in self.rows if row.own]
@@ -161,6 +163,28 @@ def _formula_rows(name: str, function: Callable[..., Any], dim: int, places: tup
     except InputError:
         return ()
     return tuple(_row(name, term, dim) for term in terms)
+
+
+def is_asked(joint: Joint) -> bool:
+    """Whether a joint's rows are told by a function of numbers."""
+    return isinstance(joint, OwnJoint) and not joint.rows
+
+
+def asked_rows(joint: Joint, motions: Motions, length: Callable[[], float]) -> list[Row]:
+    """The rows of a joint by a function of numbers, in a model of a length (m): as many as it returns."""
+    from ..kinds.asked import AskedFunction, asked_kind
+
+    assert isinstance(joint, OwnJoint)
+    live = [side for side, body in enumerate((joint.a, joint.b)) if body is not ground]
+    asked = AskedFunction(joint.name, joint.function, motions, live, length())
+    kind, still = asked_kind(asked), np.zeros(motions.dim)
+    numbers = ({"component": float(i)} for i in range(asked.count))
+    return [Row(ct.ExpressedInTime, still, motion=_clock, own=kind, constants=number) for number in numbers]
+
+
+def _clock(t: float) -> tuple[float, float, float]:
+    """The time itself as a motion."""
+    return t, 1.0, 0.0
 
 
 def _row(name: str, term: OwnTerm, dim: int) -> Row:

@@ -212,15 +212,15 @@ def _unary(name: str, x: Jet) -> Any:
 
 
 # ------------------------------------------------------------------------------------------------------------------ use
-def rates(function: Callable[[Any], Any], t: float) -> Rates:
-    """s'(t) and s''(t) of ``function``(t) -> s."""
+def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0) -> Rates:
+    """s'(t) and s''(t) of ``function``(t) -> s; ``scale``: of terms that may cancel in s, whose roundoff stays."""
     try:
         found = function(Jet(t, 1.0))
         found = _moment(found if isinstance(found, Jet) else np.ravel(found)[0])
     except (*REFUSED, ZeroDivisionError):
-        return _differenced(function, t)
+        return _differenced(function, t, scale)
     if not (math.isfinite(found.first) and math.isfinite(found.second)):
-        return _differenced(function, t)
+        return _differenced(function, t, scale)
     return found.first, found.second
 
 
@@ -268,7 +268,7 @@ class Best:
             self.value, self.error = value, doubt
 
 
-def _differenced(function: Callable[[Any], Any], t: float) -> Rates:
+def _differenced(function: Callable[[Any], Any], t: float, scale: float) -> Rates:
     """(1) for m = 1 and 2, each with the step that suits it best; NaN where the function is known at t alone."""
     here = float(function(t))
     found = (Best(), Best())
@@ -282,7 +282,7 @@ def _differenced(function: Callable[[Any], Any], t: float) -> Rates:
 
         # values are known to their roundoff, and times to theirs
         d = [value - here for value in there]
-        noise = EPS * max(abs(here), max(map(abs, there))) + EPS * abs(t) / h * max(map(abs, d))
+        noise = EPS * max(scale, abs(here), max(map(abs, there))) + EPS * abs(t) / h * max(map(abs, d))
         for power, best, formula in zip((h, h * h), found, formulas, strict=True):
             value, rough = sum(map(mul, formula.best, d)), sum(map(mul, formula.rough, d))
             best.take(value / power, (abs(value - rough) + noise * formula.size) / power)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import accumulate
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -50,6 +50,7 @@ class Kind:
     given: list[tuple[Expression, Expression]]
     frames: tuple[SymbolicFrame, SymbolicFrame]
     flow: bool = False  # a speed, which is no rate of a coordinate
+    asked: ClassVar[bool] = False  # whether its kernels are told by Python
 
     @cached_property
     def width(self) -> int:
@@ -69,6 +70,15 @@ class Kind:
     def _places(self) -> dict[str, slice]:
         ends = accumulate(self.constants.values())
         return {name: slice(end - size, end) for (name, size), end in zip(self.constants.items(), ends, strict=True)}
+
+    def run(self, which: str, A: Array, B: Array, P: Array, W: Any = 1.0) -> Array:
+        """One kernel in Python: frames, constants and a weight of items, a row of each array; results likewise."""
+        made: Array = numpy_kernel(self, which)(A, B, P, W)
+        return made
+
+    def address(self, which: str) -> int:
+        """Where compiled code finds a kernel that is told by Python; 0 for kinds that are compiled."""
+        return 0
 
     def symbols(self) -> list[str]:
         """Names of all constants, component by component."""

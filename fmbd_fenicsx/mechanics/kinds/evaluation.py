@@ -15,7 +15,7 @@ import numpy as np
 from ...kernel_cache import address_of
 from ...rotations import Array, Motions
 from ..frames import Kinematics
-from .derivation import Kind, numpy_kernel
+from .derivation import Kind
 from .library import kernel
 
 
@@ -64,12 +64,11 @@ class KindItems:
 
     def _run(self, which: str, frames: Array, weight: Array | None = None) -> Array:
         """One kernel, (n, outputs)."""
-        compiled, n = kernel(self.kind, which), len(self)
+        compiled, n = None if self.kind.asked else kernel(self.kind, which), len(self)
         if compiled is None or not n:
             A = frames[self.pair[:, 0]]
             B = frames[self.pair[:, 1]]
-            made: Array = numpy_kernel(self.kind, which)(A, B, self.table, 1.0 if weight is None else weight)
-            return made
+            return self.kind.run(which, A, B, self.table, 1.0 if weight is None else weight)
 
         out = np.empty((n, len(self.kind.outputs[which])))
         at = None if weight is None else address_of(weight)

@@ -22,7 +22,6 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import ScalarLoads
-from ...mechanics.joints.couplings import OwnBatch
 from ...schemes.stepping import TimeStepper
 from ...system.evaluation import Evaluation
 from ...system.scene.scene import Scene
@@ -42,7 +41,7 @@ ROUNDOFF = 1e-12
 def closed(scene: Scene, system: System) -> bool:
     """Whether nothing can put energy into a scene."""
     worked = any(b.may_do_work for b in scene.bodies.values())
-    driven = any(batch.driven or isinstance(batch, OwnBatch) for batch, _ in system.batches)
+    driven = any(batch.driven for batch, _ in system.batches)
     moved = any(tie.motion is not None for tie in scene.ties.values())
     forced = any(not isinstance(f, ScalarLoads) or _gives(f) for f in system.forces)
     ramp = scene.gravity is not None and scene.gravity_ramp > 0

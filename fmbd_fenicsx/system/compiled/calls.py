@@ -13,6 +13,7 @@ import numpy as np
 from ...errors import ConvergenceError, LinearSolveError
 from ...mechanics.forces.formulas import TARGET
 from ...mechanics.joints.couplings import SmoothMotion
+from ...mechanics.kinds.asked import AskedKind
 from .items import GIVEN, Items
 from .structures import PYTHON, enumeration
 from .tables import Tables
@@ -42,6 +43,7 @@ class Calls:
             if formula.moves
         ]
 
+        self.asked = [items.kind.function for items in tables.items if isinstance(items.kind, AskedKind)]
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
         timed = (self.moving, self.drives, self.loaded, self.given, self.loaded_rods, self.targets)
         tables.c.samples = int(ramp or any(timed))
@@ -82,6 +84,8 @@ class Calls:
 
     def raise_error(self) -> None:
         """Raise what a call left behind."""
+        for function in self.asked:
+            self.error, function.error = self.error or function.error, None
         error, self.error = self.error, None
         if error is not None:
             raise error

@@ -21,7 +21,7 @@ from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
 from ...mechanics.forces.forces import Constant
 from ...mechanics.forces.formulas import Formula
 from ...mechanics.joints import constraints as ct
-from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
+from ...mechanics.joints.couplings import CouplingBatch
 from ...mechanics.joints.relative import Relative
 from ...mechanics.kinds.derivation import Kind, kinds
 from ...rotations import Array
@@ -257,6 +257,4 @@ def _keeps(loads: Loads) -> bool:
 
 def covers(system: System) -> bool:
     """Whether all constraints and forces are items, or loads that Python can evaluate; memories: of formulas, controllers."""
-    if any(not isinstance(x, Loads) or not _keeps(x) for x in system.keepers):
-        return False
-    return not any(isinstance(batch, OwnBatch) for batch, _ in system.batches)
+    return all(isinstance(x, Loads) and _keeps(x) for x in system.keepers)

@@ -373,7 +373,7 @@ class Builder:
     def _constraints(
         self, traces: list[Any]
     ) -> tuple[list[tuple[Batch, np.ndarray]], list[tuple[PortConstraint, slice]], list[RowBlock]]:
-        collected = JointRows(self.m)
+        collected = JointRows(self.m, self.length)
         for joint in self.scene.joints.values():
             somewhere = joint.center_a is not None and joint.center_b is not None
             default = self._default_point(joint) if joint.joined and not somewhere else None

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...errors import InputError, named, near, require
+from ...errors import InputError, near
 from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch, ElementaryConstraint
 from ...mechanics.joints.counted import CountedAngles, turning_freely
-from ...mechanics.joints.couplings import CouplingBatch, OwnBatch
+from ...mechanics.joints.couplings import CouplingBatch
 from ...mechanics.joints.drives import Coupling, JointCoordinate
-from ...mechanics.joints.expressed import OwnJoint
+from ...mechanics.joints.expressed import asked_rows, is_asked
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.relative import Relative, RelativeAngle, Separation
 from ...mechanics.kinds.derivation import Kind
@@ -23,9 +23,10 @@ from ..system import RowBlock
 
 @dataclass
 class JointRows:
-    """Collects the rows of joints; ``marker`` gives the markers (a, b) of a joint."""
+    """Collects the rows of joints; ``length`` tells that of the model, m, where a joint asks for it."""
 
     motions: Motions
+    length: Callable[[], float]
     row: int = 0
     blocks: list[RowBlock] = field(default_factory=list)
     markers: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -33,7 +34,6 @@ class JointRows:
         default_factory=dict
     )
     _couplings: list[tuple[Coupling, int]] = field(default_factory=list)
-    _own: list[tuple[OwnJoint, int, int]] = field(default_factory=list)
 
     def add(self, joint: Joint, markers: tuple[int, int]) -> None:
         """Append the rows of one joint with its markers."""
@@ -44,7 +44,7 @@ class JointRows:
         first, (a, b) = self.row, markers
 
         # rows of one kind are evaluated together, wherever they stand
-        for r in joint.rows:
+        for r in asked_rows(joint, self.motions, self.length) if is_asked(joint) else joint.rows:
             pairs, rows = self._kinds.setdefault((r.kind, r.own), ([], []))
             pairs.append(
                 ElementaryConstraint(
@@ -57,24 +57,7 @@ class JointRows:
             self._couplings.append((joint, self.row))
             self.row += 1
 
-        if isinstance(joint, OwnJoint) and not joint.rows:
-            size = self._size(joint)
-            self._own.append((joint, self.row, size))
-            self.row += size
-
         self.blocks.append(RowBlock(joint.name, slice(first, self.row), joint.kind, a, b))
-
-    def _size(self, joint: OwnJoint) -> int:
-        """Number of rows of a joint of the user's own, by one call."""
-        d = self.motions.dim
-        a, b = (np.zeros(d) if x is None else x for x in (joint.center_a, joint.center_b))
-        function = named("The constraint of joint", joint.name, joint.function)  # (x_a, R_a, x_b, R_b, t)
-        found = np.atleast_1d(np.asarray(function(a, np.eye(d), b, np.eye(d), 0.0)))
-        require(
-            found.ndim == 1 and found.size > 0,
-            f'Joint "{joint.name}": its function returned {found!r}, expected (m,) numbers.',
-        )
-        return found.size
 
     def batches(self) -> list[tuple[Batch, np.ndarray]]:
         """All batches with the numbers of their rows."""
@@ -83,9 +66,6 @@ class JointRows:
         ]
         if self._couplings:
             out.append((self._coupling_batch(), np.array([row for _, row in self._couplings])))
-        for joint, first, size in self._own:
-            batch = OwnBatch(self.motions, joint.name, joint.function, self.markers[joint.name])
-            out.append((batch, np.arange(first, first + size)))
         return out
 
     def _coupling_batch(self) -> CouplingBatch:

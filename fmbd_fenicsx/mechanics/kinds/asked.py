@@ -1,0 +1,335 @@
+"""Kinds by a function of numbers of a user's own, g(x_a, R_a, x_b, R_b, t) -> (m,), that Python is asked for at every evaluation.
+
+Kernels of such a kind are functions of Python with the arguments of compiled ones, so that compiled steps call them as any other.
+Rows are derivatives by displacements x + e_k and turns R + e_k~ R of both markers:
+
+    complex steps    Im g(z + i h e_k) / h, exact to roundoff                                                       (1)
+    differences      central, with steps of 1e-5 of the model's length and of 1e-5 rad: right to some 1e-10            (2)
+
+(1) where the function takes complex numbers, which (2) along one skew direction looks at whenever it is used: ``abs`` and others
+drop imaginary parts without a word. All columns are one call where the function takes arrays with a last axis for them, as those
+that write x[0], R[1, 0] and NumPy's functions of these do.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import product
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...errors import AGREEMENTS, CallbackError, named, require
+from ...log import log
+from ...rotations import Array, Motions, hat
+from ..joints.time_derivatives import rates
+from .derivation import KERNELS, Kind
+from .expressions import ZERO
+from .frames import FRAME
+
+TINY = 1e-30  # complex steps
+STEP = 1e-5  # of differences: a share of the length, rad
+DROPPED = 1e-5  # relative: derivatives that differ by more are not those of the function
+SHORT = 3e-3  # of motions along which second derivatives are taken: a share of the length, rad
+
+KERNEL = ctypes.CFUNCTYPE(None, ctypes.c_long, *[ctypes.c_void_p] * 5)
+Poses = tuple[Array, Array]  # x (2, d, ..), R (2, d, d, ..) of both markers
+WAYS = tuple(product((True, False), repeat=2))  # complex or differences, all columns in one call or not
+
+
+class AskedFunction:
+    """The function of one joint, with its derivatives. ``live``: the sides that move; ``length``: of the model, m."""
+
+    def __init__(
+        self, name: str, function: Callable[..., Any], motions: Motions, live: Sequence[int], length: float
+    ) -> None:
+        self.name, self.raw, self.motions, self.live, self.length = name, function, motions, tuple(live), length
+        self.function = named("The constraint of joint", name, function)
+        self.way: tuple[bool, bool] | None = None  # of WAYS, decided at the first derivative
+        self.error: Exception | None = None  # of a call by compiled code
+        d, n = motions.dim, motions.n_rot
+        self.width = (d + n) * len(self.live)
+        # displacements and angular velocities of the columns, steps in m and rad
+        self.shift, self.spin = np.zeros((2, d, self.width)), np.zeros((2, d, d, self.width))
+        self.steps = np.tile([STEP * length] * d + [STEP] * n, len(self.live))
+        for k, (side, c) in enumerate(product(self.live, range(d + n))):
+            if c < d:
+                self.shift[side, c, k] = 1.0
+            else:
+                self.spin[side, :, :, k] = hat(np.eye(n)[c - d]) if d == 3 else [[0.0, -1.0], [1.0, 0.0]]
+        self.skew = np.cos(1.0 + np.arange(self.width))
+
+    @cached_property
+    def count(self) -> int:
+        """How many numbers it returns: one call, both markers at the origin."""
+        d = self.motions.dim
+        return len(self.at((np.zeros((2, d)), np.stack([np.eye(d)] * 2)), 0.0))
+
+    def checked(self, value: Any, t: float) -> Array:
+        """What it returned, (m,)."""
+        found: Array = np.atleast_1d(np.asarray(value))
+        if found.ndim != 1 or not found.size or found.dtype.kind not in "iufc" or not np.isfinite(found).all():
+            raise CallbackError(
+                f'Joint "{self.name}": its function returned {value!r} at t = {np.real(t):g} s, expected finite numbers.'
+            )
+        count = self.__dict__.get("count", len(found))
+        if len(found) != count:
+            raise CallbackError(
+                f'Joint "{self.name}": its function returned {len(found)} numbers at t = {np.real(t):g} s and {count} before; '
+                "a joint has the same rows at all times."
+            )
+        return found
+
+    def at(self, poses: Poses, t: Any) -> Array:
+        """g, (m,)."""
+        x, R = poses
+        return self.checked(self.function(x[0], R[0], x[1], R[1], t), t)
+
+    # -- rows -----------------------------------------------------------------------------------------------------------
+    def derivative(self, poses: Poses, t: float) -> Array:
+        """dg by displacements and turns of the markers that move, (m, width)."""
+        if self.way is None:
+            self._decide(poses, t)
+        assert self.way is not None
+        found = self._by(self.way, poses, t)
+        if self.way[0] and found is not None and self._dropped(found, poses, t):
+            log.warning('joint "%s": complex steps fail in its function (abs, float?); using differences', self.name)
+            self.way, found = (False, self.way[1]), None
+            found = self._by(self.way, poses, t)
+        return self._differences(poses, t, False) if found is None else found
+
+    def _decide(self, poses: Poses, t: float) -> None:
+        """Find the cheapest way that gives what differences give, one number after another."""
+        plain = self._differences(poses, t, False)
+        self._refuse_still_rows(plain)
+        largest = np.abs(plain).max()
+        for way in ((True, True), (True, False), (False, True), (False, False)):
+            found = self._by(way, poses, t)
+            if found is not None and np.abs(found - plain).max() <= DROPPED * largest:
+                self.way = way
+                return
+        self.way = False, False
+
+    def _refuse_still_rows(self, rows: Array) -> None:
+        """Refuse numbers that no motion of the markers changes where they start."""
+        still = np.flatnonzero(~(np.abs(rows) > 1e-12 * np.abs(rows).max(initial=0.0)).any(axis=1))
+        which = ", ".join(str(k) for k in still)
+        require(
+            not still.size,
+            f'Joint "{self.name}": number {which} of those that its function returns does not change with the places and '
+            "rotations of the two markers where they start, so it holds nothing. Return what is zero where the joint is closed "
+            "and only there; point_a and point_b say where the markers sit.",
+        )
+
+    def _by(self, way: tuple[bool, bool], poses: Poses, t: float) -> Array | None:
+        """The derivative in one of the ways; None where the function does not go it."""
+        by_complex, together = way
+        if together and AGREEMENTS:
+            together = False
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
+                if by_complex:
+                    return np.imag(self._columns(poses, t, 1j * TINY, together)) / TINY
+                return self._differences(poses, t, together)
+        except Exception:
+            if not (by_complex or together):
+                raise
+            return None
+
+    def _differences(self, poses: Poses, t: float, together: bool) -> Array:
+        """(2)."""
+        ahead, behind = (self._columns(poses, t, k * self.steps, together) for k in (1.0, -1.0))
+        return np.asarray((ahead - behind) / (2.0 * self.steps), dtype=float)
+
+    def _columns(self, poses: Poses, t: float, step: Any, together: bool) -> Array:
+        """g with each column's displacement times a step, (m, width)."""
+        x, R = poses
+        moved = x[..., None] + self.shift * step
+        turned = R[..., None] + np.einsum("sijk,sjl->silk", self.spin, R) * step
+        if not together:
+            each = [self.at((moved[..., k], turned[..., k]), t) for k in range(self.width)]
+            return np.stack(each, axis=-1)
+
+        found = np.asarray(self.raw(moved[0], turned[0], moved[1], turned[1], t))
+        if found.shape != (self.count, self.width) or found.dtype.kind not in "fc" or not np.isfinite(found).all():
+            raise TypeError("no columns")
+        return found
+
+    def _dropped(self, rows: Array, poses: Poses, t: float) -> bool:
+        """Whether complex steps give something else than differences along one direction that moves everything."""
+        x, R = poses
+        along = 10.0 * self.steps * self.skew
+        shift, turn = self.shift @ along, np.einsum("sijk,sjl,k->sil", self.spin, R, along)
+        ahead, behind = (self.at((x + k * shift, R + k * turn), t) for k in (1.0, -1.0))
+        scale = np.abs(rows) @ np.abs(along)
+        return bool((np.abs(rows @ along - 0.5 * (ahead - behind)) > DROPPED * scale + 1e-14 * self.length).any())
+
+    # -- along motions ----------------------------------------------------------------------------------------------------
+    def moves(self, poses: Poses, t: float) -> bool:
+        """Whether it depends on time, by what it says at two other times."""
+        here = self.at(poses, t)
+        try:
+            return any((self.checked(self.raw(*_both(poses), t + later), t) != here).any() for later in (1e-3, 0.37))
+        except Exception:
+            return True  # a table of some length
+
+    def partial(self, poses: Poses, t: float) -> Array:
+        """g_t, (m,)."""
+
+        def component(i: int, s: Any) -> Any:
+            function = self.function if isinstance(s, float) else self.raw
+            return np.ravel(np.asarray(function(*_both(poses), s), dtype=object))[i]
+
+        scale = max(self.length, float(np.abs(poses[0]).max()))
+        return np.array([rates(partial(component, i), t, scale)[0] for i in range(self.count)])
+
+    def second(self, path: Callable[[float], Poses], t: float, fast: float) -> Array:
+        """g'' along a path that begins at t, by differences of sixth order; ``fast``: its speed, lengths or rad in a second."""
+        h = SHORT / fast
+        weights = (-490.0, 270.0, -27.0, 2.0)
+        found = weights[0] * self.at(path(0.0), t)
+        for k in (1, 2, 3):
+            for s in (k * h, -k * h):
+                found = found + weights[k] * self.at(path(s), t + s)
+        return np.asarray(found / (180.0 * h * h), dtype=float)
+
+
+def _both(poses: Poses) -> tuple[Array, Array, Array, Array]:
+    (xa, xb), (Ra, Rb) = poses
+    return xa, Ra, xb, Rb
+
+
+@dataclass(frozen=True, eq=False)
+class AskedKind(Kind):
+    """The kind of one joint; its items are the numbers that the function returns, told apart by their ``component``."""
+
+    function: AskedFunction = None  # type: ignore[assignment]
+    asked: ClassVar[bool] = True
+
+    def run(self, which: str, A: Array, B: Array, P: Array, W: Any = 1.0) -> Array:
+        """One kernel for items between the same two frames, a row of each array: results likewise."""
+        if which == "tangent":
+            return np.zeros((len(P), 0))
+        component = P[:, self.place("component")][:, 0].astype(int)
+        t = float(P[0, self.place("drive")][0])
+        return (self._value if which == "value" else self._rates)((A[0], B[0], P[0]), t)[component]
+
+    def address(self, which: str) -> int:
+        """Where compiled code finds the kernel."""
+        return int(ctypes.cast(self._callbacks[which], ctypes.c_void_p).value or 0)
+
+    @cached_property
+    def _callbacks(self) -> dict[str, Any]:
+        return {which: KERNEL(self._told(which)) for which in KERNELS}
+
+    @cached_property
+    def _known(self) -> dict[tuple[bytes, ...], Array]:
+        """The value at the last configuration: records ask for it again."""
+        return {}
+
+    def _told(self, which: str) -> Callable[..., None]:
+        """The kernel as compiled code calls it; errors are kept for whoever called C, which goes on without numbers."""
+        views: dict[tuple[Any, ...], tuple[Array, ...]] = {}
+
+        def told(n: int, pair: int, frames: int, P: int, W: int, out: int) -> None:
+            found = views.get((n, pair, frames, P, out))
+            if found is None:
+                size, (a, b) = FRAME[self.dim], (ctypes.c_int * 2).from_address(pair)
+                found = _view(frames + 8 * size * a, 1, size), _view(frames + 8 * size * b, 1, size)
+                found = *found, _view(P, n, self.width), _view(out, n, len(self.outputs[which]))
+                if len(views) > 16:
+                    views.clear()
+                views[n, pair, frames, P, out] = found
+            try:
+                found[3][:] = self.run(which, *found[:3])
+            except Exception as error:
+                self.function.error = self.function.error or error
+                found[3][:] = np.nan
+
+        return told
+
+    def _poses(self, at: tuple[Array, ...], frames: Sequence[tuple[Array, Array]]) -> Poses:
+        """Markers on frames with places and rotations (x, R)."""
+        d = self.dim
+        arms, turns = (("p", "q"), ("turn_a", "turn_b"))
+        x = [o + R @ at[2][self.place(name)] for (o, R), name in zip(frames, arms, strict=True)]
+        R = [R @ at[2][self.place(name)].reshape(d, d) for (_, R), name in zip(frames, turns, strict=True)]
+        return np.stack(x), np.stack(R)
+
+    def _frames(self, at: tuple[Array, ...]) -> list[tuple[Array, Array]]:
+        d = self.dim
+        return [(f[:d], f[d : d + d * d].reshape(d, d)) for f in at[:2]]
+
+    def _value(self, at: tuple[Array, ...], t: float) -> Array:
+        """g and its rows, (m, 1 + entries)."""
+        still = self.dim + self.dim**2  # where velocities begin in a frame
+        key = (at[0][:still].tobytes(), at[1][:still].tobytes(), at[2].tobytes())
+        found = self._known.get(key)
+        if found is not None:
+            return found
+        d, f = self.dim, self.function
+        frames = self._frames(at)
+        poses = self._poses(at, frames)
+        rows = f.derivative(poses, t)
+
+        # turns of a frame move its marker, too
+        size = d + f.motions.n_rot
+        for k, side in enumerate(f.live):
+            lever = poses[0][side] - frames[side][0]
+            part = rows[:, k * size : (k + 1) * size]
+            part[:, d:] += f.motions.moment(np.broadcast_to(lever, (len(rows), d)), part[:, :d])
+        found = np.column_stack((np.real(f.at(poses, t)), rows))
+        self._known.clear()
+        self._known[key] = found
+        return found
+
+    def _rates(self, at: tuple[Array, ...], t: float) -> Array:
+        """g_t, and g'' at constant twists of the frames, (m, 2)."""
+        d, f, m = self.dim, self.function, self.function.motions
+        frames = self._frames(at)
+        speeds = [(x[d + d * d : 2 * d + d * d], x[2 * d + d * d : 2 * d + d * d + m.n_rot]) for x in at[:2]]
+        speeds = [speeds[s] if s in f.live else (np.zeros(d), np.zeros(m.n_rot)) for s in (0, 1)]
+
+        def path(s: float) -> Poses:
+            moved = [(x + s * v, _turned(R, s * w)) for (x, R), (v, w) in zip(frames, speeds, strict=True)]
+            return self._poses(at, moved)
+
+        here = path(0.0)
+        moves = f.moves(here, t)
+        in_time = f.partial(here, t) if moves else np.zeros(f.count)
+        fast = max(max(float(np.abs(v).max()) / f.length, float(np.abs(w).max())) for v, w in speeds)
+        if moves:
+            fast = max(fast, 1.0)
+        second = f.second(path, t, fast) if fast else np.zeros(f.count)
+        return np.stack((in_time, second), axis=-1)
+
+
+def _turned(R: Array, turn: Array) -> Array:
+    """R after the rotation vector, world axes."""
+    if len(turn) == 1:
+        c, s = np.cos(turn[0]), np.sin(turn[0])
+        return np.asarray(np.array([[c, -s], [s, c]]) @ R)
+    angle = float(np.sqrt(turn @ turn))
+    if not angle:
+        return R
+    K = hat(turn / angle)
+    return np.asarray(R + np.sin(angle) * K @ R + (1.0 - np.cos(angle)) * K @ (K @ R))
+
+
+def _view(address: int, n: int, width: int) -> Array:
+    """Numbers in memory as an array."""
+    return np.ctypeslib.as_array((ctypes.c_double * (n * width)).from_address(address)).reshape(n, width)
+
+
+def asked_kind(function: AskedFunction) -> AskedKind:
+    """The kind of a joint by a function of numbers."""
+    d, n = function.motions.dim, function.motions.n_rot
+    entries = tuple(side * (d + n) + c for side in function.live for c in range(d + n))
+    constants = {"p": d, "turn_a": d * d, "q": d, "turn_b": d * d, "component": 1, "drive": 1, "drive1": 1, "drive2": 1}
+    outputs = {"value": [ZERO] * (1 + len(entries)), "rates": [ZERO] * 2, "tangent": []}
+    return AskedKind("asked", d, constants, entries, (), outputs, [], (None, None), False, function)  # type: ignore[arg-type]
