@@ -339,10 +339,9 @@ def test_a_function_of_numbers_is_a_joint_of_compiled_steps_in_all_sizes(square:
 
 
 def test_compiled_steps_and_numpy_agree_on_a_function_of_numbers() -> None:
+    given = {"t_end": 0.05, "dt": 1e-3, "newton": fmbd.Newton(tolerance=1e-10)}
     runs = [
-        fmbd.solve(
-            cam(lift(1.0, SQUARES["a table"])), t_end=0.05, dt=1e-3, scheme=fmbd.GeneralizedAlpha(compiled=compiled)
-        )
+        fmbd.solve(cam(lift(1.0, SQUARES["a table"])), scheme=fmbd.GeneralizedAlpha(compiled=compiled), **given)
         for compiled in (True, False)
     ]
     for name in ("disc", "cam"):
