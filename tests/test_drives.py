@@ -339,13 +339,14 @@ def test_a_function_of_numbers_is_a_joint_of_compiled_steps_in_all_sizes(square:
 
 
 def test_compiled_steps_and_numpy_agree_on_a_function_of_numbers() -> None:
-    given = {"t_end": 0.05, "dt": 1e-3, "newton": fmbd.Newton(tolerance=1e-10)}
     runs = [
-        fmbd.solve(cam(lift(1.0, SQUARES["a table"])), scheme=fmbd.GeneralizedAlpha(compiled=compiled), **given)
+        fmbd.solve(
+            cam(lift(1.0, SQUARES["a table"])), t_end=0.05, dt=1e-3, scheme=fmbd.GeneralizedAlpha(compiled=compiled)
+        )
         for compiled in (True, False)
     ]
-    for name in ("disc", "cam"):
-        assert np.abs(runs[0][name] - runs[1][name]).max() < 1e-9 * np.abs(runs[0][name]).max()
+    for name, close in (("disc", 1e-11), ("cam", 5e-8)):  # multipliers have the roundoff of differences over h^2
+        assert np.abs(runs[0][name] - runs[1][name]).max() < close * np.abs(runs[0][name]).max()
 
 
 def test_a_function_of_numbers_moves_in_time() -> None:
