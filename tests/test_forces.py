@@ -185,3 +185,25 @@ def test_tyre_damps_the_rate_of_its_compression(dim: int) -> None:
     tyre = motion.system.forces[0]
     rate = first(lambda s: tyre._compression(motion.at(s).kin, motion.t + s)[0])
     assert np.abs(tyre._compression(motion.at(0.0).kin, motion.t)[1] - rate).max() < 1e-6 * np.abs(rate).max()
+
+
+def test_a_road_is_asked_once_for_a_force_and_may_take_numbers_only() -> None:
+    """One call gives height and rate where the road takes numbers with rates; another road gives the same by differences."""
+    asked: list[Any] = []
+
+    def road(x: Any, t: Any, sine: Any = np.sin) -> Any:
+        asked.append(t)
+        return 0.1 * sine(3 * x[0] + t) if x[0] > 0 else 0.0
+
+    found = []
+    for sine in (np.sin, lambda y: math.sin(float(y))):
+        wheel = fmbd.RigidBody("wheel", 1.0, (0.1, 0.1, 0.1), position=(0.2, 0, 0.3), velocity=(1, 0.5, -0.2))
+        scene = fmbd.Scene("road", gravity=(0, 0, -9.81))
+        way = lambda x, t, sine=sine: road(x, t, sine)
+        scene.add(wheel, fmbd.Tyre("tyre", wheel, road=way, radius=0.3, stiffness=2e3, damping=50.0, up=(0, 0, 1)))
+        scene.sensor("wheel", fmbd.position(wheel))
+        asked.clear()
+        run = fmbd.solve(scene, t_end=0.2, dt=1e-3)
+        found.append((run["wheel"], len(asked) / run.counters["newton_iterations"]))
+    assert np.abs(found[1][0] - found[0][0]).max() < 1e-9
+    assert found[0][1] < 2.5 < found[1][1]

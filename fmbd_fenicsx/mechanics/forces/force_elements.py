@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError, named
+from ...errors import AGREEMENTS, InputError, named
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.relative import Relative, Separation
-from ..joints.time_derivatives import rates
+from ..joints.time_derivatives import along, rates
 from .effort_laws import EffortLaw
 from .formulas import Formula, SampledEffort, formulas_of
 from .laws_together import LawsTogether
@@ -266,43 +266,73 @@ class ScalarLoads(Loads):
 
 
 class TyreLoads(Loads):
-    """Radial springs between a wheel centre and a road: N = k c + d c' while c = radius - height over the road > 0, N >= 0."""
+    """Radial springs between a wheel centre and a road: N = k c + d c' while c = radius - height over the road > 0, N >= 0.
+
+    The rate of the road along the way of the wheel is one call with numbers that carry their rates where the road takes them, as
+    those of NumPy's functions do.
+    """
+
+    def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
+        super().__init__(motions, forces, markers)
+        self.up: Array = np.array([f.up[: motions.dim] for f in forces], dtype=float)
+        self.radius: Array = np.array([f.radius for f in forces], dtype=float)
+        self.by_jets: dict[int, bool] = {}  # which roads take numbers with rates, seen where a wheel first moves
 
     @staticmethod
     def law_of(f: Any) -> Any:
         """The road."""
         return named("The road of tyre", f.name, f.road)
 
-    def _compression(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array, Array]:
-        """c, c', the directions up, and -dc/dx: up minus the slope of the road."""
+    def _height(self, i: int, x: Array, v: Array, t: float) -> tuple[float, float]:
+        """The road under tyre i at a place x, and its rate along the way of the wheel, in time too: m, m/s."""
+        f, road = self.forces[i], self.laws[i]
+        if self.by_jets.get(i) and not AGREEMENTS:
+            found = along(f.road, x, v, t)
+            if found is not None:
+                return found
+
+        height = float(checked(f.name, road(x, t), 1, t, ROAD)[0])
+        rate = rates(partial(road, x), t)[0]
+        speed = float(np.abs(v).max())
+        if speed:
+            step = 1e-5 * f.radius * v / speed
+            rate += (float(road(x + step, t)) - float(road(x - step, t))) * speed / (2e-5 * f.radius)
+        if i not in self.by_jets and speed:
+            found = along(f.road, x, v, t)
+            off = np.inf if found is None else max(abs(found[0] - height), abs(found[1] - rate) * f.radius / speed)
+            self.by_jets[i] = bool(off <= 1e-6 * f.radius)
+        return height, rate
+
+    def _compression(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """c and c'."""
         assert kin.twist is not None
         d = self.motions.dim
-        up = np.array([f.up[:d] for f in self.forces], dtype=float)
+        places, speeds = kin.x[self.a], kin.twist[self.a, :d]
+        numbers = range(len(self.forces))
+        heights = np.array([self._height(i, places[i], speeds[i], t) for i in numbers])
+        c = heights[:, 0] + self.radius - (self.up * places).sum(1)
+        return c, heights[:, 1] - (self.up * speeds).sum(1)
 
-        c = np.zeros(len(self.forces))
-        rate = np.zeros(len(self.forces))
-        row = up.copy()
+    def _slopes(self, kin: Kinematics, t: float) -> Array:
+        """-dc/dx: up minus the slope of the road."""
+        row = self.up.copy()
         for i, (f, road) in enumerate(zip(self.forces, self.laws, strict=True)):
             x = kin.x[self.a[i]]
-            c[i] = float(checked(f.name, road(x, t), 1, t, ROAD)[0]) + f.radius - float(up[i] @ x)
-            # the road may rise in time, and along the way of the wheel: differences of its height
-            rate[i] = rates(partial(road, x), t)[0]
-            for k, e in enumerate(1e-5 * f.radius * np.eye(d)):
+            for k, e in enumerate(1e-5 * f.radius * np.eye(self.motions.dim)):
                 row[i, k] -= (float(road(x + e, t)) - float(road(x - e, t))) / (2e-5 * f.radius)
-
-        return c, rate - (row * kin.twist[self.a, :d]).sum(1), up, row
+        return row
 
     def _constants(self) -> tuple[Array, Array]:
         return np.array([f.stiffness for f in self.forces]), np.array([f.damping for f in self.forces])
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Force of the compressed tyres; none while lifted."""
-        c, rate, up, _ = self._compression(kin, t)
+        c, rate = self._compression(kin, t)
         k, damping = self._constants()
         out = self._zero()
         # a tyre pushes only, also where its damper would pull
         push = np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)
-        out[:, : self.motions.dim] = push[:, None] * up
+        out[:, : self.motions.dim] = push[:, None] * self.up
         return out, self._zero()
 
     def energy(self, kin: Kinematics, t: float) -> float:
@@ -312,7 +342,8 @@ class TyreLoads(Loads):
 
     def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """k and c along the direction of compression, of those in contact."""
-        c, rate, up, row = self._compression(kin, t)
+        c, rate = self._compression(kin, t)
+        up, row = self.up, self._slopes(kin, t)
         k, damping = self._constants()
         # those that push
         on = (c > 0) & (k * c + damping * rate > 0)

@@ -46,10 +46,14 @@ class Jet:
 
     # -- arithmetic -----------------------------------------------------------------------------------------------
     def __add__(self, other: Any) -> Jet:
+        if type(other) is float:
+            return Jet(self.value + other, self.first, self.second)
         y = _moment(other)
         return Jet(self.value + y.value, self.first + y.first, self.second + y.second)
 
     def __mul__(self, other: Any) -> Jet:
+        if type(other) is float:
+            return Jet(self.value * other, self.first * other, self.second * other)
         x, y = self, _moment(other)
         mixed = x.second * y.value + 2 * x.first * y.first + x.value * y.second
         return Jet(x.value * y.value, x.first * y.value + x.value * y.first, mixed)
@@ -65,7 +69,7 @@ class Jet:
         return _unary("exp", self * math.log(base))
 
     def __truediv__(self, other: Any) -> Jet:
-        return self * _moment(other) ** -1.0
+        return self * (1.0 / other if type(other) is float and other else _moment(other) ** -1.0)
 
     def __rtruediv__(self, other: Any) -> Jet:
         return self**-1.0 * other
@@ -222,6 +226,16 @@ def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0) -> Rates
     if not (math.isfinite(found.first) and math.isfinite(found.second)):
         return _differenced(function, t, scale)
     return found.first, found.second
+
+
+def along(function: Callable[[Any, Any], Any], x: Any, v: Any, t: float) -> Rates | None:
+    """Value and rate of ``function``(x, t) at a place x that moves with v; None where it does not take jets."""
+    place = np.array([Jet(a, b) for a, b in zip(x.tolist(), v.tolist(), strict=True)], dtype=object)
+    try:
+        found = _moment(function(place, Jet(t, 1.0)))
+    except Exception:
+        return None
+    return (found.value, found.first) if math.isfinite(found.value) and math.isfinite(found.first) else None
 
 
 @dataclass(frozen=True)
