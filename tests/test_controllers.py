@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -150,6 +151,32 @@ def test_newton_sees_the_exact_tangent() -> None:
     rate = first(lambda e: force(motion.v + e * dv))
     assert np.abs(rate).max() > 0.3
     assert np.abs(D @ dv - rate).max() < 1e-6 * np.abs(rate).max()
+
+
+def test_slopes_of_efforts_have_the_memory_going_along() -> None:
+    """By few calls of the law, which is solved with its memory once: against differences of what is solved for each reading."""
+    calls = 0
+
+    def law(t: float, y: Any, z: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        s, v = y["s"][0], y["v"][0]
+        return 3 * z[0] * s - v * z[1], (np.sin(s) - z[0], v - z[1] ** 3)
+
+    link = fmbd.RigidBody("link", 1.0, 0.1, position=(0.5, 0), angular_velocity=0.7)
+    hinge = fmbd.revolute("hinge", fmbd.ground, link, center=(0, 0))
+    reads = {"s": fmbd.angle(hinge), "v": fmbd.joint_rate(fmbd.angle(hinge))}
+    scene = fmbd.Scene("link")
+    scene.add(link, hinge, fmbd.controller("own", reads=reads, acts=fmbd.angle(hinge), law=law, memory=(0.3, 0.4)))
+    loads: Any = scene.build()[0].forces[0]
+    loads.kept = replace(loads.kept, t=0.0, rate=np.array([0.1, -0.2]))
+    y = {"s": np.array([0.4]), "v": np.array([0.7])}
+    calls = 0
+    found = loads.slopes(0.01, y, ["s", "v"])
+    assert calls < 18
+    for name in y:
+        slope = first(lambda e, name=name: loads.with_memory(0.01, {**y, name: y[name] + e})[0])
+        assert abs(found[name][0, 0] - slope[0]) < 1e-7 * abs(slope[0])
 
 
 def three_links(dim: int, law: Any, rod: Any = None) -> fmbd.Scene:

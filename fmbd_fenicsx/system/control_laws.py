@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from ..rotations import Array
 def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> Array:
     """Numbers that a law returned, or an error that says what was found."""
     size, t = wanted
+    if size == 1 and isinstance(value, float) and isfinite(value):
+        return np.array([value])  # the usual answer: laws are asked many times a step
     try:
         found = np.atleast_1d(np.asarray(value, dtype=float))
     except (TypeError, ValueError, OverflowError):

@@ -155,30 +155,36 @@ class ControlLoads(Loads):
         if not len(z) or half == 0.0:
             return u, z, rate
 
-        slopes, before = None, np.inf
-        for _ in range(20):
+        slopes, before, left, past = None, np.inf, 1.0, z
+        for count in range(20):
             # the trapezoid rule (3), solved for z by inserting, enough for memories that are slow; else by Newton's method
             miss = z - kept.z - half * (kept.rate + rate)
             size = float(np.abs(miss).max())
             if size <= 1e-14 * (np.abs(z).max() + np.abs(half * rate).max()):
                 return u, z, rate
             if size > SLOW * before:
-                slopes = np.eye(len(z)) - half * self._memory_slopes(t, y, z, rate)
-            z, before = z - (miss if slopes is None else np.linalg.solve(slopes, miss)), size
+                slopes = np.eye(len(z)) - half * self._by_memory(t, y, z)[1]
+            elif count == 1:
+                left = 1.0 - float(miss @ past) / float(past @ past)  # of a miss once z has moved by it
+            z, before, past = z - (miss / left if slopes is None else np.linalg.solve(slopes, miss)), size, miss
             u, rate = self.ask_law(t, y, z)
         raise CallbackError(
             f'Controller "{self.controller.name}": its memory has no value at t = {t:g} s. Is the law smooth in it?'
         )
 
-    def _memory_slopes(self, t: float, y: Mapping[str, Array], z: Array, rate: Array) -> Array:
-        """dg/dz, (m, m)."""
-        out = np.zeros((len(z), len(z)))
-        for k in range(len(z)):
-            step = np.zeros(len(z))
-            step[k] = 1e-7 * max(1.0, abs(float(z[k])))
-            out[:, k] = (self.ask_law(t, y, z + step)[1] - rate) / step[k]
+    def _by_memory(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
+        """du/dz (acts, m) and dg/dz (m, m)."""
+        return self._differences(z, lambda moved: self.ask_law(t, y, moved))
 
-        return out
+    def _differences(self, x: Array, asked: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
+        """Derivatives (.., n) of two answers of the law by the numbers x (n,)."""
+        found = []
+        for k in range(len(x)):
+            step = np.zeros(len(x))
+            step[k] = 1e-6 * max(1.0, abs(float(x[k])))
+            ahead, behind = asked(x + step), asked(x - step)
+            found.append([(p - q) / (2 * step[k]) for p, q in zip(ahead, behind, strict=True)])
+        return np.stack([one for one, _ in found], axis=-1), np.stack([other for _, other in found], axis=-1)
 
     def read(self, kin: Kinematics) -> dict[str, Array]:
         """Values of what the law reads in a configuration, by name."""
@@ -212,12 +218,12 @@ class ControlLoads(Loads):
         y = self.read(kin)
         ra, rb = self._rows(kin)
         entries: list[tuple[int, int, Array, bool]] = []
+        slopes = self.slopes(t, y, list(y))
         for reading in self.readings:
             rows = reading.rows(kin, len(y[reading.name]))
-            slopes = self.slopes(t, y, reading.name)
             for j in range(len(self.acts)):
                 for marker, row, fast in rows:
-                    push = slopes[j] @ row  # du/d(displacement or velocity of the marker), (n,)
+                    push = slopes[reading.name][j] @ row  # du/d(displacement or velocity of the marker), (n,)
                     entries.append((int(self.a[j]), marker, -np.outer(ra[j], push), fast))
                     entries.append((int(self.b[j]), marker, -np.outer(rb[j], push), fast))
         if not entries:
@@ -230,17 +236,17 @@ class ControlLoads(Loads):
             (D if fast else K)[i, :n, n:] = block
         return MarkerTangent(np.array([e[0] for e in entries]), np.array([e[1] for e in entries]), K, D)
 
-    def slopes(self, t: float, y: dict[str, Array], name: str) -> Array:
-        """du/dy of one reading, (acts, size), the memory going along."""
-        out = np.zeros((len(self.acts), len(y[name])))
-        for k in range(len(y[name])):
-            h = 1e-6 * max(1.0, abs(float(y[name][k])))
-            ends = []
-            for sign in (1, -1):
-                moved = y[name].copy()
-                moved[k] += sign * h
-                ends.append(self.with_memory(t, {**y, name: moved})[0])
-            out[:, k] = (ends[0] - ends[1]) / (2 * h)
+    def slopes(self, t: float, y: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
+        """du/dy of some readings, (acts, size) each, the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy."""
+        z, half = self.with_memory(t, y)[1], 0.5 * (t - self.kept.t)
+        by_memory = np.zeros((len(self.acts), len(z)))
+        if len(z) and half:
+            effort, rate = self._by_memory(t, y, z)
+            by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
+        out = {}
+        for name in names:
+            effort, rate = self._differences(y[name], lambda moved, name=name: self.ask_law(t, {**y, name: moved}, z))
+            out[name] = effort + by_memory @ rate
         return out
 
     def formulas(self) -> list[Formula]:
