@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -239,15 +240,20 @@ class ControlLoads(Loads):
     def slopes(self, t: float, y: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
         """du/dy of some readings, (acts, size) each, the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy."""
         z, half = self.with_memory(t, y)[1], 0.5 * (t - self.kept.t)
-        by_memory = np.zeros((len(self.acts), len(z)))
+        by_memory: Array = np.zeros((len(self.acts), len(z)))
         if len(z) and half:
             effort, rate = self._by_memory(t, y, z)
             by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
-        out = {}
+
+        out: dict[str, Array] = {}
         for name in names:
-            effort, rate = self._differences(y[name], lambda moved, name=name: self.ask_law(t, {**y, name: moved}, z))
+            effort, rate = self._differences(y[name], partial(self._with, t, y, z, name))
             out[name] = effort + by_memory @ rate
         return out
+
+    def _with(self, t: float, y: Mapping[str, Array], z: Array, name: str, value: Array) -> tuple[Array, Array]:
+        """What the law answers with another value of one reading."""
+        return self.ask_law(t, {**y, name: value}, z)
 
     def formulas(self) -> list[Formula]:
         """That of a continuous PID controller; none of other laws."""
