@@ -29,6 +29,17 @@ def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> A
     return found
 
 
+def differences(x: Array, asked: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Derivatives (.., n) of two answers of the law by the numbers x (n,)."""
+    found = []
+    for k in range(len(x)):
+        step = np.zeros(len(x))
+        step[k] = 1e-6 * max(1.0, abs(float(x[k])))
+        ahead, behind = asked(x + step), asked(x - step)
+        found.append([(p - q) / (2 * step[k]) for p, q in zip(ahead, behind, strict=True)])
+    return np.stack([one for one, _ in found], axis=-1), np.stack([other for _, other in found], axis=-1)
+
+
 @dataclass(frozen=True)
 class PidLaw:
     """See :func:`pid`; ``target`` gives (s, s', s'')."""

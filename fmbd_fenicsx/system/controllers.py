@@ -31,7 +31,7 @@ from ..mechanics.frames import Kinematics
 from ..mechanics.joints.drives import JointCoordinate
 from ..mechanics.joints.relative import Relative
 from ..rotations import Array, Motions, hat
-from .control_laws import PidLaw, numbers_of
+from .control_laws import PidLaw, differences, numbers_of
 from .sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Sensor, Velocity
 
 _KINEMATIC = (Position, Velocity, AngularVelocity, Rotation)
@@ -175,17 +175,7 @@ class ControlLoads(Loads):
 
     def _by_memory(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
         """du/dz (acts, m) and dg/dz (m, m)."""
-        return self._differences(z, lambda moved: self.ask_law(t, y, moved))
-
-    def _differences(self, x: Array, asked: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
-        """Derivatives (.., n) of two answers of the law by the numbers x (n,)."""
-        found = []
-        for k in range(len(x)):
-            step = np.zeros(len(x))
-            step[k] = 1e-6 * max(1.0, abs(float(x[k])))
-            ahead, behind = asked(x + step), asked(x - step)
-            found.append([(p - q) / (2 * step[k]) for p, q in zip(ahead, behind, strict=True)])
-        return np.stack([one for one, _ in found], axis=-1), np.stack([other for _, other in found], axis=-1)
+        return differences(z, lambda moved: self.ask_law(t, y, moved))
 
     def read(self, kin: Kinematics) -> dict[str, Array]:
         """Values of what the law reads in a configuration, by name."""
@@ -247,7 +237,7 @@ class ControlLoads(Loads):
 
         out: dict[str, Array] = {}
         for name in names:
-            effort, rate = self._differences(y[name], partial(self._with, t, y, z, name))
+            effort, rate = differences(y[name], partial(self._with, t, y, z, name))
             out[name] = effort + by_memory @ rate
         return out
 
