@@ -20,6 +20,7 @@ from fmbd_fenicsx.run import single_run
 from fmbd_fenicsx.run.accuracy import companion_runs, estimates, next_attempt, shared_runs, tolerance
 from fmbd_fenicsx.run.accuracy.certificate import moving
 from fmbd_fenicsx.run.schedule import StepSchedule
+from fmbd_fenicsx.system.scene import refinement
 
 QUICK = ("pendulum", "mass on spring", "clamped beam", "spin-up")
 EVERY = {**CASES, **MORE}
@@ -122,9 +123,44 @@ def test_meshes_are_looked_at_with_few_steps() -> None:
     """A block with singular corners: errors fall more slowly than expected, which is seen before a whole run is spent."""
     case = CASES["near-incompressible block"]
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[1]})
-    first, look, last = run.history
+    look, last = run.history
     assert look.step >= 3.9 * last.step and look.then == "finer meshes" and look.worst > 0.6
-    assert (first.meshes, look.meshes, last.meshes) == (0, 1, 2) and last.then == "done"
+    assert (look.meshes, last.meshes) == (1, 2) and last.then == "done"
+
+
+def test_searches_begin_in_spaces_that_cost_no_more_than_coarser_ones() -> None:
+    """Up to some hundred unknowns a mesh of half the cell size is made and solved in the same time; where bodies touch, or are
+    slender, scenes stay as they are.
+    """
+    begins = {name: tolerance._first(CASES[name].scene(), None, 1.0, None) for name in CASES}
+    found = begins["elastic pendulum"]
+    assert found.meshes == len(found.below) == 2
+    rod = found.scene.bodies["rod"]
+    size = rod.mesh.dolfinx.topology.index_map(0).size_global
+    assert rod.displacement_degree == 2 and 4 * 2 * size <= 2 * refinement.FEW
+    assert not refinement.cheap_levels(found.scene)
+    for name in ("mass on spring", "clamped beam", "rod", "bar on the wall and back"):
+        assert begins[name].meshes == 0 and not begins[name].below
+
+
+def test_steps_that_failed_are_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A copper arm turned in 12 steps leaves the range of its linear form: every attempt would find that out anew."""
+    case, made = MORE["copper arm"], marches(monkeypatch)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(case.tolerances[1]))
+    assert run.history[-1].then == "done"
+    assert [x.steps for x in made].count(12) == 1
+
+
+def test_a_space_that_an_error_was_measured_against_is_the_next_one_where_it_is_enough() -> None:
+    """Its system and its run are there; a far smaller error needs smaller elements."""
+    case = CASES["elastic pendulum"]
+    plan = tolerance._first(case.scene(), None, case.t_end, None)
+    shared = shared_runs.SharedRuns(None, None, plan.grain)
+    finer = estimates.finer_scene(plan.scene)
+    shared._finer[id(plan.scene)] = finer
+    assert shared.refined(plan.scene, 0.5) is finer[0]
+    smaller = shared.refined(plan.scene, 0.1).bodies["rod"]
+    assert smaller.displacement_degree == 2 and smaller.mesh is not plan.scene.bodies["rod"].mesh
 
 
 @pytest.mark.parametrize(("tol", "words"), [(1e-3, "0.001"), ("tip", "1e-3")])
@@ -292,16 +328,18 @@ def test_strains_take_plain_numbers() -> None:
 
 
 def test_the_level_below_tells_an_error_that_is_small_enough() -> None:
-    """x - x_h ~ (x_h - x_H) / (4^n - 1) of a mesh n levels coarser, where a fall by 3 from level to level would be enough too."""
+    """x - x_h ~ (x_h - x_H) / (r^n - 1) of a mesh n levels coarser, where a fall by 3 r / 4 a level would be enough too."""
     times = np.linspace(0.0, 1.0, 5)
     given, below = (SimpleNamespace(times=times, series={"x": np.full((5, 1), x)}) for x in (1.0, 0.0))
 
-    def told(levels: int, limit: float) -> Any:
-        return estimates.from_below(given, below, levels, lambda found: found["x"].size <= limit)  # type: ignore[arg-type]
+    def told(levels: int, limit: float, rate: float = 4.0) -> Any:
+        enough = lambda found: found["x"].size <= limit  # noqa: E731
+        return estimates.from_below(given, below, rate, levels, enough)  # type: ignore[arg-type]
 
     assert told(1, 0.5)["x"].size == pytest.approx(1 / 3)
     assert told(2, 0.125)["x"].size == pytest.approx(1 / 15)
     assert told(1, 0.4) is None and told(2, 0.1) is None
+    assert told(1, 0.2, 8.0)["x"].size == pytest.approx(1 / 7) and told(1, 0.19, 8.0) is None
     below.series["x"] = np.zeros((5, 2))
     assert told(1, 10.0) is None
 

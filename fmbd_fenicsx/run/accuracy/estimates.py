@@ -38,6 +38,7 @@ EXPECTED = 4.0  # ratio of the errors in a space and in the next finer one
 AHEAD = EXPECTED / (EXPECTED - 1.0)  # the error of the finer space counts as at most a quarter of that of the given one
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 FALLING = 3.0  # from one level to the next; below, the differences of levels do not tell the error
+SLOWER = 0.75  # share of a rate that errors may fall with
 UNENDED = "the run with finer spaces did not end"
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
 LOOKED_AT = 50  # instants at which runs of a search with steps of their own choice are compared
@@ -291,23 +292,23 @@ def space_deviations(coarse: Recorder, fine: Recorder, why: str) -> tuple[dict[s
 
 
 def from_below(
-    given: Recorder, below: Recorder, levels: int, enough: Callable[[dict[str, Deviation]], bool]
+    given: Recorder, below: Recorder, rate: float, levels: int, enough: Callable[[dict[str, Deviation]], bool]
 ) -> dict[str, Deviation] | None:
-    """Error in space of each sensor from a run on a mesh so many ``levels`` coarser, each expected to be r = 4 times better:
+    """Error in space of each sensor from a run on a mesh so many ``levels`` coarser, each expected to be better by a ``rate`` r:
 
         x - x_h ~ (x_h - x_H) / (r^levels - 1)                                                                       (1)
 
-    which is what (2) of :func:`space_error` takes for granted too. None where it is not ``enough`` if each were
-    :data:`FALLING` times better only, and where a sensor has other values on each mesh.
+    for r = 4 what (2) of :func:`space_error` takes for granted too. None where it is not ``enough`` if the rate were only the
+    share :data:`SLOWER` of it, and where a sensor has other values on each mesh.
     """
     apart = {}
     for name, x in given.series.items():
         if x.shape != below.series[name].shape:
             return None
         apart[name] = Deviation(given.times, x - below.series[name])
-    if not enough({n: scaled(x, 1.0 / (FALLING**levels - 1.0)) for n, x in apart.items()}):
+    if not enough({n: scaled(x, 1.0 / ((SLOWER * rate) ** levels - 1.0)) for n, x in apart.items()}):
         return None
-    return {n: scaled(x, 1.0 / (EXPECTED**levels - 1.0)) for n, x in apart.items()}
+    return {n: scaled(x, 1.0 / (rate**levels - 1.0)) for n, x in apart.items()}
 
 
 def levels_compared(highest: float, given: Recorder, below: Recorder, lowest: Recorder) -> dict[str, Deviation] | None:

@@ -14,7 +14,15 @@ import numpy as np
 
 from ...errors import InputError
 from ...schemes.control import FINEST
-from ...system.scene.refinement import expected_rate, meshed_bodies, modal_bodies, more_modes, slender
+from ...system.scene.refinement import (
+    cheap_levels,
+    expected_rate,
+    meshed_bodies,
+    modal_bodies,
+    more_modes,
+    refined,
+    slender,
+)
 from ...system.scene.scene import Scene
 from ..recording.output import Output
 from ..result import Run
@@ -90,6 +98,19 @@ class Looked:
     over: float
 
 
+def beginning(plan: AttemptPlan) -> AttemptPlan:
+    """The plan of a first attempt in spaces that cost hardly more than coarser ones: systems of few unknowns are made and solved
+    in the time that it takes to make any.
+    """
+    scenes, levels = [plan.scene], cheap_levels(plan.scene)
+    for _ in range(0 if plan.scene.contacts else levels):
+        try:
+            scenes.append(refined(scenes[-1]))
+        except InputError:
+            break
+    return replace(plan, scene=scenes[-1], meshes=len(scenes) - 1, below=tuple(scenes[:-1]))
+
+
 def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> Looked | None:
     """A look at meshes that are new, by runs with the fewest steps that follow the motion; None where they are fine enough.
 
@@ -117,7 +138,7 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: O
         made = _finer_meshes(plan, over, limit, shared)
     except InputError:
         return None  # the whole attempt tells why
-    return Looked(made, {n: errors[n].size for n in tol}, over)
+    return Looked(_whole_run(made), {n: errors[n].size for n in tol}, over)
 
 
 def next_plan(
@@ -215,7 +236,7 @@ def _finer_meshes(plan: AttemptPlan, over: float, limit: float, shared: SharedRu
     scenes = [*plan.below, plan.scene]
     for level in range(levels):
         try:
-            scenes.append(shared.refined(scenes[-1]))
+            scenes.append(shared.refined(scenes[-1], limit / over if levels == 1 else 0.0))
         except InputError:
             if not level:
                 raise

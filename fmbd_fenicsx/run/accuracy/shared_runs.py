@@ -52,6 +52,9 @@ BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
 LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
 LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
+LEFT = (
+    0.4  # share of its error that a space is sure to lose in the one that it was measured against, and room beside it
+)
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 
@@ -88,6 +91,7 @@ class SharedRuns:
         self._runs: dict[int, dict[int, Compared]] = {}
         self._newest: Problem | None = None  # of a run: others have its scheme and settings
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
+        self._parted: dict[int, int] = {}  # the most steps with which a run of a scene failed, or only went on in parts
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
@@ -107,11 +111,15 @@ class SharedRuns:
         warned.found = list(made.warned.found)
         return replace(made, warned=warned)
 
-    def solve(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Solved:
-        """One run, kept for later ones with smaller steps to be compared with; collective."""
-        parted, before = PARTED * schedule.steps, self._before(scene, scheme, schedule)
+    def solve(
+        self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output, *, parted: bool = True
+    ) -> Solved:
+        """One run, kept for later ones with smaller steps to be compared with; ``parted``: whether steps may be halved;
+        collective.
+        """
+        parts, before = PARTED * schedule.steps if parted else 0.0, self._before(scene, scheme, schedule)
         beside = () if before is None else tuple(before.recorder.times[looked_at(before.recorder)])
-        task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, parted, beside)
+        task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, parts, beside)
         solved = run_once(task, self.built(scene))
         self._newest = solved.problem
         if not solved.run.counters.get("halved_steps"):
@@ -131,10 +139,17 @@ class SharedRuns:
         kept = self.kept(scene, schedule.steps)
         if kept is not None:
             return kept
-        solved = self.solve(scene, scheme, schedule, output)
-        if solved.run.counters.get("halved_steps"):
-            raise ConvergenceError(f"{schedule.steps} steps had to be made in parts")
-        return solved.compared
+        self._refuse_parted(scene, schedule.steps)
+        try:
+            return self.solve(scene, scheme, schedule, output, parted=False).compared
+        except UNFIT:
+            self._parted[id(scene)] = schedule.steps
+            raise
+
+    def _refuse_parted(self, scene: Scene, steps: int) -> None:
+        """Steps as large as some that failed before are not tried again."""
+        if steps <= self._parted.get(id(scene), 0):
+            raise ConvergenceError(f"{steps} steps had to be made in parts")
 
     def _note(self, scene: Scene, made: Compared) -> None:
         """Keep a run whose steps have one size, recorded at all their ends or at given times."""
@@ -238,7 +253,12 @@ class SharedRuns:
         scene, schedule = solved.problem.scene, solved.compared.schedule
         have = self._runs.setdefault(id(scene), {})
         if steps not in have:
-            have[steps] = again(solved.problem, schedule, steps, solved.compared.recorder.output.times)
+            self._refuse_parted(scene, steps)
+            try:
+                have[steps] = again(solved.problem, schedule, steps, solved.compared.recorder.output.times)
+            except UNFIT:
+                self._parted[id(scene)] = steps
+                raise
         return have[steps]
 
     def tolerance_error(self, solved: Solved, allowed: Allowed) -> TimeError:
@@ -303,12 +323,12 @@ class SharedRuns:
         for levels, coarser in enumerate(reversed(below), start=1):
             lower = self.kept(coarser, made.schedule.steps)
             if lower is not None:
-                return from_below(made.recorder, lower.recorder, levels, enough)
+                return from_below(made.recorder, lower.recorder, expected_rate(scene), levels, enough)
         return None
 
     def _from_new(self, scene: Scene, made: Compared, below: Sequence[Scene]) -> tuple[dict[str, Deviation], str]:
         """The error by the meshes from the two levels below, where these tell how it falls, else from a run in finer spaces."""
-        if len(below) > 1 and one_kind(below[-2]):
+        if len(below) > 1 and one_kind(below[-2], below[-1], scene):
             try:
                 lower, lowest = (self._like(made, x).recorder for x in below[:-3:-1])
             except UNFIT:
@@ -348,13 +368,14 @@ class SharedRuns:
             self._note(scene, found)
         return found
 
-    def refined(self, scene: Scene) -> Scene:
-        """The next level: the spaces that the error was measured against, where these are it, so that their system and run
-        serve again.
+    def refined(self, scene: Scene, enough: float = np.inf) -> Scene:
+        """The next level: the spaces that the error was measured against where these are it, or are the last level that is
+        wanted, so that their system and run serve again. ``enough``: the share of the error that may be left there.
         """
         finer = self._finer.get(id(scene))
-        if finer is not None and finer[2] is not None and not finer[1] and refined_by_finer_space(scene):
-            return finer[0]
+        if finer is not None and finer[2] is not None and not finer[1]:
+            if refined_by_finer_space(scene) or enough >= LEFT:
+                return finer[0]
         return refined(scene)
 
 

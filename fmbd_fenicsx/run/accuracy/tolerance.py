@@ -29,8 +29,8 @@ from ..settings import check_tangent
 from ..single_run import Solved
 from .certificate import Certificate
 from .companion_runs import UNFIT, Compared
-from .estimates import TimeError, reduction_error, tolerance_error, warn_of_uncertain
-from .next_attempt import AttemptPlan, Looked, finer_steps, next_plan, space_first, space_limit
+from .estimates import FEWEST, TimeError, reduction_error, tolerance_error, warn_of_uncertain
+from .next_attempt import AttemptPlan, Looked, beginning, finer_steps, next_plan, space_first, space_limit
 from .shared_runs import Allowed, Orders, SharedRuns, doubt, known_orders
 from .shares import AIM, SAFE, WHOLE, Relative, Tolerance, check_tolerances, largest_share, relative, safe, share, worst
 
@@ -215,14 +215,16 @@ def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Attempt
     scheme = _default(scene, t_end) if scheme is None else checked_scheme(scheme)
     if Declared.by(scheme).adaptive:
         scheme = replace(scheme, rtol=max(scheme.rtol, LOOSEST))
-        return AttemptPlan(scene, scheme, step_schedule(scene, scheme, t_end, dt), 1)
+        return beginning(AttemptPlan(scene, scheme, step_schedule(scene, scheme, t_end, dt), 1))
     number("End time t_end =", t_end, above=0.0, unit="s")
     spaces = bool(meshed_bodies(scene) or modal_bodies(scene)) and not scene.contacts
+    look = FEWEST if spaces and dt is None and not modal_bodies(scene) and not slender(scene) else 0
     scout = SCOUT_SLENDER if slender(scene) else SCOUT
     dt = t_end / (scout if spaces else START) if dt is None else dt
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4)
     # few steps share half of their ends with those of the next attempts, so that there are enough to be compared
-    return AttemptPlan(scene, scheme, schedule, schedule.steps // (2 if schedule.steps <= SCOUT else 4))
+    grain = schedule.steps // (2 if schedule.steps <= SCOUT else 4)
+    return beginning(AttemptPlan(scene, scheme, schedule, grain, orders=Orders(follow=look)))
 
 
 def _default(scene: Scene, t_end: float) -> Any:

@@ -12,12 +12,15 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from ...errors import InputError, MeshError
 from ...mechanics.bodies.body import Body
 from ...mechanics.reduction.reduced import ReducedPart
 from ..system import System
 from .scene import Scene
 
+FEW = 300  # unknowns of a body up to which nearly all that a run costs does not depend on their number
 SOLID_RATE = 4.0  # squares of the size of the elements, less at corners
 
 
@@ -122,6 +125,25 @@ def refined_by_finer_space(scene: Scene) -> bool:
     return all(body.displacement_degree == 1 or not body.meshed for body in bodies)
 
 
+def cheap_levels(scene: Scene) -> int:
+    """How often the bodies of a scene can be :func:`refined` with :data:`FEW` unknowns at most in each; collective.
+
+    A mesh with n corners and displacements of degree p has about d p^d n unknowns, 2^d times as many after each halving.
+    """
+    return min((_cheap_levels(scene.bodies[name]) for name in meshed_bodies(scene)), default=0)
+
+
+def _cheap_levels(body: Body) -> int:
+    """The same for one body; none for a slender one."""
+    degree = body.displacement_degree
+    if not body.meshed or degree is None:
+        return 0
+    mesh = body.solid.mesh
+    linear, corners = degree == 1, mesh.dolfinx.topology.index_map(0).size_global
+    room = FEW / (mesh.dim * max(degree, 2) ** mesh.dim * corners)
+    return int(linear + np.log2(room) // mesh.dim) if room >= 1.0 else 0
+
+
 def slender(scene: Scene) -> bool:
     """Whether all that has an error in space are beams, rods, lines or wires: no corners, and cheap to refine."""
     return not any(scene.bodies[name].meshed for name in meshed_bodies(scene))
@@ -135,10 +157,11 @@ def expected_rate(scene: Scene) -> float:
     return min(rates, default=SOLID_RATE)
 
 
-def one_kind(scene: Scene) -> bool:
-    """Whether levels from this one on halve elements: linear displacements become quadratic ones first."""
-    bodies = [scene.bodies[name] for name in meshed_bodies(scene)]
-    return all(body.displacement_degree != 1 for body in bodies)
+def one_kind(*levels: Scene) -> bool:
+    """Whether from the first to the last of these levels only elements were halved, and degrees stayed."""
+    first, *others = levels
+    names = meshed_bodies(first)
+    return all(x.bodies[n].displacement_degree == first.bodies[n].displacement_degree for x in others for n in names)
 
 
 def more_modes(scene: Scene, system: System) -> Scene:
