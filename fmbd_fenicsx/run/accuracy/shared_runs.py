@@ -71,8 +71,8 @@ class Orders:
 
 @dataclass(frozen=True)
 class Allowed:
-    """The ``share`` of the tolerance that errors take, and the ``room`` that there is for those of time. ``rough``: nothing else
-    depends on the steps of a run whose error is too large.
+    """The ``share`` of the tolerance that errors take, and the ``room`` that there is for those of time. ``rough``: what else
+    depends on the steps of a run whose error is too large is asked again later.
     """
 
     share: Callable[[dict[str, Deviation]], float]
@@ -211,7 +211,7 @@ class SharedRuns:
         given, orders = solved.compared, _expected(solved.problem)
         whole = compare_steps(orders, given, [coarser])
         if allowed.rough and allowed.share(whole.errors) > allowed.room:
-            return whole
+            return replace(whole, with_others=coarser)
         if allowed.share(of_order(orders, given, coarser, 0.5)) > allowed.room:
             return None
         # where bodies touch, when they do depends on the steps

@@ -268,7 +268,8 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved: S
     """The error by the steps, or by the scheme's tolerance; collective."""
     run, alone = solved.run, not meshed_bodies(plan.scene) and not modal_bodies(plan.scene)
     room = SAFE if alone else WHOLE - AIM if plan.steps else WHOLE
-    allowed = Allowed(lambda errors: largest_share(errors, run.series, tol), room, rough=alone)
+    looked = bool(plan.orders.follow) and not plan.orders.seen  # at spaces, with few steps
+    allowed = Allowed(lambda errors: largest_share(errors, run.series, tol), room, rough=alone or looked)
     found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
     run.state_error("time", found.errors)
     run.observed_order = found.orders
