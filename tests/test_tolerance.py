@@ -153,6 +153,13 @@ def test_no_run_has_so_few_steps_that_it_follows_no_motion(monkeypatch: pytest.M
     assert min(x.steps for x in made) >= estimates.FEWEST
 
 
+def test_a_look_at_spaces_refuses_what_roundoff_does_not_allow() -> None:
+    """Before any mesh is made for it."""
+    case = CASES["elastic pendulum"]
+    with pytest.raises(InputError, match="below what roundoff allows: about 1"):
+        fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: 1e-16})
+
+
 def test_steps_that_failed_are_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A copper arm turned in 12 steps leaves the range of its linear form: every attempt would find that out anew."""
     case, made = MORE["copper arm"], marches(monkeypatch)

@@ -32,7 +32,7 @@ from .deviation import Deviation
 from .estimates import FEWEST, UNENDED, usual_power
 from .orders import expected_orders, resolved
 from .shared_runs import Orders, SharedRuns, doubt
-from .shares import AIM, WHOLE, Tolerance, largest_share, share
+from .shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 
 if TYPE_CHECKING:
     from .tolerance import Attempt
@@ -125,6 +125,7 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: O
     output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
     seen = shared.look(plan.scene, plan.scheme, StepSchedule(plan.schedule.t_end, few), output)
     series, limit = seen.recorder.series, space_limit(plan.scene)
+    check_floor(plan.scene, series, tol)
     errors, unstated = shared.space_error(
         plan.scene, [seen], plan.below, lambda x: largest_share(x, series, tol) <= limit
     )

@@ -67,18 +67,33 @@ def check_tolerances(scene: Scene, tol: Tolerance) -> None:
         )
 
 
-def _limit(statement: Statement, value: Any) -> float:
-    """The tolerance of a sensor in its unit, not below roundoff.
+def check_floor(scene: Scene, series: Mapping[str, Array], tol: Tolerance) -> None:
+    """Tolerances not below roundoff, whose share of the range of a sensor a run tells.
 
-    Raises InputError where it is below.
+    Raises InputError where one is below.
     """
-    limit = _plain(value, statement.span)
-    floor = FLOOR * statement.span
+    for name, value in tol.items():
+        _above_floor(name, scene.sensors[name].unit, value, _span(series[name]))
+
+
+def _limit(statement: Statement, value: Any) -> float:
+    """The tolerance of a sensor in its unit, not below roundoff; raises InputError where it is below."""
+    return _above_floor(statement.sensor, statement.unit, value, statement.span)
+
+
+def _above_floor(sensor: str, unit: str, value: Any, span: float) -> float:
+    """The tolerance of a sensor with this range, in its unit; see :func:`check_floor`."""
+    limit, floor = _plain(value, span), FLOOR * span
     require(
         limit >= floor,
-        f'tol of "{statement.sensor}", {limit:g} {statement.unit}, is below what roundoff allows: about {floor:.1e}.',
+        f'tol of "{sensor}", {limit:g} {unit}, is below what roundoff allows: about {floor:.1e}.',
     )
     return limit
+
+
+def _span(series: Array) -> float:
+    """Largest less smallest value of the component that moves most."""
+    return float(np.ptp(series, axis=0).max(initial=0.0))
 
 
 def _plain(value: Any, span: float) -> float:
@@ -89,8 +104,7 @@ def _plain(value: Any, span: float) -> float:
 
 def largest_share(errors: Mapping[str, Deviation], series: Mapping[str, Array], tol: Tolerance) -> float:
     """The largest of some errors over its tolerance, sensor by sensor; ``series``: of a run, whose ranges shares refer to."""
-    spans = {n: float(np.ptp(series[n], axis=0).max(initial=0.0)) for n in tol}
-    return max(errors[n].size / _plain(x, spans[n]) for n, x in tol.items())
+    return max(errors[n].size / _plain(x, _span(series[n])) for n, x in tol.items())
 
 
 def share(made: Certificate, sensor: str, value: Any, kind: str) -> float:
