@@ -156,7 +156,7 @@ def test_no_run_has_so_few_steps_that_it_follows_no_motion(monkeypatch: pytest.M
 def test_a_look_at_spaces_refuses_what_roundoff_does_not_allow() -> None:
     """Before any mesh is made for it."""
     case = CASES["elastic pendulum"]
-    with pytest.raises(InputError, match="below what roundoff allows: about 1"):
+    with pytest.raises(InputError, match="below what roundoff allows: about"):
         fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: 1e-16})
 
 
