@@ -54,7 +54,30 @@ def cam():
     return scene
 
 
-SCENES = {"ball": (ball, 1e-3), "rolling cylinder": (cylinder, 1e-3), "plate": (plate, 4e-3), "cam": (cam, 1e-3)}
+def belt():
+    """A block that a belt carries along."""
+    block = fmbd.RigidBody("block", 1.0, 1 / 600, (0, 0.05))
+    moving = fmbd.Obstacle("belt", fmbd.HalfSpace((0, 0), (0, 1)), motion=lambda t: ((2.0 * t, 0.0), 0.0))
+    scene = fmbd.Scene("belt", gravity=(0, -G))
+    feet = fmbd.corners(block, [(x, -0.05) for x in (-0.05, 0.05)])
+    scene.add(block, fmbd.contact("belt", feet, moving, friction=0.4))
+    return scene
+
+
+def board():
+    """A board at rest on 280 points."""
+    body = fmbd.RigidBody("board", 1.0, 0.1, (0, 0.05))
+    return on_floor(body, fmbd.corners(body, [(x, -0.05) for x in np.linspace(-0.5, 0.5, 280)]), friction=0.3)
+
+
+SCENES = {
+    "ball": (ball, 1e-3),
+    "rolling cylinder": (cylinder, 1e-3),
+    "plate": (plate, 4e-3),
+    "cam": (cam, 1e-3),
+    "belt": (belt, 1e-3),
+    "board": (board, 1e-3),
+}
 
 
 def seconds(make, h, steps):
