@@ -53,8 +53,9 @@ class Largest(Sensor):
         mesh = u.function_space.mesh
 
         found = np.full((len(q), 1), -np.inf)
-        for i, local in enumerate(system.local_q(q, k)):
-            nodal: Array = local if basis is None else basis @ local
+        for i in range(len(q)):
+            local = system.local_q(q[i], k)
+            nodal = local if basis is None else basis @ local
             u.x.array[: len(nodal)] = nodal
             u.x.scatter_forward()
             if len(cells):
