@@ -246,8 +246,8 @@ def test_steps_that_are_too_few_for_finer_meshes_do_not_end_the_search(
     trusted: list[int] = []  # all the same
     fine: list[fmbd.Scene] = []  # refined once at least
 
-    def finer(self: shared_runs.SharedRuns, scene: fmbd.Scene) -> fmbd.Scene:
-        fine.append(refined(self, scene))
+    def finer(self: shared_runs.SharedRuns, scene: fmbd.Scene, enough: float) -> fmbd.Scene:
+        fine.append(refined(self, scene, enough))
         return fine[-1]
 
     def too_few(scene: fmbd.Scene, steps: int) -> bool:
@@ -368,10 +368,11 @@ def test_no_run_is_made_twice(name: str, k: int, spaces: int, monkeypatch: pytes
     """Runs serve all attempts; a finer space is made only where those that are there do not tell that the error is small enough,
     or where the bodies' own has changed.
     """
-    case, made, finer = CASES[name], [], []
+    case, made, finer, systems = CASES[name], [], [], []
     march, finer_scene = single_run.march, shared_runs.finer_scene
 
     def noted(problem: Any, solver: Any, schedule: Any, *rest: Any, **more: Any) -> Any:
+        systems.append(problem.system)  # kept alive, so that their ids stay theirs
         made.append((id(problem.system), schedule.steps))
         return march(problem, solver, schedule, *rest, **more)
 
