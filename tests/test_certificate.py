@@ -138,7 +138,7 @@ def test_a_run_keeps_its_tolerance(rod_mesh: Callable[..., Any], tol: float) -> 
     assert np.abs(run["tip"][-1] - exact["tip"][-1]).max() <= tol
     assert run.certificate["tip"].total <= tol
     assert len(run.history) > (tol < 1e-2) and run.history[-1].then == "done"
-    assert "attempt 2" in run.report() and "certificate" in run.report()
+    assert f"attempt {len(run.history)}" in run.report() and "certificate" in run.report()
 
 
 def test_tolerance_of_a_reduced_body_and_of_a_scheme_with_error_control(rod_mesh: Callable[..., Any]) -> None:

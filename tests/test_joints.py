@@ -177,6 +177,15 @@ def test_multiplier_is_the_force_on_the_first_body() -> None:
         assert np.abs(run["force"] - [0.0, expected]).max() < 1e-9
 
 
+def test_multiplier_of_a_distance_is_its_force() -> None:
+    """A weight on a bar, of any length: the multiplier is a force, in N."""
+    body = fmbd.RigidBody("weight", 2.0, 0.1, position=(0.0, -3.0))
+    scene = fmbd.Scene("hanging", gravity=(0, -10.0))
+    scene.add(body, fmbd.distance("bar", fmbd.ground, body, point_a=(0.0, 0.0), point_b=(0.0, -3.0)))
+    scene.sensor("force", fmbd.reaction("bar"))
+    assert np.abs(np.abs(fmbd.solve(scene, t_end=0.01, dt=0.01)["force"]) - 20.0).max() < 1e-9
+
+
 # -- input ---------------------------------------------------------------------------------------------------
 def bodies() -> tuple[fmbd.RigidBody, fmbd.RigidBody]:
     """Two bodies of space."""

@@ -301,6 +301,8 @@ class TyreLoads(Loads):
             found = along(f.road, x, v, t)
             off = np.inf if found is None else max(abs(found[0] - height), abs(found[1] - rate) * f.radius / speed)
             self.by_jets[i] = bool(off <= 1e-6 * f.radius)
+            if self.by_jets[i] and found is not None:
+                return found
         return height, rate
 
     def _compression(self, kin: Kinematics, t: float) -> tuple[Array, Array]:

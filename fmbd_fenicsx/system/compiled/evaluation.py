@@ -200,7 +200,7 @@ class DriverStates(CompiledGeometry):
         self.calls.trusted = not self.anew
         verdict = function(self.address, room.count, *room.state_at, *places)
         self.calls.trusted = self.anew = False
-        if self.calls.error is not None:
+        if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()
         if verdict == LOOK:
             self.tables.look()
@@ -253,7 +253,7 @@ class DriverStates(CompiledGeometry):
             b, c = np.array((b.real, b.imag)), np.array((c.real, c.imag))
         q, right, below = self._given.put(twin.configurations(self._held[1]), twin.velocities(b), c)
         self.library.driver_solve(self.address, 1 + parts, q, right, below, *self._found.at)
-        if self.calls.error is not None:
+        if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()
         x = twin.forces(x)
         return (x[0] + 1j * x[1], y[0] + 1j * y[1]) if parts else (x[0].copy(), y[0].copy())

@@ -88,7 +88,9 @@ class Looks:
 
         self.complete = len(self.of) == len(system.sensed) and self.energies_known  # no state is read on its own
         # who reads a state on its own may look at any marker
-        seen = {x.marker for x in self.of.values() if x.marker >= 0} if self.complete else range(len(system.markers.frame))
+        seen = (
+            {x.marker for x in self.of.values() if x.marker >= 0} if self.complete else range(len(system.markers.frame))
+        )
         self.markers = sorted(seen)
         self.rows = any(x.rows for x in self.of.values())
         self.whole = not self.complete or any(x.states for x in self.of.values())
