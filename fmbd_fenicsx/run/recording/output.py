@@ -235,7 +235,8 @@ class Recorder:
         if self.closed is not None:
             self.closed.check_tape(seen)
 
-        gap, slip, worst, fastest = seen.drift.max(axis=0).tolist()
+        # column by column: NumPy goes along an axis of four numbers record by record
+        gap, slip, worst, fastest = (float(column.max()) for column in seen.drift.T)
         self.gap, self.slip = max(self.gap, gap), max(self.slip, slip)
         if self.closed is not None:
             self.worst_slip, self.fastest = max(self.worst_slip, worst), max(self.fastest, fastest)
