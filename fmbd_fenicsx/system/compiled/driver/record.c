@@ -53,10 +53,10 @@ static void sights(System *s, const Block *now, double *out)
     one = out, p = s->seen_place;
     for (int i = 0; i < s->seen; i++, one += SIGHT, p += D + D * D) {
         int body = s->seen_frame[i], on = body - s->bodies - 1;
-        const double *frame = s->frames + FRAME * body, *second = s->velocity + (on < 0 ? s->body[body].at_u : s->nu + TWIST * on);
         double *accel = one + FRAME, turning[D];
         memset(accel, 0, D * sizeof(double));
         if (body == s->bodies) continue; /* the ground */
+        const double *frame = s->frames + FRAME * body, *second = s->velocity + (on < 0 ? s->body[body].at_u : s->nu + TWIST * on);
         times(frame + TURN, p, arm);
         spin(second + D, arm, accel);
         spin(frame + SPIN, arm, way);
