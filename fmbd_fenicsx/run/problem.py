@@ -116,7 +116,8 @@ def _made_anew(problem: Problem, solver: StepSolver, before: TimeStepper | None,
     """
     problem.newton.theta = 0.5
     system = problem.system
-    if system.fields:  # tangents of a failed iteration are of no use
+    # tangents of a failed iteration are of no use; those of one that goes on are as good as without a jump
+    if system.fields and before is None:
         ev = system.at(state.t, state.q, state.v)
         ev.forces = state.a, state.lam
         ev.take_tangents()
