@@ -58,6 +58,7 @@ BODIES = {
         '"fly".*violate',
     ),
     "negative principal inertia": (lambda: fmbd.RigidBody("fly", 1.0, (1.0, -1.0, 1.0)), '"fly".*positive'),
+    "point mass": (lambda: fmbd.RigidBody("fly", 1.0, (0.0, 0.0, 0.0)), '"fly".*point mass'),
     "shape of the inertia": (lambda: fmbd.RigidBody("fly", 1.0, (1.0, 1.0)), '"fly".*shape'),
     "position with nan": (lambda: rod("fly", position=(0, nan, 0)).start_pose(), '"fly".*position'),
 }

@@ -84,7 +84,10 @@ class RigidBody(Body):
             raise InputError(f'Body "{self.name}": inertia is not symmetric: {J.tolist()}.')
         p = np.sort(J) if J.ndim == 1 else np.linalg.eigvalsh(J)
         if not p[0] > 0:
-            raise InputError(f'Body "{self.name}": principal inertias {p} must be positive.')
+            raise InputError(
+                f'Body "{self.name}": principal inertias {p} must be positive. A body has an attitude: give a point mass small '
+                "ones, such as 1e-6 m L^2 with a length L of the scene."
+            )
         if not p[0] + p[1] >= p[2] * (1 - 1e-9):
             raise InputError(
                 f'Body "{self.name}": principal inertias {p} violate J1 + J2 >= J3; no mass distribution has them.'
