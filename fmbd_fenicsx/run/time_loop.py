@@ -84,11 +84,12 @@ def quietly(
     if not h:
         return 0
     tape = stepper.tape(recorder.openness) if recorder.on_tape else None
-    rider = events if tape is not None and recorder.output.on_step is None else None
-    if rider is not None and tape is not None and rider.rides(tape):
-        watched = False
-    elif watched:  # every step, and records are what is seen then
-        rider, most = None, 1
+    rider = None
+    if events is not None and recorder.output.on_step is None and tape is not None and events.rides(tape):
+        rider = events
+    watched = watched and rider is None
+    if watched:  # every step, and records are what is seen then
+        most = 1
     quiet = recorder.quiet(done, t, h, through=not equal) if tape is None else recorder.free(t, h)
     steps = min(quiet, schedule.steps - done if equal else quiet, most)
     if steps == 1 and tape is None and equal and not watched:

@@ -285,24 +285,32 @@ class TyreLoads(Loads):
 
     def _height(self, i: int, x: Array, v: Array, t: float) -> tuple[float, float]:
         """The road under tyre i at a place x, and its rate along the way of the wheel, in time too: m, m/s."""
-        f, road = self.forces[i], self.laws[i]
+        f = self.forces[i]
         if self.by_jets.get(i) and not AGREEMENTS:
             found = along(f.road, x, v, t)
             if found is not None:
                 return found
 
+        height, rate = self._height_by_differences(i, x, v, t)
+        speed = float(np.abs(v).max())
+        if i in self.by_jets or not speed:
+            return height, rate
+
+        # the wheel moves for the first time
+        found = along(f.road, x, v, t)
+        off = np.inf if found is None else max(abs(found[0] - height), abs(found[1] - rate) * f.radius / speed)
+        self.by_jets[i] = bool(off <= 1e-6 * f.radius)
+        return found if found is not None and self.by_jets[i] else (height, rate)
+
+    def _height_by_differences(self, i: int, x: Array, v: Array, t: float) -> tuple[float, float]:
+        """The same by numbers alone."""
+        f, road = self.forces[i], self.laws[i]
         height = float(checked(f.name, road(x, t), 1, t, ROAD)[0])
         rate = rates(partial(road, x), t)[0]
         speed = float(np.abs(v).max())
         if speed:
             step = 1e-5 * f.radius * v / speed
             rate += (float(road(x + step, t)) - float(road(x - step, t))) * speed / (2e-5 * f.radius)
-        if i not in self.by_jets and speed:
-            found = along(f.road, x, v, t)
-            off = np.inf if found is None else max(abs(found[0] - height), abs(found[1] - rate) * f.radius / speed)
-            self.by_jets[i] = bool(off <= 1e-6 * f.radius)
-            if self.by_jets[i] and found is not None:
-                return found
         return height, rate
 
     def _compression(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
