@@ -11,7 +11,7 @@ from typing import Any, TypeGuard
 from ..rotations import Array
 from ..system.compiled.choice import solves
 from ..system.compiled.evaluation import DriverEvaluation, DriverStates
-from ..system.compiled.explicit import ExplicitStates, Stages, Tableau
+from ..system.compiled.explicit import ExplicitStates, Found, Stage, Stages, Tableau
 from ..system.compiled.field_states import FieldStates
 from ..system.evaluation import Evaluation
 from ..system.system import State, System
@@ -86,10 +86,21 @@ class DriverSolver:
         usable, self.ready = self._usable_at(state.t, state.q, state.v), False
         return self.explicit.stages((state.t, h), (state.q, state.v, state.a), tableau) if usable else None
 
-    def half_stage(self, state: State, *given: Any) -> tuple[Array, Array, int] | None:
-        """A stage of a half-explicit method in one call, see ExplicitStates; ``state``: the start of the step."""
+    def stage(self, stage: Stage, *given: Any) -> Found | None:
+        """Accelerations and multipliers of a stage in one call, see ExplicitStates; None as above."""
+        usable, self.ready = self._usable_at(stage.times[0], stage.q, stage.v), False
+        found = self.explicit.stage(stage, *given) if usable else None
+        self.ready, self._weights = found is not None and not stage.damping, MASSES
+        return found
+
+    def half_stages(self, state: State, h: float, *given: Any) -> tuple[Stages, Found] | None:
+        """All stages of a half-explicit method from a state in one call, likewise. Nothing is prepared then."""
         usable, self.ready = self._usable_at(state.t, state.q, state.v), False
-        return self.explicit.half_stage(*given) if usable else None
+        return (
+            self.explicit.half_stages((state.t, h), (state.q, state.v), (state.a, state.lam), *given)
+            if usable
+            else None
+        )
 
     def new_factors(self) -> int:
         """Factorisations since the last call."""

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 # fmt: off
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
- GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED) = range(25)
+ GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED) = range(PARAMETERS := 25)
 # fmt: on
 COUNTED = [ITERATIONS, LOCAL, LEFT]  # by a march, from zero
 DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE = enumeration("DONE").values()
@@ -51,7 +51,7 @@ class AlphaDriver:
         self.tables, self.calls = tables, calls
         self.address = ctypes.addressof(self.tables.c)
         self.ring = Ring(system, 4)
-        self.parameters = np.zeros(25)
+        self.parameters = np.zeros(PARAMETERS)
         self._verdict = ctypes.c_int(0)
         self._tape: Tape | None = None
 

@@ -23,6 +23,7 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
+from ...system.compiled.explicit import Found, Stages
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
 from ..consistent import accelerations
@@ -98,25 +99,20 @@ class HalfExplicitStepper(ExplicitStepper):
         """(1), (2): the new state before projection, and the errors of xi and v."""
         system, s = self.system, self.state
         c, A, difference = coefficients()
-        xi = np.zeros_like(s.v)
-        v = s.v
-        lam = s.lam
-        rates: list[Array] = []
-        pushes: list[Array] = []
-        a = s.a
-        for i in range(5):
-            rates.append(system.rate(xi, v))
-            q = system.compose(s.q, xi)
-            xi = h * (A[i + 1, : i + 1] @ np.array(rates))
-            known = s.v + h * (A[i + 1, :i] @ np.array(pushes)) if i else s.v
-            end = system.compose(s.q, xi)
-            a, lam = self._stage(s.t + h * c[i : i + 2], (q, v, end, known), h * A[i + 1, i], (a, lam))
-            pushes.append(a)
-            v = known + h * A[i + 1, i] * a
+        nothing = MOVES_NOTHING * system.length / (h * h)  # a body that is held has roundoff only
+        self.stats.residuals += len(difference)
+        self.stats.factorisations += len(difference)
+
+        driver = self.solver.driver
+        found = None if driver is None else driver.half_stages(s, h, ((c, A), nothing))
+        (rates, pushes, xi, v), (a, lam, solves) = self._stages(h, nothing) if found is None else found
+        self.stats.solves += solves
+
         # stage multipliers are of low order: their share of the difference lies across the constraints and is projected out
-        errors = h * (difference @ np.array(rates)), h * (difference @ np.array(pushes))
+        errors = h * (difference @ rates), h * (difference @ pushes)
+        q = system.compose(s.q, xi)
         if system.n_lam and self.scheme.rtol is not None:
-            after = system.at(s.t + c[5] * h, end, known)
+            after = system.at(s.t + c[-1] * h, q, v)
             self.solver.prepare(after, MASS)
             zero = np.zeros_like(v)
             across_q, across_v = (after.jacobian.times(e) for e in errors)
@@ -124,29 +120,36 @@ class HalfExplicitStepper(ExplicitStepper):
             across_q[speed_rows(system)] = 0.0  # rows on velocities hold no places: errors of these stay
             e_q, e_v = (e - self.solver.solve(zero, x)[0] for e, x in zip(errors, (across_q, across_v), strict=True))
             errors = e_q, e_v
-        return State(s.t + h, system.compose(s.q, xi), v, a, lam), errors
+        return State(s.t + h, q, v, a, lam), errors
+
+    def _stages(self, h: float, nothing: float) -> tuple[Stages, Found]:
+        """All stages one by one, as the driver finds them; ``nothing``: the acceleration that counts as none."""
+        system, s = self.system, self.state
+        c, A, _ = coefficients()
+        xi, v, a, lam = np.zeros_like(s.v), s.v, s.a, s.lam
+        rates: list[Array] = []
+        pushes: list[Array] = []
+        solves = 0
+        for i in range(len(c) - 1):
+            rates.append(system.rate(xi, v))
+            q = system.compose(s.q, xi)
+            xi = h * (A[i + 1, : i + 1] @ np.array(rates))
+            known = s.v + h * (A[i + 1, :i] @ np.array(pushes)) if i else s.v
+            given = q, v, system.compose(s.q, xi), known
+            a, lam, took = self._stage(s.t + h * c[i : i + 2], given, (h * A[i + 1, i], nothing), (a, lam))
+            solves += took
+            pushes.append(a)
+            v = known + h * A[i + 1, i] * a
+        return (np.array(rates), np.array(pushes), xi, v), (a, lam, solves)
 
     def _stage(
-        self, times: Array, given: tuple[Array, ...], h: float, guess: tuple[Array, Array]
-    ) -> tuple[Array, Array]:
+        self, times: Array, given: tuple[Array, ...], sizes: tuple[float, float], guess: tuple[Array, Array]
+    ) -> Found:
         """(2) for one stage: G_j gives the force, G_j+1 the constraint; solved with the symmetric matrix of the stage, repeated.
 
-        ``given``: q_j, v_j, q_j+1, and v_j+1 without this stage, which adds h a.
+        ``given``: q_j, v_j, q_j+1, and v_j+1 without this stage, which adds h a. ``sizes``: h, and the acceleration that counts
+        as none.
         """
-        self.stats.residuals += 1
-        self.stats.factorisations += 1
-        nothing = MOVES_NOTHING * self.system.length / (h * h)  # a body that is held has roundoff only
-        driver = self.solver.driver
-        found = None if driver is None else driver.half_stage(self.state, times, (h, nothing), given, guess)
-        if found is None:
-            return self._iterated_stage(times, given, (h, nothing), guess)
-        self.stats.solves += found[2]
-        return found[:2]
-
-    def _iterated_stage(
-        self, times: Array, given: tuple[Array, ...], sizes: tuple[float, float], guess: tuple[Array, Array]
-    ) -> tuple[Array, Array]:
-        """The same in parts."""
         (q, v, end, known), (h, nothing), (a, lam), n = given, sizes, guess, self.system.n_lam
         ev = self.system.at(float(times[0]), q, v)
         after = self.system.at(float(times[1]), end, known)  # drives ask for velocities
@@ -154,18 +157,17 @@ class HalfExplicitStepper(ExplicitStepper):
         rate = after.constraint_rate() if n else np.zeros(0)
 
         last = np.inf
-        for _ in range(50):
+        for k in range(50):
             r = ev.balance(a, lam)
             slip = (after.jacobian.times(known + h * a) + rate) / h if n else np.zeros(0)
             da, dlam = self.solver.solve(-r, -slip)
-            self.stats.solves += 1
             a, lam = a + da, lam + dlam
 
             size = self.system.max_abs(da)
             scale = max(self.system.max_abs(a), 1e-300)
             stalled = size >= 0.5 * last and size <= 1e-9 * scale
             if stalled or size <= max(1e-13 * scale, nothing):
-                return a, lam
+                return a, lam, k + 1
             if not np.isfinite(size) or size > 2 * last:
                 break
             last = size

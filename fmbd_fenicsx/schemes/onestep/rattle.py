@@ -24,6 +24,7 @@ from ...errors import BalanceError, ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...rotations import Array
+from ...system.compiled.explicit import Stage
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
@@ -31,6 +32,7 @@ from ...system.system import State, System
 from ..dae import positions_refused
 from ..newton import Newton
 from ..stepping import TimeStepper
+from .alpha_driver import LEFT, MAXIT, NEW_TANGENT, PARAMETERS, SLOW, THETA, TOL
 from .explicit_limit import StepLimit
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -78,6 +80,7 @@ class RattleStepper(TimeStepper):
         self.half = state.lam
         self.ahead: tuple[Array, Array] = np.zeros_like(state.a), np.zeros_like(state.lam)
         self.damped = False
+        self.parameters = np.zeros(PARAMETERS)  # of Newton's iteration in compiled code
         self.limit = StepLimit("RATTLE", system, solver, amplification)
 
     def _prepare(self, ev: Evaluation, weights: Weights = MASS) -> None:
@@ -102,7 +105,7 @@ class RattleStepper(TimeStepper):
         v = s.v + 0.5 * h * a
         q = system.compose(s.q, h * v)
         # second half, which closes the velocities
-        a, self.half = self._solve_second(system.at(t, q, v), v, h)
+        a, self.half = self._solve_second(t, (q, v), h)
         v = v + 0.5 * h * a
         # accelerations and multipliers of the end, for records
         driver = self.solver.driver
@@ -120,17 +123,49 @@ class RattleStepper(TimeStepper):
     def _to_half(self, h: float) -> tuple[Array, Array]:
         """a = 2 (v_1/2 - v_n) / h and lambda of (1), by Newton's iteration with the matrix at q_n."""
         system, s = self.system, self.state
-        a, lam = s.a + h * self.ahead[0], s.lam.copy()
+        guess = s.a + h * self.ahead[0], s.lam.copy()
         if (
             not self.solver.core.redundant
         ):  # the smallest multipliers of dependent rows have none that grow from step to step
-            lam += h * self.ahead[1]
-        weights = Weights(1.0, 0.5 * h, 0.0) if self.damped else MASS
-        begun: Evaluation | None = None
+            guess[1][:] += h * self.ahead[1]
 
         # increments move positions by h^2 a / 2: no less than roundoff
         floor = 64 * np.finfo(float).eps * system.length
         tolerance = max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
+
+        half = Stage(
+            (s.t, s.t + h), s.q, s.v, s.q, h * s.v, 0.5 * h, 0.5 * h * h, 0.5 * h * self.damped, on_places=True
+        )
+        found = self._compiled_stage(half, guess, tolerance)
+        a, lam, increments = self._iterated_half(h, guess, tolerance) if found is None else found
+        self.ahead = (a - s.a) / h, (lam - s.lam) / h
+        self.damped |= increments > PATIENCE and not system.fields
+        return a, lam
+
+    def _compiled_stage(
+        self, stage: Stage, guess: tuple[Array, Array], tolerance: float | None = None
+    ) -> tuple[Array, Array, int] | None:
+        """a, lambda and the number of increments of a half step in one call, to a tolerance (m) of places or to roundoff."""
+        driver, newton = self.solver.driver, self.newton
+        if driver is None:
+            return None
+        if tolerance is None:
+            return driver.stage(stage, guess)
+        p = self.parameters
+        p[TOL], p[THETA], p[SLOW], p[MAXIT] = tolerance / stage.c, newton.theta, newton.slow, newton.max_iterations
+        p[NEW_TANGENT], p[LEFT] = newton.patience, 0.0
+        found = driver.stage(stage, guess, p)
+        if found is not None:
+            newton.theta = float(p[THETA])
+            newton.iterations += found[2]
+            newton.note(float(p[LEFT]))
+        return found
+
+    def _iterated_half(self, h: float, guess: tuple[Array, Array], tolerance: float) -> tuple[Array, Array, int]:
+        """The same for (1) in parts."""
+        system, s, (a, lam) = self.system, self.state, guess
+        weights = Weights(1.0, 0.5 * h, 0.0) if self.damped else MASS
+        begun: Evaluation | None = None
 
         def increment() -> float:
             nonlocal a, lam, begun
@@ -154,12 +189,15 @@ class RattleStepper(TimeStepper):
                 + " -> ".join(f"{x:.1e}" for x in history)
                 + ". Take a smaller dt."
             )
-        self.ahead = (a - s.a) / h, (lam - s.lam) / h
-        self.damped |= len(history) > PATIENCE and not system.fields
-        return a, lam
+        return a, lam, len(history)
 
-    def _solve_second(self, ev: Evaluation, v: Array, h: float) -> tuple[Array, Array]:
-        """a = 2 (v_n+1 - v_1/2) / h and mu of (2)."""
+    def _solve_second(self, t: float, end: tuple[Array, Array], h: float) -> tuple[Array, Array]:
+        """a = 2 (v_n+1 - v_1/2) / h and mu of (2); ``end``: q_n+1 and v_1/2."""
+        q, v = end
+        found = self._compiled_stage(Stage((t, t), q, v, q, v, 0.0, 0.5 * h), (self.state.a, self.half))
+        if found is not None:
+            return found[:2]
+        ev = self.system.at(t, q, v)
         slip = ev.opening() if self.system.n_lam else np.zeros(0)
         self._prepare(ev)
         return self._refine(ev, self.state.a, self.half, lambda a: ev.jacobian.times(a) + 2.0 / h * slip)

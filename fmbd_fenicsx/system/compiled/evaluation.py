@@ -242,7 +242,7 @@ class DriverStates(CompiledGeometry):
 
     def hold(self, t: float | None, q: Array | None = None, v: Array | None = None, *, new: bool = True) -> None:
         """Take note that the factor is that of the masses in a state, or, without one, of nothing that is known."""
-        self._held = None if t is None or q is None or v is None else (t, q, v, (0.0, 0.0))
+        self._held = None if t is None or q is None or v is None else (t, q.copy(), v.copy(), (0.0, 0.0))
         self.factors += self._held is not None and new
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ None as an answer: NumPy has to do, or has something to say.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,29 @@ if TYPE_CHECKING:
 LOOK = enumeration("DONE")["LOOK"]  # a verdict
 Tableau = tuple[Array, Array]  # nodes c (stages,), rows A (stages + 1, stages) with the weights last
 Stages = tuple[Array, Array, Array, Array]  # rates and accelerations (stages, n_v); xi and v at the end
+Found = tuple[Array, Array, int]  # a and lambda of a stage, and how many solutions that took
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Accelerations and multipliers whose balance holds in one configuration, and whose rows in another (explicit.c):
+
+        M a + f(q, v + b a) + G^T lambda = 0        at the first of two times
+        G (known + c a) + g_t = 0 at ``after``,     or, ``on_places``, g(after o exp(known + c a)) = 0,     at the second
+
+    ``b`` in s, ``c`` in s, or s^2; ``damping``: its weight in the matrix (s); ``nothing``: the acceleration that counts as none.
+    """
+
+    times: tuple[float, float]
+    q: Array
+    v: Array
+    after: Array
+    known: Array
+    b: float
+    c: float
+    damping: float = 0.0
+    nothing: float = 0.0
+    on_places: bool = False
 
 
 class ExplicitStates:
@@ -27,7 +51,7 @@ class ExplicitStates:
         self.states, self.system = states, states.system
         tables = states.tables
         s = tables.system
-        self.room = np.zeros(2 * s.n_q + 2 * s.n_v + 5 * s.n_lam + tables.nu)
+        self.room = np.zeros(3 * s.n_q + 3 * s.n_v + 5 * s.n_lam + tables.nu)
         self.place = address_of(self.room)
 
     def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
@@ -64,22 +88,50 @@ class ExplicitStates:
         made = self._ask(self.states.library.driver_stages, (len(c), t, h, self.system.length), arrays)
         return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(after)) if made else None
 
-    def half_stage(
-        self, times: Array, sizes: tuple[float, float], given: tuple[Array, ...], guess: tuple[Array, Array]
-    ) -> tuple[Array, Array, int] | None:
-        """a and lambda of a stage of a half-explicit method, and how many solutions that took.
+    def stage(self, stage: Stage, guess: tuple[Array, Array], newton: Array | None = None) -> Found | None:
+        """a and lambda of a stage from a guess of them: to roundoff, or as far as ``newton`` says, the parameters of a march.
 
-        ``times``: of the stage and of the end of what it moves, (2,). ``sizes``: h times its weight (s); the acceleration that
-        counts as none. ``given``: q and v of the stage, q at the end, v there without this stage. ``guess``: of a and lambda.
+        The matrix of the masses at q is kept.
         """
-        twin = self.states.twin
-        (q, v, after, known), a, lam = given, twin.velocities(guess[0].copy()), guess[1].copy()
+        states, twin, o = self.states, self.states.twin, stage
+        a, lam = twin.velocities(guess[0].copy()), guess[1].copy()
+        solves = np.zeros(1, dtype=np.int64)
+        sizes, times = np.array((o.b, o.c, o.damping, o.nothing)), np.array(o.times)
+        q, after = twin.configurations(o.q), twin.configurations(o.after)
+        v, known = twin.velocities(o.v), twin.velocities(o.known)
+        factored = not o.damping and states.holds_masses(o.times[0], o.q)
+
+        arrays: tuple[Any, ...] = (sizes, times, q, v, after, known, a, lam, solves, newton)
+        if not self._ask(states.library.driver_stage, (o.on_places, factored), arrays):
+            return None
+        if not o.damping:
+            states.hold(o.times[0], o.q, o.v, new=not factored)
+        return twin.forces(a), lam, int(solves[0])
+
+    def half_stages(
+        self,
+        span: tuple[float, float],
+        start: tuple[Array, Array],
+        guess: tuple[Array, Array],
+        rule: tuple[Tableau, float],
+    ) -> tuple[Stages, Found] | None:
+        """All stages of a step of a half-explicit method, and a, lambda of the last one.
+
+        ``span``: where the step begins, and its size (s). ``start``: q and v there. ``rule``: nodes c (stages + 1,) and rows A
+        (stages + 1, stages), and the acceleration that counts as none.
+        """
+        ((c, A), nothing), twin = rule, self.states.twin
+        a, lam = twin.velocities(guess[0].copy()), guess[1].copy()
+        rates, pushes = np.empty((2, len(c) - 1, len(a)))
+        xi, v = np.empty((2, len(a)))
         solves = np.zeros(1, dtype=np.int64)
 
-        q, after = twin.configurations(q), twin.configurations(after)
-        arrays: tuple[Any, ...] = (times, q, twin.velocities(v), after, twin.velocities(known), a, lam, solves)
-        made = self._ask(self.states.library.driver_half_stage, sizes, arrays)
-        return (twin.forces(a), lam, int(solves[0])) if made else None
+        q0, v0 = twin.configurations(start[0]), twin.velocities(start[1])
+        arrays: tuple[Any, ...] = (c, A, q0, v0, a, lam, rates, pushes, xi, v, solves)
+        if not self._ask(self.states.library.driver_half_stages, (len(c) - 1, *span, nothing), arrays):
+            return None
+        last = twin.forces(a), lam, int(solves[0])
+        return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(v)), last
 
     def _bias(self, times: Array) -> Array:
         """What prescribed motions add to gamma at several times, (k, n_lam)."""
@@ -88,7 +140,7 @@ class ExplicitStates:
             bias[:, rows] -= [[motion(float(t))[2] for motion in motions] for t in times]
         return bias
 
-    def _ask(self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array, ...]) -> bool:
+    def _ask(self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array | None, ...]) -> bool:
         """One call of a function of numbers, arrays and room to work in; whether it has found an answer."""
         states = self.states
         if states.taken:
@@ -96,8 +148,9 @@ class ExplicitStates:
         states.hold(None)
         states.tables.recall()
 
-        given = [np.ascontiguousarray(x) for x in arrays]  # alive until C is done
-        verdict = function(states.address, *numbers, *(address_of(x) for x in given), self.place)
+        given = [None if x is None else np.ascontiguousarray(x) for x in arrays]  # alive until C is done
+        places = [None if x is None else address_of(x) for x in given]
+        verdict = function(states.address, *numbers, *places, self.place)
         states.calls.raise_error()
         if verdict == LOOK:
             states.tables.look()

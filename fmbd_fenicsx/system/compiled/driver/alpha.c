@@ -36,7 +36,7 @@ int judge(double *p, const double *sizes, int done, double *error)
 }
 
 /* Whether an iteration that converges would still take more increments than its tangent is worth. */
-static int lingers(const double *p, int done, double left)
+int lingers(const double *p, int done, double left)
 {
     return done > 1 && left > 1.0 && -log(left) / log(p[THETA]) > p[NEW_TANGENT];
 }

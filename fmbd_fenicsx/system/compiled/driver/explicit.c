@@ -167,37 +167,118 @@ EXPORT int driver_stages(System *s, int stages, double t, double h, double lengt
     return DONE;
 }
 
-/* One stage of a half-explicit method, (2) of schemes/onestep/half_explicit.py: a and lambda, which begin as a guess, with the balance
-   at (times[0], q, v) and the rows at (times[1], after) on the speeds known + h a. Below ``nothing`` an increment counts as none.
-   ``solves`` counts. ``room``: 2 nv + 2 rows. */
-EXPORT int driver_half_stage(System *s, double h, double nothing, const double *times, const double *q, const double *v,
-                             const double *after, const double *known, double *a, double *lam, long *solves, double *room)
+/* A stage: accelerations a and multipliers lambda whose balance holds at one place, and whose rows hold at another:
+
+     M a + f(q, v + b a) + G^T lambda = 0    at times[0]                                                             (1)
+     G (known + c a) + g_t = 0  at q = after,    or    g(after o exp(known + c a)) = 0,    at times[1]                (2) */
+typedef struct {
+    const double *times, *q, *v, *after, *known;
+    double b, c;
+    double damp, nothing;    /* weight of damping in the matrix; below which an increment counts as none */
+    int on_places, factored; /* the second of (2); whether the matrix is factored already */
+} Stage;
+
+/* 1 where increments have come down to roundoff, -1 where they grow, 0 to go on. */
+static int at_roundoff(double size, double last, double scale, double nothing)
 {
-    double *x = room, *speeds = x + s->nv, *y = speeds + s->nv, *open = y + s->rows, last = INFINITY, asked = NAN;
+    int stalled = size >= 0.5 * last && size <= 1e-9 * scale;
+    if (stalled || size <= fmax(1e-13 * scale, nothing)) return 1;
+    return !(size < INFINITY) || size > 2.0 * last ? -1 : 0;
+}
+
+/* The rates of (2) that a stage leaves open, or its places. */
+static int open_rows(System *s, const Stage *o, const double *a, double *change, double *moved, double *open)
+{
     int verdict;
+    memcpy(change, o->known, s->nv * sizeof(double));
+    add(change, o->c, a, s->nv);
+    if (o->on_places) configuration(s, o->after, change, moved);
+    if ((verdict = o->on_places ? place(s, moved, o->v) : place(s, o->after, change))) return verdict;
+    drift(s);
+    memcpy(open, o->on_places ? s->gap : s->slip, s->rows * sizeof(double));
+    return DONE;
+}
+
+/* a and lambda, which begin as a guess, by Newton's iteration with the matrix at q: to the tolerance of the parameters p of a
+   march, or (NULL) to roundoff. ``solves`` counts. ``room``: 2 nv + 2 rows + nq. */
+static int solve_stage(System *s, const Stage *o, double *p, double *a, double *lam, long *solves, double *room)
+{
+    double *x = room, *speeds = x + s->nv, *y = speeds + s->nv, *open = y + s->rows, *moved = open + s->rows;
+    double last = INFINITY, asked = NAN, left = 0.0, sizes[MOST];
+    int verdict, most = p ? (int)fmin(p[MAXIT], MOST) : HALF;
 
     if (s->redundant) memset(lam, 0, s->rows * sizeof(double)); /* the smallest follow from none */
-    for (int k = 0; k < HALF; k++) {
-        memcpy(speeds, known, s->nv * sizeof(double));
-        add(speeds, h, a, s->nv);
-        if ((verdict = sample(s, times[1], &asked)) || (verdict = place(s, after, speeds))) return verdict;
-        drift(s);
-        memcpy(open, s->slip, s->rows * sizeof(double));
+    for (int k = 0; k < most; k++) {
+        if ((verdict = sample(s, o->times[1], &asked)) || (verdict = open_rows(s, o, a, speeds, moved, open))) return verdict;
+        memcpy(speeds, o->v, s->nv * sizeof(double));
+        add(speeds, o->b, a, s->nv);
+        if ((verdict = sample(s, o->times[0], &asked)) || (verdict = evaluate(s, o->q, speeds, a, lam, o->times[0]))) return verdict;
+        if (k == 0 && !o->factored && (verdict = prepare(s, o->q, o->damp, 0.0, lam, 0, o->times[0]))) return verdict;
 
-        if ((verdict = sample(s, times[0], &asked)) || (verdict = evaluate(s, q, v, a, lam, times[0]))) return verdict;
-        if (k == 0 && (verdict = prepare(s, q, 0.0, 0.0, lam, 0, times[0]))) return verdict;
         for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
-        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -open[i] / h;
-        if ((verdict = with_fields(s, 1.0, x, y, times[0]))) return verdict;
+        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -open[i] / o->c;
+        if ((verdict = with_fields(s, 1.0, x, y, o->times[0]))) return verdict;
         add(a, 1.0, x, s->nv);
         add(lam, 1.0, y, s->rows);
         (*solves)++;
 
-        double size = largest_of(s->units, x, s->nv), scale = fmax(largest_of(s->units, a, s->nv), 1e-300);
-        int stalled = size >= 0.5 * last && size <= 1e-9 * scale;
-        if (stalled || size <= fmax(1e-13 * scale, nothing)) return DONE;
-        if (!(size < INFINITY) || size > 2.0 * last) return NEWTON;
+        double size = largest_of(s->units, x, s->nv);
+        int ended;
+        if (p) {
+            sizes[k] = size / p[TOL];
+            ended = judge(p, sizes, k + 1, &left);
+            if (s->fields && lingers(p, k + 1, left)) return NEWTON; /* new tangents are Python's */
+        } else ended = at_roundoff(size, last, fmax(largest_of(s->units, a, s->nv), 1e-300), o->nothing);
+        if (ended < 0) return NEWTON;
+        if (ended && (!p || !s->redundant || k > 0)) { /* the first solution of dependent rows leaves them open */
+            if (p) p[LEFT] += left;
+            return DONE;
+        }
         last = size;
     }
     return NEWTON;
+}
+
+/* One stage. ``sizes``: b, c, damp and nothing of it; ``newton``: parameters of a march, or NULL. */
+EXPORT int driver_stage(System *s, int on_places, int factored, const double *sizes, const double *times, const double *q,
+                        const double *v, const double *after, const double *known, double *a, double *lam, long *solves,
+                        double *newton, double *room)
+{
+    Stage one = {times, q, v, after, known, sizes[0], sizes[1], sizes[2], sizes[3], on_places, factored};
+    return solve_stage(s, &one, newton, a, lam, solves, room);
+}
+
+/* All stages of a half-explicit method in local coordinates xi about q0, (1) and (2) of schemes/onestep/half_explicit.py, with the nodes
+   c (stages + 1) and A, (stages + 1) x stages. a and lambda begin as a guess and end as those of the last stage; rates and pushes:
+   stages x nv; xi and v: the end of the step. ``room``: 2 nq + nv and that of a stage. */
+EXPORT int driver_half_stages(System *s, int stages, double t, double h, double nothing, const double *c, const double *A,
+                              const double *q0, const double *v0, double *a, double *lam, double *rates, double *pushes, double *xi,
+                              double *v, long *solves, double *room)
+{
+    double *q = room, *after = q + s->nq, *known = after + s->nq, *rest = known + s->nv;
+    int verdict;
+
+    memset(xi, 0, s->nv * sizeof(double));
+    memcpy(v, v0, s->nv * sizeof(double));
+    for (int i = 0; i < stages; i++) {
+        const double *share = A + (i + 1) * stages;
+        double *rate = rates + (long)i * s->nv, times[2] = {t + h * c[i], t + h * c[i + 1]};
+        memcpy(rate, v, s->nv * sizeof(double));
+        for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, rate + TWIST * b);
+        configuration(s, q0, xi, q);
+
+        /* where the next stage is, and its velocity without this one */
+        memset(xi, 0, s->nv * sizeof(double));
+        memcpy(known, v0, s->nv * sizeof(double));
+        for (int j = 0; j <= i; j++) add(xi, h * share[j], rates + (long)j * s->nv, s->nv);
+        for (int j = 0; j < i; j++) add(known, h * share[j], pushes + (long)j * s->nv, s->nv);
+        configuration(s, q0, xi, after);
+
+        Stage one = {times, q, v, after, known, 0.0, h * share[i], 0.0, nothing, 0, 0};
+        if ((verdict = solve_stage(s, &one, NULL, a, lam, solves, rest))) return verdict;
+        memcpy(pushes + (long)i * s->nv, a, s->nv * sizeof(double));
+        memcpy(v, known, s->nv * sizeof(double));
+        add(v, h * share[i], a, s->nv);
+    }
+    return DONE;
 }
