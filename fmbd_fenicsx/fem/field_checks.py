@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import dolfinx_compat as compat
 from ..errors import InputError
 from ..log import log
 from ..rotations import Array
@@ -110,8 +111,6 @@ def _warn_of_slender_cells(field: Any) -> None:
 
 def _largest_aspect(msh: Any) -> float:
     """Largest edge over height d V / A of this rank's cells (A the largest facet), straight simplices; 0 for others."""
-    from .. import dolfinx_compat as compat
-
     cells = compat.geometry_dofmap(msh)
     d = msh.topology.dim
     if not len(cells) or cells.shape[1] != d + 1:

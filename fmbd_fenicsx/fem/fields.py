@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import dolfinx_compat as compat
 from ..energies import StoredEnergy, ViscousForm
 from ..errors import InputError
 from ..log import together
@@ -77,8 +78,6 @@ class Field:
         import ufl
         from dolfinx import fem
 
-        from .. import dolfinx_compat as compat
-
         compat.check_versions()
         self.name, self.forms, self.mesh = name, forms, mesh
         self.redistributed = False
@@ -130,8 +129,6 @@ class Field:
         """Compile the stiffness form, and for an energy Pi(u) the residual dPi/du and Pi itself."""
         import ufl
         from dolfinx import fem
-
-        from .. import dolfinx_compat as compat
 
         u = ufl.TrialFunction(self.space)
         v = ufl.TestFunction(self.space)
@@ -281,8 +278,6 @@ class Field:
     def moving_tangent(self) -> Any:
         """Compiled stiffness of loads on the deformed body and of a nonlinear viscous law, symmetric half; None without."""
         import ufl
-
-        from .. import dolfinx_compat as compat
 
         parts = [self.viscous.law] if self.viscous.law is not None else []
         if self.loads.moving:

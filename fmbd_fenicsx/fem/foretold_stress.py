@@ -17,12 +17,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from .. import dolfinx_compat as compat
+
 
 def geometric_change(field: Any, increment: Any) -> Any:
     """Compiled form of what (1) adds to the tangent of a field with a stored energy W(C), for the ``increment`` d, a function."""
     import ufl
-
-    from .. import dolfinx_compat as compat
 
     dx, w = field.elastic_measure, field.argument
     density = field.forms.energy.density(dx.ufl_domain())

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import dolfinx_compat as compat
 from ..checks import check_fields, number, typed, vector
 from ..errors import CallbackError, InputError, named
 from ..rotations import Array
@@ -159,8 +160,6 @@ class AppliedLoads:
     def __init__(self, field: Any, loads: Sequence[Load]) -> None:
         import ufl
         from dolfinx import fem
-
-        from .. import dolfinx_compat as compat
 
         self.field, self.loads = field, tuple(loads)
         msh = field.mesh.dolfinx

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import dolfinx_compat as compat
 from ..energies import MixedEnergy
 from ..errors import InputError
 from ..rotations import Array
@@ -50,8 +51,6 @@ class MixedField(Field):
     def _elastic_form(self, dx: Any) -> None:
         import ufl
         from dolfinx import fem
-
-        from .. import dolfinx_compat as compat
 
         self._energy: MixedEnergy = self.forms.energy or self.forms.elastic  # type: ignore[assignment]
         degree = self.forms.degree
@@ -178,8 +177,6 @@ class MixedField(Field):
         """Second rate of the volume, compiled, and the functions that hold velocity and acceleration."""
         import ufl
         from dolfinx import fem
-
-        from .. import dolfinx_compat as compat
 
         V, A = fem.Function(self.space), fem.Function(self.space)
         first = ufl.derivative(self._balance, self._w, V)

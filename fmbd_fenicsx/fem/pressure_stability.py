@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import dolfinx_compat as compat
 from ..rotations import Array
 
 
@@ -45,8 +46,6 @@ def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clam
     from dolfinx import fem
     from petsc4py import PETSc
     from slepc4py import SLEPc
-
-    from .. import dolfinx_compat as compat
 
     msh = mesh.dolfinx
     V = fem.functionspace(msh, ("Lagrange", degree, (mesh.dim,)))

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import dolfinx_compat as compat
 from ..rotations import Array
 
 
@@ -51,8 +52,6 @@ class Weighted:
     def __init__(self, space: Any, mesh: Any, surface: str, n_owned: int) -> None:
         import ufl
         from dolfinx import fem
-
-        from .. import dolfinx_compat as compat
 
         msh, self.n_owned = mesh.dolfinx, n_owned
         ds = ufl.Measure("ds", domain=msh, subdomain_data=mesh.facet_tags)(mesh.surface_tag(surface))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import dolfinx_compat as compat
 from ..energies import ViscousForm
 from ..errors import InputError
 from ..rotations import Array
@@ -31,8 +32,6 @@ class Viscous:
         import dolfinx.fem.petsc as fp
         import ufl
         from dolfinx import fem
-
-        from .. import dolfinx_compat as compat
 
         self.field = field
         self.law: Any = None

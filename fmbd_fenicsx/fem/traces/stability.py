@@ -26,6 +26,7 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from ... import dolfinx_compat as compat
 from ...checks import shown, typed
 from ...errors import InputError
 from ...mesh import Mesh
@@ -128,8 +129,6 @@ class BodyNorm:
         import ufl
         from dolfinx import fem
         from petsc4py import PETSc
-
-        from ... import dolfinx_compat as compat
 
         msh = mesh.dolfinx
         self.mesh, self.comm = mesh, msh.comm

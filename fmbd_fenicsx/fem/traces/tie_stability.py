@@ -26,6 +26,7 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from ... import dolfinx_compat as compat
 from ...errors import InputError
 from ...rotations import Array
 from .mortar import mortar
@@ -99,7 +100,6 @@ def halved(mesh: Any, surface: str) -> Any:
     """
     from dolfinx import mesh as dmesh
 
-    from ... import dolfinx_compat as compat
     from ...mesh import Mesh
 
     d = mesh.dim

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from ... import dolfinx_compat as compat
 from ...checks import check_fields, number, whole
 from ...errors import CallbackError, InputError, near, require
 from ...rotations import Array
@@ -172,8 +173,6 @@ class LinePart(Part):
         """Mesh, space and compiled forms; the mass matrix."""
         import ufl
         from dolfinx import fem
-
-        from ... import dolfinx_compat as compat
 
         compat.check_versions()
         b = self.body

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ... import dolfinx_compat as compat
 from ...errors import require
 from ...rotations import Array
 
@@ -38,8 +39,6 @@ class LineField:
         import ufl
         from dolfinx import fem, mesh
         from mpi4py import MPI
-
-        from ... import dolfinx_compat as compat
 
         compat.check_versions()
         self.name, self.body, self.comm = body.name, body, MPI.COMM_SELF

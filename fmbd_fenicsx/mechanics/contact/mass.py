@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from ... import dolfinx_compat as compat
 from ...errors import MeshError
 from ...log import log
 from ...rotations import Array
@@ -146,8 +147,6 @@ class Density:
         import ufl
         from dolfinx import fem
 
-        from ... import dolfinx_compat as compat
-
         mesh = field.mesh.dolfinx
         self.field, self.dim = field, field.dim
         coordinates = range(1, self.dim + 1)
@@ -193,8 +192,6 @@ class Density:
         """The scalar mass matrix; collective."""
         import dolfinx.fem.petsc as fp
         import ufl
-
-        from ... import dolfinx_compat as compat
 
         self._c.value[:] = c
         u = ufl.TrialFunction(self._space)

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ... import dolfinx_compat as compat
 from ...errors import MeshError
 from ...fem.numbering import Numbering
 from ...rotations import Array
@@ -195,8 +196,6 @@ def _facet_dofs(nodes: BodyNodes, surface: str) -> tuple[np.ndarray, dict[int, f
     """
     import ufl
     from dolfinx import fem, la
-
-    from ... import dolfinx_compat as compat
 
     mesh, space = nodes.mesh, nodes.space
     msh = mesh.dolfinx

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ... import dolfinx_compat as compat
 from ...checks import instance, shown, typed
 from ...errors import InputError
 from ..placements import is_distributed
@@ -60,8 +61,6 @@ def stress(u: Any, sigma: Callable[[Any], Any], *, degree: int = 1) -> Any:
 def within_cells(u: Any, quantity: Callable[[Any], Any], *, degree: int, name: str) -> tuple[Any, Any]:
     """A Function, discontinuous between cells, and the fem.Expression of quantity(u), in UFL, that it is to interpolate."""
     from dolfinx import fem
-
-    from ... import dolfinx_compat as compat
 
     instance(f"{name}: u", u, fem.Function)
     expression = quantity(u)

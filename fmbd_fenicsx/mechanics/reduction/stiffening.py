@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from ... import dolfinx_compat as compat
 from ...fem.fields import Field
 from ...fem.loads import Load
 from ...rotations import Array
@@ -94,7 +95,6 @@ class Stiffening:
         import ufl
         from dolfinx import fem
 
-        from ... import dolfinx_compat as compat
         from .modes import ConditionedBody
 
         self.field = field

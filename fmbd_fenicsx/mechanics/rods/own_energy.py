@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ... import dolfinx_compat as compat
 from ...errors import CallbackError, InputError
 from ...rotations import Array
 
@@ -18,8 +19,6 @@ class OwnLaw:
         import ufl
         from dolfinx import fem, mesh
         from mpi4py import MPI
-
-        from ... import dolfinx_compat as compat
 
         compat.check_versions()
         self.shape, n = s.shape, s.size

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from ... import dolfinx_compat as compat
 from ...energies import StoredEnergy, ViscousForm
 from ...mechanics.bodies.absolute import AbsoluteField
 from ...rotations import Array, rotate_nodal
@@ -52,8 +53,6 @@ class _Body:
         import ufl
         from dolfinx import fem
         from petsc4py import PETSc
-
-        from ... import dolfinx_compat as compat
 
         self.part, self.field = part, part.field
         field = part.field
