@@ -48,20 +48,16 @@ class StepSolver:
     None), ``couplings`` S as its balance sees the core and ``back_couplings`` S as the core sees it; ``jacobian`` is G.
     """
 
-    def __init__(
-        self, system: System, redundant: bool | None = None, *, linear: Any = None, prefix: str = "fmbd_"
-    ) -> None:
-        """``redundant``: whether constraint rows may depend on each other; None looks at the first configuration.
-
-        ``linear``: how elastic blocks are solved, an object of :mod:`fmbd_fenicsx.solvers` (None: Cholesky factors). PETSc's
+    def __init__(self, system: System, *, linear: Any = None, prefix: str = "fmbd_") -> None:
+        """``linear``: how elastic blocks are solved, an object of :mod:`fmbd_fenicsx.solvers` (None: Cholesky factors). PETSc's
         options of the block of a body are those under ``<prefix><body>.u_``.
         """
         self.system, self.linear, self.prefix = system, linear, prefix
-        self._look = redundant is None
+        self._look = True
         self.near_singular, self._masses = NearSingular(), None
         self._held: MatrixConfiguration | None = None  # that of the matrices
         self._driver: tuple[Evaluator | None, DriverSolver | None] = None, None
-        self.core = CoreSolver(Judge("the core of the system"), bool(redundant))
+        self.core = CoreSolver(Judge("the core of the system"))
         self.elastic = FieldBlocks(system, linear, prefix)
         self.blocks: list[FactoredField] = []
         self.split: Any = None if linear is None else linear.split(system, prefix)

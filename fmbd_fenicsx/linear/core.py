@@ -79,10 +79,10 @@ class CoreSolver:
     of the singular values kept).
     """
 
-    def __init__(self, judge: Judge, redundant: bool = False) -> None:
-        self.judge, self.redundant = judge, redundant
+    def __init__(self, judge: Judge) -> None:
+        self.judge, self.redundant = judge, False
         self.factorisations = 0
-        self.ratio, self.exact = 1.0, not redundant
+        self.ratio, self.exact = 1.0, True
         self.rank: int | None = None  # of the constraints, where they are redundant
         self._saddle: Saddle | None = None
 

@@ -51,7 +51,7 @@ def consistent(
         ConstraintError: the bodies do not fit together (correction above 1e-3 of the model's length), naming the joint.
     """
     metric = MASS if metric is None else metric
-    state = keep_volumes(system, state, solver)
+    state = keep_volumes(system, state)
     ev, moved, iterations = _closed(state, solver, metric)
     solver.prepare(ev, metric)
     v, slip = _velocities(ev, solver, h)
@@ -222,7 +222,7 @@ def _roundoff(system: System, ev: Any, solved: tuple[Array, Array], solver: Step
     return system.max_abs(solver.solve(-change, np.zeros(system.n_lam))[0])
 
 
-def keep_volumes(system: System, state: State, solver: StepSolver) -> State:
+def keep_volumes(system: System, state: State) -> State:
     """Bodies whose pressure is an unknown at a start: J = 1, then B v = 0, by the smallest change in the mass metric, or, below
     nu = 1/2, the pressure of their law; collective.
 

@@ -246,7 +246,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
     found = mobility(system.at(state.t, state.q))
 
     notes = [f'body "{n}" is attached to nothing' for n in loose_bodies(scene)]
-    notes += _units(scene, system)
+    notes += _units(system)
     notes += [
         f'tie "{tie.name}" leaves free: {", ".join(free)}' for tie, _ in system.traces if (free := tie.left_free())
     ]
@@ -305,7 +305,7 @@ def _fastest(loads: ScalarLoads, length: float) -> float:
     return float(np.sqrt((np.abs(loads.k) / np.where(turning, length**2, 1.0)).max(initial=0.0)))
 
 
-def _units(scene: Any, system: System) -> list[str]:
+def _units(system: System) -> list[str]:
     """Sizes that suggest other units than m, kg, s."""
     notes = []
     g = float(np.linalg.norm(system.gravity(np.inf)))

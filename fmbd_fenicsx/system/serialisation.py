@@ -64,13 +64,13 @@ class Memory:
 
     def like_v(self, name: str, x: Any) -> Any:
         """An array like v."""
-        return self._parts(name, x, self.system.slices[1], self.system.n_v)
+        return self._parts(name, x, self.system.slices[1])
 
     def like_q(self, name: str, x: Any) -> Any:
         """An array like q."""
-        return self._parts(name, x, self.system.slices[0], self.system.n_q)
+        return self._parts(name, x, self.system.slices[0])
 
-    def _parts(self, name: str, x: Any, slices: list[slice], size: int) -> Any:
+    def _parts(self, name: str, x: Any, slices: list[slice]) -> Any:
         fields = self.system.fields
         if not fields:
             return self(name, x)

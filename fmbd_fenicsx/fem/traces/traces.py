@@ -22,13 +22,13 @@ from ...rotations import Array
 
 
 @lru_cache(maxsize=32)
-def lagrange(dim: int, degree: int, broken: bool = False) -> Any:
+def lagrange(dim: int, degree: int) -> Any:
     """Basix element on the reference facet of the given dimension (1: interval, 2: triangle)."""
     import basix
 
     cell = {1: basix.CellType.interval, 2: basix.CellType.triangle}[dim]
     variant = basix.LagrangeVariant.gll_warped
-    return basix.create_element(basix.ElementFamily.P, cell, degree, variant, discontinuous=broken or degree == 0)
+    return basix.create_element(basix.ElementFamily.P, cell, degree, variant, discontinuous=degree == 0)
 
 
 def shape_functions(dim: int, degree: int, points: Array) -> Array:

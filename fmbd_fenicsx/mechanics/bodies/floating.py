@@ -310,7 +310,7 @@ class FloatingField(FieldPart):
             W = self._velocity(motion, local)[1]
             found["loads"] = float((outer * W).sum() + inner.ravel() @ Ud)
         if self.damped:
-            found["damping"] = -float(Ud @ self._damping(U, Ud))
+            found["damping"] = -float(Ud @ self._damping(Ud))
 
         out = self.summed(found)
         if f.loads.loads and self.stiffening is not None:
@@ -321,7 +321,7 @@ class FloatingField(FieldPart):
             out["loads"] -= float(f.total(np.array(Ud @ (bent @ load))))
         return out
 
-    def _damping(self, U: Array, Ud: Array) -> Array:
+    def _damping(self, Ud: Array) -> Array:
         """Nodal forces of Rayleigh and Kelvin-Voigt damping, (n d,); collective."""
         f = self.field
         out = f.forms.mass_damping * f.mass(Ud.reshape(-1, f.dim)).ravel()

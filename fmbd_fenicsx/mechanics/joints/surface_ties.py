@@ -192,11 +192,6 @@ class TraceRows:
 
         return [_motion_in_words(z, d) for z in null_vectors(rows)]
 
-    def tractions(self, lam: Array) -> Array:
-        """Facet-wise nodal values (n_f, k_p, d) of the force on a per area, Pa, world axes at the start, for rows ``lam``."""
-        values = lam.reshape(-1, 1) * self.normal if self.normal is not None else lam.reshape(self.data.shape)
-        return self.multipliers.coefficients(values)
-
     def _arms(self, ev: Any, rate: bool = False) -> list[Array]:
         """s + p of both sides (or p'), (n, d), axes of their frames."""
         out = []

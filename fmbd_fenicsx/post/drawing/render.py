@@ -42,12 +42,12 @@ class Picture:
 class Renderer:
     """A drawing on a canvas of its own: :meth:`add` instants, :meth:`turn_to` one of them, :meth:`image`."""
 
-    def __init__(self, drawing: Drawing, view: View, *, size: tuple[int, int], window: bool = False) -> None:
+    def __init__(self, drawing: Drawing, view: View, *, size: tuple[int, int]) -> None:
         self.drawing, self.view, self.flat = drawing, view, drawing.dim == 2
         self.pv = _pyvista()
         self.low, self.high = drawing.bounds()
         self.reach = float(np.linalg.norm(self.high - self.low)) or 1.0
-        self.plotter = self.pv.Plotter(off_screen=not window, window_size=list(size))
+        self.plotter = self.pv.Plotter(off_screen=True, window_size=list(size))
         self.plotter.set_background("white")
         self.shown: list[tuple[Piece, Any, Any, float]] = []
         self.edges: list[Any] = []

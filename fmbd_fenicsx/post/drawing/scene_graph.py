@@ -170,11 +170,10 @@ class Drawing:
     label: str = ""
     scales: tuple[ArrowScale, ...] = ()
 
-    def bounds(self, instants: Sequence[int] | None = None) -> tuple[Array, Array]:
+    def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest corner of everything but the ground's patches over all instants, (3,) each."""
-        chosen = range(len(self.times)) if instants is None else instants
         shown = [p for p in self.pieces if p.role is not Role.GROUND] or list(self.pieces)
-        boxes = [(x.min(0), x.max(0)) for p in shown for k in chosen if len(x := p.at(k))]
+        boxes = [(x.min(0), x.max(0)) for p in shown for k in range(len(self.times)) if len(x := p.at(k))]
         if not boxes:
             return -np.ones(3), np.ones(3)
         low, high = zip(*boxes, strict=True)

@@ -42,9 +42,9 @@ def disk(radius: float, corners: int = 2 * AROUND) -> Solid:
     return polygon(radius * np.column_stack((np.cos(angle), np.sin(angle))))
 
 
-def ring(radius: float, corners: int = 3 * AROUND) -> Solid:
+def ring(radius: float) -> Solid:
     """A circle of the plane about the origin, its edge alone."""
-    whole = disk(radius, corners)
+    whole = disk(radius, 3 * AROUND)
 
     return Solid(whole.points, np.zeros((0, 3), dtype=int), whole.edges)
 
@@ -159,10 +159,11 @@ def arrow(radius: float) -> Solid:
     return swept(path, np.array([1.0, 1.0, 2.6, 0.0]) * radius, 10)
 
 
-def coil(slenderness: float, turns: int = 7, wire: float = 0.14) -> Solid:
+def coil(slenderness: float) -> Solid:
     """A helical spring along (0 ... 1, 0, 0) with straight ends; radius 1 across, where it is stretched to ``slenderness`` the
     wire is round.
     """
+    turns, wire = 7, 0.14
     s = np.linspace(0.0, 1.0, 14 * turns + 1)
     phase = 2 * np.pi * turns * s
     body = np.column_stack((0.12 + 0.76 * s, np.cos(phase), np.sin(phase)))
@@ -174,9 +175,9 @@ def coil(slenderness: float, turns: int = 7, wire: float = 0.14) -> Solid:
     return Solid(np.asarray(true.points / longer, dtype=float), true.triangles)
 
 
-def zigzag(turns: int = 5) -> Solid:
+def zigzag() -> Solid:
     """A spring of the plane along (0 ... 1, 0, 0), radius 1 across, as a line."""
-    teeth = [(0.15 + 0.7 * (k + 0.5) / (2 * turns), 1.0 - 2.0 * (k % 2), 0.0) for k in range(2 * turns)]
+    teeth = [(0.15 + 0.07 * (k + 0.5), 1.0 - 2.0 * (k % 2), 0.0) for k in range(10)]
     path: Array = np.array([(0.0, 0, 0), (0.15, 0, 0), *teeth, (0.85, 0, 0), (1.0, 0, 0)], dtype=float)
     chain = np.column_stack((np.arange(len(path) - 1), np.arange(1, len(path))))
 

@@ -59,14 +59,13 @@ class Watch(Remembering):
 
     keeps: ClassVar = dict.fromkeys(("turnover", "highest", "time", "rejections", "settling"), plain())
 
-    def __init__(self, system: System, state: State, seen: Evaluation | None = None) -> None:
-        """``seen``: the system in the state."""
+    def __init__(self, system: System, state: State) -> None:
         self.system, self.rejections = system, 0
         self.weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
         self.turnover, self.highest = 0.0, -float("inf")
         self.strained, self.time = strain_energy(system), state.t
         self.settling = SETTLING + 1 if system.parts else 1
-        self.gain(state, seen)
+        self.gain(state)
 
     def gain(self, s: State, seen: Evaluation | None = None) -> float | None:
         """Gain of energy (J) of the newest state when it is too large, else None; keeps what was seen.

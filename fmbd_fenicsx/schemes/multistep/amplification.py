@@ -65,8 +65,8 @@ def vibrations(solver: StepSolver, state: State) -> Array:
     s = solver.system
     ev = s.at(state.t, state.q, state.v)
     mass = solver.masses(ev)
-    stiffness = _applied(solver, ev, Weights(0.0, 0.0, 1.0))
-    damping = _applied(solver, ev, Weights(0.0, 1.0, 0.0))
+    stiffness = _applied(ev, Weights(0.0, 0.0, 1.0))
+    damping = _applied(ev, Weights(0.0, 1.0, 0.0))
     if stiffness is None or not s.n_core:
         return np.zeros(0)
 
@@ -92,7 +92,7 @@ def vibrations(solver: StepSolver, state: State) -> Array:
     return np.asarray(np.minimum(found.real, 0.0) + 1j * found.imag)
 
 
-def _applied(solver: StepSolver, ev: Evaluation, w: Weights) -> Any:
+def _applied(ev: Evaluation, w: Weights) -> Any:
     """cd C + ck K of replicated parts and of force elements on the core; None without any."""
     parts = core_matrix(ev, w)
     applied = force_tangent(ev, w.cd, w.ck)

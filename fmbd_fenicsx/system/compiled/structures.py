@@ -206,9 +206,9 @@ class Store:
         self.kept += [x for x, _ in made.values()][:1]  # which keeps all of them
         return made
 
-    def address(self, values: Any, dtype: Any = np.float64) -> int:
-        """The address of a contiguous copy."""
-        return self.array(values, dtype)[1]
+    def address(self, values: Any) -> int:
+        """The address of a contiguous copy as C's double."""
+        return self.array(values, np.float64)[1]
 
     def shared(self, values: Array) -> int:
         """The address of an array itself, which C only reads, where it is contiguous."""
