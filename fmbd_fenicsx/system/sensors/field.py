@@ -15,19 +15,12 @@ from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
-from .sensors import Sensor
+from .sensors import BodySensor, Sensor
 
 
 @dataclass(frozen=True, eq=False)
-class Largest(Sensor):
+class Largest(BodySensor):
     """See :func:`largest`."""
-
-    body: Any = None
-
-    @property
-    def reads(self) -> dict[str, str]:
-        """A body."""
-        return {"body": self.body.name}
 
     quantity: Callable[[Any], Any] = None  # type: ignore[assignment]
     degree: int = 2

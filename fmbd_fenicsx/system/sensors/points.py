@@ -25,7 +25,7 @@ from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
-from .sensors import Sensor
+from .sensors import BodySensor, Sensor
 
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # of symmetric tensors
 
@@ -76,16 +76,10 @@ def find(system: System, body: Any, X: Array) -> PointOfBody:
 
 
 @dataclass(frozen=True, eq=False)
-class PointSensor(Sensor):
+class PointSensor(BodySensor):
     """A quantity at the material point ``at`` (d,) of a body, read from one state or from many at a time."""
 
-    body: Any = None
     at: tuple[float, ...] = ()
-
-    @property
-    def reads(self) -> dict[str, str]:
-        """A body."""
-        return {"body": self.body.name}
 
     @property
     def labels(self) -> Sequence[str]:

@@ -80,6 +80,18 @@ class Sensor:
         return ()
 
 
+@dataclass(frozen=True, eq=False)
+class BodySensor(Sensor):
+    """A quantity of a whole body."""
+
+    body: Any = None
+
+    @property
+    def reads(self) -> dict[str, str]:
+        """A body."""
+        return {"body": self.body.name}
+
+
 class _Vector(Sensor):
     @property
     def labels(self) -> Sequence[str]:
@@ -395,39 +407,33 @@ def reaction_torque(joint: Any) -> Sensor:
     return ReactionWrench(None, "N m", None, named_part("reaction_torque: joint", joint), True)
 
 
-def _material(what: str, on: Any, point: Sequence[float] | None, level: int) -> Sensor | None:
-    """The motion of a material point where ``on`` is an elastic body itself, with a point; None for all else."""
-    if point is None or isinstance(on, Surface | RigidBody | Ground):
-        return None
-    from .points import is_elastic, point_motion
+def _motion(kind: type[Sensor], on: Any, point: Sequence[float] | None, unit: str) -> Sensor:
+    """The sensor of a kind on what bears a marker; of a material point where ``on`` is an elastic body itself, with a point."""
+    what = kind.__name__.lower()
+    if point is not None and not isinstance(on, Surface | RigidBody | Ground):
+        from .points import is_elastic, point_motion
 
-    return point_motion(what, on, point, level) if is_elastic(on) else None
+        if is_elastic(on):
+            return point_motion(what, on, point, kind.derivative)
+    _placed(what, on, point)
+    return kind(on, unit, point)
 
 
 def position(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World position (m): of a point of a rigid body (world coordinates at the start), of a surface's mean, or of a material
     point of an elastic body (``on`` the body itself, ``point`` in its mesh as it was placed).
     """
-    if (material := _material("position", on, point, 0)) is not None:
-        return material
-    _placed("position", on, point)
-    return Position(on, "m", point)
+    return _motion(Position, on, point, "m")
 
 
 def velocity(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World velocity (m/s), as :func:`position`."""
-    if (material := _material("velocity", on, point, 1)) is not None:
-        return material
-    _placed("velocity", on, point)
-    return Velocity(on, "m/s", point)
+    return _motion(Velocity, on, point, "m/s")
 
 
 def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
     """World acceleration (m/s^2), as :func:`position`; of the scheme's own acceleration at the end of the step."""
-    if (material := _material("acceleration", on, point, 2)) is not None:
-        return material
-    _placed("acceleration", on, point)
-    return Acceleration(on, "m/s^2", point)
+    return _motion(Acceleration, on, point, "m/s^2")
 
 
 def rotation(on: Any | Surface) -> Sensor:

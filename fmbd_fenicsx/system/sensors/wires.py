@@ -13,21 +13,15 @@ from ...mechanics.catenary.wires import Wires
 from ...rotations import Array
 from ..evaluation import Evaluation
 from ..system import State
-from .sensors import Sensor
+from .sensors import BodySensor, Sensor
 
 
 @dataclass(frozen=True, eq=False)
-class WireHeight(Sensor):
+class WireHeight(BodySensor):
     """See :func:`wire_height`."""
 
-    body: Any = None
     wire: int = 0
     x: tuple[float, ...] = ()
-
-    @property
-    def reads(self) -> dict[str, str]:
-        """A body of wires."""
-        return {"body": self.body.name}
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Displacements of the wire, m."""
@@ -42,15 +36,8 @@ class WireHeight(Sensor):
 
 
 @dataclass(frozen=True, eq=False)
-class DropperForces(Sensor):
+class DropperForces(BodySensor):
     """See :func:`dropper_forces`."""
-
-    body: Any = None
-
-    @property
-    def reads(self) -> dict[str, str]:
-        """A body of wires."""
-        return {"body": self.body.name}
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Tensions, N."""
