@@ -374,13 +374,6 @@ def named_part(what: str, part: Any) -> str:
     return name
 
 
-def _placed(what: str, on: Any, point: Sequence[float] | None = None) -> None:
-    """Refuse what has no position, and a point of another dimension."""
-    refuse_no_attachment(on, what)
-    if point is not None:
-        vector(f"{what}: point", point, size=None if on is ground else on.dim)
-
-
 @typed
 def coordinates(body: Any, *, level: int = 0, unit: str = "-", names: Sequence[str] = ()) -> Sensor:
     """Coordinates of a body with equations of its own or nodal values of a line, or their first or second rates, (n,).
@@ -415,7 +408,10 @@ def _motion(kind: type[Sensor], on: Any, point: Sequence[float] | None, unit: st
 
         if is_elastic(on):
             return point_motion(what, on, point, kind.derivative)
-    _placed(what, on, point)
+
+    refuse_no_attachment(on, what)
+    if point is not None:
+        vector(f"{what}: point", point, size=None if on is ground else on.dim)
     return kind(on, unit, point)
 
 
@@ -438,13 +434,13 @@ def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
 
 def rotation(on: Any | Surface) -> Sensor:
     """Rotation of a body or surface since the start: angle (rad) in the plane, matrix (9 numbers) in space."""
-    _placed("rotation", on)
+    refuse_no_attachment(on, "rotation")
     return Rotation(on, "rad")
 
 
 def angular_velocity(on: Any | Surface) -> Sensor:
     """Angular velocity (rad/s) of a body or of a surface's mean, world axes: one number in the plane, three in space."""
-    _placed("angular_velocity", on)
+    refuse_no_attachment(on, "angular_velocity")
     return AngularVelocity(on, "rad/s")
 
 
