@@ -82,29 +82,14 @@ def plane_strain(youngs_modulus: float, poisson_ratio: float, thickness: float =
 
 def saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float) -> StoredEnergy:
     """Pi(u) = int mu E : E + lambda/2 (tr E)^2 with E = (F^T F - 1) / 2, F = 1 + grad u: large rotations, small strains."""
-    mu, lmbda = lame(youngs_modulus, poisson_ratio)
-
-    def density(C: Any, m: Any, k: Any) -> Any:
-        from ufl import Identity, inner, tr
-
-        E = 0.5 * (C - Identity(C.ufl_shape[0]))
-        return m * inner(E, E) + 0.5 * k * tr(E) ** 2
-
-    return _energy(density, mu, lmbda)
+    return _energy(_of_green_strain, *lame(youngs_modulus, poisson_ratio))
 
 
 def sheet_saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> SheetEnergy:
     """The same for a sheet in plane stress: lambda* = 2 mu lambda / (lambda + 2 mu), times the thickness (m)."""
     mu, lmbda = lame(youngs_modulus, poisson_ratio)
     number("Thickness", thickness, above=0.0, unit="m")
-
-    def density(C: Any, m: Any, k: Any) -> Any:
-        from ufl import Identity, inner, tr
-
-        E = 0.5 * (C - Identity(C.ufl_shape[0]))
-        return m * inner(E, E) + 0.5 * k * tr(E) ** 2
-
-    energy = _energy(density, thickness * mu, thickness * 2 * mu * lmbda / (lmbda + 2 * mu))
+    energy = _energy(_of_green_strain, thickness * mu, thickness * 2 * mu * lmbda / (lmbda + 2 * mu))
     return SheetEnergy(energy.density, "sheet_saint_venant_kirchhoff")
 
 
@@ -217,6 +202,14 @@ def _neo_hookean_of_pressure(mu: float, lmbda: float) -> Form:
         return (0.5 * m * (inner(F, F) - F.ufl_shape[0] - 2 * ln(J)) + p * (J - 1) - k * p * p) * dx
 
     return density
+
+
+def _of_green_strain(C: Any, m: Any, k: Any) -> Any:
+    """m E : E + k/2 (tr E)^2 with E = (C - 1) / 2, per volume."""
+    from ufl import Identity, inner, tr
+
+    E = 0.5 * (C - Identity(C.ufl_shape[0]))
+    return m * inner(E, E) + 0.5 * k * tr(E) ** 2
 
 
 def _energy(density: Callable[[Any, Any, Any], Any], mu: float, lmbda: float) -> StoredEnergy:

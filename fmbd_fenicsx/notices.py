@@ -11,7 +11,6 @@ import logging
 import sys
 import textwrap
 from collections.abc import Callable
-from types import TracebackType
 
 ALIKE = 3  # warnings of one kind that are written in full
 WIDTH = 112
@@ -91,7 +90,5 @@ class Gathered(logging.Handler):
         logging.getLogger("fmbd_fenicsx").addHandler(self)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         logging.getLogger("fmbd_fenicsx").removeHandler(self)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -205,9 +204,7 @@ class SceneStepper:
     def __enter__(self) -> SceneStepper:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

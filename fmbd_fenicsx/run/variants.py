@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FmbdError, InputError, near, require
+from ..kernel_cache import cores
 from ..log import world_size
 from ..rotations import Array
 from ..system.scene.scene import Scene
@@ -100,7 +101,7 @@ def run_variants(make: Callable[[Any], Scene], parameters: Sequence[Any], **sett
     first = _one(make, given[0], settings)
 
     rest = given[1:]
-    workers = min(_cores(), len(rest))
+    workers = min(cores(), len(rest))
     if workers < 2 or not hasattr(os, "fork"):
         return Variants((first, *(_one(make, parameter, settings) for parameter in rest)))
     pipes = [_start(make, rest[i::workers], settings) for i in range(workers)]
@@ -111,11 +112,6 @@ def run_variants(make: Callable[[Any], Scene], parameters: Sequence[Any], **sett
             raise answer
         found[i::workers] = answer
     return Variants((first, *found))
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _one(make: Callable[[Any], Scene], parameter: Any, settings: dict[str, Any]) -> Variant:

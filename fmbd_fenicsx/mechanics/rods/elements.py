@@ -13,9 +13,8 @@ bodies at the nodes: the mass of the rod, lumped by Gauss-Lobatto weights, which
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,6 +42,19 @@ class LineLoad:
         """Forces or moments on the nodes at a time (s), (nodes, 3)."""
         per_length = np.array([self.law(float(s), t) for s in self.stations], dtype=float)
         return np.asarray(self.lengths[:, None] * per_length)
+
+
+class Stressed(NamedTuple):
+    """Sections at the Gauss points, (m, q, ..): z, the quaternions p of the nodes, e less the strains free of stress, E = de/dz,
+    Z, and the forces and moments S.
+    """
+
+    z: tuple[Array, Array, Array]
+    p: Array
+    e: Array
+    E: Array
+    Z: Array
+    S: Array
 
 
 class RodElements:
@@ -101,21 +113,20 @@ class RodElements:
 
         return Z.reshape(m, q, 11, 6 * k)
 
-    def _stress(self, t: float, e: Array, rate: Callable[[], Array] | None) -> Array:
-        """Section forces and moments S of (1), (m, q, 6), for strains less those free of stress, and their rate where wanted."""
+    def _stressed(self, t: float, pose: Array, twist: Array | None) -> Stressed:
+        """The state (1) of the sections; without twists that of a rod at rest."""
+        z, p = self.interpolated(pose)
+        e, E = strain_jacobian(*z)
+        e = e - self.natural
+        Z = self.directions(spins(p))
+
         S: Array = self.law.stress(e)
         if self.arms is not None:
             S = S + self.arms.stress(self.kept, t, e)
-        if self.beta and rate is not None:
-            S = S + self.beta * (self.law.tangent(e) @ rate()[..., None])[..., 0]
-        return S
-
-    def _rate(self, E: Array, Z: Array, twist: Array | None) -> Callable[[], Array] | None:
-        """e' of (1)."""
-        if twist is None:
-            return None
-        nodal = twist[self.frames].reshape(len(self.frames), 1, -1, 1)
-        return lambda: np.asarray((E @ (Z @ nodal))[..., 0])
+        if self.beta and twist is not None:
+            nodal = twist[self.frames].reshape(len(self.frames), 1, -1, 1)
+            S = S + self.beta * (self.law.tangent(e) @ (E @ (Z @ nodal)))[..., 0]
+        return Stressed(z, p, e, E, Z, S)
 
     @property
     def elastic(self) -> bool:
@@ -126,17 +137,12 @@ class RodElements:
         """Forces and moments (m, q, 6) of the sections at the Gauss points, in their axes."""
         if self.elastic:
             return np.asarray(self.law.stress(self.strains(pose)))
-        z, p = self.interpolated(pose)
-        e, E = strain_jacobian(*z)
-        return self._stress(t, e - self.natural, self._rate(E, self.directions(spins(p)), twist))
+        return self._stressed(t, pose, twist).S
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def forces(self, t: float, pose: Array, twist: Array | None) -> list[Forces]:
         """What the rod adds to the balance M a + h of its nodes: forces (1), less the loads along it."""
-        z, p = self.interpolated(pose)
-        e, E = strain_jacobian(*z)
-        Z = self.directions(spins(p))
-        S = self._stress(t, e - self.natural, self._rate(E, Z, twist))
+        _, _, _, E, Z, S = self._stressed(t, pose, twist)
         on_z = self.weights[..., None, None] * (S[..., None, :] @ E)
         rows: Array = (on_z @ Z).sum(1).reshape(*self.frames.shape, 6)
         return [(self.frames, rows), *((self.nodes, -self._load(x, t, pose)[0]) for x in self.loads)]
@@ -144,12 +150,9 @@ class RodElements:
     def tangents(self, t: float, pose: Array, twist: Array | None, weights: tuple[float, float]) -> list[Forces]:
         """cd D + ck K of them, ``weights`` = (cd, ck), as (m, 6 k, 6 k); (2)."""
         cd, ck = weights
-        z, p = self.interpolated(pose)
-        e, E = strain_jacobian(*z)
-        Z = self.directions(spins(p))
-        S = self._stress(t, e - self.natural, self._rate(E, Z, twist))
+        z, p, e, E, Z, S = self._stressed(t, pose, twist)
 
-        C = (ck + self.beta * cd) * self.law.tangent(e - self.natural)
+        C = (ck + self.beta * cd) * self.law.tangent(e)
         if self.arms is not None:
             C = C + ck * self.arms.tangent(self.kept, t)
 

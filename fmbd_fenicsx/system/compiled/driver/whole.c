@@ -61,6 +61,12 @@ static int misleads(const System *s, int body, const double *miss, const double 
     return 0;
 }
 
+/* From the origin of its frame to the marker of side i of a batch. */
+static void arm(const System *s, const Batch *k, long i, double *lever)
+{
+    for (int j = 0; j < D; j++) lever[j] = k->sight[PLACED * k->marker[i] + j] - s->frames[FRAME * k->pair[i] + j];
+}
+
 /* Whether the slopes foretell the wrenches from the last evaluation to this one. On surfaces, where a small part of a body moves, they
    have to be right to 2 %. */
 static int surprised(const System *s, const Batch *k, long i)
@@ -91,7 +97,7 @@ static int surprised(const System *s, const Batch *k, long i)
             if (missed > 4e-4 * change) return 1;
             continue;
         }
-        for (int j = 0; j < D; j++) lever[j] = k->sight[PLACED * k->marker[2 * i + side] + j] - s->frames[FRAME * frame + j];
+        arm(s, k, 2 * i + side, lever);
         at_origin(lever, miss + TWIST * side, on_body);
         if (misleads(s, frame, on_body, moved + TWIST * side)) return 1;
     }
@@ -117,9 +123,8 @@ int whole_forces(System *s, Batch *k, double t)
     if (s->python(WRENCHES, k->number, t)) return FAILED;
 
     for (long i = 0; i < 2 * k->n; i++) {
-        const double *frame = s->frames + FRAME * k->pair[i], *x = k->sight + PLACED * k->marker[i];
         double lever[D], on_frame[TWIST];
-        for (int j = 0; j < D; j++) lever[j] = x[j] - frame[j];
+        arm(s, k, i, lever);
         at_origin(lever, k->push + TWIST * i, on_frame);
         for (int j = 0; j < TWIST; j++) s->residual[k->at[TWIST * i + j]] -= on_frame[j];
     }
@@ -139,13 +144,6 @@ static void to_frames(const double (*lever)[D], double *C)
             axis[r] = 1.0;
             spin(axis, lever[side], swing);
             for (int j = 0; j < PAIR; j++) C[PAIR * j + to] += dot(C + PAIR * j + TWIST * side, swing, D);
-        }
-    for (int side = 0; side < 2; side++)
-        for (int r = 0; r < ROT; r++) {
-            double axis[ROT] = {0.0}, swing[D];
-            int to = TWIST * side + D + r;
-            axis[r] = 1.0;
-            spin(axis, lever[side], swing);
             for (int j = 0; j < D; j++) add(C + PAIR * to, swing[j], C + PAIR * (TWIST * side + j), PAIR);
         }
 }
@@ -166,10 +164,7 @@ int whole_tangents(System *s, Batch *k, double cd, double ck, double t)
                 int one = PAIR * r + c, other = PAIR * c + r;
                 C[one] = 0.5 * (ck * (K[one] + K[other]) + cd * (B[one] + B[other]));
             }
-        for (int side = 0; side < 2; side++) {
-            const double *frame = s->frames + FRAME * k->pair[2 * i + side], *x = k->sight + PLACED * k->marker[2 * i + side];
-            for (int j = 0; j < D; j++) lever[side][j] = x[j] - frame[j];
-        }
+        for (int side = 0; side < 2; side++) arm(s, k, 2 * i + side, lever[side]);
         to_frames((const double (*)[D])lever, C);
         mapped_square(s, k, i, C);
     }
