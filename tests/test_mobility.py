@@ -10,8 +10,9 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, LinearSolveError
-from fmbd_fenicsx.linear.configuration_warnings import NearSingular
-from fmbd_fenicsx.system.mobility import Mobility
+from fmbd_fenicsx.linear import configuration_warnings
+from fmbd_fenicsx.linear.configuration_warnings import CLOSE, NearSingular
+from fmbd_fenicsx.system.mobility import Mobility, independent, nearly_dependent
 
 BAR = (0.01, 0.08, 0.08)
 
@@ -226,6 +227,27 @@ def test_driven_through_the_dead_centre(phase: float, caplog: pytest.LogCaptureF
     assert len(lines) == (phase < 1e-4)
     if lines:
         assert 'joint "' in lines[0] and "t = 0.05 s" in lines[0]
+
+
+def test_singular_values_where_a_factor_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps that lose gaps to roundoff far from singular positions ask for no singular values; near the dead centre they do."""
+    asked = []
+
+    def counted(ev: Any, rank: int) -> tuple[float, str]:
+        asked.append(nearly_dependent(ev, rank))
+        return asked[-1]
+
+    monkeypatch.setattr(configuration_warnings, "nearly_dependent", counted)
+    near = NearSingular()
+    for off in (0.8, 0.3, 1e-2, 1e-4, 1e-6):
+        system, state, _ = slider_crank(1.0, np.pi / 2 - off, 3.0).build()
+        ev = system.at(state.t, state.q, state.v)
+        asked.clear()
+        near.look(ev, None, limit=CLOSE)
+        ratio = nearly_dependent(ev, system.n_lam)[0]
+        assert near.now == (ratio < CLOSE)
+        assert ratio < 10 * CLOSE if asked else ratio > CLOSE
+        assert independent(ev, CLOSE) != bool(asked) and not independent(ev, 10 * ratio)
 
 
 SCHEMES = [fmbd.ExplicitRungeKutta(), fmbd.Radau(), fmbd.BDF(), fmbd.GeneralizedAlpha(rtol=1e-4, compiled=False)]

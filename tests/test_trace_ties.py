@@ -5,12 +5,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from motion import Motion, first, second
 from mpi4py import MPI
 from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, LawError
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.core import WIDE, thin
+from fmbd_fenicsx.mechanics.bodies.field_part import FieldPart
 
 LAW = fmbd.materials.linear_elastic(1e4, 0.3)
 
@@ -85,6 +90,36 @@ def test_jacobian_and_gamma_against_differences(dim: int, a: str, b: str, slidin
     assert motion.system.dot(ev.jacobian.transposed(lam), delta) == pytest.approx(
         lam @ ev.jacobian.times(delta), rel=1e-11
     )
+
+
+@pytest.mark.mpi
+def test_columns_and_complement_of_many_ports() -> None:
+    """What the core sees of a body is R^T W S, by few operations: a row of a tie has few ports. Columns of
+    ports are their nodal forces.
+    """
+    lower, upper = body("absolute", "lower", 3, 4), body("floating", "upper", 3, 5, 1.0)
+    scene = fmbd.Scene("tied")
+    scene.add(lower, upper, fmbd.tie_surface("glue", upper.surface("bottom"), lower.surface("top")))
+    scene.add(fmbd.tie_surface("foot", lower.surface("bottom"), fmbd.ground))
+    system, state, _ = scene.build()
+
+    solver = StepSolver(system)
+    solver.prepare(system.at(0.0, state.q, state.v), Weights(1.0, 0.0, 1e-3))
+    for (_, part), block, S in zip(system.fields, solver.blocks, solver.couplings, strict=True):
+        assert sp.issparse(thin(S.T)) == (S.size > WIDE)
+        R = S * np.linspace(1.0, 2.0, S.shape[1])  # as forces of other rows
+        exact = R.T @ block.W @ S
+        assert np.abs(block.seen_by(R, S) - exact).max() < 1e-13 * np.abs(exact).max()
+
+        H = FieldPart.port_columns(part, block.used, 0.0)
+        for i in (0, len(block.used) // 2, len(block.used) - 1):
+            unit = np.zeros(part.n_port)
+            unit[block.used[i]] = 1.0
+            assert np.abs(H[:, i] - part.port_force(unit, 0.0)).max(initial=0.0) < 1e-14
+        H = np.concatenate((part.inertia_columns, H), axis=1)
+        W = part.field.total(H.T @ block.Y)
+        assert np.abs(block.W - 0.5 * (W + W.T)).max() < 1e-13 * np.abs(W).max()
+    solver.destroy()
 
 
 @pytest.mark.smoke

@@ -236,7 +236,7 @@ class StepSolver:
         self.couplings = [S for S, _ in pairs]
         self.back_couplings = [R for _, R in pairs]
         for block, (S, R) in zip(self.blocks, pairs, strict=True):
-            WS = R.T @ block.W @ S
+            WS = block.seen_by(R, S)
             A -= WS[:n, :n]
             lower -= WS[n:, :n]
             upper -= WS[:n, n:]

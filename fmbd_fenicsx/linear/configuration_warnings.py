@@ -77,6 +77,9 @@ class NearSingular:
 
     def look(self, ev: Evaluation, rank: int | None, *, limit: float = NEAR_SINGULAR) -> None:
         """``limit``: sigma_min / sigma_max below which it is close. Once warned of, a position is left behind above ``CLOSE``."""
+        if independent(ev, CLOSE if self.now else limit):
+            self.now = False
+            return
         ratio, joint = nearly_dependent(ev, rank or ev.system.n_lam)
         if ratio < limit and not self.now:
             met = (ratio, joint, ev.t)

@@ -24,6 +24,7 @@ from .residual import Judge
 
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 RANK_TOLERANCE = 1e-11
+WIDE, FEW = 10_000, 0.05  # size and share of entries of an array whose products are worth a sparse matrix
 SINGULAR = 1e-7  # ratio of pivots below which a matrix is solved in the minimum-norm sense
 MOST_SCALINGS = 6  # of a matrix whose rows are of different size
 SMALL_ROW = 1e-3  # largest entry of a row, scaled, above which it is large enough
@@ -296,3 +297,9 @@ def _tops(rows: Array) -> Array:
 def dense(A: Any) -> Array:
     """A as an array."""
     return A.toarray() if sp.issparse(A) else np.asarray(A)
+
+
+def thin(A: Array) -> Any:
+    """An array with few entries as a sparse matrix, for products with dense ones; others as they are."""
+    few = A.size > WIDE and np.count_nonzero(A) < FEW * A.size
+    return sp.csr_matrix(A) if few else A

@@ -111,7 +111,7 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     typical = float(np.abs(G).max(initial=1.0))
     columns = [G]
     for k, part in ev.system.fields:
-        ports = ev.jacobian.port[:, ev.system.port_slice(k)] @ _port_factor(part, ev.t)
+        ports = ev.jacobian.port[:, ev.system.port_slice(k)] @ _port_factor(ev, k, part)
         size = max(float(np.abs(ports).max(initial=0.0)), 1.0)
         columns.append(typical * ports / size)
 
@@ -120,8 +120,9 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
 
 
-def independent(ev: Evaluation) -> bool:
+def independent(ev: Evaluation, above: float = 0.0) -> bool:
     """Whether the constraint rows certainly do not depend on each other; False where a closer look is needed, :func:`mobility`.
+    ``above``: sigma_min / sigma_max that they certainly have.
 
     A factor of G_s G_s^T and a few inverse iterations tell its smallest eigenvalue, sigma_min^2: for chains and trees the work is
     proportional to their length. Squares hide what is below 1e-8, so only sigma_min > 1e-5 sigma_max is certain.
@@ -147,12 +148,12 @@ def independent(ev: Evaluation) -> bool:
             return False
 
     largest = float(abs(gram).sum(axis=0).max())
-    return certainly_regular(solve, s.n_lam, largest)
+    return certainly_regular(solve, s.n_lam, largest, above)
 
 
-def certainly_regular(solve: Callable[[Array], Array], count: int, largest: float) -> bool:
+def certainly_regular(solve: Callable[[Array], Array], count: int, largest: float, above: float = 0.0) -> bool:
     """Whether inverse iterations show that a Gram matrix of ``count`` rows has no eigenvalue near zero; ``solve``: by its factor,
-    ``largest``: bound of its largest eigenvalue.
+    ``largest``: bound of its largest eigenvalue, ``above``: sigma_min / sigma_max that is asked for, where more than is certain.
     """
     x = 1.0 + 0.5 * np.cos(np.arange(count))  # no special direction
     inverse = 0.0
@@ -162,12 +163,23 @@ def certainly_regular(solve: Callable[[Array], Array], count: int, largest: floa
         inverse = math.sqrt(x @ x)
         if not math.isfinite(inverse):
             return False
-    return bool(inverse * largest < 1.0 / CERTAIN**2)
+    return bool(inverse * largest < 1.0 / max(CERTAIN, above) ** 2)
 
 
-def _port_factor(part: Any, t: float) -> Array:
-    """F with F F^T = P P^T for the ports p = P w of a field: two ties that share nodes may depend on each other."""
-    gram = part.port_gram(t)
+def _port_factor(ev: Evaluation, k: int, part: Any) -> Array:
+    """F with F F^T = P P^T for the ports p = P w of field k: two ties that share nodes may depend on each other.
+
+    It stays while the ports are where they are.
+    """
+    cache, version = ev.system.cache, part.column_version(ev.t)
+    known = cache.get(("port factor", k))
+    if known is None or known[0] != version:
+        known = cache["port factor", k] = version, _gram_factor(part.port_gram(ev.t))
+    return np.asarray(known[1])
+
+
+def _gram_factor(gram: Array) -> Array:
+    """F with F F^T = ``gram``, that of ports of different size."""
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
     # eigenvalues of roundoff stand for ports that depend on others

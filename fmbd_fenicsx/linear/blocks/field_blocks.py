@@ -15,6 +15,7 @@ from ...mechanics.placements import DistributedPart
 from ...rotations import Array
 from ...system.system import System
 from ..border import loaded_ports
+from ..core import thin
 from ..options import check_options
 from .incompressibility import VolumeMass
 from .spd import CholeskyFactor, FieldFactor, MassInverse
@@ -64,6 +65,12 @@ class FactoredField:
     Y: Array  # (n d, k + len(used)), k columns of inertia
     W: Array
     matrix: FieldMatrix
+
+    def seen_by(self, R: Array, S: Array) -> Array:
+        """R^T W S. Rows of a tie take few ports each: W is symmetric, so that each factor meets it from the left."""
+        left = thin(R.T)
+        right = left if R is S else thin(S.T)
+        return np.asarray(left @ np.asarray(right @ self.W).T)
 
 
 class FieldBlocks:
@@ -151,7 +158,7 @@ class FieldBlocks:
         used = self._used_ports(k, part, G, ties_apart)
         H = np.concatenate((part.inertia_columns, part.port_columns(used, G.t)), axis=1)
         Y = factor.solve_columns(H)
-        W = part.field.total(H.T @ Y)
+        W = part.field.total(np.asarray(thin(H.T) @ Y))
         return FactoredField(factor, used, Y, 0.5 * (W + W.T), matrix)
 
     def _used_ports(self, k: int, part: DistributedPart, G: Any, ties_apart: bool) -> np.ndarray:

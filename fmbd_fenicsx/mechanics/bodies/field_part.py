@@ -92,15 +92,15 @@ class FieldPart(DistributedPart):
 
     def port_columns(self, used: np.ndarray, t: float) -> Array:
         """Dense columns (n d, count) of :meth:`port_force` for the port numbers ``used``."""
-        out = np.empty((self.n, len(used)))
-        for i, p in enumerate(used):
-            e = np.zeros(self.n_port)
-            e[p] = 1.0
-            out[:, i] = self.port_force(e, t)
-        return out
+        return np.asarray(self._port_rows()[used].toarray().T)
 
     def port_gram(self, t: float) -> Array:
         """P P^T of the ports p = P w, (n_port, n_port): ports of neighbouring surfaces share nodes; collective."""
+        P = self._port_rows()
+        return self.field.total((P @ P.T).toarray())
+
+    def _port_rows(self) -> Any:
+        """P of the ports p = P w on this rank's displacements, sparse (n_port, n)."""
         import scipy.sparse as sp
 
         d = self.field.dim
@@ -110,8 +110,7 @@ class FieldPart(DistributedPart):
                 (np.ones(len(s.nodes)), (np.arange(len(s.nodes)), s.nodes)), (len(s.nodes), self.n // d)
             )
             rows.append(sp.kron(sp.csr_matrix(s.weights.T) @ place, sp.identity(d), format="csr"))
-        P = sp.vstack([*rows, *self.traces], format="csr")
-        return self.field.total((P @ P.T).toarray())
+        return sp.vstack([*rows, *self.traces], format="csr")
 
     # -- tangent ------------------------------------------------------------------------------------------------
     def remember(self, m: Any) -> None:
