@@ -15,8 +15,11 @@ from test_kernel import PLANE, SPACE
 from test_rods import UNIT
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.dae import Points
+from fmbd_fenicsx.schemes.step_equations import StepEquations
 from fmbd_fenicsx.system.compiled.choice import solves, use_driver
-from fmbd_fenicsx.system.system import System
+from fmbd_fenicsx.system.system import State, System
 
 
 def reduced(dim: int) -> fmbd.Scene:
@@ -119,6 +122,27 @@ def test_equal_to_numpy(name: str) -> None:
         assert rates[1] == pytest.approx(rates[0], rel=1e-11, abs=1e-11)
     back = [system.difference(q[0], q[0], near=9.0 * v[0]) for system in (plain, driven)]
     assert back[1] == pytest.approx(back[0], rel=1e-12, abs=1e-12)
+
+
+@compiled
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.Index2(), fmbd.GGL()], ids=lambda form: form.name)
+@pytest.mark.parametrize("name", ["plane", "reduced 2D", "reduced 3D"])
+def test_points_of_implicit_steps(name: str, form: Any) -> None:
+    """What BDF and Radau ask of their stages, in one call; numbers like those that NumPy finds in parts."""
+    plain, driven, (t, q, v, a, lam) = pair_of(MAKERS[name])
+    mult = np.concatenate((lam, 1e-2 * lam[::-1]), axis=1)[:, : len(form.levels) * plain.n_lam]
+    points = Points(0.01 * v, v - a, v, a, mult)
+    found = []
+    for system in (plain, driven):
+        eq = StepEquations(system, form, StepSolver(system))
+        start = State(0.1, q[0], v[0], a[0], lam[0])
+        eq.weigh(start), eq.begin(start)
+        found.append((*eq.residual(t, points), eq.left))
+    assert eq._told(t, points) is not None
+    for wanted, x in zip(*found, strict=True):
+        assert x == pytest.approx(wanted, rel=1e-11, abs=1e-12 * max(1.0, np.abs(wanted).max()))
+    if name != "plane":  # whose laws of time are Python's
+        assert calls_of(lambda: eq.residual(t, points)) <= 20
 
 
 def calls_of(what: Any) -> int:

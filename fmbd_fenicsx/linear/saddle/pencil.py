@@ -187,4 +187,4 @@ def _balance(K: Array) -> tuple[Array, Array]:
 
 
 def _power(x: Array) -> Array:
-    return np.exp2(np.round(np.log2(np.where(x > 0, x, 1.0))))
+    return np.exp2(np.rint(np.log2(np.where(x > 0, x, 1.0))))

@@ -42,8 +42,9 @@ def local(system: System, q0: Array, past: list[Past]) -> tuple[Array, Array, Ar
     q = np.array([p.q for p in past])
 
     # the way back by the trapezoid rule tells how many turns lie between
-    ways = 0.5 * np.diff(t)[:, None] * (v[1:] + v[:-1])
-    guess = np.concatenate((np.zeros_like(v[:1]), np.cumsum(ways, axis=0)))
+    ways = 0.5 * (t[1:] - t[:-1])[:, None] * (v[1:] + v[:-1])
+    guess = np.zeros(v.shape)
+    np.add.accumulate(ways, axis=0, out=guess[1:])
     xi = np.array(system.difference(q0, q, near=guess))
     xi[0] = 0.0
     return t, xi, v

@@ -8,7 +8,7 @@ when someone asks for them. Systems without elastic fields.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, TypeGuard
@@ -24,6 +24,7 @@ from ..system import System
 from .calls import Calls
 from .exchange import Exchange, Room
 from .geometry import CompiledGeometry
+from .points import LocalPoints, PointsTold
 from .structures import address_of, enumeration
 from .tables import Tables
 
@@ -60,6 +61,7 @@ class DriverStates(CompiledGeometry):
         self._kept_room: Room | None = None
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
         self._last: DriverEvaluation | None = None  # made by :meth:`at`
+        self._points = LocalPoints(self)
         tables = self.tables
         self.recalls = bool(tables.sampled or tables.remembering or tables.listeners)  # whether elements have a memory
 
@@ -123,16 +125,22 @@ class DriverStates(CompiledGeometry):
         self.anew = True
         return DriverBatch(self, t, q, v)
 
+    def points(
+        self, t: Array, q0: Array, points: tuple[Array, Array, Array], forces: tuple[Array, Array | None, Array | None]
+    ) -> PointsTold | None:
+        """What an implicit step asks of points in local coordinates, see :class:`.LocalPoints`."""
+        return self._points.told(t, q0, points, forces) if self.same_rows else None
+
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
         room, places = self._loaded_room(at, a, lam)
-        told = self._ask(self.library.driver_balances, room, places)
+        told = self.ask(self.library.driver_balances, *room.at, *places)
         return self.twin.forces(room.sums[: room.count]).copy() if told else None
 
     def together(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Array, Array] | None:
         """:meth:`balances` and :meth:`constraints` in one call; None as above."""
         room, places = self._loaded_room(at, a, lam)
-        if not self._ask(self.library.driver_batch, room, [*places, *room.constraints_at]):
+        if not self.ask(self.library.driver_batch, *room.at, *places, *room.constraints_at):
             return None
         sums, rows = room.sums[: room.count], room.constraints[:, : room.count]
         return self.twin.forces(sums).copy(), self._with_motions(at[0], rows).copy()
@@ -159,7 +167,7 @@ class DriverStates(CompiledGeometry):
     def _constraints(self, at: Configurations) -> Array | None:
         """The same without the second rates of prescribed motions, a view."""
         room = self._room(at)
-        asked = self._ask(self.library.driver_constraints, room, room.constraints_at)
+        asked = self.ask(self.library.driver_constraints, *room.at, *room.constraints_at)
         return room.constraints[:, : room.count] if asked else None
 
     def along(self, at: Configurations) -> Array | None:
@@ -170,13 +178,13 @@ class DriverStates(CompiledGeometry):
     def rows(self, at: Configurations) -> Array | None:
         """G, (k, n_lam, n_v); None as above."""
         out = np.empty((len(at[0]), self.system.n_lam, self.system.n_v))
-        return out if self._ask(self.library.driver_rows, self._room(at), [address_of(out)]) else None
+        return out if self.ask(self.library.driver_rows, *self._room(at).at, address_of(out)) else None
 
     def energies(self, at: Configurations) -> Array | None:
         """Kinetic, elastic, of the weight and of springs, J, (k, 4); None as above, or where laws in Python store some."""
         looks, out = self.tables.looks, np.empty((len(at[0]), 4))
         known = looks.energies_known and not looks.stores
-        asked = known and self._ask(self.library.driver_energies, self._room(at), [address_of(out)])
+        asked = known and self.ask(self.library.driver_energies, *self._room(at).at, address_of(out))
         return out if asked else None
 
     def _room(self, at: Configurations) -> Room:
@@ -188,17 +196,17 @@ class DriverStates(CompiledGeometry):
             room = Room(self.tables.system, max(count, FEW))
             if count <= ROOMS:
                 self._kept_room = room
-        room.count = count
+        room.at[0] = room.count = count
         for x, value in zip(room.state, (t, twin.configurations(q), twin.velocities(v)), strict=True):
             x[:count] = value
         return room
 
-    def _ask(self, function: Any, room: Room, places: Sequence[int | None]) -> bool:
-        """One call for all configurations; whether they have been evaluated."""
+    def ask(self, function: Any, *given: int | None) -> bool:
+        """One call of C for many configurations, with numbers and addresses; whether they have been evaluated."""
         if self.recalls:
             self.tables.recall()
         self.calls.trusted = not self.anew
-        verdict = function(self.address, room.count, *room.state_at, *places)
+        verdict = function(self.address, *given)
         self.calls.trusted = self.anew = False
         if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()

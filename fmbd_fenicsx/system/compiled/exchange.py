@@ -36,7 +36,7 @@ class Room:
         made = zeros_of({"t": most, "q": (most, system.n_q), "v": n, "a": n, "lam": m, "sums": n, "rows": (4, *m)})
         self.places = {name: address for name, (_, address) in made.items()}
         self.state = [made[name][0] for name in "tqv"]
-        self.state_at = [self.places[name] for name in "tqv"]
+        self.at = [most, *(self.places[name] for name in "tqv")]  # how many, and where the configurations are
         self.a, self.lam, self.sums = (made[name][0] for name in ("a", "lam", "sums"))
         self.constraints = made["rows"][0]
         self.constraints_at = [self.places["rows"] + x * self.constraints.strides[0] for x in range(4)]

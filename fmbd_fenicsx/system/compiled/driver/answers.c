@@ -135,12 +135,13 @@ static void add_row(const System *s, int body, const double *rates, int modes, d
     add(row + s->body[body].at_v, factor, rates + TWIST, modes);
 }
 
-/* Rows of the constraints of one batch, as its kernel left them, into G, rows x nv. */
-static void add_rows(System *s, const Batch *k, double *G)
+/* Rows of the constraints of one batch, as its kernel left them, into G, rows x nv; with multipliers their sum G^T mu instead, nv. */
+static void add_rows(System *s, const Batch *k, const double *mu, double *G)
 {
     const double *out = k->out + 1;
     for (long i = 0; i < k->n; i++, out += k->outputs) {
-        double both[2 * TWIST] = {0.0}, *row = G + (long)k->row[i] * s->nv;
+        int number = k->row[i];
+        double both[2 * TWIST] = {0.0}, *row = mu ? G : G + (long)number * s->nv, factor = k->factor[i] * (mu ? mu[number] : 1.0);
         for (int e = 0; e < k->outputs - 1; e++) both[k->component[e]] = out[e];
 
         for (int side = 0; side < 2; side++) {
@@ -149,8 +150,19 @@ static void add_rows(System *s, const Batch *k, double *G)
             if (!width) continue;
             through(map, width, both + TWIST * side, s->big);
             int body = map ? s->surface[frame - s->bodies - 1].body : frame;
-            add_row(s, body, s->big, width - TWIST, k->factor[i], row);
+            add_row(s, body, s->big, width - TWIST, factor, row);
         }
+    }
+}
+
+/* G, or G^T mu, where frames are placed. */
+static void all_rows(System *s, const double *mu, double *G)
+{
+    memset(G, 0, (size_t)(mu ? 1 : s->rows) * s->nv * sizeof(double));
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != ROW) continue;
+        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        add_rows(s, k, mu, G);
     }
 }
 
@@ -162,12 +174,34 @@ EXPORT int driver_rows(System *s, long count, const double *t, const double *q, 
     int verdict;
     for (long i = 0; i < count; i++, q += s->nq, v += s->nv, G += size) {
         if ((verdict = sample(s, t[i], &last)) || (verdict = place(s, q, v))) return verdict;
-        memset(G, 0, size * sizeof(double));
-        for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-            if (k->role != ROW) continue;
-            k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
-            add_rows(s, k, G);
+        all_rows(s, NULL, G);
+    }
+    return DONE;
+}
+
+/* Points of an implicit step at q0 o exp(xi): the rates of xi for the velocities v - W G^T mu, W like v squared; the sums of the
+   balance, g and G v + g_t. ``mu`` may be NULL. ``room``: nq + nv. */
+EXPORT int driver_points(System *s, long count, const double *t, const double *q0, const double *xi, const double *v, const double *a,
+                         const double *lam, const double *mu, const double *W, double *rates, double *sums, double *gap,
+                         double *slip, double *room)
+{
+    double *q = room, *push = q + s->nq, last = NAN;
+    int verdict;
+    for (long i = 0; i < count; i++, xi += s->nv, v += s->nv, a += s->nv, rates += s->nv, sums += s->nv) {
+        long at = i * s->rows;
+        configuration(s, q0, xi, q);
+        if ((verdict = sample(s, t[i], &last)) || (verdict = evaluate(s, q, v, a, lam + at, t[i]))) return verdict;
+        like_v(s, s->residual, sums);
+        drift(s);
+        memcpy(gap + at, s->gap, s->rows * sizeof(double));
+        memcpy(slip + at, s->slip, s->rows * sizeof(double));
+
+        memcpy(rates, v, s->nv * sizeof(double));
+        if (mu) {
+            all_rows(s, mu + at, push);
+            for (int j = 0; j < s->nv; j++) rates[j] -= dot(W + (long)j * s->nv, push, s->nv);
         }
+        for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, rates + TWIST * b);
     }
     return DONE;
 }
