@@ -79,6 +79,7 @@ from .mechanics.forces.forces import joint_spring as joint_spring
 from .mechanics.forces.forces import own_force as own_force
 from .mechanics.forces.forces import torque as torque
 from .mechanics.joints.drives import angle as angle
+from .mechanics.joints.drives import couple as couple
 from .mechanics.joints.drives import displacement as displacement
 from .mechanics.joints.drives import drive as drive
 from .mechanics.joints.drives import gear as gear
@@ -96,6 +97,7 @@ from .mechanics.joints.joints import planar as planar
 from .mechanics.joints.joints import point_on_line as point_on_line
 from .mechanics.joints.joints import prismatic as prismatic
 from .mechanics.joints.joints import revolute as revolute
+from .mechanics.joints.joints import segment as segment
 from .mechanics.joints.joints import spherical as spherical
 from .mechanics.joints.joints import universal as universal
 from .mechanics.joints.rolling import Ball as Ball

@@ -137,7 +137,7 @@ def _finite(x: np.ndarray) -> bool:
 
 def vector(what: str, value: Any, *, size: int | None = None, zero: bool = True) -> np.ndarray:
     """Finite numbers, (size,). In the plane (2) a third number may follow when it is zero; ``zero``: all may be zero."""
-    wanted = f"{'' if size is None else f'{size} '}finite numbers" + ("" if zero else ", not all zero")
+    wanted = f"{'a vector of' if size is None else size} finite numbers" + ("" if zero else ", not all zero")
     found = array(what, value, shape=wanted)
 
     if size == 2 and found.shape == (3,):

@@ -45,7 +45,7 @@ def coordinate_scene(dim: int, what: str) -> fmbd.Scene:
     elif what == "screw":
         scene.add(fmbd.screw("d", hinge, lead=0.2))
     else:
-        rod = fmbd.distance("rod", *list(scene.bodies.values()), length=0.8)
+        rod = fmbd.segment("rod", *list(scene.bodies.values()))
         scene.add(rod, fmbd.drive("d", fmbd.displacement(rod), lambda t: 0.8 + 0.1 * t))
     return scene
 

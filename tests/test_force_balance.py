@@ -114,3 +114,14 @@ def test_contact_and_unknown_schemes_are_not_judged() -> None:
     assert Balanced.under(solver, fmbd.Moreau(), 1e-6) is None
     assert Balanced.under(solver, object(), 1e-6) is None
     assert Balanced.under(solver, fmbd.Radau(rtol=1e-3), 1e-6) is not None
+
+
+def test_the_step_that_is_refused_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last of many compiled steps that were made in one call, not the first of them."""
+
+    def refuse(*_: Any) -> None:
+        raise ConvergenceError("not in balance")
+
+    monkeypatch.setattr(Balanced, "check", refuse)
+    with pytest.raises(ConvergenceError, match="step 20 of 20: not in balance"):
+        fmbd.solve(double_pendulum(), t_end=0.02, dt=1e-3)

@@ -321,7 +321,10 @@ class Loop:
         if self.motions is not None:
             self.motions.look(self.stepper.state.t)
 
-        step = f"step {self.progress.done + 1}" + (f" of {self.schedule.steps}" if self.schedule.steps else "")
+        number, steps = self.progress.done + 1, self.schedule.steps
+        if steps:  # the newest of many that were made in one call is refused, or the one behind those that count
+            number = max(number, round(self.stepper.state.t * steps / self.schedule.t_end))
+        step = f"step {number}" + (f" of {steps}" if steps else "")
         newest = None if self.keeper is None else self.keeper.newest
         kept = "" if newest is None else f" The newest checkpoint is {newest}."
         return type(error)(f'Scene "{self.problem.scene.name}", {step}: {error}{kept}')

@@ -122,14 +122,14 @@ def _largest(system: System, g: Array) -> float:
 def _does_not_fit(system: System, t: float, g: Array) -> ConstraintError:
     """The error of bodies too far from where their joints want them, with the constraints g as given."""
     worst = worst_block(system, g)
-    driven = worst.endswith("(drive)")
+    driven = worst.endswith(("(drive)", "(coupling)"))
     found = (
         f"motion of {worst} begins {np.abs(g).max():.3g} m or rad away from its coordinate"
         if driven
         else f"{worst} is open by {np.abs(g).max():.3g} m"
     )
     remedy = (
-        "A joint coordinate is zero where the bodies were defined: let the motion begin there"
+        "A joint coordinate is zero where the bodies were defined, that of a segment its length: let the motion begin there"
         if driven
         else "Check the positions of the bodies and the center of the joint"
     )

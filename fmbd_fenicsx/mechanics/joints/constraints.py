@@ -11,6 +11,7 @@ kind               g
 ``Perpendicular``  e . f
 ``Turned``         e . f, e turned in a by the angle s
 ``Distance``       (d . d / L - L) / 2
+``Apart``          |d| - L(t)
 ``ExpressedConstraint``      a formula of the user's own
 =================  ======================================
 
@@ -136,6 +137,12 @@ class Distance(Batch):
     def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
         """The lengths."""
         return {"length": np.array([p.length for p in pairs])}
+
+
+class Apart(Batch):
+    """|x_b - x_a| = s, a length given in time; the multiplier is the force in the rope (positive: tension)."""
+
+    kind = "separation"
 
 
 class NamedConstants(Batch):

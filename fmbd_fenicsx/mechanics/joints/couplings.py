@@ -27,7 +27,7 @@ class SmoothMotion:
     """A prescribed motion t -> (s, s', s'') by a function of the user's own. ``of``: what is moved, in messages.
 
     ``function`` gives these three where ``complete``, else s alone; the derivatives are then computed
-    (:mod:`.time_derivatives`), to roundoff where the function is made of NumPy's functions.
+    (:mod:`.time_derivatives`), to roundoff where the function is made of NumPy's functions. ``positive``: s is a length.
     """
 
     name: str
@@ -35,6 +35,7 @@ class SmoothMotion:
     of: str
     complete: bool
     differenced: Callable[[Any], Any]  # the function up to its very end
+    positive: bool = False
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""
@@ -63,7 +64,7 @@ class SmoothMotion:
     def place(self, t: float) -> float:
         """s alone."""
         value = self.function(t)
-        if isinstance(value, float) and not self.complete and isfinite(value):
+        if isinstance(value, float) and not self.complete and isfinite(value) and (value > 0.0 or not self.positive):
             return value
         s = self._checked(value, t)
         self._require(len(s) == (3 if self.complete else 1), s, t)
@@ -76,6 +77,10 @@ class SmoothMotion:
         except (TypeError, ValueError, OverflowError):
             found = np.array(np.nan)
         self._require(found.shape in ((1,), (3,)) and bool(np.isfinite(found).all()), value, t)
+        if self.positive and found[0] <= 0.0:
+            raise CallbackError(
+                f'Joint "{self.name}": its length is {found[0]:.6g} m at t = {t:g} s, and must stay above 0.'
+            )
         return found
 
     def _require(self, usable: bool, value: Any, t: float) -> None:
@@ -98,18 +103,21 @@ def _with_its_derivatives(function: Callable[[float], Any]) -> Callable[[float],
     return (lambda t: np.array([function(t), first(t), second(t)], dtype=float)) if known else function
 
 
-def smooth_motion(name: str, function: Callable[[float], Any], *, of: str = "drive") -> SmoothMotion:
+def smooth_motion(
+    name: str, function: Callable[[float], Any], *, of: str = "drive", positive: bool = False
+) -> SmoothMotion:
     """A prescribed motion from a function that returns (s, s', s'') or s alone; it must be smooth.
 
     Whether it is, and whether its rates are those of its motion, is looked at along the run
-    (:mod:`fmbd_fenicsx.run.judges.prescribed_motions`). ``of``: what is moved, in messages.
+    (:mod:`fmbd_fenicsx.run.judges.prescribed_motions`). ``of``: what is moved, in messages; ``positive``: as of
+    :class:`SmoothMotion`.
     """
     checked_function(f'{of.capitalize()} "{name}": motion', function, "t", named="t")
     function = _with_its_derivatives(function)
     asked = named(f"The motion of {of}", name, function, to_end=True)
     differenced = named(f"The motion of {of}", name, function)
-    first = SmoothMotion(name, asked, of, False, differenced)._checked(asked(0.0), 0.0)
-    return SmoothMotion(name, asked, of, len(first) == 3, differenced)
+    first = SmoothMotion(name, asked, of, False, differenced, positive)._checked(asked(0.0), 0.0)
+    return SmoothMotion(name, asked, of, len(first) == 3, differenced, positive)
 
 
 class CouplingBatch(Batch):

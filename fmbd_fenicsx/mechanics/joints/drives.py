@@ -8,11 +8,11 @@ A coordinate is also a sensor (``scene.sensor("phi", phi)``) and what :func:`fmb
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ...checks import number, typed
+from ...checks import instance, number, typed
 from ...errors import InputError, require
 from .constraints import Motion
 from .couplings import lead_ratio, smooth_motion
@@ -82,6 +82,13 @@ def _coupling(
     name: str, kind: str, terms: list[tuple[JointCoordinate, float]], motion: Motion | None = None
 ) -> Coupling:
     first = terms[0][0].joint
+    for s, _ in terms:
+        held = s.kind is Separation and s.joint.rows
+        require(
+            not held,
+            f'Joint "{name}": the length of joint "{s.joint.name}" (distance) is held by that joint itself. Give it as '
+            "fmbd.distance(..., length=function of time), or take fmbd.segment, whose length is free.",
+        )
     return Coupling(
         name,
         first.a,
@@ -118,6 +125,33 @@ def gear(name: str, driving: JointCoordinate, driven: JointCoordinate, *, ratio:
         f'Joint "{name}" couples a coordinate with itself.',
     )
     return _coupling(name, "gear", [(driven, 1.0), (driving, -float(ratio))])
+
+
+@typed
+def couple(
+    name: str, terms: Mapping[JointCoordinate, float], *, motion: Callable[[float], Any] | None = None
+) -> Coupling:
+    """One constraint on a combination of joint coordinates: sum_k c_k s_k = motion(t).
+
+    Args:
+        terms: coordinate -> factor c_k: of a differential ``{left: 1, right: 1, shaft: -2}``, of a rope over pulleys the
+            lengths of its segments (:func:`segment`) and how often each is passed.
+        motion: t -> value, or (value, rate, second rate), smooth. None: the combination stays what it is at the start.
+
+    With angles and lengths in one sum factors carry the radius (m/rad). The multiplier times c_k is the effort on s_k, with the
+    sign of :func:`drive`. For a spring or a law on a combination couple it to the angle of a light wheel, and let that act there.
+    """
+    require(len(terms) > 0, f'Joint "{name}" couples nothing: give coordinate -> factor.')
+    for s in terms:
+        instance(f'Joint "{name}": coordinate', s, JointCoordinate)
+    factors = [(s, number(f'Joint "{name}": factor of joint "{s.joint.name}"', c)) for s, c in terms.items()]
+    require(all(c != 0.0 for _, c in factors), f'Joint "{name}": a factor is 0; leave that coordinate out.')
+    start = sum(c * s.joint.length for s, c in factors if s.kind is Separation)
+    if motion is not None:
+        given = smooth_motion(name, motion)
+    else:
+        given = None if start == 0.0 else smooth_motion(name, lambda t: (start, 0.0, 0.0))
+    return _coupling(name, "coupling", factors, given)
 
 
 @typed

@@ -16,14 +16,15 @@ joint                  rows         relative motion left free
 :func:`cylindrical`    - / 4        translation along and rotation about the axis
 :func:`planar`         - / 3        two translations, rotation about the normal
 :func:`distance`       1 / 1        all but the distance of two points
+:func:`segment`        0 / 0        everything; the distance of two points is its coordinate
 :func:`point_on_line`  1 / 2        translation along a line of the first body, rotation
 =====================  ===========  ===============================================================
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -333,19 +334,46 @@ def distance(
     *,
     point_a: Vector | None = None,
     point_b: Vector | None = None,
-    length: float | None = None,
+    length: float | Callable[[float], Any] | None = None,
 ) -> Joint:
     """Massless rod of a ``length`` (m) between a point of a and a point of b; multiplier: its tension (N).
 
     Points are world coordinates of the start; None: the position of a rigid body, the centroid of a surface, the origin of the
-    ground. Without a length the rod is as long as the points are apart then.
+    ground. Without a length the rod is as long as the points are apart then. A function of time, length(t) = L or (L, L', L''),
+    hoists: |x_b - x_a| = L(t); it must be smooth and above zero.
     """
+    if not callable(length):
+        return _straight(ct.Distance, (name, a, b), (point_a, point_b), length)
+    motion = smooth_motion(name, length, of="length", positive=True)
+    return _straight(ct.Apart, (name, a, b), (point_a, point_b), motion.place(0.0), motion)
+
+
+@typed
+def segment(name: str, a: Any, b: Any, *, point_a: Vector | None = None, point_b: Vector | None = None) -> Joint:
+    """The straight line from a point of a to a point of b, which holds nothing; its length (m) is :func:`displacement`.
+
+    What acts on it is added: :func:`couple` makes several segments one rope over pulleys, ``joint_spring`` and ``effort`` pull.
+    Points as of :func:`distance`.
+    """
+    free = _straight(ct.Distance, (name, a, b), (point_a, point_b), None)
+    return replace(free, rows=())
+
+
+def _straight(
+    kind: type[ct.Batch],
+    joint: tuple[str, Any, Any],
+    points: tuple[Vector | None, Vector | None],
+    length: float | None,
+    motion: ct.Motion = ct.standstill,
+) -> Joint:
+    """A row of a kind along the line between two points of (name, a, b); ``length`` None: that of the start."""
+    name, a, b = joint
     dim = dimension(a, b, name)
-    pa, pb = center_point(point_a, dim, name), center_point(point_b, dim, name)
+    pa, pb = (center_point(point, dim, name) for point in points)
     if length is None:
         length = float(np.linalg.norm(_start(b, pb, name, dim) - _start(a, pa, name, dim)))
     number(f'Joint "{name}": length', length, above=0.0, unit="m")
-    return Joint(name, a, b, (Row(ct.Distance, np.zeros(dim)),), pa, pb, length, "distance")
+    return Joint(name, a, b, (Row(kind, np.zeros(dim), motion=motion),), pa, pb, length, "distance")
 
 
 @typed

@@ -152,7 +152,7 @@ def own_term(what: str, y: Expression, dim: int) -> OwnTerm:
         _require_linear(what, y, speeds)
     kind = _kind(dim, z, len(numbers), flow)
     if not kind.entries:
-        raise InputError(f"{what}: its formula {z!r:.60} does not depend on the motion of the markers.")
+        raise InputError(f"{what}: its formula does not depend on the motion of the markers a and b.")
     return OwnTerm(kind, {"own": np.array(numbers)} if numbers else {})
 
 

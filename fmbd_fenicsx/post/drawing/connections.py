@@ -107,7 +107,9 @@ def _foot(name: str, x: Array, r: float, up: Array, dim: int) -> Piece:
 
 
 def _drive(joint: Coupling, at: Places, symbol: float) -> list[Piece]:
-    """An arrow about or along the first coordinate of a drive; gears and screws show through the joints that they couple."""
+    """An arrow about or along the first coordinate of a drive; gears, screws and couplings show through the joints that they
+    couple.
+    """
     if joint.kind != "drive":
         return []
     return _effort_mark(joint.name, joint.terms[0][0], at, symbol)

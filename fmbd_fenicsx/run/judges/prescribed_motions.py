@@ -275,11 +275,14 @@ def _compare_drives(one: Follower, other: Follower, joint: str) -> None:
 
 
 def _rivals(scene: Scene) -> list[tuple[int, int, str]]:
-    """Motions of drives that act on the same coordinate, and its joint."""
+    """Motions of drives that act on the same coordinate alone, and its joint."""
     acting: dict[tuple[int, Any], list[Any]] = {}
     for joint in scene.joints.values():
-        if isinstance(joint, Coupling) and joint.motion is not None:
-            coordinate = joint.terms[0][0]
+        if not isinstance(joint, Coupling) or joint.motion is None:
+            continue
+        # a combination, or a multiple, of coordinates has a motion of its own
+        (coordinate, factor), *more = joint.terms
+        if factor == 1.0 and not more:
             acting.setdefault((id(coordinate.joint), coordinate.kind), []).append(joint)
     pairs = [(js[0], other) for js in acting.values() for other in js[1:]]
     return [(id(one.motion), id(other.motion), one.terms[0][0].joint.name) for one, other in pairs]

@@ -126,7 +126,10 @@ class Scene:
                 if _fits(part, place):
                     break
             else:
-                raise InputError(f"A scene takes bodies, joints, forces and contacts; found {shown(part)}.")
+                many = (
+                    " Give the parts of a list one by one: scene.add(*parts)." if isinstance(part, list | tuple) else ""
+                )
+                raise InputError(f"A scene takes bodies, joints, forces and contacts; found {shown(part)}.{many}")
             self._put(self.__dict__[place], part, PLACES[place][1])
         return parts[0] if len(parts) == 1 else parts
 
