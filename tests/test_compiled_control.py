@@ -203,6 +203,7 @@ def test_compiled_and_numpy_steps_are_of_the_same_sizes() -> None:
     assert np.abs(runs[0].state.q - runs[1].state.q).max() < 1e-10
     assert runs[0].counters["compiled_steps"] > 0.9 * runs[0].counters["steps"]
     assert "compiled_steps" not in runs[1].counters
+    assert [run.plan.path.split()[0] for run in runs] == ["compiled", "NumPy"]
 
 
 @pytest.mark.parametrize("every", [1, 3])

@@ -18,8 +18,8 @@ import numpy as np
 
 from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveError, PartsError, StabilityError
 from ..log import log
-from ..schemes.stepping import TimeStepper
-from ..system.compiled.recording import Openness, Tape
+from ..schemes.stepping import Around, TimeStepper
+from ..system.compiled.recording import Tape
 from ..system.element_memory import accept, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.serialisation import plain, worker
@@ -43,7 +43,7 @@ class Judges:
     forecast: Forecast
 
 
-class ConstantSteps(TimeStepper):
+class ConstantSteps(Around):
     """A stepper with constant steps, whole or in parts.
 
     ``renew`` makes a stepper from a state, or takes one that goes on behind a jump of forces; None: the stepper goes on with
@@ -77,21 +77,6 @@ class ConstantSteps(TimeStepper):
         self._past: dict[str, float] = {}  # counters of former steppers
 
     @property
-    def state(self) -> State:  # type: ignore[override]
-        """The state of the stepper."""
-        return self.stepper.state
-
-    @property
-    def path(self) -> str:  # type: ignore[override]
-        """How the stepper computes."""
-        return self.stepper.path
-
-    @property
-    def unwrapped(self) -> TimeStepper:
-        """The scheme's own."""
-        return self.stepper
-
-    @property
     def evaluation(self) -> Evaluation | None:
         """At the newest state, where it was looked at."""
         found = self._seen if self.watch is None else self.watch.evaluation
@@ -106,10 +91,6 @@ class ConstantSteps(TimeStepper):
     def _sum(self) -> dict[str, float]:
         found = self.stepper.counters
         return {k: found.get(k, 0.0) + self._past.get(k, 0.0) for k in {**self._past, **found}}
-
-    def tape(self, judged: Openness) -> Tape | None:
-        """Room for records of compiled steps; None where the stepper has none."""
-        return self.stepper.tape(judged)
 
     def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
         """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""

@@ -107,6 +107,31 @@ class TimeStepper(Remembering):
         return None
 
 
+class Around(TimeStepper):
+    """A stepper around another one, ``stepper``, which answers what this one does not say itself."""
+
+    stepper: TimeStepper
+
+    @property
+    def state(self) -> State:  # type: ignore[override]
+        """The state of the stepper."""
+        return self.stepper.state
+
+    @property
+    def path(self) -> str:  # type: ignore[override]
+        """How the stepper computes."""
+        return self.stepper.path
+
+    @property
+    def unwrapped(self) -> TimeStepper:
+        """The scheme's own."""
+        return self.stepper
+
+    def tape(self, judged: Openness) -> Tape | None:
+        """That of the stepper."""
+        return self.stepper.tape(judged)
+
+
 def made_stepper(scheme: Any, *given: Any) -> TimeStepper:
     """The stepper of a scheme from (system, solver, newton, consistent state). From now on compiled code evaluates the system,
     where it knows all of it and the scheme does not say otherwise.

@@ -22,7 +22,7 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import ScalarLoads
-from ...schemes.stepping import TimeStepper
+from ...schemes.stepping import Around, TimeStepper
 from ...system.evaluation import Evaluation
 from ...system.scene.scene import Scene
 from ...system.serialisation import Remembering, plain, worker
@@ -30,7 +30,7 @@ from ...system.system import State, System
 from .acceptance import attempt
 
 if TYPE_CHECKING:
-    from ...system.compiled.recording import Openness, Tape
+    from ...system.compiled.recording import Tape
 
 SHARE = 1e-3
 HALVINGS = 10
@@ -117,7 +117,7 @@ def strain_energy(system: System) -> float:
     return sum(abs(float(part.field.energy(ROUNDOFF * part.field.X.ravel()))) for _, part in system.fields)
 
 
-class Guarded(TimeStepper):
+class Guarded(Around):
     """A stepper with error control under guard: told to start again from before. Constant steps: :mod:`..step_bisection`."""
 
     keeps: ClassVar = {"stepper": worker, "watch": worker, "largest": plain(), "local_error": plain()}
@@ -125,16 +125,6 @@ class Guarded(TimeStepper):
     def __init__(self, stepper: TimeStepper, watch: Watch) -> None:
         self.stepper, self.watch, self.largest = stepper, watch, float("inf")
         self.local_error = 0.0
-
-    @property
-    def state(self) -> State:  # type: ignore[override]
-        """The state of the stepper."""
-        return self.stepper.state
-
-    @property
-    def unwrapped(self) -> TimeStepper:
-        """The scheme's own."""
-        return self.stepper
 
     @property
     def evaluation(self) -> Evaluation | None:
@@ -161,10 +151,6 @@ class Guarded(TimeStepper):
         if made:
             self.local_error, self.watch.time = self.stepper.local_error, self.state.t
         return made
-
-    def tape(self, judged: Openness) -> Tape | None:
-        """That of the stepper."""
-        return self.stepper.tape(judged)
 
     def step_back(self) -> None:
         """The same of the stepper."""

@@ -337,6 +337,11 @@ class VariableAlpha(TimeStepper):
         until = self.lost[1] if lost and self.lost is not None else np.inf
         return Stay(place, count, self.stretch, self.end, 0 if lost else ratio, KEEPS, CALM, until)
 
+    @property
+    def path(self) -> str:  # type: ignore[override]
+        """How the stepper of constant steps computes."""
+        return str(self.inner.path)
+
     def tape(self, judged: Openness) -> Tape | None:
         """Room for records of :meth:`march`."""
         return self.inner.tape(judged)  # type: ignore[no-any-return]
