@@ -147,10 +147,9 @@ def couple(
     factors = [(s, number(f'Joint "{name}": factor of joint "{s.joint.name}"', c)) for s, c in terms.items()]
     require(all(c != 0.0 for _, c in factors), f'Joint "{name}": a factor is 0; leave that coordinate out.')
     start = sum(c * s.joint.length for s, c in factors if s.kind is Separation)
-    if motion is not None:
-        given = smooth_motion(name, motion)
-    else:
-        given = None if start == 0.0 else smooth_motion(name, lambda t: (start, 0.0, 0.0))
+    if motion is None and start != 0.0:
+        motion = lambda t: (start, 0.0, 0.0)  # noqa: E731
+    given = None if motion is None else smooth_motion(name, motion)
     return _coupling(name, "coupling", factors, given)
 
 
