@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_ranks import launch
+from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -146,6 +147,19 @@ def test_damped_rod(rod_mesh: Any) -> None:
     assert values[1].real == pytest.approx(-1e-3 * values[0].imag ** 2, rel=1e-6)
     model = fmbd.linearise(scene, ["push y"], ["tip y"])
     assert np.abs(np.linalg.eigvals(model.A)).min() == pytest.approx(values[0][0].imag, rel=1e-6)
+
+
+@pytest.mark.parametrize("make", [fmbd.FloatingBody, fmbd.AbsoluteBody])
+def test_slender_cantilever(make: Any) -> None:
+    """1 : 50: the stiffness of a cell is 1e12 times that of the beam. Euler and Bernoulli's frequencies, shear lowers them."""
+    E, rho, height = 1e9, 1000.0, 0.02
+    mesh = fmbd.read_gmsh(ROOT / "meshes/rod.py", dim=2, height=height, h=height)
+    rod = make("rod", mesh, density=rho, elastic=fmbd.materials.plane_stress(E, 0.0))
+    scene = fmbd.Scene("cantilever")
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+    exact = np.array([1.8751041, 4.6940911, 7.8547574]) ** 2 * np.sqrt(E * height**2 / (12 * rho))
+    share = fmbd.modes(scene, 3).omega / exact
+    assert (share < 1.0 + 1e-4).all() and (share > 1.0 - np.array([1e-3, 3e-3, 8e-3])).all()
 
 
 def test_bad_input() -> None:

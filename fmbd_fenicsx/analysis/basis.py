@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, LinearSolveError
 from ..linear.condensation import StepSolver, Weights
 from ..rotations import Array
 from ..schemes.exact_tangent import exact_increment
@@ -27,6 +27,7 @@ BLOCK, MORE = 3, 24  # start vectors, and vectors beyond those asked for
 ENLARGED = 1e-2  # share of a vector that must be new for its violation of the constraints to stay roundoff
 NEW = 1e-5  # share of a vector that must be new: below it stands the noise of GMRES, which no constraint holds
 DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
+TRIES, LARGER = 5, 9.0  # shifts beyond the one given, and each over the one before
 EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
 
 
@@ -66,15 +67,32 @@ def projected(
     ``enough`` tells from the matrices whether the space of elastic fields need not grow any more.
     """
     system = about.system
-    space = _Space(about)
     if not system.fields and system.n_core <= DENSE_LIMIT:
+        space = _Space(about)
         for v in free_motions(about):
             space.add(v)
         made = space.projected()
         made = replace(made, speeds=_speeds(about, made.vectors))
     else:
-        made = _krylov(space, _Shifted(about, solver, shift), count, inputs, enough)
+        made = _with_enough_inertia(
+            about, solver, shift, lambda inverse: _krylov(_Space(about), inverse, count, inputs, enough)
+        )
     return replace(made, memory=small_memory(about, made.vectors))
+
+
+def _with_enough_inertia(
+    about: Perturbation, solver: StepSolver, shift: float, make: Callable[[_Shifted], ProjectedSystem]
+) -> ProjectedSystem:
+    """What ``make`` finds by the inverse (K + s M)^-1 with the least s, from the given one on, that roundoff of K does not hide.
+
+    A thin body by itself is held by its inertia alone, and its first frequency is low against its largest.
+    """
+    for _ in range(TRIES):
+        try:
+            return make(_Shifted(about, solver, shift))
+        except LinearSolveError:
+            shift *= LARGER
+    return make(_Shifted(about, solver, shift))
 
 
 @dataclass(eq=False)
