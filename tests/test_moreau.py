@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.schemes.impacts import contact_driver
 
 
 def bouncing(dt: float, scheme: Any, t_end: float = 1.5) -> Any:
@@ -234,3 +235,48 @@ def test_cylinder_stands_on_its_end_in_space() -> None:
     assert run["force"][-1] == pytest.approx([0, 0, 9.81], abs=1e-8)
     assert run.state.q[2] == pytest.approx(0.1, abs=2e-3)
     assert np.abs(run.state.v).max() < 1e-9
+
+
+def swinging(where: str, dt: float) -> tuple[float, float]:
+    """Largest change and range of the energy of a pendulum over a floor far below, or of a ball in a smooth bowl."""
+    scene = fmbd.Scene(where, gravity=(0, -9.81))
+    if where == "pendulum":
+        body = fmbd.RigidBody("body", 1.0, 0.05, (1.0, 0.0))
+        shape: Any = fmbd.HalfSpace((0, -100), (0, 1))
+        scene.add(fmbd.revolute("hinge", fmbd.ground, body, center=(0, 0)))
+    else:
+        body, shape = fmbd.RigidBody("body", 1.0, 0.004, (0.9, 0.0)), fmbd.Sphere(1.0, inside=True)
+    scene.add(body, fmbd.contact("floor", fmbd.ball(body, 0.1), fmbd.Obstacle("floor", shape)))
+    run = fmbd.solve(scene, t_end=0.5, dt=dt, scheme=fmbd.Moreau(), output=fmbd.Output(progress=False))
+    energy = sum(run.energy.values())
+    return float(np.abs(energy - energy[0]).max()), float(np.ptp(run.energy["kinetic"]))
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("where", ["pendulum", "bowl"])
+def test_smooth_motion_keeps_its_energy_to_second_order(
+    where: str, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither joints nor curved obstacles take energy at first order."""
+    if not compiled:
+        monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+    (coarse, scale), (fine, _) = (swinging(where, dt) for dt in (2e-2, 1e-2))
+    assert coarse < 1e-2 * scale
+    assert 3.0 < coarse / fine < 5.0
+
+
+@pytest.mark.parametrize("impacts", [20, 0])
+def test_elastic_block_between_planes_wins_no_energy(impacts: int) -> None:
+    """Points that leave one plane are pressed back by the body's waves in the same step."""
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.1), origin=(0, -0.05), counts=(20, 2), quads=True)
+    elastic = fmbd.materials.plane_stress(1e5, 0.0)
+    block = fmbd.AbsoluteBody("block", mesh, degree=1, density=1e3, elastic=elastic, velocity=(0, 1.0))
+    scene = fmbd.Scene("between planes")
+    scene.add(block)
+    for side, up in (("bottom", 1.0), ("top", -1.0)):
+        plane = fmbd.Obstacle(side, fmbd.HalfSpace((0, -0.055 * up), (0, up)))
+        scene.add(fmbd.contact(side, block.surface(side), plane, restitution=0.5, redistribute_mass=False))
+    run = fmbd.solve(scene, t_end=0.024, dt=2e-3, scheme=fmbd.Moreau(impacts=impacts))
+    energy = sum(run.energy.values())
+    assert energy[-1] < 0.99 * energy[0]
+    assert np.diff(energy).max() < 1e-12 * energy[0]

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = range(4)
 LIMIT, OWN = 4, 5  # behind the shapes that the driver knows; OWN: Python tells the distances
 BOUNDED = slots.AM
-CLOSED, TOLD = 128, 6  # as in driver/contact.c
+CLOSED, TOLD = 128, 8  # as in driver/contact.c
 MOST = 1024  # contacts closed at once: a step with more is NumPy's
 POINTER = ctypes.c_void_p
 INT = ctypes.c_int

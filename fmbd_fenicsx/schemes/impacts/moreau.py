@@ -1,18 +1,24 @@
 """Moreau-Jean time stepping with impacts at their own times; restitution as an impulse.
 
     M (v_1 - v_0) / h + h(q_m, v_m) + G^T lambda = N^T P / h,     v_m = (v_0 + v_1) / 2,   q_m = q_0 o exp(h v_m / 2)   (1)
-    q_1 = q_0 o exp(h v_m),     G v_1 + g_t = 0                                                                         (2)
+    q_1 = q_0 o exp(h v_m),     G v_m + g_t = 0                                                                         (2)
     closed contacts:  0 <= P _|_ U_1 + e U_0 >= 0,     U = N v + g_t  the gap's rate                                    (3)
 
 The rows N are those of the middle predicted from the start of the step, so (3) is one complementarity problem. A step
 is cut where a gap closes (a root of the gap along the step's parabola), and the impact is a step of (almost) no length:
-between impacts the rule is of second order. Contacts that touch without approach are closed: they carry a force.
+between impacts the rule is of second order. Contacts that touch without approach are closed: they carry a force. In a
+flight from the rates r_0 at its start to U_1 their rates are extrapolated from the start and the middle, like those of joints,
+
+    0 <= P _|_ U_0 + U_1 - min(r_0, 0) >= 0                                                                             (4)
+
+so that curved paths cost no energy at first order. One that leaves, r_0 > 0, and is pressed back within the flight comes back
+at its speed, without work.
 When one contact hits more than three times in a step, its impacts accumulate (Zeno): it comes to rest there. When a step
 has more than ``impacts`` of them, the rest of it is taken as classical time stepping: contacts whose gap, extrapolated to
 the middle, is not positive are closed, with those that would else end below zero, and P is the impulse of all that
 happens. Energy: P (U_0 + U_1) / 2 =
 -(1 - e) / 2 P |U_0| <= 0; with friction see :mod:`.restitution`.
-Joints are kept on velocity level by (2) and projected on position level after the step.
+Joints are kept by (2) in the mean, and projected on positions and velocities after the step.
 
 Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Jean, doi:10.1016/S0045-7825(98)00383-1.
 """
@@ -265,6 +271,19 @@ class MoreauStepper(ContactStepper):
             rates[chosen] = contacts.times(self.system, rows.N, self.state.v) + moving
         return rates
 
+    def _start_rates(self, closed: np.ndarray, h: float) -> Array:
+        """Rates of the gaps of closed contacts at the start of a flight of length h, m/s, (m,).
+
+        Of obstacles that move as prescribed by their places at its start, middle and end, which are asked for anyway.
+        """
+        contacts, system, s = self.contacts, self.system, self.state
+        rows = contacts.rows(system, s.t, s.q, since=(s.t, h)).take(closed)
+        rates = contacts.times(system, rows.N, s.v)
+        if any(pair.moving for pair in contacts.pairs):
+            start, middle, end = (contacts.touch(system, s.t + x, s.q).gap[closed] for x in (0.0, h / 2, h))
+            rates = rates + (4 * middle - 3 * start - end) / h
+        return rates
+
     def _gap_along(self, step: _Step, share: float) -> Array:
         """Gaps (m,) at a share of a solved step, along its parabola."""
         system, s = self.system, self.state
@@ -306,14 +325,15 @@ class MoreauStepper(ContactStepper):
         closed = step.closed
         xi = 0.5 * h * (s.v + step.v)
         q = self._closed_joints(system.compose(s.q, xi), s.t + h)
-        a = (step.v - s.v) / h
+        v = self._closed_rates(q, step.v, s.t + h)
+        a = (v - s.v) / h
         self.local_error = h * h / 12 * system.max_abs(a - s.a) if not closed.any() else 0.0
         self.impulse = np.zeros_like(self.impulse)
         self.impulse[closed] = step.contact.force
         self.carrying = (self.impulse[:, 0] > 0.0) & ~step.bouncing
         forces = StepForces(closed, step.rows, step.contact.force / h, s.t + h / 2)
         lam = self._reactions(s.t + h, q, step.lam)
-        self.state = self.ledger.write(State(s.t + h, q, step.v, a, lam), forces, (step.ev, xi, step.lam), h)
+        self.state = self.ledger.write(State(s.t + h, q, v, a, lam), forces, (step.ev, xi, step.lam), h)
 
     def _closed_joints(self, q: Array, t: float) -> Array:
         """Positions projected on the joints."""
@@ -328,12 +348,20 @@ class MoreauStepper(ContactStepper):
             q = system.compose(q, dq)
         return q
 
+    def _closed_rates(self, q: Array, v: Array, t: float) -> Array:
+        """Velocities projected on those of the joints."""
+        if not self._joints:
+            return v
+        end = self.system.at(t, q, v)
+        dv, _ = self.solver.solve(np.zeros(self.system.n_v), -(end.jacobian.times(v) + end.constraint_rate()))
+        return v + dv
+
 
 class _Step:
     """One solved step of length h from the stepper's state: v_1 ``v``, lambda ``lam``, P in ``contact.force``.
 
-    ``closed`` (m,) contacts take part, those in ``bounce`` with restitution; ``span``: length over which obstacles'
-    motion is measured.
+    ``closed`` (m,) contacts take part, those in ``bounce`` with restitution, or back at the speed they leave with; None: a
+    flight, in which they stay closed by (4). ``span``: length over which obstacles' motion is measured.
     """
 
     def __init__(
@@ -342,7 +370,7 @@ class _Step:
         h: float,
         closed: np.ndarray,
         *,
-        bounce: np.ndarray | bool = False,
+        bounce: np.ndarray | bool | None = None,
         span: float = 0.0,
     ) -> None:
         self.p, self.h, self.span, self.closed = stepper, h, span or h, closed
@@ -350,21 +378,26 @@ class _Step:
 
         self.v, self.lam = s.v.copy(), s.lam.copy()
         self.impact: Impact | None = None
-        self.bouncing = np.broadcast_to(bounce, closed.shape)
+        flight = bounce is None
+        self.bouncing = np.broadcast_to(bool(bounce) if isinstance(bounce, bool | None) else bounce, closed.shape)
 
         self.prepared, self.rows = False, None
         self.ev: Evaluation = None  # type: ignore[assignment]
 
-        # rows at the middle; what comes in before an impact rebounds by its share
+        # rows at the middle; what comes in before an impact rebounds by its share, and what leaves may come back
         if closed.any():
             middle = stepper.system.compose(s.q, 0.5 * h * s.v)
             at = (stepper.system, s.t + h / 2, middle)
             self.rows = contacts.rows(*at, since=(s.t, self.span)).take(closed)
             self.rate = contacts.gap_rate(*at, self.span)[closed]
             before = self._openings(s.v)
-            rebound = np.where(self.bouncing[closed], self.rows.restitution * np.minimum(before[:, 0], 0.0), 0.0)
+            back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)
+            rebound = np.where(self.bouncing[closed], back * before[:, 0], 0.0)
+            if flight:
+                rebound = before[:, 0] - np.minimum(stepper._start_rates(closed, h), 0.0)
             self.impact = Impact(before, rebound)
-        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed], self.impact)
+        bound = None if flight else self.impact
+        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed], bound)
 
         converged, history = stepper.newton.solve(self.increment, self.renew)
         if not converged:
@@ -396,7 +429,7 @@ class _Step:
         solver.prepare(ev, Weights(1.0, h / 2, h * h / 4), keep=self.prepared)
         self.prepared = True
 
-        slip = ev.jacobian.times(self.v) + ev.constraint_rate() if system.n_lam else np.zeros(0)
+        slip = 2 * (ev.jacobian.times(vm) + ev.constraint_rate()) if system.n_lam else np.zeros(0)
 
         if self.rows is not None and self.impact is not None:
             u = self._openings(self.v)

@@ -8,6 +8,10 @@ Levinson's paradox). In an impact U_1 = U_0 + W P with the rates U of all closed
 which is never positive without a rebound: P . U_1 <= 0 then. So there is a largest share s in [0, 1] of the rebounds by which no
 energy is won, U_1 = -s e U_0. It is 1 wherever Newton's law wins none, and else found by secants.
 
+Where other forces act in the time of a step too, a contact may leave already, U_0 > 0, and be pressed back within the step.
+Stopped there, U_1 = 0, it would gain P U_0 / 2; so it may come back at the speed it leaves with, U_1 = -U_0. By the mean of both
+its gap does not shrink, and P does no work. That share is never less than one.
+
 Source: Glocker, "Energetic consistency conditions for standard impacts", doi:10.1007/s11044-012-9316-9.
 """
 
@@ -29,8 +33,8 @@ TRIED = 40  # shares of the rebound at most
 
 @dataclass
 class Impact:
-    """Rates ``before`` (m, 1 or d) of the closed contacts, m/s, and the ``rebound`` e min(U_0, 0) (m,) of those that bounce; that
-    is made smaller where it would add energy.
+    """Rates ``before`` (m, 1 or d) of the closed contacts, m/s, and the ``rebound`` (m,) of those that bounce: e U_0 of those
+    that approach, which is made smaller where it would add energy, and U_0 of those that leave.
     """
 
     before: Array
@@ -41,17 +45,18 @@ class Impact:
 
         ``solve``: impulses for openings like ``gap``, which are those under ``start`` with all of the rebound.
         """
-        if not self.rebound.any():
+        if not (self.rebound < 0.0).any():
             return solve(gap)
         shape = start.shape
 
         def at(share: float) -> tuple[Array, float, float]:
             """Impulses with a share of the rebound, their work, and the size of its terms."""
             less = gap.reshape(shape).copy()
-            less[:, 0] -= (1.0 - share) * self.rebound
+            rebound = self._shared(share)
+            less[:, 0] -= self.rebound - rebound
             force = solve(less.ravel())
             after = less + (W @ (force - start).ravel()).reshape(shape)
-            after[:, 0] -= share * self.rebound
+            after[:, 0] -= rebound
             work = 0.5 * force * (self.before + after)
             return force, float(work.sum()), float((0.5 * np.abs(force) * (np.abs(self.before) + np.abs(after))).sum())
 
@@ -76,5 +81,9 @@ class Impact:
                 force, lower, least = found, share, work
                 most, side = (0.5 * most if side < 0 else most), -1
 
-        self.rebound *= lower
+        self.rebound = self._shared(lower)
         return force
+
+    def _shared(self, share: float) -> Array:
+        """Rebounds (m,) with a share of those of contacts that approach, m/s."""
+        return np.where(self.rebound < 0.0, share * self.rebound, self.rebound)

@@ -7,7 +7,7 @@
 enum { HALF_SPACE, SPHERE, CYLINDER, BOX, LIMIT, OWN }; /* OWN: Python tells the distances */
 enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED };   /* what Python is asked for, or told, by contact */
 enum { CLOSED = 128 };                                 /* closed contacts whose forces are found here; those of more are Python's */
-enum { TOLD = 6 };                                     /* poses of a moving obstacle that are kept: those of the times of a step */
+enum { TOLD = 8 };                                     /* poses of a moving obstacle that are kept: those of the times of a step */
 
 typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
@@ -49,7 +49,7 @@ typedef struct {
     double energy, springs, time, last;       /* time: when forces act; last: error of the last part */
     int loaded;                               /* whether there are force elements */
     double *rows, *drift, *rate;              /* of closed contacts: components x 2 wide, body axes; tangential; of gaps */
-    double *before, *rebound;                 /* of closed contacts: rates before a part; e times those of normals that bounce */
+    double *before, *rebound;                 /* of closed contacts: rates before a part; what normals that bounce come back with */
     double *W, *q, *f, *mu, *Y, *work;        /* the small problem; A^-1 L^T; see moreau.c */
     double *least;                            /* room for friction.c */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
@@ -363,5 +363,24 @@ static int drifts(const Contacts *c, int i, const double *q, double t, double le
     across(at->normal + D * i, e + D);
     for (int k = 1; k < c->components; k++)
         for (int j = 0; j < D; j++) drift[k] += e[D * k + j] * (rb[j] - ra[j] + yb[j] - ya[j]);
+    return 0;
+}
+
+/* Rates of the gaps of m closed contacts at the start of a flight of a length, into c->rebound; of moving obstacles by their places
+   at its start, middle and end, which are asked for anyway. 1 where Python failed. */
+static int start_rates(Contacts *c, Block now, int m, double length)
+{
+    int moving = 0;
+    for (int i = 0; i < c->pairs; i++) moving |= c->pair[i].moving;
+    if (c->stops && touch(c, now.q, *now.t, &c->now)) return 1;
+    for (int k = 0; k < m; k++) {
+        contact_rows(c, c->closed[k], now.q, &c->now, c->rows);
+        c->rebound[k] = along(c, c->closed[k], c->rows, now.v);
+    }
+    for (int part = 0; moving && part < 3; part++) {
+        const double weight[] = {-3.0, 4.0, -1.0};
+        if (touch(c, now.q, *now.t + (part == 1 ? 0.5 * length : part ? length : 0.0), &c->aside)) return 1;
+        for (int k = 0; k < m; k++) c->rebound[k] += weight[part] * c->aside.gap[c->closed[k]] / length;
+    }
     return 0;
 }

@@ -35,6 +35,12 @@ static int impulses(Contacts *c, int m, const double *start, double t)
     return contact_forces(c, m) && frictional_forces(c, m) && c->python(COMPLEMENTARITY, m, t);
 }
 
+/* The rebound of the closed contact k with a share of those that approach. */
+static double shared(const Contacts *c, int k, double share)
+{
+    return c->rebound[k] < 0.0 ? share * c->rebound[k] : c->rebound[k];
+}
+
 /* The work that the impulses c->f do on the contacts in an impact with a share of the rebound, and in ``size`` that of their sizes. */
 static double work_of_impact(const Contacts *c, int m, double share, double *size)
 {
@@ -42,7 +48,7 @@ static double work_of_impact(const Contacts *c, int m, double share, double *siz
     double work = 0.0;
     *size = 0.0;
     for (int k = 0; k < n; k++) {
-        double after = c->q[k] + dot(c->W + k * n, c->f, n) - (k % d ? 0.0 : share * c->rebound[k / d]);
+        double after = c->q[k] + dot(c->W + k * n, c->f, n) - (k % d ? 0.0 : shared(c, k / d, share));
         work += 0.5 * c->f[k] * (c->before[k] + after);
         *size += 0.5 * fabs(c->f[k]) * (fabs(c->before[k]) + fabs(after));
     }
@@ -57,7 +63,7 @@ static int lawful_impulses(Contacts *c, int m, const double *start, double t)
     double lower = 0.0, upper = 1.0, share = 1.0, least = 0.0, most, size, work;
     int bounces = 0, side = 0;
     if (impulses(c, m, start, t)) return 1;
-    for (int k = 0; k < m; k++) bounces |= c->rebound[k] != 0.0;
+    for (int k = 0; k < m; k++) bounces |= c->bouncing[c->closed[k]] && c->rebound[k] < 0.0;
     if (!bounces) return 0;
     most = work_of_impact(c, m, 1.0, &size);
     if (!(most > ADDED * size)) return 0;
@@ -66,7 +72,7 @@ static int lawful_impulses(Contacts *c, int m, const double *start, double t)
     for (int round = 0; round <= TRIED && upper - lower > NARROW; round++) {
         double next = round ? upper - most * (upper - lower) / (most - least) : 0.0;
         if (round && !(next > lower && next < upper)) next = 0.5 * (lower + upper);
-        for (int k = 0; k < m; k++) c->q[k * d] += (next - share) * c->rebound[k];
+        for (int k = 0; k < m; k++) c->q[k * d] += shared(c, k, next) - shared(c, k, share);
         share = next;
         if (impulses(c, m, start, t)) return 1;
         work = work_of_impact(c, m, share, &size);
@@ -85,12 +91,12 @@ static int lawful_impulses(Contacts *c, int m, const double *start, double t)
         }
     }
     if (share != lower) {
-        for (int k = 0; k < m; k++) c->q[k * d] += (lower - share) * c->rebound[k];
+        for (int k = 0; k < m; k++) c->q[k * d] += shared(c, k, lower) - shared(c, k, share);
         if (impulses(c, m, start, t)) return 1;
     }
     for (int k = 0; k < m; k++) {
-        c->rate[c->closed[k]] -= (1.0 - lower) * c->rebound[k];
-        c->rebound[k] *= lower;
+        c->rate[c->closed[k]] -= c->rebound[k] - shared(c, k, lower);
+        c->rebound[k] = shared(c, k, lower);
     }
     return 0;
 }
@@ -121,10 +127,11 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         memcpy(kept, out.lam, s->rows * sizeof(double));
 
         /* the step without a change of the impulses, and what that leaves of the contacts */
-        turn_velocity(s, out.v);
+        for (int i = 0; i < s->nv; i++) vm[i] = 0.5 * (now.v[i] + out.v[i]);
+        turn_velocity(s, vm);
         if (s->rows) slips(s, 1);
         for (int i = 0; i < s->nu; i++) s->b[i] = -h * s->residual[i];
-        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->slip[i];
+        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 * s->slip[i];
         solution(s, x, y);
         for (int k = 0; k < n; k++)
             for (int i = 0; i < s->nv; i++) x[i] += c->f[k] * c->Y[(long)size * k + i];
@@ -184,6 +191,17 @@ static int closed_rows(System *s, Contacts *c, double *p, double *q, const doubl
         memcpy(q, moved, s->nq * sizeof(double));
     }
     return DONE;
+}
+
+/* Velocities projected on those of the joints, by the matrix of the step; frames are placed at them. */
+static void closed_rates(System *s, double *v)
+{
+    double *x = s->work, *y = x + s->nv;
+    slips(s, 1);
+    memset(s->b, 0, s->nu * sizeof(double));
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->slip[i];
+    solution(s, x, y);
+    add(v, 1.0, x, s->nv);
 }
 
 /* Works of contacts, friction, loads and joints over the increment of a step; frames are those of its middle. */

@@ -95,8 +95,9 @@ static void take_forces(Contacts *c, int m, double h)
 static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m, double length, double span)
 {
     const double t = *now.t;
-    const int d = c->components;
+    const int d = c->components, flight = m && span == length && !c->bouncing[c->closed[0]];
     if (m > c->room) return LOOK;
+    if (flight && start_rates(c, now, m, length)) return LOOK;
     if (m) {
         for (int i = 0; i < s->nv; i++) c->xi[i] = 0.5 * length * now.v[i];
         configuration(s, now.q, c->xi, c->ahead);
@@ -113,7 +114,8 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
         c->mu[k] = o->friction;
         for (int a = 0; a < d; a++)
             c->before[d * k + a] = along(c, i, rows + 2 * c->wide * a, now.v) + (a ? -c->drift[d * k + a] / span : c->rate[i]);
-        c->rebound[k] = c->bouncing[i] ? o->restitution * fmin(c->before[d * k], 0.0) : 0.0;
+        double back = c->before[d * k] < 0.0 ? o->restitution : 1.0;
+        c->rebound[k] = flight ? c->before[d * k] - fmin(c->rebound[k], 0.0) : c->bouncing[i] ? back * c->before[d * k] : 0.0;
         c->rate[i] += c->rebound[k];
     }
     if (s->samples && s->python(SAMPLE, 0, t + 0.5 * length)) return FAILED;
@@ -238,6 +240,11 @@ static int taken(System *s, Contacts *c, double *p, Block now, Block out, int m,
     if ((verdict = closed_rows(s, c, p, out.q, out.v, t + length))) return verdict;
     if (touch(c, out.q, t + length, &c->aside)) return LOOK;
     if ((verdict = place(s, out.q, out.v))) return verdict;
+    if (s->rows) {
+        closed_rates(s, out.v);
+        for (int i = 0; i < s->nv; i++) out.a[i] = (out.v[i] - now.v[i]) / length;
+        if ((verdict = place(s, out.q, out.v))) return verdict;
+    }
 
     *out.t = t + length;
     energies(s, t + length, out.q, out.v, s->rest_gravity, e);
