@@ -269,6 +269,11 @@ class WiresPart(FieldPart):
             out[dofs] += table.T @ fi[:3]
         return out
 
+    def port_columns(self, used: np.ndarray, t: float) -> Array:
+        """Columns (n, count) of :meth:`port_force` for the port numbers ``used``."""
+        columns = [self.port_force(one, t) for one in np.eye(self.n_port)[used]]
+        return np.reshape(columns, (len(used), self.n)).T
+
     def port_gram(self, t: float) -> Array:
         """P P^T of the ports; every rank holds all wires."""
         columns = self.port_columns(np.arange(self.n_port), t)
