@@ -428,12 +428,15 @@ def _one(what: str, value: Any, option: Any) -> None:
 def _several(what: str, value: Any, inner: tuple[Any, ...]) -> None:
     """Check a sequence by the type of its members."""
     members = {x for x in inner if x is not Ellipsis}
+    count = len(inner) if len(inner) > 1 and Ellipsis not in inner else None
     if members == {float}:
-        vector(what, value) if np.size(np.asarray(value, dtype=object)) else None
+        vector(what, value, size=count) if count or np.size(np.asarray(value, dtype=object)) else None
     elif members == {str}:
         words(what, value)
     elif isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or getattr(value, "ndim", 1) == 0:
-        refuse(what, "a pair" if len(inner) == 2 and Ellipsis not in inner else "a list or tuple", value)
+        refuse(what, "a pair" if count == 2 else "a list or tuple", value)
+    elif count and len(value) != count:
+        refuse(what, "a pair" if count == 2 else f"{count} values", value)
     elif len(members) == 1:
         for k, member in enumerate(value):
             _check(f"{what}[{k}]", member, next(iter(members)), default=MISSING)

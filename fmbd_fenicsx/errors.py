@@ -181,6 +181,53 @@ def _times(t: Any) -> str:
     return f"{found[0]:g}" if found[0] == found[-1] else f"{found[0]:g} to {found[-1]:g}"
 
 
+def values_of(
+    what: str, function: Callable[..., Any], places: Iterable[tuple[float, ...]], size: int, where: str
+) -> Any:
+    """What a user's function gives at some places: finite numbers (n, size), or one error with the first place without.
+
+    Args:
+        what: whose function it is, for example 'Rod "arm": normal'.
+        places: its arguments at each.
+        where: how messages call a place, with a field for each argument: "s = {:g} m".
+    """
+    asked = [tuple(place) for place in places]
+    if AGREEMENTS:
+        return AGREEMENTS[-1](what, lambda: _values_of(what, function, asked, size, where))
+    return _values_of(what, function, asked, size, where)
+
+
+def _values_of(what: str, function: Callable[..., Any], places: list[tuple[float, ...]], size: int, where: str) -> Any:
+    """The same on one rank."""
+    found = []
+    for place in places:
+        try:
+            found.append(function(*place))
+        except FmbdError:
+            raise
+        except Exception as error:
+            raise LawError(f"{what} failed at {where.format(*place)}: {type(error).__name__}: {error}") from error
+
+    values = _finite_numbers(found, (len(places), size))
+    if values is None:
+        bad = (k for k, value in enumerate(found) if _finite_numbers([value], (1, size)) is None)
+        k = next(bad, 0)
+        numbers = "a finite number" if size == 1 else f"{size} finite numbers"
+        raise CallbackError(f"{what} returned {found[k]!r:.80} at {where.format(*places[k])}, expected {numbers}.")
+    return values
+
+
+def _finite_numbers(found: list[Any], shape: tuple[int, ...]) -> Any:
+    """An array of a shape, where single numbers may stand for rows of one; None where they are no such numbers."""
+    try:
+        values = np.array(found, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    if shape[1] == 1 and values.shape == shape[:1]:
+        values = values[:, None]
+    return values if values.shape == shape and np.isfinite(values).all() else None
+
+
 def require(condition: bool, message: str) -> None:
     """Raise :class:`InputError` with the message unless the condition holds."""
     if not condition:

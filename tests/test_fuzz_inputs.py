@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, InputError
@@ -70,6 +71,12 @@ def test_optional_values_that_mean_nothing(name: str) -> None:
                 function(*positional, **named, **{p.name: junk})
             except FmbdError:
                 pass
+
+
+def own_force(**options: Any) -> Any:
+    """A force between two bodies."""
+    a, b = (fmbd.RigidBody(name, 1.0, 0.1) for name in "ab")
+    return fmbd.force_element("x", a, b, lambda a, b, t: (b.x - a.x) @ (b.x - a.x), **options)
 
 
 # -- calls that are right but for one value ---------------------------------------------------------------------------
@@ -170,6 +177,10 @@ def test_one_value_that_means_nothing(rod_mesh: Any) -> None:
         (lambda: fmbd.read_gmsh(ROD, h=np.float32("inf")), r"rod.py: h .*inf.* must be a finite number"),
         (lambda: fmbd.read_gmsh(ROD, h=True), r"rod.py: h True must be a finite number"),
         (lambda: fmbd.Dropper(0, 0, 1.0, 1e5), "both wire 0"),
+        (lambda: fmbd.study.map(None, [1.0], t_end=1.0), "make None must be a function of 1 argument"),
+        (lambda: fmbd.study.map(lambda p: p, 3, t_end=1.0), "parameters 3 must be a list or tuple"),
+        (lambda: own_force(points=()), r"points \(\) must be a pair"),
+        (lambda: own_force(points=np.eye(3)), "points .* must be a pair"),
         (lambda: fmbd.PointSupport(0, 1.0, -1e5), "stiffness -100000.0 N/m must be a number that is not negative"),
         (lambda: fmbd.Wheel(0.3, (0, 1)), r"Wheel: axis \(0, 1\) must be 3 finite numbers"),
         (lambda: fmbd.Spin(1.0, center=(1.0,)), "must be a point"),
@@ -192,3 +203,100 @@ def test_what_was_silent_or_raw(make: Callable[[], Any], says: str) -> None:
 def test_counters_of_newton_are_its_own(name: str) -> None:
     with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
         fmbd.Newton(**{name: -1})  # type: ignore[arg-type]
+
+
+# -- functions of the user's that give nothing that could be used ------------------------------------------------------
+
+LINE = {"mass": lambda z, w, ds: ufl.inner(z, w) * ds, "energy": lambda z, ds: ufl.inner(z, z) * ds}
+
+
+def level(s: Any) -> Any:
+    """A line along x."""
+    return np.stack((s, 0 * s, 0 * s))
+
+
+def rod(**options: Any) -> fmbd.Rod:
+    """A straight rod, its end loose."""
+    section = fmbd.RodSection(stiffness=(1e4, 1e3, 1e3, 10.0, 10.0, 10.0), mass=1.0, inertia=(0.1, 0.1, 0.1))
+    return fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], section, elements=1, degree=1, **options)
+
+
+ASKED: dict[str, Callable[[Any], Any]] = {
+    "normal": lambda law: rod(normal=law),
+    "twist": lambda law: rod(twist=law),
+    "prestrain": lambda law: rod(prestrain=law),
+    "law of a load": lambda law: rod(loads=(fmbd.RodLoad(lambda s, t: law(s)),)),
+    "curve": lambda law: fmbd.Rod("rod", law, rod().section),
+    "start": lambda law: fmbd.LineBody("rod", 1.0, **LINE, start=law, cells=1),
+    "start_rate": lambda law: fmbd.LineBody("rod", 1.0, **LINE, start=level, start_rate=law, cells=1),
+    "force": lambda law: fmbd.CoordinateBody("rod", [[1.0]], lambda q, v, t: law(t), [0.1]),
+}
+
+
+def no_key(s: Any) -> Any:
+    return {}[s]
+
+
+@pytest.mark.parametrize("what", ASKED)
+@pytest.mark.parametrize(
+    "law",
+    [
+        no_key,
+        lambda s: "x",
+        lambda s: None,
+        lambda s: np.zeros(5),
+        lambda s: np.full(3, np.nan),
+        lambda s: [[1], [2, 3]],
+    ],
+    ids=["raises", "word", "None", "other size", "nan", "ragged"],
+)
+def test_what_functions_along_a_body_give_is_checked(what: str, law: Any) -> None:
+    """One error names the body and the function, before the first step."""
+    with pytest.raises(InputError, match=f'(?s)"rod".*{what}|{what}.*"rod"|force.*"rod"'):
+        scene = fmbd.Scene("x")
+        scene.add(ASKED[what](law))
+        scene.build()
+        fmbd.solve(scene, t_end=0.01, dt=0.01)
+
+
+def test_a_law_from_a_table_is_no_formula() -> None:
+    """It cannot be asked with a symbol, and is differenced."""
+    table = np.linspace(0.0, 1.0, 1000)
+    scene = fmbd.Scene("x")
+    body = fmbd.RigidBody("body", 1.0, 0.1, position=(0.505, 0.0))
+    scene.add(body)
+    distance = fmbd.force_element(
+        "x",
+        fmbd.ground,
+        body,
+        lambda a, b, t: np.sqrt((b.x - a.x) @ (b.x - a.x)),
+        law=lambda s, rate, t: table[np.array(100 * s, dtype=int)],
+    )
+    scene.add(distance)
+    run = fmbd.solve(scene, t_end=0.01, dt=0.01)
+    assert run.state.a[0] == pytest.approx(-table[50], rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: fmbd.Wires("x", 9.0, 1, (fmbd.Wire(1.0, 1e3),)),
+        lambda: fmbd.LineBody("x", 1.0, **LINE, start=level, cells=1),
+    ],
+)
+def test_bodies_of_the_plane_are_refused_in_space(make: Callable[[], Any]) -> None:
+    scene = fmbd.Scene("x")
+    scene.add(fmbd.RigidBody("body", 1.0, (0.1, 0.1, 0.1)), make())
+    with pytest.raises(InputError, match=r"body \(3\), x \(2\)"):
+        scene.build()
+
+
+def test_a_run_may_be_longer_than_any_record() -> None:
+    """It is meant to end at an event: room for ten petabytes is not asked for."""
+    scene = fmbd.Scene("x", gravity=(0, -9.81))
+    ball = fmbd.RigidBody("ball", 1.0, 0.1)
+    scene.add(ball)
+    scene.sensor("place", fmbd.position(ball))
+    down = fmbd.Event("place y", level=-0.1)
+    run = fmbd.solve(scene, t_end=1e12, dt=1e-2, output=fmbd.Output(events=(down,)))
+    assert run.state.t < 0.2

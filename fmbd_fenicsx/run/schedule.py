@@ -50,9 +50,9 @@ class StepSchedule:
 
 def step_schedule(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multiple: int = 1) -> StepSchedule:
     """Steps of equal size, none above dt (but for roundoff), a ``multiple`` of them; or none for error control."""
-    number("End time t_end =", t_end, above=0.0, unit="s")
+    t_end = number("End time t_end =", t_end, above=0.0, unit="s")
     if dt is not None:
-        number("Step dt =", dt, above=0.0, unit="s")
+        dt = number("Step dt =", dt, above=0.0, unit="s")
         require(dt <= t_end * (1 + 1e-12), f"Step dt = {dt} s is larger than the whole run, t_end = {t_end} s.")
         require(t_end + dt > t_end, f"Step dt = {dt} s is below the roundoff of t_end = {t_end} s: t + h == t.")
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import typed
+from ..checks import number, typed
 from ..errors import InputError, near, require
 from ..ranks import OneAnswer
 from ..rotations import Array
@@ -55,7 +55,7 @@ class SceneStepper:
     """See :func:`stepper`. Methods are collective."""
 
     def __init__(self, scene: Scene, dt: float, *, scheme: Any, newton: Newton | None, linear: Any) -> None:
-        require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
+        number("Step dt =", dt, above=0.0, unit="s")
         scheme = default_scheme(scene) if scheme is None else scheme
         newton = Newton() if newton is None else newton.afresh()
         check_contents(scene, scheme)
@@ -126,7 +126,7 @@ class SceneStepper:
         """
         self._ready()
         dt = self.dt if dt is None else dt
-        require(bool(np.isfinite(dt)) and dt > 0, f"Step dt = {dt} s must be positive.")
+        number("Step dt =", dt, above=0.0, unit="s")
         require(self.t + dt > self.t, f"Step dt = {dt} s is below the roundoff of t = {self.t} s.")
 
         self._motions.look(self.t + dt)

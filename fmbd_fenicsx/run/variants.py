@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import function, refuse
 from ..errors import FmbdError, InputError, near, require
 from ..kernel_cache import cores
 from ..log import world_size
@@ -91,7 +92,11 @@ def run_variants(make: Callable[[Any], Scene], parameters: Sequence[Any], **sett
     Raises:
         InputError: no parameters, or several MPI ranks, which share out one scene. What a variant raises, with its parameter.
     """
-    given = list(parameters)
+    function("study.map: make", make, ["parameter"])
+    try:
+        given = list(parameters)
+    except TypeError:
+        refuse("study.map: parameters", "a list or tuple", parameters)
     require(bool(given), "study.map: no parameters.")
     require(
         world_size() == 1,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -238,8 +238,8 @@ class CoordinateBody(Body):
     rate: Callable[[Array, float], Array] | None = None
     force_jacobian: Callable[[Array, Array, float], tuple[Any, Any]] | None = None
     vectorized: bool = False
-    dim: int | None = None  # fits scenes of any dimension
     outline: Callable[[Array], Sequence[Array]] | None = None
+    dim: int | None = field(init=False, default=None)  # fits scenes of any dimension
 
     @property
     def may_do_work(self) -> bool:
@@ -301,17 +301,31 @@ class CoordinatePart(Part):
 
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""
-        return np.asarray(self._mass(q) if callable(self._mass) else self._mass, dtype=float)
+        return (
+            self._finite("mass(q)", self._mass(q), (self.n, self.n))
+            if callable(self._mass)
+            else np.asarray(self._mass, float)
+        )
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """M q'' - f."""
         q, v, a = local
-        f = np.asarray(self._force(q, v, motion.t), dtype=float)
-        if f.shape != (self.n,) or not np.isfinite(f).all():
-            raise CallbackError(
-                f'Body "{self.name}": force(q, v, t) returned {f!r} at t = {motion.t:g} s, expected {self.n} finite numbers.'
-            )
+        f = self._finite("force(q, v, t)", self._force(q, v, motion.t), (self.n,), motion.t)
         return np.zeros_like(motion.twist), self.mass(q) @ a - f
+
+    def _finite(self, what: str, given: Any, shape: tuple[int, ...], t: float | None = None) -> Array:
+        """What a function of the user's returned, as finite numbers of a shape."""
+        try:
+            found = np.asarray(given, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            found = np.full(1, np.nan)
+        if found.shape != shape or not np.isfinite(found).all():
+            when = "" if t is None else f" at t = {t:g} s"
+            wanted = " x ".join(map(str, shape))
+            raise CallbackError(
+                f'Body "{self.name}": {what} returned {given!r}{when}, expected {wanted} finite numbers.'
+            )
+        return found
 
     def force_many(self, t: Array, local: tuple[Array, ...]) -> Array:
         """M q'' - f of k configurations: q, v, a (k, n), t (k,); one call of each function where the body is vectorized."""

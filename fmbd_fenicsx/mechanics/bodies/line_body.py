@@ -15,7 +15,7 @@ configurations from locking. Masses are integrated exactly.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,7 +23,7 @@ import numpy as np
 
 from ... import dolfinx_compat as compat
 from ...checks import check_fields, number, whole
-from ...errors import CallbackError, InputError, near, require
+from ...errors import CallbackError, InputError, named, near, require
 from ...rotations import Array
 from ..placements import FrameMotion, Part
 from .bodies import Surface
@@ -60,7 +60,7 @@ class LineBody(Body):
     cells: int = 20
     degree: int = 2
     mass_damping: float = 0.0
-    dim: int = 2
+    dim: int = field(init=False, default=2)
 
     @property
     def keeps_energy(self) -> bool:
@@ -151,7 +151,7 @@ class LinePart(Part):
     def __init__(self, body: LineBody, frame: int, surfaces: list[str]) -> None:
         self.body, self.name, self.frame = body, body.name, frame
         self._forms()
-        self.start, self.start_rate = self._nodal(body.start), self._nodal(body.start_rate)
+        self.start, self.start_rate = self._nodal("start", body.start), self._nodal("start_rate", body.start_rate)
         self._place(self.start)
 
         value = self._scalar(self._energy)
@@ -176,7 +176,7 @@ class LinePart(Part):
 
         compat.check_versions()
         b = self.body
-        count = len(np.asarray(b.start(np.zeros(1))))
+        count = np.shape(self._asked("start", b.start, np.zeros(1)))[0]
         require(count >= 3, f'Line "{b.name}": start(s) must give x, y and theta at least, found {count} rows.')
         self.fields = count
         self.space = _space(b, count)
@@ -212,11 +212,22 @@ class LinePart(Part):
         unit[0, 0::count], unit[1, 1::count] = 1.0, 1.0
         self._weight = unit @ self.M  # rows: what gravity along x and y does
 
-    def _nodal(self, function: Callable[[Array], Any] | None) -> Array:
+    def _asked(self, what: str, function: Callable[[Array], Any], s: Array) -> Array:
+        """What a function of the user's gives at places s, numbers in rows."""
+        given = named(f"The {what} of line", self.body.name, function, time=None)(s)
+        try:
+            found = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            found = np.zeros(0)
+        if found.ndim != 2:
+            raise CallbackError(f'Line "{self.body.name}": {what}(s) returned {given!r:.80}, expected rows of numbers.')
+        return found
+
+    def _nodal(self, what: str, function: Callable[[Array], Any] | None) -> Array:
         """Nodal values of z(s)."""
         if function is None:
             return np.zeros(self.n)
-        found = np.asarray(function(self.s), dtype=float)
+        found = self._asked(what, function, self.s)
         if found.shape != (self.fields, len(self.s)) or not np.isfinite(found).all():
             raise CallbackError(
                 f'Line "{self.name}": start functions must return {self.fields} finite rows of one value for each s; '

@@ -12,7 +12,7 @@ droppers is nonlinear. Wires are small against the rest of a scene, so every ran
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -102,7 +102,7 @@ class Wires(Body):
     mass_damping: float = 0.0
     stiffness_damping: float = 0.0
     anchor: float = 1e7
-    dim: int | None = None
+    dim: int = field(init=False, default=2)
 
     @property
     def may_do_work(self) -> bool:

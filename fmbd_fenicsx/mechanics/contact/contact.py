@@ -89,7 +89,7 @@ def ball(body: RigidBody, radius: float, *, center: Sequence[float] | None = Non
     """The surface of a ball (plane: a disk) of ``radius`` m about ``center`` in body axes (the centre of
     mass by default).
     """
-    number(f'ball("{body.name}"): radius', radius, above=0.0, unit="m")
+    radius = number(f'ball("{body.name}"): radius', radius, above=0.0, unit="m")
     c = np.zeros(body.dim) if center is None else vector(f'ball("{body.name}"): center', center, size=body.dim)
     return RigidPoints(body, c[None], radius)
 

@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...checks import LARGEST
 from ...errors import require
 
 SERVO, PID, DRY, SMOOTH, STOP, POTENTIAL = range(6)  # formulas of compiled steps, as in formulas.c
@@ -171,12 +172,10 @@ class Feedback(EffortLaw):
 def not_negative(kind: str, name: str, **values: float) -> None:
     """Refuse values that are not finite or negative."""
     for what, value in values.items():
-        require(bool(np.isfinite(value)) and value >= 0, f'{kind} "{name}": {what} = {value} must be finite and >= 0.')
+        require(0 <= float(value) <= LARGEST, f'{kind} "{name}": {what} = {value} must be finite and >= 0.')
 
 
 def positive(kind: str, name: str, **values: float) -> None:
     """Refuse values that are not finite or not positive."""
     for what, value in values.items():
-        require(
-            bool(np.isfinite(value)) and value > 0, f'{kind} "{name}": {what} = {value} must be finite and positive.'
-        )
+        require(0 < float(value) <= LARGEST, f'{kind} "{name}": {what} = {value} must be finite and positive.')

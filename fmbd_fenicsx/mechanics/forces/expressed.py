@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from ...checks import function, typed
-from ...errors import InputError, LawError
+from ...errors import InputError
 from ..joints.expressed import start_place
 from ..joints.joints import dimension
 from ..kinds.expressions import Expression, Program, gradient, symbol
@@ -149,6 +149,6 @@ def _effort(what: str, law: Law) -> Law:
     function(f"{what}: law", law)
     try:
         y = law(ELONGATION, RATE, TIME)
-    except (TypeError, ValueError, AttributeError, LawError):
+    except Exception:
         return law  # cases, tables: differences will do
     return FormulaLaw(Program([y, *gradient(y, [ELONGATION, RATE])])) if isinstance(y, Expression) else law

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import CallbackError, InputError, require
+from ...checks import vector
+from ...errors import InputError, require, values_of
 from ...rotations import Array
 
 FINEST = 4096  # intervals up to which a curve is resolved
@@ -73,16 +74,7 @@ class Curve:
     def _value(self, u: float) -> Array:
         """The user's function at u."""
         assert self._exact is not None
-        try:
-            found = np.asarray(self._exact(float(u)), dtype=float)
-        except Exception as error:
-            raise CallbackError(
-                f'Rod "{self.name}": its curve failed at u = {u:g}: {type(error).__name__}: {error}'
-            ) from error
-        if found.shape != (3,) or not np.isfinite(found).all():
-            raise CallbackError(
-                f'Rod "{self.name}": its curve returned {found!r} at u = {u:g}, expected 3 finite numbers.'
-            )
+        found: Array = values_of(f'Rod "{self.name}": its curve', self._exact, [(float(u),)], 3, "u = {:g}")[0]
         return found
 
     def _through_function(self) -> Any:
@@ -197,11 +189,7 @@ class Curve:
         across = self._carried(s, x, t) if normal is None else self._directed(s, t, normal)
 
         if twist is not None:
-            angle = np.array([float(twist(float(x))) for x in s])
-            require(
-                bool(np.isfinite(angle).all()),
-                f'Rod "{self.name}": its twist is not finite; it must be an angle (rad) of s (m).',
-            )
+            angle = values_of(f'Rod "{self.name}": twist', twist, [(float(x),) for x in s], 1, "s = {:g} m")[:, 0]
             # turned about the tangent
             c, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
             across = c * across + sin * np.cross(t, across)
@@ -209,11 +197,7 @@ class Curve:
 
     def _directed(self, s: Array, t: Array, normal: Any) -> Array:
         """Parts of a direction, constant or a function of s, across the tangents."""
-        n: Array = np.array([normal(float(x)) for x in s] if callable(normal) else [normal] * len(s), dtype=float)
-        require(
-            n.shape == (len(s), 3) and bool(np.isfinite(n).all()),
-            f'Rod "{self.name}": normal must be three finite numbers, or a function of s with three; found {normal!r}.',
-        )
+        n = constant_or_along(f'Rod "{self.name}": normal', normal, s, 3)
 
         part = n - (n * t).sum(1, keepdims=True) * t
         size = np.linalg.norm(part, axis=1)
@@ -260,6 +244,14 @@ def _products(steps: Array) -> Array:
         found[reach:] = found[reach:] @ found[:-reach]
         reach *= 2
     return found
+
+
+def constant_or_along(what: str, given: Any, s: Array, size: int) -> Array:
+    """What is given once, or by a function of s, at the arc lengths s: finite numbers (n, size)."""
+    if callable(given):
+        found: Array = values_of(what, given, [(float(x),) for x in s], size, "s = {:g} m")
+        return found
+    return np.tile(vector(what, given, size=size), (len(s), 1))
 
 
 def _reflections(x: Array, t: Array, y: Array, u: Array) -> Array:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...errors import values_of
 from ...rotations import Array, hat, quaternion_matrix
 from .relaxation import ArmMemory, Arms
 from .strains import LobattoShape, strain_hessian, strain_jacobian, strains
@@ -27,11 +28,12 @@ Forces = tuple[np.ndarray, Array]  # numbers of frames (m, k), and what belongs 
 
 @dataclass(frozen=True)
 class LineLoad:
-    """Forces and moments on nodes: ``law``(s, t) -> (3,) N/m or N m/m, times ``lengths`` (nodes,) m of each node.
+    """Forces and moments on the nodes of rod ``name``: ``law``(s, t) -> (3,) N/m or N m/m, times ``lengths`` (nodes,) m of each.
 
     ``follower``: in axes of the sections; ``turns``: a moment.
     """
 
+    name: str
     law: Any
     lengths: Array
     stations: Array
@@ -40,7 +42,8 @@ class LineLoad:
 
     def on_nodes(self, t: float) -> Array:
         """Forces or moments on the nodes at a time (s), (nodes, 3)."""
-        per_length = np.array([self.law(float(s), t) for s in self.stations], dtype=float)
+        places = [(float(s), t) for s in self.stations]
+        per_length = values_of(f'Rod "{self.name}": law of a load', self.law, places, 3, "s = {:g} m, t = {:g} s")
         return np.asarray(self.lengths[:, None] * per_length)
 
 

@@ -20,7 +20,7 @@ from ...errors import InputError, near, require
 from ...rotations import SPACE, Array
 from ..bodies.bodies import RigidBody, Surface, Vector
 from ..bodies.body import Body
-from .curves import Curve
+from .curves import Curve, constant_or_along
 from .elements import LineLoad, RodElements
 from .sections import RodSection
 from .strains import shape_of
@@ -271,17 +271,14 @@ class Rod(Body):
         made.beta = self.damping
         made.arms = self.section.arms(points)
         made.kept = None if made.arms is None else made.arms.relaxed()
-        made.loads = tuple(LineLoad(x.law, self.lengths, self.nodes, x.follower, x.turns) for x in self.loads)
+        made.loads = tuple(
+            LineLoad(self.name, x.law, self.lengths, self.nodes, x.follower, x.turns) for x in self.loads
+        )
         return made
 
     def _prestrains(self, points: Array) -> Array:
         """Strains free of stress, beyond those of the curve, (m, q, 6)."""
         if self.prestrain is None:
             return np.zeros((*points.shape, 6))
-        given = self.prestrain
-        found = np.array([given(float(s)) if callable(given) else given for s in points.ravel()], dtype=float)
-        require(
-            found.shape == (points.size, 6) and bool(np.isfinite(found).all()),
-            f'Rod "{self.name}": prestrain must be six finite numbers, or a function of s with six; found {given!r}.',
-        )
+        found = constant_or_along(f'Rod "{self.name}": prestrain', self.prestrain, points.ravel(), 6)
         return found.reshape(*points.shape, 6)

@@ -102,9 +102,10 @@ class Keeper:
         """Refuse a folder that cannot be written or belongs to another run."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
+        except (OSError, ValueError) as error:  # the latter: characters that no file has
+            why = getattr(error, "strerror", None) or error
             raise CheckpointError(
-                f"The folder {self.folder} of the checkpoints cannot be written: {error.strerror}. Choose another one."
+                f"The folder {str(self.folder)!a} of the checkpoints cannot be written: {why}. Choose another one."
             ) from error
 
         # two runs must not write into one folder

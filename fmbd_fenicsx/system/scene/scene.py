@@ -182,5 +182,7 @@ class Scene:
         """Space dimension of all bodies."""
         require(bool(self.bodies), f'Scene "{self.name}" has no body.')
         dims = {b.dim for b in self.bodies.values() if b.dim is not None} or {2}
-        require(len(dims) == 1, f'Scene "{self.name}" mixes bodies of dimensions {sorted(dims)}.')
+        if len(dims) > 1:
+            listed = ", ".join(f"{b.name} ({b.dim})" for b in self.bodies.values() if b.dim is not None)
+            raise InputError(f'Scene "{self.name}" mixes bodies of dimensions {sorted(dims)}: {listed}.')
         return int(dims.pop())
