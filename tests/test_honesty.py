@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -191,3 +192,43 @@ def test_records_between_large_steps_are_no_open_joints() -> None:
     every = fmbd.solve(spun_up(), t_end=8.0, dt=0.08)
     assert run.drift[0] <= every.drift[0] and run.drift[0] < 1e-9
     assert np.abs(run["tip"][-1] - every["tip"][-1]).max() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("scheme", "sensors"), [(fmbd.Radau(rtol=None), ["v", "a"]), (fmbd.EnergyMomentum(), ["v", "a"])]
+)
+def test_a_force_that_jumps_within_a_step_is_seen_where_runs_with_larger_steps_do_not_tell(
+    scheme: Any, sensors: list[str]
+) -> None:
+    """A mass on a spring, m x'' + k x = 3 N before t_j, -3 N after it: x by its closed form. Runs with h, 2 h and 4 h state too
+    little, each by where t_j falls in its steps, and say so; with a smooth force, or with own steps that end there, they do not.
+    """
+    m, k, jump = 1.0, 20.0, 0.237
+    omega = np.sqrt(k / m)
+    output = fmbd.Output(estimate_error=True, energy=False, progress=False)
+
+    def made(force: Callable[[float], float], scheme: Any = scheme, dt: float | None = 0.01) -> fmbd.Run:
+        scene = fmbd.Scene("jump", gravity=(0.0, 0.0), breakpoints=(jump,))
+        mass = fmbd.RigidBody("mass", m, 0.1, (1.0, 0.0))
+        scene.add(mass, fmbd.prismatic("guide", fmbd.ground, mass, axis=(1, 0), center=(0, 0)))
+        scene.add(fmbd.Spring("spring", fmbd.ground, mass, stiffness=k, length=1.0))
+        scene.add(fmbd.force("push", mass, lambda t: (force(t), 0.0)))
+        for name, read in (("x", fmbd.position), ("v", fmbd.velocity), ("a", fmbd.sensors.acceleration)):
+            scene.sensor(name, read(mass))
+        return fmbd.solve(scene, t_end=0.52, dt=dt, scheme=scheme, output=output)
+
+    def push(t: float) -> float:
+        return 3.0 if t < jump else -3.0
+
+    def off(run: fmbd.Run) -> float:
+        late = np.clip(run.times - jump, 0.0, None)
+        exact = 1.0 + 3.0 / k * (1.0 - np.cos(omega * run.times)) - 6.0 / k * (1.0 - np.cos(omega * late))
+        return float(np.abs(run.series["x"][:, 0] - exact).max())
+
+    hidden, own = made(push), made(push, fmbd.Radau(rtol=1e-6), None)
+    assert hidden.certificate["x"].total < 0.5 * off(hidden)
+    assert set(sensors) <= set(hidden.certificate.uncertain)
+    assert "breakpoints" in " ".join(hidden.warnings)
+
+    assert not own.certificate.uncertain and 0.5 < own.certificate["x"].total / off(own) < 3.0
+    assert not made(lambda t: 3.0 * np.cos(5.0 * t)).certificate.uncertain

@@ -13,13 +13,14 @@ from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.scene.refinement import meshed_bodies, modal_bodies
 from .deviation import together
-from .orders import expected_orders, irregular
+from .orders import expected_orders, irregular, kink
 
 if TYPE_CHECKING:
     from ..solve import Run
 
 KINDS = ("space", "time", "modes", "algebra")
 UNRESOLVED = 0.5  # error by spaces or modes over the range of a sensor above which no rate can be taken for granted
+HIDDEN = 2.0  # error that a kink may leave over the stated one, above which this says too little
 STILL = 1e-9  # range over the largest value of its unit below which a sensor does not move
 
 
@@ -127,7 +128,11 @@ def certificate_of(run: Run) -> Certificate:
         time = run.error_estimate.get(name)
         made.append(Statement(name, sensor.unit, space, time, modes, left, together(found) + more, span))
     spans = moving(run.series, run.scene.sensors)
-    reasons = {s.sensor: [*_uncertain_in_time(run, s), *_uncertain_in_space(s)] for s in made if s.sensor in spans}
+    reasons = {
+        s.sensor: [*_uncertain_in_time(run, s), *_uncertain_by_kinks(run, s), *_uncertain_in_space(s)]
+        for s in made
+        if s.sensor in spans
+    }
     uncertain = {name: ". ".join(why) for name, why in reasons.items() if why}
     return Certificate(tuple(made), run.seconds["total"], unstated, uncertain)
 
@@ -154,6 +159,23 @@ def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:
         f'the error of time of "{stated.sensor}" is uncertain: runs with other steps show the order {seen:.1f}, {order} is '
         "expected. They follow another motion, or the sensor jumps, and what is stated may be several times too large or too "
         "small. Take a smaller dt, or a scheme that chooses its steps (rtol); of what jumps, a mean over time"
+    ]
+
+
+def _uncertain_by_kinks(run: Run, stated: Statement) -> list[str]:
+    """Why a jump of a force within a step may leave more than what is stated; empty where there is none."""
+    name = stated.sensor
+    sampled = any(force.period is not None for force in run.scene.forces.values())  # jumps at ends of steps
+    if stated.time is None or Declared.by(run.scheme).adaptive or sampled:
+        return []
+    order = expected_orders(run.scheme, run.scene, run.system)[name]
+    error, left = kink(run.times, run.series[name], order, run.scene.sensors[name].derivative)
+    if error <= HIDDEN * stated.time:
+        return []
+    return [
+        f'the error of time of "{name}" is uncertain: its records have a kink that leaves an order of about {left:.1f}, '
+        f"{order} is expected, and an error of some {error:.1e} {stated.unit}, by where in a step it falls, which runs with "
+        "other steps do not tell. Take a scheme that chooses its steps (rtol), and name the instant in Scene(breakpoints=...)"
     ]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.scene.scene import Scene
 from ...system.system import System
@@ -18,6 +19,10 @@ OF_MEMORIES = 2  # the trapezoidal rule of controllers and of arms of rods that 
 BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to the expected one; and the most that this may be
 TOO_HIGH = 1.0  # what an order is beyond that of the scheme that belongs to another motion
 LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
+LEAST_LEFT = (
+    0.5  # order that a jump of a force leaves at least; below are impacts, vibrations within steps, or roundoff
+)
+SEEN_KINK = 1e-6  # error by a kink over the range of a sensor below which differences tell of Newton's iteration, too
 FALLING = 0.5  # order below which differences do not fall with the step: a tenth of such an error matters
 
 
@@ -59,6 +64,33 @@ def usable_order(p: float, order: int) -> float:
         return order
     low = max(p, LEAST_ORDER)
     return low + min(BETWEEN * (order - low), MOST_BETWEEN) if low < order else order + 0.5 * min(low - order, 1.0)
+
+
+def kink(t: Array, x: Array, order: int, derivative: int) -> tuple[float, float]:
+    """The error that jumps of forces and of their slopes within steps may leave in a series x (n, size) at equally
+    spaced t (s), and the order that they leave a scheme of an ``order``; (0, inf) where the series is smooth enough.
+    ``derivative``: 0 of places, 1 of velocities, 2 of accelerations. Runs with h, 2 h and 4 h do not tell it: where
+    jumps fall in their steps is chance.
+
+    What jumps in the k-th derivative of a place has differences like h^k, however many are taken, smooth motion like h^m:
+
+        k = log2(max |D_2h^m x| / max |D_h^m x|) + derivative,     the order is k - 1                               (1)
+
+    A force that jumps by J (k = 2) moves v by up to J h / 2, and v goes on for about s = max|x| / max|x'| as it is: of places,
+    velocities and accelerations that is about s D / 12 h, D / 6, h D / 5 s, with D = max |D_h^m x|.
+    """
+    m = max(order + 3 - derivative, 3)
+    if len(t) < 4 * (m + 1) or np.ptp(np.diff(t)) > 1e-6 * (t[1] - t[0]):
+        return 0.0, np.inf
+    fine = float(np.abs(np.diff(x, m, axis=0)).max())
+    wide = max(float(np.abs(np.diff(x[k::2], m, axis=0)).max()) for k in (0, 1))
+    left = float(np.log2(wide / fine)) + derivative - 1 if min(wide, fine) > 0 else np.inf
+    if not LEAST_LEFT <= left < SEEN * order:
+        return 0.0, np.inf
+    span, step = float(np.ptp(x, axis=0).max()), float(np.abs(np.diff(x, axis=0)).max())
+    lasts = min(0.5 * span / step, float(len(t)))  # s / h
+    error = fine * (lasts / 12, 1 / 6, 0.2 / lasts)[derivative]
+    return (error, left) if error > SEEN_KINK * span else (0.0, np.inf)
 
 
 def scattered_order(p: float, order: int, before: float | None) -> float:
