@@ -55,6 +55,7 @@ TOUCH = 1e-9  # gap of a closed contact, as a share of the model's length
 DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
 DEEP = 1e-4  # approach in a step from which on a touch is an impact also where a closed contact would only drift
 SLOW = 1e-8  # approach of a resting contact: this share of the model's length in a step
+STILL = 1e-13  # rate of a contact that does not leave: this share of the model's length in a flight is roundoff
 LOCATING = 6  # attempts to end a step where a contact closes
 REPEATS = 3  # impacts of one contact in a step before it comes to rest
 
@@ -394,7 +395,8 @@ class _Step:
             back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)
             rebound = np.where(self.bouncing[closed], back * before[:, 0], 0.0)
             if flight:
-                rebound = before[:, 0] - np.minimum(stepper._start_rates(closed, h), 0.0)
+                start = stepper._start_rates(closed, h)
+                rebound = before[:, 0] - np.where(start > STILL * stepper.system.length / h, 0.0, start)
             self.impact = Impact(before, rebound)
         bound = None if flight else self.impact
         self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed], bound)

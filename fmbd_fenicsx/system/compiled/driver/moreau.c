@@ -10,7 +10,7 @@
 #include "impulses.c"
 
 enum { BOUNDED = AM }; /* of the parameters: whether obstacles are thin, so that points could pass through */
-static const double TOUCHING = 1e-9, DRIFTING = 1e-5, APPROACH = 1e-8, DEEP = 1e-4, INSTANT = 1e-9; /* as in moreau.py */
+static const double TOUCHING = 1e-9, DRIFTING = 1e-5, APPROACH = 1e-8, DEEP = 1e-4, INSTANT = 1e-9, STILL = 1e-13; /* as in moreau.py */
 enum { LOCATING = 6, REPEATS = 3, SHARES = 13 };
 
 /* What rates of gaps at a configuration need: the rows of stops, which are those of the last touch, and the motion of obstacles over
@@ -115,7 +115,7 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
         for (int a = 0; a < d; a++)
             c->before[d * k + a] = along(c, i, rows + 2 * c->wide * a, now.v) + (a ? -c->drift[d * k + a] / span : c->rate[i]);
         double back = c->before[d * k] < 0.0 ? o->restitution : 1.0;
-        c->rebound[k] = flight ? c->before[d * k] - fmin(c->rebound[k], 0.0) : c->bouncing[i] ? back * c->before[d * k] : 0.0;
+        c->rebound[k] = flight ? c->before[d * k] - (c->rebound[k] > STILL * p[LENGTH] / length ? 0.0 : c->rebound[k]) : c->bouncing[i] ? back * c->before[d * k] : 0.0;
         c->rate[i] += c->rebound[k];
     }
     if (s->samples && s->python(SAMPLE, 0, t + 0.5 * length)) return FAILED;
