@@ -101,8 +101,11 @@ def quietly(
     while made < steps and clock.perf_counter() - begin < CHUNK:
         now = min(chunk, steps - made)
         if tape is not None:
+            many = now > tape.capacity * every and not watched
             tape.begin(*(1, 1) if watched else (every, every - (done + made) % every))
-            now = min(now, tape.capacity * every)
+            if many:
+                recorder.straight.lead(tape, now // every + 1)
+            now = min(now, tape.room * every)
         now = stepper.march(schedule.next(stepper.state.t), now, tape=tape)
         back = bool(now) and refused is not None and refused(h)
         if back:

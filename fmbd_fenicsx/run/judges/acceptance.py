@@ -121,13 +121,13 @@ class Closed(Remembering):
             out[span] = 0.0  # equations of the user's own, in units of their own: no length to judge them by
         return out
 
-    def check_tape(self, seen: Any) -> None:
-        """The same for records of compiled steps, the first that is open by (1) as :meth:`check` does."""
+    def check_tape(self, seen: Any, t: float) -> None:
+        """The same for records of compiled steps up to time t (s), the first that is open by (1) as :meth:`check` does."""
         if not self.system.n_lam or 0 not in self.levels:
             return
         if (state := seen.doubt) is not None:
             self.check(self.system.at(state.t, state.q, state.v))
-        self.last = float(seen.t[-1])
+        self.last = t
 
     @property
     def openness(self) -> Openness:

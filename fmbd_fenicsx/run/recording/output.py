@@ -23,6 +23,7 @@ from ..judges.acceptance import Closed
 from .between import state_between
 from .ledger import Books
 from .rows import Rows
+from .straight import Straight
 
 
 @dataclass(frozen=True)
@@ -201,6 +202,7 @@ class Recorder:
         times = self.output.times
         self._wanted = None if times is None else [float(t) for t in times if t <= self.t_end * (1 + ROUNDING)]
         self._before: State | None = None
+        self.straight = Straight(self)
         self._due = self.output.due(self.t_end)
 
     @property
@@ -231,12 +233,15 @@ class Recorder:
         start = (first // every + 1) * every
         self.newest = start + every * (len(seen) - 1)
         self.steps.append(np.arange(start, self.newest + 1, every, dtype=float))
-        self.moments.append(seen.t)
+        there = self.straight.shapes if seen.straight else {}
+        if there:
+            self.straight.take(len(seen))
+        else:
+            self.moments.append(seen.t)
         if self.closed is not None:
-            self.closed.check_tape(seen)
+            self.closed.check_tape(seen, float(self.times[-1]))
 
-        # column by column: NumPy goes along an axis of four numbers record by record
-        gap, slip, worst, fastest = (float(column.max()) for column in seen.drift.T)
+        gap, slip, worst, fastest = seen.worst
         self.gap, self.slip = max(self.gap, gap), max(self.slip, slip)
         if self.closed is not None:
             self.worst_slip, self.fastest = max(self.worst_slip, worst), max(self.fastest, fastest)
@@ -244,16 +249,17 @@ class Recorder:
         # sensors that compiled code knows are read for all records at once
         alone = []
         for name, sensor in self.scene.sensors.items():
-            if id(sensor) in seen.looks.of:
-                self.values[name].append(sensor.series(seen, self.markers[name]))
-            else:
+            if id(sensor) not in seen.looks.of:
                 alone.append((name, sensor))
+            elif ("sensor", name) not in there:
+                self.values[name].append(sensor.series(seen, self.markers[name]))
         unknown = self.output.energy and not seen.looks.energies_known
         if alone or unknown:
             self._one_by_one(seen, alone, unknown)
-        if self.output.energy and not unknown:
+        if self.output.energy and not unknown and not (there and self.straight.single):
             for name, values in seen.energies().items():
-                self.energies.setdefault(name, Rows()).append(values)
+                if ("energy", name) not in there:
+                    self.energies.setdefault(name, Rows()).append(values)
         for rows in (self.steps, self.moments, *self.energies.values(), *self.values.values()):
             rows.joined(self.expected)  # the tape is written anew
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...kernel_cache import address_of
 from ...rotations import Array
 
 MOST = 1_000_000  # records that room is made for before they are there: a run may be meant to stop at an event
@@ -24,9 +25,21 @@ class Rows(list[Array]):
         if self:
             first, self.filled = self.filled, self.filled + sum(map(len, self))
             if self.filled > len(self.room):
-                old = self.room
-                self.room = np.empty((max(min(expected, MOST), self.filled, 2 * len(old)), *self[0].shape[1:]))
-                self.room[:first] = old[:first] if first else 0.0
+                self._grow(first, max(min(expected, MOST), self.filled), self[0].shape[1:])
             np.concatenate(self, out=self.room[first : self.filled])
             self.clear()
         return self.room[: self.filled]
+
+    def end(self, more: int, expected: int, shape: tuple[int, ...]) -> int:
+        """The address behind the last record, with room for so many of this shape; who writes them adds to ``filled``."""
+        self.joined(expected)
+        if self.filled + more > len(self.room):
+            self._grow(self.filled, max(min(expected, MOST), self.filled + more), shape)
+        return address_of(self.room) + self.filled * self.room.strides[0]
+
+    def _grow(self, kept: int, least: int, shape: tuple[int, ...]) -> None:
+        """Room for so many records at least, of which some are kept."""
+        old = self.room
+        self.room = np.empty((max(least, 2 * len(old)), *shape))
+        if kept:
+            self.room[:kept] = old[:kept]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -32,9 +32,8 @@ class ContactTape(Tape):
         """No: steps are cut by impacts, between which values may cross and come back."""
         return False
 
-    def recorded(self) -> Recorded:
-        """What was recorded, until the tape begins anew."""
-        return ContactRecorded(super().recorded(), self)
+    def _records(self, which: slice) -> Recorded:
+        return ContactRecorded(super()._records(which), self)
 
 
 class ContactRecorded(Recorded):
@@ -42,11 +41,22 @@ class ContactRecorded(Recorded):
 
     def __init__(self, found: Recorded, tape: ContactTape) -> None:
         super().__init__(found.tables, found.arrays, found.doubt)
-        self.system, contacts = tape.whole_system, tape.contacts
+        self.system, self.tape = tape.whole_system, tape
+        self._split()
+
+    def copied(self) -> Self:
+        """As :meth:`Recorded.copied`, contacts too."""
+        out = super().copied()
+        out._split()
+        return out
+
+    def _split(self) -> None:
+        """What the numbers tell of contacts."""
+        contacts, shapes = self.tape.contacts, self.tape.shapes
         numbers, parts, first = self.arrays["contact"], [], 0
-        for shape in tape.shapes:
+        for shape in shapes:
             size = int(np.prod(shape))
-            parts.append(numbers[:, first : first + size].reshape(len(self), *shape))
+            parts.append(numbers[:, first : first + size].reshape(len(numbers), *shape))
             first += size
 
         gap, x, normal, carried, force, impulse, work, self._times = parts

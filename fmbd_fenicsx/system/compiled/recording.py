@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..system import State, System
 from .blocks import block_size, state_of
-from .structures import address_of, structure, zeros_of
+from .structures import address_of, zeros_of
 
 if TYPE_CHECKING:
     from ..evaluation import Evaluation
@@ -137,65 +138,32 @@ class Looks:
         return all(type(f).energy is Loads.energy for f in rest)
 
 
-def seen_places(tables: Tables) -> int:
-    """The address of places (d) of the markers that sensors look at in their frames, and of how they are turned (d x d)."""
-    mk, seen = tables.system.markers, tables.looks.markers
-    place = np.where((tables.frame[seen] > tables.nb)[:, None], 0.0, mk.position[seen])
-    return tables.store.address(np.concatenate((place, mk.rotation[seen].reshape(len(seen), tables.dim**2)), axis=1))
-
-
-def reaction_of(tables: Tables, name: str, side: int) -> Any:
-    """One structure Reaction: the items of a joint's rows on the side of its first body, or of an element on a side."""
-    marker, found = _of_joint(tables, name) if side < 0 else _of_element(tables, tables.looks.slots[name].start, side)
-    batch, item, sides = np.array(found, dtype=int).reshape(-1, 3).T
-    frame = int(tables.frame[marker])
-    place = np.zeros(tables.dim) if frame > tables.nb else tables.system.markers.position[marker]
-    integers = tables.store.integers
-    return structure("Reaction", tables.dim)(
-        items=len(found), frame=frame, p=(ctypes.c_double * tables.dim)(*place),
-        batch=integers(batch), item=integers(item), side=integers(sides),
-    )  # fmt: skip
-
-
-def _of_joint(tables: Tables, joint: str) -> tuple[int, list[tuple[int, int, int]]]:
-    """The marker of a joint on its first body; number of the batch, of the item, and side of the items that act there."""
-    block = tables.system.block(joint)
-    found = []
-    for number, items in enumerate(tables.sources):
-        if items.row is not None:
-            inside = (items.row >= block.rows.start) & (items.row < block.rows.stop)
-            mine = np.argwhere(inside[:, None] & (items.markers == block.a))
-            found += [(number, int(i), int(side)) for i, side in mine]
-    return block.a, found
-
-
-def _of_element(tables: Tables, slot: int, side: int) -> tuple[int, list[tuple[int, int, int]]]:
-    """The same of an element that is read, on one of its sides."""
-    for number, items in enumerate(tables.sources):
-        if items.slot is not None and slot in items.slot:
-            i = int(np.flatnonzero(items.slot == slot)[0])
-            return int(items.markers[i, side]), [(number, i, side)]
-    raise AssertionError(slot)
-
-
 class _Tape(ctypes.Structure):
     """``Tape`` of tables.h."""
 
     _fields_ = [
-        *((name, ctypes.c_long) for name in "every left capacity count crossings crossed".split()),
-        ("crossing", ctypes.c_void_p),
+        *((name, ctypes.c_long) for name in "every left capacity count crossings crossed straight single".split()),
+        *((name, ctypes.c_void_p) for name in "crossing series".split()),
         *((name, ctypes.c_long) for name in "whole rows doubtful".split()),
         *((name, ctypes.c_double) for name in "allowed roundoff length".split()),
-        *(
-            (name, ctypes.c_void_p)
-            for name in "units block lam sight energy reading reaction drift doubt contact".split()
-        ),
+        *((name, ctypes.c_void_p) for name in "units block lam sight energy reading reaction doubt".split()),
+        *((name, 4 * ctypes.c_double) for name in "worst before".split()),
+        ("contact", ctypes.c_void_p),
     ]
 
 
 # what events are about, ``Crossing`` of tables.h
 INTEGERS, NUMBERS = ("stride", "direction"), ("scale", "level", "before")
 CROSSING = np.dtype([("at", np.uintp), *((x, int) for x in INTEGERS), *((x, float) for x in NUMBERS)])
+
+# what grows with every record, ``Series`` of tables.h
+SERIES = np.dtype(
+    [("at", np.uintp), *((x, int) for x in ("stride", "apart", "width")), ("scale", float), ("to", np.uintp)]
+)
+KINDS = "kinetic", "elastic", "weight", "springs"  # of energies
+MOST = 10_000_000  # records between two visits where all goes into series
+
+Numbers = tuple[Array, float]  # what values in all records are multiples of, (k, ..), and by which factor
 
 
 @dataclass(frozen=True)
@@ -222,10 +190,9 @@ class Tape:
             "block": (size if looks.whole else 1,),
             "lam": (s.n_lam if looks.rows else 0,),
             "sight": (len(looks.markers), FRAME[tables.dim] + tables.dim),
-            "energy": (4,),
+            "energy": (len(KINDS),),
             "reading": (looks.count, 3),
             "reaction": (len(looks.wrenches), tables.twist),
-            "drift": (4,),
             "contact": (contact,),
         }
         # as many records as fit in a few megabytes
@@ -238,6 +205,8 @@ class Tape:
             roundoff=judged.roundoff, length=s.length, doubt=address_of(self.doubt),
         )  # fmt: skip
         self._watched: tuple[np.ndarray, Sequence[tuple[Any, int, int]]] | None = None
+        self._asked: Callable[[Recorded], dict[Any, Numbers]] | None = None
+        self.series = np.zeros(0, dtype=SERIES)
         self._make_room(min(FIRST, self.most))
 
     def _make_room(self, capacity: int) -> None:
@@ -248,6 +217,35 @@ class Tape:
         for name, (_, address) in room.items():
             setattr(self.c, name, address)
         self._find_watched()
+        self._find_series()
+
+    def told(self, numbers: Array) -> bool:
+        """Whether these are numbers of the records themselves."""
+        return any(np.may_share_memory(numbers, x) for x in self.arrays.values())
+
+    def follow(self, asked: Callable[[Recorded], dict[Any, Numbers]]) -> dict[Any, tuple[int, ...]]:
+        """The shapes of those numbers that are ``asked`` of records which C can write into series itself."""
+        self._asked = asked
+        return {name: numbers.shape[1:] for name, (numbers, _) in self._find_series().items()}
+
+    def prolong(self, ends: Sequence[int], *, single: bool) -> None:
+        """The next march writes what it follows to these addresses on; ``single``: nobody asks for more than that."""
+        self.series["to"] = ends
+        self.c.straight, self.c.single = len(ends), single
+
+    def _find_series(self) -> dict[Any, Numbers]:
+        """What is asked of records and is told in them, and where they have it."""
+        if self._asked is None:
+            return {}
+        every = self._asked(self._records(slice(None)))
+        found = {name: x for name, x in every.items() if self.told(x[0])}
+        places = []
+        for numbers, scale in found.values():
+            stride, apart = (x // numbers.itemsize for x in (*numbers.strides, numbers.itemsize)[:2])
+            places.append((numbers.ctypes.data, stride, apart, math.prod(numbers.shape[1:]), scale, 0))
+        self.series = np.array(places, dtype=SERIES)
+        self.c.series = address_of(self.series)
+        return found
 
     def stops_at(self, crossings: np.ndarray, read: Sequence[tuple[Any, int, int]]) -> bool:
         """Whether marches end with the step in which one of these is met: ``read`` are the sensor, marker and component of each,
@@ -270,7 +268,7 @@ class Tape:
                 return
             numbers, one["scale"] = sensor.numbers(every, marker)
             found = numbers[:, component]
-            if not any(np.may_share_memory(found, x) for x in self.arrays.values()):
+            if not self.told(found):
                 return
             one["at"], one["stride"] = found.ctypes.data, found.strides[0] // found.itemsize
         self.c.crossing, self.c.crossings = address_of(crossings), len(crossings)
@@ -280,25 +278,36 @@ class Tape:
         """For C."""
         return ctypes.addressof(self.c)
 
+    @property
+    def room(self) -> int:
+        """Records that the next march may make."""
+        return MOST if self.c.single else self.capacity
+
     def begin(self, every: int, left: int) -> None:
         """Nothing recorded; the first record after ``left`` steps, then every so many. One that was full has more room then."""
-        if self.c.count == self.capacity < self.most:
+        if self.c.count == self.capacity < self.most and not self.c.single:
             self._make_room(min(4 * self.capacity, self.most))
         self.c.every, self.c.left, self.c.count, self.c.doubtful, self.c.crossed = every, left, 0, -1, 0
+        self.c.straight = self.c.single = 0
+        self.c.worst[:] = 0.0, 0.0, 0.0, 0.0
 
     def step_back(self) -> None:
         """Forget the record of the newest step, if it has one."""
         if self.c.count and self.c.left == self.c.every:
             self.c.count -= 1
             self.c.doubtful = -1 if self.c.doubtful == self.c.count else self.c.doubtful
+            self.c.worst[:] = self.c.before
 
     def recorded(self) -> Recorded:
-        """What was recorded, until the tape begins anew."""
-        return self._records(slice(int(self.c.count)))
+        """What was recorded, until the tape begins anew; where all is in series the newest of it."""
+        n = int(self.c.count)
+        found = self._records(slice(min(n, 1) if self.c.single else n))
+        found.count, found.straight, found.worst = n, bool(self.c.straight), tuple(self.c.worst)
+        return found
 
     def looked_at(self) -> Recorded | None:
         """The step at which an event has ended the march, with arrays of its own; None where none has."""
-        n = int(self.c.count)
+        n = 0 if self.c.single else int(self.c.count)
         return self._records(slice(n, n + 1)).copied() if self.c.crossed else None
 
     def _records(self, which: slice) -> Recorded:
@@ -309,7 +318,8 @@ class Tape:
 
 class Recorded:
     """Records of one march, k of them: arrays with the record as their first axis. ``doubt``: the first state whose joints are
-    open by more than is allowed, None where there is none.
+    open by more than is allowed, None where there is none. ``straight``: whether C has written series itself; ``worst``: of all
+    states the largest open constraint, the largest rate at which one opens, this as a speed, the largest speed.
     """
 
     def __init__(self, tables: Tables, arrays: dict[str, Array], doubt: State | None = None) -> None:
@@ -317,13 +327,17 @@ class Recorded:
         self.arrays, self.doubt = arrays, doubt
         self.contact: Any = None  # of contacts in all records, as a state has it of one
         self.t, self.lam = arrays["block"][:, 0], arrays["lam"]
+        self.count, self.straight, self.worst = len(self.t), False, (0.0, 0.0, 0.0, 0.0)
 
     def __len__(self) -> int:
-        return len(self.t)
+        return self.count
 
-    def copied(self) -> Recorded:
+    def copied(self) -> Self:
         """The same with arrays of its own, which the next records leave as they are."""
-        return Recorded(self.tables, {name: x.copy() for name, x in self.arrays.items()}, self.doubt)
+        out = copy(self)
+        out.arrays = {name: x.copy() for name, x in self.arrays.items()}
+        out.t, out.lam = out.arrays["block"][:, 0], out.arrays["lam"]
+        return out
 
     def newest(self, sensor: Any, marker: int) -> Array | None:
         """What a sensor reads in the newest record, (size,); None where it has to be read from the state."""
@@ -389,16 +403,8 @@ class Recorded:
 
     def energies(self) -> dict[str, Array]:
         """Kind -> J, (k,), as :meth:`Evaluation.energies`."""
-        kinds = ("kinetic", "elastic", "weight", "springs")
-        out: dict[str, Array] = dict(zip(kinds, self.arrays["energy"].T, strict=True))
+        out: dict[str, Array] = dict(zip(KINDS, self.arrays["energy"].T, strict=True))
         for place, law in self.looks.stores:
             s = self.arrays["reading"][:, place, 0]
             out["springs"] = out["springs"] + np.array([law.stored(float(x)) for x in s[:, 0]])
         return out
-
-    @property
-    def drift(self) -> Array:
-        """(k, 4): of each state the largest open constraint, the largest rate at which one opens, this as a speed, the largest
-        speed.
-        """
-        return self.arrays["drift"]

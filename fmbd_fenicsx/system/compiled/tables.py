@@ -24,9 +24,10 @@ from .listening import listeners
 from .mounts import mount_batch
 from .order import Fronts, RowGroup
 from .places import MatrixShape, Structure, batch_of, fronts_of, pivots_of, structure_of
-from .recording import Looks, reaction_of, seen_places
+from .recording import Looks
 from .resting import twin_of
 from .rods import RodTable, rod_pairs
+from .sights import reaction_of, seen_places
 from .structures import SECANTS, Store, array_of, structure
 from .whole import WholeLoads
 

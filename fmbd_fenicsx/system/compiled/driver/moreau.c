@@ -417,7 +417,7 @@ static int accepted(System *s, const Contacts *c, Block now, Tape *tape)
     }
     if (recorded) {
         const long size = c->points * (2 + 3 * D) + c->pairs * D + 6;
-        record_contacts(c, tape->contact + size * tape->count);
+        record_contacts(c, tape->contact + size * place_on(tape));
         if ((verdict = record(s, tape, &now, 0))) return verdict;
     }
     if (s->remembers && (verdict = keep(s, *now.t))) return verdict;

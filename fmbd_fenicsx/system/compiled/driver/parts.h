@@ -86,6 +86,7 @@ static inline Block block_at(const System *s, double *x)
     return b;
 }
 
+long place_on(const Tape *tape);
 int record(System *s, Tape *tape, const Block *now, const double *known); /* the core */
 
 /* Whether the frame of a field rests where its body was meshed. */

@@ -110,14 +110,14 @@ double largest_of(const double *units, const double *x, int n)
     return found;
 }
 
-/* How far the constraints are open, at which rate, this as a speed, and the largest speed; the first state that is open by more
-   than is allowed is kept. */
-static void judge_drift(System *s, Tape *tape, const Block *now, double *open)
+/* How far the constraints are open, at which rate, this as a speed, and the largest speed, of all records; the first state that is
+   open by more than is allowed is kept. */
+static void judge_drift(System *s, Tape *tape, const Block *now)
 {
-    double widest = 0.0;
+    double widest = 0.0, *open = tape->worst, speed = largest_of(s->units, now->v, s->nv);
     drift(s);
-    open[0] = open[1] = open[2] = 0.0;
-    open[3] = largest_of(s->units, now->v, s->nv);
+    memcpy(tape->before, open, sizeof(tape->before));
+    if (!(speed <= open[3])) open[3] = speed;
     for (int i = 0; i < s->rows; i++) {
         double gap = fabs(s->gap[i]), slip = fabs(s->slip[i]), length = gap * tape->units[i];
         if (!(gap * s->row_units[i] <= open[0])) open[0] = gap * s->row_units[i]; /* nan is kept */
@@ -143,11 +143,27 @@ static int crossed(Tape *tape, long k)
     return 0;
 }
 
+/* Where in the arrays the next record is. */
+long place_on(const Tape *tape)
+{
+    return tape->single ? 0 : tape->count;
+}
+
+/* Numbers of record k to the ends of the series that grow with it. */
+static void prolong(const Tape *tape, long k)
+{
+    for (const Series *o = tape->series; o < tape->series + tape->straight; o++) {
+        const double *at = o->at + o->stride * k;
+        double *to = o->to + o->width * tape->count;
+        for (long i = 0; i < o->width; i++) to[i] = o->scale * at[o->apart * i];
+    }
+}
+
 /* One record of an accepted step whose frames are placed; ``known``: its energies at the present weight, NULL where nobody asked.
    It counts where it is due, and where no event is met: Python looks at that step first. */
 int record(System *s, Tape *tape, const Block *now, const double *known)
 {
-    long k = tape->count, size = 1 + s->nq + 3 * (long)s->nv + s->rows;
+    long k = place_on(tape), size = 1 + s->nq + 3 * (long)s->nv + s->rows;
     int due = tape->left == 1, verdict = readings(s, *now->t, tape->reading + 3 * (long)s->readings * k);
     if (verdict) return verdict;
 
@@ -158,11 +174,14 @@ int record(System *s, Tape *tape, const Block *now, const double *known)
     else energies(s, *now->t, now->q, now->v, s->rest_gravity, tape->energy + 4 * k);
     sights(s, now, tape->sight + SIGHT * s->seen * k);
 
-    if (due) judge_drift(s, tape, now, tape->drift + 4 * k);
+    if (due) judge_drift(s, tape, now);
     else if (s->reactions) drift(s);
     for (int i = 0; i < s->reactions; i++)
         reaction(s, s->reaction + i, now->lam, tape->reaction + TWIST * (s->reactions * k + i));
     tape->crossed = crossed(tape, k);
-    tape->count += due && !tape->crossed;
+    if (due && !tape->crossed) {
+        prolong(tape, k);
+        tape->count++;
+    }
     return DONE;
 }

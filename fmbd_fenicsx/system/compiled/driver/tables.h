@@ -13,6 +13,7 @@ enum { D = 3, ROT = 3, POSE = 7, TWIST = 6, PORT = 12, FRAME = 18 };
 enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
 #endif
 enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
+enum { WORST = 4 };                                      /* what of records only the largest is kept of */
 enum { SIGHT = FRAME + D };                              /* of a marker in records: its own frame, x'' */
 
 enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE }; /* roles of items: a term of a constraint; an effort that is linear, */
@@ -205,16 +206,29 @@ typedef struct {
     double scale, level, before;
 } Crossing;
 
-/* Records of accepted steps; every array holds ``capacity`` of them and one more, which steps that are only looked at are written
-   to. ``left``: steps up to the next; ``crossed``: whether a march ends because of an event. */
+/* A series that grows with every record by ``width`` numbers of it, times ``scale``, behind each other from ``to`` on: where the
+   first is in the first record, how many numbers further the next, and how many the same one of the next record. */
 typedef struct {
-    long every, left, capacity, count, crossings, crossed;
+    const double *at;
+    long stride, apart, width;
+    double scale;
+    double *to;
+} Series;
+
+/* Records of accepted steps; every array holds ``capacity`` of them and one more, which steps that are only looked at are written
+   to, or where all is in ``series`` (``single``) the newest alone. ``left``: steps up to the next; ``crossed``: whether a march ends
+   because of an event. */
+typedef struct {
+    long every, left, capacity, count, crossings, crossed, straight, single;
     Crossing *crossing;
+    Series *series;                    /* straight of them */
     long whole, rows, doubtful;        /* whether states and multipliers are kept; first record whose joints are open, or -1 */
     double allowed, roundoff, length;  /* m; share of the distance from the origin; of the model */
     double *units;                     /* of the rows, as lengths */
-    double *block, *lam, *sight, *energy, *reading, *reaction, *drift; /* drift: open by, opening at; sight: SIGHT each */
+    double *block, *lam, *sight, *energy, *reading, *reaction; /* sight: SIGHT each */
     double *doubt;                     /* the state of the doubtful record */
+    double worst[WORST], before[WORST]; /* largest of all records, and of all before the newest: open by, opening at, this as a */
+                                       /* speed, speed */
     double *contact;                   /* where there are contacts: see moreau.c */
 } Tape;
 
