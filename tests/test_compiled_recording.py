@@ -11,7 +11,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.system.evaluation import Evaluation
-from fmbd_fenicsx.system.sensors.sensors import Sensor
+from fmbd_fenicsx.system.sensors.sensors import Position, Sensor
 from fmbd_fenicsx.system.system import State
 
 
@@ -278,3 +278,80 @@ def test_steps_without_events_are_made_in_one_call(ends: bool, monkeypatch: pyte
     assert [s.t for s in fast.snapshots] == [s.t for s in slow.snapshots]
     for name, values in slow.series.items():
         assert np.array_equal(fast[name], values), name
+
+
+class Backwards(Position):
+    """A place whose components stand the other way round."""
+
+    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
+        return np.asarray(super().read(ev, state, marker)[::-1])
+
+    def series(self, seen: Any, marker: int) -> Array:
+        return np.asarray(super().series(seen, marker)[:, ::-1])
+
+
+def bouncing() -> fmbd.Scene:
+    """A ball that falls on a floor."""
+    scene = fmbd.Scene("bounce", gravity=(0.0, -9.81))
+    ball = fmbd.RigidBody("ball", 1.0, 0.004, (0.0, 0.2))
+    ground = fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, 0.0), (0.0, 1.0)))
+    floor = fmbd.contact("pair", fmbd.ball(ball, 0.1), ground, restitution=0.5)
+    scene.add(ball, floor)
+    scene.sensor("x", fmbd.position(ball))
+    scene.sensor("gap", fmbd.contact_gap(floor))
+    scene.sensor("force", fmbd.contact_force(floor))
+    return scene
+
+
+LONG: dict[str, Callable[[], tuple[fmbd.Scene, dict[str, Any]]]] = {
+    "plane": lambda: (chain(2, ELEMENTS["stop"]), {"dt": 1e-3}),
+    "space": lambda: (chain(3, ELEMENTS["spring"]), {"dt": 1e-3}),
+    "error control": lambda: (chain(3, ELEMENTS["spring"]), {"scheme": fmbd.GeneralizedAlpha(rtol=1e-7)}),
+    "contact": lambda: (bouncing(), {"dt": 1e-3, "scheme": fmbd.Moreau()}),
+}
+
+
+@pytest.mark.parametrize("kind", list(LONG))
+def test_what_c_writes_into_series_is_what_python_takes_from_records(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last bit, of sensors that are numbers of records, of those that are computed from them, and of energies; also where
+    nothing but the newest record is kept.
+    """
+    from fmbd_fenicsx.run.recording.straight import Straight
+
+    lead, led = Straight.lead, []
+
+    def noted(self: Straight, tape: Any, more: int) -> None:
+        lead(self, tape, more)
+        led.append(self.single)
+
+    def run(*, alone: bool) -> fmbd.Run:
+        scene, how = LONG[kind]()
+        scene.sensors.pop("momentum", None)
+        if "x" in scene.sensors and "v" in scene.sensors:
+            scene.sensor("backwards", Backwards(scene.bodies["link 2"], "m"))
+        for name in list(scene.sensors) if alone else ():
+            if name in ("momentum", "gap", "force") or "power" in name or (name == "R" and kind == "plane"):
+                del scene.sensors[name]
+        return fmbd.solve(scene, t_end=0.4, output=fmbd.Output(progress=False), **how)
+
+    for alone in (False, True):
+        led.clear()
+        monkeypatch.setattr(Straight, "lead", noted)
+        fast = run(alone=alone)
+        assert led and set(led) == {alone}
+        monkeypatch.setattr(Straight, "lead", lambda *args: None)
+        slow = run(alone=alone)
+        assert len(fast.times) > 300 and np.array_equal(fast.times, slow.times) and fast.drift == slow.drift
+        assert fast.series.keys() == slow.series.keys() and fast.energy.keys() == slow.energy.keys()
+        for name, values in (slow.series | slow.energy).items():
+            assert np.array_equal((fast.series | fast.energy)[name], values), name
+
+
+def test_on_step_reads_contacts_of_compiled_steps() -> None:
+    """What it is told is what is recorded."""
+    seen: list[Array] = []
+    output = fmbd.Output(progress=False, on_step=lambda now: seen.append(now["force"]))
+    run = fmbd.solve(bouncing(), t_end=0.2, dt=1e-3, scheme=fmbd.Moreau(), output=output)
+    assert np.array_equal(seen, run["force"][1:]) and run["force"].max() > 100.0

@@ -22,6 +22,7 @@ class Straight:
         self.tape: Tape | None = None
         self.shapes: dict[Key, tuple[int, ...]] = {}  # of a record, by where it goes to
         self.single = False  # whether nothing else is recorded
+        self._count = 0  # of all that is asked for
 
     def lead(self, tape: Tape, more: int) -> None:
         """The next march of at most so many records writes them where they belong."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -44,9 +44,10 @@ class ContactRecorded(Recorded):
         self.system, self.tape = tape.whole_system, tape
         self._split()
 
-    def copied(self) -> Self:
+    def copied(self) -> Recorded:
         """As :meth:`Recorded.copied`, contacts too."""
         out = super().copied()
+        assert isinstance(out, ContactRecorded)
         out._split()
         return out
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -206,7 +206,7 @@ class Tape:
         )  # fmt: skip
         self._watched: tuple[np.ndarray, Sequence[tuple[Any, int, int]]] | None = None
         self._asked: Callable[[Recorded], dict[Any, Numbers]] | None = None
-        self.series = np.zeros(0, dtype=SERIES)
+        self.series: np.ndarray = np.zeros(0, dtype=SERIES)
         self._make_room(min(FIRST, self.most))
 
     def _make_room(self, capacity: int) -> None:
@@ -327,12 +327,14 @@ class Recorded:
         self.arrays, self.doubt = arrays, doubt
         self.contact: Any = None  # of contacts in all records, as a state has it of one
         self.t, self.lam = arrays["block"][:, 0], arrays["lam"]
-        self.count, self.straight, self.worst = len(self.t), False, (0.0, 0.0, 0.0, 0.0)
+        self.count: int = len(self.t)
+        self.straight: bool = False
+        self.worst: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def __len__(self) -> int:
         return self.count
 
-    def copied(self) -> Self:
+    def copied(self) -> Recorded:
         """The same with arrays of its own, which the next records leave as they are."""
         out = copy(self)
         out.arrays = {name: x.copy() for name, x in self.arrays.items()}
