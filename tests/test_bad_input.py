@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 import re
 from dataclasses import replace
 from typing import Any
@@ -374,6 +376,17 @@ def test_rho_of_one_is_refused() -> None:
 def test_parts_given_to_a_scene_are_what_they_stand_for(parts: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=re.escape(says)):
         fmbd.Scene("scene", **parts)
+
+
+@pytest.mark.parametrize("through", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))], ids=["copy", "pickle"])
+def test_scenes_may_be_copied_and_pickled(through: Any) -> None:
+    """With joints, to the ground too; the copy moves as the scene does."""
+    scene = pendulum()
+    scene.sensor("turn", fmbd.angle(scene.joints["hinge"]))
+    run = fmbd.solve(scene, t_end=0.01, dt=1e-3)
+    again = fmbd.solve(through(scene), t_end=0.01, dt=1e-3)
+    assert np.array_equal(again.state.q, run.state.q)
+    assert np.array_equal(again["turn"], run["turn"])
 
 
 def test_a_scene_and_its_copy_share_no_parts() -> None:

@@ -25,7 +25,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -58,6 +57,10 @@ class Ground:
     def __repr__(self) -> str:
         return "ground"
 
+    def __reduce__(self) -> str:
+        """There is one: copies and what is read back are itself."""
+        return "ground"
+
 
 ground = Ground()
 
@@ -72,7 +75,7 @@ class Row:
     motion: ct.Motion = ct.standstill
     axis: Array | None = None
     own: Kind | None = None  # of a row by an expression
-    constants: Mapping[str, Any] = MappingProxyType({})  # of a kind that has names for them
+    constants: Mapping[str, Any] = field(default_factory=dict)  # of a kind that has names for them
 
 
 @dataclass(frozen=True)
