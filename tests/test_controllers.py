@@ -96,6 +96,50 @@ def test_samples_of_schemes_with_error_control_are_hit() -> None:
     assert len(np.unique(run["elbow torque"][:, 0].round(9))) >= 10
 
 
+def test_samples_between_steps_are_taken_at_the_next_end_and_told_of() -> None:
+    times: list[float] = []
+    scene = arm()
+    turn = fmbd.angle(scene.joints["elbow"])
+    scene.add(
+        fmbd.controller(
+            "c", reads={"s": turn}, acts=turn, law=lambda t, y, z: times.append(t) or -y["s"][0], every=0.02
+        )
+    )
+    for dt, said in ((5e-3, False), (6e-3, True), (0.03, True)):
+        times.clear()
+        run = fmbd.solve(scene, t_end=0.12, dt=dt)
+        assert any("samples are taken late" in line for line in run.warnings) == said
+        ends = np.unique(dt * np.ceil(np.arange(0.0, 0.1201, 0.02) / dt - 1e-6))
+        assert np.unique(times) == pytest.approx(ends, abs=1e-12)
+
+
+def closer(calls: list[float]) -> fmbd.Scene:
+    """A door whose closer drags by Bouc and Wen's law, a memory that is slow against the step."""
+    scene = fmbd.Scene("door")
+    door = fmbd.RigidBody("door", 30.0, 8.0, position=(0.45, 0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, door, center=(0, 0))
+    turn = fmbd.angle(hinge)
+
+    def law(t: float, y: Any, z: Array) -> Any:
+        calls.append(t)
+        x, v = y["s"][0], y["rate"][0]
+        return -10 * (x + 0.5) - 2 * v - 8 * z[0], (20 * v - 10 * abs(v) * z[0] - 5 * v * abs(z[0]),)
+
+    reads = {"s": turn, "rate": fmbd.joint_rate(turn)}
+    scene.add(door, hinge, fmbd.controller("closer", reads=reads, acts=turn, law=law, memory=(0.0,)))
+    return scene
+
+
+def test_a_law_with_memory_is_not_asked_twice_for_the_same() -> None:
+    """Of a step of one iteration: the effort (3 calls), its slopes (6), and once more at its end, from the memory found (2)."""
+    counts = []
+    for n in (20, 40):
+        calls: list[float] = []
+        fmbd.solve(closer(calls), t_end=n * 1e-3, dt=1e-3)
+        counts.append(len(calls))
+    assert counts[1] - counts[0] <= 11 * 20
+
+
 @pytest.mark.parametrize("every", [None, 0.02])
 def test_memory_survives_checkpoints_and_steps_taken_back(every: float | None, tmp_path: Any) -> None:
     n, dt = 60, 5e-3

@@ -20,7 +20,8 @@ from ..errors import ConvergenceError, require
 from ..mechanics.forces.dry_friction import DryFrictionLoads
 from ..mechanics.frames import Kinematics
 from ..rotations import Array
-from ..system.controllers import ControlLoads, Kept
+from ..system.control_memory import Kept
+from ..system.controllers import ControlLoads
 from ..system.element_memory import memories, restore
 from ..system.system import State, System
 from .small_memory import hold

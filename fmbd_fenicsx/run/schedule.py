@@ -11,6 +11,7 @@ import numpy as np
 
 from ..checks import number
 from ..errors import InputError, require
+from ..log import log
 from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
 
@@ -78,3 +79,18 @@ def _stops(scene: Scene, t_end: float) -> tuple[float, ...]:
     periods = {force.period for force in scene.forces.values() if force.period is not None}
     samples = [k * period for period in periods for k in range(1, int(np.ceil(t_end / period)))]
     return tuple(sorted({float(t) for t in (*scene.breakpoints, *samples) if 0 < t < t_end}))
+
+
+def warn_of_late_samples(scene: Scene, schedule: StepSchedule) -> None:
+    """Equal steps that do not divide a sampling period: samples come at the end of the step in which they are due."""
+    if not schedule.steps:
+        return
+    h = schedule.next(0.0)
+    for force in scene.forces.values():
+        steps = 1.0 if force.period is None else force.period / h
+        if abs(steps - max(1, round(steps))) > 1e-6 * steps:
+            log.warning(
+                'controller "%s" samples every %g s, which is no multiple of the step of %g s: samples are taken late, at the '
+                "end of the step in which they are due. Let dt divide the period, and t_end too",
+                force.name, force.period, h,
+            )  # fmt: skip

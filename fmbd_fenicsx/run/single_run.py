@@ -22,7 +22,7 @@ from .judges.turning_rows import warn_of_turning_rows
 from .problem import Problem, make_solver
 from .recording.output import Output, refuse_too_many
 from .result import Run
-from .schedule import StepSchedule
+from .schedule import StepSchedule, warn_of_late_samples
 from .settings import check_times
 from .time_loop import March, march
 
@@ -137,6 +137,7 @@ def _finished(
     counters = _counters(marched, task.newton, solver)
     undetermined = not_unique(solver, marched.state)
     warn_of_doubts(task.scene, solver, marched.recorder, counters)
+    warn_of_late_samples(task.scene, task.schedule)
     warn_of_turning_rows(solver, task.scheme, (start.state, marched.state), task.schedule.next(0.0))
     code = None if keeper is None else keeper.exit_code
     methods = solver.elastic.methods

@@ -16,13 +16,15 @@ from ..rotations import Array
 def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> Array:
     """Numbers that a law returned, or an error that says what was found."""
     size, t = wanted
+    if size == 1 and isinstance(value, tuple | list) and len(value) == 1:
+        value = value[0]
     if size == 1 and isinstance(value, float) and isfinite(value):
         return np.array([value])  # the usual answer: laws are asked many times a step
     try:
         found = np.atleast_1d(np.asarray(value, dtype=float))
     except (TypeError, ValueError, OverflowError):
         raise CallbackError(f'Controller "{name}" returned {value!r} at t = {t:g} s, expected {size} {what}.') from None
-    if found.shape != (size,) or not np.isfinite(found).all():
+    if found.shape != (size,) or not (isfinite(found.dot(found)) or np.isfinite(found).all()):
         raise CallbackError(
             f'Controller "{name}" returned {found} of shape {found.shape} at t = {t:g} s, expected {size} finite {what}.'
         )
@@ -37,7 +39,7 @@ def differences(x: Array, asked: Callable[[Array], tuple[Array, Array]]) -> tupl
         step[k] = 1e-6 * max(1.0, abs(float(x[k])))
         ahead, behind = asked(x + step), asked(x - step)
         found.append([(p - q) / (2 * step[k]) for p, q in zip(ahead, behind, strict=True)])
-    return np.stack([one for one, _ in found], axis=-1), np.stack([other for _, other in found], axis=-1)
+    return np.array([one for one, _ in found]).T, np.array([other for _, other in found]).T
 
 
 @dataclass(frozen=True)

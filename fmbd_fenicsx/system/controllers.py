@@ -32,22 +32,11 @@ from ..mechanics.joints.drives import JointCoordinate
 from ..mechanics.joints.relative import Relative
 from ..rotations import Array, Motions, hat
 from .control_laws import PidLaw, differences, numbers_of
+from .control_memory import Found, Kept, implicit
 from .sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Sensor, Velocity
 
 _KINEMATIC = (Position, Velocity, AngularVelocity, Rotation)
-SLOW = 1e-2  # share of an error that may be left by inserting a memory in its own rule
 _AT = 1e-9  # share of the sampling period by which a step may end before its sample
-
-
-@dataclass(frozen=True)
-class Kept:
-    """What a controller keeps: time t_n (s), memory z and its rate g, efforts u, and the number of the next sample."""
-
-    t: float
-    z: Array
-    rate: Array
-    u: Array
-    next: int
 
 
 @dataclass(frozen=True)
@@ -110,6 +99,7 @@ class ControlLoads(Loads):
         self.law = named("The law of controller", controller.name, controller.law, time=0)
         z = np.asarray(controller.memory, dtype=float)
         self.kept: Kept = Kept(0.0, z, np.zeros_like(z), np.zeros(len(acts)), 0)
+        self._found: Found | None = None
 
     @property
     def called(self) -> bool:
@@ -148,34 +138,17 @@ class ControlLoads(Loads):
         return efforts, z if more is None else numbers_of(c.name, "numbers of the memory", more, (len(z), t))
 
     def with_memory(self, t: float, y: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        """u of a continuous law at time t, with z and g of (3)."""
-        kept = self.kept
-        half = 0.5 * (t - kept.t)
-        z = kept.z + 2 * half * kept.rate
-        u, rate = self.ask_law(t, y, z)
-        if not len(z) or half == 0.0:
-            return u, z, rate
-
-        slopes, before, left, past = None, np.inf, 1.0, z
-        for count in range(20):
-            # the trapezoid rule (3), solved for z by inserting, enough for memories that are slow; else by Newton's method
-            miss = z - kept.z - half * (kept.rate + rate)
-            size = float(np.abs(miss).max())
-            if size <= 1e-14 * (np.abs(z).max() + np.abs(half * rate).max()):
-                return u, z, rate
-            if size > SLOW * before:
-                slopes = np.eye(len(z)) - half * self._by_memory(t, y, z)[1]
-            elif count == 1:
-                left = 1.0 - float(miss @ past) / float(past @ past)  # of a miss once z has moved by it
-            z, before, past = z - (miss / left if slopes is None else np.linalg.solve(slopes, miss)), size, miss
-            u, rate = self.ask_law(t, y, z)
-        raise CallbackError(
-            f'Controller "{self.controller.name}": its memory has no value at t = {t:g} s. Is the law smooth in it?'
-        )
+        """u of a continuous law at time t, with z and g of (3); asked for the same again, what was found."""
+        last = self._found
+        if last is None or not last.holds(self.kept, t, y):
+            start = last.z if last is not None and last.follows(self.kept, t) else None
+            found = implicit(self.controller.name, self.kept, t, partial(self.ask_law, t, y), start)
+            last = self._found = Found(self.kept, t, {name: x.copy() for name, x in y.items()}, *found)
+        return last.u, last.z, last.rate
 
     def _by_memory(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
         """du/dz (acts, m) and dg/dz (m, m)."""
-        return differences(z, lambda moved: self.ask_law(t, y, moved))
+        return differences(z, partial(self.ask_law, t, y))
 
     def read(self, kin: Kinematics) -> dict[str, Array]:
         """Values of what the law reads in a configuration, by name."""
@@ -377,6 +350,7 @@ def controller(
             (efforts, new z). ``y["phi"]`` are the readings as arrays, z the memory (m,).
         memory: z at the start.
         every: period of sampling, s: the law is called at the ends of the steps where a sample is due, and its efforts are held.
+            Constant steps should divide it; steps with error control end at samples.
             None: continuous, the law is part of the equations of motion and is called at every iterate.
 
     A continuous law reads joint coordinates, their rates, positions, velocities, angular velocities and rotations; a sampled
