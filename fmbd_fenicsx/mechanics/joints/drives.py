@@ -139,7 +139,8 @@ def couple(
         motion: t -> value, or (value, rate, second rate), smooth. None: the combination stays what it is at the start.
 
     With angles and lengths in one sum factors carry the radius (m/rad). The multiplier times c_k is the effort on s_k, with the
-    sign of :func:`drive`. For a spring or a law on a combination couple it to the angle of a light wheel, and let that act there.
+    sign of :func:`drive`. A spring or a law on a combination is a
+    controller that reads and acts on its coordinates: efforts -c_k f(sum_k c_k s_k).
     """
     require(len(terms) > 0, f'Joint "{name}" couples nothing: give coordinate -> factor.')
     for s in terms:
