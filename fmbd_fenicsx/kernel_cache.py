@@ -29,6 +29,7 @@ PATIENCE = 120.0  # s that a compiler may take
 PRIVATE = 0o700
 OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _BYTE: Any = ctypes.c_char.from_buffer
+_NO_BYTES: Any = (ctypes.c_char * 0).from_buffer
 
 
 def address_of(x: Any) -> int:
@@ -37,6 +38,14 @@ def address_of(x: Any) -> int:
         return ctypes.addressof(_BYTE(x))  # costs half of x.ctypes, of which a scene would make hundreds
     except (TypeError, ValueError):  # nothing in it, or only to be read
         return int(x.__array_interface__["data"][0])
+
+
+def addresses_of(given: Sequence[Any]) -> list[int]:
+    """The same of several, of which C makes the list where it can."""
+    try:
+        return list(map(ctypes.addressof, map(_NO_BYTES, given)))
+    except TypeError:  # one that is only to be read
+        return [address_of(x) for x in given]
 
 
 def cache_folder() -> Path:

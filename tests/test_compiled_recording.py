@@ -152,14 +152,15 @@ def test_steps_that_somebody_looks_at_are_compiled_ones(monkeypatch: pytest.Monk
     """
     from fmbd_fenicsx.run import time_loop
     from fmbd_fenicsx.run.recording.moment import Moment
+    from fmbd_fenicsx.run.step_bisection import ConstantSteps
 
     evaluated: list[float] = []
     at = lambda now: (evaluated.append(now.t), now.system.at(now.state.t, now.state.q, now.state.v))[1]  # noqa: E731
     monkeypatch.setattr(Moment, "evaluation", property(at))
     looks, parts = [0], [0]
-    look, attempt = time_loop._look, time_loop.attempt
+    look, advance = time_loop._look, ConstantSteps.advance
     monkeypatch.setattr(time_loop, "_look", lambda *args: (looks.append(1), look(*args))[1])
-    monkeypatch.setattr(time_loop, "attempt", lambda *args: (parts.append(1), attempt(*args))[1])
+    monkeypatch.setattr(ConstantSteps, "advance", lambda *args: (parts.append(1), advance(*args))[1])
 
     seen: list[float] = []
     crossings: list[float] = []

@@ -24,7 +24,7 @@ from ..system.element_memory import accept, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.serialisation import plain, worker
 from ..system.system import State, System
-from .judges.acceptance import Closed, attempt
+from .judges.acceptance import Closed, diverged, finite_step
 from .judges.energy_check import HALVINGS, Watch
 from .judges.force_balance import Balanced
 from .judges.forecast import Forecast
@@ -113,9 +113,12 @@ class ConstantSteps(Around):
         t = self.stepper.state.t + h
         self.local_error = 0.0
         try:
-            self._advance(h, 0)
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._advance(h, 0)
         except StabilityError:
             raise
+        except np.linalg.LinAlgError as error:  # of a part that begins, or is looked at
+            raise diverged(t - h, h, error) from error
         except (ConvergenceError, LinearSolveError) as error:
             raise type(error)(
                 f"{error} Parts of this step fail too, down to 1/{2 ** (self.whole + DEPTH)} of it."
@@ -133,7 +136,7 @@ class ConstantSteps(Around):
         before, self._size = self.stepper.state, h
 
         try:
-            after = attempt(self.system, self.stepper, h)
+            after = finite_step(self.system, self.stepper, h)
             self._look(after, h)
         except StabilityError:
             raise

@@ -139,7 +139,7 @@ class SceneStepper:
             if self._adaptive:
                 self._advance_to(self.t + dt)
             else:
-                attempt(self._problem.system, self._progress.stepper, dt)
+                self._progress.stepper.advance(dt)
 
         self._progress.done += 1
         self._look()

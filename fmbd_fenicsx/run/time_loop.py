@@ -16,7 +16,7 @@ from ..system.element_memory import accept, reset
 from ..system.evaluation import Evaluation
 from ..system.system import State
 from .checkpoints.progress import RunProgress
-from .judges.acceptance import Closed, attempt, attempt_in_balance
+from .judges.acceptance import Closed, attempt_in_balance
 from .judges.energy_check import closed
 from .judges.force_balance import Balanced
 from .judges.prescribed_motions import PrescribedMotions
@@ -142,13 +142,13 @@ def _events(problem: Problem, schedule: StepSchedule, output: Output, state: Sta
 
 
 def _motions(problem: Problem, schedule: StepSchedule, t: float) -> PrescribedMotions | None:
-    """Who looks whether prescribed motions make sense; None in runs that warn of nothing."""
+    """Who looks whether prescribed motions make sense; None where there are none, and in runs that warn of nothing."""
     if problem.warned is None:
         return None
     motions = PrescribedMotions(problem.scene, problem.system, t, planned=schedule.steps)
     if not schedule.steps:
         motions.ahead(schedule.t_end)
-    return motions
+    return motions if motions.followers else None
 
 
 def march(
@@ -232,13 +232,17 @@ class Loop:
             self.motions.look(self.state.t + h)
 
         most = self.schedule.steps if self.keeper is None else 1  # a checkpoint may be due after every step
-        made = quietly(self.stepper, self.schedule, self.recorder, self.progress.done, most=most, events=self.events)
+        made = 0
+        if self.stepper.stride(h):
+            made = quietly(
+                self.stepper, self.schedule, self.recorder, self.progress.done, most=most, events=self.events
+            )
         done = self.progress.done + made
         due = made > 1 or self.keeper is not None or done % LOOK == 0 or done == self.schedule.steps
         if made and due:
             _look(self.judges.balanced, self.stepper, h)
         elif not made:  # its balance is looked at where it may be made in parts
-            attempt(self.problem.system, self.stepper, h)
+            self.stepper.advance(h)
 
         made = max(made, 1)
         self.state = self.stepper.state
@@ -291,8 +295,10 @@ class Loop:
 
     def _ends_by_event(self) -> bool:
         """Whether the newest step has met an event that ends the run, which is recorded then."""
+        if self.events is None:
+            return False
         told = self.recorder.told_of(self.state)
-        met = None if self.events is None else self.events.look(self.progress.done, self.state, self.stepper, told)
+        met = self.events.look(self.progress.done, self.state, self.stepper, told)
         if met is None:
             return False
         self.recorder.take_until(self.progress.done, self.state, met, self.stepper)
@@ -308,11 +314,12 @@ class Loop:
             told = self.recorder.told_of(self.state)
             self.output.on_step(Moment(problem.scene, problem.system, problem.markers, self.state, done, told))
         self.bar.update(made)
-        self.progress.first = self.progress.first or self.solver.back_solves
+        if not self.progress.first and self.solver.system.fields:
+            self.progress.first = self.solver.back_solves
 
     def _pass_kink(self) -> None:
         """Begin anew behind a break point."""
-        kink = self.schedule.broken(self.state.t)
+        kink = self.schedule.broken(self.state.t) if self.schedule.stops else None
         if kink is not None:
             self.stepper.restart(kink)
             self.state = self.stepper.state

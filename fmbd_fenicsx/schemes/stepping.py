@@ -78,7 +78,7 @@ class TimeStepper(Remembering):
 
     def stride(self, h: float) -> float:
         """Size (s) of the steps that :meth:`march` would make next, with error control of at most h; 0: it makes none."""
-        return h
+        return h if type(self).march is not TimeStepper.march else 0.0
 
     def step_back(self) -> None:
         """Go back to the beginning of the newest of the steps that :meth:`march` has made under error control."""
@@ -126,6 +126,10 @@ class Around(TimeStepper):
     def unwrapped(self) -> TimeStepper:
         """The scheme's own."""
         return self.stepper
+
+    def stride(self, h: float) -> float:
+        """That of the stepper."""
+        return self.stepper.stride(h)
 
     def tape(self, judged: Openness) -> Tape | None:
         """That of the stepper."""

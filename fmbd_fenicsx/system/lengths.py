@@ -55,7 +55,8 @@ def farthest(system: System, q: Array) -> float:
     """Largest coordinate of a frame in q, its angles as lengths, and of what is counted: places are known to eps times it, m."""
     m, at = system.motions, system.counted_angles
     frames = np.abs(q[: at.start].reshape(-1, m.n_pose))
-    place = float(frames[:, : m.dim].max(initial=0.0))
-    angle = float(frames[:, 2].max(initial=0.0)) if m.dim == 2 else 1.0
-    counted = float(np.abs(q[at]).max(initial=0.0))
+    most = np.maximum.reduce
+    place = float(most(frames[:, : m.dim], axis=None, initial=0.0))
+    angle = float(most(frames[:, 2], initial=0.0)) if m.dim == 2 else 1.0
+    counted = float(most(np.abs(q[at]), initial=0.0))
     return place + system.length * (angle + counted)

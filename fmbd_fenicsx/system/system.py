@@ -283,6 +283,11 @@ class System:
         local = float(np.maximum.reduce(np.abs(self.units * x), axis=None, initial=0.0))
         return local if not self.fields or self.comm.size == 1 else float(np.max(self.comm.allgather(local)))
 
+    def finite(self, *given: Array) -> bool:
+        """Whether all numbers of some arrays are finite; collective."""
+        local = all(np.logical_and.reduce(np.isfinite(x), axis=None) for x in given)
+        return local if not self.fields or self.comm.size == 1 else all(self.comm.allgather(local))
+
     def each_max_abs(self, x: Array) -> Array:
         """The same of each of several arrays like v, (..., n_v) -> (...); collective."""
         local = np.abs(self.units * x).max(axis=-1, initial=0.0)
@@ -291,7 +296,7 @@ class System:
     def typical(self, x: Array) -> float:
         """The largest entry of the core, or root mean square of a field that no frame carries, as lengths; collective."""
         n = self.n_core
-        sizes = [float(np.abs(self.units[:n] * x[:n]).max(initial=0.0))]
+        sizes = [float(np.maximum.reduce(np.abs(self.units[:n] * x[:n]), initial=0.0))]
         for k, p in self.fields:
             if p.frame == self.n_frames:
                 y = self.local_v(x, k)
@@ -300,15 +305,14 @@ class System:
         return max(sizes)
 
     # -- evaluation ---------------------------------------------------------------------------------------------------
-    @property
+    @cached_property
     def evaluator(self) -> Evaluator:
         """Who evaluates states: NumPy, unless a run has asked for compiled code (:mod:`.compiled.evaluation`)."""
-        found: Evaluator | None = self.cache.get("evaluator")
-        return self.evaluate_by(NumPyEvaluator(self)) if found is None else found
+        return NumPyEvaluator(self)
 
     def evaluate_by(self, evaluator: Evaluator) -> Evaluator:
         """Let another one evaluate states from now on."""
-        self.cache["evaluator"] = evaluator
+        self.__dict__["evaluator"] = evaluator
         return evaluator
 
     def at(self, t: float, q: Array, v: Array | None = None) -> Evaluation:

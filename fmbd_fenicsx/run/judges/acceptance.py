@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import isfinite
 from typing import Any, ClassVar
 
 import numpy as np
@@ -40,6 +39,12 @@ ROUNDOFF = 100 * float(np.finfo(float).eps)
 
 
 def attempt(system: System, stepper: Any, h: float) -> State:
+    """One step of a scheme of at most h (s), of which NumPy says nothing by itself; collective. Raises as :func:`finite_step`."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return finite_step(system, stepper, h)
+
+
+def finite_step(system: System, stepper: Any, h: float) -> State:
     """One step of a scheme of at most h (s); collective.
 
     Numbers beyond the range of the machine, or that NumPy gives up on, are those of an iteration that diverged.
@@ -49,14 +54,11 @@ def attempt(system: System, stepper: Any, h: float) -> State:
     """
     t = stepper.state.t
     try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            made: State = stepper.advance(h)
+        made: State = stepper.advance(h)
     except np.linalg.LinAlgError as error:
-        raise ConvergenceError(f"{_diverged(t, h)}: {error}. Take a smaller dt or rtol.") from error
-
-    sizes = system.max_abs(made.v), system.max_abs(made.a), np.maximum.reduce(np.abs(made.lam), initial=0.0)
-    if not all(map(isfinite, sizes)):
-        raise ConvergenceError(f"{_diverged(t, h)}: the state is not finite. Take a smaller dt or rtol.")
+        raise diverged(t, h, error) from error
+    if not system.finite(made.v, made.a, made.lam):
+        raise diverged(t, h, "the state is not finite")
     return made
 
 
@@ -91,8 +93,11 @@ def attempt_in_balance(system: System, stepper: Any, h: float, *, balanced: Bala
     return None
 
 
-def _diverged(t: float, h: float) -> str:
-    return f"Newton's iteration diverged after t = {t:.6g} s (h = {h:.3g} s)"
+def diverged(t: float, h: float, why: object) -> ConvergenceError:
+    """The error of a step of h (s) after t (s) that left the range of numbers."""
+    return ConvergenceError(
+        f"Newton's iteration diverged after t = {t:.6g} s (h = {h:.3g} s): {why}. Take a smaller dt or rtol."
+    )
 
 
 @dataclass
@@ -144,7 +149,7 @@ class Closed(Remembering):
         gap = self.units * np.abs(ev.constraint())
         known = ROUNDOFF * farthest(s, ev.q)
         allowed = self.share * s.length + known
-        if not gap.max() <= allowed:
+        if not np.maximum.reduce(gap) <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
                 "bodies that are much lighter or stiffer than what they are attached to, or take a smaller dt."
@@ -161,10 +166,10 @@ class Closed(Remembering):
         self.fastest = max(self.fastest, s.max_abs(v))
         rate = ev.constraint_rate()
         slip = self.units * np.abs(ev.opening())
-        allowed = (SLIP + self.share) * (self.fastest + float((self.units * np.abs(rate)).max()))
+        allowed = (SLIP + self.share) * (self.fastest + float(np.maximum.reduce(self.units * np.abs(rate))))
         allowed += IN_A_STEP * self.share * s.length / h
         allowed += (ROUNDOFF * s.length + known) / h  # of a body at rest
-        if not slip.max() <= allowed:
+        if not np.maximum.reduce(slip) <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, slip)} opens at {slip.max():.3g} m/s, {allowed:.2g} m/s is allowed. Take a "
                 "smaller dt."

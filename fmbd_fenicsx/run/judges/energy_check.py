@@ -76,8 +76,8 @@ class Watch(Remembering):
         parts = self.evaluation.energies()
         energy = sum(parts.values())
         turnover = max(self.turnover, parts["kinetic"] + parts["elastic"] + abs(parts["springs"]))
-        gain = energy - self.highest
-        if self.settling == 0 and gain > SHARE * (turnover + self.weight) + self._roundoff(s.t):
+        gain, much = energy - self.highest, SHARE * (turnover + self.weight)
+        if self.settling == 0 and gain > much and gain > much + self._roundoff(s.t):
             return float(gain)
         self.time = s.t
         self.settling = max(self.settling - 1, 0)

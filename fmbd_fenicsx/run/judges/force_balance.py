@@ -20,6 +20,7 @@ equations of motion at the end of a step are judged, in scenes without contact: 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import hypot
 from typing import Any, ClassVar
 
 import numpy as np
@@ -72,7 +73,7 @@ class Balanced(Remembering):
         allowed += ROUNDOFF * (s.length + farthest(s, ev.q)) / h
 
         left = h * ev.balance(state.a, state.lam)[:n]
-        if self._velocities(ev, left, h, stiff=False).max() <= allowed:
+        if np.maximum.reduce(self._velocities(ev, left, h, stiff=False)) <= allowed:
             return
 
         # the dearer look: without what is known to roundoff of large forces only, and with the stiffness of elements
@@ -90,7 +91,7 @@ class Balanced(Remembering):
         """Take notice of the accelerations and velocities of a state; collective."""
         s = self.solver.system
         v, a = s.typical(state.v), s.typical(state.a)
-        gravity = float(np.linalg.norm(s.gravity(state.t)))
+        gravity = hypot(*s.gravity(state.t))
         self.fastest = max(self.fastest, v)
         self.hardest = max(self.hardest, a, gravity, v**2 / s.length if s.length else 0.0)
 

@@ -29,6 +29,7 @@ from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
+from ..control import EPS
 from ..dae import positions_refused
 from ..newton import Newton
 from ..stepping import TimeStepper
@@ -130,7 +131,7 @@ class RattleStepper(TimeStepper):
             guess[1][:] += h * self.ahead[1]
 
         # increments move positions by h^2 a / 2: no less than roundoff
-        floor = 64 * np.finfo(float).eps * system.length
+        floor = 64 * EPS * system.length
         tolerance = max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
 
         half = Stage(

@@ -246,7 +246,7 @@ class DriverStates(CompiledGeometry):
         """Whether the factor is that of a configuration; steps that took the tables write over it."""
         if self.taken or self._held is None:
             return False
-        return self._held[::3] == (t, weights) and bool((self._held[1] == q).all())
+        return self._held[::3] == (t, weights) and bool(np.logical_and.reduce(self._held[1] == q))
 
     def hold(self, t: float | None, q: Array | None = None, v: Array | None = None, *, new: bool = True) -> None:
         """Take note that the factor is that of the masses in a state, or, without one, of nothing that is known."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...rotations import Array
-from .structures import address_of, enumeration
+from .structures import address_of, addresses_of, enumeration
 
 if TYPE_CHECKING:
     from .evaluation import DriverStates
@@ -148,8 +148,9 @@ class ExplicitStates:
         states.hold(None)
         states.tables.recall()
 
-        given = [None if x is None else np.ascontiguousarray(x) for x in arrays]  # alive until C is done
-        places = [None if x is None else address_of(x) for x in given]
+        given = [np.ascontiguousarray(x) for x in arrays if x is not None]  # alive until C is done
+        known = iter(addresses_of(given))
+        places = [None if x is None else next(known) for x in arrays]
         verdict = function(states.address, *numbers, *places, self.place)
         states.calls.raise_error()
         if verdict == LOOK:
