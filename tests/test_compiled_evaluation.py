@@ -184,6 +184,18 @@ def test_calls_of_python_for_one_call_of_c() -> None:
 
 
 @compiled
+@pytest.mark.parametrize(
+    ("scheme", "most"), [(fmbd.Rattle(), 115), (fmbd.HalfExplicit(rtol=None), 105)], ids=lambda x: str(x)[:4]
+)
+def test_a_step_enters_few_functions_of_python(scheme: Any, most: int) -> None:
+    """Of a whole run: the loop, its judges and records among them. Differences of two lengths, so that the start cancels."""
+    output = fmbd.Output(every=1000, progress=False)
+    run = lambda steps: fmbd.solve(joint_springs(2), t_end=1e-3 * steps, dt=1e-3, scheme=scheme, output=output)  # noqa: E731
+    run(5)
+    assert calls_of(lambda: run(20)) - calls_of(lambda: run(10)) <= 10 * most
+
+
+@compiled
 def test_laws_of_time_are_asked_once_a_state() -> None:
     """What an input says is asked again with every state, at the same time too: it can be set in between."""
     asked: list[float] = []

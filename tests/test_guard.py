@@ -175,7 +175,7 @@ def test_elastic_bodies_may_settle() -> None:
         gravity=system.gravity,
         length=1.0,
         parts=("rod",),
-        max_abs=system.max_abs,
+        finite=system.finite,
         fields=(),
         forces=(),
         keepers=(),

@@ -141,9 +141,10 @@ def _does_not_fit(system: System, t: float, g: Array) -> ConstraintError:
 
 def accelerations(system: System, state: State, solver: StepSolver) -> State:
     """Accelerations and multipliers of a consistent (q, v), the third of (1); collective."""
-    found = None if solver.driver is None else solver.driver.accelerations(state.t, state.q, state.v)
+    driver = solver.driver
+    found = None if driver is None else driver.accelerations(state.t, state.q, state.v)
     if found is not None:
-        return replace(state, a=found[0], lam=found[1])
+        return State(state.t, state.q, state.v, *found)
 
     ev = system.at(state.t, state.q, state.v)
     h = ev.balance(np.zeros(system.n_v))
@@ -387,9 +388,10 @@ def project(system: System, state: State, solver: StepSolver) -> State:
     """
     if not system.n_lam:
         return state
-    found = None if solver.driver is None else solver.driver.closed(state.t, state.q, state.v)
+    driver = solver.driver
+    found = None if driver is None else driver.closed(state.t, state.q, state.v)
     if found is not None:
-        return replace(state, q=found[0], v=found[1])
+        return State(state.t, *found, state.a, state.lam)
 
     zero = np.zeros(system.n_v)
     q = state.q

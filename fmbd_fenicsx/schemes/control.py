@@ -94,7 +94,7 @@ class ErrorNorm(Remembering):
         # the velocities that the accelerations reach within the step count too
         fast = np.maximum(v, h * np.abs(state.a[: s.n_core]))
         for block in self.sizes.blocks:
-            fast[block] = fast[block].max(initial=0.0)
+            fast[block] = np.maximum.reduce(fast[block], initial=0.0)
         self.v_size = np.maximum(self.v_size, fast)
 
         self.scale = self._sizes(state)
@@ -104,7 +104,9 @@ class ErrorNorm(Remembering):
         n = s.n_core
         rates = self.rtol * self.v_size + 1e-4 * self.wq[:n] / h
         self.wv = self.wq / h
-        self.wv[:n] = np.where(self.deformations[:n], self.wv[:n], rates)
+        if self.deforming:
+            rates = np.where(self.deformations[:n], self.wv[:n], rates)
+        self.wv[:n] = rates
 
     @property
     def largest(self) -> tuple[Any, ...]:
@@ -131,9 +133,9 @@ class ErrorNorm(Remembering):
     def _sizes(self, state: State) -> Array:
         """Sizes of positions, like v, those of deformations the largest of each body so far; collective with fields."""
         s = self.system
+        if not self.deforming and s.n_v == s.n_core:
+            return self.q_size
         out = np.concatenate((self.q_size, np.ones(s.n_v - s.n_core)))
-        if not self.deforming:
-            return out
 
         seen = np.array([_largest(s.local_q(state.q, k), part.rms) for k, part in self.deforming])
         if s.fields:

@@ -33,6 +33,7 @@ class Evaluation:
         self.forces: tuple[Array, Array] = np.zeros(system.n_v), np.zeros(system.n_lam)  # a and lambda, for tangents
         self.foretold: dict[Any, Array] = {}  # efforts of springs for the tangent, see foretold_efforts
         self._asked: dict[tuple[Loads, str], Any] = {}
+        self._energies: dict[str, float] | None = None
 
     # -- frames, ports and markers ------------------------------------------------------------------------------------
     @cached_property
@@ -256,11 +257,9 @@ class Evaluation:
     # -- invariants -------------------------------------------------------------------------------------------------
     def energies(self) -> dict[str, float]:
         """Energies in J: kinetic, elastic, weight, springs."""
+        if self._energies is None:
+            self._energies = self._found_energies()
         return self._energies
-
-    @cached_property
-    def _energies(self) -> dict[str, float]:
-        return self._found_energies()
 
     def _found_energies(self) -> dict[str, float]:
         s = self.system

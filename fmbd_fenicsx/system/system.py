@@ -285,7 +285,7 @@ class System:
 
     def finite(self, *given: Array) -> bool:
         """Whether all numbers of some arrays are finite; collective."""
-        local = all(np.logical_and.reduce(np.isfinite(x), axis=None) for x in given)
+        local = all(map(np.logical_and.reduce, map(np.isfinite, given)))
         return local if not self.fields or self.comm.size == 1 else all(self.comm.allgather(local))
 
     def each_max_abs(self, x: Array) -> Array:

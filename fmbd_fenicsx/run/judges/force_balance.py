@@ -107,8 +107,7 @@ class Balanced(Remembering):
             weight += np.abs(np.einsum("ij,ij->i", applied.left[:n], applied.right[:n]))
 
         # no force would change the velocity of a coordinate without inertia and stiffness
-        known = weight > 0
-        change = np.where(known, np.abs(left) / np.where(known, weight, 1.0), 0.0)
+        change = np.divide(np.abs(left), weight, out=np.zeros(n), where=weight > 0)
         return s.units[:n] * change
 
     def _forces(self, ev: Evaluation, state: State) -> Array:

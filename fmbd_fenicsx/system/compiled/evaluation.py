@@ -182,10 +182,12 @@ class DriverStates(CompiledGeometry):
 
     def energies(self, at: Configurations) -> Array | None:
         """Kinetic, elastic, of the weight and of springs, J, (k, 4); None as above, or where laws in Python store some."""
-        looks, out = self.tables.looks, np.empty((len(at[0]), 4))
-        known = looks.energies_known and not looks.stores
-        asked = known and self.ask(self.library.driver_energies, *self._room(at).at, address_of(out))
-        return out if asked else None
+        looks = self.tables.looks
+        if not looks.energies_known or looks.stores:
+            return None
+        room = self._room(at)
+        asked = self.ask(self.library.driver_energies, *room.at, room.places["energies"])
+        return room.energies[: room.count].copy() if asked else None
 
     def _room(self, at: Configurations) -> Room:
         """Arrays for so many configurations, with these in them."""
@@ -313,12 +315,8 @@ class DriverEvaluation(_Constraints, Evaluation):
     def __init__(self, states: DriverStates, t: float, q: Array, v: Array | None) -> None:
         super().__init__(states.system, t, q, v)
         self.states = states
-
-    @cached_property
-    def alone(self) -> Configurations:
-        """The configuration as one of many."""
-        rest = np.zeros(self.system.n_v) if self.v is None else self.v
-        return np.array([self.t]), self.q[None], rest[None]
+        rest = np.zeros(self.system.n_v) if v is None else v
+        self.alone = np.array([t]), q[None], rest[None]  # the configuration as one of many
 
     def is_at(self, t: float, q: Array, v: Array | None) -> bool:
         """Whether this is the same state."""
@@ -351,7 +349,7 @@ class DriverEvaluation(_Constraints, Evaluation):
         """M a + h + G^T lambda (lambda left out when None), like v."""
         lam = np.zeros(self.system.n_lam) if lam is None else lam
         found = self.states.balances(self.alone, a[None], lam[None])
-        if found is None or not np.isfinite(found).all():
+        if found is None or not np.logical_and.reduce(np.isfinite(found), axis=None):
             return super().balance(a, lam)  # which says what is wrong
         self.forces = a, lam
         return found[0]

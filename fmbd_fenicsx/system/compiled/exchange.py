@@ -27,16 +27,17 @@ class Exchange:
 
 class Room:
     """What C reads and writes of the first ``count`` of at most so many configurations: t, q and v; a; lambda; the sums of the
-    balance; four of the rows.
+    balance; four of the rows; energies.
     """
 
     def __init__(self, system: System, most: int) -> None:
         n, m = (most, system.n_v), (most, system.n_lam)
         self.most = self.count = most
-        made = zeros_of({"t": most, "q": (most, system.n_q), "v": n, "a": n, "lam": m, "sums": n, "rows": (4, *m)})
+        sizes = {"t": most, "q": (most, system.n_q), "v": n, "a": n, "lam": m, "sums": n, "rows": (4, *m)}
+        made = zeros_of({**sizes, "energies": (most, 4)})
         self.places = {name: address for name, (_, address) in made.items()}
         self.state = [made[name][0] for name in "tqv"]
         self.at = [most, *(self.places[name] for name in "tqv")]  # how many, and where the configurations are
-        self.a, self.lam, self.sums = (made[name][0] for name in ("a", "lam", "sums"))
+        self.a, self.lam, self.sums, self.energies = (made[name][0] for name in ("a", "lam", "sums", "energies"))
         self.constraints = made["rows"][0]
         self.constraints_at = [self.places["rows"] + x * self.constraints.strides[0] for x in range(4)]

@@ -9,7 +9,7 @@ import numpy as np
 from ...rotations import Array
 from ..evaluator import NumPyEvaluator
 from ..system import System
-from .structures import address_of
+from .structures import addresses_of
 
 NOWHERE = (None, 0)  # an array that is not given
 
@@ -45,19 +45,21 @@ class CompiledGeometry:
         configurations of the core alone, of complex numbers, of leading axes that are neither alike nor missing.
         """
         lead: list[int] = []
-        places: list[Any] = []
+        wide: list[int | None] = []
         kept = []  # alive until C is done
         for x, n in given:
             if x is None:
-                places += NOWHERE
+                wide.append(None)
                 continue
             *axes, count = x.shape
             if not self.same_rows or count != n or x.dtype != np.float64 or (axes and lead and axes != lead):
                 return None
             lead = axes or lead
-            kept.append(x := np.ascontiguousarray(x))
-            places += address_of(x), n if axes else 0
+            kept.append(np.ascontiguousarray(x))
+            wide.append(n if axes else 0)
 
-        made = np.empty((*lead, width))
-        function(self.address, made.size // width, *places, address_of(made))
+        kept.append(made := np.empty((*lead, width)))
+        known = iter(addresses_of(kept))
+        places = [y for n in wide for y in (NOWHERE if n is None else (next(known), n))]
+        function(self.address, made.size // width, *places, next(known))
         return made
