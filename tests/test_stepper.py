@@ -107,7 +107,7 @@ def test_bad_input_is_named() -> None:
             (lambda: s.set("torque", np.nan), "outside its range"),
             (lambda: s.set("torque", "much"), "takes a number"),
             (lambda: s["tipp"], 'Did you mean "tip"'),
-            (lambda: s.step(-1.0), "must be positive"),
+            (lambda: s.step(-1.0), "must be a positive number"),
             (lambda: s.restore(), r"call save\(\)"),
         ):
             with pytest.raises(InputError, match=what):
