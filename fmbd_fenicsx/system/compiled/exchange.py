@@ -33,8 +33,8 @@ class Room:
     def __init__(self, system: System, most: int) -> None:
         n, m = (most, system.n_v), (most, system.n_lam)
         self.most = self.count = most
-        sizes = {"t": most, "q": (most, system.n_q), "v": n, "a": n, "lam": m, "sums": n, "rows": (4, *m)}
-        made = zeros_of({**sizes, "energies": (most, 4)})
+        q, energies = (most, system.n_q), (most, 4)
+        made = zeros_of({"t": most, "q": q, "v": n, "a": n, "lam": m, "sums": n, "rows": (4, *m), "energies": energies})
         self.places = {name: address for name, (_, address) in made.items()}
         self.state = [made[name][0] for name in "tqv"]
         self.at = [most, *(self.places[name] for name in "tqv")]  # how many, and where the configurations are
