@@ -19,9 +19,10 @@ OF_MEMORIES = 2  # the trapezoidal rule of controllers and of arms of rods that 
 BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to the expected one; and the most that this may be
 TOO_HIGH = 1.0  # what an order is beyond that of the scheme that belongs to another motion
 LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
-LEAST_LEFT = (
-    0.5  # order that a jump of a force leaves at least; below are impacts, vibrations within steps, or roundoff
-)
+# order that a jump of a force (1) or of its slope (2) leaves, at least and at most: others are impacts, or smooth motion
+LEAST_LEFT, MOST_LEFT = 0.5, 2.5
+ALONE = 0.05  # of the largest difference, that half of all stay below beside a kink: those of vibrations do not
+SHARPER = 1.3  # growth of differences with each one more about a kink, at least; of motion that steps follow they fall
 SEEN_KINK = 1e-6  # error by a kink over the range of a sensor below which differences tell of Newton's iteration, too
 FALLING = 0.5  # order below which differences do not fall with the step: a tenth of such an error matters
 
@@ -76,19 +77,25 @@ def kink(t: Array, x: Array, order: int, derivative: int) -> tuple[float, float]
 
         k = log2(max |D_2h^m x| / max |D_h^m x|) + derivative,     the order is k - 1                               (1)
 
-    A force that jumps by J (k = 2) moves v by up to J h / 2, and v goes on for about s = max|x| / max|x'| as it is: of places,
-    velocities and accelerations that is about s D / 12 h, D / 6, h D / 5 s, with D = max |D_h^m x|.
+    Few differences are taken, as many of a motion that steps follow coarsely fall as slowly; those about a kink stand alone and
+    grow with each one more, those of a vibration within few steps are large throughout. A force that jumps by J (k = 2) moves v
+    by up to J h / 2, and v goes on for about s = max|x| / max|x'| as it is: of places, velocities and accelerations that is
+    about s D / 12 h, D / 6, h D / 5 s, with D = max |D_h^m x|.
     """
-    m = max(order + 3 - derivative, 3)
+    m = max(5 - derivative, 3)
     if len(t) < 4 * (m + 1) or np.ptp(np.diff(t)) > 1e-6 * (t[1] - t[0]):
         return 0.0, np.inf
-    fine = float(np.abs(np.diff(x, m, axis=0)).max())
+    heights = np.abs(np.diff(x, m, axis=0)).max(axis=1)
+    fine, at = float(heights.max()), int(heights.argmax())
     wide = max(float(np.abs(np.diff(x[k::2], m, axis=0)).max()) for k in (0, 1))
     left = float(np.log2(wide / fine)) + derivative - 1 if min(wide, fine) > 0 else np.inf
-    if not LEAST_LEFT <= left < SEEN * order:
+    if not LEAST_LEFT <= left < min(SEEN * order, MOST_LEFT):
         return 0.0, np.inf
-    span, step = float(np.ptp(x, axis=0).max()), float(np.abs(np.diff(x, axis=0)).max())
-    lasts = min(0.5 * span / step, float(len(t)))  # s / h
+    sharper = float(np.abs(np.diff(x, m + 1, axis=0)).max())
+    if at < m or np.median(heights) > ALONE * fine or sharper < SHARPER * fine:
+        return 0.0, np.inf
+    span, step = float(np.ptp(x, axis=0).max()), float(np.quantile(np.abs(np.diff(x, axis=0)).max(axis=1), 0.9))
+    lasts = min(0.5 * span / step, float(len(t))) if step > 0 else float(len(t))  # s / h
     error = fine * (lasts / 12, 1 / 6, 0.2 / lasts)[derivative]
     return (error, left) if error > SEEN_KINK * span else (0.0, np.inf)
 
