@@ -185,6 +185,21 @@ def test_another_mesh_and_another_form_are_refused(rod_mesh: Callable[..., Any],
         run(tmp_path / "form", scene(modulus=1.001e6), restart=tmp_path)
 
 
+def test_roundoff_in_the_modes_of_a_falling_body_is_no_other_scene(tmp_path: Path) -> None:
+    """Forces on its modes are roundoff of its weight, and others where the mesh is another by roundoff."""
+
+    def scene(more: float = 0.0) -> fmbd.Scene:
+        mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(0.5, 0.1, 0.08 * (1 + more)), counts=(5, 2, 2))
+        block = fmbd.FloatingBody("block", mesh, density=1000.0, elastic=fmbd.materials.linear_elastic(1e7, 0.3))
+        made = fmbd.Scene("fall", gravity=(0, 0, -9.81))
+        made.add(block.reduced(basis=fmbd.CraigBampton(("left",), 6)))
+        return made
+
+    run(tmp_path, scene(), t_end=1e-2)
+    first = min(tmp_path.iterdir())
+    assert run(tmp_path / "again", scene(1e-14), t_end=1e-2, restart=first).status == "finished"
+
+
 def test_a_scheme_without_memory(tmp_path: Path) -> None:
     class Own:
         name, order = "own", 1

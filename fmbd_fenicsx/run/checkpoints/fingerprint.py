@@ -22,6 +22,7 @@ from ...system.serialisation import Memory
 from ...system.system import State, System
 
 SAME = 1e-6  # relative difference of forces and energies
+NOTHING = 1e-6  # of the largest force: what is smaller is measured by this, SAME * NOTHING being well above roundoff
 SMALL = 24  # arrays up to this size are compared entry by entry
 
 
@@ -141,14 +142,14 @@ def _effect(system: System, state: State) -> dict[str, tuple[Array, float]]:
     # each by the largest of its kind, moments by it times the model's length
     out: dict[str, tuple[Array, float]] = {}
     for where, pair in rows.items():
-        size = max(1e-9 * largest, *(float(np.abs(x[:d]).max()) for x in pair))
+        size = max(NOTHING * largest, *(float(np.abs(x[:d]).max()) for x in pair))
         turning = max(size * system.length, *(float(np.abs(x[d:]).max(initial=0.0)) for x in pair))
         for what, x in zip(("forces", "inertia forces"), pair, strict=True):
             out[f"{what} {where}"] = x[:d], size
             out[f"moments of {what} {where}"] = x[d:], turning
 
     energies = np.array(list(ev.energies().values()))
-    out["energies"] = energies, max(float(np.abs(energies).max(initial=0.0)), 1e-9 * largest * system.length)
+    out["energies"] = energies, max(float(np.abs(energies).max(initial=0.0)), NOTHING * largest * system.length)
     out["constraints"] = ev.constraint(), system.length
     return out
 
