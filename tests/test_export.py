@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import resource
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -58,6 +59,21 @@ def test_time_histories_with_units(pendulums: fmbd.Run, shared_tmp: Path) -> Non
         np.testing.assert_array_equal(values[:, 1:3], pendulums["full"])
     with pytest.raises(fmbd.errors.InputError, match="cannot be written"):
         pendulums.save(shared_tmp / "nowhere" / "run.csv")
+
+
+def test_a_full_disk_costs_no_older_file(pendulums: fmbd.Run, tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    file.write_text("of an earlier run")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (400, limits[1]))  # bytes a file
+    try:
+        with pytest.raises(
+            fmbd.errors.InputError, match='The time histories cannot be written to ".*run.csv": File too large'
+        ):
+            pendulums.save(file)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert file.read_text() == "of an earlier run" and list(tmp_path.iterdir()) == [file]
 
 
 @pytest.mark.mpi

@@ -23,6 +23,7 @@ from .drawing.draw import draw
 from .drawing.render import Renderer
 from .drawing.scene_graph import Drawing
 from .drawing.view import Paint, View
+from .files import write_whole
 from .plot import STYLE, arrow_legend, draw_history, series_of
 
 FASTEST = 50.0  # frames a second: what a GIF can do
@@ -76,18 +77,17 @@ def animate(
     if kind == ".mp4":
         _encoder()  # on all ranks: an error before anything is drawn
 
-    def write() -> None:
-        require(file.parent.is_dir(), f'Animation "{file}": there is no folder "{file.parent}".')
+    def write(place: Path) -> None:
         if kind == ".html":
             from .webpage import page
 
-            file.write_text(page(story), encoding="utf-8")
+            place.write_text(page(story), encoding="utf-8")
         elif kind == ".gif":
-            _write_gif(file, story)
+            _write_gif(place, story)
         else:
-            _write_mp4(file, story)
+            _write_mp4(place, story)
 
-    on_root(run.system.comm, write)
+    on_root(run.system.comm, lambda: write_whole("The animation", file, write))
     return file
 
 

@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, require
+from ..errors import require
 from ..log import on_root
 from ..mechanics.reduction.recovery import displacement_field, within_cells
 from ..run.solve import Run
 from ..system.system import State
 from .drawing.draw import draw
 from .drawing.view import View
+from .files import write_whole
 from .paraview import save_scene
 from .plot import components
 
@@ -43,13 +44,10 @@ def save_series(run: Run, file: str | Path) -> None:
     # names may hold commas
     heads = ",".join('"' + name.replace('"', '""') + '"' for name in names)
 
-    def write() -> None:
-        try:
-            np.savetxt(file, columns, delimiter=",", header=heads, comments="", fmt="%.17g")
-        except OSError as error:
-            raise InputError(f"The time histories cannot be written to {file}: {error.strerror or error}.") from error
+    def write(place: Path) -> None:
+        np.savetxt(place, columns, delimiter=",", header=heads, comments="", fmt="%.17g")
 
-    on_root(run.system.comm, write)
+    on_root(run.system.comm, lambda: write_whole("The time histories", file, write))
     if run.error_estimate or run.space_error or run.reduction_error:
         on_root(run.system.comm, lambda: _save_errors(run, Path(file)))
 
@@ -62,7 +60,8 @@ def _save_errors(run: Run, file: Path) -> None:
         numbers = [getattr(s, k) for k in kinds]
         name = s.sensor.replace('"', '""')
         lines.append(f'"{name}",{s.unit},' + ",".join("" if x is None else f"{x:.6g}" for x in numbers))
-    file.with_suffix(".errors.csv").write_text("\n".join(lines) + "\n")
+    table = "\n".join(lines) + "\n"
+    write_whole("The certificate", file.with_suffix(".errors.csv"), lambda place: place.write_text(table))
 
 
 def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity] | None = None) -> list[Path]:

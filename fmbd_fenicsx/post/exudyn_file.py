@@ -34,13 +34,13 @@ def save_exudyn(model: InterfaceModel, file: str | Path) -> Path:
     """Write ``model`` for ``ObjectFFRFreducedOrderInterface().LoadFromFile``; see :meth:`InterfaceModel.save_exudyn`."""
     from mpi4py import MPI
 
-    from .interface_model import written
+    from .files import write_whole
 
     file = Path(file)
     constants = _checked(model, file)
     _tell_damping(constants, file)
     content = {**_integrals(constants), **_skeleton(model, constants)}
-    on_root(MPI.COMM_WORLD, lambda: written(file, lambda: np.savez(file, **content)))
+    on_root(MPI.COMM_WORLD, lambda: write_whole("The body", file, lambda place: np.savez(place, **content)))
     return file
 
 

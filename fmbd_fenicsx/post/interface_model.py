@@ -10,7 +10,7 @@ which is the form of Craig and Bampton, doi:10.2514/3.4741: K = diag(K_yy, omega
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from ..mechanics.reduction.stored import StoredBody, packed, unpacked
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.sensors.sensors import position
+from .files import write_whole
 
 SMALLEST = 1e-9  # of the largest singular value: less means that the body cannot move its interfaces apart
 KINDS = (".npz", ".mat")
@@ -76,9 +77,9 @@ class InterfaceModel:
         content: dict[str, Any] = {name: np.asarray(value) for name, value in given.items()}
         content |= {} if self.body is None else packed(self.body, file.stem)
 
-        def write() -> None:
+        def write(place: Path) -> None:
             if file.suffix == ".npz":
-                np.savez(file, **content)
+                np.savez(place, **content)
                 return
             from scipy.io import savemat
 
@@ -87,9 +88,9 @@ class InterfaceModel:
                 for key in ("interfaces", "body_surfaces")
                 if key in content
             }
-            savemat(file, content | names)
+            savemat(place, content | names)
 
-        on_root(MPI.COMM_WORLD, lambda: written(file, write))
+        on_root(MPI.COMM_WORLD, lambda: write_whole("The body", file, write))
         return file
 
     def save_exudyn(self, file: str | Path) -> Path:
@@ -111,14 +112,6 @@ class InterfaceModel:
         from .exudyn_file import save_exudyn
 
         return save_exudyn(self, file)
-
-
-def written(file: Path, write: Callable[[], None]) -> None:
-    """Call ``write``; a folder that is not there or not writable is an InputError."""
-    try:
-        write()
-    except OSError as error:
-        raise InputError(f'The body cannot be written to "{file}": {error.strerror or error}.') from error
 
 
 def load_interface_model(file: str | Path) -> InterfaceModel:

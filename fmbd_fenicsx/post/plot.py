@@ -20,6 +20,7 @@ from ..schemes.declared import Declared
 from .drawing.render import ARROWS, strobe
 from .drawing.scene_graph import Deforming, Drawing, Role
 from .drawing.view import Paint, View
+from .files import write_whole
 
 __all__ = ["REFERENCE", "STYLE", "figure", "picture", "plot_history", "plot_series", "plot_work_precision", "shapes"]
 
@@ -72,9 +73,7 @@ def _saved(figure: Any, file: str | Path, dpi: int) -> None:
         InputError: no such folder, or a kind of file that matplotlib does not write.
     """
     try:
-        figure.savefig(file, dpi=dpi)
-    except OSError as error:
-        raise InputError(f'The picture cannot be written to "{file}": {error.strerror or error}.') from error
+        write_whole("The picture", file, lambda place: figure.savefig(place, dpi=dpi))
     except ValueError as error:
         raise InputError(f'The picture cannot be written to "{file}": {error}') from error
 

@@ -30,6 +30,10 @@ from ..run.solve import Run
 from ..run.variants import Variant as Variant
 from ..run.variants import Variants as Variants
 from ..run.variants import run_variants as map  # noqa: F401
+from .files import write_whole
+from .text_tables import Table
+from .text_tables import aligned as aligned
+from .text_tables import markdown as markdown
 
 __all__ = [
     "Configuration",
@@ -128,7 +132,7 @@ def _names(traces: Sequence[_Trace], reference: _Trace | Exact, wanted: Sequence
 
 
 @dataclass(frozen=True, repr=False)
-class OrderTable:
+class OrderTable(Table):
     """Errors over a falling parameter, and the observed orders.
 
     Attributes: ``parameter`` its name, ``values`` (n,) falling, ``errors`` quantity -> (n,) in the quantity's
@@ -171,18 +175,8 @@ class OrderTable:
         table.append(["finest three", *(c for n in names for c in ("", f"{self.order(n):.2f}"))])
         return table
 
-    def __str__(self) -> str:
-        return aligned(self.rows())
-
     def __repr__(self) -> str:
         return f"<OrderTable over {self.parameter}: {', '.join(self.errors)}>"
-
-    def _repr_html_(self) -> str:
-        return html_table(self.rows())
-
-    def markdown(self) -> str:
-        """The table in Markdown."""
-        return markdown(self.rows())
 
     def _of(self, name: str) -> Array:
         if name not in self.errors:
@@ -255,7 +249,7 @@ class Point:
 
 
 @dataclass(frozen=True, repr=False)
-class WorkPrecision:
+class WorkPrecision(Table):
     """Error (in ``units``) against work for several configurations; failures are listed, not left out."""
 
     points: tuple[Point, ...]
@@ -298,17 +292,11 @@ class WorkPrecision:
     def __repr__(self) -> str:
         return f"<WorkPrecision of {len(self.points)} runs, {len(self.failures)} failed: {', '.join(self.quantities)}>"
 
-    def _repr_html_(self) -> str:
-        return html_table(self.rows())
-
-    def markdown(self) -> str:
-        """The table in Markdown."""
-        return markdown(self.rows())
-
     def json(self, file: str | Path) -> None:
         """Write all points to a JSON file (rank 0)."""
         if world_rank() == 0:
-            Path(file).write_text(json.dumps([asdict(p) for p in self.points], indent=1) + "\n")
+            table = json.dumps([asdict(p) for p in self.points], indent=1) + "\n"
+            write_whole("The study", file, lambda place: place.write_text(table))
 
     def figure(self, file: str | Path, *, work: str = "seconds", title: str = "") -> None:
         """Write a log-log figure: error of each quantity over seconds or a counter (``work``), under a title; rank 0."""
@@ -421,30 +409,3 @@ def _attempt(run: Callable[[float], Run], value: float) -> Run | str:
         raise
     except (FmbdError, ArithmeticError, np.linalg.LinAlgError) as error:
         return f"{type(error).__name__}: {error}"
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of cells as text with aligned columns: the first to the left, the others to the right."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = []
-    for row in rows:
-        cells = [c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))]
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)
-
-
-def html_table(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of cells as an HTML table, the first row its header: what notebooks show."""
-    from html import escape
-
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
-
-    return f"<table>{line(rows[0], 'th')}{''.join(line(row, 'td') for row in rows[1:])}</table>"
-
-
-def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of cells as a Markdown table, the first row its header."""
-    head, *body = rows
-    rule = ["---", *("---:" for _ in head[1:])]
-    return "\n".join("| " + " | ".join(row) + " |" for row in (head, rule, *body))
