@@ -319,10 +319,10 @@ def test_runs_with_many_steps_in_parts_end_early(monkeypatch: pytest.MonkeyPatch
     """
     scene, output = soft_cantilever(), fmbd.Output(progress=False)
     shared = shared_runs.SharedRuns(None, None, 12)
-    solved = shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 48), output)
+    solved = shared.solve(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 44), output)
     assert not solved.run.counters["halved_steps"]
-    with pytest.raises(PartsError, match="of 24"):
-        companion_runs.again(solved.problem, solved.compared.schedule, 24, None)
+    with pytest.raises(PartsError, match="of 22"):
+        companion_runs.again(solved.problem, solved.compared.schedule, 22, None)
 
     # some parts cost less than smaller steps throughout; more are a matter of the scene, not of the tolerance
     coarse = fmbd.solve(scene, t_end=1.0, dt=1 / 20, output=output)
