@@ -11,13 +11,12 @@ flight from the rates r_0 at its start to U_1 their rates are extrapolated from 
 
     0 <= P _|_ U_0 + U_1 - min(r_0, 0) >= 0                                                                             (4)
 
-so that curved paths cost no energy at first order. One that leaves, r_0 > 0, and is pressed back within the flight comes back
-at its speed, without work.
-When one contact hits more than three times in a step, its impacts accumulate (Zeno): it comes to rest there. When a step
-has more than ``impacts`` of them, the rest of it is taken as classical time stepping: contacts whose gap, extrapolated to
-the middle, is not positive are closed, with those that would else end below zero, and P is the impulse of all that
-happens. Energy: P (U_0 + U_1) / 2 =
--(1 - e) / 2 P |U_0| <= 0; with friction see :mod:`.restitution`.
+so that curved paths cost no energy at first order; slips likewise, by U_0 + U_1 - r_0. One that leaves, r_0 > 0, and is
+pressed back within the flight comes back at its speed, without work. When one contact hits more than three times in a step,
+its impacts accumulate (Zeno): it comes to rest there. When a step has more than ``impacts`` of them, the rest of it is taken
+as classical time stepping: contacts whose gap, extrapolated to the middle, is not positive are closed, with those that would
+else end below zero, and P is the impulse of all that happens.
+Energy: P (U_0 + U_1) / 2 = -(1 - e) / 2 P |U_0| <= 0; with friction see :mod:`.restitution`.
 Joints are kept by (2) in the mean, and projected on positions and velocities after the step.
 
 Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Jean, doi:10.1016/S0045-7825(98)00383-1.
@@ -35,6 +34,7 @@ import numpy as np
 from ...checks import whole
 from ...errors import FmbdError
 from ...linear.condensation import StepSolver, Weights
+from ...mechanics.contact.rows import tangents_of
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
@@ -272,17 +272,20 @@ class MoreauStepper(ContactStepper):
             rates[chosen] = contacts.times(self.system, rows.N, self.state.v) + moving
         return rates
 
-    def _start_rates(self, closed: np.ndarray, h: float) -> Array:
-        """Rates of the gaps of closed contacts at the start of a flight of length h, m/s, (m,).
+    def _start_rates(self, closed: np.ndarray, h: float, normal: Array) -> Array:
+        """Rates of the gaps of closed contacts, m/s, and slips across ``normal`` (m, d), at the start of a flight of length h.
 
-        Of obstacles that move as prescribed by their places at its start, middle and end, which are asked for anyway.
+        Gaps of obstacles that move as prescribed by their places at its start, middle and end, asked for anyway. (m, 1 or d).
         """
         contacts, system, s = self.contacts, self.system, self.state
         rows = contacts.rows(system, s.t, s.q, since=(s.t, h)).take(closed)
-        rates = contacts.times(system, rows.N, s.v)
+        rates = openings(contacts, system, rows, h * contacts.times(system, rows.N, s.v), h * s.v) / h
+        if rows.tangents:
+            slips = np.einsum("mk,kmd->md", rates[:, 1:], tangents_of(rows.normal))
+            rates[:, 1:] = np.einsum("md,kmd->mk", slips, tangents_of(normal))
         if any(pair.moving for pair in contacts.pairs):
             start, middle, end = (contacts.touch(system, s.t + x, s.q).gap[closed] for x in (0.0, h / 2, h))
-            rates = rates + (4 * middle - 3 * start - end) / h
+            rates[:, 0] += (4 * middle - 3 * start - end) / h
         return rates
 
     def _gap_along(self, step: _Step, share: float) -> Array:
@@ -320,10 +323,8 @@ class MoreauStepper(ContactStepper):
 
     def _take(self, step: _Step) -> None:
         """Make a solved step the present state."""
-        system = self.system
-        s = self.state
-        h = step.h
-        closed = step.closed
+        system, s = self.system, self.state
+        h, closed = step.h, step.closed
         xi = 0.5 * h * (s.v + step.v)
         q = self._closed_joints(system.compose(s.q, xi), s.t + h)
         v = self._closed_rates(q, step.v, s.t + h)
@@ -383,6 +384,7 @@ class _Step:
         self.bouncing = np.broadcast_to(bool(bounce) if isinstance(bounce, bool | None) else bounce, closed.shape)
 
         self.prepared, self.rows = False, None
+        self.turn: Array | float = 0.0  # of slips with the rows, in half a flight, m/s
         self.ev: Evaluation = None  # type: ignore[assignment]
 
         # rows at the middle; what comes in before an impact rebounds by its share, and what leaves may come back
@@ -395,8 +397,9 @@ class _Step:
             back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)
             rebound = np.where(self.bouncing[closed], back * before[:, 0], 0.0)
             if flight:
-                start = stepper._start_rates(closed, h)
-                rebound = before[:, 0] - np.where(start > STILL * stepper.system.length / h, 0.0, start)
+                start = stepper._start_rates(closed, h, self.rows.normal)
+                start[start[:, 0] > STILL * stepper.system.length / h, 0] = 0.0
+                rebound, self.turn = (before - start)[:, 0], (before - start)[:, 1:]
             self.impact = Impact(before, rebound)
         bound = None if flight else self.impact
         self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed], bound)
@@ -436,6 +439,7 @@ class _Step:
         if self.rows is not None and self.impact is not None:
             u = self._openings(self.v)
             u[:, 0] += self.impact.rebound
+            u[:, 1:] += self.turn
             dv, dlam = self.contact.increment(self.rows, u, (r, slip), 1.0)
         else:
             dv, dlam = solver.solve(-r, -slip)

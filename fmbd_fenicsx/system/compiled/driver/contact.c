@@ -366,7 +366,8 @@ static int drifts(const Contacts *c, int i, const double *q, double t, double le
     return 0;
 }
 
-/* Rates of the gaps of m closed contacts at the start of a flight of a length, into c->rebound; of moving obstacles by their places
+/* Rates of the gaps of m closed contacts at the start of a flight of a length, into c->rebound, and slips, along the axes there, into
+   c->before; of gaps of moving obstacles by their places
    at its start, middle and end, which are asked for anyway. 1 where Python failed. */
 static int start_rates(Contacts *c, Block now, int m, double length)
 {
@@ -376,6 +377,10 @@ static int start_rates(Contacts *c, Block now, int m, double length)
     for (int k = 0; k < m; k++) {
         contact_rows(c, c->closed[k], now.q, &c->now, c->rows);
         c->rebound[k] = along(c, c->closed[k], c->rows, now.v);
+        if (c->components == 1) continue;
+        if (drifts(c, c->closed[k], now.q, *now.t, length, length, &c->now, c->drift)) return 1;
+        for (int a = 1; a < c->components; a++)
+            c->before[c->components * k + a] = along(c, c->closed[k], c->rows + 2 * c->wide * a, now.v) - c->drift[a] / length;
     }
     for (int part = 0; moving && part < 3; part++) {
         const double weight[] = {-3.0, 4.0, -1.0};
@@ -383,4 +388,20 @@ static int start_rates(Contacts *c, Block now, int m, double length)
         for (int k = 0; k < m; k++) c->rebound[k] += weight[part] * c->aside.gap[c->closed[k]] / length;
     }
     return 0;
+}
+
+/* The slips of contact i at the start of a flight of a length, which start_rates() left in ``before``, along the axes of its middle: what
+   they change by, in half of it, goes into its drift. */
+static void turn_slips(const Contacts *c, int i, double length, const double *rows, Block now, const double *before, double *drift)
+{
+    double e[D * D], to[D * D];
+    if (c->components == 1 || c->pair[c->of[i]].shape == LIMIT) return;
+    across(c->now.normal + D * i, e);
+    across(c->end.normal + D * i, to);
+    for (int a = 0; a < D - 1; a++) {
+        double start = 0.0;
+        for (int b = 0; b < D - 1; b++) start += before[b + 1] * dot(e + D * b, to + D * a, D);
+        double rate = along(c, i, rows + 2 * c->wide * (a + 1), now.v) - drift[a + 1] / length;
+        drift[a + 1] -= length * (rate - start);
+    }
 }

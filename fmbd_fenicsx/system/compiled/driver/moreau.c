@@ -110,6 +110,7 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
         double *rows = c->rows + 2 * c->wide * d * k;
         contact_rows(c, i, c->ahead, &c->end, rows);
         if (drifts(c, i, c->ahead, t, length, span, &c->end, c->drift + d * k)) return LOOK;
+        if (flight) turn_slips(c, i, length, rows, now, c->before + d * k, c->drift + d * k);
         memcpy(c->f + d * k, c->held + d * i, d * sizeof(double));
         c->mu[k] = o->friction;
         for (int a = 0; a < d; a++)
