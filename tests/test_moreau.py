@@ -274,8 +274,8 @@ def test_smooth_motion_keeps_its_energy_to_second_order(
     assert 3.0 < coarse / fine < 5.0
 
 
-@pytest.mark.parametrize("impacts", [20, 0])
-def test_elastic_block_between_planes_wins_no_energy(impacts: int) -> None:
+@pytest.mark.parametrize(("impacts", "t_end"), [(20, 0.012), (0, 0.024)])
+def test_elastic_block_between_planes_wins_no_energy(impacts: int, t_end: float) -> None:
     """Points that leave one plane are pressed back by the body's waves in the same step."""
     mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.1), origin=(0, -0.05), counts=(20, 2), quads=True)
     elastic = fmbd.materials.plane_stress(1e5, 0.0)
@@ -285,22 +285,7 @@ def test_elastic_block_between_planes_wins_no_energy(impacts: int) -> None:
     for side, up in (("bottom", 1.0), ("top", -1.0)):
         plane = fmbd.Obstacle(side, fmbd.HalfSpace((0, -0.055 * up), (0, up)))
         scene.add(fmbd.contact(side, block.surface(side), plane, restitution=0.5, redistribute_mass=False))
-    run = fmbd.solve(scene, t_end=0.012, dt=2e-3, scheme=fmbd.Moreau(impacts=impacts))
+    run = fmbd.solve(scene, t_end=t_end, dt=2e-3, scheme=fmbd.Moreau(impacts=impacts))
     energy = sum(run.energy.values())
     assert energy[-1] < 0.99 * energy[0]
     assert np.diff(energy).max() < 1e-12 * energy[0]
-
-
-def test_forces_of_many_points_at_rest_are_those_of_the_last_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """More points than compiled code solves for, which do not leave by roundoff: Python is asked for few of their forces."""
-    asked: list[int] = []
-    found = contact_driver.ContactDriver._forces
-    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: (asked.append(m), found(self, m))[1])
-    board = fmbd.RigidBody("board", 1.0, 0.1, (0, 0.05))
-    points = fmbd.corners(board, [(x, -0.05) for x in np.linspace(-0.5, 0.5, 140)])
-    scene = fmbd.Scene("board", gravity=(0, -9.81))
-    floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
-    scene.add(board, fmbd.contact("floor", points, floor, friction=0.3))
-    run = fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=fmbd.Moreau(), output=fmbd.Output(every=100, progress=False))
-    assert run.counters["compiled_steps"] == run.counters["steps"] == 100
-    assert 0 < len(asked) <= 10
