@@ -248,3 +248,13 @@ def test_smooth_motion_is_not_taken_for_a_kink(scene: Callable[[], fmbd.Scene], 
     """Nor a vibration that steps hardly follow."""
     said = fmbd.solve(scene(), t_end=0.52, dt=0.01, scheme=scheme, output=KINKS).certificate.uncertain
     assert not any("kink" in why for why in said.values()), said
+
+
+def test_an_impact_is_not_taken_for_a_kink() -> None:
+    """Of a ball that is thrown onto a floor: schemes for impacts look for their instants."""
+    ball = fmbd.RigidBody("ball", 1.0, 0.01, (0.0, 0.5), velocity=(1.0, 0.0))
+    floor = fmbd.Obstacle("floor", fmbd.HalfSpace((0.0, 0.0), (0.0, 1.0)))
+    scene = fmbd.Scene("bouncing ball", gravity=(0.0, -9.81))
+    scene.add(ball, fmbd.contact("touch", fmbd.ball(ball, 0.1), floor, restitution=0.6))
+    scene.sensor("place", fmbd.position(ball))
+    assert not fmbd.solve(scene, t_end=1.0, dt=1 / 40, scheme=fmbd.Moreau(), output=KINKS).certificate.uncertain

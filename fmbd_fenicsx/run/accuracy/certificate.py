@@ -166,7 +166,8 @@ def _uncertain_by_kinks(run: Run, stated: Statement) -> list[str]:
     """Why a jump of a force within a step may leave more than what is stated; empty where there is none."""
     name = stated.sensor
     sampled = any(force.period is not None for force in run.scene.forces.values())  # jumps at ends of steps
-    if stated.time is None or Declared.by(run.scheme).adaptive or sampled:
+    struck = run.scene.contacts or run.scene.limits  # jumps of velocities, which schemes for impacts look for
+    if stated.time is None or Declared.by(run.scheme).adaptive or sampled or struck:
         return []
     order = expected_orders(run.scheme, run.scene, run.system)[name]
     error, left = kink(run.times, run.series[name], order, run.scene.sensors[name].derivative)
