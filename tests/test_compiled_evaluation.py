@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from own_bodies import carrier, line_and_bob
 from test_driver import SCENES as OF_THE_DRIVER
 from test_driver import compiled, joint_springs, suspended
 from test_evaluation_batch import plane
@@ -62,6 +63,9 @@ MAKERS |= {
     "rod": rod,
     "reduced 2D": partial(reduced, 2),
     "reduced 3D": partial(reduced, 3),
+    "line": line_and_bob,
+    "own part 2D": partial(carrier, 2),
+    "own part 3D": partial(carrier, 3),
 }
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...mechanics.reduction.reduced import ReducedPart
 from ...mechanics.reduction.second_order import SecondOrder
 from ...mechanics.rods.elements import RodElements
 from ...mechanics.validity import TOO_LARGE
@@ -16,6 +15,7 @@ from ..system import System
 from .fields import known_field
 from .places import rigid_places
 from .structures import structure
+from .told import can_be_told, is_told
 
 if TYPE_CHECKING:
     from .tables import Tables
@@ -94,9 +94,11 @@ def surface(tables: Tables, marker: int) -> Any:
     markers = system.markers
     body = int(markers.frame[marker])
     k, part = tables.parts[body]
-    ports = markers.port[np.searchsorted(markers.surface, marker)] - system.port_slice(k).start
+    number = np.searchsorted(markers.surface, marker)
+    ports = markers.port[number] - system.port_slice(k).start
+    section = int(markers.section is not None and markers.section[number])
     one = structure("Surface", d)(
-        body=body, p=(ctypes.c_double * d)(*markers.position[marker]),
+        body=body, section=section, p=(ctypes.c_double * d)(*markers.position[marker]),
         reference=store.address(part.reference[ports]), ports=store.address(tables.port_matrix(body)[ports]),
     )  # fmt: skip
     surface_map, one.map = store.array(np.zeros((tables.twist, tables.width[body])))
@@ -113,9 +115,14 @@ def surface(tables: Tables, marker: int) -> Any:
 
 
 def covers_bodies(system: System) -> bool:
-    """Whether all bodies are rigid, reduced, floating or rods, without loads that the driver does not know."""
-    parts: tuple[Any, ...] = system.parts
-    known = all(known_field(p) if p.distributed else type(p) is ReducedPart and not p.constants.loads for p in parts)
-    plain = system.markers.section is None
+    """Whether all bodies are known to the driver, with all that loads them."""
+    known = all(_known_part(p) for p in system.parts)
     rods = all(isinstance(e, RodElements) for e in system.elements)
-    return known and plain and rods and not system.port_constraints and not system.traces and system.n_frames > 0
+    return known and rods and not system.port_constraints and not system.traces and system.n_frames > 0
+
+
+def _known_part(part: Any) -> bool:
+    """Whether the driver takes a part."""
+    if part.distributed:
+        return known_field(part)
+    return can_be_told(part) if is_told(part) else not part.constants.loads

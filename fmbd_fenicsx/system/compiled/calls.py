@@ -20,7 +20,9 @@ from .tables import Tables
 
 ASKED = enumeration("SAMPLE")  # what C asks for
 OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer
-NUMPYS = ASKED["FIELD_FORCES"], ASKED["FIELD_TANGENTS"]  # where these fail NumPy makes the step
+NUMPYS = tuple(
+    ASKED[what] for what in ("FIELD_FORCES", "FIELD_TANGENTS", "PART_FORCES", "PART_TANGENTS")
+)  # where these fail NumPy makes the step
 
 
 class Calls:
@@ -79,6 +81,9 @@ class Calls:
             "FIELD_FORCES": lambda number, t: tables.fields[number].forces(t),
             "FIELD_ENERGIES": lambda number, t: tables.fields[number].energies(t),
             "FIELD_TANGENTS": lambda number, t: tables.renew_fields(t),
+            "PART_FORCES": lambda number, t: tables.told[number].forces(t),
+            "PART_ENERGIES": lambda number, t: tables.told[number].energies(t),
+            "PART_TANGENTS": lambda number, t: tables.told[number].tangents(t),
         }
         return {value: said[name] for name, value in ASKED.items()}
 

@@ -54,6 +54,7 @@ class DriverStates(CompiledGeometry):
         self.address = ctypes.addressof(self.tables.c)
         self.taken = False
         self.twin = self.tables.twin  # between arrays of the system and those of the tables
+        self.same_rows = self.twin.system is self.system
         n, m = self.tables.system.n_v, self.system.n_lam
         # what C reads and writes for a solution: two right-hand sides are those of a complex one
         self._given = Exchange({"q": self.tables.system.n_q, "b": (2, n), "c": (2, m)})
@@ -177,8 +178,9 @@ class DriverStates(CompiledGeometry):
 
     def rows(self, at: Configurations) -> Array | None:
         """G, (k, n_lam, n_v); None as above."""
-        out = np.empty((len(at[0]), self.system.n_lam, self.system.n_v))
-        return out if self.ask(self.library.driver_rows, *self._room(at).at, address_of(out)) else None
+        out = np.empty((len(at[0]), self.system.n_lam, self.tables.system.n_v))
+        asked = self.ask(self.library.driver_rows, *self._room(at).at, address_of(out))
+        return self.twin.forces(out) if asked else None
 
     def energies(self, at: Configurations) -> Array | None:
         """Kinetic, elastic, of the weight and of springs, J, (k, 4); None as above, or where laws in Python store some."""

@@ -64,11 +64,6 @@ class FieldStates(DriverStates):
         """None: G of a field is kept by its ports."""
         return None
 
-    @property
-    def same_rows(self) -> bool:  # type: ignore[override]
-        """Not where absolute bodies have frames at rest."""
-        return self.twin.system is self.system
-
 
 class FactoredFieldStates(FieldStates):
     """The same with the factors of a size of step, ``blocks`` of the fields, for solutions."""

@@ -15,6 +15,7 @@ from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
 from .resting import RestingField
 from .structures import structure
+from .told import motion_in, motion_size
 
 if TYPE_CHECKING:
     from .tables import Tables
@@ -125,11 +126,7 @@ class FieldTable:
 
     def _motion(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
         """Motion and pose of the frame, and of the nodes, as C left them in ``state``."""
-        d, n, twist = self.tables.dim, self.part.n, self.tables.twist
-        sizes = [d * d, twist, twist, self.tables.system.motions.n_pose, d, n, n, n]
-        R, velocity, accel, pose, gravity, *local = np.split(self.state, np.cumsum(sizes)[:-1])
-        motion = FrameMotion(t, R.reshape(d, d), velocity, accel, gravity)
-        return motion, pose, (local[0].copy(), local[1].copy(), local[2])
+        return motion_in(self.state, t, self.tables.dim, self.part.n)
 
     def forces(self, t: float) -> None:
         """Rows of the frame and forces on the nodes."""
@@ -182,7 +179,7 @@ class FieldTable:
         self.z, z = store.array(np.zeros(n))
         self.force, force = store.array(np.zeros(n))
         self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
-        self.state, state = store.array(np.zeros(d * d + 2 * tables.twist + tables.system.motions.n_pose + d + 3 * n))
+        self.state, state = store.array(np.zeros(motion_size(d, n)))
 
         return structure("Field", d)(
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,

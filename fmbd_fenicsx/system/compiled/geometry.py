@@ -20,7 +20,7 @@ class CompiledGeometry:
     system: System
     library: Any
     address: int
-    same_rows = True  # whether the driver's configurations are the system's own
+    same_rows: bool  # whether the driver's configurations are the system's own: not where parts have frames at rest
 
     def compose(self, q: Array, xi: Array) -> Array:
         """q o exp(xi); leading axes broadcast."""

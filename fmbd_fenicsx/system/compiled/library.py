@@ -16,6 +16,7 @@ from ... import kernel_cache
 from ...mechanics.kinds.library import package_kernels, processor
 from ...mechanics.rods import strains
 from .items import other_loads
+from .told import is_told
 
 if TYPE_CHECKING:
     from ..system import System
@@ -35,6 +36,7 @@ def units_of(system: System) -> tuple[str, ...]:
     """The units, beside the core, that a system needs."""
     wanted = {
         "reduced": bool(system.parts),
+        "told": any(map(is_told, system.parts)),
         "fields": bool(system.fields),
         "rods": bool(system.elements),
         "mounts": any(loads.mounts() is not None for loads in system.forces),

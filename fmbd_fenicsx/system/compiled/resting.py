@@ -1,4 +1,5 @@
-"""Bodies in absolute coordinates for the driver: floating fields whose frames rest where the bodies were meshed.
+"""Parts on the ground for the driver: in frames that rest. Bodies in absolute coordinates are floating fields there, whose frames
+rest where the bodies were meshed.
 
 The driver knows fields in moving frames, x = r + R (X + u). With r at the mass centre of the meshed body, R = 1 and no velocities
 that is x = X + u, and inertia forces are M (u'' - g). So a system has a twin in which each absolute body has such a frame: poses
@@ -15,7 +16,7 @@ import numpy as np
 
 from ...mechanics.bodies.absolute import AbsoluteField
 from ...mechanics.bodies.field_part import FieldPart
-from ...mechanics.placements import FrameMotion
+from ...mechanics.placements import FrameMotion, Part
 from ...rotations import Array
 from ..system import State, System
 from .blocks import Block
@@ -69,8 +70,20 @@ class RestingField(FieldPart):
         return self.part.momenta(motion, pose, local)
 
 
+class RestingPart:
+    """A replicated part on the ground, such as a line, in a frame at rest; all else is its own."""
+
+    ports_of = Part.ports_of
+
+    def __init__(self, part: Any, frame: int) -> None:
+        self.part, self.frame = part, frame
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.part, name)
+
+
 class Twin:
-    """A system without absolute bodies as its own twin: arrays are what they are."""
+    """A system without parts on the ground as its own twin: arrays are what they are."""
 
     # arrays like q and like v, (.., n), with the frames at rest, and without them
     configurations: Callable[[Array], Array] = staticmethod(np.asarray)
@@ -95,16 +108,17 @@ class Twin:
 
 
 class RestingTwin(Twin):
-    """The twin with a frame for each absolute body, of the parts ``still``."""
+    """The twin with a frame for each of the parts ``still``, which are on the ground."""
 
-    def __init__(self, system: System, still: list[tuple[int, AbsoluteField]]) -> None:
+    def __init__(self, system: System, still: list[tuple[int, Any]]) -> None:
         m, n = system.motions, system.n_frames
         self._in_q, self._in_v = n * m.n_pose, n * m.n_twist
 
         parts: list[Any] = list(system.parts)
         for i, (k, part) in enumerate(still):
-            parts[k] = RestingField(part, n + i)
-        self._poses: Array = np.concatenate([m.pose(part.field.center) for _, part in still])
+            parts[k] = RestingField(part, n + i) if part.distributed else RestingPart(part, n + i)
+        places = (part.field.center if part.distributed else np.zeros(m.dim) for _, part in still)
+        self._poses: Array = np.concatenate([m.pose(place) for place in places])
         self._twists: Array = np.zeros(len(still) * m.n_twist)
         names = (*system.frame_names, *(part.name for _, part in still))
         markers = replace(system.markers, frame=_frames(system, [k for k, _ in still]))
@@ -147,8 +161,13 @@ class RestingTwin(Twin):
 
 def twin_of(system: System) -> Twin:
     """The twin of a system that the driver knows."""
-    still = [(k, part) for k, part in system.fields if isinstance(part, AbsoluteField)]
+    still = [(k, part) for k, part in enumerate(system.parts) if _lies_still(system, part)]
     return RestingTwin(system, still) if still else Twin(system)
+
+
+def _lies_still(system: System, part: Any) -> bool:
+    """Whether a part has a frame at rest in the twin: a replicated one on the ground, and an absolute field."""
+    return isinstance(part, AbsoluteField) if part.distributed else part.frame == system.n_frames
 
 
 def _wider(x: Array, at: int, more: Array) -> Array:

@@ -53,8 +53,9 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
     "Body": [
         *_fields("modes at_v at_q at_u", _INT),
         *_fields("mass large spin", _REAL),
-        *_fields("inertia S T V modal K C stress U now bent mean heavy block dest field", _POINTER),
+        *_fields("inertia S T V modal K C stress U now bent mean heavy block dest field told", _POINTER),
     ],
+    "Told": [*_fields("number rests", _INT), *_fields("state rows block dest", _POINTER)],
     "Field": [
         *_fields("n nodes", _LONG),
         *_fields("solved frames row sways number inertial turns", _INT),
@@ -119,7 +120,7 @@ def _by_dimension(dim: int) -> dict[str, Fields]:
 
     return {
         "Surface": [
-            ("body", _INT),
+            *_fields("body section", _INT),
             *_fields("reference ports now", _POINTER),
             ("bends", _INT),
             *_fields("N G", _POINTER),

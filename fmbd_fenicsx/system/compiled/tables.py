@@ -29,6 +29,7 @@ from .resting import twin_of
 from .rods import RodTable, rod_pairs
 from .sights import reaction_of, seen_places
 from .structures import SECANTS, Store, array_of, structure
+from .told import ToldPart, is_told
 from .whole import WholeLoads
 
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
@@ -108,6 +109,9 @@ class Tables:
         self.whole = [WholeLoads(self, loads, number) for number, loads in enumerate(self.loads)]
         self.batches += [loads.batch for loads in self.whole]
         rods: tuple[Any, ...] = system.elements
+        self.told = [
+            ToldPart(self, number, k) for number, k in enumerate(k for k, p in enumerate(reduced) if is_told(p))
+        ]
         self.rods = [RodTable(self, rod, number) for number, rod in enumerate(rods)]
         self._system(redundant)
 
@@ -329,7 +333,7 @@ class Tables:
         self.c = structure("System", self.dim)(
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
             rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
-            again=once, stiff=int(bool(self.rods) or any(f.stiff for f in s.forces)),
+            again=once, stiff=int(bool(self.rods or self.told) or any(f.stiff for f in s.forces)),
             remembers=max([0, *(x.remembers for x in self.items), *(x.remembers for x in self.listeners)]),
             storage=self.fronts.storage, seen=len(looks.markers), seen_frame=self.store.integers(self.frame[looks.markers]),
             seen_place=seen_places(self), accelerated=int(looks.accelerated),
@@ -342,6 +346,7 @@ class Tables:
     def _lists(self) -> tuple[dict[str, int], dict[str, int]]:
         """How many bodies, surfaces .. there are, and the addresses of their structures."""
         others = rigid_bodies(self) | {frame: field.body() for frame, field in self.floating.items()}
+        others |= {one.part.frame: one.body(others.get(one.part.frame)) for one in self.told}
         lists = {
             "body": ("bodies", [others[b] if b in others else reduced_body(self, b) for b in range(self.nb)]),
             "surface": ("surfaces", [surface(self, int(i)) for i in self.surfaces]),

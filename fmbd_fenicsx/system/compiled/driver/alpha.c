@@ -70,7 +70,7 @@ static double typical(const System *s, const double *a)
 {
     double found = largest_of(s->units, a, s->core);
     for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
-        if (o->field && rests(o->field)) found = fmax(found, sqrt(dot(a + o->at_v, a + o->at_v, o->field->n) / o->field->n));
+        if (o->field && rests(o)) found = fmax(found, sqrt(dot(a + o->at_v, a + o->at_v, o->field->n) / o->field->n));
     return found;
 }
 

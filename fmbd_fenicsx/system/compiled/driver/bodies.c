@@ -48,6 +48,7 @@ static void rigid_block(System *s, const Body *o, const double *R)
 static void body_energies(const Body *o, const double *R, const double *q, const double *v, const double *pose, const double *twist,
                           const double *gravity, double *out)
 {
+    if (!o->T && !o->inertia) return;
     if (!o->T) {
         double speed = dot(twist, twist, D), turning = 0.0;
         for (int i = 0; i < ROT; i++) turning += twist[D + i] * dot(o->inertia + ROT * i, twist + D, ROT);

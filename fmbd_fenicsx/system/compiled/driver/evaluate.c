@@ -64,13 +64,16 @@ int inertia(System *s, const double *q, const double *v, const double *a, double
         const Body *o = s->body + b;
         const double *R = s->frames + FRAME * b + TURN, *w = v + TWIST * b + D, *accel = a + TWIST * b;
         double *f = s->residual + o->at_u;
+        int found = DONE;
         if (o->field) {
             memset(f + TWIST, 0, o->modes * sizeof(double));
-            int found = field_force(s, b, q, v, a, f, t);
-            if (found == FAILED) return FAILED;
-            if (found) verdict = found;
-        } else if (!o->T) rigid_force(o, R, w, accel, s->gravity, f);
-        else if (reduced_force(o, R, q, v, a, w, s->gravity, accel, f, f + TWIST)) verdict = LOOK;
+            found = field_force(s, b, q, v, a, f, t);
+        } else if (o->T) found = reduced_force(o, R, q, v, a, w, s->gravity, accel, f, f + TWIST);
+        else if (o->inertia) rigid_force(o, R, w, accel, s->gravity, f);
+        else memset(f, 0, TWIST * sizeof(double));
+        if (o->told) found = told_force(s, b, q, v, a, f, t);
+        if (found == FAILED) return FAILED;
+        if (found) verdict = found;
     }
     for (Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (rod_forces(s, k, t)) return FAILED;

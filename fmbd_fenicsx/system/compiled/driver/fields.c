@@ -78,29 +78,6 @@ static void stiffness_times(const Field *e, const double *U, const double *Ud, d
         }
 }
 
-/* What a part knows of its motion: twist of the frame and its rate (rotations in body axes), pose, the nodes'. */
-typedef struct {
-    const double *pose, *twist, *accel, *U, *Ud, *Udd;
-} Motion;
-
-static Motion motion_of(const Body *o, int b, const double *q, const double *v, const double *a)
-{
-    Motion m = {q + POSE * b, v + TWIST * b, a + TWIST * b, q + o->at_q, v + o->at_v, a + o->at_v};
-    return m;
-}
-
-/* Ask Python for forces or energies. */
-static int own_field(System *s, const Field *e, int what, const double *R, const Motion *m, const double *gravity, double t)
-{
-    double *x = e->state;
-    const double *parts[8] = {R, m->twist, m->accel, m->pose, gravity, m->U, m->Ud, m->Udd};
-    const long sizes[8] = {D * D, TWIST, TWIST, POSE, D, e->n, e->n, e->n};
-    for (int i = 0; i < 8; x += sizes[i++]) memcpy(x, parts[i], sizes[i] * sizeof(double));
-    s->calls++;
-    int told = s->python(what, e->number, t);
-    return told == OUTSIDE ? NEWTON : told ? FAILED : DONE;
-}
-
 /* Forces of linear elasticity on the nodes, and their resultant (world axes) into f. Verdict LOOK outside of the range of small
    displacements. */
 static int linear_field(const Body *o, const double *R, const Motion *m, const double *gravity, double *f)
@@ -148,8 +125,8 @@ int field_force(System *s, int b, const double *q, const double *v, const double
     const Field *e = o->field;
     const double *R = s->frames + FRAME * b + TURN;
     Motion m = motion_of(o, b, q, v, a);
-    int verdict = e->own ? own_field(s, e, FIELD_FORCES, R, &m, s->gravity, t) : linear_field(o, R, &m, s->gravity, f);
-    if (rests(e)) {
+    int verdict = e->own ? tell(s, FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t) : linear_field(o, R, &m, s->gravity, f);
+    if (rests(o)) {
         memset(f, 0, TWIST * sizeof(double));
     } else if (e->own && !verdict) {
         memcpy(f, e->sums, D * sizeof(double));
@@ -233,7 +210,7 @@ int field_block(System *s, const Body *o, const double *R, const double *q)
     double *A = o->block, *S = A + n * TWIST + TWIST;
     memset(A, 0, (size_t)n * n * sizeof(double));
     if (e->sways) mass_times(e, q + o->at_q, e->MU);
-    if (rests(e))
+    if (rests(o))
         for (int i = 0; i < TWIST; i++) A[(n + 1) * i] = o->mass;
     else frame_block(o, R, A, n);
 
@@ -378,6 +355,6 @@ void field_energies(System *s, int b, double t, const double *q, const double *v
     const double *R = s->frames + FRAME * b + TURN;
     Motion m = motion_of(o, b, q, v, v);
     if (!e->own) linear_energies(o, R, &m, gravity, out);
-    else if (!own_field(s, e, FIELD_ENERGIES, R, &m, gravity, t))
+    else if (!tell(s, FIELD_ENERGIES, e->number, e->n, e->state, R, &m, gravity, t))
         for (int i = 0; i < 3; i++) out[i] += e->sums[i];
 }

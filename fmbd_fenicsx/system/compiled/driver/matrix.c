@@ -93,7 +93,8 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
         if (o->field && field_block(s, o, R, q)) return NEWTON;
         if (o->field) continue;
         if (o->T) reduced_block(s, o, R, q + o->at_q, cd, ck);
-        else rigid_block(s, o, R);
+        else if (o->inertia) rigid_block(s, o, R);
+        if (o->told && (verdict = told_block(s, o, t))) return verdict;
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role == READ) continue;

@@ -29,6 +29,11 @@ PART void field_increment(const Body *o, const double *p, double *dU, double *la
 PART void field_sway(const Body *o, const double *R, const double *dU, double *f);
 PART void field_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out);
 
+/* told.c */
+PART int told_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t);
+PART int told_block(System *s, const Body *o, double t);
+PART void told_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out);
+
 /* rods.c, in space */
 PART int rod_forces(System *s, Rod *k, double t);
 PART int rod_tangents(System *s, Rod *k, double t, double geometric);
@@ -89,8 +94,31 @@ static inline Block block_at(const System *s, double *x)
 long place_on(const Tape *tape);
 int record(System *s, Tape *tape, const Block *now, const double *known); /* the core */
 
-/* Whether the frame of a field rests where its body was meshed. */
-static inline int rests(const Field *e) { return e->inertial == 0; }
+/* Whether the frame of a body rests: that of a field where it was meshed, that of a part on the ground at the origin. */
+static inline int rests(const Body *o) { return o->field ? o->field->inertial == 0 : o->told && o->told->rests; }
+
+/* What a part knows of its motion: twist of the frame and its rate (rotations in body axes), pose, the coordinates'. */
+typedef struct {
+    const double *pose, *twist, *accel, *U, *Ud, *Udd;
+} Motion;
+
+static inline Motion motion_of(const Body *o, int b, const double *q, const double *v, const double *a)
+{
+    Motion m = {q + POSE * b, v + TWIST * b, a + TWIST * b, q + o->at_q, v + o->at_v, a + o->at_v};
+    return m;
+}
+
+/* Ask Python about the part of this number, with n coordinates, whose motion it finds in ``state``. */
+static inline int tell(System *s, int what, int number, long n, double *state, const double *R, const Motion *m,
+                       const double *gravity, double t)
+{
+    const double *parts[8] = {R, m->twist, m->accel, m->pose, gravity, m->U, m->Ud, m->Udd};
+    const long sizes[8] = {D * D, TWIST, TWIST, POSE, D, n, n, n};
+    for (int i = 0; i < 8; state += sizes[i++]) memcpy(state, parts[i], sizes[i] * sizeof(double));
+    s->calls++;
+    int told = s->python(what, number, t);
+    return told == OUTSIDE ? NEWTON : told ? FAILED : DONE;
+}
 
 /* The coordinates of a body's modes. */
 static inline const double *modes_of(const Body *o, const double *q)

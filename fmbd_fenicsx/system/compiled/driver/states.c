@@ -74,6 +74,7 @@ void energies(System *s, double t, const double *q, const double *v, const doubl
         const Body *o = s->body + b;
         if (o->field) field_energies(s, b, t, q, v, gravity, out);
         else body_energies(o, s->frames + FRAME * b + TURN, q, v, q + POSE * b, v + TWIST * b, gravity, out);
+        if (o->told) told_energies(s, b, t, q, v, gravity, out);
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role == MOUNT) out[3] += mount_energy(s, k);

@@ -25,7 +25,7 @@ static void surface_row(const System *s, Surface *k, int i)
     if (i < D) l[i] = 1.0;
     else w[i - D] = 1.0;
     moment(k->arm, l, turning);
-    int moving = !(body->field && rests(body->field));
+    int moving = !rests(body);
     for (int j = 0; moving && j < D; j++) row[j] = l[j];
     for (int j = 0; moving && j < ROT; j++) row[D + j] = turning[j] + w[j];
 
@@ -42,7 +42,8 @@ static void surface_row(const System *s, Surface *k, int i)
         k->bend_map[k->bends * i + r] = 0.0;
         for (int j = 0; j < D; j++) k->bend_map[k->bends * i + r] += local[j] * k->N[k->bends * j + r];
     }
-    for (int c = 0; c < D; c++) {
+    if (k->section) add(row + TWIST, t[0], ports + m * D, m);
+    for (int c = 0; !k->section && c < D; c++) {
         spin(z, k->turn + D * c, slope);
         for (int j = 0; j < D; j++) {
             add(row + TWIST, slope[j], ports + m * (D * (1 + c) + j), m);
@@ -50,6 +51,14 @@ static void surface_row(const System *s, Surface *k, int i)
                 k->bend_map[k->bends * i + r] += slope[j] * k->N[k->bends * (D * (1 + c) + j) + r];
         }
     }
+}
+
+/* The columns of a rotation of the plane, behind each other. */
+static void turned_by(double angle, double *columns)
+{
+    columns[0] = columns[D + 1] = cos(angle);
+    columns[1] = sin(angle);
+    columns[D] = -columns[1];
 }
 
 int place_surface(System *s, int number, const double *q)
@@ -65,7 +74,8 @@ int place_surface(System *s, int number, const double *q)
         b[j] = k->reference[j] + dot(k->ports + m * j, eta, m);
         if (k->bends) b[j] = 0.5 * (b[j] + k->reference[j] + dot(k->now + m * j, eta, m)); /* the mean of both rates */
     }
-    if (polar(b + D, k->turn, k->Z)) return LOOK;
+    if (k->section) turned_by(b[D], k->turn);
+    else if (polar(b + D, k->turn, k->Z)) return LOOK;
     for (int j = 0; j < D; j++)
         for (int c = 0; c < D; c++) Rs[D * c + j] = k->turn[D * j + c];
     times(Rs, k->p, k->lever);
@@ -74,7 +84,7 @@ int place_surface(System *s, int number, const double *q)
     times(R, centre, k->arm);
     for (int j = 0; j < D; j++) x[j] = frame[j] + k->arm[j];
 #if DIM == 2
-    x[FRAME - 1] = frame[FRAME - 1] + atan2(Rs[2], Rs[0]);
+    x[FRAME - 1] = frame[FRAME - 1] + (k->section ? b[D] : atan2(Rs[2], Rs[0]));
 #endif
 
     double *velocity = s->velocity + s->nu + TWIST * number;
@@ -104,6 +114,11 @@ static void port_rates(const Surface *k, const Body *body, const double *rates, 
 static void own_turn(const Surface *k, const double *first, const double *second, double *w, double *rate)
 {
     double sum[ROT] = {0.0}, one[ROT], turned[D], Sd[D * D] = {0.0}, trace = 0.0;
+    if (k->section) {
+        w[0] = first[D];
+        rate[0] = second[D];
+        return;
+    }
     for (int c = 0; c < D; c++) {
         moment(k->turn + D * c, first + D * (1 + c), one);
         add(sum, 1.0, one, ROT);

@@ -64,7 +64,7 @@ typedef struct {
 
 /* A surface of a reduced body, symbols as in mechanics/frames.py. */
 typedef struct {
-    int body;
+    int body, section;                 /* section: of a line, whose ports are x, y and an angle */
     double *reference, *ports, *now;   /* PORT, PORT x modes: of the surface; now: rates of ports of second order, a row */
     int bends;
     double *N, *G;                     /* PORT x bends, bends x modes x modes, each by columns */
@@ -108,6 +108,14 @@ typedef struct {
     double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */
 } Field;
 
+/* A part that Python tells, see told.c: lines, and bodies of the user's own. */
+typedef struct {
+    int number, rests;                 /* for the calls into Python; whether its frame rests: that of a part on the ground */
+    double *state;                     /* R, twist, its rate, pose, gravity, u, u', u'' */
+    double *rows, *block;              /* TWIST + modes: forces, or energies; the step's block, world axes */
+    int *dest;                         /* places of the lower half of the block */
+} Told;
+
 typedef struct {
     int modes, at_v, at_q, at_u;       /* places of the modes in v and q, of the block among the unknowns */
     double mass, large, spin;          /* bounds: eta . modal mass . eta and |omega|^2 */
@@ -117,6 +125,7 @@ typedef struct {
     double *mean, *heavy, *block;      /* J^-1 of second_order.py, TWIST x TWIST; work: 4 TWIST x (TWIST + modes), the step's block */
     int *dest;                         /* places of the lower half of the block */
     Field *field;                      /* of floating elastic bodies, whose modes are the numbers H^T U; else NULL */
+    Told *told;                        /* of a part that Python tells, beside a rigid body or alone; else NULL */
 } Body;
 
 /* An angle counted over revolutions, mechanics/joints/counted.py: axes in the two frames, e the joint's, f, g across. */
@@ -256,6 +265,6 @@ typedef struct {
 
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
-       FIELD_TANGENTS, KEEP, LINKS };
+       FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, LINKS };
 enum { OUTSIDE = 2 };
 

@@ -1,0 +1,54 @@
+/* Parts that Python tells, as ``Part`` of mechanics/placements.py: lines, and bodies of the user's own. Their forces and blocks are
+   added to those of a rigid body on the same frame; a part on the ground has a frame that rests. */
+
+#include "tables.h"
+#include "rotations.c"
+#include "parts.h"
+
+/* Rows of the frame (world axes) and of the coordinates, behind each other in f. */
+int told_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t)
+{
+    const Body *o = s->body + b;
+    const Told *e = o->told;
+    const double *R = s->frames + FRAME * b + TURN;
+    double moments[ROT];
+    Motion m = motion_of(o, b, q, v, a);
+    int verdict = tell(s, PART_FORCES, e->number, o->modes, e->state, R, &m, s->gravity, t);
+    if (verdict) return verdict;
+    memcpy(f + TWIST, e->rows + TWIST, o->modes * sizeof(double));
+    if (e->rests) return DONE;
+
+    add(f, 1.0, e->rows, D);
+    to_world(R, e->rows + D, moments);
+    add(f + D, 1.0, moments, ROT);
+    return DONE;
+}
+
+/* The lower half of the block of M + cd C + ck K into the fronts, at the state evaluated last. */
+int told_block(System *s, const Body *o, double t)
+{
+    const Told *e = o->told;
+    const int n = TWIST + o->modes, *dest = e->dest;
+    double *diagonal = s->diagonal + o->at_u;
+    s->calls++;
+    int told = s->python(PART_TANGENTS, e->number, t);
+    if (told) return told == OUTSIDE ? NEWTON : FAILED;
+
+    if (!o->inertia) memset(diagonal, 0, TWIST * sizeof(double));
+    memset(diagonal + TWIST, 0, o->modes * sizeof(double));
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j <= i; j++) s->L[*dest++] += e->block[n * i + j];
+        diagonal[i] += fabs(e->block[(n + 1) * i]);
+    }
+    return DONE;
+}
+
+/* Kinetic, elastic and potential energy of weight, added to out. */
+void told_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out)
+{
+    const Body *o = s->body + b;
+    const Told *e = o->told;
+    Motion m = motion_of(o, b, q, v, v);
+    if (tell(s, PART_ENERGIES, e->number, o->modes, e->state, s->frames + FRAME * b + TURN, &m, gravity, t)) return;
+    for (int i = 0; i < 3; i++) out[i] += e->rows[i];
+}

@@ -1,0 +1,81 @@
+"""Bodies with equations of a user's own in compiled steps, which ask Python for these alone: the motion of the NumPy path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from own_bodies import Carrier, SlidingMass, carrier, line_and_bob
+from test_driver import compiled
+from test_line_body import line
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.materials import linear_elastic
+
+
+def beside_a_field(mesh: Any) -> fmbd.Scene:
+    """A line that carries an elastic body in absolute coordinates: two parts on the ground."""
+    block = fmbd.AbsoluteBody("block", mesh, density=500.0, elastic=linear_elastic(1e6, 0.3))
+    beam = line(cells=3, start=lambda s: [s - 2.0, 0 * s, 0 * s])
+    scene = fmbd.Scene("line and block", gravity=(0.0, -9.81))
+    scene.add(beam, block, fmbd.fixed("clamp", fmbd.ground, beam.surface("start"), center=(-2.0, 0.0)))
+    scene.add(fmbd.revolute("knee", beam.surface("end"), block.surface("pin"), center=(0.0, 0.0)))
+    scene.sensor("place", fmbd.position(block.surface("tip"))), scene.sensor("hang", fmbd.reaction("clamp"))
+    return scene
+
+
+SCENES = {
+    "carrier in the plane": partial(carrier, 2),
+    "carrier in space": partial(carrier, 3),
+    "line": line_and_bob,
+}
+
+
+def compare(make: Callable[[], fmbd.Scene], form: Any) -> None:
+    """Places, reactions and energies of both; no step outside of compiled code."""
+    scheme = partial(fmbd.GeneralizedAlpha, 0.8, form=form)
+    fast, slow = (fmbd.solve(make(), t_end=0.05, dt=1e-3, scheme=scheme(compiled=by)) for by in (True, False))
+    assert fast.counters["compiled_steps"] == fast.counters["steps"]
+    assert fast.counters["newton_iterations"] == slow.counters["newton_iterations"]
+    known = {**slow.energy, "place": slow["place"], "hang": slow["hang"]}
+    found = {**fast.energy, "place": fast["place"], "hang": fast["hang"]}
+    for name, values in known.items():
+        np.testing.assert_allclose(found[name], values, rtol=1e-6, atol=1e-6 * np.abs(values).max(), err_msg=name)
+    np.testing.assert_allclose(fast["place"], slow["place"], rtol=1e-8)
+
+
+@compiled
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda form: form.name)
+@pytest.mark.parametrize("name", SCENES)
+def test_runs_are_those_of_numpy(name: str, form: Any) -> None:
+    """A part beside a rigid body, in the plane and in space; a part on the ground."""
+    compare(SCENES[name], form)
+
+
+@compiled
+def test_beside_a_field(rod_mesh: Any) -> None:
+    """Two frames at rest."""
+    compare(partial(beside_a_field, rod_mesh(h=0.1)), fmbd.Index3())
+
+
+@compiled
+def test_what_a_force_raises_names_its_place() -> None:
+    """An error of a user's own ends the run as itself."""
+
+    class Late(SlidingMass):
+        def force(self, motion: Any, local: Any) -> Any:
+            if motion.t > 0.02:
+                raise ZeroDivisionError("of the user's own")
+            return super().force(motion, local)
+
+    class Carried(Carrier):
+        def part(self, frame: int) -> Any:
+            return Late(self, frame)
+
+    scene = fmbd.Scene("late")
+    scene.add(Carried("late", 1.0, 0.1, (0.0, 0.0)))
+    with pytest.raises(ZeroDivisionError, match="of the user's own"):
+        fmbd.solve(scene, t_end=0.1, dt=1e-2)
