@@ -216,6 +216,35 @@ def test_computed_derivatives_of_a_motion() -> None:
         assert np.abs(s - [math.sin(2.1), 3 * math.cos(2.1), -9 * math.sin(2.1)]).max() < bar
 
 
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda form: form.name)
+@pytest.mark.parametrize("rtol", [None, 1e-6], ids=["equal steps", "own steps"])
+def test_rates_of_a_motion_are_found_where_they_are_needed(form: Any, rtol: float | None) -> None:
+    """Steps of index 3 hold places; records, errors and the stabilised form take the rates, some ninety values each."""
+    asked = []
+
+    def law(t: float) -> float:
+        asked.append(t)
+        return 0.4 * math.sin(2 * t)
+
+    def run(compiled: bool) -> fmbd.Run:
+        scene, (hinge, slider) = joints(2)
+        scene.add(fmbd.drive("turn", fmbd.angle(hinge), law))
+        scene.sensor("place", fmbd.position(scene.bodies["one"])), scene.sensor("force", fmbd.reaction("turn"))
+        asked.clear()
+        scheme = fmbd.GeneralizedAlpha(0.8, form=form, compiled=compiled, rtol=rtol)
+        output = fmbd.Output(every=100 if rtol is None else 10**6)
+        return fmbd.solve(scene, t_end=0.2, dt=1e-3, scheme=scheme, output=output)
+
+    fast = run(True)
+    if rtol is None and form == fmbd.Index3() and kernel_cache.compiler() is not None:
+        assert len(asked) < 25 * 200  # with rates in every step 100 * 200
+    slow = run(False)
+    assert fast.counters["steps"] == slow.counters["steps"]
+    assert fast.drift == pytest.approx(slow.drift, rel=1e-4, abs=1e-14)
+    for name in ("place", "force"):
+        np.testing.assert_allclose(fast[name], slow[name], rtol=1e-6, atol=1e-6 * np.abs(slow[name]).max())
+
+
 def test_motion_that_is_not_finite_is_named() -> None:
     scene, (hinge, _) = joints(3)
     with pytest.raises(CallbackError, match='"motor".*nan'):

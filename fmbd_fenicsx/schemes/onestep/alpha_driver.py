@@ -124,6 +124,8 @@ class AlphaDriver:
         v, a, missed = twin.velocities(np.stack((v, a, missed)))
         kept = [np.ascontiguousarray(x) for x in (twin.configurations(q[None])[0], v, a, lam, missed)]
         *at, missing = [address_of(x) for x in kept]
+        if self.tables.c.samples > 1:
+            self.calls.sample(t)  # a step may have left out the rates of motions
         verdict = self.library.driver_error(self.address, scale, span, *at, t, missing, address_of(e), address_of(y))
         self.calls.raise_error()
         return None if verdict else twin.forces(e[None])[0]

@@ -20,6 +20,7 @@ from .tables import Tables
 
 ASKED = enumeration("SAMPLE")  # what C asks for
 OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer
+WHOLE_SAMPLE, PLACES, RATES = enumeration("WHOLE_SAMPLE").values()
 NUMPYS = tuple(
     ASKED[what] for what in ("FIELD_FORCES", "FIELD_TANGENTS", "PART_FORCES", "PART_TANGENTS")
 )  # where these fail NumPy makes the step
@@ -33,7 +34,11 @@ class Calls:
         self.error: Exception | None = None
         self.sampled, self.trusted = np.nan, False  # s, the time of what depends on time only; whether it is so still
         self.moving = _motions(self.system)
-        self.drives = [x for x in tables.sources if x.drive]
+        # places (n, 3) for s, s' and s'' of n motions: of rows, of which arrays hold the first two, and of drives
+        self.prescribed = [(np.zeros((len(rows), 3)), motions) for rows, motions in self.moving]
+        for items in (x for x in tables.sources if x.drive):
+            place = items.kind.place("drive").start
+            self.prescribed.append((items.table[:, place : place + 3], items.drive))
         self.loaded = [_load_of(tables, x) for x in tables.sources if x.load is not None]
         self.given = [x for x in tables.sources if x.role == GIVEN and x.given is not None]
         ramp = bool((self.system.gravity(0.0) != self.system.gravity(np.inf)).any())
@@ -47,8 +52,9 @@ class Calls:
 
         self.asked = [items.kind.function for items in tables.items if isinstance(items.kind, AskedKind)]
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
-        timed = (self.moving, self.drives, self.loaded, self.given, self.loaded_rods, self.targets)
-        tables.c.samples = int(ramp or any(timed))
+        timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
+        slower = any(_differentiated(motion) for _, motions in self.prescribed for motion in motions)
+        tables.c.samples = int(ramp or any(timed)) + int(slower)
         self.answers = self._answers()
         self.function = PYTHON(self.answer)
         tables.c.python = self.function
@@ -68,7 +74,7 @@ class Calls:
         """What is done for each of the numbers that C asks with: (number of a batch, body or rod; time)."""
         tables = self.tables
         said: dict[str, Callable[[int, float], None]] = {
-            "SAMPLE": lambda number, t: self.sample(t),
+            "SAMPLE": lambda part, t: self.sample(t, part),
             "EFFORT": lambda number, t: self._effort(tables.sources[number], t),
             "SLOPES": lambda number, t: self._slopes(tables.sources[number], t),
             "KEEP": lambda number, t: self._keep(t),
@@ -95,26 +101,35 @@ class Calls:
         if error is not None:
             raise error
 
-    def sample(self, t: float) -> None:
-        """Everything that depends on time only."""
+    def sample(self, t: float, part: int = WHOLE_SAMPLE) -> None:
+        """Everything that depends on time only, or a part of it as ``driver/tables.h`` has them."""
         if self.trusted and t == self.sampled:
             return
         self.sampled = np.nan  # where a law fails
-        self._ask_laws_of_time(t)
-        self.sampled = t
+        if part != RATES:
+            self._ask_laws_of_time(t)
+        self._move(t, part)
+        if part == WHOLE_SAMPLE:
+            self.sampled = t
+
+    def _move(self, t: float, part: int) -> None:
+        """Motions at a time: (s, s', s''), or what a part of a sample has of these."""
+        for values, motions in self.prescribed:
+            for value, motion in zip(values, motions, strict=True):
+                if part == WHOLE_SAMPLE or (part == PLACES and not _differentiated(motion)):
+                    value[:] = motion(t)
+                elif part == PLACES:
+                    value[0] = motion.place(t)
+                elif _differentiated(motion):
+                    value[1:] = motion.rates(t)
+
+        arrays = self.tables.arrays
+        for (rows, _), (values, _) in zip(self.moving, self.prescribed, strict=False):
+            arrays["motion"][rows], arrays["motion_rate"][rows] = values[:, 0], values[:, 1]
 
     def _ask_laws_of_time(self, t: float) -> None:
-        """Motions, loads, given efforts, targets and gravity at a time, into the tables."""
+        """Loads, given efforts, targets and gravity at a time, into the tables."""
         tables = self.tables
-        for rows, motions in self.moving:
-            prescribed = [motion(t) for motion in motions]
-            tables.arrays["motion"][rows] = [x[0] for x in prescribed]
-            tables.arrays["motion_rate"][rows] = [x[1] for x in prescribed]
-
-        for items in self.drives:
-            place = items.kind.place("drive").start
-            items.table[:, place : place + 3] = [motion(t) for motion in items.drive]
-
         for write in self.loaded:
             write(t)
 
@@ -164,6 +179,11 @@ def _load_of(tables: Tables, items: Items) -> Callable[[float], None]:
             items.table[:, columns[name]] = values if plain else tables.turned(items, name, values)
 
     return write
+
+
+def _differentiated(motion: Any) -> bool:
+    """Whether the rates of a motion are found by differentiation, apart from its place."""
+    return isinstance(motion, SmoothMotion) and not motion.complete
 
 
 def _moving(target: Any) -> Callable[[float], tuple[float, float]]:

@@ -100,6 +100,9 @@ static void end_of(const System *s, const double *p, const Block *now, const dou
     for (int i = 0; i < s->nv; i++) out->v[i] = now->v[i] + p[H] * ((1 - p[GAMMA]) * now->A[i] + p[GAMMA] * out->A[i]);
 }
 
+/* Whether a step leaves out the rates of motions: it holds places alone, and these cost less. */
+static int rates_wait(const System *s, const double *p) { return s->samples > 1 && p[STABILISED] == 0.0; }
+
 /* One step from past[0] to out; past: the newest first. */
 static int step(System *s, double *p, const Block *past, int known, Block out)
 {
@@ -119,7 +122,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
 
     if (s->samples) {
         s->calls++;
-        if (s->python(SAMPLE, 0, t)) return FAILED;
+        if (s->python(SAMPLE, rates_wait(s, p) ? PLACES : WHOLE_SAMPLE, t)) return FAILED;
     }
 
     predictor(past, known, t, w);

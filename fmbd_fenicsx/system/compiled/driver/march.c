@@ -35,9 +35,13 @@ EXPORT long march(System *s, double *p, long steps, double **ring, int *verdict,
             p[THETA] = theta;
             break;
         }
+        int due = tape && tape->left == 1, recorded = due || (tape && tape->crossings);
+        if ((control || recorded) && rates_wait(s, p) && s->python(SAMPLE, RATES, *out.t)) {
+            *verdict = FAILED;
+            break;
+        }
         if (control && (*verdict = judged(s, p, control, past, &out))) break;
         if (control) arrive(control, &out);
-        int due = tape && tape->left == 1, recorded = due || (tape && tape->crossings);
         int guarded = p[GUARDED] != 0.0, placed = (guarded || recorded || s->remembers) && !place(s, out.q, out.v);
         if (guarded && placed && gained(s, p, &out, e)) {
             *verdict = GAIN;

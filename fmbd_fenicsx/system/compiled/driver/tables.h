@@ -182,7 +182,8 @@ typedef struct {
     double *units, *row_units;         /* nv, rows: what turns increments and gaps into lengths */
     double *multiplier_units;          /* rows: what multipliers are divided by to be compared as forces */
     int (*python)(int what, int number, double t); /* what: see below; 0 when all is well */
-    int samples, stiff;                /* whether Python is asked once a step; whether efforts depend on the motion */
+    int samples, stiff;                /* whether Python is asked once a step, 2: for less without the rates of motions; whether */
+                                       /* efforts depend on the motion */
     double cd, ck, epsilon;            /* of the matrix in the fronts */
     double share;                      /* change of q over that of v in a step: open speeds times it are closed like gaps */
     const double *q;                   /* the configuration evaluated last */
@@ -267,4 +268,7 @@ typedef struct {
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
        FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, LINKS };
 enum { OUTSIDE = 2 };
+
+/* Parts of a SAMPLE: all of it, all but the rates of motions, these alone. */
+enum { WHOLE_SAMPLE, PLACES, RATES };
 
