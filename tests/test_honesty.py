@@ -206,6 +206,20 @@ def pushed_mass(force: Callable[[float], float]) -> fmbd.Scene:
     return scene
 
 
+@pytest.mark.parametrize("jump", [0.12, 0.237, 0.3004, 0.411])
+def test_a_tolerance_is_kept_where_a_force_jumps_within_a_step(jump: float) -> None:
+    """At an instant that nobody named; steps of other sizes tell by chance that the error is a twentieth of what it is."""
+    omega = np.sqrt(20.0)
+    scene = pushed_mass(lambda t: 3.0 if t < jump else -3.0)
+    run = fmbd.solve(scene, t_end=0.52, tol={"x": 1e-4, "v": fmbd.relative(1e-3)}, output=fmbd.Output(progress=False))
+    late = np.clip(run.times - jump, 0.0, None)
+    speed = 3.0 / omega * np.sin(omega * run.times) - 6.0 / omega * np.sin(omega * late)
+    place = 1.0 + 3.0 / 20.0 * (1.0 - np.cos(omega * run.times)) - 6.0 / 20.0 * (1.0 - np.cos(omega * late))
+    assert run.history[-1].then == "done"
+    assert np.abs(run["x"][:, 0] - place).max() < 1e-4
+    assert np.abs(run["v"][:, 0] - speed).max() < 1e-3 * np.ptp(speed)
+
+
 def vibrating_pair() -> fmbd.Scene:
     """Two masses on a soft and a stiff spring: 3.6 steps of 0.01 s a period, a smooth motion that steps hardly follow."""
     scene = fmbd.Scene("pair")

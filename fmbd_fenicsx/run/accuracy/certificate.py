@@ -162,17 +162,23 @@ def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:
     ]
 
 
+def left_by_kinks(run: Run, name: str) -> tuple[float, float]:
+    """What a jump of a force within a step may leave in a sensor, and of which order, see :func:`.orders.kink`."""
+    sampled = any(force.period is not None for force in run.scene.forces.values())  # jumps at ends of steps
+    struck = run.scene.contacts or run.scene.limits  # jumps of velocities, which schemes for impacts look for
+    if Declared.by(run.scheme).adaptive or sampled or struck:
+        return 0.0, np.inf
+    order = expected_orders(run.scheme, run.scene, run.system)[name]
+    return kink(run.times, run.series[name], order, run.scene.sensors[name].derivative)
+
+
 def _uncertain_by_kinks(run: Run, stated: Statement) -> list[str]:
     """Why a jump of a force within a step may leave more than what is stated; empty where there is none."""
     name = stated.sensor
-    sampled = any(force.period is not None for force in run.scene.forces.values())  # jumps at ends of steps
-    struck = run.scene.contacts or run.scene.limits  # jumps of velocities, which schemes for impacts look for
-    if stated.time is None or Declared.by(run.scheme).adaptive or sampled or struck:
+    error, left = left_by_kinks(run, name)
+    if stated.time is None or error <= HIDDEN * stated.time:
         return []
     order = expected_orders(run.scheme, run.scene, run.system)[name]
-    error, left = kink(run.times, run.series[name], order, run.scene.sensors[name].derivative)
-    if error <= HIDDEN * stated.time:
-        return []
     return [
         f'the error of time of "{name}" is uncertain: its records have a kink that leaves an order of about {left:.1f}, '
         f"{order} is expected, and an error of some {error:.1e} {stated.unit}, by where in a step it falls, which runs with "

@@ -21,6 +21,7 @@ TOO_HIGH = 1.0  # what an order is beyond that of the scheme that belongs to ano
 LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
 # order that a jump of a force (1) or of its slope (2) leaves, at least and at most: others are impacts, or smooth motion
 LEAST_LEFT, MOST_LEFT = 0.5, 2.5
+CLEARLY = 0.05  # lower than the order of the scheme: what is left counts
 ALONE = 0.05  # of the largest difference, that half of all stay below beside a kink: those of vibrations do not
 SHARPER = 1.3  # growth of differences with each one more about a kink, at least; of motion that steps follow they fall
 SEEN_KINK = 1e-6  # error by a kink over the range of a sensor below which differences tell of Newton's iteration, too
@@ -75,29 +76,38 @@ def kink(t: Array, x: Array, order: int, derivative: int) -> tuple[float, float]
 
     What jumps in the k-th derivative of a place has differences like h^k, however many are taken, smooth motion like h^m:
 
-        k = log2(max |D_2h^m x| / max |D_h^m x|) + derivative,     the order is k - 1                               (1)
+        k = log2(|D_2h^m x| / |D_h^m x|) + derivative,     the order is k - 1                                        (1)
 
-    Few differences are taken, as many of a motion that steps follow coarsely fall as slowly; those about a kink stand alone and
-    grow with each one more, those of a vibration within few steps are large throughout. A force that jumps by J (k = 2) moves v
-    by up to J h / 2, and v goes on for about s = max|x| / max|x'| as it is: of places, velocities and accelerations that is
-    about s D / 12 h, D / 6, h D / 5 s, with D = max |D_h^m x|.
+    in the root of the sum of squares about the largest one, which depends on where in a step a kink falls less than that one
+    alone does. Few differences are taken, as many of a motion that steps follow coarsely fall as slowly; those about a kink
+    stand alone and grow with each one more, those of a vibration within few steps are large throughout. A force that jumps by
+    J (k = 2) moves v by up to J h / 2, and v goes on for about s = max|x| / max|x'| as it is: of places, velocities and
+    accelerations that is about 0.6 s D / h, D / 4, 0.16 h D / s, with D = |D_h^m x| in this sense: by the scheme,
+    half of the most that may be left, or a little more than all of it.
     """
     m = max(5 - derivative, 3)
     if len(t) < 4 * (m + 1) or np.ptp(np.diff(t)) > 1e-6 * (t[1] - t[0]):
         return 0.0, np.inf
     heights = np.abs(np.diff(x, m, axis=0)).max(axis=1)
-    fine, at = float(heights.max()), int(heights.argmax())
-    wide = max(float(np.abs(np.diff(x[k::2], m, axis=0)).max()) for k in (0, 1))
+    at, about = int(heights.argmax()), m + 2
+    fine = _about(x, m, at, about)
+    wide = float(np.sqrt(0.5 * sum(_about(x[k::2], m, (at - k) // 2, about) ** 2 for k in (0, 1))))
     left = float(np.log2(wide / fine)) + derivative - 1 if min(wide, fine) > 0 else np.inf
-    if not LEAST_LEFT <= left < min(SEEN * order, MOST_LEFT):
+    if not LEAST_LEFT <= left < min(order - CLEARLY, MOST_LEFT):
         return 0.0, np.inf
-    sharper = float(np.abs(np.diff(x, m + 1, axis=0)).max())
-    if at < m or np.median(heights) > ALONE * fine or sharper < SHARPER * fine:
+    sharper = _about(x, m + 1, at, about)
+    if at < m or np.median(heights) > ALONE * heights[at] or sharper < SHARPER * fine:
         return 0.0, np.inf
     span, step = float(np.ptp(x, axis=0).max()), float(np.quantile(np.abs(np.diff(x, axis=0)).max(axis=1), 0.9))
     lasts = min(0.5 * span / step, float(len(t))) if step > 0 else float(len(t))  # s / h
-    error = fine * (lasts / 12, 1 / 6, 0.2 / lasts)[derivative]
+    error = fine * (0.6 * lasts, 0.25, 0.16 / lasts)[derivative]
     return (error, left) if error > SEEN_KINK * span else (0.0, np.inf)
+
+
+def _about(x: Array, m: int, at: int, wide: int) -> float:
+    """The root of the sum of squares of the m-th differences of a series (n, size) about one of them."""
+    near = np.diff(x, m, axis=0)[max(at - wide, 0) : at + wide + 1]
+    return float(np.sqrt((near**2).sum()))
 
 
 def scattered_order(p: float, order: int, before: float | None) -> float:

@@ -27,9 +27,9 @@ from ..result import Run
 from ..schedule import StepSchedule, step_schedule
 from ..settings import check_tangent
 from ..single_run import Solved
-from .certificate import Certificate
+from .certificate import HIDDEN, Certificate, left_by_kinks
 from .companion_runs import UNFIT, Compared
-from .estimates import FEWEST, TimeError, reduction_error, tolerance_error, warn_of_uncertain
+from .estimates import FEWEST, TimeError, reduction_error, scaled, tolerance_error, warn_of_uncertain
 from .next_attempt import AttemptPlan, Looked, beginning, finer_steps, next_plan, space_first, space_limit
 from .shared_runs import Allowed, Orders, SharedRuns, doubt, known_orders
 from .shares import AIM, SAFE, WHOLE, Relative, Tolerance, check_tolerances, largest_share, relative, safe, share, worst
@@ -44,6 +44,7 @@ SCOUT, SCOUT_SLENDER = 24, 48
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
 FAILURES = 1  # runs that may fail, each followed by one with a quarter of the step, beside one that came to its end
+OF_JUMPS = 1.0  # order that jumps of forces within steps leave
 RECORDS = 200  # that runs make at least, so that they can be compared
 
 
@@ -271,9 +272,23 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved: S
     looked = bool(plan.orders.follow) and not plan.orders.seen  # at spaces, with few steps
     allowed = Allowed(lambda errors: largest_share(errors, run.series, tol), room, rough=alone or looked)
     found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
+    if plan.steps and solved.compared.recorder.output.times is None:  # records are ends of steps
+        found = _with_kinks(run, found, tol, every=solved.compared.recorder.output.every)
     run.state_error("time", found.errors)
     run.observed_order = found.orders
     return found
+
+
+def _with_kinks(run: Run, found: TimeError, tol: Tolerance, *, every: int) -> TimeError:
+    """No less than what a jump of a force within a step may leave at most: what other steps tell of it is chance. In records
+    of ``every`` so many steps it is as many times larger.
+    """
+    errors, orders = dict(found.errors), dict(found.orders)
+    for name in errors.keys() & tol:
+        most, size = HIDDEN * left_by_kinks(run, name)[0] / every, errors[name].size
+        if most > size > 0.0:
+            errors[name], orders[name] = scaled(errors[name], most / size), OF_JUMPS
+    return replace(found, errors=errors, orders=orders)
 
 
 def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved: Solved, made: Compared) -> None:
