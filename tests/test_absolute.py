@@ -200,3 +200,25 @@ def test_power_of_loads_is_that_of_their_forces(load: Any, rod_mesh: Any) -> Non
     state = State(0.0, u, v, np.zeros(made[0].n_v), np.zeros(0))
     power = powers(made[0].at(0.0, u, v), state)["body, loads"]
     assert power == pytest.approx(-(balances[0] - balances[1]) @ v, rel=1e-9) and abs(power) > 0.1
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_linear_body_that_turns_is_told_of(rod_mesh: Callable[..., Any], compiled: bool) -> None:
+    """Once; a turn of 0.1 rad stretches it by half a per cent. One that flies far or vibrates is not, nor one with an energy."""
+    mesh = rod_mesh(dim=2, h=0.5, height=0.2)
+    stiff = linear_elastic(1e9, 0.3)
+
+    def told(*, spin: float = 0.0, speed: float = 0.0, gravity: float = 0.0, **material: Any) -> int:
+        rod = fmbd.AbsoluteBody("rod", mesh, density=DENSITY, **material, angular_velocity=spin, velocity=(0.0, speed))
+        scene = fmbd.Scene("turning", gravity=(0.0, gravity))
+        scene.add(rod)
+        if gravity:
+            scene.add(fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+        run = fmbd.solve(scene, t_end=0.1, dt=1e-2, scheme=fmbd.GeneralizedAlpha(0.8, compiled=compiled))
+        return sum("has turned by" in line for line in run.warnings)
+
+    assert told(spin=1.0, speed=5.0, elastic=stiff) == 1
+    assert told(speed=50.0, elastic=stiff) == 0
+    assert told(gravity=-9.81, elastic=stiff) == 0
+    assert told(spin=1.0, energy=saint_venant_kirchhoff(1e9, 0.3)) == 0
