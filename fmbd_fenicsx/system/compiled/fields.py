@@ -10,12 +10,11 @@ import scipy.sparse as sp
 from ...errors import ConvergenceError
 from ...mechanics.bodies.field_part import FieldPart
 from ...mechanics.bodies.floating import FloatingField
-from ...mechanics.placements import FrameMotion
 from ...mechanics.validity import TOO_LARGE
 from ...rotations import Array
 from .resting import RestingField
 from .structures import structure
-from .told import motion_in, motion_size
+from .told import ToldMotion
 
 if TYPE_CHECKING:
     from .tables import Tables
@@ -63,7 +62,8 @@ class FieldTable:
         self.port_matrix = np.zeros((self.part.n_port, self.count))
         self.port_matrix[self.ports, inertial + np.arange(len(self.ports))] = 1.0
         nothing: Array = np.zeros(0)
-        self.b = self.z = self.force = self.sums = self.state = nothing  # those of the structure
+        self.b = self.z = self.force = self.sums = nothing  # those of the structure
+        self.motion = ToldMotion(tables, self.part.n)
         self.indefinite = False
         self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
         # of the factors in use, which sizes of steps come back to
@@ -132,18 +132,14 @@ class FieldTable:
             del self._condensed[old]
         return known[1]
 
-    def _motion(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
-        """Motion and pose of the frame, and of the nodes, as C left them in ``state``."""
-        return motion_in(self.state, t, self.tables.dim, self.part.n)
-
     def forces(self, t: float) -> None:
         """Rows of the frame and forces on the nodes."""
-        motion, _, local = self._motion(t)
+        motion, _, local = self.motion.at(t)
         self.sums[:], self.force[:] = self.part.force(motion, local)
 
     def energies(self, t: float) -> None:
         """Kinetic, elastic and weight energy."""
-        motion, pose, local = self._motion(t)
+        motion, pose, local = self.motion.at(t)
         self.sums[:3] = self.part.energies(motion, pose, local[:2])
 
     # -- structures ----------------------------------------------------------------------------------------------------------
@@ -187,12 +183,11 @@ class FieldTable:
         self.z, z = store.array(np.zeros(n))
         self.force, force = store.array(np.zeros(n))
         self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
-        self.state, state = store.array(np.zeros(motion_size(d, n)))
 
         return structure("Field", d)(
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
             sways=int(part.shared_columns), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
-            own=int(not linear_field(part)), force=force, sums=sums, state=state,
+            own=int(not linear_field(part)), force=force, sums=sums, state=self.motion.address,
             inertial=self.inertial, turns=int(self.turns), frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},

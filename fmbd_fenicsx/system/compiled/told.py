@@ -27,18 +27,20 @@ def can_be_told(part: Any) -> bool:
     return constant and part.shortening is None
 
 
-def motion_in(state: Array, t: float, dim: int, n: int) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
-    """Motion and pose of the frame of a part with n coordinates, and these with two rates, as C left them in ``state``."""
-    twist, pose = (6, 7) if dim == 3 else (3, 3)
-    R, velocity, accel, place, gravity, *local = np.split(state, np.cumsum([dim * dim, twist, twist, pose, dim, n, n]))
-    motion = FrameMotion(t, R.reshape(dim, dim), velocity, accel, gravity)
-    return motion, place, (local[0].copy(), local[1].copy(), local[2])
+class ToldMotion:
+    """The motion of a part with n coordinates, as C leaves it in ``state``; ``address``: of this array."""
 
+    def __init__(self, tables: Tables, n: int) -> None:
+        d, twist, pose = tables.dim, tables.twist, tables.system.motions.n_pose
+        sizes = (d * d, twist, twist, pose, d, n, n, n)
+        state, self.address = tables.store.array(np.zeros(sum(sizes)))
+        R, *self._frame, self._u, self._rate, self._second = np.split(state, np.cumsum(sizes)[:-1])
+        self._R = R.reshape(d, d)
 
-def motion_size(dim: int, n: int) -> int:
-    """The size of ``state`` in :func:`motion_in`."""
-    twist, pose = (6, 7) if dim == 3 else (3, 3)
-    return dim * dim + 2 * twist + pose + dim + 3 * n
+    def at(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
+        """Motion and pose of the frame, and the coordinates with two rates, which may be kept."""
+        twist, accel, pose, gravity = self._frame
+        return FrameMotion(t, self._R, twist, accel, gravity), pose, (self._u.copy(), self._rate.copy(), self._second)
 
 
 class ToldPart:
@@ -49,29 +51,25 @@ class ToldPart:
         self.part: Any = tables.system.parts[k]
         self.rests = isinstance(self.part, RestingPart)
         self.width = tables.twist + self.part.n
-        made = tables.store.zeros({
-            "state": motion_size(tables.dim, self.part.n), "rows": self.width, "block": (self.width, self.width),
-        })  # fmt: skip
-        self.state, self.rows, self.block = (x for x, _ in made.values())
+        self.motion = ToldMotion(tables, self.part.n)
+        made = tables.store.zeros({"rows": self.width, "block": (self.width, self.width)})
+        self.rows, self.block = (x for x, _ in made.values())
         self.addresses = {name: address for name, (_, address) in made.items()}
-
-    def _motion(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
-        return motion_in(self.state, t, self.tables.dim, self.part.n)
 
     def forces(self, t: float) -> None:
         """Rows of the frame and of the coordinates."""
-        motion, _, local = self._motion(t)
+        motion, _, local = self.motion.at(t)
         self.rows[: self.tables.twist], self.rows[self.tables.twist :] = self.part.force(motion, local)
 
     def energies(self, t: float) -> None:
         """Kinetic, elastic and weight energy."""
-        motion, pose, local = self._motion(t)
+        motion, pose, local = self.motion.at(t)
         self.rows[:3] = self.part.energies(motion, pose, local[:2])
 
     def tangents(self, t: float) -> None:
         """M + cd D + ck K, the frame in world axes."""
         d, n, c = self.tables.dim, self.tables.twist, self.tables.c
-        motion, _, local = self._motion(t)
+        motion, _, local = self.motion.at(t)
         of_frame, coupling, mass = self.part.mass_blocks(motion, local[0])
         if c.cd or c.ck:
             K, D = self.part.stiffness_blocks(motion, local)
@@ -95,7 +93,7 @@ class ToldPart:
         i, j = np.tril_indices(self.width)
         unknown = tables.at_u[frame] + np.arange(self.width)
         told = structure("Told", tables.dim)(
-            number=self.number, rests=int(self.rests), **self.addresses,
+            number=self.number, rests=int(self.rests), state=self.motion.address, **self.addresses,
             dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])),
         )  # fmt: skip
 
