@@ -27,6 +27,19 @@ def beside_a_field(mesh: Any) -> fmbd.Scene:
     return scene
 
 
+def loaded(mesh: Any) -> fmbd.Scene:
+    """A reduced body on a hinge under a load that keeps its direction and one that turns with it."""
+    d = mesh.dim
+    load = fmbd.traction("tip", (0.0, 2e3, 1e3)[:d], time=lambda t: np.sin(20 * t))
+    follower = fmbd.traction("side", (1e2, -2e2, 3e2)[:d], follower=True)
+    rod = fmbd.FloatingBody("rod", mesh, density=1000.0, elastic=linear_elastic(1e8, 0.3), loads=(load, follower))
+    arm = rod.reduced(basis=fmbd.CraigBampton(("pin", "tip"), 4))
+    scene = fmbd.Scene("loaded", gravity=(0.0, -9.81, 0.0)[:d])
+    scene.add(arm, fmbd.spherical("pin", fmbd.ground, arm.surface("pin"), center=np.zeros(d)))
+    scene.sensor("place", fmbd.position(arm.surface("tip"))), scene.sensor("hang", fmbd.reaction("pin"))
+    return scene
+
+
 SCENES = {
     "carrier in the plane": partial(carrier, 2),
     "carrier in space": partial(carrier, 3),
@@ -59,6 +72,13 @@ def test_runs_are_those_of_numpy(name: str, form: Any) -> None:
 def test_beside_a_field(rod_mesh: Any) -> None:
     """Two frames at rest."""
     compare(partial(beside_a_field, rod_mesh(h=0.1)), fmbd.Index3())
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_reduced_body_under_loads(dim: int, rod_mesh: Any) -> None:
+    """Of such bodies Python is asked for all forces."""
+    compare(partial(loaded, rod_mesh(dim=dim, h=0.25, height=0.2)), fmbd.Index3())
 
 
 @compiled

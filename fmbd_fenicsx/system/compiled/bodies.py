@@ -125,4 +125,4 @@ def _known_part(part: Any) -> bool:
     """Whether the driver takes a part."""
     if part.distributed:
         return known_field(part)
-    return can_be_told(part) if is_told(part) else not part.constants.loads
+    return not is_told(part) or can_be_told(part)

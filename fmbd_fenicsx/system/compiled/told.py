@@ -1,4 +1,4 @@
-"""Parts that the driver asks Python about: lines, and bodies of the user's own, see ``driver/told.c``."""
+"""Parts that the driver asks Python about: lines, loaded reduced bodies, and those of the user's own, see ``driver/told.c``."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 
 def is_told(part: Any) -> bool:
-    """Whether Python tells the forces of a replicated part."""
-    return not part.distributed and type(part) is not ReducedPart
+    """Whether Python tells the forces of a part: of replicated ones all but those of reduced bodies that nothing loads."""
+    return not part.distributed and (type(part) is not ReducedPart or bool(part.constants.loads))
 
 
 def can_be_told(part: Any) -> bool:
