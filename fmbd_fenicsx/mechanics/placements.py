@@ -147,6 +147,11 @@ class DistributedPart(Part, Protocol):
     slack: np.ndarray | None = None  # one-sided springs that the tangent leaves out
     shown: Bent | None = None  # the second order of the ports that the columns hold
 
+    @property
+    def turns_little(self) -> bool:
+        """Whether its forces are those of small rotations in the world; it then knows its ``mean_rotation``."""
+        return False
+
     def column_version(self, t: float) -> Any:
         """Number of the columns E^-1 H at time t (s); a new one asks for new columns."""
         return 0

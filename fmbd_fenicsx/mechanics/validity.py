@@ -1,12 +1,10 @@
-"""Limits of linear bodies: what they say when they are used outside their range."""
+"""Limits of a linear floating body: what it says when it is used outside its range."""
 
 from __future__ import annotations
 
 from ..log import log
 
 TOO_LARGE = 0.5  # mean displacement over the body's size that no linear model survives
-SMALL_TURN = 0.05  # rad, up to which a linear body in absolute coordinates is not warned of
-SPREAD = 0.2 * SMALL_TURN  # of displacements about their mean, over the body's size: below it has not turned that far
 
 
 def too_large(body: str, displacement: float, size: float, stiffened: bool) -> str:
@@ -38,14 +36,3 @@ def warn_of_spin(body: str, spin: float, first: float) -> None:
             spin,
             first,
         )
-
-
-def warn_of_turn(body: str, turn: float) -> None:
-    """Log a warning that a body in absolute coordinates with a linear form has turned (rad)."""
-    log.warning(
-        'body "%s" has turned by %.2g rad in absolute coordinates: its linear form is for small rotations, and stretches it by '
-        "some %.1g of its size. Take a FloatingBody, or an energy in place of elastic=",
-        body,
-        turn,
-        0.5 * turn**2,
-    )

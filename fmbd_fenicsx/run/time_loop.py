@@ -20,6 +20,7 @@ from .judges.acceptance import Closed, attempt_in_balance
 from .judges.energy_check import closed
 from .judges.force_balance import Balanced
 from .judges.prescribed_motions import PrescribedMotions
+from .judges.small_turns import SmallTurns
 from .problem import Problem, judges_of, make_stepper
 from .recording.moment import Moment
 from .recording.output import Output, Recorder
@@ -188,6 +189,7 @@ class Loop:
         # who watches
         self.judges.forecast.since = state.t
         self.motions = _motions(problem, schedule, state.t)
+        self.turns = None if problem.warned is None else SmallTurns(system)
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
         self.bar = Progress(problem.scene.name, schedule.steps or None, output.progress)
@@ -215,6 +217,8 @@ class Loop:
             while not self.schedule.ended(self.state.t, self.progress.done):
                 made, seen = self._equal_steps() if self.schedule.steps else self._chosen_step()
                 self._count(made)
+                if self.turns is not None:
+                    self.turns.look(self.state)
                 if self._ends_by_event():
                     break
                 self._record(made, seen)
@@ -232,6 +236,8 @@ class Loop:
             self.motions.look(self.state.t + h)
 
         most = self.schedule.steps if self.keeper is None else 1  # a checkpoint may be due after every step
+        if self.turns is not None:
+            most = min(most, self.turns.most(self.schedule.steps))
         made = 0
         if self.stepper.stride(h):
             made = quietly(

@@ -19,7 +19,6 @@ from ...fem.initial import initial_fields
 from ...rotations import Array
 from ..frames import polar_rotation
 from ..placements import FrameMotion
-from ..validity import SMALL_TURN, SPREAD, warn_of_turn
 from .body import Placed, Site
 from .field_part import FieldPart, TangentPoint
 
@@ -45,8 +44,6 @@ class AbsoluteField(FieldPart):
             self.reference[k * per : k * per + field.dim] += field.center
         self._moment_columns = field.mass(field.X)
         self.turn_at_tangent: Array = np.eye(field.dim)
-        self.warned = bool(field.nonlinear)  # of turns
-        self.spread_to_check = SPREAD * field.size  # m, about the mean of all displacements
         if field.loads.moving or field.viscous.law is not None:
             self._first_tangent()
 
@@ -56,6 +53,11 @@ class AbsoluteField(FieldPart):
         if not self.field.nonlinear:
             return None
         return self.mean_rotation(u) @ self.turn_at_tangent.T
+
+    @property
+    def turns_little(self) -> bool:
+        """Whether its form is linear: for small rotations."""
+        return not self.field.nonlinear
 
     def mean_rotation(self, u: Array) -> Array:
         """Mean rotation of the body at displacements u (n d,), (d, d); collective."""
@@ -107,26 +109,9 @@ class AbsoluteField(FieldPart):
         self.field.linearise_motion(0.0, np.zeros(self.n), np.zeros(self.n))
 
     # -- mechanics ----------------------------------------------------------------------------------------------
-    def _look_at_turn(self, U: Array) -> None:
-        """Warn once of a linear body that turns, looking again whenever it has bent or turned twice as far; collective."""
-        f = self.field
-        W = U.reshape(-1, f.dim)
-        sums = f.total(np.concatenate(([float(U @ U)], W.sum(0)))) * f.dim / f.n_global
-        spread = float(np.sqrt(max(sums[0] - sums[1:] @ sums[1:], 0.0)))
-        if spread <= self.spread_to_check:
-            return
-        self.spread_to_check = 2.0 * spread
-        R = self.mean_rotation(U)
-        turn = float(np.linalg.norm(R - R.T)) / np.sqrt(8.0)  # its sine
-        if turn > SMALL_TURN:
-            self.warned = True
-            warn_of_turn(self.name, turn)
-
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (1); those of the ground are zero. Collective."""
         U, Ud, Udd = local
-        if not self.warned:
-            self._look_at_turn(U)
         d, forms = self.field.dim, self.field.forms
         A = Udd.reshape(-1, d) - motion.gravity
         if forms.mass_damping:

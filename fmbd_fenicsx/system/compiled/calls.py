@@ -35,7 +35,7 @@ class Calls:
         self.sampled, self.trusted = np.nan, False  # s, the time of what depends on time only; whether it is so still
         self.moving = _motions(self.system)
         # places (n, 3) for s, s' and s'' of n motions: of rows, of which arrays hold the first two, and of drives
-        self.prescribed = [(np.zeros((len(rows), 3)), motions) for rows, motions in self.moving]
+        self.prescribed: list[tuple[Any, list[Any]]] = [(np.zeros((len(rows), 3)), x) for rows, x in self.moving]
         for items in (x for x in tables.sources if x.drive):
             place = items.kind.place("drive").start
             self.prescribed.append((items.table[:, place : place + 3], items.drive))

@@ -75,14 +75,6 @@ class FieldTable:
         known = self.part.warned or self.part.stiffening is not None
         return np.inf if known else float(self.part.spin_to_check)
 
-    @property
-    def far(self) -> float:
-        """Sum of squared displacements (m^2) above which the body is to be looked at; infinite where it was warned of."""
-        part = self.part
-        rests = isinstance(part, RestingField)
-        mean = (np.inf if part.part.warned else part.part.spread_to_check) if rests else TOO_LARGE * part.size
-        return float(mean**2 * part.field.n_global / self.tables.dim)
-
     def solve(self) -> None:
         """z = E^-1 b."""
         self.z[:] = self.block.factor.solve(self.b)
@@ -158,7 +150,7 @@ class FieldTable:
         return structure("Body", d)(
             modes=self.count, mean=tables.store.address(mean),
             at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,
-            at_u=int(tables.at_u[frame]), mass=part.mass_total, large=self.far,
+            at_u=int(tables.at_u[frame]), mass=part.mass_total, large=(TOO_LARGE * part.size) ** 2 * part.field.n_global / d,
             block=tables.store.address(np.zeros((width, width))),
             dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])), field=address,
         )  # fmt: skip

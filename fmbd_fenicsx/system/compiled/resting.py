@@ -37,6 +37,7 @@ class RestingField(FieldPart):
         for k in range(len(self.surfaces)):
             self.reference[k * per : k * per + field.dim] -= field.center
 
+        self.size = np.inf  # of what displacements may be
         self.moment, self.inertia = np.zeros(field.dim), field.inertia
         self.turns = field.nonlinear  # its tangent turns with the body
 

@@ -436,10 +436,10 @@ class Tables:
             one.remember()
 
     def look(self) -> None:
-        """Take the angular velocities and displacements above which a body is to be warned of; those warned of have none."""
+        """Take the angular velocities above which a body is to be warned of; those warned of have none."""
         for b, (_, part) in self.parts.items():
             if isinstance(part, ReducedPart) and not is_told(part):
                 known = part.warned or part.constants.stiffening is not None
                 self.body_array[b].spin = np.inf if known else part.first_frequency**2
         for frame, field in self.floating.items():
-            self.body_array[frame].spin, self.body_array[frame].large = field.spin_to_check**2, field.far
+            self.body_array[frame].spin = field.spin_to_check**2

@@ -78,16 +78,8 @@ static void stiffness_times(const Field *e, const double *U, const double *Ud, d
         }
 }
 
-/* What the mean of the displacements has of the sum of their squares. */
-static double spread_of_mean(const Field *e, const double *U)
-{
-    double sum[D] = {0.0};
-    for (long i = 0; i < e->nodes; i++) add(sum, 1.0, U + D * i, D);
-    return dot(sum, sum, D) / e->nodes;
-}
-
 /* Forces of linear elasticity on the nodes, and their resultant (world axes) into f. Verdict LOOK outside of the range of small
-   displacements, of a body in absolute coordinates about their mean. */
+   displacements. */
 static int linear_field(const Body *o, const double *R, const Motion *m, const double *gravity, double *f)
 {
     const Field *e = o->field;
@@ -123,7 +115,6 @@ static int linear_field(const Body *o, const double *R, const Motion *m, const d
     to_world(R, local, f + D);
 
     stiffness_times(e, U, Ud, e->force);
-    if (rests(o)) square -= spread_of_mean(e, U);
     return square <= o->large && dot(w, w, ROT) <= o->spin ? DONE : LOOK;
 }
 

@@ -1,0 +1,42 @@
+"""A look at linear bodies in absolute coordinates, x = X + u: their strains are those of small rotations.
+
+A rotation by theta stretches such a body by 1 - cos theta, and no joint or energy shows it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...log import log
+from ...system.system import State, System
+
+SMALL = 0.05  # rad
+LOOKS = 128  # at a run of equal steps, at least
+
+
+class SmallTurns:
+    """Who looks at the linear ones among the bodies in absolute coordinates."""
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.bodies: list[tuple[int, Any]] = [(k, part) for k, part in system.fields if part.turns_little]
+
+    def most(self, steps: int) -> int:
+        """So many of all steps at most between two looks."""
+        return steps // LOOKS + 1 if self.bodies else steps
+
+    def look(self, state: State) -> None:
+        """Warn once of each body that has turned by more than is small; collective."""
+        for k, part in list(self.bodies):
+            R = part.mean_rotation(self.system.local_q(state.q, k))
+            sine = float(np.linalg.norm(R - R.T)) / np.sqrt(8.0)
+            if sine <= SMALL:
+                continue
+            self.bodies.remove((k, part))
+            log.warning(
+                'body "%s" has turned by %.2g rad in absolute coordinates: its linear form is for small rotations, and stretches '
+                "it by some %.1g of its size. Take a FloatingBody, or an energy in place of elastic=",
+                part.name, np.arcsin(sine), 1.0 - np.sqrt(1.0 - sine**2),
+            )  # fmt: skip
