@@ -203,3 +203,17 @@ def test_a_turned_box_is_an_incline(dim: int) -> None:
 def test_a_box_refuses_what_is_no_rotation() -> None:
     with pytest.raises(InputError, match="rotation"):
         fmbd.Box((1.0, 1.0, 1.0), rotation=np.ones((3, 3)))
+
+
+def test_a_shape_alone_rests_in_the_world() -> None:
+    """As an obstacle that nothing moves, to the last bit."""
+
+    def fall(master: Any) -> Any:
+        disk = fmbd.RigidBody("disk", 1.0, 0.1, (0.0, 0.3), velocity=(0.5, 0.0))
+        scene = fmbd.Scene("fall", gravity=(0.0, -9.81))
+        scene.add(disk, fmbd.contact("floor", fmbd.ball(disk, 0.1), master, friction=0.3, restitution=0.5))
+        scene.sensor("place", fmbd.position(disk))
+        return fmbd.solve(scene, t_end=0.5, dt=5e-3, scheme=fmbd.Moreau())["place"]
+
+    plane = fmbd.HalfSpace((0, 0), (0, 1))
+    assert np.array_equal(fall(plane), fall(fmbd.Obstacle("ground", plane)))

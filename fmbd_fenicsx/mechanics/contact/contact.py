@@ -28,7 +28,7 @@ from ...rotations import Array
 from ..bodies.bodies import RigidBody, Surface
 from ..parts import ScenePart
 from ..rods.rods import Rod, node_name
-from .shapes import Obstacle
+from .shapes import Obstacle, Shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class Contact(ScenePart):
 def contact(
     name: str,
     slave: Surface | RigidPoints | RodPoints,
-    master: Obstacle | Surface | RodPoints,
+    master: Obstacle | Shape | Surface | RodPoints,
     *,
     friction: float = 0.0,
     restitution: float = 0.0,
@@ -168,7 +168,7 @@ def contact(
     Args:
         name: what messages, sensors and the plan call the pair.
         slave: a surface of an elastic body, points of a rigid one, or a rod (:func:`along`).
-        master: an obstacle, or a surface of another elastic body.
+        master: an obstacle, a shape at rest in world axes, or a surface of another elastic body.
         friction: Coulomb's coefficient mu; 0 carries no friction rows.
         restitution: ratio e of normal velocities after and before an impact; read by the Moreau scheme only.
         search: distance (m) up to which points are candidates; by default chosen from the speed and the size.
@@ -198,6 +198,8 @@ def contact(
         )
     if isinstance(slave, RigidPoints):
         require(not slave.body.locked, f'{what}: the slave body "{slave.body.name}" is locked; it cannot move.')
+    if isinstance(master, Shape):
+        master = Obstacle(name, master)
     if isinstance(master, Obstacle):
         master.shape.check(what, slave.dim)
     if isinstance(master, Surface):
