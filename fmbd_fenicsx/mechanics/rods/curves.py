@@ -138,7 +138,7 @@ class Curve:
         slowest = int(speed.min(axis=1).argmin())
         if not speed.min() > 1e-6 * speed.max():
             raise InputError(
-                f'Rod "{self.name}": the tangent of its curve is zero near u = {middle[slowest]:.4f}: '
+                f'Rod "{self.name}": the tangent of its curve is zero near u = {middle[slowest]:.2f}: '
                 "give a parameter that moves on."
             )
 
