@@ -104,7 +104,7 @@ def carrier(dim: int) -> fmbd.Scene:
     return scene
 
 
-def line_and_bob(dim: int = 2) -> fmbd.Scene:
+def line_and_bob() -> fmbd.Scene:
     """A line on a hinge, a bob at its end that is held off the end's centre, and a spring in that joint."""
     beam = line(cells=3, mass_damping=0.4, start_rate=lambda s: [0 * s, s, 1 + 0 * s])
     bob = fmbd.RigidBody("bob", 0.3, 0.01, (2.1, 0.2))

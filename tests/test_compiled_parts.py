@@ -14,6 +14,8 @@ from test_line_body import line
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic
+from fmbd_fenicsx.system.compiled.resting import RestingPart
+from fmbd_fenicsx.system.compiled.told import can_be_told
 
 
 def beside_a_field(mesh: Any) -> fmbd.Scene:
@@ -99,3 +101,12 @@ def test_what_a_force_raises_names_its_place() -> None:
     scene.add(Carried("late", 1.0, 0.1, (0.0, 0.0)))
     with pytest.raises(ZeroDivisionError, match="of the user's own"):
         fmbd.solve(scene, t_end=0.1, dt=1e-2)
+
+
+@pytest.mark.parametrize("name", ["ports_of", "port_force"])
+def test_ports_of_a_users_own_are_numpys(name: str) -> None:
+    """The driver knows ports that are constant rows; also of a part on the ground, in its frame at rest."""
+    own = type("Own", (SlidingMass,), {name: lambda self, x, t: x})
+    body = Carrier("body", 1.0, 0.1, (0.0, 0.0))
+    assert can_be_told(SlidingMass(body, 0)) and can_be_told(RestingPart(SlidingMass(body, 1), 1))
+    assert not can_be_told(own(body, 0)) and not can_be_told(RestingPart(own(body, 1), 1))

@@ -189,7 +189,7 @@ class Loop:
         # who watches
         self.judges.forecast.since = state.t
         self.motions = _motions(problem, schedule, state.t)
-        self.turns = None if problem.warned is None else SmallTurns(system)
+        self.turns = SmallTurns(system, silent=problem.warned is None)
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
         self.bar = Progress(problem.scene.name, schedule.steps or None, output.progress)
@@ -217,8 +217,7 @@ class Loop:
             while not self.schedule.ended(self.state.t, self.progress.done):
                 made, seen = self._equal_steps() if self.schedule.steps else self._chosen_step()
                 self._count(made)
-                if self.turns is not None:
-                    self.turns.look(self.state)
+                self.turns.look(self.state)
                 if self._ends_by_event():
                     break
                 self._record(made, seen)
@@ -235,9 +234,8 @@ class Loop:
         if self.motions is not None:
             self.motions.look(self.state.t + h)
 
-        most = self.schedule.steps if self.keeper is None else 1  # a checkpoint may be due after every step
-        if self.turns is not None:
-            most = min(most, self.turns.most(self.schedule.steps))
+        # a checkpoint may be due after every step
+        most = self.turns.most(self.schedule.steps) if self.keeper is None else 1
         made = 0
         if self.stepper.stride(h):
             made = quietly(

@@ -175,8 +175,10 @@ def left_by_kinks(run: Run, name: str) -> tuple[float, float]:
 def _uncertain_by_kinks(run: Run, stated: Statement) -> list[str]:
     """Why a jump of a force within a step may leave more than what is stated; empty where there is none."""
     name = stated.sensor
+    if stated.time is None:
+        return []
     error, left = left_by_kinks(run, name)
-    if stated.time is None or error <= HIDDEN * stated.time:
+    if error <= HIDDEN * stated.time:
         return []
     order = expected_orders(run.scheme, run.scene, run.system)[name]
     return [

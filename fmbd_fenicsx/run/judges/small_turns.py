@@ -19,9 +19,10 @@ LOOKS = 128  # at a run of equal steps, at least
 class SmallTurns:
     """Who looks at the linear ones among the bodies in absolute coordinates."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, *, silent: bool) -> None:
+        """``silent``: of a run that warns of nothing."""
         self.system = system
-        self.bodies: list[tuple[int, Any]] = [(k, part) for k, part in system.fields if part.turns_little]
+        self.bodies: list[tuple[int, Any]] = [(k, p) for k, p in system.fields if p.turns_little and not silent]
 
     def most(self, steps: int) -> int:
         """So many of all steps at most between two looks."""

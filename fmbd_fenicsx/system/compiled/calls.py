@@ -34,11 +34,14 @@ class Calls:
         self.error: Exception | None = None
         self.sampled, self.trusted = np.nan, False  # s, the time of what depends on time only; whether it is so still
         self.moving = _motions(self.system)
-        # places (n, 3) for s, s' and s'' of n motions: of rows, of which arrays hold the first two, and of drives
-        self.prescribed: list[tuple[Any, list[Any]]] = [(np.zeros((len(rows), 3)), x) for rows, x in self.moving]
+        # motions with places (3,) for their s, s' and s'': of rows, whose arrays take the first two, and of drives
+        self.of_rows = [np.zeros((len(rows), 3)) for rows, _ in self.moving]
+        self.prescribed: list[tuple[Any, Any]] = []
+        for values, (_, motions) in zip(self.of_rows, self.moving, strict=True):
+            self.prescribed += zip(motions, values, strict=True)
         for items in (x for x in tables.sources if x.drive):
             place = items.kind.place("drive").start
-            self.prescribed.append((items.table[:, place : place + 3], items.drive))
+            self.prescribed += zip(items.drive, items.table[:, place : place + 3], strict=True)
         self.loaded = [_load_of(tables, x) for x in tables.sources if x.load is not None]
         self.given = [x for x in tables.sources if x.role == GIVEN and x.given is not None]
         ramp = bool((self.system.gravity(0.0) != self.system.gravity(np.inf)).any())
@@ -53,7 +56,7 @@ class Calls:
         self.asked = [items.kind.function for items in tables.items if isinstance(items.kind, AskedKind)]
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
         timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
-        slower = any(_differentiated(motion) for _, motions in self.prescribed for motion in motions)
+        slower = any(_differentiated(motion) for motion, _ in self.prescribed)
         tables.c.samples = int(ramp or any(timed)) + int(slower)
         self.answers = self._answers()
         self.function = PYTHON(self.answer)
@@ -114,17 +117,19 @@ class Calls:
 
     def _move(self, t: float, part: int) -> None:
         """Motions at a time: (s, s', s''), or what a part of a sample has of these."""
-        for values, motions in self.prescribed:
-            for value, motion in zip(values, motions, strict=True):
-                if part == WHOLE_SAMPLE or (part == PLACES and not _differentiated(motion)):
+        for motion, value in self.prescribed:
+            if part == WHOLE_SAMPLE:
+                value[:] = motion(t)
+            elif not _differentiated(motion):
+                if part == PLACES:  # its rates come with it
                     value[:] = motion(t)
-                elif part == PLACES:
-                    value[0] = motion.place(t)
-                elif _differentiated(motion):
-                    value[1:] = motion.rates(t)
+            elif part == PLACES:
+                value[0] = motion.place(t)
+            else:
+                value[1:] = motion.rates(t)
 
         arrays = self.tables.arrays
-        for (rows, _), (values, _) in zip(self.moving, self.prescribed, strict=False):
+        for (rows, _), values in zip(self.moving, self.of_rows, strict=True):
             arrays["motion"][rows], arrays["motion_rate"][rows] = values[:, 0], values[:, 1]
 
     def _ask_laws_of_time(self, t: float) -> None:

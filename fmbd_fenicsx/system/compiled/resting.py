@@ -16,7 +16,7 @@ import numpy as np
 
 from ...mechanics.bodies.absolute import AbsoluteField
 from ...mechanics.bodies.field_part import FieldPart
-from ...mechanics.placements import FrameMotion, Part
+from ...mechanics.placements import FrameMotion
 from ...rotations import Array
 from ..system import State, System
 from .blocks import Block
@@ -72,8 +72,6 @@ class RestingField(FieldPart):
 
 class RestingPart:
     """A replicated part on the ground, such as a line, in a frame at rest; all else is its own."""
-
-    ports_of = Part.ports_of
 
     def __init__(self, part: Any, frame: int) -> None:
         self.part, self.frame = part, frame

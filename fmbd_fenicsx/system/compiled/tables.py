@@ -108,10 +108,9 @@ class Tables:
         self.batches += [mount_batch(self, loads) for loads in self.mounts]
         self.whole = [WholeLoads(self, loads, number) for number, loads in enumerate(self.loads)]
         self.batches += [loads.batch for loads in self.whole]
+        told = [k for k, part in enumerate(system.parts) if is_told(part)]
+        self.told = [ToldPart(self, number, k) for number, k in enumerate(told)]
         rods: tuple[Any, ...] = system.elements
-        self.told = [
-            ToldPart(self, number, k) for number, k in enumerate(k for k, p in enumerate(reduced) if is_told(p))
-        ]
         self.rods = [RodTable(self, rod, number) for number, rod in enumerate(rods)]
         self._system(redundant)
 

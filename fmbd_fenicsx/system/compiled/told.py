@@ -23,7 +23,8 @@ def is_told(part: Any) -> bool:
 
 def can_be_told(part: Any) -> bool:
     """Whether the driver takes such a part: with ports that are constant rows of its coordinates."""
-    constant = getattr(type(part), "ports_of", None) in (Part.ports_of, RestingPart.ports_of)
+    own = type(part.part if isinstance(part, RestingPart) else part)
+    constant = own.ports_of is Part.ports_of and own.port_force is Part.port_force
     return constant and part.shortening is None
 
 

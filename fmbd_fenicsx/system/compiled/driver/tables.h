@@ -108,7 +108,7 @@ typedef struct {
     double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */
 } Field;
 
-/* A part that Python tells, see told.c: lines, and bodies of the user's own. */
+/* A part that Python tells, see told.c. */
 typedef struct {
     int number, rests;                 /* for the calls into Python; whether its frame rests: that of a part on the ground */
     double *state;                     /* R, twist, its rate, pose, gravity, u, u', u'' */

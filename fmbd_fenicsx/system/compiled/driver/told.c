@@ -1,5 +1,5 @@
-/* Parts that Python tells, as ``Part`` of mechanics/placements.py: lines, and bodies of the user's own. Their forces and blocks are
-   added to those of a rigid body on the same frame; a part on the ground has a frame that rests. */
+/* Parts that Python tells, as ``Part`` of mechanics/placements.py: lines, loaded reduced bodies, and those of the user's own. Their
+   forces and blocks are added to those of a rigid body on the same frame; a part on the ground has a frame that rests. */
 
 #include "tables.h"
 #include "rotations.c"
