@@ -192,10 +192,11 @@ def instance(what: str, value: Any, kinds: type | tuple[type, ...]) -> Any:
     if isinstance(value, kinds):
         return value
     made = [vars(kind).get("made_by") for kind in kinds]  # how users make one, where that is not by the class
-    wanted = " or ".join(
+    words = [
         by or f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
         for by, kind in zip(made, kinds, strict=True)
-    )
+    ]
+    wanted = " or ".join(dict.fromkeys(words))  # bools of Python and of NumPy have one name
     if isinstance(value, type) and issubclass(value, kinds):
         raise InputError(f"{what} is the class {value.__name__}; make an object of it: {value.__name__}(...).")
     refuse(what, wanted, value)
@@ -279,7 +280,7 @@ def _binder(signature: inspect.Signature) -> Callable[[tuple[Any, ...], dict[str
 def _taken(signature: inspect.Signature) -> str:
     """The names of the arguments, those apart that must be named in a call."""
     by_name = [p.name for p in signature.parameters.values() if p.kind is inspect.Parameter.KEYWORD_ONLY]
-    others = [name for name in signature.parameters if name not in (*by_name, "cls")]
+    others = [name for name in signature.parameters if name not in (*by_name, "cls", "self")]
     listed = [", ".join(others)] if others else []
     if by_name:
         listed.append("by name: " + ", ".join(by_name))

@@ -106,8 +106,13 @@ class Stopped(KeyboardInterrupt):
 
 
 def near(name: str, known: Iterable[str]) -> str:
-    """A sentence with the known names, the closest first: ``Did you mean "pin"? Known: "pin", "tip".``"""
+    """A sentence with the known names, the closest first: ``Did you mean "pin"? Known: "pin", "tip".``
+
+    A name that is known belongs to another object then, say one of a second scene.
+    """
     known = list(known)
+    if name in known:
+        return f'The "{name}" that is there is another object: pass that one.'
     same = [k for k in known if k.casefold() == name.casefold()]
     close = same or difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     hint = f'Did you mean "{close[0]}"? ' if close else ""

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import number, typed
+from ..checks import instance, number, typed
 from ..errors import InputError, near, require
 from ..ranks import OneAnswer
 from ..rotations import Array
@@ -180,6 +180,7 @@ class SceneStepper:
         saved = self._saved if saved is None else saved
         if saved is None:
             raise InputError("Nothing to restore: call save() first.")
+        instance("restore: saved", saved, Saved)
         require(
             saved.owner == id(self), "This state was saved by another stepper; save() and restore() belong together."
         )

@@ -24,6 +24,9 @@ class Moment:
     step: int
     told: Recorded | None = None  # what compiled code told of this instant
 
+    def __repr__(self) -> str:
+        return f'<Moment of scene "{self.scene.name}": t = {self.t:g} s, step {self.step}>'
+
     @property
     def t(self) -> float:
         """Time, s."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -210,16 +210,17 @@ class Builder:
             )
 
     def _check_sensors(self, rows: set[str]) -> None:
-        """Refuse a sensor of a joint, body or contact that is not in the scene."""
-        for name, sensor in self.scene.sensors.items():
+        """Refuse a sensor of a joint, body or contact that is not in the scene; one of the same name is another one."""
+        scene = self.scene
+        joints = {**dict.fromkeys(rows), **scene.joints}
+        there = {"joint": joints, "body": scene.bodies, "contact": scene.contacts, "joint limit": scene.limits}
+        for name, sensor in scene.sensors.items():
             for what, wanted in sensor.reads.items():
-                scene = self.scene
-                known = {"joint": rows, "body": scene.bodies, "contact": scene.contacts, "joint limit": scene.limits}[
-                    what
-                ]
-                if wanted not in known:
+                known: Mapping[str, Any] = there[what]
+                called = wanted if isinstance(wanted, str) else wanted.name
+                if called not in known or wanted not in (called, known[called]):
                     raise InputError(
-                        f'Sensor "{name}": there is no {what} "{wanted}" in the scene. {near(wanted, known)}'
+                        f'Sensor "{name}": there is no {what} "{called}" in the scene. {near(called, known)}'
                     )
 
     def _surfaces_in_use(self) -> dict[str, list[str]]:

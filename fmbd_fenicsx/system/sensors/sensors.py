@@ -58,8 +58,8 @@ class Sensor:
         return ()
 
     @property
-    def reads(self) -> dict[str, str]:
-        """What it reads that a scene must hold: "joint", "body" or "contact" -> its name."""
+    def reads(self) -> dict[str, Any]:
+        """What it reads that a scene must hold: "joint", "body" or "contact" -> itself, or its name."""
         return {}
 
     def in_scene(self, name: str, scene: Any) -> Sensor:
@@ -87,9 +87,9 @@ class BodySensor(Sensor):
     body: Any = None
 
     @property
-    def reads(self) -> dict[str, str]:
+    def reads(self) -> dict[str, Any]:
         """A body."""
-        return {"body": self.body.name}
+        return {"body": self.body}
 
 
 class _Vector(Sensor):
@@ -297,9 +297,9 @@ class JointReading(Sensor):
         return (self.coordinate,)
 
     @property
-    def reads(self) -> dict[str, str]:
+    def reads(self) -> dict[str, Any]:
         """The joint of the coordinate."""
-        return {"joint": self.coordinate.joint.name}
+        return {"joint": self.coordinate.joint}
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Value and rate of the joint coordinate."""

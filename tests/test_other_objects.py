@@ -1,0 +1,75 @@
+"""What belongs to another scene, or to none, is told apart from what has its name here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
+
+
+def pendulum() -> tuple[fmbd.Scene, fmbd.RigidBody, fmbd.Joint]:
+    """A scene with one body on one hinge."""
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81))
+    bob = fmbd.RigidBody("bob", mass=1.0, inertia=0.1, position=(1.0, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, bob, center=(0.0, 0.0))
+    scene.add(bob, pin)
+    return scene, bob, pin
+
+
+READ = {
+    "a joint": lambda bob, pin: fmbd.angle(pin),
+    "a body": lambda bob, pin: fmbd.angular_velocity(bob),
+    "a place": lambda bob, pin: fmbd.position(bob),
+}
+
+
+@pytest.mark.parametrize("read", READ.values(), ids=READ)
+def test_a_sensor_reads_the_object_and_not_its_name(read: Callable[..., object]) -> None:
+    scene, *own = pendulum()
+    scene.sensor("seen", read(*own))
+    assert fmbd.solve(scene, t_end=0.01, dt=0.005)["seen"].shape[0] == 3
+
+    scene, *_ = pendulum()
+    scene.sensor("seen", read(*pendulum()[1:]))
+    with pytest.raises(InputError, match="is another object: pass that one"):
+        fmbd.solve(scene, t_end=0.01, dt=0.005)
+
+
+def test_a_joint_to_the_body_of_another_scene_says_so() -> None:
+    scene, _, _ = pendulum()
+    _, other, _ = pendulum()
+    scene.add(fmbd.revolute("second", fmbd.ground, other, center=(1.0, 0.0)))
+    with pytest.raises(InputError, match='The "bob" that is there is another object'):
+        fmbd.solve(scene, t_end=0.01, dt=0.005)
+
+
+def test_a_stepper_restores_what_save_gave_and_nothing_else() -> None:
+    scene, *_ = pendulum()
+    with fmbd.stepper(scene, dt=0.01) as s:
+        with pytest.raises(InputError, match="must be a Saved"):
+            s.restore(3)  # type: ignore[arg-type]
+        kept = s.save()
+        s.step()
+        s.restore(kept)
+        assert s.t == 0.0
+
+
+def test_an_instant_shows_itself_in_a_line() -> None:
+    scene, *_ = pendulum()
+    with fmbd.stepper(scene, dt=0.01) as s:
+        assert repr(s._moment) == '<Moment of scene "pendulum": t = 0 s, step 0>'
+
+
+def test_one_word_for_bools_of_python_and_numpy() -> None:
+    with pytest.raises(InputError, match=r"settle 3 must be a bool\.$"):
+        fmbd.Scene("a", settle=3)  # type: ignore[arg-type]
+
+
+def test_arguments_of_a_method_are_told_without_self() -> None:
+    scene, *_ = pendulum()
+    with pytest.raises(TypeError, match="It takes ") as told:
+        fmbd.solve(scene, t_end=0.01, dt=0.005).picture()  # type: ignore[call-arg]
+    assert "self" not in str(told.value)
