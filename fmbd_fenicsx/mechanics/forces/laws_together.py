@@ -12,6 +12,7 @@ call by one of them in turn. A kind that does not take arrays is asked element b
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from itertools import cycle
 from math import isfinite
 from operator import attrgetter, is_
 from types import CellType, FunctionType, MethodType
@@ -41,12 +42,26 @@ class LawsTogether:
 
     def __call__(self, s: Array, rate: Array, t: float) -> Array:
         """N at elongations and rates: all (.., n)."""
+        if s.size < FEW:
+            return _alone(self.laws, s, rate, t)
         if len(self.kinds) == 1:
             return self.kinds[0](s, rate, t)
         out = np.empty(s.shape)
         for kind in self.kinds:
             out[..., kind.which] = kind(s[..., kind.which], rate[..., kind.which], t)
         return out
+
+    def slopes(self, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
+        """dN/ds and dN/ds', (n,), by central differences in steps of the size of s and s'."""
+        if 2 * len(self.laws) < FEW:
+            each = [
+                _slopes(law.number, x, v, t) for law, x, v in zip(self.laws, s.tolist(), rate.tolist(), strict=True)
+            ]
+            return tuple(np.array(each).T)  # type: ignore[return-value]
+        hs, hv = 1e-6 * np.maximum(np.abs(s), 1e-3), 1e-6 * np.maximum(np.abs(rate), 1e-3)
+        asked = np.array((s + hs, s - hs, s, s)), np.array((rate, rate, rate + hv, rate - hv))
+        longer, shorter, faster, slower = self(*asked, t)
+        return (longer - shorter) / (2 * hs), (faster - slower) / (2 * hv)
 
 
 class OneKind:
@@ -68,14 +83,14 @@ class OneKind:
     def __call__(self, s: Array, rate: Array, t: float) -> Array:
         """N at elongations and rates: all (.., n)."""
         if self.takes_arrays is False or s.size < FEW or AGREEMENTS:
-            return self.alone(s, rate, t)
+            return _alone(self.laws, s, rate, t)
         if self.cells and not all(map(is_, map(_content, self.cells), self.contents)):
-            return self.alone(s, rate, t)  # somebody changed a variable: it may be no number any more
-        single = self.alone(s, rate, t) if self.takes_arrays is None else None
+            return _alone(self.laws, s, rate, t)  # somebody changed a variable: it may be no number any more
+        single = _alone(self.laws, s, rate, t) if self.takes_arrays is None else None
         found = self._together(s, rate, t)
         if found is None or (single is not None and not _same(found, single)):
             self.takes_arrays = False
-            return self.alone(s, rate, t) if single is None else single
+            return _alone(self.laws, s, rate, t) if single is None else single
 
         # one of them alone: what differs shows itself within a few calls
         self.turn = (self.turn + 1) % len(self.laws)
@@ -88,14 +103,7 @@ class OneKind:
                 "asked with numbers from now on. Write branches (if) with numpy.where",
                 self.laws[self.turn].name, one, found[at], t,
             )  # fmt: skip
-        return found if self.takes_arrays else self.alone(s, rate, t)
-
-    def alone(self, s: Array, rate: Array, t: float) -> Array:
-        """The same, each number by itself."""
-        n = len(self.laws)
-        numbers = zip(s.ravel().tolist(), rate.ravel().tolist(), strict=True)
-        found = [self.laws[k % n].number(x, v, t) for k, (x, v) in enumerate(numbers)]
-        return np.array(found).reshape(s.shape)
+        return found if self.takes_arrays else _alone(self.laws, s, rate, t)
 
     def _together(self, s: Array, rate: Array, t: float) -> Array | None:
         """The same by arrays; None where there is no such answer."""
@@ -107,6 +115,19 @@ class OneKind:
         except Exception:
             return None  # alone it says who failed
         return found.astype(float) if good else None
+
+
+def _alone(laws: Sequence[Repeatable], s: Array, rate: Array, t: float) -> Array:
+    """N at elongations and rates, all (.., n), each number by itself."""
+    numbers = zip(cycle(laws), s.ravel().tolist(), rate.ravel().tolist(), strict=False)
+    return np.array([law.number(x, v, t) for law, x, v in numbers]).reshape(s.shape)
+
+
+def _slopes(law: Callable[[float, float, float], float], s: float, rate: float, t: float) -> tuple[float, float]:
+    """The slopes of one law."""
+    hs, hv = 1e-6 * max(abs(s), 1e-3), 1e-6 * max(abs(rate), 1e-3)
+    along = (law(s + hs, rate, t) - law(s - hs, rate, t)) / (2 * hs)
+    return along, (law(s, rate + hv, t) - law(s, rate - hv, t)) / (2 * hv)
 
 
 def _same(one: Array, other: Array) -> bool:

@@ -195,8 +195,8 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     if len(called):
         part = whole.part(called)
         part.role = LAW
-        part.law = lambda s, rate, t, which=slice(None): loads.law(called[which], s, rate, t)
-        part.slopes = lambda s, rate, t, which=slice(None): loads.slopes(called[which], s, rate, t)
+        part.law = lambda s, rate, t, which=slice(None): loads.laws_of(called[which])(s, rate, t)
+        part.slopes = lambda s, rate, t, which=slice(None): loads.laws_of(called[which]).slopes(s, rate, t)
         out.append(part)
     return out
 
