@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline, interp1d
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError
 from fmbd_fenicsx.mechanics.joints import time_derivatives
-from fmbd_fenicsx.mechanics.joints.time_derivatives import rates
+from fmbd_fenicsx.mechanics.joints.time_derivatives import Kept, rates
 
 LAWS: dict[str, tuple[Callable[[Any], Any], Callable[[float], tuple[float, float]]]] = {
     "powers": (lambda t: 3 * t**3 - t**2 / 4 + 1, lambda t: (9 * t**2 - t / 2, 18 * t - 0.5)),
@@ -149,3 +149,52 @@ def test_loads_from_tables_as_long_as_the_run(scheme: Any, end: float, steps: in
     assert run(end).times[-1] > end
     with pytest.raises(FmbdError, match='"push"'):
         run(end * 1.001)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_steps_that_count_serve_an_interval(scale: float) -> None:
+    """A smooth function, a smooth start and a kink: as accurate as by all steps, in half of the calls or so."""
+    calls = 0
+    for law in (
+        lambda x: math.sin(3.0 * x),
+        lambda x: 0.0 if x < 0.5 else (x - 0.5) ** 3,
+        lambda x: x**4 if x < 1.0 else 4.0 * x - 3.0,
+    ):
+
+        def asked(t: Any, law: Any = law) -> float:
+            nonlocal calls
+            calls += 1
+            return float(law(float(t) / scale))
+
+        times = [k * 1e-3 * scale for k in range(1, 2000, 2)]
+        kept, calls = Kept(), 0
+        few = np.array([rates(asked, t, kept=kept) for t in times])
+        by_few, calls = calls, 0
+        every = np.array([rates(asked, t) for t in times])
+        assert by_few < 0.6 * calls
+        size = np.abs(every).max(axis=0)
+        assert (np.abs(few - every) <= size * (1e-9, 1e-6)).all()
+
+
+def test_what_is_found_does_not_depend_on_what_was_asked_before() -> None:
+    times = [0.013 * k for k in range(300)]
+    law = lambda t: math.sin(3 * float(t)) + math.exp(-(((float(t) - 2) / 0.01) ** 2))
+    forth, back = Kept(), Kept()
+    ahead = [rates(law, t, kept=forth) for t in times]
+    assert ahead == [rates(law, t, kept=back) for t in reversed(times)][::-1]
+
+
+def test_a_motor_with_a_target_of_plain_numbers_asks_it_seldom() -> None:
+    calls = 0
+
+    def target(t: float) -> float:
+        nonlocal calls
+        calls += 1
+        return 0.3 * math.sin(2 * t)
+
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+    scene = fmbd.Scene("arm")
+    scene.add(arm, pin, fmbd.motor("motor", fmbd.angle(pin), target=target, kp=100.0, kd=5.0))
+    fmbd.solve(scene, t_end=1.0, dt=1e-3)
+    assert calls < 25 * 1000  # 85 a step by all steps of differences

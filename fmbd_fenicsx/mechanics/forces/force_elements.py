@@ -206,7 +206,7 @@ class ScalarLoads(Loads):
 
     def given(self, which: np.ndarray, t: float) -> Array:
         """N of drives whose effort depends on time only."""
-        return np.array([checked(self.forces[i].name, self.laws[i](0.0, 0.0, t), 1, t)[0] for i in which])
+        return np.array([self.laws[i].number(0.0, 0.0, t) for i in which])
 
     def formulas(self) -> list[Formula]:
         """Those of the laws of the package."""

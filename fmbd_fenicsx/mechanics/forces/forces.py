@@ -105,9 +105,10 @@ class OfTime:
 
     given: TimeLaw | Constant
 
-    def __call__(self, s: float, rate: float, t: float) -> Array:
+    def __call__(self, s: float, rate: float, t: float) -> float | Array:
         """The restoring effort."""
-        return -np.asarray(self.given(t))
+        found = self.given(t)
+        return -found if isinstance(found, float) else -np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)

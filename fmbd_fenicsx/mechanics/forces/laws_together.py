@@ -54,9 +54,8 @@ class LawsTogether:
     def slopes(self, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
         """dN/ds and dN/ds', (n,), by central differences in steps of the size of s and s'."""
         if 2 * len(self.laws) < FEW:
-            each = [
-                _slopes(law.number, x, v, t) for law, x, v in zip(self.laws, s.tolist(), rate.tolist(), strict=True)
-            ]
+            at = zip(self.laws, map(float, s), map(float, rate), strict=True)
+            each = [_slopes(law.number, x, v, t) for law, x, v in at]
             return tuple(np.array(each).T)  # type: ignore[return-value]
         hs, hv = 1e-6 * np.maximum(np.abs(s), 1e-3), 1e-6 * np.maximum(np.abs(rate), 1e-3)
         asked = np.array((s + hs, s - hs, s, s)), np.array((rate, rate, rate + hv, rate - hv))

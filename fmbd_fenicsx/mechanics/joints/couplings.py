@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
 
@@ -19,7 +19,7 @@ from ...rotations import Array
 from ..frames import Kinematics
 from .constraints import Batch, Motion, Sides
 from .relative import Relative
-from .time_derivatives import rates
+from .time_derivatives import Kept, rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +36,15 @@ class SmoothMotion:
     complete: bool
     differenced: Callable[[Any], Any]  # the function up to its very end
     positive: bool = False
+    steps: Kept = field(default_factory=Kept)  # of differences
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""
-        if self.complete:
-            s = self._checked(self.function(t), t)
-            self._require(len(s) == 3, s, t)
-            return float(s[0]), float(s[1]), float(s[2])
-        s = self._checked((self.place(t), *self.rates(t)), t)
+        value = self.function(t) if self.complete else (self.place(t), *self.rates(t))
+        if isinstance(value, tuple) and len(value) == 3 and self._usable(*value):
+            return value
+        s = self._checked(value, t)
+        self._require(len(s) == 3, s, t)
         return float(s[0]), float(s[1]), float(s[2])
 
     def moving(self, t: float) -> tuple[float, float]:
@@ -56,7 +57,7 @@ class SmoothMotion:
         """s' and s'' of a function that gives s alone; a few roundings behind its end those at its end."""
         inside = t * (1.0 - ROUNDINGS)
         try:
-            found = rates(self.differenced, t)
+            found = rates(self.differenced, t, kept=self.steps)
         except FmbdError:
             return rates(self.differenced, inside)
         return found if isfinite(found[0]) and isfinite(found[1]) else rates(self.differenced, inside)
@@ -64,11 +65,15 @@ class SmoothMotion:
     def place(self, t: float) -> float:
         """s alone."""
         value = self.function(t)
-        if isinstance(value, float) and not self.complete and isfinite(value) and (value > 0.0 or not self.positive):
+        if not self.complete and self._usable(value):
             return value
         s = self._checked(value, t)
         self._require(len(s) == (3 if self.complete else 1), s, t)
         return float(s[0])
+
+    def _usable(self, *value: Any) -> bool:
+        """Whether they are finite numbers as they stand, at a glance."""
+        return all(isinstance(x, float) and isfinite(x) for x in value) and (value[0] > 0.0 or not self.positive)
 
     def _checked(self, value: Any, t: float) -> Array:
         """The numbers that the function returned, (1,) or (3,)."""

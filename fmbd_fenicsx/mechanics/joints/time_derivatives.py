@@ -8,7 +8,9 @@ differenced about t with steps of 2^-39 to 2^18 s, eight times as long from one 
 
 with k = -3 ... 3, and where the function ends (it raises, or returns no finite number) with k = 1 ... 6 or -6 ... -1. The step
 counts whose error, by its difference from the formula of the four nearest k and its roundoff, is smallest. Longer steps
-are tried as long as they agree with what shorter ones have found: a whole period would else look like rest.
+are tried as long as they agree with what shorter ones have found: a whole period would else look like rest. The steps that
+count at the start of an interval of time serve all of it, where they do not contradict each other: two in place of some fifteen
+(:class:`Kept`).
 """
 
 from __future__ import annotations
@@ -26,6 +28,9 @@ from ...errors import FmbdError
 EPS = float(np.finfo(float).eps)
 STEPS = tuple(2.0**k for k in range(-39, 19, 3))  # s
 AGREES = 10.0  # times the errors that two steps are thought to have
+INTERVAL = 64  # steps that a function goes with, in an interval that has one choice of them
+PLACES = (0.13, 0.41, 0.77)  # in an interval, where steps are looked for
+MOST = 1000  # intervals whose steps are kept
 REFUSED = (TypeError, ValueError, OverflowError, AttributeError)  # of functions that take plain numbers only
 OUTSIDE = (*REFUSED, ArithmeticError, FmbdError)  # of functions of a part of the time only
 
@@ -216,15 +221,18 @@ def _unary(name: str, x: Jet) -> Any:
 
 
 # ------------------------------------------------------------------------------------------------------------------ use
-def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0) -> Rates:
-    """s'(t) and s''(t) of ``function``(t) -> s; ``scale``: of terms that may cancel in s, whose roundoff stays."""
+def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: Kept | None = None) -> Rates:
+    """s'(t) and s''(t) of ``function``(t) -> s.
+
+    ``scale``: of terms that may cancel in s, whose roundoff stays; ``kept``: steps of differences of this function.
+    """
     try:
         found = function(Jet(t, 1.0))
         found = _moment(found if isinstance(found, Jet) else np.ravel(found)[0])
     except (*REFUSED, ZeroDivisionError):
-        return _differenced(function, t, scale)
+        return _differenced(function, t, scale, kept)
     if not (math.isfinite(found.first) and math.isfinite(found.second)):
-        return _differenced(function, t, scale)
+        return _differenced(function, t, scale, kept)
     return found.first, found.second
 
 
@@ -265,28 +273,106 @@ SIDES = tuple(
 
 
 class Best:
-    """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it."""
+    """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it.
 
-    __slots__ = ("contradicted", "error", "value")
+    ``number``: of its step.
+    """
+
+    __slots__ = ("contradicted", "error", "number", "value")
 
     def __init__(self) -> None:
-        self.value, self.error, self.contradicted = math.nan, math.inf, False
+        self.value, self.error, self.number, self.contradicted = math.nan, math.inf, 0, False
 
-    def take(self, value: float, doubt: float) -> None:
+    def take(self, value: float, doubt: float, number: int) -> None:
         """Look at the estimate by the next longer step."""
         if self.contradicted:
             return
         if not (math.isnan(self.value) or abs(value - self.value) <= AGREES * (self.error + doubt)):
             self.contradicted = True
         elif doubt < self.error:
-            self.value, self.error = value, doubt
+            self.value, self.error, self.number = value, doubt, number
 
 
-def _differenced(function: Callable[[Any], Any], t: float, scale: float) -> Rates:
+class Kept:
+    """Steps that count at a few places of an interval of time, which is so many of those over which it is smooth at t = 0.
+
+    What is found is a function of the time alone, whoever was asked before: runs that are taken up go on to the last bit.
+    """
+
+    def __init__(self) -> None:
+        self.width = math.nan  # s
+        self.intervals: dict[int, tuple[list[int], list[float]]] = {}
+
+    def by_few(self, function: Callable[[Any], Any], t: float, scale: float) -> Rates | None:
+        """Both rates by the steps of this interval; None where they are not as good as in the places that they are from."""
+        steps, errors = self._interval(function, t, scale)
+        if not steps:
+            return None
+        found = _search(function, t, scale, steps)
+        good = all(not x.contradicted and x.error <= AGREES * error for x, error in zip(found, errors, strict=True))
+        return (found[0].value, found[1].value) if good else None
+
+    def _interval(self, function: Callable[[Any], Any], t: float, scale: float) -> tuple[list[int], list[float]]:
+        """The steps that count in the interval around t, with the next shorter ones, and the errors of both rates there."""
+        if math.isnan(self.width):
+            self.width = INTERVAL * _smooth(function)
+        number = math.floor(t / self.width)
+        if number not in self.intervals:
+            if len(self.intervals) == MOST:
+                self.intervals.clear()
+            self.intervals[number] = self._at_places(function, [(number + part) * self.width for part in PLACES], scale)
+        return self.intervals[number]
+
+    @staticmethod
+    def _at_places(
+        function: Callable[[Any], Any], places: Sequence[float], scale: float
+    ) -> tuple[list[int], list[float]]:
+        """What all steps say there, where the function is known: those of the largest errors."""
+        found = []
+        for t in places:
+            try:
+                found.append(_search(function, t, scale))
+            except OUTSIDE:
+                continue
+        if not found:
+            return [], []
+        worst = [max((at[k] for at in found), key=lambda best: best.error) for k in (0, 1)]
+        steps = {n for best in worst for n in (best.number - 1, best.number) if n >= 0}
+        return sorted(steps), [best.error for best in worst]
+
+
+def _smooth(function: Callable[[Any], Any]) -> float:
+    """The longest step (s) over which it is a polynomial, to a thousandth, about t = 0."""
+    here = float(function(0.0))
+    for n, h in enumerate(STEPS):
+        around = _around(function, 0.0, h)
+        if around is None:
+            return STEPS[max(n - 1, 0)]
+        there, (formula, _) = around
+        d = [value - here for value in there]
+        missed = sum(map(mul, formula.best, d)) - sum(map(mul, formula.rough, d))
+        if abs(missed) > 1e-3 * max(map(abs, d)) + EPS * formula.size * max(map(abs, there)):
+            return STEPS[max(n - 1, 0)]
+    return STEPS[-1]
+
+
+def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: Kept | None) -> Rates:
     """(1) for m = 1 and 2, each with the step that suits it best; NaN where the function is known at t alone."""
+    few = None if kept is None else kept.by_few(function, t, scale)
+    if few is not None:
+        return few
+    first, second = _search(function, t, scale)
+    return first.value, second.value
+
+
+def _search(
+    function: Callable[[Any], Any], t: float, scale: float, steps: Sequence[int] = range(len(STEPS))
+) -> tuple[Best, Best]:
+    """The same by some of the steps."""
     here = float(function(t))
     found = (Best(), Best())
-    for h in STEPS:
+    for number in steps:
+        h = STEPS[number]
         if t + h == t:
             continue
         around = _around(function, t, h)
@@ -299,11 +385,11 @@ def _differenced(function: Callable[[Any], Any], t: float, scale: float) -> Rate
         noise = EPS * max(scale, abs(here), max(map(abs, there))) + EPS * abs(t) / h * max(map(abs, d))
         for power, best, formula in zip((h, h * h), found, formulas, strict=True):
             value, rough = sum(map(mul, formula.best, d)), sum(map(mul, formula.rough, d))
-            best.take(value / power, (abs(value - rough) + noise * formula.size) / power)
+            best.take(value / power, (abs(value - rough) + noise * formula.size) / power, number)
 
         if found[0].contradicted and found[1].contradicted:
             break
-    return found[0].value, found[1].value
+    return found
 
 
 def _around(function: Callable[[Any], Any], t: float, h: float) -> tuple[list[float], tuple[Formula, ...]] | None:
