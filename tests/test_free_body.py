@@ -113,5 +113,5 @@ def test_a_step_begins_at_the_surfaces_as_they_stand(dim: int, rod_mesh: Callabl
     system, state, _ = scene.build()
     stepper = fmbd.EnergyMomentum().stepper(system, StepSolver(system), fmbd.Newton(), state)
     seen = system.at(state.t, state.q).port
-    assert stepper._old().port == pytest.approx(seen, abs=1e-14)  # type: ignore[attr-defined]
+    assert stepper._begun()[0].port == pytest.approx(seen, abs=1e-14)  # type: ignore[attr-defined]
     assert np.abs(seen).max() > 0.0

@@ -6,6 +6,7 @@ driver makes what explicit schemes ask for in one call, with the smallest multip
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, TypeGuard
 
 from ..rotations import Array
@@ -13,6 +14,7 @@ from ..system.compiled.choice import solves
 from ..system.compiled.evaluation import DriverEvaluation, DriverStates
 from ..system.compiled.explicit import ExplicitStates, Found, Stage, Stages, Tableau
 from ..system.compiled.field_states import FieldStates
+from ..system.compiled.means import MeanStates
 from ..system.evaluation import Evaluation
 from ..system.system import State, System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
@@ -101,6 +103,17 @@ class DriverSolver:
             if usable
             else None
         )
+
+    @cached_property
+    def _means(self) -> MeanStates:
+        """Made where a scheme asks for it."""
+        return MeanStates(self.states)
+
+    def means(self, t: float, q: Array, v: Array) -> MeanStates | None:
+        """Who makes steps of the energy-momentum scheme from a state; None as above. Nothing is prepared then."""
+        usable, self.ready = self._usable_at(t, q, v), False
+        system = self.states.system
+        return self._means if usable and not system.fields and not system.elements else None
 
     def new_factors(self) -> int:
         """Factorisations since the last call."""

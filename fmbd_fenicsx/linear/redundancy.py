@@ -21,6 +21,7 @@ from ..system.system import State
 from .condensation import StepSolver
 
 DEPENDENT = 1e-8  # singular values of G, scaled, below this share of the largest belong to the null space
+SINGULAR = 1e-14  # singular values of a scaled matrix below this share belong to rows that depend on each other
 
 
 def null_space(ev: Evaluation) -> Array:
@@ -66,3 +67,23 @@ def not_unique(solver: StepSolver, state: State) -> list[str]:
 def _dense(x: Array) -> Array:
     """A matrix of numbers, or of SciPy, as an array."""
     return x if isinstance(x, np.ndarray) else np.asarray(x.toarray())
+
+
+def scaled_solution(J: Array, r: Array, *, redundant: bool) -> Array:
+    """J^-1 r with rows and columns scaled; where rows depend on each other the smallest solution.
+
+    Raises LinAlgError where J is singular or not finite.
+    """
+    if not len(r):
+        return r
+    if not np.isfinite(J).all():
+        raise np.linalg.LinAlgError("the tangent is not finite")
+
+    largest = np.abs(J).max(axis=1)
+    rows = 1.0 / np.where(largest > 0, largest, 1.0)
+    largest = (rows[:, None] * np.abs(J)).max(axis=0)
+    columns = 1.0 / np.where(largest > 0, largest, 1.0)
+    scaled = rows[:, None] * J * columns
+    if redundant:
+        return np.asarray(columns * np.linalg.lstsq(scaled, rows * r, rcond=SINGULAR)[0])
+    return np.asarray(columns * np.linalg.solve(scaled, rows * r))

@@ -30,6 +30,11 @@ from ..kinds.derivation import Kind, kinds
 from ..kinds.evaluation import KindItems
 from ..kinds.own import OwnTerm
 
+# coordinates of second order in x and R, whose rows at the mean are exact; distances: that of the mean points over the mean one;
+# others: by their difference (POINT, of efforts: taken at the mean)
+POINT, SQUARE, DISTANCE, QUOTIENT = range(4)
+NOTHING = 1e-6  # m or rad, of a step: rows of shorter ones are as exact as a quotient
+
 
 def nearest(angle: Array, wanted: Array) -> Array:
     """The angles (rad) that differ from the given ones by whole turns and are nearest to those wanted."""
@@ -47,6 +52,7 @@ class Relative:
 
     kind: ClassVar[str]
     angular: ClassVar[bool] = False  # rad, not m
+    quotient: ClassVar[int] = SQUARE  # how its rows at the mean of two configurations become s_1 - s_0
 
     def __init__(self, motions: Motions, a: np.ndarray, b: np.ndarray, e: Array, kind: Kind | None = None) -> None:
         self.motions = motions
@@ -83,26 +89,22 @@ class Relative:
 
     def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
         """Factor of the rows at the mean of two configurations with which s_1 - s_0 is their product with the motion between,
-        ``linear`` without it; 1 for coordinates of second order.
+        ``linear`` without it.
         """
-        return np.ones(len(linear))
-
-
-def _quotient(ends: tuple[Array, Array], linear: Array) -> Array:
-    """(s_1 - s_0) / linear, 1 where nothing moves."""
-    # a quotient of two roundoffs says nothing
-    far = np.abs(linear) > 1e-6
-    return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
+        if self.quotient == SQUARE:
+            return np.ones(len(linear))
+        if self.quotient == DISTANCE:
+            return np.asarray(2 * self.values(mean) / (ends[0] + ends[1]))
+        # a quotient of two roundoffs says nothing
+        far = np.abs(linear) > NOTHING
+        return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
 
 
 class Separation(Relative):
     """Distance of the two points."""
 
     kind = "separation"
-
-    def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
-        """The distance of the mean points over the mean distance."""
-        return np.asarray(2 * self.values(mean) / (ends[0] + ends[1]))
+    quotient = DISTANCE
 
 
 class Slide(Relative):
@@ -115,6 +117,7 @@ class ExpressedCoordinate(Relative):
     """A coordinate by a formula of the user's own; ``terms``: those of all items, of one kind."""
 
     kind = "own"
+    quotient = QUOTIENT
 
     def __init__(self, motions: Motions, a: np.ndarray, b: np.ndarray, terms: Sequence[OwnTerm]) -> None:
         self.terms = terms
@@ -124,16 +127,13 @@ class ExpressedCoordinate(Relative):
         """The numbers in the formulas."""
         return {name: np.array([term.constants[name] for term in self.terms]) for name in self.terms[0].constants}
 
-    def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
-        """The difference of the coordinate over that of its rows."""
-        return _quotient(ends, linear)
-
 
 class RelativeAngle(Relative):
     """Rotation of b against a about directions fixed in a, beyond a turn; 0 where the marker axes agree."""
 
     kind = "angle"
     angular = True
+    quotient = QUOTIENT  # the angle turned over 2 tan of its half: w is that of the Cayley map
 
     def constants(self) -> dict[str, Array]:
         """Axes e_1, e_2 across the axis, of both markers."""
@@ -159,7 +159,3 @@ class RelativeAngle(Relative):
         """Angle from a to b about the axis, rad, followed beyond a full turn."""
         assert kin.turned is not None
         return nearest(super().values(kin), kin.turned[self.b] - kin.turned[self.a])
-
-    def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
-        """The angle turned over 2 tan of its half: w is that of the Cayley map."""
-        return _quotient(ends, linear)

@@ -27,6 +27,7 @@ from ... import dolfinx_compat as compat
 from ...energies import StoredEnergy, ViscousForm
 from ...mechanics.bodies.absolute import AbsoluteField
 from ...rotations import Array, rotate_nodal
+from ...system.evaluation import Evaluation
 from ...system.serialisation import Memory
 from ...system.system import State, System
 
@@ -249,6 +250,26 @@ class _Body:
         """Free the solver; collective."""
         for obj in (self.ksp, self.J, self.x, self.b):
             obj.destroy()
+
+
+def ports_in_use(ev: Evaluation) -> np.ndarray:
+    """Ports of fields that constraints and forces may act on."""
+    system, m = ev.system, ev.system.markers
+    on = np.zeros(len(m.frame), dtype=bool)
+    for loads in system.forces:
+        on[loads.a] = on[loads.b] = True
+    for batch, _ in system.batches:
+        for _, marker, _ in batch.sides(ev.kin, ev.t):
+            on[marker] = True
+
+    used, inside = np.zeros((2, system.n_port), dtype=bool)
+    used[m.port[on[m.surface]].ravel()] = True
+    # ties take their own ports, at the end of those of a part
+    for k, part in system.fields:
+        ports, ties = system.port_slice(k), sum(B.shape[0] for B in part.traces)  # type: ignore[attr-defined]
+        inside[ports] = True
+        used[ports.stop - ties : ports.stop] = True
+    return np.flatnonzero(used & inside)
 
 
 class Fields:

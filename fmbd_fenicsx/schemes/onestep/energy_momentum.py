@@ -39,12 +39,12 @@ import numpy as np
 from ...energies import MixedEnergy, StoredEnergy
 from ...errors import ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver, Weights
-from ...linear.redundancy import least
+from ...linear.redundancy import least, scaled_solution
 from ...log import log
 from ...mechanics.bodies.bodies import AbsoluteBody
 from ...rotations import Array
+from ...system.compiled.means import Ends, MeanStates
 from ...system.configurations import count
-from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
 from ...system.speed_rows import speed_rows
@@ -56,7 +56,6 @@ from .discrete_gradient import GradientEnd, Mean
 from .past_means import PastMeans
 
 SLOW = 0.1  # rate of Newton's iteration above which a new tangent is taken
-SINGULAR = 1e-14  # singular values of the scaled tangent below this share belong to rows that depend on each other
 DIFFERENCE = 1e-7
 NEAR = 12  # further iterations where the tangent is not exact
 ZERO = 1e-13  # an increment of this size is roundoff
@@ -139,9 +138,9 @@ class EnergyMomentumStepper(TimeStepper):
         self.system, self.solver, self.newton, self.state = system, solver, newton, state
         self.fields: Any = None
         if system.fields:
-            from .elastic_momentum import Fields
+            from .elastic_momentum import Fields, ports_in_use
 
-            self.fields = Fields(system, _ports_in_use(system.at(state.t, state.q, state.v)))
+            self.fields = Fields(system, ports_in_use(system.at(state.t, state.q, state.v)))
         self.ports = np.zeros(0, int) if self.fields is None else self.fields.used
         self.n = system.n_core
         self.n_q = system.n_q - (system.n_v - system.n_core)
@@ -149,32 +148,70 @@ class EnergyMomentumStepper(TimeStepper):
         self.counters = {}
         self._kept: tuple[float, Array] | None = None  # step and tangent, where Newton converges well with an old one
         self._warned = False  # of large turns
+        self._old: tuple[GradientEnd, Array] | None = None  # where the step begins, and g there, in NumPy
+        self._means: MeanStates | None = None  # who makes the step in compiled code
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""
-        old = self._old()
-        self._g_old = old.constraint()
+        s = self.state
+        self._old = None
+        driver = self.solver.driver
+        self._means = None if driver is None else driver.means(s.t, s.q, s.v)
         if self.fields is not None:
-            self.fields.begin(self.state, h)
-        a, lam = self.past.predicted(self.state.t + 0.5 * h)
-        y = np.concatenate((a, self._port_values(), lam))
+            self.fields.begin(s, h)
+        a, lam = self.past.predicted(s.t + 0.5 * h)
         size = self._size(h)
-        weights = self.system.units[: self.n] / size
         far = self.system.length / (size * h**2)  # much, of slow motion in small steps
-        roundoff = ROUNDOFF * far
-        nothing = NOTHING * (4.0 if self.fields is not None else max(far, 4.0))  # increments of fields are ways already
+        ends = Ends(
+            size,
+            # increments of fields are ways already
+            NOTHING * (4.0 if self.fields is not None else max(far, 4.0)),
+            ROUNDOFF * far,
+            self.newton.max_iterations + NEAR if self.fields is None else WITH_FIELDS,
+        )
+        weights = self.system.units[: self.n] / size
 
+        found = None
+        if driver is not None and self._means is not None and (self._kept is None or self._kept[0] != h):
+            found = self._means.step((s.t, s.q, s.v), h, (a, lam), ends)
+            self.newton.iterations += len(found.sizes)
+            self.solver.core.factorisations += driver.new_factors()
+        if found is not None and found.end is not None:
+            self._note(found.sizes)
+            self._kept = None
+            return self._take(h, (found.a, found.lam), found.end, weights)
+
+        if found is not None and np.isfinite(found.a).all():
+            a, lam = found.a, found.lam
+        y = self._iterated(
+            h, np.concatenate((a, self._port_values(), lam)), weights, ends, differences=found is not None
+        )
+        v_core, q_core, _, _ = self._motion(h, y[: self.n])
+        q, v = s.q.copy(), s.v.copy()
+        q[: self.n_q], v[: self.n] = q_core, v_core
+        if self.fields is not None:
+            self.fields.end(q, v)
+            count(self.system, q)
+        return self._take(h, (y[: self.n], y[self.n + len(self.ports) :]), (q, v), weights)
+
+    def _note(self, sizes: list[float]) -> None:
+        """What further increments would add to those of these sizes."""
+        settled = min(_rate(sizes), 0.9)
+        self.newton.note(settled / (1 - settled) * sizes[-1] / self.newton.tolerance)
+
+    def _iterated(self, h: float, y: Array, weights: Array, ends: Ends, *, differences: bool) -> Array:
+        """The unknowns of a step from a guess, in parts; ``differences``: the matrix of the middle did not serve."""
         J = self._kept[1] if self._kept is not None and self._kept[0] == h else None
-        exact = J is None and not self._prepare(h, y)  # whether differences have to give the tangent
+        exact = J is None and (differences or not self._prepare(h, y))  # whether differences have to give the tangent
         history: list[float] = []
         worst = 0.0  # rate of convergence
         age = 0 if J is None else 1  # increments by the tangent of a scene with fields
         again = False  # whether the matrix of the middle was taken anew
 
-        for _ in range(self.newton.max_iterations + NEAR if self.fields is None else WITH_FIELDS):
-            r = self._residual(h, y, old)
+        for _ in range(ends.most):
+            r = self._residual(h, y)
             if J is None and exact:
-                J = self._differences(h, (y, r, self._reach(h, size)), old)
+                J = self._differences(h, (y, r, self._reach(h, ends.size)))
                 age = 0
                 if self.fields is not None:
                     self.fields.linearise()
@@ -188,22 +225,21 @@ class EnergyMomentumStepper(TimeStepper):
                 worst = max(worst, rate)
             # slow by an old tangent of fields is no roundoff
             old_tangent = self.fields is not None and age > 1 and rate > SLOW and history[-1] > ZERO
-            if rate > SLOW and history[-1] <= roundoff and not old_tangent:
+            if rate > SLOW and history[-1] <= ends.roundoff and not old_tangent:
                 break
             # a tangent that does not serve any more is taken anew; a near one that serves at once is kept
             if rate > SLOW and (J is not None or above_roundoff):
                 J, exact, again = None, again or not self._prepare(h, y), True
             elif len(history) == 1 and self._kept is None and self.fields is None:
                 J = None
-            if _over(history, nothing) and not old_tangent:
+            if _over(history, ends.nothing) and not old_tangent:
                 break
 
-        if not history[-1] <= max(ENOUGH, roundoff):
+        if not history[-1] <= max(ENOUGH, ends.roundoff):
             raise self._failure(h, history)
-        settled = min(rate, 0.9)  # what further increments would add
-        self.newton.note(settled / (1 - settled) * history[-1] / self.newton.tolerance)
+        self._note(history)
         self._kept = (h, J) if J is not None and worst < 0.5 * SLOW else None
-        return self._take(h, y, weights)
+        return y
 
     def _failure(self, h: float, history: list[float]) -> ConvergenceError:
         """The error of a step whose iteration failed."""
@@ -214,10 +250,14 @@ class EnergyMomentumStepper(TimeStepper):
         )
 
     # -- one step -----------------------------------------------------------------------------------------------
-    def _old(self) -> GradientEnd:
-        s = self.state
-        port = self.system.ports(s.q, s.t) if self.system.parts else np.zeros(0)
-        return GradientEnd(self.system, s.t, s.q[: self.n_q], port)
+    def _begun(self) -> tuple[GradientEnd, Array]:
+        """Where the step begins, and g there."""
+        if self._old is None:
+            s = self.state
+            port = self.system.ports(s.q, s.t) if self.system.parts else np.zeros(0)
+            old = GradientEnd(self.system, s.t, s.q[: self.n_q], port)
+            self._old = old, old.constraint()
+        return self._old
 
     def _size(self, h: float) -> float:
         """What accelerations are judged by, as lengths over s^2: increments of 1e-10 of it move nothing beyond roundoff."""
@@ -251,7 +291,7 @@ class EnergyMomentumStepper(TimeStepper):
 
         b = np.concatenate((core, back, g))
         try:
-            dy = -_solve(A, b, redundant=self.solver.core.redundant)
+            dy = -scaled_solution(A, b, redundant=self.solver.core.redundant)
         except np.linalg.LinAlgError:
             raise ConvergenceError(
                 f"Newton's iteration diverged from t = {self.state.t:.6g} s. Take a smaller dt."
@@ -291,24 +331,15 @@ class EnergyMomentumStepper(TimeStepper):
         self._change = float(np.abs(weights * da).max(initial=0.0))
         return np.concatenate((y[: self.n] + da, y[self.n :] + dlam))
 
-    def _take(self, h: float, y: Array, weights: Array) -> State:
+    def _take(self, h: float, means: tuple[Array, Array], end: tuple[Array, Array], weights: Array) -> State:
         """The state at the end of the step, its accelerations and multipliers solved for; ``weights``: of accelerations."""
-        s, n = self.state, self.n
-        means = y[n + len(self.ports) :]
-        v_core, q_core, w, _ = self._motion(h, y[:n])
-        self._warn_of_turns(h, w)
-        q, v = s.q.copy(), s.v.copy()
-        q[: self.n_q], v[:n] = q_core, v_core
-        if self.fields is not None:
-            self.fields.end(q, v)
-            count(self.system, q)
-
-        made = State(s.t + h, q, v, s.a, means)
-        self.state = accelerations(self.system, made, self.solver)
+        (a, lam), (q, v), s = means, end, self.state
+        self._warn_of_turns(h, s.v[: self.n] + 0.5 * h * a)
+        self.state = accelerations(self.system, State(s.t + h, q, v, s.a, lam), self.solver)
         # of multipliers with the same forces the smallest
         if self.solver.core.redundant:
-            means = least(self.solver, self.system.at(made.t, q), means)
-        self.past.take((s.t + 0.5 * h, y[:n], means), weights)
+            lam = least(self.solver, self.system.at(s.t + h, q), lam)
+        self.past.take((s.t + 0.5 * h, a, lam), weights)
         return self.state
 
     def _motion(self, h: float, a: Array) -> tuple[Array, Array, Array, Array]:
@@ -345,9 +376,14 @@ class EnergyMomentumStepper(TimeStepper):
         turn *= np.where(angle > 1e-8, 2 * np.arctan(0.5 * angle) / np.maximum(angle, 1e-300), 1 - angle**2 / 12)
         return out
 
-    def _residual(self, h: float, y: Array, old: GradientEnd) -> tuple[Array, Array, Array]:
+    def _residual(self, h: float, y: Array) -> tuple[Array, Array, Array]:
         """(1) for y: rows of the core, forces on the ports in use, constraints divided by h^2 / 2."""
-        system = self.system
+        system, s = self.system, self.state
+        if self._means is not None:
+            found = self._means.residual((s.t, s.q, s.v), h, y[: self.n], y[self.n :])
+            if found is not None:
+                return found[0], np.zeros(0), 2.0 / h**2 * found[1]
+        old, g_old = self._begun()
         n = self.n
         p = len(self.ports)
         a = y[:n]
@@ -366,7 +402,7 @@ class EnergyMomentumStepper(TimeStepper):
         g, way = new.constraint(), mean.moved()
         g[speed_rows(system)] = way[speed_rows(system)]  # these have no g: the mean motion does not slip
         # what (1) leaves of the energy: constraints that are not quadratic do work
-        missing = g - self._g_old - way  # zero for constraints of second order in x and R
+        missing = g - g_old - way  # zero for constraints of second order in x and R
         if np.abs(missing).max() <= 1e-13 * system.length:
             return core, push[self.ports], 2.0 / h**2 * g
 
@@ -378,7 +414,7 @@ class EnergyMomentumStepper(TimeStepper):
 
         return core + left * Mw, push[self.ports] + left * moved, 2.0 / h**2 * g
 
-    def _differences(self, h: float, at: tuple[Array, tuple[Array, Array, Array], Array], old: GradientEnd) -> Array:
+    def _differences(self, h: float, at: tuple[Array, tuple[Array, Array, Array], Array]) -> Array:
         """Derivatives of the residual by y, its accelerations and ports moved by shares of their sizes."""
         (y, r, size), n = at, self.n
         first = np.concatenate(r)
@@ -387,7 +423,7 @@ class EnergyMomentumStepper(TimeStepper):
         def by(j: int, d: float) -> Array:
             moved = y.copy()
             moved[j] += d
-            return np.asarray((np.concatenate(self._residual(h, moved, old)) - first) / d)
+            return np.asarray((np.concatenate(self._residual(h, moved)) - first) / d)
 
         for j, d in enumerate(DIFFERENCE * size):
             J[:, j] = by(j, float(d))
@@ -398,43 +434,3 @@ class EnergyMomentumStepper(TimeStepper):
         for j, unit in enumerate(self.system.row_units, len(size)):
             J[:, j] = by(j, DIFFERENCE * force * float(unit))
         return J
-
-
-def _ports_in_use(ev: Evaluation) -> np.ndarray:
-    """Ports of fields that constraints and forces may act on."""
-    system, m = ev.system, ev.system.markers
-    on = np.zeros(len(m.frame), dtype=bool)
-    for loads in system.forces:
-        on[loads.a] = on[loads.b] = True
-    for batch, _ in system.batches:
-        for _, marker, _ in batch.sides(ev.kin, ev.t):
-            on[marker] = True
-
-    used, inside = np.zeros((2, system.n_port), dtype=bool)
-    used[m.port[on[m.surface]].ravel()] = True
-    # ties take their own ports, at the end of those of a part
-    for k, part in system.fields:
-        ports, ties = system.port_slice(k), sum(B.shape[0] for B in part.traces)  # type: ignore[attr-defined]
-        inside[ports] = True
-        used[ports.stop - ties : ports.stop] = True
-    return np.flatnonzero(used & inside)
-
-
-def _solve(J: Array, r: Array, *, redundant: bool) -> Array:
-    """J^-1 r with rows and columns scaled; where rows depend on each other the smallest solution.
-
-    Raises LinAlgError where J is singular or not finite.
-    """
-    if not len(r):
-        return r
-    if not np.isfinite(J).all():
-        raise np.linalg.LinAlgError("the tangent is not finite")
-
-    largest = np.abs(J).max(axis=1)
-    rows = 1.0 / np.where(largest > 0, largest, 1.0)
-    largest = (rows[:, None] * np.abs(J)).max(axis=0)
-    columns = 1.0 / np.where(largest > 0, largest, 1.0)
-    scaled = rows[:, None] * J * columns
-    if redundant:
-        return np.asarray(columns * np.linalg.lstsq(scaled, rows * r, rcond=SINGULAR)[0])
-    return np.asarray(columns * np.linalg.solve(scaled, rows * r))

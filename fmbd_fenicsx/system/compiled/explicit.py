@@ -140,12 +140,17 @@ class ExplicitStates:
             bias[:, rows] -= [[motion(float(t))[2] for motion in motions] for t in times]
         return bias
 
-    def _ask(self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array | None, ...]) -> bool:
-        """One call of a function of numbers, arrays and room to work in; whether it has found an answer."""
+    def _ask(
+        self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array | None, ...], *, factors: bool = True
+    ) -> bool:
+        """One call of a function of numbers, arrays and room to work in; whether it has found an answer. ``factors``: a matrix of
+        its own, in place of the one that is held.
+        """
         states = self.states
         if states.taken:
             return False
-        states.hold(None)
+        if factors:
+            states.hold(None)
         states.tables.recall()
 
         given = [np.ascontiguousarray(x) for x in arrays if x is not None]  # alive until C is done

@@ -61,6 +61,7 @@ class Items:
     table: Array = field(default_factory=lambda: np.zeros((0, 0)))  # of constants, as C reads them
     sampled: Callable[[], float] | None = None  # an effort that stays the same between samples
     told: bool = False
+    quotient: int = 0  # of efforts over a step that keeps energy, as in mechanics/joints/relative.py
     linked: bool = False  # whether a law reads more than its own coordinate
     frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))  # of both sides
     arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
@@ -84,7 +85,7 @@ class Items:
             some(self.row), some(self.factor), some(self.stiffness), some(self.damping), some(self.free), some(self.effort),
             *self._laws(which),
         )  # fmt: skip
-        made.slot, made.told, made.linked = some(self.slot), self.told, self.linked
+        made.slot, made.told, made.linked, made.quotient = some(self.slot), self.told, self.linked, self.quotient
         made.frames = self.frames[which] if len(self.frames) else self.frames
         made.formula = None if self.formula is None else self.formula.part(which)
         return made
@@ -161,7 +162,9 @@ def _formulas(loads: Loads, looks: Looks) -> list[Items]:
     out = []
     for formula in loads.formulas():
         whole = of_source(formula.on, FORMULA)
-        whole.free = loads.free if isinstance(loads, ScalarLoads) else np.zeros(len(loads.forces))
+        whole.free = np.zeros(len(loads.forces))
+        if isinstance(loads, ScalarLoads):
+            whole.free, whole.quotient = loads.free, loads.relative.quotient
         whole.slot = looks.slots_of(loads)
         made = whole.part(formula.which)
         made.formula = formula
@@ -174,7 +177,7 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     n = len(loads.forces)
     whole = of_source(loads.relative, LINEAR)
     whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
-    whole.slot = looks.slots_of(loads)
+    whole.slot, whole.quotient = looks.slots_of(loads), loads.relative.quotient
     stated = {int(i) for formula in loads.formulas() for i in formula.which}
     own = np.array([i for i in loads.own if i not in stated], dtype=int)
     of_time = np.array([i for i in own if loads.forces[i].of_time], dtype=int)

@@ -71,7 +71,7 @@ def batch_of(tables: Tables, items: Items) -> Any:
     key = items.kind, items.role, items.frames.tobytes(), rows
     shared = tables.structure.once(key, lambda: _batch(tables, items, items.frames))
     made = type(shared).from_buffer_copy(shared)
-    made.told, made.linked = int(items.told), int(items.linked)
+    made.told, made.linked, made.quotient = int(items.told), int(items.linked), items.quotient
     return made
 
 

@@ -33,7 +33,7 @@ Fields = Sequence[tuple[str, Any]]
 ALIKE: dict[str, Fields] = {  # in the plane and in space
     "Batch": [
         *_fields("value rates tangent", _POINTER),
-        *_fields("role outputs live products curved number flow driven linked told", _INT),
+        *_fields("role outputs live products curved number flow driven linked quotient told", _INT),
         *_fields("n width", _LONG),
         *_fields(
             "pair P out entry at row factor dest stiffness damping free s rate effort weight slope foretold", _POINTER

@@ -15,6 +15,7 @@
 #include "record.c"
 #include "answers.c"
 #include "explicit.c"
+#include "mean.c"
 #include "secants.c"
 #include "alpha.c"
 #include "control.c"

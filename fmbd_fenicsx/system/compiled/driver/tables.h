@@ -20,6 +20,8 @@ enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE }; /* roles of items
                                                           /* given for the whole step, or from a law in Python; READ: only */
                                                           /* looked at in records; FORMULA: one of formulas.c; MOUNT: bushings; */
                                                           /* WHOLE: wrenches on two markers from Python */
+enum { POINT, SQUARE, DISTANCE, QUOTIENT };               /* of an effort over a step that keeps energy: at its mean point; else by */
+                                                          /* differences of s, see mechanics/joints/relative.py */
 enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE }; /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
                                                           /* law in Python raised; GAIN: energy from nothing; SIZE: the next */
                                                           /* step may have another size */
@@ -33,6 +35,7 @@ typedef struct {
     int flow;                          /* whether the kind is a speed; a ROW then holds velocities and has no s */
     int driven;                        /* whether a motion of time is among its constants; s' has a part of its own then */
     int linked;                        /* LAW: whether it reads more than its coordinate; Python tells what its slopes foretell */
+    int quotient;                      /* efforts: POINT .. of what they do over a step */
     int told;                          /* READ: whether its s and s' are told at every evaluation, to controllers */
     long n, width;                     /* width: constants of an item */
     int *pair;                         /* n x 2 frames */
