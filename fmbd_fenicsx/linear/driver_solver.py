@@ -112,8 +112,7 @@ class DriverSolver:
     def means(self, t: float, q: Array, v: Array) -> MeanStates | None:
         """Who makes steps of the energy-momentum scheme from a state; None as above. Nothing is prepared then."""
         usable, self.ready = self._usable_at(t, q, v), False
-        system = self.states.system
-        return self._means if usable and not system.fields and not system.elements else None
+        return self._means if usable and not self.states.system.fields else None
 
     def new_factors(self) -> int:
         """Factorisations since the last call."""

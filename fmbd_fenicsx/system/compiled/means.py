@@ -40,7 +40,7 @@ class Found:
 
 
 class MeanStates(ExplicitStates):
-    """The answers for one system without elastic fields or rods."""
+    """The answers for one system without elastic fields."""
 
     def __init__(self, states: DriverStates) -> None:
         super().__init__(states)

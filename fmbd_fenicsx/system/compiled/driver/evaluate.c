@@ -56,8 +56,8 @@ void turn_velocity(System *s, const double *v)
     }
 }
 
-/* Forces of inertia and weight, and those within bodies and rods. */
-int inertia(System *s, const double *q, const double *v, const double *a, double t)
+/* Forces of inertia and weight, and those within bodies. */
+static int body_forces(System *s, const double *q, const double *v, const double *a, double t)
 {
     int verdict = DONE;
     for (int b = 0; b < s->bodies; b++) {
@@ -75,6 +75,14 @@ int inertia(System *s, const double *q, const double *v, const double *a, double
         if (found == FAILED) return FAILED;
         if (found) verdict = found;
     }
+    return verdict;
+}
+
+/* These, and those within rods. */
+int inertia(System *s, const double *q, const double *v, const double *a, double t)
+{
+    int verdict = body_forces(s, q, v, a, t);
+    if (verdict == FAILED) return FAILED;
     for (Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (rod_forces(s, k, t)) return FAILED;
     return verdict;

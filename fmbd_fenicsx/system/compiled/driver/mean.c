@@ -212,6 +212,8 @@ static int mean_forces(System *s, const Step *o, const double *lam, double t)
         if ((verdict = mean_items(s, k, o, first, lam, t))) return verdict;
         first += k->quotient != POINT ? k->n : 0;
     }
+    for (Rod *k = s->rod; k < s->rod + s->rods; k++)
+        if (rod_mean_forces(s, k, o->q0, o->q, o->h, t)) return FAILED;
     for (int i = 0; i < s->surfaces; i++) {
         const Surface *k = s->surface + i;
         const Body *body = s->body + k->body;
@@ -238,7 +240,7 @@ static int give_back(System *s, const Step *o, const double *a, const double *la
     if (greatest(o->missing, s->rows) <= KEPT * o->length) return DONE;
     memcpy(o->xi, a, s->nv * sizeof(double));
     add(o->xi, 1.0, o->w, s->nv);
-    if ((verdict = place(s, o->middle, o->w)) || (verdict = inertia(s, o->middle, o->w, o->xi, t))) return verdict;
+    if ((verdict = place(s, o->middle, o->w)) || (verdict = body_forces(s, o->middle, o->w, o->xi, t))) return verdict;
     like_v(s, s->residual, o->along);
     add(o->along, -1.0, o->inertia, s->nv);
     for (int i = 0; i < s->nv; i++) work += o->h * o->w[i] * o->along[i];
@@ -260,9 +262,11 @@ static int mean_residual(System *s, Step *o, double *asked, const double *a, con
 
     if ((verdict = sample(s, t, asked)) || (verdict = place(s, o->middle, o->w))) return verdict;
     s->evaluations++;
-    if ((verdict = inertia(s, o->middle, o->w, a, t))) return verdict;
+    if ((verdict = body_forces(s, o->middle, o->w, a, t))) return verdict;
     like_v(s, s->residual, o->inertia);
-    memcpy(o->core, o->inertia, s->nv * sizeof(double));
+    for (const Rod *k = s->rod; k < s->rod + s->rods; k++)
+        if (k->load) rod_loads(s, k);
+    like_v(s, s->residual, o->core);
     place_mean(s, o);
     slips(s, 1);
     for (int i = 0; i < s->rows; i++) o->missing[i] = gap[i] - o->gap0[i] - o->h * s->slip[i];

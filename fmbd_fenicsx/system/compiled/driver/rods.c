@@ -105,7 +105,7 @@ static void rod_pull(const Rod *k, long at, double *on_z)
 }
 
 /* Loads on the nodes: force and moment in world axes, then in axes of the sections. */
-static void rod_loads(System *s, const Rod *k)
+void rod_loads(System *s, const Rod *k)
 {
     for (int i = 0; i < k->nodes; i++) {
         const double *load = k->load + LOADED * i, *R = s->frames + FRAME * k->loaded[i] + TURN;
@@ -118,6 +118,30 @@ static void rod_loads(System *s, const Rod *k)
     }
 }
 
+/* Forces (1) of element e, whose nodes are given, into the residual. */
+static void rod_push(System *s, const Rod *k, long e, double nodal[][NODAL])
+{
+    const int *node = k->node + e * k->k;
+    double pull[NODES][NODAL] = {{0.0}};
+    for (int g = 0; g < k->points; g++) {
+        long at = e * k->points + g;
+        const double *N = k->N + g * k->k, *slope = k->slope + at * k->k;
+        double on_z[Z];
+        rod_pull(k, at, on_z);
+        for (int i = 0; i < k->k; i++) {
+            add(pull[i], slope[i], on_z, D);
+            add(pull[i] + D, N[i], on_z + D, 4);
+            add(pull[i] + D, slope[i], on_z + D + 4, 4);
+        }
+    }
+    for (int i = 0; i < k->k; i++) {
+        double moment[3], *f = s->residual + s->body[node[i]].at_u;
+        quaternion_moment(nodal[i] + D, pull[i] + D, moment);
+        add(f, 1.0, pull[i], D);
+        add(f + D, 1.0, moment, 3);
+    }
+}
+
 /* Forces (1) of all elements of a rod, and loads on its nodes, into the residual. */
 int rod_forces(System *s, Rod *k, double t)
 {
@@ -125,29 +149,106 @@ int rod_forces(System *s, Rod *k, double t)
     if (k->load) rod_loads(s, k);
     if (rod_stress(s, k, t)) return FAILED;
     for (long e = 0; e < k->n; e++) {
-        const int *node = k->node + e * k->k;
-        double nodal[NODES][NODAL], pull[NODES][NODAL] = {{0.0}};
-        rod_nodes(s, k, node, nodal);
+        double nodal[NODES][NODAL];
+        rod_nodes(s, k, k->node + e * k->k, nodal);
+        rod_push(s, k, e, nodal);
+    }
+    return DONE;
+}
 
+/* Section forces S without damping, and the energy, of the strains at one end of a step. */
+static int rod_end(System *s, Rod *k, const double *q, double t, double *energy)
+{
+    s->q = q;
+    for (long e = 0; e < k->n; e++) {
+        double nodal[NODES][NODAL], z[Z], found[STRAINS + STRAINS * Z];
+        rod_nodes(s, k, k->node + e * k->k, nodal);
+        for (int g = 0; g < k->points; g++) {
+            long at = e * k->points + g;
+            rod_point(k, k->N + g * k->k, k->slope + at * k->k, nodal, z);
+            rod_strains(z, 0, found);
+            for (int j = 0; j < STRAINS; j++) k->strain[STRAINS * at + j] = found[j] - k->natural[STRAINS * at + j];
+        }
+    }
+    if (k->number >= 0) {
+        s->calls++;
+        if (s->python(SECTIONS, k->number, t)) return FAILED;
+    }
+    *energy = 0.0;
+    for (long at = 0; at < k->n * k->points; at++) {
+        double *e = k->strain + STRAINS * at, *S = k->S + STRAINS * at;
+        for (int j = 0; k->number < 0 && j < STRAINS; j++) S[j] = dot(k->C + STRAINS * (STRAINS * at + j), e, STRAINS);
+        *energy += k->weight[at] * (k->number < 0 ? 0.5 * dot(S, e, STRAINS) : k->density[at]);
+    }
+    return DONE;
+}
+
+/* Nodes of an element at the mean of two configurations, quaternions on one side; and their motion. */
+static void rod_mean_nodes(System *s, const Rod *k, long e, const double *q0, const double *q1, double nodal[][NODAL],
+                           double moving[][NODAL])
+{
+    const int *node = k->node + e * k->k;
+    double then[NODES][NODAL];
+    s->q = q0;
+    rod_nodes(s, k, node, nodal);
+    s->q = q1;
+    rod_nodes(s, k, node, then);
+    double side = dot(nodal[0] + D, then[0] + D, 4) < 0.0 ? -1.0 : 1.0;
+    for (int i = 0; i < k->k; i++) {
+        const double *velocity = s->velocity + s->body[node[i]].at_u;
+        for (int j = 0; j < NODAL; j++) nodal[i][j] = 0.5 * (nodal[i][j] + (j < D ? 1.0 : side) * then[i][j]);
+        memcpy(moving[i], velocity, D * sizeof(double));
+        turned_quaternion(velocity + D, nodal[i] + D, moving[i] + D);
+    }
+}
+
+/* Equation (1) of mechanics/rods/discrete_gradient.py without the loads, into the residual, at the mean of the configurations q0 and q1;
+   velocities are those of the mean. */
+int rod_mean_forces(System *s, Rod *k, const double *q0, const double *q1, double h, double t)
+{
+    const double *kept = s->q;
+    double before, after, gained, square = 0.0, nodal[NODES][NODAL], moving[NODES][NODAL], z[Z], found[STRAINS + STRAINS * Z];
+    const long points = k->n * k->points;
+    int verdict = rod_end(s, k, q0, t, &before);
+    for (long at = 0; at < points; at++) { /* of the beginning: strains in z, forces in the rates */
+        memcpy(k->z + Z * at, k->strain + STRAINS * at, STRAINS * sizeof(double));
+        memcpy(k->rate + STRAINS * at, k->S + STRAINS * at, STRAINS * sizeof(double));
+    }
+    if (!verdict) verdict = rod_end(s, k, q1, t, &after);
+    for (long at = 0; at < points; at++)
+        for (int j = 0; j < STRAINS; j++) {
+            k->strain[STRAINS * at + j] = 0.5 * (k->z[Z * at + j] + k->strain[STRAINS * at + j]);
+            k->S[STRAINS * at + j] = 0.5 * (k->rate[STRAINS * at + j] + k->S[STRAINS * at + j]);
+        }
+    if (!verdict && k->number >= 0) {
+        s->calls++;
+        verdict = s->python(SECTION_SLOPES, k->number, t) ? FAILED : DONE;
+    }
+    gained = after - before;
+    for (long e = 0; e < k->n && !verdict; e++) {
+        rod_mean_nodes(s, k, e, q0, q1, nodal, moving);
         for (int g = 0; g < k->points; g++) {
             long at = e * k->points + g;
             const double *N = k->N + g * k->k, *slope = k->slope + at * k->k;
-            double on_z[Z];
-            rod_pull(k, at, on_z);
-            for (int i = 0; i < k->k; i++) {
-                add(pull[i], slope[i], on_z, D);
-                add(pull[i] + D, N[i], on_z + D, 4);
-                add(pull[i] + D, slope[i], on_z + D + 4, 4);
-            }
-        }
-        for (int i = 0; i < k->k; i++) {
-            double moment[3], *f = s->residual + s->body[node[i]].at_u;
-            quaternion_moment(nodal[i] + D, pull[i] + D, moment);
-            add(f, 1.0, pull[i], D);
-            add(f + D, 1.0, moment, 3);
+            double *along = k->rate + STRAINS * at, *S = k->S + STRAINS * at, change[STRAINS];
+            rod_point(k, N, slope, nodal, z);
+            rod_strains(z, 0, found);
+            memcpy(k->E + STRAINS * Z * at, found + STRAINS, STRAINS * Z * sizeof(double));
+            rod_point(k, N, slope, moving, z);
+            for (int j = 0; j < STRAINS; j++) change[j] = h * dot(found + STRAINS + Z * j, z, Z);
+            for (int j = 0; j < STRAINS; j++) along[j] = dot(k->C + STRAINS * (STRAINS * at + j), change, STRAINS);
+            gained -= k->weight[at] * dot(S, change, STRAINS);
+            square += k->weight[at] * dot(change, along, STRAINS);
+            add(S, k->beta / h, along, STRAINS);
         }
     }
-    return DONE;
+    for (long at = 0; at < points && square > 0.0; at++) add(k->S + STRAINS * at, gained / square, k->rate + STRAINS * at, STRAINS);
+    for (long e = 0; e < k->n && !verdict; e++) {
+        rod_mean_nodes(s, k, e, q0, q1, nodal, moving);
+        rod_push(s, k, e, nodal);
+    }
+    s->q = kept;
+    return verdict;
 }
 
 /* The lower half of a symmetric matrix on z: (ck + beta cd) E^T C E + g H, times the weight of the point. */
