@@ -37,6 +37,7 @@ class Recipe:
     volume: str | None
     comm: Any
     parameters: dict[str, Any]
+    scale: float = 1.0
     placed: tuple[tuple[Any, Any], ...] = ()
 
     def halved(self, label: str) -> Mesh:
@@ -50,7 +51,7 @@ class Recipe:
             p["cells"] = 2 * p["cells"]
         else:
             raise MeshError(f"{label} cannot be refined: give its script the cell size, read_gmsh(..., h=0.1).")
-        mesh = read_gmsh(self.source, volume=self.volume, comm=self.comm, **p)
+        mesh = read_gmsh(self.source, volume=self.volume, comm=self.comm, scale=self.scale, **p)
         return _placed(mesh, self.placed)
 
 
@@ -183,12 +184,15 @@ class Mesh:
             )
 
 
-def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None, **parameters: Any) -> Mesh:
+def read_gmsh(
+    source: str | Path, *, volume: str | None = None, scale: float = 1.0, comm: Any = None, **parameters: Any
+) -> Mesh:
     """Read one body from a mesh script (``.py``) or a ``.msh`` file; collective over ``comm`` (default COMM_WORLD).
 
     Args:
         source: path of the script or file.
         volume: name of the solid's physical group; needed when the file holds several.
+        scale: m for a unit of the script or file: 1e-3 for mm.
         parameters: passed to the script's ``build`` (say ``h=0.05``, ``dim=2``).
 
     Raises:
@@ -199,11 +203,12 @@ def read_gmsh(source: str | Path, *, volume: str | None = None, comm: Any = None
     instance("read_gmsh: source", source, (str, Path))
     if volume is not None:
         word("read_gmsh: volume", volume)
+    number("read_gmsh: scale", scale, above=0.0)
     path = Path(source)
-    made = distributed(lambda gmsh: _load(gmsh, path, parameters, volume), str(path), comm)
+    made = distributed(lambda gmsh: _load(gmsh, path, parameters, volume, scale), str(path), comm)
     if path.suffix != ".py":
         return made
-    return replace(made, recipe=Recipe(path, volume, made.dolfinx.comm, parameters))
+    return replace(made, recipe=Recipe(path, volume, made.dolfinx.comm, parameters, scale))
 
 
 def distributed(load: Loader, label: str, comm: Any = None) -> Mesh:
@@ -245,7 +250,7 @@ def require_file(path: Path) -> None:
 
 
 def _load(
-    gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | None
+    gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | None, scale: float
 ) -> tuple[int, str, dict[str, int], str]:
     """Rank 0: build or open the model, check it, keep one body; returns dimension, volume name, surface tags, label."""
     require_file(path)
@@ -265,6 +270,8 @@ def _load(
             raise MeshError(f"{path} is a finished mesh: parameters {sorted(parameters)} have no meaning for it.")
         gmsh.open(str(path))
 
+    if scale != 1.0:
+        gmsh.model.mesh.affineTransform([scale, 0, 0, 0, 0, scale, 0, 0, 0, 0, scale, 0])
     return check_model(gmsh.model, str(path), volume)
 
 

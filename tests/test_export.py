@@ -59,6 +59,8 @@ def test_time_histories_with_units(pendulums: fmbd.Run, shared_tmp: Path) -> Non
         np.testing.assert_array_equal(values[:, 1:3], pendulums["full"])
     with pytest.raises(fmbd.errors.InputError, match="cannot be written"):
         pendulums.save(shared_tmp / "nowhere" / "run.csv")
+    with pytest.raises(fmbd.errors.InputError, match='must end in .csv, .txt or .dat, found ".xlsx"'):
+        pendulums.save(shared_tmp / "run.xlsx")
 
 
 def test_a_full_disk_costs_no_older_file(pendulums: fmbd.Run, tmp_path: Path) -> None:

@@ -139,6 +139,24 @@ def write_rod(file: Path, dim: int) -> None:
 
 
 @pytest.mark.mpi
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["script", "finished"])
+def test_a_mesh_in_millimetres(kind: str, shared_tmp: Path) -> None:
+    """Script and file alike, their refined meshes too."""
+    source: Any = HERE.parent / "meshes" / "rod.py"
+    size: Any = {"dim": 2, "h": 0.5}
+    if kind == "finished":
+        source, size = shared_tmp / "rod.msh", {}
+        if MPI.COMM_WORLD.rank == 0:
+            write_rod(source, 2)
+        MPI.COMM_WORLD.barrier()
+    mesh = read_gmsh(source, scale=1e-3, **size)
+    for made in (mesh, mesh.refined()):
+        assert made.dolfinx.comm.allreduce(made.dolfinx.geometry.x.max(initial=0.0), MPI.MAX) == pytest.approx(1e-3)
+    with pytest.raises(InputError, match="scale"):
+        read_gmsh(source, scale=-1.0, **size)
+
+
 def test_one_volume_of_several_brings_its_own_surfaces() -> None:
     mesh = read_gmsh(FAULTY, fault="two volumes", volume="plate 0")
     assert mesh.volume == "plate 0"

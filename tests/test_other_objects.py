@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections.abc import Callable
 
 import pytest
@@ -23,6 +25,8 @@ READ = {
     "a joint": lambda bob, pin: fmbd.angle(pin),
     "a body": lambda bob, pin: fmbd.angular_velocity(bob),
     "a place": lambda bob, pin: fmbd.position(bob),
+    "a force of a joint": lambda bob, pin: fmbd.reaction_force(pin),
+    "multipliers": lambda bob, pin: fmbd.reaction(pin),
 }
 
 
@@ -73,3 +77,19 @@ def test_arguments_of_a_method_are_told_without_self() -> None:
     with pytest.raises(TypeError, match="It takes ") as told:
         fmbd.solve(scene, t_end=0.01, dt=0.005).picture()  # type: ignore[call-arg]
     assert "self" not in str(told.value)
+
+
+def test_copies_of_scenes_read_their_own_joints() -> None:
+    scene, _, pin = pendulum()
+    scene.sensor("force", fmbd.reaction_force(pin))
+    for made in (copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
+        assert fmbd.solve(made, t_end=0.01, dt=0.005)["force"].shape == (3, 2)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
+def test_runs_and_steppers_say_what_to_keep_of_them(copied: Callable[[object], object]) -> None:
+    scene, *_ = pendulum()
+    with pytest.raises(InputError, match=r"Run: .* run\.series"):
+        copied(fmbd.solve(scene, t_end=0.01, dt=0.005))
+    with fmbd.stepper(scene, dt=0.01) as s, pytest.raises(InputError, match=r"SceneStepper: .* save\(\)"):
+        copied(s)

@@ -31,8 +31,14 @@ def save_series(run: Run, file: str | Path) -> None:
     """Time, every component of every sensor with its unit, and the energies, as comma-separated values; collective, rank 0
     writes.
 
-    Raises InputError where the file cannot be written.
+    Raises InputError where the file cannot be written, or its name promises another format.
     """
+    ending = Path(file).suffix.lower()
+    require(
+        ending in ("", ".csv", ".txt", ".dat"),
+        f'run.save writes comma-separated values: the name must end in .csv, .txt or .dat, found "{ending}". run.to_xarray() and '
+        "run.to_pandas() write other formats, run.picture and run.animate pictures.",
+    )
     names = ["time (s)"]
     for sensor in run.series:
         names += [

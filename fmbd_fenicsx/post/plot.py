@@ -74,6 +74,8 @@ def _saved(figure: Any, file: str | Path, dpi: int) -> None:
     """
     try:
         write_whole("The picture", file, lambda place: figure.savefig(place, dpi=dpi))
+    except InputError:
+        raise  # no such folder, and the like
     except ValueError as error:
         raise InputError(f'The picture cannot be written to "{file}": {error}') from error
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from ..checks import typed, word
-from ..errors import InputError, near
+from ..errors import InputError, Uncopied, near
 from ..rotations import Array
 from ..schemes.consistent import Correction
 from ..system.scene.plan import Plan
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(repr=False)
-class Run:
+class Run(Uncopied):
     """What a run left behind; equal on all ranks but for the field values in ``state`` and ``snapshots``.
 
     Attributes:
@@ -52,6 +52,10 @@ class Run:
         memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" on request.
     """
+
+    instead: ClassVar[str] = (
+        "Keep what you need of it, run.series, run.times or run.to_xarray(); fmbd.study.map runs variants on all cores."
+    )
 
     scene: Scene
     scheme: Any

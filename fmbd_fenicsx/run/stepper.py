@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import instance, number, typed
-from ..errors import InputError, near, require
+from ..errors import InputError, Uncopied, near, require
 from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.declared import Declared
@@ -51,8 +51,10 @@ class Saved:
     jumped: bool
 
 
-class SceneStepper:
+class SceneStepper(Uncopied):
     """See :func:`stepper`. Methods are collective."""
+
+    instead = "Its save() keeps a state and restore() goes back to it; a second stepper(scene, ...) is independent of the first."
 
     def __init__(self, scene: Scene, dt: float, *, scheme: Any, newton: Newton | None, linear: Any) -> None:
         number("Step dt =", dt, above=0.0, unit="s")

@@ -217,10 +217,10 @@ class Builder:
         for name, sensor in scene.sensors.items():
             for what, wanted in sensor.reads.items():
                 known: Mapping[str, Any] = there[what]
-                called = wanted if isinstance(wanted, str) else wanted.name
-                if called not in known or wanted not in (called, known[called]):
+                here = known.get(wanted)
+                if wanted not in known or here is not getattr(wanted, "part", here):
                     raise InputError(
-                        f'Sensor "{name}": there is no {what} "{called}" in the scene. {near(called, known)}'
+                        f'Sensor "{name}": there is no {what} "{wanted}" in the scene. {near(wanted, known)}'
                     )
 
     def _surfaces_in_use(self) -> dict[str, list[str]]:

@@ -15,7 +15,8 @@ from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
 from .named import or_name
-from .sensors import Sensor, named_part
+from .part_name import named_part
+from .sensors import Sensor
 
 WORKS = ("contact", "friction", "loads", "joints", "numerical")
 
@@ -204,4 +205,4 @@ def limit_effort(limit: JointLimit) -> Sensor:
     It is the mean over the last step: times the step it is the impulse, impacts included.
     """
     unit = "N m" if limit.coordinate.unit == "rad" else "N"
-    return LimitEffort(None, unit, limit=limit.name)
+    return LimitEffort(None, unit, limit=named_part("limit_effort: limit", limit))

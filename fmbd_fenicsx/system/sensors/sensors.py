@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import name_of, shown, typed, vector
+from ...checks import shown, typed, vector
 from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.joints.drives import JointCoordinate
@@ -20,6 +20,7 @@ from ..evaluation import Evaluation
 from ..foreshortened_ports import port_acceleration
 from ..scene.joints import relative_of
 from ..system import State, System
+from .part_name import PartName, named_part
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,8 @@ class Sensor:
         return ()
 
     @property
-    def reads(self) -> dict[str, Any]:
-        """What it reads that a scene must hold: "joint", "body" or "contact" -> itself, or its name."""
+    def reads(self) -> dict[str, str]:
+        """What it reads that a scene must hold: "joint", "body" or "contact" -> its name, see :class:`PartName`."""
         return {}
 
     def in_scene(self, name: str, scene: Any) -> Sensor:
@@ -87,9 +88,9 @@ class BodySensor(Sensor):
     body: Any = None
 
     @property
-    def reads(self) -> dict[str, Any]:
+    def reads(self) -> dict[str, str]:
         """A body."""
-        return {"body": self.body}
+        return {"body": PartName(self.body.name, self.body)}
 
 
 class _Vector(Sensor):
@@ -297,9 +298,10 @@ class JointReading(Sensor):
         return (self.coordinate,)
 
     @property
-    def reads(self) -> dict[str, Any]:
+    def reads(self) -> dict[str, str]:
         """The joint of the coordinate."""
-        return {"joint": self.coordinate.joint}
+        joint = self.coordinate.joint
+        return {"joint": PartName(joint.name, joint)}
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Value and rate of the joint coordinate."""
@@ -364,14 +366,6 @@ class Coordinates(Sensor):
             f'Body "{self.body}" has no coordinates beside its place and rotation: fmbd.coordinates reads those of reduced '
             f"bodies, lines and bodies by own equations. {own} Take fmbd.position and fmbd.rotation of rigid bodies."
         )
-
-
-def named_part(what: str, part: Any) -> str:
-    """The name of a part of a scene, given by its name or itself."""
-    name = part if isinstance(part, str) else name_of(part)
-    if name is None:
-        raise InputError(f"{what} {shown(part)} must be a name, or what bears it.")
-    return name
 
 
 @typed
