@@ -18,6 +18,7 @@ FILES = (
     "compiled_contact",
     "compiled_control",
     "compiled_evaluation",
+    "compiled_means",
     "compiled_parts",
     "compiled_recording",
     "field_states",
