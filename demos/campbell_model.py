@@ -92,8 +92,8 @@ def picture(args, blades, speeds, turned, plates, omega):
     """Frequencies over speeds."""
     with plot.figure(args.picture, 1, 3, size=(13.0, 4.4), title=args.title) as (left, middle, right):
         left.loglog(MU, FLAPWISE, "ko", mfc="none", label="flapwise, reference")
-        left.loglog(blades.speeds / UNIT, blades.omega[:, 1] / UNIT, ".-", label="flapwise")
-        left.loglog(blades.speeds / UNIT, blades.omega[:, 0] / UNIT, ".--", label="chordwise")
+        left.loglog(blades.speeds / UNIT, blades.omega[:, 1] / UNIT, "C0.", label="flapwise")
+        left.loglog(blades.speeds / UNIT, blades.omega[:, 0] / UNIT, "C1x", label="chordwise")
         left.set(xlabel="blade: spin over the unit of frequency", ylabel=r"frequency / $\sqrt{EI / \rho A L^4}$")
 
         middle.plot(speeds, turned.fixed.max(axis=1), "o-", label="forward whirl")
