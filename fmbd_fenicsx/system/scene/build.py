@@ -217,8 +217,8 @@ class Builder:
         for name, sensor in scene.sensors.items():
             for what, wanted in sensor.reads.items():
                 known: Mapping[str, Any] = there[what]
-                here = known.get(wanted)
-                if wanted not in known or here is not getattr(wanted, "part", here):
+                here = known.get(wanted)  # None of what has rows alone, as ties
+                if wanted not in known or here not in (None, getattr(wanted, "part", here)):
                     raise InputError(
                         f'Sensor "{name}": there is no {what} "{wanted}" in the scene. {near(wanted, known)}'
                     )
