@@ -26,7 +26,7 @@ def test_bodies_count_by_their_size() -> None:
 @pytest.mark.parametrize(
     ("bodies", "ratio"),
     [
-        # seconds of a step on one rank over those on two, docs/performance.md; nearer to 1 than a tenth is not told apart
+        # seconds of a step on one rank over those on two, docs/performance_log.md; nearer to 1 than a tenth is not told apart
         ([5_787], 0.75), ([14_214], 1.12), ([22_365], 1.29), ([36_624], 1.38), ([10_066], 0.50), ([71_666], 1.64),
         ([5_820], 0.42), ([12_588], 0.85), ([6_746], 0.46), ([13_833], 1.38),
         ([5_787] * 4, 0.67), ([14_214] * 3, 1.43), ([22_365] * 3, 1.54),

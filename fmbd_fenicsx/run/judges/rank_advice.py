@@ -7,7 +7,7 @@ calls for each field), was measured to grow like sqrt(n). So bodies n_k count li
     n = (sum n_k / sum sqrt(n_k))^2                                                                                  (1)
 
 unknowns: many small ones are worth no more ranks than one of them. Two ranks are as fast as one at 13 000 unknowns or so
-(docs/performance.md, measured for solids and plates, linear and quadratic, floating and absolute, by factors and by multigrid).
+(docs/performance_log.md: solids and plates, linear and quadratic, floating and absolute, by factors and by multigrid).
 """
 
 from __future__ import annotations
