@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from test_compiled import stepper_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError
+from fmbd_fenicsx.mechanics.forces import laws_together
 from fmbd_fenicsx.mechanics.forces.laws_together import LawsTogether
 from fmbd_fenicsx.mechanics.forces.user_laws import Repeatable
 from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
@@ -227,3 +229,15 @@ def test_what_stays_the_same_is_not_asked_for(dim: int) -> None:
     if runs[1].counters.get("compiled_steps"):
         steppers = [stepper_of(steady(of_time, dim)) for of_time in (True, False)]
         assert [s.driver.tables.c.samples for s in steppers if isinstance(s, CompiledAlphaStepper)] == [1, 0]
+
+
+@pytest.mark.parametrize("count", [1, 3, N])
+def test_slopes_of_few_laws_are_made_of_plain_numbers(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Arrays of a few numbers took three times as long as the laws; many elements are asked with arrays."""
+    laws = [lambda s, rate, t, k=k: k * s * s + 3.0 * rate for k in NUMBERS[:count].tolist()]
+    together = LawsTogether([Repeatable("The law of spring", f"{i}", law) for i, law in enumerate(laws)])
+    if count <= 3:
+        monkeypatch.setattr(laws_together, "np", SimpleNamespace(array=np.array))  # nothing but the answer
+    k, c = together.slopes(S[:count], RATE[:count], 0.3)
+    np.testing.assert_allclose(k, 2 * NUMBERS[:count] * S[:count], rtol=1e-6)
+    np.testing.assert_allclose(c, 3.0, rtol=1e-6)
