@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -103,23 +103,6 @@ class Stopped(KeyboardInterrupt):
     def __init__(self, run: Any, exit_code: int = 130) -> None:
         super().__init__(f"stopped on request at t = {run.state.t:g} s")
         self.run, self.exit_code = run, exit_code
-
-
-class Uncopied:
-    """What holds compiled tables and matrices of PETSc: copies and pickles are refused, with what to take ``instead``."""
-
-    instead: ClassVar[str]
-
-    def __deepcopy__(self, memo: Any) -> Any:
-        raise self._refusal()
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        raise self._refusal()
-
-    def _refusal(self) -> InputError:
-        return InputError(
-            f"{type(self).__name__}: it holds compiled tables, which cannot be copied or pickled. {self.instead}"
-        )
 
 
 def near(name: str, known: Iterable[str]) -> str:

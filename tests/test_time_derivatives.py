@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline, interp1d
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError
 from fmbd_fenicsx.mechanics.joints import time_derivatives
-from fmbd_fenicsx.mechanics.joints.time_derivatives import Kept, rates
+from fmbd_fenicsx.mechanics.joints.time_derivatives import KeptSteps, rates
 
 LAWS: dict[str, tuple[Callable[[Any], Any], Callable[[float], tuple[float, float]]]] = {
     "powers": (lambda t: 3 * t**3 - t**2 / 4 + 1, lambda t: (9 * t**2 - t / 2, 18 * t - 0.5)),
@@ -167,7 +167,7 @@ def test_steps_that_count_serve_an_interval(scale: float) -> None:
             return float(law(float(t) / scale))
 
         times = [k * 1e-3 * scale for k in range(1, 2000, 2)]
-        kept, calls = Kept(), 0
+        kept, calls = KeptSteps(), 0
         few = np.array([rates(asked, t, kept=kept) for t in times])
         by_few, calls = calls, 0
         every = np.array([rates(asked, t) for t in times])
@@ -179,7 +179,7 @@ def test_steps_that_count_serve_an_interval(scale: float) -> None:
 def test_what_is_found_does_not_depend_on_what_was_asked_before() -> None:
     times = [0.013 * k for k in range(300)]
     law = lambda t: math.sin(3 * float(t)) + math.exp(-(((float(t) - 2) / 0.01) ** 2))
-    forth, back = Kept(), Kept()
+    forth, back = KeptSteps(), KeptSteps()
     ahead = [rates(law, t, kept=forth) for t in times]
     assert ahead == [rates(law, t, kept=back) for t in reversed(times)][::-1]
 

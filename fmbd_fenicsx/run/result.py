@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from ..checks import typed, word
-from ..errors import InputError, Uncopied, near
+from ..errors import InputError, near
 from ..rotations import Array
 from ..schemes.consistent import Correction
 from ..system.scene.plan import Plan
@@ -18,6 +18,7 @@ from ..system.scene.scene import Scene
 from ..system.system import State, System
 from .accuracy.deviation import Deviation, sizes
 from .recording.ledger import Books, Ledger, make_ledger
+from .uncopied import Uncopied
 
 if TYPE_CHECKING:
     from ..post.drawing.view import Paint, View

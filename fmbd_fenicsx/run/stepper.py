@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import instance, number, typed
-from ..errors import InputError, Uncopied, near, require
+from ..errors import InputError, near, require
 from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.declared import Declared
@@ -39,6 +39,7 @@ from .recording.output import Output, Recorder
 from .schedule import StepSchedule
 from .settings import check_contents
 from .solve import default_scheme
+from .uncopied import Uncopied
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from ...rotations import Array
 from .user_laws import Repeatable
 
 FEW = 8  # numbers: below it Python is faster with each of them
+STEP, LEAST = 1e-6, 1e-3  # of differences, relative to s and s'; the least size of these (m or rad, and a second)
 SAME = 1e-9  # relative, of arrays against numbers: their functions may round in other ways
 _content = attrgetter("cell_contents")
 
@@ -57,7 +58,7 @@ class LawsTogether:
             at = zip(self.laws, map(float, s), map(float, rate), strict=True)
             each = [_slopes(law.number, x, v, t) for law, x, v in at]
             return tuple(np.array(each).T)  # type: ignore[return-value]
-        hs, hv = 1e-6 * np.maximum(np.abs(s), 1e-3), 1e-6 * np.maximum(np.abs(rate), 1e-3)
+        hs, hv = STEP * np.maximum(np.abs(s), LEAST), STEP * np.maximum(np.abs(rate), LEAST)
         asked = np.array((s + hs, s - hs, s, s)), np.array((rate, rate, rate + hv, rate - hv))
         longer, shorter, faster, slower = self(*asked, t)
         return (longer - shorter) / (2 * hs), (faster - slower) / (2 * hv)
@@ -124,7 +125,7 @@ def _alone(laws: Sequence[Repeatable], s: Array, rate: Array, t: float) -> Array
 
 def _slopes(law: Callable[[float, float, float], float], s: float, rate: float, t: float) -> tuple[float, float]:
     """The slopes of one law."""
-    hs, hv = 1e-6 * max(abs(s), 1e-3), 1e-6 * max(abs(rate), 1e-3)
+    hs, hv = STEP * max(abs(s), LEAST), STEP * max(abs(rate), LEAST)
     along = (law(s + hs, rate, t) - law(s - hs, rate, t)) / (2 * hs)
     return along, (law(s, rate + hv, t) - law(s, rate - hv, t)) / (2 * hv)
 

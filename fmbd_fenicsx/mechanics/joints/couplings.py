@@ -19,7 +19,7 @@ from ...rotations import Array
 from ..frames import Kinematics
 from .constraints import Batch, Motion, Sides
 from .relative import Relative
-from .time_derivatives import Kept, rates
+from .time_derivatives import KeptSteps, rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class SmoothMotion:
     complete: bool
     differenced: Callable[[Any], Any]  # the function up to its very end
     positive: bool = False
-    steps: Kept = field(default_factory=Kept)  # of differences
+    steps: KeptSteps = field(default_factory=KeptSteps)  # of differences
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""

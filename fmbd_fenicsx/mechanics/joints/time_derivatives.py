@@ -9,8 +9,8 @@ differenced about t with steps of 2^-39 to 2^18 s, eight times as long from one 
 with k = -3 ... 3, and where the function ends (it raises, or returns no finite number) with k = 1 ... 6 or -6 ... -1. The step
 counts whose error, by its difference from the formula of the four nearest k and its roundoff, is smallest. Longer steps
 are tried as long as they agree with what shorter ones have found: a whole period would else look like rest. The steps that
-count at the start of an interval of time serve all of it, where they do not contradict each other: two in place of some fifteen
-(:class:`Kept`).
+count at a few places of an interval of time serve all of it, where they do not contradict each other: two to four in place of
+some fifteen (:class:`KeptSteps`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from ...errors import FmbdError
 EPS = float(np.finfo(float).eps)
 STEPS = tuple(2.0**k for k in range(-39, 19, 3))  # s
 AGREES = 10.0  # times the errors that two steps are thought to have
-INTERVAL = 64  # steps that a function goes with, in an interval that has one choice of them
+INTERVAL = 64  # steps over which a function is smooth, in an interval that has one choice of steps
+SMOOTH = 1e-3  # of its change over a step: what a polynomial may leave of it
 PLACES = (0.13, 0.41, 0.77)  # in an interval, where steps are looked for
 MOST = 1000  # intervals whose steps are kept
 REFUSED = (TypeError, ValueError, OverflowError, AttributeError)  # of functions that take plain numbers only
@@ -221,7 +222,7 @@ def _unary(name: str, x: Jet) -> Any:
 
 
 # ------------------------------------------------------------------------------------------------------------------ use
-def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: Kept | None = None) -> Rates:
+def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: KeptSteps | None = None) -> Rates:
     """s'(t) and s''(t) of ``function``(t) -> s.
 
     ``scale``: of terms that may cancel in s, whose roundoff stays; ``kept``: steps of differences of this function.
@@ -253,6 +254,10 @@ class Formula:
     best: tuple[float, ...]
     rough: tuple[float, ...]
     size: float
+
+    def sums(self, d: Sequence[float]) -> tuple[float, float]:
+        """Both sums in (1) over the differences d_k = s(t + k h) - s(t)."""
+        return sum(map(mul, self.best, d)), sum(map(mul, self.rough, d))
 
 
 def _formulas(nodes: Sequence[int]) -> tuple[Formula, ...]:
@@ -293,7 +298,7 @@ class Best:
             self.value, self.error, self.number = value, doubt, number
 
 
-class Kept:
+class KeptSteps:
     """Steps that count at a few places of an interval of time, which is so many of those over which it is smooth at t = 0.
 
     What is found is a function of the time alone, whoever was asked before: runs that are taken up go on to the last bit.
@@ -315,7 +320,7 @@ class Kept:
     def _interval(self, function: Callable[[Any], Any], t: float, scale: float) -> tuple[list[int], list[float]]:
         """The steps that count in the interval around t, with the next shorter ones, and the errors of both rates there."""
         if math.isnan(self.width):
-            self.width = INTERVAL * _smooth(function)
+            self.width = INTERVAL * _smooth_step(function)
         number = math.floor(t / self.width)
         if number not in self.intervals:
             if len(self.intervals) == MOST:
@@ -341,8 +346,8 @@ class Kept:
         return sorted(steps), [best.error for best in worst]
 
 
-def _smooth(function: Callable[[Any], Any]) -> float:
-    """The longest step (s) over which it is a polynomial, to a thousandth, about t = 0."""
+def _smooth_step(function: Callable[[Any], Any]) -> float:
+    """The longest step (s) over which it is a polynomial about t = 0."""
     here = float(function(0.0))
     for n, h in enumerate(STEPS):
         around = _around(function, 0.0, h)
@@ -350,13 +355,13 @@ def _smooth(function: Callable[[Any], Any]) -> float:
             return STEPS[max(n - 1, 0)]
         there, (formula, _) = around
         d = [value - here for value in there]
-        missed = sum(map(mul, formula.best, d)) - sum(map(mul, formula.rough, d))
-        if abs(missed) > 1e-3 * max(map(abs, d)) + EPS * formula.size * max(map(abs, there)):
+        value, rough = formula.sums(d)
+        if abs(value - rough) > SMOOTH * max(map(abs, d)) + EPS * formula.size * max(map(abs, there)):
             return STEPS[max(n - 1, 0)]
     return STEPS[-1]
 
 
-def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: Kept | None) -> Rates:
+def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: KeptSteps | None) -> Rates:
     """(1) for m = 1 and 2, each with the step that suits it best; NaN where the function is known at t alone."""
     few = None if kept is None else kept.by_few(function, t, scale)
     if few is not None:
@@ -384,7 +389,7 @@ def _search(
         d = [value - here for value in there]
         noise = EPS * max(scale, abs(here), max(map(abs, there))) + EPS * abs(t) / h * max(map(abs, d))
         for power, best, formula in zip((h, h * h), found, formulas, strict=True):
-            value, rough = sum(map(mul, formula.best, d)), sum(map(mul, formula.rough, d))
+            value, rough = formula.sums(d)
             best.take(value / power, (abs(value - rough) + noise * formula.size) / power, number)
 
         if found[0].contradicted and found[1].contradicted:

@@ -213,12 +213,15 @@ class Builder:
         """Refuse a sensor of a joint, body or contact that is not in the scene; one of the same name is another one."""
         scene = self.scene
         joints = {**dict.fromkeys(rows), **scene.joints}
-        there = {"joint": joints, "body": scene.bodies, "contact": scene.contacts, "joint limit": scene.limits}
+        there: dict[str, Mapping[str, Any]] = {
+            "joint": joints, "body": scene.bodies, "contact": scene.contacts, "joint limit": scene.limits,
+        }  # fmt: skip
         for name, sensor in scene.sensors.items():
             for what, wanted in sensor.reads.items():
-                known: Mapping[str, Any] = there[what]
-                here = known.get(wanted)  # None of what has rows alone, as ties
-                if wanted not in known or here not in (None, getattr(wanted, "part", here)):
+                known = there[what]
+                here = known.get(wanted)
+                another = here is not None and getattr(wanted, "part", here) is not here  # ties have rows alone
+                if wanted not in known or another:
                     raise InputError(
                         f'Sensor "{name}": there is no {what} "{wanted}" in the scene. {near(wanted, known)}'
                     )

@@ -13,20 +13,14 @@ class PartName(str):
 
     part: Any
 
-    def __new__(cls, name: str, part: Any) -> PartName:
-        """A name of a part."""
-        made = super().__new__(cls, name)
-        made.part = part
-        return made
-
-    def __getnewargs__(self) -> tuple[str, Any]:  # type: ignore[override]
-        """Of copies."""
-        return str(self), self.part
-
 
 def named_part(what: str, part: Any) -> str:
     """The name of a part of a scene, given by its name or itself."""
     name = part if isinstance(part, str) else name_of(part)
     if name is None:
         raise InputError(f"{what} {shown(part)} must be a name, or what bears it.")
-    return name if part is name else PartName(name, part)
+    if part is name:
+        return name
+    made = PartName(name)
+    made.part = part
+    return made

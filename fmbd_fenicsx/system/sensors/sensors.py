@@ -20,7 +20,7 @@ from ..evaluation import Evaluation
 from ..foreshortened_ports import port_acceleration
 from ..scene.joints import relative_of
 from ..system import State, System
-from .part_name import PartName, named_part
+from .part_name import named_part
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Sensor:
 
     @property
     def reads(self) -> dict[str, str]:
-        """What it reads that a scene must hold: "joint", "body" or "contact" -> its name, see :class:`PartName`."""
+        """What it reads that a scene must hold: "joint", "body" or "contact" -> its name, see :func:`named_part`."""
         return {}
 
     def in_scene(self, name: str, scene: Any) -> Sensor:
@@ -90,7 +90,7 @@ class BodySensor(Sensor):
     @property
     def reads(self) -> dict[str, str]:
         """A body."""
-        return {"body": PartName(self.body.name, self.body)}
+        return {"body": named_part("body", self.body)}
 
 
 class _Vector(Sensor):
@@ -300,8 +300,7 @@ class JointReading(Sensor):
     @property
     def reads(self) -> dict[str, str]:
         """The joint of the coordinate."""
-        joint = self.coordinate.joint
-        return {"joint": PartName(joint.name, joint)}
+        return {"joint": named_part("joint", self.coordinate.joint)}
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """Value and rate of the joint coordinate."""

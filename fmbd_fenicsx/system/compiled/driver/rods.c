@@ -202,30 +202,35 @@ static void rod_mean_nodes(System *s, const Rod *k, long e, const double *q0, co
     }
 }
 
-/* Equation (1) of mechanics/rods/discrete_gradient.py without the loads, into the residual, at the mean of the configurations q0 and q1;
-   velocities are those of the mean. */
-int rod_mean_forces(System *s, Rod *k, const double *q0, const double *q1, double h, double t)
+/* Means of strains and section forces over both ends of a step, and the energy gained in it. */
+static int rod_means(System *s, Rod *k, const double *q0, const double *q1, double t, double *gained)
 {
-    const double *kept = s->q;
-    double before, after, gained, square = 0.0, nodal[NODES][NODAL], moving[NODES][NODAL], z[Z], found[STRAINS + STRAINS * Z];
     const long points = k->n * k->points;
-    int verdict = rod_end(s, k, q0, t, &before);
+    double before, after;
+    if (rod_end(s, k, q0, t, &before)) return FAILED;
     for (long at = 0; at < points; at++) { /* of the beginning: strains in z, forces in the rates */
         memcpy(k->z + Z * at, k->strain + STRAINS * at, STRAINS * sizeof(double));
         memcpy(k->rate + STRAINS * at, k->S + STRAINS * at, STRAINS * sizeof(double));
     }
-    if (!verdict) verdict = rod_end(s, k, q1, t, &after);
+
+    if (rod_end(s, k, q1, t, &after)) return FAILED;
     for (long at = 0; at < points; at++)
         for (int j = 0; j < STRAINS; j++) {
             k->strain[STRAINS * at + j] = 0.5 * (k->z[Z * at + j] + k->strain[STRAINS * at + j]);
             k->S[STRAINS * at + j] = 0.5 * (k->rate[STRAINS * at + j] + k->S[STRAINS * at + j]);
         }
-    if (!verdict && k->number >= 0) {
-        s->calls++;
-        verdict = s->python(SECTION_SLOPES, k->number, t) ? FAILED : DONE;
-    }
-    gained = after - before;
-    for (long e = 0; e < k->n && !verdict; e++) {
+    *gained = after - before;
+
+    if (k->number < 0) return DONE;
+    s->calls++;
+    return s->python(SECTION_SLOPES, k->number, t) ? FAILED : DONE;
+}
+
+/* What mean section forces leave of the energy gained is given back along C times the changes of strain; damping is added. */
+static void rod_gradient(System *s, Rod *k, const double *q0, const double *q1, double h, double gained)
+{
+    double square = 0.0, nodal[NODES][NODAL], moving[NODES][NODAL], z[Z], found[STRAINS + STRAINS * Z];
+    for (long e = 0; e < k->n; e++) {
         rod_mean_nodes(s, k, e, q0, q1, nodal, moving);
         for (int g = 0; g < k->points; g++) {
             long at = e * k->points + g;
@@ -234,6 +239,7 @@ int rod_mean_forces(System *s, Rod *k, const double *q0, const double *q1, doubl
             rod_point(k, N, slope, nodal, z);
             rod_strains(z, 0, found);
             memcpy(k->E + STRAINS * Z * at, found + STRAINS, STRAINS * Z * sizeof(double));
+
             rod_point(k, N, slope, moving, z);
             for (int j = 0; j < STRAINS; j++) change[j] = h * dot(found + STRAINS + Z * j, z, Z);
             for (int j = 0; j < STRAINS; j++) along[j] = dot(k->C + STRAINS * (STRAINS * at + j), change, STRAINS);
@@ -242,7 +248,17 @@ int rod_mean_forces(System *s, Rod *k, const double *q0, const double *q1, doubl
             add(S, k->beta / h, along, STRAINS);
         }
     }
-    for (long at = 0; at < points && square > 0.0; at++) add(k->S + STRAINS * at, gained / square, k->rate + STRAINS * at, STRAINS);
+    if (square > 0.0) add(k->S, gained / square, k->rate, STRAINS * k->n * k->points);
+}
+
+/* Equation (1) of mechanics/rods/discrete_gradient.py without the loads, into the residual, at the mean of the configurations q0 and q1;
+   velocities are those of the mean. */
+int rod_mean_forces(System *s, Rod *k, const double *q0, const double *q1, double h, double t)
+{
+    const double *kept = s->q;
+    double gained, nodal[NODES][NODAL], moving[NODES][NODAL];
+    int verdict = rod_means(s, k, q0, q1, t, &gained);
+    if (!verdict) rod_gradient(s, k, q0, q1, h, gained);
     for (long e = 0; e < k->n && !verdict; e++) {
         rod_mean_nodes(s, k, e, q0, q1, nodal, moving);
         rod_push(s, k, e, nodal);
