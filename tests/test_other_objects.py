@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.system.scene.refinement import with_bodies
 
 
 def pendulum() -> tuple[fmbd.Scene, fmbd.RigidBody, fmbd.Joint]:
@@ -84,6 +86,15 @@ def test_copies_of_scenes_read_their_own_joints() -> None:
     scene.sensor("force", fmbd.reaction_force(pin))
     for made in (copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
         assert fmbd.solve(made, t_end=0.01, dt=0.005)["force"].shape == (3, 2)
+
+
+@pytest.mark.parametrize("read", READ.values(), ids=READ)
+def test_scenes_with_other_bodies_read_their_own_joints(read: Callable[..., object]) -> None:
+    """Those of finer meshes, which a tolerance asks for."""
+    scene, bob, pin = pendulum()
+    scene.sensor("seen", read(bob, pin))
+    heavier = with_bodies(scene, {"bob": replace(bob, mass=2.0)})
+    assert fmbd.solve(heavier, t_end=0.01, dt=0.005)["seen"].shape[0] == 3
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])

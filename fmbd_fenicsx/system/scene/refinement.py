@@ -17,6 +17,7 @@ import numpy as np
 from ...errors import InputError, MeshError
 from ...mechanics.bodies.body import Body
 from ...mechanics.reduction.reduced import ReducedPart
+from ..sensors.part_name import PartName, named_part
 from ..system import System
 from .scene import Scene
 
@@ -54,6 +55,9 @@ class _Swap:
         if type(x) is dict:
             values = {k: self.of(y) for k, y in x.items()}
             return x if all(values[k] is y for k, y in x.items()) else values
+        if isinstance(x, PartName):
+            part = self.of(x.part)
+            return x if part is x.part else named_part("part", part)
         if not dataclasses.is_dataclass(x):
             return x
 
