@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fmbd_fenicsx.linear.complementarity.active_set import ContactCounts
 from fmbd_fenicsx.linear.complementarity.coulomb import _lemke, solve_friction
-from fmbd_fenicsx.linear.complementarity.normal import ContactCounts, solve_normal
+from fmbd_fenicsx.linear.complementarity.normal import solve_normal
 
 
 def matrix(seed: int, m: int) -> np.ndarray:

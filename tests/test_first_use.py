@@ -78,7 +78,7 @@ def test_a_body_that_lies_on_another_is_not_called_loose() -> None:
 
 
 def test_default_scheme_of_elastic_and_reduced_surfaces(rod_mesh: Any) -> None:
-    from fmbd_fenicsx.run.solve import default_scheme
+    from fmbd_fenicsx.run.settings import default_scheme
 
     rod = fmbd.FloatingBody("rod", rod_mesh(dim=2, h=0.5), density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
     for body, wanted in ((rod, fmbd.ContactMidpoint), (rod.reduced(modes=3), fmbd.Moreau)):

@@ -14,7 +14,7 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.run.judges.force_balance import Balanced
 from fmbd_fenicsx.schemes.multistep import bdf
-from fmbd_fenicsx.schemes.onestep import generalized_alpha, radau
+from fmbd_fenicsx.schemes.onestep import alpha_stepper, radau
 
 
 def double_pendulum(size: float = 1.0, mass: float = 1.0) -> fmbd.Scene:
@@ -28,7 +28,7 @@ def double_pendulum(size: float = 1.0, mass: float = 1.0) -> fmbd.Scene:
 
 
 SCHEMES = {
-    "alpha": (generalized_alpha.AlphaStepper, fmbd.GeneralizedAlpha(0.8, compiled=False), 2e-3),
+    "alpha": (alpha_stepper.AlphaStepper, fmbd.GeneralizedAlpha(0.8, compiled=False), 2e-3),
     "Radau": (radau.RadauStepper, fmbd.Radau(rtol=1e-6), None),
     "BDF": (bdf.BDFStepper, fmbd.BDF(rtol=1e-6), None),
     "BDF, constant": (bdf.BDFStepper, fmbd.BDF(order=2, rtol=None), 2e-3),

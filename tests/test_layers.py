@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "fmbd_fenicsx"
@@ -62,8 +63,8 @@ def parsed(path: Path) -> ast.Module:
 
 
 @cache
-def imported(path: Path) -> list[tuple[int, str, bool]]:
-    """(line, room, only for types) of every import of this package in a module."""
+def imported(path: Path) -> list[tuple[int, list[str], bool]]:
+    """(line, parts of the name below the package, only for types) of every import of this package in a module."""
     tree = parsed(path)
     blocks = [node for node in tree.body if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)]
     typing_only = {id(child) for node in blocks for child in ast.walk(node)}
@@ -79,7 +80,7 @@ def imported(path: Path) -> list[tuple[int, str, bool]]:
             names = [alias.name.split(".") for alias in node.names]
         for parts in names:
             if parts[0] == "fmbd_fenicsx" and len(parts) > 1:
-                found.append((node.lineno, parts[1], id(node) in typing_only))
+                found.append((node.lineno, parts[1:], id(node) in typing_only))
     return found
 
 
@@ -87,26 +88,35 @@ def test_imports_point_downwards() -> None:
     upward = [
         f"{path.relative_to(PACKAGE)}:{line} imports {name}"
         for path in MODULES
-        for line, name, typing_only in imported(path)
+        for line, (name, *_), typing_only in imported(path)
         if name in ROOMS and not typing_only and floor(name) > floor(room(path)) and (room(path), name) not in DOORS
     ]
     assert not upward
 
 
+def module(parts: list[str]) -> str:
+    """The module that a name below the package is one of, or is in."""
+    while parts and not (PACKAGE.joinpath(*parts).with_suffix(".py").exists() or PACKAGE.joinpath(*parts).is_dir()):
+        parts = parts[:-1]
+    return ".".join(parts)
+
+
 def test_no_circles() -> None:
+    """Neither at import nor by an import within a function: a module can be read with those below it alone."""
     graph: dict[str, set[str]] = {}
     for path in MODULES:
-        graph.setdefault(room(path), set()).update(
-            n
-            for _, n, typing_only in imported(path)
-            if n in ROOMS and n != room(path) and not typing_only and (room(path), n) not in DOORS
-        )
-    graph.pop("__init__", None)
+        own = ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
+        graph[own] = {
+            module(parts)
+            for _, parts, typing_only in imported(path)
+            if not typing_only and (room(path), parts[0]) not in DOORS and module(parts) != own
+        }
+    graph.pop("__init__")
 
-    def reaches(start: str, goal: str, seen: set[str]) -> bool:
-        return any(n == goal or (n not in seen and reaches(n, goal, seen | {n})) for n in graph.get(start, set()))
-
-    assert not [name for name in graph if reaches(name, name, {name})]
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        raise AssertionError(f"modules import one another in a circle: {' <- '.join(error.args[1])}") from None
 
 
 def test_files_and_functions_are_short() -> None:

@@ -38,20 +38,19 @@ def controllers(system: System) -> list[ControlLoads]:
     return [f for f in system.forces if isinstance(f, ControlLoads)]
 
 
-def remember(system: System, state: State, at: Any) -> None:
+def remember(system: System, state: State, at: Any, *, relaxed: bool) -> None:
     """What elements remember in small motions about a state of ``at``: an equilibrium, a run (its end), or a state; collective.
 
-    Refuses what has no linear model there: sampled controllers, friction at its limit.
+    ``relaxed``: ``at`` is an equilibrium, in which viscoelastic rods are relaxed whatever they are strained by. Refuses what has
+    no linear model there: sampled controllers, friction at its limit.
     """
     begin(system, state)
     for elements in system.elements:
         elements.kept = elements.first(system.at(state.t, state.q, state.v), state)
     if at is not None and not isinstance(at, State):
-        from .equilibrium import Equilibrium
-
         own, theirs = memories(system), memories(at.system)
         require(len(own) == len(theirs), "The state belongs to another scene: other elements remember something there.")
-        if isinstance(at, Equilibrium):  # its rods are relaxed whatever they are strained by: as set above
+        if relaxed:  # rods as set above
             few = sum(f.kept is not None for f in system.forces)
             theirs = [*theirs[:few], *own[few:]]
         restore(system, theirs)

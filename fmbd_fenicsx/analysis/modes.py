@@ -224,7 +224,7 @@ def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolve
     if system.keepers:
         from .memories import remember
 
-        remember(system, given if state is None else state, at)
+        remember(system, given if state is None else state, at, relaxed=isinstance(at, Equilibrium))
     if state is None:
         state, _ = consistent(system, given, solver)
     if closed is not None:

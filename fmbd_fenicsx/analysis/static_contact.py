@@ -24,8 +24,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConvergenceError, LinearSolveError, require
+from ..linear.complementarity.active_set import ContactCounts
 from ..linear.complementarity.delassus import Compliance
-from ..linear.complementarity.normal import ContactCounts, solve_normal
+from ..linear.complementarity.normal import solve_normal
 from ..linear.condensation import Weights
 from ..mechanics.contact.rows import ContactSet, Rows
 from ..rotations import Array

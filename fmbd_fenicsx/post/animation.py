@@ -18,7 +18,7 @@ from ..checks import typed
 from ..errors import InputError, require
 from ..log import on_root
 from ..rotations import Array
-from ..run.solve import Run
+from ..run.result import Run
 from .drawing.draw import draw
 from .drawing.render import Renderer
 from .drawing.scene_graph import Drawing

@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import require
 from ..log import on_root
 from ..mechanics.reduction.recovery import displacement_field, within_cells
-from ..run.solve import Run
+from ..run.result import Run
 from ..system.system import State
 from .drawing.draw import draw
 from .drawing.view import View

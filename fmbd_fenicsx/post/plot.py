@@ -15,7 +15,7 @@ from ..checks import typed, words
 from ..errors import InputError
 from ..log import on_root, world_rank
 from ..rotations import Array
-from ..run.solve import Run
+from ..run.result import Run
 from ..schemes.declared import Declared
 from .drawing.render import ARROWS, strobe
 from .drawing.scene_graph import Deforming, Drawing, Role

@@ -17,7 +17,7 @@ from ..system.scene.scene import Scene
 from ..versions import short
 
 if TYPE_CHECKING:
-    from ..run.solve import Run
+    from ..run.result import Run
 
 WIDTH = 112
 LABEL = 18

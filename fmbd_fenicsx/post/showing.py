@@ -14,7 +14,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..log import on_root
-from ..run.solve import Run
+from ..run.result import Run
 from .animation import make_story
 from .drawing.view import Paint, View
 

@@ -26,7 +26,7 @@ from ..checks import shown, typed
 from ..errors import FmbdError, InputError, near, require
 from ..log import world_rank
 from ..rotations import Array
-from ..run.solve import Run
+from ..run.result import Run
 from ..run.variants import Variant as Variant
 from ..run.variants import Variants as Variants
 from ..run.variants import run_variants as map  # noqa: F401

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..errors import InputError
-from ..run.solve import Run
+from ..run.result import Run
 from .plot import components
 
 

@@ -11,7 +11,7 @@ from ..analysis.equilibrium import read
 from ..analysis.modes import Modes, readable
 from ..checks import typed
 from ..errors import require
-from ..run.solve import Run
+from ..run.result import Run
 from ..schemes.consistent import Correction
 from ..system.scene.plan import make_plan
 

@@ -9,15 +9,17 @@ import base64
 import html
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..rotations import Array
-from .animation import Story
 from .drawing.render import ARROWS, color_of
 from .drawing.scene_graph import Deforming, MovingPoints, Piece, Role
 from .plot import series_of
+
+if TYPE_CHECKING:
+    from .animation import Story
 
 MOST = 600  # points of a curve
 VIEWER = Path(__file__).with_name("viewer.html")

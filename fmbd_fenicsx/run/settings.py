@@ -1,4 +1,4 @@
-"""Whether the arguments of :func:`fmbd_fenicsx.solve` are what they are called."""
+"""Whether the arguments of :func:`fmbd_fenicsx.solve` are what they are called, and the scheme where none is given."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.contents import contents_of
 from ..system.scene.scene import Scene
 from .recording.output import ROUNDING, Output
+
+USUAL = GeneralizedAlpha()  # frozen: all runs may share it
 
 
 def check_settings(scene: Any, newton: Any, output: Any, restart: Any) -> None:
@@ -77,3 +79,18 @@ def check_contents(scene: Scene, scheme: Any) -> None:
     """Refuse a scheme that does not take what a scene holds, before anything is computed."""
     reason = Declared.by(scheme).refuse(scheme.name, contents_of(scene))
     require(not reason, reason)
+
+
+def default_scheme(scene: Scene) -> Any:
+    """Generalized-alpha; for contact of elastic bodies the contact-implicit midpoint rule; with stops of joints, or where rigid
+    or reduced bodies or rods touch, the scheme with impacts.
+    """
+    if not scene.unilateral:
+        return USUAL
+    if scene.limits or any(pair.bounces for pair in scene.contacts.values()):
+        from ..schemes.impacts.moreau import Moreau
+
+        return Moreau()
+    from ..schemes.impacts.contact_midpoint import ContactMidpoint
+
+    return ContactMidpoint()

@@ -10,22 +10,19 @@ from ..errors import require
 from ..log import install_hooks
 from ..schemes.declared import Declared, checked_scheme
 from ..schemes.newton import Newton
-from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
 from ..system.scene.scene import Scene
 from .accuracy.estimates import state_errors
 from .built import build
 from .recording.output import Output
 from .result import Run
 from .schedule import step_schedule
-from .settings import check_contents, check_is_of_sensors, check_settings, check_tangent, check_ways
+from .settings import check_contents, check_is_of_sensors, check_settings, check_tangent, check_ways, default_scheme
 from .single_run import Task, run_once
 
 if TYPE_CHECKING:
     from .checkpoints.checkpoint import Checkpoint
 
-__all__ = ["Run", "default_scheme", "solve"]
-
-USUAL = GeneralizedAlpha()  # frozen: all runs may share it
+__all__ = ["Run", "solve"]
 
 
 def solve(
@@ -91,18 +88,3 @@ def solve(
     solved = run_once(task, build(scene), checkpoint=checkpoint, restart=restart)
     state_errors(solved.run, solved.problem, solved.compared, output)
     return solved.run
-
-
-def default_scheme(scene: Scene) -> Any:
-    """Generalized-alpha; for contact of elastic bodies the contact-implicit midpoint rule; with stops of joints, or where rigid
-    or reduced bodies or rods touch, the scheme with impacts.
-    """
-    if not scene.unilateral:
-        return USUAL
-    if scene.limits or any(pair.bounces for pair in scene.contacts.values()):
-        from ..schemes.impacts.moreau import Moreau
-
-        return Moreau()
-    from ..schemes.impacts.contact_midpoint import ContactMidpoint
-
-    return ContactMidpoint()

@@ -37,8 +37,7 @@ from .problem import Problem, begin, judges_of, make_solver, make_stepper
 from .recording.moment import Moment
 from .recording.output import Output, Recorder
 from .schedule import StepSchedule
-from .settings import check_contents
-from .solve import default_scheme
+from .settings import check_contents, default_scheme
 from .uncopied import Uncopied
 
 

@@ -33,7 +33,8 @@ from ..mechanics.joints.relative import Relative
 from ..rotations import Array, Motions, hat
 from .control_laws import PidLaw, differences, numbers_of
 from .control_memory import Found, Kept, implicit
-from .sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Sensor, Velocity
+from .sensors.sensor import Sensor
+from .sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Velocity
 
 _KINEMATIC = (Position, Velocity, AngularVelocity, Rotation)
 _AT = 1e-9  # share of the sampling period by which a step may end before its sample

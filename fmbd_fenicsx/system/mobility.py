@@ -240,7 +240,7 @@ def loose_bodies(scene: Any) -> list[str]:
 
 def _touching(scene: Any) -> set[str]:
     """Names of the bodies that take part in contacts: by a surface, by points, or by an obstacle that they carry."""
-    from ..mechanics.contact.shapes import Obstacle
+    from ..mechanics.contact.obstacles import Obstacle
 
     carriers = (
         pair.master.on if isinstance(pair.master, Obstacle) else pair.master.body for pair in scene.contacts.values()

@@ -21,7 +21,7 @@ from ufl import div, grad, inner, sym  # noqa: E402
 import fmbd_fenicsx as fmbd  # noqa: E402
 from fmbd_fenicsx import sensors  # noqa: E402
 from fmbd_fenicsx.errors import FmbdError  # noqa: E402
-from fmbd_fenicsx.system.sensors.sensors import Sensor  # noqa: E402
+from fmbd_fenicsx.system.sensors.sensor import Sensor  # noqa: E402
 
 STEP = 1e-4  # s
 SHORTEST, MOST = 0.05, 20_000  # s of CPU time that N steps should take, and the most of these

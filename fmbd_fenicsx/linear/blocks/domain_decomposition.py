@@ -31,7 +31,7 @@ from ...fem.traces.multipliers import Multipliers, MultiplierSpace
 from ...fem.traces.traces import Trace
 from ...rotations import Array
 from ..residual import Judge
-from ..saddle.multiplier_schur import conjugate_gradients
+from ..saddle.conjugate_gradients import conjugate_gradients
 from ..saddle.precondition import Fractional, rigid_term
 from ..saddle.saddle import Elastic, TraceTie, rigid_modes
 from .spd import CholeskyFactor

@@ -20,7 +20,7 @@ import numpy as np
 
 from ...errors import ConvergenceError
 from ...rotations import Array
-from .normal import ContactCounts, solve_least
+from .active_set import ContactCounts, solve_least
 
 ATTEMPTS = ((0, 0.0), (0, 1e-4), (16, 1e-4))
 """Tried in turn: facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""

@@ -29,9 +29,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...rotations import Array
+from .active_set import ContactCounts
 from .coulomb import Coulomb, Iterate, solved
 from .delassus_matrix_free import Applied
-from .normal import ContactCounts
 
 INNER = 1e-3  # relative residual of (2)
 RESTART, CYCLES = 100, 3  # of GMRES

@@ -24,7 +24,7 @@ from ...mechanics.contact.rows import ContactSet, LinearRows
 from ...rotations import Array
 from ...system.serialisation import Remembering, plain
 from ..condensation import StepSolver
-from .normal import ContactCounts, active_set
+from .active_set import ContactCounts, active_set
 
 MANY = 300  # candidates above which W is applied instead of stored
 ROUGH, FINE = 1e-3, 1e-12  # errors of the forces over the largest force

@@ -20,7 +20,7 @@ from ...fem.fields import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
 from ..placements import Attached, Chord, MeanAxis, Part
-from .body import FIELDS, Body, Placed, Site, start_velocity
+from .body import FIELDS, ORIGIN, Body, Placed, Site, start_velocity
 
 if TYPE_CHECKING:
     from ...fem.traces.stability import OnSurface
@@ -29,7 +29,6 @@ Vector = Sequence[float] | Array
 Same = TypeVar("Same", bound="ElasticBody")
 
 
-ORIGIN = (0.0, 0.0, 0.0)  # where nothing is given; the only three numbers that a plane body takes
 HIGHEST_DEGREE = 3  # of displacements
 
 

@@ -17,6 +17,8 @@ from ..placements import Part
 # distributed over ranks, fields and wires
 EQUATIONS, INSIDES, LINES, MODES, FIELDS, WIRES = range(6)
 
+ORIGIN = (0.0, 0.0, 0.0)  # where nothing is given; the only three numbers that a plane body takes
+
 FASTEST = 1e100  # m/s, rad/s: squares of more are no numbers
 
 

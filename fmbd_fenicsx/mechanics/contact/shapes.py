@@ -1,9 +1,4 @@
-"""Rigid obstacles by their signed distance: shape and motion.
-
-A shape gives d(y) in metres, positive outside, and its unit gradient, in its own axes. An obstacle places
-the shape in the
-world: at rest, moving as prescribed, or carried by a rigid body, on which it then reacts.
-"""
+"""Shapes by their signed distance: d(y) in metres, positive outside, and its unit gradient, in the shape's own axes."""
 
 from __future__ import annotations
 
@@ -14,11 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...checks import check_fields, instance, number, shown, vector
-from ...errors import CallbackError, InputError, named, require
+from ...checks import check_fields, number, shown, vector
+from ...errors import CallbackError, named, require
 from ...log import log
 from ...rotations import Array, motions
-from ..bodies.bodies import ORIGIN, RigidBody
+from ..bodies.body import ORIGIN
 
 Vector = Sequence[float] | Array
 
@@ -316,33 +311,3 @@ class SignedDistance(Shape):
                 size.max(),
             )
         return phi / size, grad / size[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Obstacle:
-    """A rigid obstacle: a shape at rest, moving as ``motion(t) -> (position (d,), rotation)``, or carried by
-    a rigid body.
-
-    Args:
-        name: what messages call it.
-        shape: its signed distance, in the obstacle's axes: the world's, those of ``motion``, or those of the
-        body ``on``
-            (origin in its centre of mass).
-        motion: position (m) and rotation (an angle in the plane, a matrix in space) at time t (s).
-        on: the rigid body that carries it.
-    """
-
-    name: str
-    shape: Shape
-    motion: Callable[[float], tuple[Any, Any]] | None = None
-    on: Any = None
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        if self.on is not None:
-            instance(f'Obstacle "{self.name}": on', self.on, RigidBody)
-            self.shape.check(f'Obstacle "{self.name}"', self.on.dim)
-        if self.motion is not None and self.on is not None:
-            raise InputError(
-                f'Obstacle "{self.name}" is carried by a body and also moves by prescription: give one of them.'
-            )

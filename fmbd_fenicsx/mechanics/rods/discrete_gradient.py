@@ -14,11 +14,15 @@ Sources: Gonzalez, doi:10.1007/s003329900016; Romero and Armero, doi:10.1002/nme
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ...rotations import Array, quaternion_matrix, quaternion_product
-from .elements import RodElements
 from .strains import strain_jacobian, strains
+
+if TYPE_CHECKING:
+    from .elements import RodElements
 
 
 def mean_forces(rod: RodElements, poses: tuple[Array, Array], twist: Array, h: float) -> Array:

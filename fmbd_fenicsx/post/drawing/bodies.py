@@ -18,7 +18,7 @@ from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody, RigidBody
 from ...mechanics.bodies.coordinates import CoordinateBody
 from ...mechanics.bodies.line_body import LineBody
 from ...mechanics.catenary.wires import Wires
-from ...mechanics.contact.shapes import Obstacle
+from ...mechanics.contact.obstacles import Obstacle
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.reduction.recovery import displacement_field
 from ...rotations import Array

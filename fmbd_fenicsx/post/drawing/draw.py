@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import InputError, require
 from ...rotations import Array
-from ...run.solve import Run
+from ...run.result import Run
 from ...system.system import State
 from . import rods  # noqa: F401, registers what rods look like
 from .bodies import LARGEST, pieces_of

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ...mechanics.contact.shapes import Box, Cylinder, HalfSpace, Obstacle, Shape, SignedDistance, Sphere
+from ...mechanics.contact.obstacles import Obstacle
+from ...mechanics.contact.shapes import Box, Cylinder, HalfSpace, Shape, SignedDistance, Sphere
 from ...rotations import Array
 from .level_sets import region
 from .places import Places

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import require
 from ...rotations import Array
-from ...run.solve import Run
+from ...run.result import Run
 from ...system.system import State
 
 

@@ -25,7 +25,7 @@ from ..recording.ledger import Books
 from ..recording.output import Output
 from ..result import Run
 from ..schedule import StepSchedule, step_schedule
-from ..settings import check_tangent
+from ..settings import check_tangent, default_scheme
 from ..single_run import Solved
 from .certificate import HIDDEN, Certificate, left_by_kinks
 from .companion_runs import UNFIT, Compared
@@ -232,8 +232,6 @@ def _default(scene: Scene, t_end: float) -> Any:
     """The usual scheme of a scene; where loads jump at break points on the way, it chooses its steps: a jump within a step leaves
     an error that depends on where it falls, and that other steps of equal size do not tell.
     """
-    from ..solve import default_scheme
-
     scheme = default_scheme(scene)
     jumps = any(0.0 < t < t_end for t in scene.breakpoints)
     return replace(scheme, rtol=LOOSEST) if jumps and isinstance(scheme, GeneralizedAlpha) else scheme

@@ -14,7 +14,7 @@ from ...system.system import State, System
 from ..newton import Newton
 from ..onestep import alpha_driver as slots
 from .contact_driver import ContactDriver, Tally
-from .moreau import MoreauStepper
+from .moreau_stepper import MoreauStepper
 
 if TYPE_CHECKING:
     from ...system.compiled.recording import Openness, Tape

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...linear.complementarity.normal import ContactCounts
+from ...linear.complementarity.active_set import ContactCounts
 from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import ContactSet

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from ...linear.complementarity.active_set import ContactCounts
 from ...linear.complementarity.delassus import Compliance
-from ...linear.complementarity.normal import ContactCounts, solve_normal
+from ...linear.complementarity.normal import solve_normal
 from ...mechanics.contact.rows import ContactSet, Rows
 from ...rotations import Array
 from .contact_detection import components

@@ -14,7 +14,7 @@ from ..dae import GGL
 from . import alpha_driver as slots
 from .alpha_driver import AlphaDriver, settings
 from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
-from .generalized_alpha import CLOSINGS, SHUT, AlphaStepper
+from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
 
 if TYPE_CHECKING:
     from ...run.judges.energy_check import Watch

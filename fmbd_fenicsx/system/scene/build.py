@@ -19,7 +19,7 @@ from ...mechanics.joints.joints import Joint, ground
 from ...mechanics.rods.rods import Rod
 from ...rotations import Array, Motions, motions
 from ..configurations import count
-from ..sensors.sensors import Sensor
+from ..sensors.sensor import Sensor
 from ..system import RowBlock, State, System
 from .force_batches import build_loads
 from .joints import JointRows, counted_angles

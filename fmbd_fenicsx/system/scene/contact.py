@@ -16,8 +16,8 @@ from ...mechanics.contact.contact import Contact
 from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.mass import redistribute_mass
 from ...mechanics.contact.obstacle_pair import ObstaclePair
+from ...mechanics.contact.obstacles import Obstacle
 from ...mechanics.contact.rows import Carrier, ContactSet, Side
-from ...mechanics.contact.shapes import Obstacle
 from ...mechanics.contact.trace import BodyNodes, ContactTrace, FieldTrace, ModalTrace, surface_nodes
 from ...rotations import Array, Motions
 from .joints import relative_of

@@ -13,7 +13,7 @@ from ...mechanics.forces.forces import Force
 from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.relative import ExpressedCoordinate, Relative, Separation
 from ...rotations import Motions
-from ..sensors.sensors import Sensor
+from ..sensors.sensor import Sensor
 from .joints import relative_of
 
 if TYPE_CHECKING:

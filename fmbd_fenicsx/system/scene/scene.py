@@ -19,7 +19,8 @@ from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.limits import JointLimit
 from ...mechanics.parts import ScenePart
 from ..mobility import Mobility, check, loose_bodies
-from ..sensors.sensors import JointReading, Sensor
+from ..sensors.sensor import Sensor
+from ..sensors.sensors import JointReading
 from ..system import State, System
 from .build import Builder
 

@@ -15,8 +15,7 @@ from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
 from .named import or_name
-from .part_name import named_part
-from .sensors import Sensor
+from .sensor import Sensor, named_part
 
 WORKS = ("contact", "friction", "loads", "joints", "numerical")
 

@@ -20,7 +20,7 @@ from ..evaluation import Evaluation
 from ..powers import power_of
 from ..system import State, System
 from .named import or_name
-from .sensors import Sensor
+from .sensor import Sensor
 
 
 def find(system: System, name: str) -> tuple[Loads, list[int]]:

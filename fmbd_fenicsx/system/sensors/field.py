@@ -15,7 +15,7 @@ from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
-from .sensors import BodySensor, Sensor
+from .sensor import BodySensor, Sensor
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from ...errors import InputError, near
 from ...rotations import Array
 from ..evaluation import Evaluation
 from ..system import State
-from .sensors import Sensor
+from .sensor import Sensor
 
 
 @dataclass(frozen=True, eq=False)

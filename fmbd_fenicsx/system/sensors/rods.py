@@ -17,7 +17,7 @@ from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
 from ..system import State, System
-from .sensors import Sensor
+from .sensor import Sensor
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,77 +20,7 @@ from ..evaluation import Evaluation
 from ..foreshortened_ports import port_acceleration
 from ..scene.joints import relative_of
 from ..system import State, System
-from .part_name import named_part
-
-
-@dataclass(frozen=True, eq=False)
-class Sensor:
-    """A quantity of one instant. ``on`` is the attachment whose marker it reads (None: none), ``unit`` labels axes.
-
-    ``derivative``: the highest one of the motion that it reads: 0 positions, 1 velocities, 2 accelerations or multipliers.
-    """
-
-    on: Any
-    unit: str
-    point: Sequence[float] | None = None
-    derivative = 0
-
-    def read(self, ev: Evaluation, state: State, marker: int) -> Array:
-        """The value, a flat array; collective."""
-        raise NotImplementedError
-
-    def looks_at(self, system: System, marker: int) -> Look | None:
-        """What :meth:`series` needs of records of the compiled loop; None where states are read one by one."""
-        return None
-
-    def series(self, seen: Recorded, marker: int) -> Array:
-        """The values in all records at once, (k, size): those of :meth:`read`."""
-        raise NotImplementedError
-
-    def numbers(self, seen: Recorded, marker: int) -> tuple[Array, float]:
-        """What the values in all records are multiples of, (k, size), and by which factor: numbers of the records where they can
-        be, then C finds the steps in which an event is met.
-        """
-        return self.series(seen, marker), 1.0
-
-    @property
-    def coordinates(self) -> tuple[JointCoordinate, ...]:
-        """Joint coordinates that it reads."""
-        return ()
-
-    @property
-    def reads(self) -> dict[str, str]:
-        """What it reads that a scene must hold: "joint", "body" or "contact" -> its name, see :func:`named_part`."""
-        return {}
-
-    def in_scene(self, name: str, scene: Any) -> Sensor:
-        """The quantity as the sensor ``name`` of a scene."""
-        return self
-
-    def unit_of(self, component: int) -> str:
-        """Unit of one component."""
-        return self.unit
-
-    def remember(self, m: Any, name: str, x: Array) -> Array:
-        """A series of it, (n, size), in a checkpoint; see :mod:`..serialisation`."""
-        return np.asarray(m(name, x))
-
-    @property
-    def labels(self) -> Sequence[str]:
-        """Names of the components; numbers where there are none."""
-        return ()
-
-
-@dataclass(frozen=True, eq=False)
-class BodySensor(Sensor):
-    """A quantity of a whole body."""
-
-    body: Any = None
-
-    @property
-    def reads(self) -> dict[str, str]:
-        """A body."""
-        return {"body": named_part("body", self.body)}
+from .sensor import Sensor, named_part
 
 
 class _Vector(Sensor):

@@ -13,7 +13,7 @@ from ...mechanics.catenary.wires import Wires
 from ...rotations import Array
 from ..evaluation import Evaluation
 from ..system import State
-from .sensors import BodySensor, Sensor
+from .sensor import BodySensor, Sensor
 
 
 @dataclass(frozen=True, eq=False)

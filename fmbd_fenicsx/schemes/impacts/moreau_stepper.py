@@ -1,0 +1,380 @@
+"""Steps of the Moreau scheme: flights, cuts where gaps close, impacts. Equations are those of :mod:`.moreau`."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from copy import copy
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from ...errors import FmbdError
+from ...linear.condensation import StepSolver, Weights
+from ...mechanics.contact.rows import tangents_of
+from ...rotations import Array
+from ...system.evaluation import Evaluation
+from ...system.sensors.contact import forces_of
+from ...system.serialisation import Memory, plain
+from ...system.system import State, System
+from ..dense_output import place_within, state_within
+from ..newton import Newton, not_converged
+from .contact_detection import candidates, tell_rest
+from .contact_ledger import StepForces
+from .contact_newton import UnilateralForces, openings
+from .contact_stepper import ContactStepper
+from .restitution import Impact
+
+IMPACT = 1e-9  # length of an impact, as a share of the step
+TOUCH = 1e-9  # gap of a closed contact, as a share of the model's length
+DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
+DEEP = 1e-4  # approach in a step from which on a touch is an impact also where a closed contact would only drift
+SLOW = 1e-8  # approach of a resting contact: this share of the model's length in a step
+STILL = 1e-13  # rate of a contact that does not leave: this share of the model's length in a flight is roundoff
+LOCATING = 6  # attempts to end a step where a contact closes
+REPEATS = 3  # impacts of one contact in a step before it comes to rest
+
+
+class MoreauStepper(ContactStepper):
+    """Advances a state through impacts."""
+
+    keeps: ClassVar = {
+        **ContactStepper.keeps,
+        **dict.fromkeys(("impulse", "carrying"), Memory.candidates),
+        **dict.fromkeys(("located", "accumulations"), plain()),
+    }
+
+    def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State, impacts: int) -> None:
+        super().__init__(system, solver, newton, state)
+        self._joints = any(b.kind != "frame" for b in system.blocks)
+        self.impulse = np.zeros_like(self.ledger.force)
+        self.carrying = np.zeros(len(self.impulse), dtype=bool)  # contacts with a force that is no impact
+        self.impacts, self.located, self.accumulations = impacts, 0, 0
+        self._stations: list[State] = []
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Statistics of contact, with the impacts found at their own times."""
+        return {**super().counters, "impacts": self.located, "accumulations": self.accumulations}
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
+        unchanged.
+        """
+        before = self.state, self.impulse, self.carrying, copy(self.ledger)
+        self._stations = [self.state]
+        end = self.state.t + h
+        hits = np.zeros(len(self.impulse), dtype=int)
+        parts = 0
+        iterations = 0
+        force: Array = np.zeros_like(forces_of(self.state).force)
+        normal: Array = np.zeros(len(force))
+
+        try:
+            while end - self.state.t > 2 * IMPACT * h:
+                part = self._part(end - self.state.t, h, hits, classical=parts >= 2 * self.impacts)
+                self._take(part)
+                self._stations.append(self.state)
+                # forces of the parts, weighted by their shares of the step
+                found = forces_of(self.state)
+                share = part.h / h
+                parts = parts + 1
+                force = force + share * found.force
+                normal = normal + share * found.normal_force
+                iterations += part.iterations
+        except FmbdError:
+            self.state, self.impulse, self.carrying, self.ledger = before
+            raise
+
+        self.state = self.ledger.averaged(self.state, end, (force, normal))
+        self.ledger.count(iterations)
+        return self.state
+
+    @property
+    def stations(self) -> list[State]:
+        """States at the start of the last step and at the ends of its parts; empty before the first."""
+        return self._stations
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Times (s) within the last step at which it was cut: contacts close, and velocities jump."""
+        return tuple(s.t for s in self.stations[1:-1])
+
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step, on the parabola of its part; contact forces are those of the step."""
+        path = self.stations
+        if not path or t < path[0].t:
+            return None
+        i = min(bisect_right([s.t for s in path], t), len(path) - 1)
+        before, after = path[i - 1], path[i]
+        q = place_within(self.system, before, after, t, (before.v, after.v))
+        v = state_within(before, after, t, q).v
+        return replace(self.state, t=t, q=q, v=v, a=after.a, lam=after.lam)
+
+    def _part(self, left: float, h: float, hits: np.ndarray, *, classical: bool) -> _Step:
+        """The step to the next impact, through it, or to the end; solved. ``hits`` (m,) counts impacts of contacts."""
+        system, contacts, s = self.system, self.contacts, self.state
+        candidates(system, contacts, s, left)  # pairs surfaces anew, and refuses to pass through
+        # too many impacts in one step: those that come are taken together at its middle
+        if classical:
+            return self._classical(left)
+
+        reach = np.where(self.carrying, DRIFT, TOUCH) * system.length
+        touching = contacts.touch(system, s.t, s.q).gap <= reach
+        slow = SLOW * system.length / h
+        rate = self._rates(touching & ~self.carrying, h)
+
+        hit = rate < -slow
+        if hit.any():
+            return self._impact(h, hits, hit, touching)
+        closed = touching & (rate <= slow)
+
+        # a flight up to the next touch, or to the end
+        while True:
+            step = _Step(self, left, closed)
+            share, which, held = self._next_touch(step, ~closed)
+            if not held.any():
+                break
+            # an impact: of bodies in joints flights end at the touch, and closed at its speed a contact would end far below zero
+            hit = self._rates(held, h) < -(slow if self._joints else DEEP * system.length / h)
+            if hit.any():
+                return self._impact(h, hits, hit, closed | hit)
+            closed = closed | held
+        return step if share == 1.0 else self._located(step, share, which)
+
+    def _classical(self, left: float) -> _Step:
+        """The rest of a step by classical time stepping.
+
+        After many impacts a contact that is still open in the middle would pass into its obstacle by what a step moves, and stay
+        there: it is closed too.
+        """
+        system, s = self.system, self.state
+        middle = self.contacts.touch(system, s.t + left / 2, system.compose(s.q, 0.5 * left * s.v))
+        closed = middle.gap <= 0.0
+        while True:
+            step = _Step(self, left, closed, bounce=True)
+            through = ~closed & (self._gap_along(step, 1.0) < -DRIFT * system.length)
+            if not self.impacts or not through.any():
+                return step
+            closed = closed | through
+
+    def _impact(self, h: float, hits: np.ndarray, hit: np.ndarray, touching: np.ndarray) -> _Step:
+        """A step of almost no length through the impacts of the contacts ``hit``; ``hits`` counts them."""
+        s, contacts = self.state, self.contacts
+        hits += hit
+        self.located += int(hit.sum())
+        for i in np.flatnonzero(hit & (hits == REPEATS + 1)):
+            self.accumulations += 1
+            tell_rest(contacts, i, s.t)
+        return _Step(self, IMPACT * h, touching, bounce=hit & (hits <= REPEATS), span=h)
+
+    def _located(self, step: _Step, share: float, which: int) -> _Step:
+        """The step that ends where contact ``which`` closes, first found at a share of ``step``.
+
+        That was on the parabola of the whole step, without the projection on the joints: a step to there, with the forces of
+        its own middle, ends a little off the touch, and Newton's method with the rate of the gap on the parabola finds its
+        length. A contact that is left open would not be known as an impact; free bodies may end as deep as closed contacts
+        drift, while joints would bend there.
+        """
+        whole = step.h
+        s = self.state
+        length = self.system.length
+        deepest = (0.5 * TOUCH if self._joints else DRIFT) * length
+        near = self._gap_along(step, (1 - 1e-3) * share)[which]
+        slope = (self._gap_along(step, share)[which] - near) / (1e-3 * share)
+        for _ in range(LOCATING):
+            step = _Step(self, share * whole, step.closed)
+            q = self._closed_joints(self.system.compose(s.q, 0.5 * step.h * (s.v + step.v)), s.t + step.h)
+            gap = self.contacts.touch(self.system, s.t + step.h, q).gap[which]
+            if -deepest <= gap <= 0.5 * TOUCH * length or not slope < 0.0:
+                break
+            share = float(np.clip(share - gap / slope, 0.5 * share, min(2 * share, 1.0)))
+        return step
+
+    def _rates(self, chosen: np.ndarray, h: float) -> Array:
+        """Rates of the gaps of the chosen contacts (m,) bool, zero elsewhere, m/s, (m,)."""
+        rates = np.zeros(len(chosen))
+        if chosen.any():
+            contacts = self.contacts
+            at = (self.system, self.state.t, self.state.q)
+            rows = contacts.rows(*at, since=(self.state.t, h)).take(chosen)
+            moving = contacts.gap_rate(*at, h)[chosen]
+            rates[chosen] = contacts.times(self.system, rows.N, self.state.v) + moving
+        return rates
+
+    def _start_rates(self, closed: np.ndarray, h: float, normal: Array) -> Array:
+        """Rates of the gaps of closed contacts, m/s, and slips across ``normal`` (m, d), at the start of a flight of length h.
+
+        Gaps of obstacles that move as prescribed by their places at its start, middle and end, asked for anyway. (m, 1 or d).
+        """
+        contacts, system, s = self.contacts, self.system, self.state
+        rows = contacts.rows(system, s.t, s.q, since=(s.t, h)).take(closed)
+        rates = openings(contacts, system, rows, h * contacts.times(system, rows.N, s.v), h * s.v) / h
+        if rows.tangents:
+            slips = np.einsum("mk,kmd->md", rates[:, 1:], tangents_of(rows.normal))
+            rates[:, 1:] = np.einsum("md,kmd->mk", slips, tangents_of(normal))
+        if any(pair.moving for pair in contacts.pairs):
+            start, middle, end = (contacts.touch(system, s.t + x, s.q).gap[closed] for x in (0.0, h / 2, h))
+            rates[:, 0] += (4 * middle - 3 * start - end) / h
+        return rates
+
+    def _gap_along(self, step: _Step, share: float) -> Array:
+        """Gaps (m,) at a share of a solved step, along its parabola."""
+        system, s = self.system, self.state
+        way = step.h * share * (s.v + 0.5 * share * (step.v - s.v))
+        return self.contacts.touch(system, s.t + share * step.h, system.compose(s.q, way)).gap
+
+    def _next_touch(self, step: _Step, free: np.ndarray) -> tuple[float, int, np.ndarray]:
+        """Share of the step at which the first free contact closes (1: none does), which one that is, and contacts (m,)
+        that would leave for less than 1/4096 of it.
+        """
+        none = np.zeros_like(free)
+
+        def gaps(share: float) -> Array:
+            return self._gap_along(step, share)
+
+        closing = free & (gaps(1.0) < 0.0) if free.any() else none
+        if not closing.any():
+            return 1.0, -1, none
+        shares = 2.0 ** -np.arange(13)
+        open_ = np.array([gaps(x)[closing] > 0.0 for x in shares])
+        if not open_.any(axis=0).all():
+            held = none.copy()
+            held[closing] = ~open_.any(axis=0)
+            return 1.0, -1, held
+        last = open_.argmax(axis=0)  # the largest share at which each is still open
+        first = int(np.argmax(last))
+        which = int(np.flatnonzero(closing)[first])
+        lower = shares[last[first]]
+        upper = shares[last[first] - 1]
+        from scipy.optimize import brentq
+
+        return float(brentq(lambda x: gaps(x)[which], lower, upper, xtol=1e-14)), which, none
+
+    def _take(self, step: _Step) -> None:
+        """Make a solved step the present state."""
+        system, s = self.system, self.state
+        h, closed = step.h, step.closed
+        xi = 0.5 * h * (s.v + step.v)
+        q = self._closed_joints(system.compose(s.q, xi), s.t + h)
+        v = self._closed_rates(q, step.v, s.t + h)
+        a = (v - s.v) / h
+        self.local_error = h * h / 12 * system.max_abs(a - s.a) if not closed.any() else 0.0
+        self.impulse = np.zeros_like(self.impulse)
+        self.impulse[closed] = step.contact.force
+        self.carrying = (self.impulse[:, 0] > 0.0) & ~step.bouncing
+        forces = StepForces(closed, step.rows, step.contact.force / h, s.t + h / 2)
+        lam = self._reactions(s.t + h, q, step.lam)
+        self.state = self.ledger.write(State(s.t + h, q, v, a, lam), forces, (step.ev, xi, step.lam), h)
+
+    def _closed_joints(self, q: Array, t: float) -> Array:
+        """Positions projected on the joints."""
+        if not self._joints:
+            return q
+        system = self.system
+        for _ in range(3):
+            g = system.at(t, q).constraint()
+            if np.abs(g).max(initial=0.0) <= 1e-13 * system.length:
+                break
+            dq, _ = self.solver.solve(np.zeros(system.n_v), -g)
+            q = system.compose(q, dq)
+        return q
+
+    def _closed_rates(self, q: Array, v: Array, t: float) -> Array:
+        """Velocities projected on those of the joints."""
+        if not self._joints:
+            return v
+        end = self.system.at(t, q, v)
+        dv, _ = self.solver.solve(np.zeros(self.system.n_v), -(end.jacobian.times(v) + end.constraint_rate()))
+        return v + dv
+
+
+class _Step:
+    """One solved step of length h from the stepper's state: v_1 ``v``, lambda ``lam``, P in ``contact.force``.
+
+    ``closed`` (m,) contacts take part, those in ``bounce`` with restitution, or back at the speed they leave with; None: a
+    flight, in which they stay closed by (4). ``span``: length over which obstacles' motion is measured.
+    """
+
+    def __init__(
+        self,
+        stepper: MoreauStepper,
+        h: float,
+        closed: np.ndarray,
+        *,
+        bounce: np.ndarray | bool | None = None,
+        span: float = 0.0,
+    ) -> None:
+        self.p, self.h, self.span, self.closed = stepper, h, span or h, closed
+        s, contacts = stepper.state, stepper.contacts
+
+        self.v, self.lam = s.v.copy(), s.lam.copy()
+        self.impact: Impact | None = None
+        flight = bounce is None
+        self.bouncing = np.broadcast_to(bool(bounce) if isinstance(bounce, bool | None) else bounce, closed.shape)
+
+        self.prepared, self.rows = False, None
+        self.turn: Array | float = 0.0  # of slips with the rows, in half a flight, m/s
+        self.ev: Evaluation = None  # type: ignore[assignment]
+
+        # rows at the middle; what comes in before an impact rebounds by its share, and what leaves may come back
+        if closed.any():
+            middle = stepper.system.compose(s.q, 0.5 * h * s.v)
+            at = (stepper.system, s.t + h / 2, middle)
+            self.rows = contacts.rows(*at, since=(s.t, self.span)).take(closed)
+            self.rate = contacts.gap_rate(*at, self.span)[closed]
+            before = self._openings(s.v)
+            back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)
+            rebound = np.where(self.bouncing[closed], back * before[:, 0], 0.0)
+            if flight:
+                start = stepper._start_rates(closed, h, self.rows.normal)
+                start[start[:, 0] > STILL * stepper.system.length / h, 0] = 0.0
+                rebound, self.turn = (before - start)[:, 0], (before - start)[:, 1:]
+            self.impact = Impact(before, rebound)
+        bound = None if flight else self.impact
+        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed], bound)
+
+        converged, history = stepper.newton.solve(self.increment, self.renew)
+        if not converged:
+            raise not_converged(s.t + h, h, history)
+        self.iterations = len(history)
+
+    def _openings(self, v: Array) -> Array:
+        """Rates of gaps, and slips (m/s), of the closed contacts at velocities v: (m, 1 or d)."""
+        p = self.p
+        assert self.rows is not None
+        rate = p.contacts.times(p.system, self.rows.N, v) + self.rate
+        u = openings(p.contacts, p.system, self.rows, rate, self.span * v)
+        u[:, 1:] /= self.span  # slips over the step become velocities
+        return u
+
+    def renew(self) -> bool:
+        """A new tangent where the last increment began; whether there is one."""
+        return self.p.solver.refresh(self.ev)
+
+    def increment(self) -> float:
+        """One Newton step; returns its size over the tolerance."""
+        p = self.p
+        h = self.h
+        s = p.state
+        system, solver = p.system, p.solver
+        vm = 0.5 * (s.v + self.v)
+        ev = self.ev = system.at(s.t + h / 2, system.compose(s.q, 0.5 * h * vm), vm)
+        r = h * ev.balance((self.v - s.v) / h, self.lam)
+        solver.prepare(ev, Weights(1.0, h / 2, h * h / 4), keep=self.prepared)
+        self.prepared = True
+
+        slip = 2 * (ev.jacobian.times(vm) + ev.constraint_rate()) if system.n_lam else np.zeros(0)
+
+        if self.rows is not None and self.impact is not None:
+            u = self._openings(self.v)
+            u[:, 0] += self.impact.rebound
+            u[:, 1:] += self.turn
+            dv, dlam = self.contact.increment(self.rows, u, (r, slip), 1.0)
+        else:
+            dv, dlam = solver.solve(-r, -slip)
+
+        self.lam = self.lam + dlam / h
+        self.v = self.v + dv
+        size = max(system.max_abs(self.v), system.max_abs(s.v), 1e-6 * system.length / self.span)
+        return system.max_abs(dv) / (1e-4 * p.newton.tolerance * size)
