@@ -100,26 +100,36 @@ def interpolation_points(space: Any) -> np.ndarray:
     return np.asarray(points() if callable(points) else points)
 
 
-@cache
-def _remember_modules() -> None:
-    """Let FFCx remember the modules that this process has loaded.
+class _Modules:
+    """The modules that FFCx has loaded in this process; ``missed`` is called before it looks for another one.
 
     It reads its whole folder of modules for each form, also for one that it has just loaded: nearly all that a small body
     takes to set up. What a module is called tells its form, the elements and all options, so that a name stands for one module.
     """
-    from ffcx.codegeneration import jit
 
-    look: Callable[..., Any] = jit.get_cached_module
-    loaded: dict[tuple[Any, ...], Any] = {}
+    def __init__(self) -> None:
+        from ffcx.codegeneration import jit
 
-    def remembered(module_name: str, object_names: Any, cache_dir: Any, timeout: Any) -> Any:
+        self._look: Callable[..., Any] = jit.get_cached_module
+        self._loaded: dict[tuple[Any, ...], Any] = {}
+        self.missed: Callable[[], None] = lambda: None
+        jit.get_cached_module = self._of
+
+    def _of(self, module_name: str, object_names: Any, cache_dir: Any, timeout: Any) -> Any:
+        """As FFCx's own; asked once a module."""
         wanted = (module_name, tuple(object_names), str(cache_dir))
-        found = loaded.get(wanted) or look(module_name, object_names, cache_dir, timeout)
-        if found[1] is not None:
-            loaded[wanted] = found
-        return found
+        if wanted not in self._loaded:
+            self.missed()
+            found = self._look(module_name, object_names, cache_dir, timeout)
+            if found[1] is None:
+                return found
+            self._loaded[wanted] = found
+        return self._loaded[wanted]
 
-    jit.get_cached_module = remembered
+
+@cache
+def _modules() -> _Modules:
+    return _Modules()
 
 
 def form(ufl_form: Any) -> Any:
@@ -129,11 +139,17 @@ def form(ufl_form: Any) -> Any:
     """
     from dolfinx import fem
 
-    _remember_modules()
+    modules = _modules()
     sort = ("a functional", "a linear form", "a bilinear form")[len(ufl_form.arguments())]
     saying = threading.Timer(SLOW, note, (f"compiling {sort} of an elastic body, once (some seconds)",))
     saying.daemon = True
-    saying.start()
+
+    def begin() -> None:
+        # a thread takes as long as a form that is there
+        if saying.ident is None:
+            saying.start()
+
+    modules.missed = begin
     try:
         return fem.form(ufl_form, jit_options=dict(JIT_OPTIONS))
     finally:

@@ -87,7 +87,7 @@ class Field:
         self.motions = motions(d)
         self.space = fem.functionspace(msh, ("Lagrange", forms.degree, (d,)))
         self.n = self.space.dofmap.index_map.size_local
-        scalar = fem.functionspace(msh, ("Lagrange", forms.degree))
+        self.scalar_space = scalar = fem.functionspace(msh, ("Lagrange", forms.degree))
         same = np.array_equal(self.space.dofmap.list, scalar.dofmap.list)
         together(self.comm, None if same else RuntimeError("DOLFINx numbered scalar and vector spaces differently"))
         dx = ufl.Measure("dx", domain=msh)
@@ -103,9 +103,6 @@ class Field:
         self.rest_damping: RestDamping | None = None  # beside a tangent
         self._unstressed: Any = None  # K of the body without stress, where stiffness_damping has to know it
         self.linearise(None)
-        u = ufl.TrialFunction(self.space)
-        v = ufl.TestFunction(self.space)
-        self.mass_form = compat.form(rho * ufl.inner(u, v) * dx)
         self.n_global = self.space.dofmap.index_map.size_global * d
         self._work = [self.M.createVecRight(), self.M.createVecLeft()]
         self._big = [self.K.createVecRight(), self.K.createVecLeft()]
@@ -337,13 +334,15 @@ class Field:
         """P = X + U, (n, d)."""
         return self.X + U.reshape(-1, self.dim)
 
-    def mass_matrix(self) -> Any:
-        """The PETSc matrix M on vectors (aij); collective. The caller destroys it."""
-        import dolfinx.fem.petsc as fp
+    @cached_property
+    def mass_form(self) -> Any:
+        """The compiled form of M on vectors."""
+        import ufl
+        from dolfinx import fem
 
-        M = fp.assemble_matrix(self.mass_form)
-        M.assemble()
-        return M
+        msh, u, v = self.mesh.dolfinx, ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        rho = fem.Constant(msh, float(self.forms.density))
+        return compat.form(rho * ufl.inner(u, v) * ufl.Measure("dx", domain=msh))
 
     def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
         """The PETSc matrix cm M + cd D + ck K (symmetric, aij) of those that are held; collective. The caller destroys it."""
@@ -354,7 +353,7 @@ class Field:
             held = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
         E = (self._with_extra if self._extra else self.K).convert("aij", PETSc.Mat())
         E.scale(ck)
-        M = self._mass_of_components()
+        M = self.mass_matrix()
         E.axpy(cm, M, structure=held)
         M.destroy()
         for c, A in self._dampings() if cd else ():
@@ -363,7 +362,7 @@ class Field:
             D.destroy()
         return E
 
-    def _mass_of_components(self) -> Any:
+    def mass_matrix(self) -> Any:
         """The scalar mass matrix on each component of vectors (aij); collective. The caller destroys it."""
         from petsc4py import PETSc
 
@@ -421,7 +420,7 @@ class Field:
         def of(surface: str) -> Moments:
             known = self.known_moments
             if surface not in known:
-                known[surface] = Moments(self.space, self.mesh, surface, self.center, self.n)
+                known[surface] = Moments(self.scalar_space, self.mesh, surface, self.center, self.n)
             return known[surface]
 
         return of

@@ -18,7 +18,7 @@ from ..rotations import Array
 
 
 class Moments:
-    """Weights (1) of one surface on the owned nodes; collective to build.
+    """Weights (1) of one surface on the owned nodes, from their scalar functions; collective to build.
 
     Attributes: ``nodes`` (n_s,) owned node numbers with a weight, ``weights`` (n_s, 1 + d), ``center`` (d,) centroid in
     world coordinates of the mesh, ``area`` (m^(d-1)), ``reference`` (1 + d, d): b for U = 0.
@@ -47,7 +47,9 @@ class Moments:
 
 
 class Weighted:
-    """int phi_i (a + b . X) over one surface, of the owned nodes: one form for all linear functions. Collective."""
+    """int phi_i (a + b . X) over one surface, of the owned nodes: one form for all linear functions; phi_i of a scalar ``space``.
+    Collective.
+    """
 
     def __init__(self, space: Any, mesh: Any, surface: str, n_owned: int) -> None:
         import ufl
@@ -55,11 +57,10 @@ class Weighted:
 
         msh, self.n_owned = mesh.dolfinx, n_owned
         ds = ufl.Measure("ds", domain=msh, subdomain_data=mesh.facet_tags)(mesh.surface_tag(surface))
-        scalar = fem.functionspace(msh, ("Lagrange", space.ufl_element().degree))
 
         self.a, self.b = fem.Constant(msh, 0.0), fem.Constant(msh, np.zeros(mesh.dim))
         f = self.a + ufl.dot(self.b, ufl.SpatialCoordinate(msh))
-        self.form = compat.form(f * ufl.TestFunction(scalar) * ds)
+        self.form = compat.form(f * ufl.TestFunction(space) * ds)
 
     def __call__(self, a: float, b: Array) -> Array:
         """The integrals, (n_owned,)."""

@@ -103,14 +103,20 @@ class FieldPart(DistributedPart):
         """P of the ports p = P w on this rank's displacements, sparse (n_port, n)."""
         import scipy.sparse as sp
 
-        d = self.field.dim
-        rows = [sp.csr_matrix(self.conditions.T)]
+        # rows by rows: written out, as products of sparse matrices take longer than all else that needs them
+        d, (n, k) = self.field.dim, self.conditions.shape
+        columns, values = [np.tile(np.arange(n), k)], [self.conditions.T.ravel()]
+        counts = [np.full(k, n)]
         for s in self.surfaces:
-            place = sp.csr_matrix(
-                (np.ones(len(s.nodes)), (np.arange(len(s.nodes)), s.nodes)), (len(s.nodes), self.n // d)
-            )
-            rows.append(sp.kron(sp.csr_matrix(s.weights.T) @ place, sp.identity(d), format="csr"))
-        return sp.vstack([*rows, *self.traces], format="csr")
+            on_nodes, components = len(s.nodes), s.nodes * d + np.arange(d)[:, None]
+            columns.append(np.tile(components.ravel(), 1 + d))
+            values.append(np.repeat(s.weights.T, d, axis=0).ravel())
+            counts.append(np.full((1 + d) * d, on_nodes))
+
+        ends = np.concatenate(([0], np.cumsum(np.concatenate(counts))))
+        shape = len(ends) - 1, self.n
+        P = sp.csr_matrix((np.concatenate(values), np.concatenate(columns), ends), shape=shape)
+        return sp.vstack([P, *self.traces], format="csr") if self.traces else P
 
     # -- tangent ------------------------------------------------------------------------------------------------
     def remember(self, m: Any) -> None:
