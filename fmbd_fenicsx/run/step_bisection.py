@@ -149,19 +149,17 @@ class ConstantSteps(Around):
             return self._accept(after)
         self.whole = depth + 1
         self.watch.count(before, gain, self.whole > HALVINGS)
-        self._begin(before)
-        return self._halves(h, depth)
+        return self._halves(h, depth, before)
 
     def _halves_of_failed(self, before: State, h: float, depth: int, error: FmbdError) -> None:
         """A part that failed with an error, again in halves; where these fail too the error is raised."""
         if depth - self.whole == DEPTH:
             raise error
-        if not self.halved:
+        if not self.halved and self.parted < self.most:
             log.warning("t = %g s: a step of h = %g s failed and is made in parts. %s", before.t, h, error)
         self.halved += 1
         try:
-            self._begin(before)
-            self._halves(h, depth)
+            self._halves(h, depth, before)
         except StabilityError:
             raise
         except (ConvergenceError, LinearSolveError):
@@ -191,13 +189,16 @@ class ConstantSteps(Around):
         if judges.balanced is not None:
             judges.balanced.check(self._seen, state, h)
 
-    def _halves(self, h: float, depth: int) -> None:
+    def _halves(self, h: float, depth: int, before: State | None = None) -> None:
+        """A part of size h in halves, from the state ``before`` where it failed."""
         self.parted += 1
         if self.parted > self.most:
-            t, whole = self.stepper.state.t, h * 2**depth
+            t, whole = (before or self.stepper.state).t, h * 2**depth
             raise PartsError(
                 f"t = {t:g} s: steps of {whole:g} s were halved {self.parted} times; smaller ones cost less."
             )
+        if before is not None:
+            self._begin(before)
         self._advance(0.5 * h, depth + 1)
         self._advance(0.5 * h, depth + 1)
 
