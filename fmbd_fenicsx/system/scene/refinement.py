@@ -17,7 +17,7 @@ import numpy as np
 from ...errors import InputError, MeshError
 from ...mechanics.bodies.body import Body
 from ...mechanics.reduction.reduced import ReducedPart
-from ..sensors.part_name import PartName, named_part
+from ..sensors.sensor import PartName, named_part
 from ..system import System
 from .scene import Scene
 
