@@ -55,6 +55,7 @@ from .mechanics.bodies.bodies import MeanAxis as MeanAxis
 from .mechanics.bodies.bodies import RigidBody as RigidBody
 from .mechanics.bodies.bodies import Surface as Surface
 from .mechanics.bodies.line_body import LineBody as LineBody
+from .mechanics.bodies.point_mass import PointMass as PointMass
 from .mechanics.catenary.sliding import SlidingContact as SlidingContact
 from .mechanics.catenary.wires import Dropper as Dropper
 from .mechanics.catenary.wires import PointSupport as PointSupport

@@ -76,7 +76,7 @@ class RigidBody(Body):
         object.__setattr__(self, "dim", 2 if J.ndim == 0 else 3)
         self._check_start(what)
         if self.dim == 2:
-            number(f"{what}: inertia", J, above=0.0, unit="kg m^2")
+            number(f"{what}: inertia", J, above=0.0, unit="kg m^2; a mass at a point is a fmbd.PointMass")
             return
         require(J.shape in ((3,), (3, 3)), f"{what}: inertia must have shape (3,) or (3, 3), found {J.shape}.")
         if J.ndim == 2 and not (np.abs(J - J.T) <= 1e-12 * (np.abs(J).max() + np.abs(J.T))).all():
@@ -84,8 +84,8 @@ class RigidBody(Body):
         p = np.sort(J) if J.ndim == 1 else np.linalg.eigvalsh(J)
         if not p[0] > 0:
             raise InputError(
-                f'Body "{self.name}": principal inertias {p} must be positive. A body has an attitude: give a point mass small '
-                "ones, such as 1e-6 m L^2 with a length L of the scene."
+                f'Body "{self.name}": principal inertias {p} must be positive. A point mass, which does not turn, is a '
+                "fmbd.PointMass."
             )
         if not p[0] + p[1] >= p[2] * (1 - 1e-9):
             raise InputError(

@@ -55,6 +55,7 @@ class Body:
         nodal: its unknowns are values at the nodes of a mesh, spread over the ranks.
         meshed: it has a mesh, whose surfaces can touch and whose displacements can be drawn.
         framed: it moves with one frame of its own.
+        turns: it has an attitude, which joints and moments can act on.
         modal: it has amplitudes of modes as unknowns, computed from a mesh.
         interpolated: its motion is interpolated in space, with an error that finer elements make smaller.
         by_surface: joints and forces take hold of its named surfaces, not of the body.
@@ -69,6 +70,7 @@ class Body:
     nodal: ClassVar[bool] = False
     meshed: ClassVar[bool] = False
     framed: ClassVar[bool] = True
+    turns: ClassVar[bool] = True
     modal: ClassVar[bool] = False
     interpolated: ClassVar[bool] = False
     by_surface: ClassVar[bool] = True

@@ -53,6 +53,13 @@ class RigidPoints:
         """Frames (n,) of the points and their places (n, d) there; ``frame_of``: body -> frame."""
         return np.full(len(self.points), frame_of[self.body.name]), self.points
 
+    def __post_init__(self) -> None:
+        require(
+            self.body.turns or not self.points.any(),
+            f'Body "{self.body.name}" is a point mass: it touches at its place, as ball(body, radius). '
+            "Take a RigidBody with its inertia for points elsewhere.",
+        )
+
     def __repr__(self) -> str:
         return f'points of "{self.body.name}"'
 

@@ -58,6 +58,20 @@ class KindItems:
         """Whether the kind depends on rotations alone."""
         return all(i % self.width >= self.motions.dim for i in self.kind.entries)
 
+    @property
+    def turning(self) -> np.ndarray:
+        """Which items act on the rotations of their markers a and b, (n, 2): looked at in two frames of no special place. What
+        functions of numbers do is not known.
+        """
+        n, m = len(self), self.motions
+        rows = np.zeros((n, 2, self.width))
+        if not self.kind.asked:
+            a, b = (np.tile(frame, (n, 1)) for frame in _frames_anywhere(m))
+            with np.errstate(all="ignore"):
+                rows.reshape(n, -1)[:, self.entries] = self.kind.run("value", a, b, self.table)[:, 1:]
+        moments = np.nan_to_num(rows[:, :, m.dim :])
+        return np.asarray((moments != 0.0).any(axis=2))
+
     def constant(self, name: str) -> Array:
         """The columns of a constant, a view."""
         return self.table[:, self.kind.place(name)]
@@ -109,3 +123,15 @@ class KindItems:
         for column, (i, j) in enumerate(self.kind.pattern):
             out[:, i, j] = out[:, j, i] = lower[:, column]
         return out
+
+
+def _frames_anywhere(m: Motions) -> list[Array]:
+    """Two moving frames without a special place, attitude or direction, numbers in the order of :mod:`.frames`."""
+    found = []
+    for sign in (1.0, -0.7):
+        place = sign * np.array([0.31, -0.47, 0.59])[: m.dim]
+        pose = m.pose(place, 0.83 * sign if m.dim == 2 else sign * np.array([0.37, 0.53, 0.61, 0.9 * sign]))
+        twist = sign * np.arange(1.3, m.n_twist + 1.0)
+        angle = [0.83 * sign] if m.dim == 2 else []
+        found.append(np.concatenate([place, m.matrix(pose[None])[0].ravel(), twist, angle]))
+    return found

@@ -23,6 +23,7 @@ from ..sensors.sensor import Sensor
 from ..system import RowBlock, State, System
 from .force_batches import build_loads
 from .joints import JointRows, counted_angles
+from .point_masses import at_its_place, attitude_of, refuse_angles, refuse_turning
 from .rods import RodNodes
 from .wires import slider_rows
 
@@ -40,13 +41,14 @@ def smooth_step(t: float, duration: float) -> float:
 
 class MarkerPlace(NamedTuple):
     """A marker with the axes of the world at the start, on a frame that starts at a pose (n_pose,): at a ``point`` (d,) of the
-    world; ``surface`` of an elastic body, or None.
+    world; ``surface`` of an elastic body, or None; ``body``: a rigid one that moves.
     """
 
     frame: int
     pose: Array
     point: Array
     surface: Surface | None = None
+    body: RigidBody | None = None
 
 
 class Builder:
@@ -80,6 +82,8 @@ class Builder:
         traces = self._surface_ties()
         batches, port_rows, blocks = self._constraints(traces)
         forces = build_loads(self)
+        if not all(b.turns for b in moving):
+            refuse_turning([p.body for p in self.places], batches, blocks, forces)
         self._check_sensors({b.name for b in blocks})
         sensor_markers = {n: self.sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
@@ -176,6 +180,7 @@ class Builder:
     # -- checks -------------------------------------------------------------------------------------------------
     def _check(self) -> None:
         scene = self.scene
+        refuse_angles(scene)
         if scene.unilateral:
             from .contact import check_contacts
 
@@ -275,7 +280,7 @@ class Builder:
 
         radii = [0.0]
         for body in self.scene.bodies.values():
-            if isinstance(body, RigidBody) and body.mass > 0.0:
+            if isinstance(body, RigidBody) and body.turns and body.mass > 0.0:
                 radii.append(float(np.sqrt(np.abs(body.inertia).max() / body.mass)))
         return max(sizes) or max(radii) or 1.0  # 1 m where nothing has a size
 
@@ -308,12 +313,14 @@ class Builder:
         ground_frame = len(self.poses)
         if side is ground:
             return MarkerPlace(ground_frame, here, here[:d] if point is None else point)
+        if point is not None and not side.turns:
+            point = at_its_place(side, point, self.length())
         if side.locked:
             return MarkerPlace(ground_frame, here, side.start_pose()[:d] if point is None else point)
 
         frame = self.frame_of[side.name]
         pose = self.poses[frame]
-        return MarkerPlace(frame, pose, pose[:d] if point is None else point)
+        return MarkerPlace(frame, pose, pose[:d] if point is None else point, body=side)
 
     def _default_point(self, joint: Joint | Force) -> Array | None:
         """Where a joint or bushing without a center sits: the centroid of a surface, else the origin of its moving body."""
@@ -384,6 +391,9 @@ class Builder:
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
             collected.add(joint, (a, b))
+        for body in self.scene.bodies.values():
+            if not (body.turns or body.locked):
+                collected.add(attitude_of(body), (self._marker(ground, None), self._marker(body, None)))
         row, blocks, self.joint_markers = collected.row, collected.blocks, collected.markers
 
         # after the joints: constraints of own equations, sliding contacts, surface ties, frame conditions
