@@ -159,9 +159,9 @@ def test_steps_that_somebody_looks_at_are_compiled_ones(monkeypatch: pytest.Monk
     at = lambda now: (evaluated.append(now.t), now.system.at(now.state.t, now.state.q, now.state.v))[1]  # noqa: E731
     monkeypatch.setattr(Moment, "evaluation", property(at))
     looks, parts = [0], [0]
-    look, advance = time_loop._look, ConstantSteps.advance
+    look, in_turn = time_loop._look, ConstantSteps.in_turn
     monkeypatch.setattr(time_loop, "_look", lambda *args: (looks.append(1), look(*args))[1])
-    monkeypatch.setattr(ConstantSteps, "advance", lambda *args: (parts.append(1), advance(*args))[1])
+    monkeypatch.setattr(ConstantSteps, "in_turn", lambda *args, **given: (parts.append(1), in_turn(*args, **given))[1])
 
     seen: list[float] = []
     crossings: list[float] = []

@@ -10,7 +10,8 @@ energy-momentum (which conserves).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time as clock
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -19,6 +20,7 @@ import numpy as np
 from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveError, PartsError, StabilityError
 from ..log import log
 from ..schemes.stepping import Around, TimeStepper
+from ..system.compiled.glance import Glance
 from ..system.compiled.recording import Tape
 from ..system.element_memory import accept, whole_steps
 from ..system.evaluation import Evaluation
@@ -41,6 +43,23 @@ class Judges:
     closed: Closed
     balanced: Balanced | None
     forecast: Forecast
+
+    def look(self, system: System, state: State, h: float, glance: Glance | None) -> Evaluation | None:
+        """Refuse a state with open joints, or without balance after a step of size h (s). What a ``glance`` at it does not let
+        pass is looked at closely: the system in the state then, collective.
+        """
+        seen, ev = None if glance is None else glance.of(state), None
+        if seen is None or not self.closed.passes(seen, state.t):
+            ev = system.at(state.t, state.q, state.v)
+            self.closed.check(ev)
+        balanced = self.balanced
+        if balanced is None:
+            return ev
+        sums = None if glance is None else glance.sums
+        if seen is None or sums is None or not balanced.passes(seen, sums, state.t, h):
+            ev = ev or system.at(state.t, state.q, state.v)
+            balanced.check(ev, state, h)
+        return ev
 
 
 class ConstantSteps(Around):
@@ -69,6 +88,9 @@ class ConstantSteps(Around):
         self.stepper, self.system, self.renew, self.watch = stepper, system, renew, watch
         self.most, self.parted = np.inf if most is None else most, 0
         self.judges = judges
+        self.made = 0  # whole steps of the last call of :meth:`in_turn`
+        # who evaluates the system, and who looks at its states in one call
+        self._glance: tuple[Any, Glance | None] = None, None
         self._seen: Evaluation | None = None  # the system in the newest state, where it was looked at
         self.local_error = 0.0
         self.halved = 0  # steps and parts of steps that failed
@@ -110,22 +132,39 @@ class ConstantSteps(Around):
 
         Raises ConvergenceError or LinearSolveError, that of the whole step, when its smallest parts fail too.
         """
-        t = self.stepper.state.t + h
-        self.local_error = 0.0
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):
-                self._advance(h, 0)
-        except StabilityError:
-            raise
-        except np.linalg.LinAlgError as error:  # of a part that begins, or is looked at
-            raise diverged(t - h, h, error) from error
-        except (ConvergenceError, LinearSolveError) as error:
-            raise type(error)(
-                f"{error} Parts of this step fail too, down to 1/{2 ** (self.whole + DEPTH)} of it."
-            ) from None
-        if self.stepper.state.t != t:  # sums of halves round
-            self.stepper.state = replace(self.stepper.state, t=t)
+        self.in_turn(h)
         return self.stepper.state
+
+    def in_turn(
+        self, h: float, most: int = 1, *, until: float = np.inf, ahead: Callable[[float], None] | None = None
+    ) -> int:
+        """Up to so many steps as :meth:`advance` makes them, one by one, ``until`` so late by the clock; how many. Collective.
+
+        ``ahead``: looks at the end of each step, s, before it is made.
+        """
+        self.made, self.local_error = 0, 0.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            while self.made < most:
+                t = self.stepper.state.t + h
+                if ahead is not None:
+                    ahead(t)
+                try:
+                    self._advance(h, 0)
+                except StabilityError:
+                    raise
+                except np.linalg.LinAlgError as error:  # of a part that begins, or is looked at
+                    raise diverged(t - h, h, error) from error
+                except (ConvergenceError, LinearSolveError) as error:
+                    raise type(error)(
+                        f"{error} Parts of this step fail too, down to 1/{2 ** (self.whole + DEPTH)} of it."
+                    ) from None
+                if self.stepper.state.t != t:  # sums of halves round
+                    self.stepper.state = replace(self.stepper.state, t=t)
+
+                self.made += 1
+                if clock.perf_counter() > until:
+                    break
+        return self.made
 
     def _advance(self, h: float, depth: int) -> None:
         """One part of size h, 1/2^depth of the step."""
@@ -137,14 +176,14 @@ class ConstantSteps(Around):
 
         try:
             after = finite_step(self.system, self.stepper, h)
-            self._look(after, h)
+            energies = self._look(after, h)
         except StabilityError:
             raise
         except (ConvergenceError, LinearSolveError) as error:
             return self._halves_of_failed(before, h, depth, error)
 
         # one that gains energy from nothing is made in halves, and so are all later ones
-        gain = None if self.watch is None else self.watch.gain(after, self._seen)
+        gain = None if self.watch is None else self.watch.gain(after, self._seen, energies)
         if self.watch is None or gain is None:
             return self._accept(after)
         self.whole = depth + 1
@@ -171,23 +210,32 @@ class ConstantSteps(Around):
         if self.judges is not None:
             self.judges.forecast.note(after)
         # where forces jump the past of the stepper is that of others
-        remembered = self.stepper.note()
-        if not remembered and accept(self.system, after):
+        if self.system.keepers and not self.stepper.note() and accept(self.system, after):
             self._begin(after, goes_on=True)  # the past of the stepper is that of other forces
 
-    def _look(self, state: State, h: float) -> None:
-        """Refuse a state with open joints, or without balance after a step of size h (s).
+    def _look(self, state: State, h: float) -> Sequence[float] | None:
+        """Refuse a state with open joints, or without balance after a step of size h (s); its energies, where they were told.
 
         Compiled steps without a guard are looked at where they are recorded, and at the end of each call.
         """
         self._seen = None
         judges = self.judges
-        if judges is None or (self.watch is None and self.path != "NumPy"):
-            return
-        self._seen = self.system.at(state.t, state.q, state.v)
-        judges.closed.check(self._seen)
-        if judges.balanced is not None:
-            judges.balanced.check(self._seen, state, h)
+        if judges is None or (self.watch is None and self.stepper.path != "NumPy"):
+            return None
+        evaluator, glance = self._glance
+        if evaluator is not self.system.evaluator:
+            glance = self._glance_of(judges)
+        self._seen = judges.look(self.system, state, h, glance)
+        return None if glance is None or self._seen is not None else glance.energies
+
+    def _glance_of(self, judges: Judges) -> Glance | None:
+        """Who looks at states in one call, where who evaluates the system can."""
+        evaluator, glance = self.system.evaluator, None
+        guarded, balance = self.watch is not None, judges.balanced is not None
+        if guarded or balance or judges.closed.judging:
+            glance = evaluator.glance(judges.closed.units, energies=guarded, balance=balance)
+        self._glance = evaluator, glance
+        return glance
 
     def _halves(self, h: float, depth: int, before: State | None = None) -> None:
         """A part of size h in halves, from the state ``before`` where it failed."""

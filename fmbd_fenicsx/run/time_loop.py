@@ -5,7 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from ..errors import ConvergenceError
 from ..linear.condensation import StepSolver
@@ -26,6 +26,7 @@ from .recording.moment import Moment
 from .recording.output import Output, Recorder
 from .recording.progress_bar import Progress
 from .schedule import StepSchedule
+from .step_bisection import ConstantSteps
 
 if TYPE_CHECKING:
     from .checkpoints.checkpoint import Keeper
@@ -192,6 +193,9 @@ class Loop:
         self.turns = SmallTurns(system, silent=problem.warned is None)
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
+        # whether somebody looks at every step, or ranks have to agree on how many they make
+        self._shown = output.on_step is not None or self.events is not None
+        self._shown = self._shown or (system.comm is not None and system.comm.size > 1)
         self.bar = Progress(problem.scene.name, schedule.steps or None, output.progress)
 
     def _recorder(self) -> Recorder:
@@ -236,8 +240,8 @@ class Loop:
 
         # a checkpoint may be due after every step
         most = self.turns.most(self.schedule.steps) if self.keeper is None else 1
-        made = 0
-        if self.stepper.stride(h):
+        made, compiled = 0, bool(self.stepper.stride(h))
+        if compiled:
             made = quietly(
                 self.stepper, self.schedule, self.recorder, self.progress.done, most=most, events=self.events
             )
@@ -245,14 +249,27 @@ class Loop:
         due = made > 1 or self.keeper is not None or done % LOOK == 0 or done == self.schedule.steps
         if made and due:
             _look(self.judges.balanced, self.stepper, h)
-        elif not made:  # its balance is looked at where it may be made in parts
-            self.stepper.advance(h)
+        elif not made:  # their balance is looked at where they may be made in parts
+            made = self._in_turn(h, 1 if compiled else most)
 
-        made = max(made, 1)
         self.state = self.stepper.state
         if self.motions is not None:
             self.motions.look(self.state.t, made)
         return made, None
+
+    def _in_turn(self, h: float, most: int) -> int:
+        """Steps of size h (s), at most so many, made one by one up to one that somebody wants to see; how many."""
+        stepper, done = cast(ConstantSteps, self.stepper), self.progress.done
+        if self._shown or (self.problem.system.fields and not self.progress.first):
+            most = 1
+        if most > 1:
+            most = min(most, self.recorder.quiet(done, self.state.t, h), self.schedule.steps - done)
+        try:
+            ahead = None if self.motions is None else self.motions.look
+            return stepper.in_turn(h, most, until=clock.perf_counter() + CHUNK, ahead=ahead)
+        except ConvergenceError:
+            self.progress.done += stepper.made
+            raise
 
     def _chosen_step(self) -> tuple[int, Evaluation | None]:
         """Steps of sizes that the scheme chooses, many in one call or one by itself: how many, and the system in the new state,

@@ -15,6 +15,7 @@ from .evaluation import Evaluation
 from .evaluation_batch import CoordinateBatch, EvaluationBatch, in_coordinates
 
 if TYPE_CHECKING:
+    from .compiled.glance import Glance
     from .system import System
 
 
@@ -35,6 +36,9 @@ class Evaluator(Protocol):
 
     def rate(self, xi: Array, v: Array) -> Array:
         """d(xi)/dt for the velocity v, likewise, see :func:`.configurations.rate`."""
+
+    def glance(self, units: Array, *, energies: bool, balance: bool) -> Glance | None:
+        """Who looks at states for the judges of a run in one call each, see :class:`.Glance`; None: evaluations tell them."""
 
     def begin_anew(self) -> None:
         """Serve another run, the one before is over."""
@@ -66,6 +70,9 @@ class NumPyEvaluator:
     def rate(self, xi: Array, v: Array) -> Array:
         """d(xi)/dt for the velocity v, likewise."""
         return rate_of_increment(self.system, xi, v)
+
+    def glance(self, units: Array, *, energies: bool, balance: bool) -> None:
+        """Nobody."""
 
     def begin_anew(self) -> None:
         """Nothing: it keeps nothing of a run."""

@@ -24,6 +24,7 @@ from ...errors import ConvergenceError
 from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...schemes.declared import Declared
+from ...system.compiled.glance import Seen
 from ...system.compiled.recording import Openness
 from ...system.evaluation import Evaluation
 from ...system.lengths import farthest
@@ -140,35 +141,62 @@ class Closed(Remembering):
         nothing = 0 not in self.levels
         return Openness(self.units, np.inf if nothing else self.share * self.system.length, ROUNDOFF)
 
+    @cached_property
+    def judging(self) -> bool:
+        """Whether there is anything to judge."""
+        return bool(self.system.n_lam) and 0 in self.levels
+
+    def passes(self, seen: Seen, t: float) -> bool:
+        """Whether a state at time t (s) of which this was seen passes; :meth:`check` has to look closely where it does not."""
+        if not self.judging:
+            return True
+        known = ROUNDOFF * seen.far
+        if not seen.gap <= self._gap_allowed(known):
+            return False
+        if 1 in self.levels and not seen.slip <= self._slip_allowed(t, known, seen.speed, seen.rate):
+            return False
+        self.last = t
+        return True
+
     def check(self, ev: Evaluation) -> None:
         """Raise ConvergenceError when a joint is open in a state; collective."""
         s = self.system
-        if not s.n_lam or 0 not in self.levels:
+        if not self.judging:
             return
         # (1), positions
         gap = self.units * np.abs(ev.constraint())
         known = ROUNDOFF * farthest(s, ev.q)
-        allowed = self.share * s.length + known
+        allowed = self._gap_allowed(known)
         if not np.maximum.reduce(gap) <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
                 "bodies that are much lighter or stiffer than what they are attached to, or take a smaller dt."
             )
-        # (2), velocities: over the step since the state before
-        h = ev.t - self.last if self.last is not None and ev.t > self.last else 1.0
+        # (2), velocities
         if 1 in self.levels and ev.v is not None:
-            self._check_velocities(ev, ev.v, h, known)
+            self._check_velocities(ev, ev.v, known)
         self.last = ev.t
 
-    def _check_velocities(self, ev: Evaluation, v: Array, h: float, known: float) -> None:
-        """(2) for velocities after a step of h (s); ``known``: roundoff of places, m."""
+    def _gap_allowed(self, known: float) -> float:
+        """The right-hand side of (1), m; ``known``: roundoff of places, m."""
+        return self.share * self.system.length + known
+
+    def _slip_allowed(self, t: float, known: float, speed: float, rate: float) -> float:
+        """The right-hand side of (2) at t, m/s, of the largest velocity and the largest rate that is given in time."""
+        length = self.system.length
+        # over the step since the state before
+        h = t - self.last if self.last is not None and t > self.last else 1.0
+        self.fastest = max(self.fastest, speed)
+        allowed = (SLIP + self.share) * (self.fastest + rate)
+        allowed += IN_A_STEP * self.share * length / h
+        return allowed + (ROUNDOFF * length + known) / h  # of a body at rest
+
+    def _check_velocities(self, ev: Evaluation, v: Array, known: float) -> None:
+        """(2) for velocities; ``known``: roundoff of places, m."""
         s = self.system
-        self.fastest = max(self.fastest, s.max_abs(v))
-        rate = ev.constraint_rate()
+        rate = float(np.maximum.reduce(self.units * np.abs(ev.constraint_rate())))
         slip = self.units * np.abs(ev.opening())
-        allowed = (SLIP + self.share) * (self.fastest + float(np.maximum.reduce(self.units * np.abs(rate))))
-        allowed += IN_A_STEP * self.share * s.length / h
-        allowed += (ROUNDOFF * s.length + known) / h  # of a body at rest
+        allowed = self._slip_allowed(ev.t, known, s.max_abs(v), rate)
         if not np.maximum.reduce(slip) <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, slip)} opens at {slip.max():.3g} m/s, {allowed:.2g} m/s is allowed. Take a "

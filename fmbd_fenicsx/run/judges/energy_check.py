@@ -15,6 +15,7 @@ damping of the scheme then removes it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -65,19 +66,25 @@ class Watch(Remembering):
         self.turnover, self.highest = 0.0, -float("inf")
         self.strained, self.time = strain_energy(system), state.t
         self.settling = SETTLING + 1 if system.parts else 1
+        self.evaluation: Evaluation | None = None  # of the newest state, where it was made
         self.gain(state)
 
-    def gain(self, s: State, seen: Evaluation | None = None) -> float | None:
+    def gain(self, s: State, seen: Evaluation | None = None, energies: Sequence[float] | None = None) -> float | None:
         """Gain of energy (J) of the newest state when it is too large, else None; keeps what was seen.
 
-        ``seen``: the system in this state, where it is known.
+        ``seen``: the system in this state, ``energies``: kinetic, elastic, of the weight and of springs in it, where known.
         """
-        self.evaluation: Evaluation = self.system.at(s.t, s.q, s.v) if seen is None else seen
-        parts = self.evaluation.energies()
-        energy = sum(parts.values())
-        turnover = max(self.turnover, parts["kinetic"] + parts["elastic"] + abs(parts["springs"]))
+        self.evaluation = seen
+        if energies is None:
+            self.evaluation = self.system.at(s.t, s.q, s.v) if seen is None else seen
+            parts = list(self.evaluation.energies().values())
+        else:
+            parts = list(energies)
+        kinetic, elastic, weight, springs = parts
+        energy = sum(parts)
+        turnover = max(self.turnover, kinetic + elastic + abs(springs))
         gain, much = energy - self.highest, SHARE * (turnover + self.weight)
-        if self.settling == 0 and gain > much and gain > much + self._roundoff(s.t):
+        if self.settling == 0 and gain > much and gain > much + self._roundoff(s):
             return float(gain)
         self.time = s.t
         self.settling = max(self.settling - 1, 0)
@@ -93,11 +100,11 @@ class Watch(Remembering):
     def limits(self, seen: tuple[float, ...]) -> None:
         self.highest, self.turnover, self.settling = float(seen[0]), float(seen[1]), int(seen[4])
 
-    def _roundoff(self, t: float) -> float:
-        """R of (1) for a step that ends at t, J."""
-        h = t - self.time
+    def _roundoff(self, state: State) -> float:
+        """R of (1) for a step that ends in a state, J."""
+        h = state.t - self.time
         s = self.system
-        places = s.poses(self.evaluation.q)[:, : s.motions.dim]
+        places = s.poses(state.q)[:, : s.motions.dim]
         far = s.length + float(np.abs(places).max(initial=0.0))
         speed = ROUNDOFF * far / h if h > 0 else 0.0
         return self.system.mass * speed**2 + self.strained
@@ -130,7 +137,7 @@ class Guarded(Around):
     def evaluation(self) -> Evaluation | None:
         """At the newest state."""
         seen = self.watch.evaluation
-        return seen if seen.q is self.state.q else self.stepper.evaluation
+        return seen if seen is not None and seen.q is self.state.q else self.stepper.evaluation
 
     @property
     def counters(self) -> dict[str, float]:

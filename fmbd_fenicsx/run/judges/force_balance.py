@@ -19,7 +19,7 @@ equations of motion at the end of a step are judged, in scenes without contact: 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import hypot
 from typing import Any, ClassVar
 
@@ -30,6 +30,7 @@ from ...linear.condensation import StepSolver, Weights
 from ...linear.core_matrix import core_matrix
 from ...rotations import Array
 from ...schemes.declared import Declared
+from ...system.compiled.glance import Seen
 from ...system.evaluation import Evaluation
 from ...system.force_tangent import force_tangent
 from ...system.lengths import farthest
@@ -54,6 +55,9 @@ class Balanced(Remembering):
     hardest: float = 0.0  # m/s^2, of all states so far
     fastest: float = 0.0  # m/s
     repeated: int = 0  # steps that were made again
+    _masses: Array | None = field(
+        default=None, init=False
+    )  # of rigid bodies, on the diagonal, once they were looked at
 
     @staticmethod
     def under(solver: StepSolver, scheme: Any, tolerance: float) -> Balanced | None:
@@ -63,22 +67,33 @@ class Balanced(Remembering):
             return None
         return Balanced(solver, max(SHARE, 100 * tolerance), said.rtol or 0.0)
 
+    def passes(self, seen: Seen, sums: Array, t: float, h: float) -> bool:
+        """Whether a state at t after a step of size h (s) passes, of which this and the ``sums`` of its balance were seen;
+        :meth:`check` has to look closely where it does not.
+        """
+        if h <= 0:
+            return True
+        if self._masses is None:
+            return False
+        allowed = self._allowed(t, h, (seen.speed, seen.acceleration), seen.far)
+        return bool(np.maximum.reduce(self.solver.system.units * (np.abs(h * sums) / self._masses)) <= allowed)
+
     def check(self, ev: Evaluation, state: State, h: float) -> None:
         """Raise ConvergenceError where the state at the end of a step of size h (s) is not in balance; collective."""
         s, n = self.solver.system, self.solver.system.n_core
         if h <= 0:
             return
-        self._scales(state)
-        allowed = h * self.share * self.hardest + CONTROLLED * self.rtol * self.fastest
-        allowed += ROUNDOFF * (s.length + farthest(s, ev.q)) / h
+        allowed = self._allowed(state.t, h, (s.typical(state.v), s.typical(state.a)), farthest(s, ev.q))
 
         left = h * ev.balance(state.a, state.lam)[:n]
-        if np.maximum.reduce(self._velocities(ev, left, h, stiff=False)) <= allowed:
+        masses = _diagonal(self.solver.masses(ev))
+        self._masses = masses if not s.parts and masses.all() else None  # those of rigid bodies stay
+        if np.maximum.reduce(_lengths(s, left, masses)) <= allowed:
             return
 
         # the dearer look: without what is known to roundoff of large forces only, and with the stiffness of elements
         left = np.where(np.abs(left) > KNOWN * h * self._forces(ev, state), left, 0.0)
-        sizes = self._velocities(ev, left, h, stiff=True)
+        sizes = _lengths(s, left, self._weights(ev, h))
         if not sizes.max() <= allowed:
             name = _named(s, int(np.argmax(sizes)))
             raise ConvergenceError(
@@ -87,28 +102,28 @@ class Balanced(Remembering):
                 "Newton(tolerance=...)."
             )
 
-    def _scales(self, state: State) -> None:
-        """Take notice of the accelerations and velocities of a state; collective."""
-        s = self.solver.system
-        v, a = s.typical(state.v), s.typical(state.a)
-        gravity = hypot(*s.gravity(state.t))
+    def _allowed(self, t: float, h: float, largest: tuple[float, float], far: float) -> float:
+        """The right-hand side of (2) after a step of h (s) to t, m/s; ``largest`` velocity and acceleration of the state are
+        taken notice of, ``far``: |x|.
+        """
+        s, (v, a) = self.solver.system, largest
+        gravity = hypot(*s.gravity(t))
         self.fastest = max(self.fastest, v)
         self.hardest = max(self.hardest, a, gravity, v**2 / s.length if s.length else 0.0)
+        allowed = h * self.share * self.hardest + CONTROLLED * self.rtol * self.fastest
+        return allowed + ROUNDOFF * (s.length + far) / h
 
-    def _velocities(self, ev: Evaluation, left: Array, h: float, *, stiff: bool) -> Array:
-        """d of (1) as lengths over time, (n_core,); ``stiff``: with C and K."""
+    def _weights(self, ev: Evaluation, h: float) -> Array:
+        """M + h |C| + h^2 |K| of (1), (n_core,)."""
         s = ev.system
         n = s.n_core
-        weight = _diagonal(core_matrix(ev, Weights(1.0, h, h * h)) if stiff else self.solver.masses(ev))
-        applied = force_tangent(ev, h, h * h) if stiff and (s.forces or s.elements) else None
+        weight = _diagonal(core_matrix(ev, Weights(1.0, h, h * h)))
+        applied = force_tangent(ev, h, h * h) if s.forces or s.elements else None
         if applied is not None:
             if applied.core is not None:
                 weight += _diagonal(applied.core)
             weight += np.abs(np.einsum("ij,ij->i", applied.left[:n], applied.right[:n]))
-
-        # no force would change the velocity of a coordinate without inertia and stiffness
-        change = np.divide(np.abs(left), weight, out=np.zeros(n), where=weight > 0)
-        return s.units[:n] * change
+        return weight
 
     def _forces(self, ev: Evaluation, state: State) -> Array:
         """Sizes of what joints and elements exert, (n_core,): of a frame one for its forces and one for its moments."""
@@ -129,6 +144,13 @@ class Balanced(Remembering):
         for part in (frames[:, :d], frames[:, d:]):
             part[:] = part.max(axis=1, keepdims=True)
         return out
+
+
+def _lengths(system: System, left: Array, weight: Array) -> Array:
+    """d of (1) as lengths over time, (n_core,)."""
+    # no force would change the velocity of a coordinate without inertia and stiffness
+    change = np.divide(np.abs(left), weight, out=np.zeros(len(weight)), where=weight > 0)
+    return system.units[: len(weight)] * change
 
 
 def _diagonal(A: Any) -> Array:

@@ -255,9 +255,10 @@ class PrescribedMotions:
         """
         if not self.followers or not t > self.time:
             return
-        for time in np.linspace(self.time, t, max(1, steps // self.every) + 1)[1:]:
+        count = max(1, steps // self.every)
+        for time in map(float, np.linspace(self.time, t, count + 1)[1:] if count > 1 else (t,)):
             for follower in self.followers:
-                follower.look(float(time))
+                follower.look(time)
             for one, other, joint in self.rivals:
                 _compare_drives(one, other, joint)
         self.time = t

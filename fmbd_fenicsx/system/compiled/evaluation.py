@@ -24,6 +24,7 @@ from ..system import System
 from .calls import Calls
 from .exchange import Exchange, Room
 from .geometry import CompiledGeometry
+from .glance import Glance
 from .points import LocalPoints, PointsTold
 from .structures import address_of, enumeration
 from .tables import Tables
@@ -132,6 +133,12 @@ class DriverStates(CompiledGeometry):
         """What an implicit step asks of points in local coordinates, see :class:`.LocalPoints`."""
         return self._points.told(t, q0, points, forces) if self.same_rows else None
 
+    def glance(self, units: Array, *, energies: bool, balance: bool) -> Glance | None:
+        """Who looks at many states for the judges of a run, see :class:`.Glance`; None where rows or forces are NumPy's too."""
+        if not self.same_rows or self.system.fields:
+            return None
+        return Glance(self, units, energies=energies, balance=balance)
+
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
         room, places = self._loaded_room(at, a, lam)
@@ -205,7 +212,7 @@ class DriverStates(CompiledGeometry):
             x[:count] = value
         return room
 
-    def ask(self, function: Any, *given: int | None) -> bool:
+    def ask(self, function: Any, *given: float | None) -> bool:
         """One call of C for many configurations, with numbers and addresses; whether they have been evaluated."""
         if self.recalls:
             self.tables.recall()

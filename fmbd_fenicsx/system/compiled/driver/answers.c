@@ -107,6 +107,29 @@ EXPORT int driver_constraints(System *s, long count, const double *t, const doub
     return DONE;
 }
 
+/* What judges ask of a state: ``found`` has the largest open constraint, the largest rate at which one opens, the largest of what of
+   these depends on time only, as lengths by ``units``; how far places are from the origin; the largest velocity, acceleration and
+   multiplier. ``energy``: 4, and ``sums`` of the balance, where asked for, else NULL; ``room``: 2 rows. */
+EXPORT int driver_look(System *s, double t, double length, const double *units, const double *q, const double *v, const double *a,
+                       const double *lam, double *found, double *energy, double *sums, double *room)
+{
+    double last = NAN;
+    int verdict = sample(s, t, &last);
+    if (verdict || (verdict = sums ? evaluate(s, q, v, a, lam, t) : place(s, q, v))) return verdict;
+    if (sums) like_v(s, s->residual, sums);
+    derivatives_in_time(s, room, room + s->rows);
+    drift(s);
+    found[0] = largest_of(units, s->gap, s->rows);
+    found[1] = largest_of(units, s->slip, s->rows);
+    found[2] = largest_of(units, room, s->rows);
+    found[3] = far_from_origin(s, q, length);
+    found[4] = largest_of(s->units, v, s->nv);
+    found[5] = largest_of(s->units, a, s->nv);
+    found[6] = largest_of(s->multiplier_units, lam, s->rows);
+    if (energy) energies(s, t, q, v, s->rest_gravity, energy);
+    return DONE;
+}
+
 /* The balance and the constraints of every configuration, as the two functions above. */
 EXPORT int driver_batch(System *s, long count, const double *t, const double *q, const double *v, const double *a, const double *lam,
                         double *sums, double *gap, double *slip, double *partial, double *second)

@@ -1,0 +1,152 @@
+"""Steps that Python makes: what the run adds to each, and that its judges find by one call of C what they find by evaluations."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from test_compiled_evaluation import MAKERS, pair_of
+from test_driver import compiled, joint_springs
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.run import time_loop
+from fmbd_fenicsx.run.judges.acceptance import Closed
+from fmbd_fenicsx.run.judges.energy_check import Watch
+from fmbd_fenicsx.run.judges.force_balance import Balanced
+from fmbd_fenicsx.run.step_bisection import Judges
+from fmbd_fenicsx.system.lengths import farthest
+from fmbd_fenicsx.system.system import State
+
+SCHEMES = [
+    fmbd.Rattle(),
+    fmbd.HalfExplicit(rtol=None),
+    fmbd.ExplicitRungeKutta(rtol=None),
+    fmbd.EnergyMomentum(),
+    fmbd.BDF(2, rtol=None),
+    fmbd.Radau(rtol=None),
+]
+
+
+def named(scheme: Any) -> str:
+    return type(scheme).__name__
+
+
+@compiled
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_glance_tells_what_evaluations_do(name: str) -> None:
+    plain, driven, (t, q, v, a, lam) = pair_of(MAKERS[name])
+    glance = driven.evaluator.glance(driven.row_units, energies=True, balance=True)
+    if glance is None:  # whose rows are not all the driver's
+        assert not driven.evaluator.same_rows
+        return
+    for i in range(len(t)):
+        seen = glance.of(State(float(t[i]), q[i], v[i], a[i], lam[i]))
+        ev = plain.at(float(t[i]), q[i], v[i])
+        rows = (ev.constraint(), ev.opening(), ev.constraint_rate())
+        wanted = [float((plain.row_units * np.abs(x)).max(initial=0.0)) for x in rows]
+        wanted += [farthest(plain, q[i]), plain.max_abs(v[i]), plain.max_abs(a[i])]
+        assert seen is not None and list(seen[:6]) == pytest.approx(wanted, rel=1e-11, abs=1e-12)
+        sums = ev.balance(a[i], lam[i])
+        assert glance.sums == pytest.approx(sums, rel=1e-11, abs=1e-12 * max(1.0, np.abs(sums).max()))
+        if glance.energies is not None:
+            assert glance.energies == pytest.approx(list(ev.energies().values()), rel=1e-11, abs=1e-12)
+
+
+@compiled
+@pytest.mark.parametrize("wrong", ["places", "velocities", "accelerations", "multipliers", "energy"])
+def test_judges_refuse_by_a_glance_what_they_refuse_by_evaluations(wrong: str) -> None:
+    """With the same words; the state of the start passes without one."""
+    said = []
+    for by_glance in (True, False):
+        system, start, _ = joint_springs(2).build()
+        solver = StepSolver(system)
+        start = fmbd.schemes.consistent.consistent(system, start, solver)[0]
+        fmbd.system.compiled.choice.use_driver(system)
+        judges = Judges(Closed(system, (0, 1)), Balanced(solver), None)  # type: ignore[arg-type]
+        watch = Watch(system, start)
+        glance = system.evaluator.glance(judges.closed.units, energies=True, balance=True) if by_glance else None
+        for _ in range(2):  # the second time masses are known
+            found = judges.look(system, start, 1e-3, glance)
+        assert (found is None) == by_glance and watch.gain(start) is None
+
+        parts = {"places": "q", "velocities": "v", "accelerations": "a", "multipliers": "lam"}
+        if wrong in parts:
+            values = getattr(start, parts[wrong]).copy()
+            values[-1] += 0.3 if wrong in ("places", "velocities") else 30.0
+            spoilt = State(*(values if x == parts[wrong] else getattr(start, x) for x in ("t", "q", "v", "a", "lam")))
+            with pytest.raises(ConvergenceError) as error:
+                judges.look(system, spoilt, 1e-3, glance)
+            said.append(str(error.value))
+            continue
+        fast = State(1e-3, start.q, start.v + 1.0, start.a, start.lam)
+        if glance is not None:
+            glance.of(fast)
+        said.append(str(watch.gain(fast, energies=None if glance is None else glance.energies)))
+        assert said[-1] != "None"
+    assert said[0] == said[1]
+
+
+def entered(what: Any, folder: str) -> int:
+    """How many functions in files of a folder a call enters."""
+    count = [0]
+
+    def note(frame: Any, event: str, arg: Any) -> None:
+        count[0] += event == "call" and folder in frame.f_code.co_filename
+
+    sys.setprofile(note)
+    try:
+        what()
+    finally:
+        sys.setprofile(None)
+    return count[0]
+
+
+@compiled
+@pytest.mark.parametrize("scheme", SCHEMES, ids=named)
+def test_the_run_enters_few_functions_a_step(scheme: Any) -> None:
+    """Its loop, judges and records, between two records; differences of two lengths, so that the start cancels."""
+    output = fmbd.Output(every=1000, progress=False)
+    run = lambda steps: fmbd.solve(joint_springs(2), t_end=1e-3 * steps, dt=1e-3, scheme=scheme, output=output)  # noqa: E731
+    run(5)
+    calls = [entered(lambda steps=steps: run(steps), "/fmbd_fenicsx/run/") for steps in (10, 40)]
+    assert calls[1] - calls[0] <= 30 * 14
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=named)
+def test_many_steps_between_two_looks_are_those_made_one_by_one(scheme: Any) -> None:
+    """To the last bit, with the number of each step; whoever looks at every step sees every step."""
+    seen: list[int] = []
+    runs = [
+        fmbd.solve(joint_springs(2), t_end=0.04, dt=1e-3, scheme=scheme, output=fmbd.Output(progress=False, **given))
+        for given in ({"every": 40}, {"every": 7}, {"every": 40, "on_step": lambda now: seen.append(now.step)})
+    ]
+    assert seen == list(range(1, 41)) and (runs[1].times[1:6] == pytest.approx(7e-3 * np.arange(1, 6)))
+    for other in runs[1:]:
+        for x in ("q", "v", "a", "lam"):
+            assert np.array_equal(getattr(other.state, x), getattr(runs[0].state, x)), x
+
+
+def test_the_number_of_a_failed_step_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also among many that were to be made in turn."""
+    stepper = fmbd.Rattle().stepper
+    monkeypatch.setattr(time_loop, "CHUNK", 1e3)
+
+    def failing(*given: Any) -> Any:
+        made = stepper(*given)
+        advance = made.advance
+
+        def once(h: float) -> State:
+            if made.state.t > 0.0175:
+                raise ConvergenceError("broken on purpose.")
+            return advance(h)
+
+        made.advance = once  # type: ignore[method-assign]
+        return made
+
+    monkeypatch.setattr(fmbd.Rattle, "stepper", lambda self, *given: failing(*given))
+    with pytest.raises(ConvergenceError, match="step 19 of 40: broken on purpose"):
+        fmbd.solve(joint_springs(2), t_end=0.04, dt=1e-3, scheme=fmbd.Rattle(), output=fmbd.Output(every=40))
