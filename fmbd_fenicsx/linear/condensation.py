@@ -60,6 +60,7 @@ class StepSolver:
         self.core = CoreSolver(Judge("the core of the system"))
         self.elastic = FieldBlocks(system, linear, prefix)
         self.blocks: list[FactoredField] = []
+        self.weights = Weights(1.0, 0.0, 0.0)  # of the matrix prepared last, of that of a start before any
         self.split: Any = None if linear is None else linear.split(system, prefix)
         self.iterated = self._iterated_ties()
         self.direct: Any = slice(None) if self.iterated is None else self.iterated.direct

@@ -263,6 +263,11 @@ class NormOfWays(ErrorNorm):
         sizes[: s.n_frames * s.motions.n_twist] *= max(min(self.way, 1.0), self.least)
         return sizes
 
+    def of_lengths(self, x: Array) -> Array:
+        """Lengths over what those of frames may be in error."""
+        share = self.rtol * max(min(self.way, 1.0), self.least)
+        return x / (share * self.system.length + (0.0 if self.atol is None else self.atol))
+
     @property
     def least(self) -> float:
         """``least`` of (1)."""

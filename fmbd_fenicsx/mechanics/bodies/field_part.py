@@ -7,6 +7,7 @@ followed by the moments b_0, b_k of each surface in use. They are linear in the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,7 @@ class FieldPart(DistributedPart):
         """Further ports B u of a tie by field multipliers, B (rows, n d) sparse; returns their place among the ports."""
         first = self.n_port
         self.traces.append(B)
+        self.__dict__.pop("_port_rows", None)  # one more than those that were asked for
         self.n_port += B.shape[0]
         self.reference = np.concatenate((self.reference, np.zeros(B.shape[0])))
         return slice(first, self.n_port)
@@ -92,13 +94,14 @@ class FieldPart(DistributedPart):
 
     def port_columns(self, used: np.ndarray, t: float) -> Array:
         """Dense columns (n d, count) of :meth:`port_force` for the port numbers ``used``."""
-        return np.asarray(self._port_rows()[used].toarray().T)
+        return np.asarray(self._port_rows[used].toarray().T)
 
     def port_gram(self, t: float) -> Array:
         """P P^T of the ports p = P w, (n_port, n_port): ports of neighbouring surfaces share nodes; collective."""
-        P = self._port_rows()
+        P = self._port_rows
         return self.field.total((P @ P.T).toarray())
 
+    @cached_property
     def _port_rows(self) -> Any:
         """P of the ports p = P w on this rank's displacements, sparse (n_port, n)."""
         import scipy.sparse as sp

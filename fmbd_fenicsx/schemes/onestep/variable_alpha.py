@@ -48,6 +48,7 @@ from ..control import NormOfWays, Statistics, StepControl, first_step, moves, tu
 from ..dae import GGL
 from ..newton import Newton
 from ..stepping import TimeStepper
+from .look_ahead import LookAhead
 
 if TYPE_CHECKING:
     from ...run.judges.energy_check import Watch
@@ -57,7 +58,6 @@ if TYPE_CHECKING:
 
 KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
 DEEPEST = 48  # levels of parts; the finest are below roundoff
-LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step of a new size loads are looked at
 CALM = 0.01  # error of the last step over what is allowed, below which nothing happens
 # share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
 KEEPS = 0.93
@@ -98,6 +98,7 @@ class VariableAlpha(TimeStepper):
         self.inner: Any = self._steps(state)
 
         self.norm = NormOfWays(system, scheme.rtol, scheme.atol, 3)
+        self.look = LookAhead(system, solver, self.norm, lambda h: scheme.rule(h).weights)
         self.control = StepControl(3.0)
         self.stats = Statistics()
         self.local_error = self.error = 0.0  # the largest since :meth:`advance`, and that of the newest step
@@ -174,12 +175,15 @@ class VariableAlpha(TimeStepper):
             level = self._level(min(self.proposed, farthest))
             h = self.stretch / parts(level)
             moves(s.t, h)
+            if not self._is_looked_at(h):
+                farthest = min(farthest, self.look.farthest(s, h))
+                if farthest < h:
+                    continue
             self.solver.near_singular.begin_trial()
             try:
                 error, cause = self._ahead(h), "a load within the step"
-            except LinearSolveError as failure:  # M is lost beside s K, and with it the motion of a free body
-                error, cause = np.inf, "linear solve failed"
-                self.control.fault, self.lost = str(failure), (h, s.t + HELD * h)
+            except LinearSolveError as failure:
+                error, cause = np.inf, self._losing(h, failure)
             if error <= 1.0:
                 error, cause = self._attempt(h, level)
             if error <= 1.0:
@@ -222,6 +226,11 @@ class VariableAlpha(TimeStepper):
         """Whether M is known to be lost beside s K in a step of size h (s); its factor need not be tried."""
         return self.lost is not None and h >= self.lost[0] * (1 - SAME) and self.state.t < self.lost[1]
 
+    def _losing(self, h: float, failure: LinearSolveError) -> str:
+        """A step of size h (s) in which M is lost beside s K, and with it the motion of a free body: how that is counted."""
+        self.control.fault, self.lost = str(failure), (h, self.state.t + HELD * h)
+        return "linear solve failed"
+
     def _arrive(self, place: Fraction) -> None:
         """Give the state at the end of a step the time that the parts tell."""
         t = self.end if place == 1 else self.end - self.stretch * float(1 - place)
@@ -237,34 +246,10 @@ class VariableAlpha(TimeStepper):
     def _ahead(self, h: float) -> float:
         """What a load that comes and goes within a step moves, in the norm of errors; 0 without a look, where much happens and no
         step was as large before.
-
-        With the state held, by how far forces f between the ends of the step leave a straight line from end to end, and farther
-        than the ends differ: what is less, the error (3) sees.
-
-            (M + s K) e + G^T mu = h^2 / 6 (f(t + k h) - (1 - k) f(t) - k f(t + h)),     G e = 0                         (4)
         """
         if self._is_looked_at(h):
             return 0.0
-        s = self.state
-        no_rows = np.zeros(self.system.n_lam)
-
-        # all at once, with the state held
-        shares = np.array([0.0, *LOOKS, 1.0])
-        q, v, a, lam = (np.tile(x, (len(shares), 1)) for x in (s.q, s.v, s.a, s.lam))
-        first, *inner, last = self.system.batch(s.t + h * shares, q, v).balance(a, lam)
-
-        between = [f - (1.0 - k) * first - k * last for k, f in zip(LOOKS, inner, strict=True)]
-        # what the ends of the step differ by is seen by the error (3)
-        unseen = [np.sign(f) * np.maximum(np.abs(f) - np.abs(last - first), 0.0) for f in between]
-        worst = max(unseen, key=lambda f: float(np.abs(f).max(initial=0.0)))
-
-        ev = self.system.at(s.t, s.q, s.v)
-        ev.forces = s.a, s.lam
-        self.solver.prepare(ev, self.scheme.rule(h).weights)
-        e, _ = self.solver.solve(h * h / 6.0 * worst, no_rows)
-
-        self.norm.update(s, h)
-        error = self.norm(h, e, np.zeros_like(e))
+        error = self.look.loads(self.state, h)
         if error <= 1.0:
             self.largest = max(self.largest, h)
         return error
@@ -363,7 +348,9 @@ class VariableAlpha(TimeStepper):
             error, cause = self._error(h), "error estimate"
             if level is not None:
                 self._arrive(self.place + Fraction(1, parts(level)))
-        except (ConvergenceError, LinearSolveError) as failure:
+        except LinearSolveError as failure:
+            error, cause = np.inf, self._losing(h, failure)
+        except ConvergenceError as failure:
             error, cause = np.inf, "Newton's iteration"
             self.control.fault = str(failure)
         except np.linalg.LinAlgError:

@@ -1,0 +1,77 @@
+"""What loads and drives do within a step that is not made yet: large steps are not tried in vain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from dae_problems import pendulum as point_pendulum
+from test_variable_alpha import driven_crank, driven_pendulum, knocked, stepper_of
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.condensation import Weights
+
+
+@pytest.mark.parametrize("make", [driven_crank, lambda: driven_pendulum(1.0), lambda: driven_pendulum(1e-3)])
+def test_errors_of_prescribed_motions_are_foretold(make: Any) -> None:
+    """The step that a drive allows has an error near the tolerance, far below that of the whole run."""
+    stepper = stepper_of(make(), fmbd.Index3())
+    norm, s = stepper.norm, stepper.state
+    norm.look_ahead(s, 0.8)
+    norm.update(s, 0.8)
+    allowed = stepper.look.farthest(s, 0.8)
+    assert allowed < 0.3
+    assert stepper._attempt(0.8)[0] > 20.0
+    assert 0.05 < stepper._attempt(allowed)[0] < 3.0
+
+
+def test_a_drive_that_rests_at_first_allows_large_steps() -> None:
+    """Up to where it begins, and what nothing drives any step."""
+    scene = fmbd.Scene("late")
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+    axle = fmbd.revolute("axle", fmbd.ground, arm, center=(0, 0))
+
+    def late(t: float) -> tuple[float, float, float]:
+        x = max(t - 1.0, 0.0)
+        return x**4, 4 * x**3, 12 * x**2
+
+    scene.add(arm, axle, fmbd.drive("drive", fmbd.angle(axle), late))
+    look = stepper_of(scene, fmbd.Index3()).look
+    start = stepper_of(scene, fmbd.Index3()).state
+    look.norm.update(start, 2.0)
+    assert 0.9 < look.farthest(start, 2.0) <= 1.05
+    assert look.farthest(start, 0.9) == 0.9
+
+    free = stepper_of(point_pendulum(), fmbd.Index3())
+    assert free.look.farthest(free.state, 100.0) == 100.0
+
+
+@pytest.mark.parametrize(("make", "t_end"), [(driven_crank, 1.2), (lambda: driven_pendulum(1.0), 1.0)])
+def test_a_mechanism_from_rest_refuses_no_step(make: Any, t_end: float) -> None:
+    """The first step is right at once, without trials of the whole run."""
+    run = fmbd.solve(make(), t_end=t_end, scheme=fmbd.GeneralizedAlpha(rtol=1e-4))
+    assert run.counters["rejections"] == 0
+
+
+def test_a_look_at_loads_makes_no_factor(rod_mesh: Any) -> None:
+    """The matrix at hand is softer: where it hardly moves, that of a larger step does so less. Where it moves, that is asked."""
+    stepper = stepper_of(knocked(rod_mesh(dim=2, h=0.5, height=0.1)), fmbd.Index3())
+    solver, s = stepper.solver, stepper.state
+    before = solver.factorisations
+    assert stepper.look.loads(s, 0.3) < 1e-6
+    assert solver.factorisations == before and solver.weights == Weights(1.0, 0.0, 0.0)
+
+    # with the knock of 0.002 s in the middle
+    h = 2 * 0.801
+    softer = stepper.look._moved(s, h, _knock(stepper, h), Weights(1.0, 0.0, 0.0))
+    seen = stepper.look.loads(s, h)
+    assert 1.0 < seen < softer
+    assert solver.weights == stepper.look.weights(h)
+
+
+def _knock(stepper: Any, h: float) -> np.ndarray:
+    """h^2 / 6 times the force in the middle of a step, with the sign of a residual."""
+    system, s = stepper.system, stepper.state
+    rest, pushed = (system.at(t, s.q, s.v).balance(s.a, s.lam) for t in (s.t, s.t + 0.5 * h))
+    return np.asarray(h * h / 6.0 * (pushed - rest))
