@@ -40,6 +40,22 @@ def lever(*elements: Any, torque: float = 0.0) -> fmbd.Scene:
     return scene
 
 
+@pytest.mark.parametrize("gains", [(50.0, 20.0, 1.0), (1e6, 1e9, 1.0), (1e-6, 1e-6, 0.0), (0.0, 20.0, 1.0)])
+@pytest.mark.parametrize("goal", [0.0, 0.1])
+def test_a_target_that_needs_no_effort(goal: float, gains: tuple[float, float, float]) -> None:
+    """Without load efforts come to zero: what is left of them is roundoff of the angles, by which none is refused."""
+    scene = fmbd.Scene("arm")
+    last: Any = fmbd.ground
+    for name, place in (("upper", (0.3, 0.4)), ("lower", (0.7, 0.1))):
+        body = fmbd.RigidBody(name, 1.0, 0.25, position=place)
+        hinge = fmbd.revolute(f"{name} hinge", last, body, center=place)
+        scene.add(body, hinge, fmbd.pid(f"{name} motor", fmbd.angle(hinge), target=goal, gains=gains))
+        scene.sensor(name, fmbd.angle(hinge))
+        last = body
+    found = fmbd.equilibrium(scene)
+    assert [found["upper"][0], found["lower"][0]] == pytest.approx([goal, goal], abs=1e-12)
+
+
 def test_a_limit_below_the_load() -> None:
     """An integral that cannot reach its target: with its effort limited there is no equilibrium."""
     scene = lever(lambda s: fmbd.pid("motor", s, target=0.0, gains=(50.0, 20.0, 1.0), limit=3.0), torque=5.0)

@@ -30,6 +30,7 @@ from .static_newton import StaticNewton, StaticPoint, by_load_steps
 LENGTHS = 100.0  # T over the preconditioner's time step
 MOST = 60
 STILL = 1e-10  # change of the efforts by that of the memory, over the largest
+ROUNDOFF = 1e-15  # of readings, over a radian or the model's length
 MOVED = 1e-3  # of the memory, by which its influence on the efforts is seen
 
 
@@ -121,9 +122,10 @@ def steady(newton: StaticNewton, start: StaticPoint, t: float, keeping: list[Con
         point = by_load_steps(newton, point, t)
 
         kin = system.at(t, point.q, np.zeros(system.n_v)).kin
+        noise = max(_noise(loads, kin, t) for loads in keeping)
         efforts, changes = np.concatenate([_advanced(loads, kin, t) for loads in keeping], axis=1)
         change = float(np.abs(changes).max())
-        if change <= STILL * max(float(np.abs(efforts).max()), 1e-300):
+        if change <= max(STILL * float(np.abs(efforts).max()), noise):
             for loads in keeping:
                 loads.kept = replace(loads.kept, t=t)
             return point
@@ -132,6 +134,15 @@ def steady(newton: StaticNewton, start: StaticPoint, t: float, keeping: list[Con
         f"No equilibrium: the memory of controller {names} goes on changing, the last efforts by {change:.3g}. "
         "Its target cannot be held."
     )
+
+
+def _noise(loads: ControlLoads, kin: Kinematics, t: float) -> float:
+    """How far roundoff of its readings moves the efforts of a controller over the long step, its memory going along."""
+    readings = loads.read(kin)
+    slopes = loads.slopes(t, readings, list(readings))
+    length = loads.length
+    sizes = {r.name: 1.0 if r.sensor.unit in ("rad", "-") else length for r in loads.readings}
+    return ROUNDOFF * max(float(np.abs(x).max(initial=0.0)) * sizes[name] for name, x in slopes.items())
 
 
 def _advanced(loads: ControlLoads, kin: Kinematics, t: float) -> Array:
