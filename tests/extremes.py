@@ -381,7 +381,7 @@ The largest step is four times as long as the snap itself. Where the load is slo
 `fmbd.equilibrium(path=fmbd.ArcLength(...))` follows the branch.""",
     "sudden": """A force that begins between two steps. Generalized-alpha has no idea of it, and an error of the order of the
 step. Schemes with error control find it by failing steps, at a price of accuracy; given as
-`Scene(breakpoints=...)` they end a step exactly there and keep their order.""",
+`Scene(breakpoints=...)` all schemes end a step exactly there, constant steps too, and keep their order.""",
 }
 
 EDGES: dict[str, Edge] = {

@@ -118,7 +118,7 @@ def test_floating_fields_are_recorded_in_the_loop(monkeypatch: pytest.MonkeyPatc
     """Only the start and the first step, which is NumPy's, are read one by one; all records are those of NumPy."""
     from motion import elastic_rod
 
-    from fmbd_fenicsx.run.recording.output import Recorder
+    from fmbd_fenicsx.run.recording.recorder import Recorder
 
     mesh, single, read = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.25), Recorder._record, []
 
@@ -189,7 +189,7 @@ def test_what_follows_from_states_is_read_from_all_records_at_once(kind: str, mo
     import ufl
     from combinations import BODIES, pinned
 
-    from fmbd_fenicsx.run.recording.output import Recorder
+    from fmbd_fenicsx.run.recording.recorder import Recorder
 
     def run(one_by_one: bool) -> fmbd.Run:
         rod = BODIES[kind]()

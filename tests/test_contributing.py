@@ -202,7 +202,7 @@ def test_rooms_of_the_house_are_there():
 
 
 def test_sensor_gives_all_records_at_once(monkeypatch):
-    from fmbd_fenicsx.run.recording.output import Recorder
+    from fmbd_fenicsx.run.recording.recorder import Recorder
 
     monkeypatch.setattr(Recorder, "_one_by_one", lambda *args: pytest.fail("a state was read by itself"))
     scene = pendulum()

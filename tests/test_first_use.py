@@ -99,7 +99,7 @@ def test_objects_print_as_what_they_are(rod_mesh: Any) -> None:
 
 def test_books_name_each_element_once() -> None:
     """Elements that appear late count as zero before."""
-    from fmbd_fenicsx.run.recording.output import _names
+    from fmbd_fenicsx.run.recording.recorder import _names
 
     assert _names([{"b": 1.0}, {"a": 1.0, "b": 2.0}, {"a": 0.0}]) == ["b", "a"]
 

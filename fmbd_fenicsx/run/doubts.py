@@ -22,7 +22,7 @@ from ..rotations import Array
 from ..system.scene.scene import Scene
 from ..system.system import System
 from .judges.energy_check import closed, strain_energy
-from .recording.output import Recorder
+from .recording.recorder import Recorder
 
 GROWTH = 0.02
 SLIP = 0.02

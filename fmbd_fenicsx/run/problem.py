@@ -103,7 +103,7 @@ def make_stepper(
         return made if watch is None else Guarded(made, watch)
 
     def renew(state: State, before: TimeStepper | None = None) -> TimeStepper:
-        return _made_anew(problem, solver, before, state, schedule.next(0.0))
+        return _made_anew(problem, solver, before, state, schedule.next(state.t))
 
     said = Declared.by(problem.scheme)
     goes_on = said.start is not None or said.free_steps

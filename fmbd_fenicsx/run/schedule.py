@@ -1,10 +1,17 @@
 """Where the steps of a run end: equal ones, or as the error control of the scheme likes, hitting break points and the end
 exactly.
+
+At a break point x the solution may have a kink. Steps end a little before it and the next ones begin a little behind it, so
+that forces are those of either side however they are written: t < x or t <= x. Equal steps are a stretch of their own between
+two break points, of a size that fits: as near to the one that is asked for as whole numbers of steps allow, and not above it.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -15,11 +22,18 @@ from ..log import log
 from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
 
+SIDE = 16  # roundings of time between a break point and either side of it
+TOGETHER = 1e-6  # of a step: break points that are nearer to each other, or to the ends of the run, are one
+SAME = 1e-12  # share by which the sizes of steps of two stretches differ by roundoff: one factor serves both
+MANY = 2.0  # times as many equal steps as without break points, from which on it is said
+
 
 @dataclass(frozen=True)
 class StepSchedule:
     """Where the steps of a march end: ``steps`` equal ones, or (0) as the scheme likes, hitting each of ``stops``, at which the
     solution may have a kink, each of ``marks``, at which it goes on, and the end.
+
+    ``counts``: of equal steps up to each stop, and from the last one to the end. ``largest``: what steps were to be at most, s.
     """
 
     t_end: float
@@ -27,30 +41,97 @@ class StepSchedule:
     stops: tuple[float, ...] = ()
     largest: float = np.inf
     marks: tuple[float, ...] = ()
+    counts: tuple[int, ...] = ()
 
     def next(self, t: float) -> float:
         """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""
         if self.steps:
-            return self.t_end / self.steps
+            return self._sizes[bisect_right(self.stops, t)] if self.stops else self.t_end / self.steps
         # steps that the scheme chooses: up to the next break point, on its near side
         left = self.t_end - t
         for places in (self.stops, self.marks):
-            ahead = next((x for x in places if x - 64 * np.spacing(x) > t), self.t_end)
+            ahead = next((x for x in places if x - 4 * SIDE * np.spacing(x) > t), self.t_end)
             if ahead < self.t_end:
-                left = min(left, ahead - 16 * np.spacing(ahead) - t)
+                left = min(left, near_side(ahead) - t)
         return min(left, self.largest)
 
-    def broken(self, t: float) -> float | None:
-        """The break point at t, where the solution may have a kink."""
-        return next((x for x in self.stops if abs(t - x) <= 64 * np.spacing(x)), None)
+    def left(self, done: int) -> int:
+        """How many equal steps of one size there are after so many."""
+        return next(end for end in self._ends if end > done) - done if self.stops else self.steps - done
+
+    def broken(self, t: float, done: int = 0) -> float | None:
+        """The far side of the break point that a step has just reached: the time at which the march goes on behind it."""
+        if self.steps:
+            return far_side(self.stops[self._ends.index(done)]) if done in self._ends[:-1] else None
+        return next((far_side(x) for x in self.stops if abs(t - x) <= 4 * SIDE * np.spacing(x)), None)
 
     def ended(self, t: float, done: int) -> bool:
         """Whether the march is over."""
         return done >= self.steps if self.steps else t >= self.t_end * (1 - 1e-12)
 
+    def reached(self, t: float) -> int:
+        """How many of the equal steps end at a time t (s) or before."""
+        if not self.stops:
+            return round(t * self.steps / self.t_end)
+        i = bisect_right(self.stops, t)
+        begun = self.stops[i - 1] if i else 0.0
+        return (0, *self._ends)[i] + round((t - begun) / self._sizes[i])
+
+    def with_steps(self, steps: int) -> StepSchedule:
+        """Other equal steps for the same run: so many, shared out among its stretches as they are here."""
+        if not self.stops:
+            return StepSchedule(self.t_end, steps)
+        counts = tuple(max(round(n * steps / self.steps), 1) for n in self.counts)
+        return StepSchedule(self.t_end, sum(counts), self.stops, counts=counts)
+
+    @property
+    def fitting(self) -> float | tuple[float, ...] | None:
+        """What a run has to have in common with one that it goes on with: its sizes of equal steps (s)."""
+        if not self.steps:
+            return None
+        sizes = tuple(float(f"{x:.12g}") for x in ([self.t_end / self.steps] if not self.stops else self._sizes))
+        return sizes[0] if not self.stops else tuple(sorted({float(f"{x:.9g}") for x in sizes}))
+
+    @cached_property
+    def stretches(self) -> tuple[tuple[float, float], ...]:
+        """Times (s) between which the solution is smooth, as far as break points tell."""
+        places = (0.0, *self.stops, self.t_end)
+        return tuple(zip(places[:-1], places[1:], strict=True))
+
+    @cached_property
+    def _ends(self) -> tuple[int, ...]:
+        """Numbers of the equal steps at which stretches end."""
+        return tuple(accumulate(self.counts))
+
+    @cached_property
+    def _sizes(self) -> tuple[float, ...]:
+        """Sizes of the equal steps of each stretch (s): their sum ends on the near side of the break point, roundoff included."""
+        exact = []
+        for (begin, end), count in zip(self.stretches, self.counts, strict=True):
+            till = end if end == self.t_end else end - (SIDE + count) * np.spacing(end)
+            exact.append(float(till - (far_side(begin) if begin else 0.0)) / count)
+
+        known: list[float] = []
+        for h in sorted(exact):
+            if not known or h - known[-1] > SAME * h:
+                known.append(h)
+        return tuple(known[bisect_right(known, h) - 1] for h in exact)
+
+
+def near_side(stop: float) -> float:
+    """Just before a break point, s."""
+    return float(stop - SIDE * np.spacing(stop))
+
+
+def far_side(stop: float) -> float:
+    """Just behind a break point, s."""
+    return float(stop + SIDE * np.spacing(stop))
+
 
 def step_schedule(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multiple: int = 1) -> StepSchedule:
-    """Steps of equal size, none above dt (but for roundoff), a ``multiple`` of them; or none for error control."""
+    """Steps of equal size, none above dt (but for roundoff), a ``multiple`` of them between break points; or none for error
+    control.
+    """
     t_end = number("End time t_end =", t_end, above=0.0, unit="s")
     if dt is not None:
         dt = number("Step dt =", dt, above=0.0, unit="s")
@@ -62,28 +143,56 @@ def step_schedule(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, 
             multiple == 1,
             "estimate_error needs constant steps; with error control compare two values of rtol (study.py).",
         )
-        return StepSchedule(t_end, 0, _stops(scene, t_end), np.inf if dt is None else dt)
+        return StepSchedule(t_end, 0, stops_within(scene, t_end), np.inf if dt is None else dt)
     if dt is None:
         raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
 
-    # t_end / dt is a whole number but for roundoff, or the next one above
-    steps = max(1, round(t_end / dt))
-    if abs(steps * dt - t_end) > 1e-9 * t_end:
-        steps = int(np.ceil(t_end / dt))
+    named = any(0 < t < t_end for t in scene.breakpoints)
+    stops = _apart(stops_within(scene, t_end), t_end, TOGETHER * dt) if named else ()
+    places = (0.0, *stops, t_end)
+    counts = tuple(_count(b - a, dt, multiple) for a, b in zip(places[:-1], places[1:], strict=True))
+    return StepSchedule(t_end, sum(counts), stops, multiple * dt, counts=counts if stops else ())
+
+
+def _count(length: float, dt: float, multiple: int) -> int:
+    """How many equal steps there are in a stretch (s): its length over dt, a whole number but for roundoff, or the next above."""
+    steps = max(1, round(length / dt))
+    if abs(steps * dt - length) > 1e-9 * length:
+        steps = int(np.ceil(length / dt))
     groups = -(-steps // multiple)
-    return StepSchedule(t_end, groups * multiple)
+    return groups * multiple
 
 
-def _stops(scene: Scene, t_end: float) -> tuple[float, ...]:
+def stops_within(scene: Scene, t_end: float) -> tuple[float, ...]:
     """Times inside a run at which the solution may have a kink: break points, and samples of controllers."""
     periods = {force.period for force in scene.forces.values() if force.period is not None}
     samples = [k * period for period in periods for k in range(1, int(np.ceil(t_end / period)))]
     return tuple(sorted({float(t) for t in (*scene.breakpoints, *samples) if 0 < t < t_end}))
 
 
+def _apart(stops: tuple[float, ...], t_end: float, least: float) -> tuple[float, ...]:
+    """The stops without those that are nearer than ``least`` (s) to the one before, or to the ends of the run."""
+    kept = [0.0]
+    for stop in stops:
+        if stop - kept[-1] > least and t_end - stop > least:
+            kept.append(stop)
+    return tuple(kept[1:])
+
+
+def warn_of_dense_break_points(schedule: StepSchedule) -> None:
+    """Break points so dense that equal steps between them are far more than without: each begins anew."""
+    usual = schedule.t_end / schedule.largest
+    if schedule.stops and schedule.steps > MANY * usual:
+        log.warning(
+            "%d break points, most of them nearer to each other than a step, make %d steps where some %d were asked for: name "
+            "only instants at which loads or drives are not smooth, or smooth them",
+            len(schedule.stops), schedule.steps, round(usual),
+        )  # fmt: skip
+
+
 def warn_of_late_samples(scene: Scene, schedule: StepSchedule) -> None:
     """Equal steps that do not divide a sampling period: samples come at the end of the step in which they are due."""
-    if not schedule.steps:
+    if not schedule.steps or schedule.stops:  # which samples are among
         return
     h = schedule.next(0.0)
     for force in scene.forces.values():

@@ -22,7 +22,7 @@ from .judges.turning_rows import warn_of_turning_rows
 from .problem import Problem, make_solver
 from .recording.output import Output, refuse_too_many
 from .result import Run
-from .schedule import StepSchedule, warn_of_late_samples
+from .schedule import StepSchedule, warn_of_dense_break_points, warn_of_late_samples
 from .settings import check_times
 from .time_loop import March, march
 
@@ -138,6 +138,7 @@ def _finished(
     undetermined = not_unique(solver, marched.state)
     warn_of_doubts(task.scene, solver, marched.recorder, counters)
     warn_of_late_samples(task.scene, task.schedule)
+    warn_of_dense_break_points(task.schedule)
     warn_of_turning_rows(solver, task.scheme, (start.state, marched.state), task.schedule.next(0.0))
     code = None if keeper is None else keeper.exit_code
     methods = solver.elastic.methods
@@ -201,7 +202,7 @@ def _keeper(
         "scheme": problem.scheme,
         "Newton": problem.newton.settings,
         "linear": problem.linear,
-        "step": float(f"{schedule.t_end / schedule.steps:.12g}") if schedule.steps else None,
+        "step": schedule.fitting,
         "recorded": {"every": output.every, "energy": output.energy, "ledger": output.ledger},
     }
     return Keeper(plan, restart, problem.system, given(problem.scene, problem.system, settings))

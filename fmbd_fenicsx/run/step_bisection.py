@@ -251,8 +251,12 @@ class ConstantSteps(Around):
         self._advance(0.5 * h, depth + 1)
 
     def restart(self, t: float) -> None:
-        """Go on behind a jump of forces at t."""
-        self._begin(self.stepper.state, goes_on=True)
+        """Go on at t, behind a jump of forces."""
+        state = replace(self.stepper.state, t=t)
+        if self.renew is not None:
+            self._begin(state, goes_on=True)
+        elif not self.stepper.begin_anew(lambda: state):
+            self.stepper.state = state  # its steps remember nothing of forces
 
     def _begin(self, state: State, *, goes_on: bool = False) -> None:
         """A new stepper from a state; ``goes_on``: the one before serves, its steps did not fail."""

@@ -35,8 +35,9 @@ from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, begin, judges_of, make_solver, make_stepper
 from .recording.moment import Moment
-from .recording.output import Output, Recorder
-from .schedule import StepSchedule
+from .recording.output import Output
+from .recording.recorder import Recorder
+from .schedule import StepSchedule, far_side, near_side
 from .settings import check_contents, default_scheme
 from .uncopied import Uncopied
 
@@ -65,6 +66,7 @@ class SceneStepper(Uncopied):
         self.scene, self.dt = scene, dt
         self._adaptive = Declared.by(scheme).adaptive
         self._pace = StepSchedule(dt, 0 if self._adaptive else 1)
+        self._stops = sorted(scene.breakpoints)
         self._inputs = {name: source.value for name, source in scene.inputs.items()}
 
         system, given, markers = scene.build()
@@ -138,18 +140,28 @@ class SceneStepper(Uncopied):
             self._jumped = False
 
         with OneAnswer(self._problem.system.comm):
-            if self._adaptive:
-                self._advance_to(self.t + dt)
-            else:
-                self._progress.stepper.advance(dt)
+            self._advance(dt)
 
         self._progress.done += 1
         self._look()
         return self.t
 
-    def _advance_to(self, end: float) -> None:
-        """Steps of the scheme's own size to a time."""
-        progress = self._progress
+    def _advance(self, dt: float) -> None:
+        """To dt (s) from now, in parts that end at break points on the way."""
+        end = self.t + dt
+        for stop in self._stops:
+            if self.t < near_side(stop) and far_side(stop) < end:
+                self._advance_part(near_side(stop) - self.t)
+                self._progress.stepper.restart(far_side(stop))
+                dt = end - self.t
+        self._advance_part(dt)
+
+    def _advance_part(self, dt: float) -> None:
+        """One step, or as many as the scheme likes."""
+        progress, end = self._progress, self.t + dt
+        if not self._adaptive:
+            progress.stepper.advance(dt)
+            return
         # times are summed: what is left may be a few roundings
         while end - self.t > 64 * np.spacing(end):
             accept(progress.system, attempt(progress.system, progress.stepper, end - self.t))

@@ -23,8 +23,9 @@ from .judges.prescribed_motions import PrescribedMotions
 from .judges.small_turns import SmallTurns
 from .problem import Problem, judges_of, make_stepper
 from .recording.moment import Moment
-from .recording.output import Output, Recorder
+from .recording.output import Output
 from .recording.progress_bar import Progress
+from .recording.recorder import Recorder
 from .schedule import StepSchedule
 from .step_bisection import ConstantSteps
 
@@ -93,7 +94,7 @@ def quietly(
     if watched:  # every step, and records are what is seen then
         most = 1
     quiet = recorder.quiet(done, t, h, through=not equal) if tape is None else recorder.free(t, h)
-    steps = min(quiet, schedule.steps - done if equal else quiet, most)
+    steps = min(quiet, schedule.left(done) if equal else quiet, most)
     if steps == 1 and tape is None and equal and not watched:
         return 0
 
@@ -340,10 +341,11 @@ class Loop:
 
     def _pass_kink(self) -> None:
         """Begin anew behind a break point."""
-        kink = self.schedule.broken(self.state.t) if self.schedule.stops else None
+        kink = self.schedule.broken(self.state.t, self.progress.done) if self.schedule.stops else None
         if kink is not None:
             self.stepper.restart(kink)
             self.state = self.stepper.state
+            self.recorder.go_on(self.state)
 
     # -- what is left -----------------------------------------------------------------------------------------------
     def named(self, error: ConvergenceError) -> ConvergenceError:
@@ -354,7 +356,7 @@ class Loop:
 
         number, steps = self.progress.done + 1, self.schedule.steps
         if steps:  # the newest of many that were made in one call is refused, or the one behind those that count
-            number = max(number, round(self.stepper.state.t * steps / self.schedule.t_end))
+            number = max(number, self.schedule.reached(self.stepper.state.t))
         step = f"step {number}" + (f" of {steps}" if steps else "")
         newest = None if self.keeper is None else self.keeper.newest
         kept = "" if newest is None else f" The newest checkpoint is {newest}."

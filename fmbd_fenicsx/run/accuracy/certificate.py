@@ -12,6 +12,7 @@ from ...errors import InputError, near
 from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.scene.refinement import meshed_bodies, modal_bodies
+from ..schedule import far_side
 from .deviation import together
 from .orders import expected_orders, irregular, kink
 
@@ -169,7 +170,10 @@ def left_by_kinks(run: Run, name: str) -> tuple[float, float]:
     if Declared.by(run.scheme).adaptive or sampled or struck:
         return 0.0, np.inf
     order = expected_orders(run.scheme, run.scene, run.system)[name]
-    return kink(run.times, run.series[name], order, run.scene.sensors[name].derivative)
+    # what breaks at instants that the scene names breaks between two steps
+    parts = np.searchsorted(run.times, [far_side(x) for x in sorted(run.scene.breakpoints)])
+    pieces = zip(np.split(run.times, parts), np.split(run.series[name], parts), strict=True)
+    return max(kink(t, x, order, run.scene.sensors[name].derivative) for t, x in pieces)
 
 
 def _uncertain_by_kinks(run: Run, stated: Statement) -> list[str]:

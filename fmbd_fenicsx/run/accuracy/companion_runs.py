@@ -9,7 +9,8 @@ from typing import Any
 from ...errors import ConvergenceError, InputError, LinearSolveError
 from ..built import Built
 from ..problem import Problem, make_solver
-from ..recording.output import Output, Recorder
+from ..recording.output import Output
+from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March, march
 
@@ -32,7 +33,7 @@ class Compared:
 
 def again(problem: Problem, schedule: StepSchedule, steps: int, times: Sequence[float] | None) -> Compared:
     """The march once more with another number of steps, sensors recorded in every step or at the ``times``; collective."""
-    wanted, other = Output(energy=False, progress=False, times=times), StepSchedule(schedule.t_end, steps)
+    wanted, other = Output(energy=False, progress=False, times=times), schedule.with_steps(steps)
     return Compared(companion(replace(problem, most_parts=0.0), other, wanted).recorder, other, problem.scheme)
 
 

@@ -20,7 +20,8 @@ from ...system.scene.scene import Scene
 from ..built import Built, build
 from ..problem import Problem
 from ..recording.accompanied import Accompanied
-from ..recording.output import Output, Recorder
+from ..recording.output import Output
+from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March
 from .algebra import algebra_error, tighter_run

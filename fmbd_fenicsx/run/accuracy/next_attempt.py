@@ -123,7 +123,7 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: O
         return None
 
     output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
-    seen = shared.look(plan.scene, plan.scheme, StepSchedule(plan.schedule.t_end, few), output)
+    seen = shared.look(plan.scene, plan.scheme, plan.schedule.with_steps(few), output)
     series, limit = seen.recorder.series, space_limit(plan.scene)
     check_floor(plan.scene, series, tol)
     errors, unstated = shared.space_error(
@@ -286,7 +286,7 @@ def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:
 def _whole_run(plan: AttemptPlan) -> AttemptPlan:
     """The plan with as many steps as a run has beside which those that tell its errors, of a quarter of them, cost little."""
     least = -(-WORTH * FEWEST // plan.grain) * plan.grain
-    return plan if plan.steps >= least else replace(plan, schedule=StepSchedule(plan.schedule.t_end, least))
+    return plan if plan.steps >= least else replace(plan, schedule=plan.schedule.with_steps(least))
 
 
 def finer_steps(plan: AttemptPlan, factor: float) -> AttemptPlan:
@@ -296,4 +296,4 @@ def finer_steps(plan: AttemptPlan, factor: float) -> AttemptPlan:
     wanted = plan.steps / factor
     grain = plan.grain if wanted < MANY * plan.grain else 4 * plan.grain
     steps = int(np.ceil(wanted / grain - 1e-9)) * grain
-    return replace(plan, schedule=StepSchedule(plan.schedule.t_end, steps))
+    return replace(plan, schedule=plan.schedule.with_steps(steps))

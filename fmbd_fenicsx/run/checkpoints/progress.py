@@ -12,7 +12,7 @@ from ...schemes.stepping import TimeStepper
 from ...system.serialisation import worker
 from ...system.system import System
 from ..judges.force_balance import Balanced
-from ..recording.output import Recorder
+from ..recording.recorder import Recorder
 
 if TYPE_CHECKING:
     from ...system.serialisation import Memory

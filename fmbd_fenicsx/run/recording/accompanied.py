@@ -7,7 +7,8 @@ from typing import Any
 
 from ...system.evaluation import Evaluation
 from ...system.system import State
-from .output import Output, Recorder
+from .output import Output
+from .recorder import Recorder
 
 
 class Accompanied(Recorder):
@@ -25,6 +26,11 @@ class Accompanied(Recorder):
     def quiet(self, n: int, t: float, h: float, *, through: bool = False) -> int:
         """The same."""
         return min(super().quiet(n, t, h, through=through), self.beside.quiet(n, t, h, through=through))
+
+    def go_on(self, state: State) -> None:
+        """The same for both."""
+        self.beside.go_on(state)
+        super().go_on(state)
 
     def take(self, n: int, state: State, seen: Evaluation | None = None, stepper: Any = None) -> None:
         """Record step n, and the times that it has passed."""

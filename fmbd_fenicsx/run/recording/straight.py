@@ -8,7 +8,7 @@ from ...system.compiled.recording import Numbers, Recorded, Tape
 from .rows import Rows
 
 if TYPE_CHECKING:
-    from .output import Recorder
+    from .recorder import Recorder
 
 Key = tuple[str, str]  # time, sensor or energy, and the name of the sensor or kind
 TIME: Key = "time", ""

@@ -13,6 +13,7 @@ Source: Bruels, Acary and Cardona, doi:10.1016/j.cma.2014.07.025.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -25,7 +26,7 @@ from ...mechanics.contact.rows import Rows
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
-from ...system.serialisation import Memory
+from ...system.serialisation import Memory, plain
 from ...system.speed_rows import gaps
 from ...system.system import State, System
 from ..consistent import Correction
@@ -84,12 +85,24 @@ class ContactAlpha(GeneralizedAlpha):
 class ContactAlphaStepper(ContactStepper):
     """Advances a state; holds the algorithmic acceleration A."""
 
-    keeps: ClassVar = {**ContactStepper.keeps, "A": Memory.like_v}
+    keeps: ClassVar = {**ContactStepper.keeps, "A": Memory.like_v, "size": plain()}
 
     def __init__(self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(system, solver, newton, state)
         self.scheme = scheme
         self.A = state.a.copy()
+        self.size = 0.0  # of the last step, s
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """Go on in the same place behind a jump of forces F: a and A jump by da, (M + h^2 K / 4) da + G^T dlambda = dF."""
+        before, s = self.state, start()
+        zero = np.zeros(self.system.n_v)
+        ev = self.system.at(s.t, s.q, s.v)
+        jump = ev.balance(zero) - self.system.at(before.t, s.q, s.v).balance(zero)
+        self.solver.prepare(ev, Weights(1.0, 0.0, 0.25 * self.size**2))
+        da, dlam = self.solver.solve(-jump, np.zeros(self.system.n_lam))
+        self.A, self.state = self.A + da, replace(self.state, t=s.t, a=s.a + da, lam=s.lam + dlam)
+        return True
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
@@ -120,7 +133,7 @@ class ContactAlphaStepper(ContactStepper):
             near = near | missed
 
         v = self._persist(step, step.v)
-        beta = self.scheme.parameters[3]
+        beta, self.size = self.scheme.parameters[3], h
         self.local_error = h * h * abs(beta - 1 / 6) * system.max_abs(step.A - self.A)
         self.A = step.A
 

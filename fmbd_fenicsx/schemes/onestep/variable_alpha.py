@@ -146,7 +146,7 @@ class VariableAlpha(TimeStepper):
 
     def restart(self, t: float) -> None:
         """Go on behind a jump of forces: consistent accelerations and multipliers, a new stretch, small steps at first."""
-        start, _ = consistent(self.system, self.state, self.solver, h=self.size or 0.0)
+        start, _ = consistent(self.system, replace(self.state, t=t), self.solver, h=self.size or 0.0)
         self.inner = self._steps(start)
         self.size = self.proposed = None
         self.stretch, self.place = 0.0, Fraction(0)

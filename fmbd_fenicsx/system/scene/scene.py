@@ -54,7 +54,8 @@ class Scene:
         gravity: acceleration in m/s^2, world axes, (d,) or (3,); None for no gravity.
         gravity_ramp: duration (s) of a smooth switch-on of gravity; 0 for gravity from the start.
         settle: start at rest in the static equilibrium near the given placement (loads of t = 0) instead of in the placement.
-        breakpoints: times (s) at which loads or drives are not smooth; schemes with error control hit them exactly.
+        breakpoints: times (s) at which loads or drives are not smooth: steps end there, equal ones too, which are fitted in
+            between. Those outside of a run are passed over.
     """
 
     name: str
