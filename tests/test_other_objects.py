@@ -6,7 +6,9 @@ import copy
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
@@ -104,3 +106,24 @@ def test_runs_and_steppers_say_what_to_keep_of_them(copied: Callable[[object], o
         copied(fmbd.solve(scene, t_end=0.01, dt=0.005))
     with fmbd.stepper(scene, dt=0.01) as s, pytest.raises(InputError, match=r"SceneStepper: .* save\(\)"):
         copied(s)
+
+
+def test_a_state_of_another_scene_of_the_same_sizes_is_told_by_its_joints() -> None:
+    """Two bodies and two joints each: momenta and modes of the other one's state would be numbers without a meaning."""
+
+    def pair(name: str, joint: Any) -> fmbd.Scene:
+        scene = fmbd.Scene(name, gravity=(0.0, -9.81))
+        for k in (1, 2):
+            body = fmbd.RigidBody(f"body {k}", 1.0, 0.1, position=(float(k), -0.5))
+            scene.add(body, joint(f"joint {k}", fmbd.ground, body, k))
+        return scene
+
+    hung = pair("hung", lambda name, a, b, k: fmbd.revolute(name, a, b, center=(float(k), 0.0)))
+    rails = pair("rails", lambda name, a, b, k: fmbd.prismatic(name, a, b, axis=(0.0, 1.0), center=(float(k), 0.0)))
+    run, other = (fmbd.solve(scene, t_end=0.2, dt=0.01) for scene in (hung, rails))
+    assert len(run.state.q) == len(other.state.q) and len(run.state.lam) == len(other.state.lam)
+    assert np.allclose(run.momenta(run.state)[1], run.momenta()[1])
+    with pytest.raises(InputError, match='belongs to another scene: in "hung" it leaves "joint . open by'):
+        run.momenta(other.state)
+    with pytest.raises(InputError, match="belongs to another scene"):
+        fmbd.modes(hung, 2, at=other.state)

@@ -25,6 +25,8 @@ def made_up(order, size=1.0):
             series=series,
             system=SYSTEM,
             scene=SCENE,
+            scheme=fmbd.GeneralizedAlpha(),
+            step_limit=np.inf,
             seconds={"set-up": 0.5, "start": 0.25, "steps": 1 / h},
             counters={"steps": 1 / h},
             reduction_error={},
@@ -53,6 +55,20 @@ def test_made_up_order_is_found_exactly(order):
     table.assert_order("x", order)
     with pytest.raises(AssertionError, match="finest three"):
         table.assert_order("x", order + 0.2)
+
+
+def test_steps_that_a_scheme_chooses_have_no_order_in_dt():
+    scene = free_fall_pendulum(0.1).scene
+    with pytest.raises(InputError, match=r"Radau IIA\(3\), GGL chooses its steps by rtol = 0.0001; .* rtol=None"):
+        orders(lambda h: fmbd.solve(scene, t_end=0.8, dt=h, scheme=fmbd.Radau(3, rtol=1e-4)), [0.1, 0.05])
+    # of tolerances, and of steps that these only bound by chance, there are
+    exact = fmbd.solve(scene, t_end=0.8, scheme=fmbd.Radau(3, rtol=1e-10), output=fmbd.Output(times=[0.4, 0.8]))
+    output = fmbd.Output(times=[0.4, 0.8])
+    table = orders(
+        lambda r: fmbd.solve(scene, t_end=0.8, scheme=fmbd.Radau(3, rtol=r), output=output),
+        [1e-3, 1e-5], reference=exact, names=["bob"], parameter="rtol",
+    )  # fmt: skip
+    assert 0.4 < table.order("bob") < 1.3
 
 
 def test_orders_of_a_pendulum_for_positions_velocities_and_multipliers():

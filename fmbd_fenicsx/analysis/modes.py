@@ -23,6 +23,7 @@ from ..linear.condensation import StepSolver
 from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.consistent import consistent
+from ..system.own_state import refuse_other_state
 from ..system.scene.scene import Scene
 from ..system.speed_rows import speed_rows
 from ..system.system import State, System
@@ -214,7 +215,7 @@ def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolve
     if state is not None and not isinstance(state, State):
         raise InputError(f"at must be an equilibrium, a run or a state of the same scene, found {at!r}.")
     if state is not None:
-        _require_same(scene, system, state)
+        refuse_other_state(system, state, scene.name)
 
     closed = None
     if scene.unilateral:
@@ -234,14 +235,6 @@ def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolve
     if isinstance(spin, BodySpin):
         check_round(about, spin)
     return about
-
-
-def _require_same(scene: Scene, system: System, state: State) -> None:
-    """Refuse a state of another scene."""
-    require(
-        len(state.q) == system.n_q and len(state.lam) == system.n_lam,
-        f'The state belongs to another scene or number of ranks: {len(state.q)} coordinates, "{scene.name}" has {system.n_q}.',
-    )
 
 
 def _refuse_rolling_fields(system: System, state: State) -> None:

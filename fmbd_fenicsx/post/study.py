@@ -30,6 +30,7 @@ from ..run.result import Run
 from ..run.variants import Variant as Variant
 from ..run.variants import Variants as Variants
 from ..run.variants import run_variants as map  # noqa: F401
+from ..schemes.declared import Declared
 from .files import write_whole
 from .text_tables import Table
 from .text_tables import aligned as aligned
@@ -202,11 +203,15 @@ def orders(
             error makes the observed order of a second-order scheme 0.02 too large.
         names: quantities to compare; by default all sensors, and "q", "v", "lam" of the last state where
             sizes agree.
+
+    Raises:
+        InputError: the values are steps, and the scheme chooses its own (rtol).
     """
     require(len(values) >= 2, "orders: at least two values are needed.")
     falling = all(a > b > 0 for a, b in pairwise(values))
     require(falling, f"orders: the values must be positive and fall, found {list(values)}.")
     traces = [_Trace.of(run(h)) for h in values]
+    _refuse_chosen_steps([trace.run for trace in traces])
 
     against = _reference(run(values[-1] / 8) if reference is None else reference)
     times = _common_times([*traces, against] if isinstance(against, _Trace) else traces)
@@ -214,6 +219,18 @@ def orders(
 
     found = [_errors(t, against, times, kept) for t in traces]
     return OrderTable(parameter, np.asarray(values, dtype=float), {n: np.array([e[n] for e in found]) for n in kept})
+
+
+def _refuse_chosen_steps(runs: Sequence[Run]) -> None:
+    """Steps that a scheme chooses are not those that were asked for: errors go with its tolerance, and show no order in dt."""
+    limits, tolerances = {r.step_limit for r in runs}, {Declared.by(r.scheme).rtol for r in runs}
+    same = len({(r.system.n_q, r.system.n_lam) for r in runs}) == 1 == len(tolerances)
+    if same and tolerances != {None} and len(limits) == len(runs):
+        raise InputError(
+            f"orders: {runs[0].scheme.name} chooses its steps by rtol = {tolerances.pop():g}; dt only bounds them, and errors do "
+            "not go with it. Give the scheme rtol=None for equal steps, or study the tolerance: "
+            'orders(lambda r: solve(..., scheme=replace(scheme, rtol=r)), [1e-4, 1e-6, 1e-8], parameter="rtol").'
+        )
 
 
 def _reference(given: Run | Exact) -> _Trace | Exact:

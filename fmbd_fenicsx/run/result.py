@@ -13,6 +13,7 @@ from ..checks import typed, word
 from ..errors import InputError, near
 from ..rotations import Array
 from ..schemes.consistent import Correction
+from ..system.own_state import refuse_other_state
 from ..system.scene.plan import Plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
@@ -51,7 +52,7 @@ class Run(Uncopied):
         deviations: kind (space, time, modes, algebra) -> sensor -> estimated error over time, with its sign.
         history: attempts of :func:`solve` with ``tol``.
         memory: peak memory of the largest rank, bytes.
-        status: "finished", or "stopped" on request.
+        status: "finished", or "stopped" on request. ``step_limit``: of steps that the scheme chooses, s.
     """
 
     instead: ClassVar[str] = (
@@ -83,6 +84,7 @@ class Run(Uncopied):
     history: tuple[Any, ...] = ()
     memory: float = 0.0
     status: str = "finished"
+    step_limit: float = np.inf
     not_unique: list[str] = field(default_factory=list)
     books: Books | None = None
     warnings: list[str] = field(default_factory=list)
@@ -142,6 +144,7 @@ class Run(Uncopied):
     def momenta(self, state: State | None = None) -> tuple[Array, Array]:
         """Momentum (N s) and angular momentum about the origin (N m s) of a state, the last by default; collective."""
         s = self.state if state is None else state
+        refuse_other_state(self.system, s, self.scene.name)
         return self.system.at(s.t, s.q, s.v).momenta()
 
     @typed

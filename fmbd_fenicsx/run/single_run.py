@@ -172,6 +172,7 @@ def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
         newton_accuracy=task.newton.accuracy,
         # what users should know
         status=marched.status,
+        step_limit=task.schedule.largest,
         not_unique=finished.undetermined,
         warnings=built.warned.lines(),
     )
