@@ -105,6 +105,37 @@ def test_order_of_schemes_for_contact(scheme: Any) -> None:
     assert (seen > 1.9).all(), seen
 
 
+def turned_bar(scheme: Any) -> fmbd.Run:
+    """A bar on a pin, at rest up to 0.505 s and turned at 1 rad/s behind, as told by its angle alone."""
+    bar = fmbd.RigidBody("bar", 1.0, 1 / 12, position=(0.5, 0.0))
+    scene = fmbd.Scene("turned bar", gravity=(0.0, -9.81), breakpoints=(0.505,))
+    pin = fmbd.revolute("pin", fmbd.ground, bar, center=(0.0, 0.0))
+    scene.add(bar, pin, fmbd.drive("motor", fmbd.angle(pin), lambda t: max(float(t) - 0.505, 0.0)))
+    scene.sensor("angle", fmbd.angle(pin))
+    scene.sensor("rate", fmbd.angular_velocity(bar))
+    return fmbd.solve(scene, t_end=1.0, dt=0.01, scheme=scheme)
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        fmbd.GeneralizedAlpha(),
+        fmbd.GeneralizedAlpha(compiled=False),
+        fmbd.Radau(2, rtol=None),
+        fmbd.BDF(2, rtol=None),
+        fmbd.schemes.Rattle(),
+        fmbd.schemes.HalfExplicit(rtol=None),
+        fmbd.EnergyMomentum(),
+    ],
+    ids=lambda x: x.name,
+)
+def test_a_drive_with_a_kink_at_a_break_point(scheme: Any) -> None:
+    """The rate of its motion jumps: differences that reached across would give half of it at the break point."""
+    run = turned_bar(scheme)
+    assert np.allclose(run["angle"][:, 0], np.clip(run.times - 0.505, 0.0, None), rtol=0, atol=1e-9)
+    assert np.allclose(run["rate"][:, 0], run.times > 0.505 + 1e-9, rtol=0, atol=1e-6)
+
+
 def test_stretches_of_equal_steps() -> None:
     """Sizes fit between break points, are not above the one asked for, and one where they differ by roundoff only."""
     plain = step_schedule(fmbd.Scene("s"), fmbd.GeneralizedAlpha(), 1.0, 0.01)

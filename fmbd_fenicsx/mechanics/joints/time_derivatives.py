@@ -6,17 +6,18 @@ differenced about t with steps of 2^-39 to 2^18 s, eight times as long from one 
 
     h^m d^m s / dt^m ~ sum_k w_k (s(t + k h) - s(t)),     sum_k w_k k^j = m! for j = m, else 0,   j = 1 ... 6,            (1)
 
-with k = -3 ... 3, and where the function ends (it raises, or returns no finite number) with k = 1 ... 6 or -6 ... -1. The step
-counts whose error, by its difference from the formula of the four nearest k and its roundoff, is smallest. Longer steps
-are tried as long as they agree with what shorter ones have found: a whole period would else look like rest. The steps that
-count at a few places of an interval of time serve all of it, where they do not contradict each other: two to four in place of
-some fifteen (:class:`KeptSteps`).
+with k = -3 ... 3, and where the function ends (it raises, or returns no finite number), or is said to break, with k = 1 ... 6
+or -6 ... -1. The step counts whose error, by its difference from the formula of the four nearest k and its roundoff, is smallest.
+Longer steps are tried as long as they agree with what shorter ones have found: a whole period would else look like rest. The
+steps that count at a few places of an interval of time serve all of it, where they do not contradict each other: two to four in
+place of some fifteen (:class:`KeptSteps`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from operator import mul
 from typing import Any
@@ -36,6 +37,8 @@ REFUSED = (TypeError, ValueError, OverflowError, AttributeError)  # of functions
 OUTSIDE = (*REFUSED, ArithmeticError, FmbdError)  # of functions of a part of the time only
 
 Rates = tuple[float, float]
+Span = tuple[float, float]  # of time, s
+ALWAYS: Span = -math.inf, math.inf
 
 
 class Jet:
@@ -305,15 +308,25 @@ class KeptSteps:
     """
 
     def __init__(self) -> None:
+        self.breaks: list[float] = []  # times (s) at which the function is not smooth, rising
         self.width = math.nan  # s
         self.intervals: dict[int, tuple[list[int], list[float]]] = {}
+
+    def break_at(self, times: Iterable[float]) -> None:
+        """The function is not smooth at some more times, s."""
+        self.breaks = sorted({*self.breaks, *times})
+
+    def smooth_about(self, t: float) -> Span:
+        """Between which times (s) it is smooth: at a break it is what it is behind it."""
+        i = bisect_right(self.breaks, t)
+        return self.breaks[i - 1] if i else -math.inf, self.breaks[i] if i < len(self.breaks) else math.inf
 
     def by_few(self, function: Callable[[Any], Any], t: float, scale: float) -> Rates | None:
         """Both rates by the steps of this interval; None where they are not as good as in the places that they are from."""
         steps, errors = self._interval(function, t, scale)
         if not steps:
             return None
-        found = _search(function, t, scale, steps)
+        found = _search(function, t, scale, self.smooth_about(t), steps)
         good = all(not x.contradicted and x.error <= AGREES * error for x, error in zip(found, errors, strict=True))
         return (found[0].value, found[1].value) if good else None
 
@@ -328,15 +341,14 @@ class KeptSteps:
             self.intervals[number] = self._at_places(function, [(number + part) * self.width for part in PLACES], scale)
         return self.intervals[number]
 
-    @staticmethod
     def _at_places(
-        function: Callable[[Any], Any], places: Sequence[float], scale: float
+        self, function: Callable[[Any], Any], places: Sequence[float], scale: float
     ) -> tuple[list[int], list[float]]:
         """What all steps say there, where the function is known: those of the largest errors."""
         found = []
         for t in places:
             try:
-                found.append(_search(function, t, scale))
+                found.append(_search(function, t, scale, self.smooth_about(t)))
             except OUTSIDE:
                 continue
         if not found:
@@ -350,7 +362,7 @@ def _smooth_step(function: Callable[[Any], Any]) -> float:
     """The longest step (s) over which it is a polynomial about t = 0."""
     here = float(function(0.0))
     for n, h in enumerate(STEPS):
-        around = _around(function, 0.0, h)
+        around = _around(function, 0.0, h, ALWAYS)
         if around is None:
             return STEPS[max(n - 1, 0)]
         there, (formula, _) = around
@@ -366,21 +378,21 @@ def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: K
     few = None if kept is None else kept.by_few(function, t, scale)
     if few is not None:
         return few
-    first, second = _search(function, t, scale)
+    first, second = _search(function, t, scale, ALWAYS if kept is None else kept.smooth_about(t))
     return first.value, second.value
 
 
 def _search(
-    function: Callable[[Any], Any], t: float, scale: float, steps: Sequence[int] = range(len(STEPS))
+    function: Callable[[Any], Any], t: float, scale: float, span: Span, steps: Sequence[int] = range(len(STEPS))
 ) -> tuple[Best, Best]:
-    """The same by some of the steps."""
+    """The same by some of the steps, as long as they stay in the ``span`` of times in which the function is smooth."""
     here = float(function(t))
     found = (Best(), Best())
     for number in steps:
         h = STEPS[number]
         if t + h == t:
             continue
-        around = _around(function, t, h)
+        around = _around(function, t, h, span)
         if around is None:
             break
         there, formulas = around
@@ -397,9 +409,13 @@ def _search(
     return found
 
 
-def _around(function: Callable[[Any], Any], t: float, h: float) -> tuple[list[float], tuple[Formula, ...]] | None:
+def _around(
+    function: Callable[[Any], Any], t: float, h: float, span: Span
+) -> tuple[list[float], tuple[Formula, ...]] | None:
     """Values at t + k h with the formulas of these k: on both sides, else ahead, else behind; None where neither is known."""
     for nodes, formulas in SIDES:
+        if t + min(nodes) * h < span[0] or t + max(nodes) * h >= span[1]:
+            continue
         try:
             there = [float(function(t + k * h)) for k in nodes]
         except OUTSIDE:

@@ -31,6 +31,7 @@ doi:10.1002/nme.1620310103 (rotations); Betsch, doi:10.1007/s11044-005-0103-8.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -49,7 +50,7 @@ from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
-from ..consistent import accelerations
+from ..consistent import accelerations, consistent
 from ..newton import Newton
 from ..stepping import TimeStepper
 from .discrete_gradient import GradientEnd, Mean
@@ -150,6 +151,11 @@ class EnergyMomentumStepper(TimeStepper):
         self._warned = False  # of large turns
         self._old: tuple[GradientEnd, Array] | None = None  # where the step begins, and g there, in NumPy
         self._means: MeanStates | None = None  # who makes the step in compiled code
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """Go on with velocities on the constraints: what drives prescribe may jump, and the rule holds means only."""
+        self.state = consistent(self.system, start(), self.solver)[0]
+        return True
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""

@@ -21,6 +21,7 @@ from ...rotations import Array, Motions, motions
 from ..configurations import count
 from ..sensors.sensor import Sensor
 from ..system import RowBlock, State, System
+from .break_points import tell_break_points
 from .force_batches import build_loads
 from .joints import JointRows, counted_angles
 from .point_masses import at_its_place, attitude_of, refuse_angles, refuse_turning
@@ -72,6 +73,7 @@ class Builder:
         """The system, its state as given, and the marker of each sensor; collective."""
         scene = self.scene
         self._check()
+        tell_break_points(scene)
         moving = [b for b in scene.bodies.values() if not b.locked]
         if not moving:
             raise InputError(f'Scene "{scene.name}": all bodies are locked, so nothing can move.')
