@@ -264,7 +264,7 @@ class Loop:
         if self._shown or (self.problem.system.fields and not self.progress.first):
             most = 1
         if most > 1:
-            most = min(most, self.recorder.quiet(done, self.state.t, h), self.schedule.steps - done)
+            most = min(most, self.recorder.quiet(done, self.state.t, h), self.schedule.left(done))
         try:
             ahead = None if self.motions is None else self.motions.look
             return stepper.in_turn(h, most, until=clock.perf_counter() + CHUNK, ahead=ahead)
