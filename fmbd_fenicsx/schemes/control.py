@@ -165,6 +165,16 @@ class ErrorNorm(Remembering):
                 kinds.append(error * (h**power / wv))
         return max([self.mean(x) for x in kinds], default=0.0)
 
+    def weights(self, h: float) -> Array | None:
+        """What errors of places, of velocities and of accelerations are multiplied by before their means are taken, (3, n_v);
+        None where the norm asks for more.
+        """
+        if self.rods is not None or self.system.fields:
+            return None
+        if self.index == 3:
+            return np.array([1.0, h, h * h])[:, None] / self.wq
+        return np.array([1.0 / self.wq, 1.0 / self.wv, h / self.wv])
+
     def mean(self, x: Array) -> float:
         """Root mean square of the core, or that of the worst field, of arrays like v, (..., n_v); collective."""
         s, n = self.system, self.system.n_core

@@ -14,6 +14,7 @@ from ..linear.condensation import StepSolver
 from ..linear.residual import Judge
 from ..log import log
 from ..rotations import Array
+from ..system.compiled.stages import Rule
 from ..system.foretold_efforts import foretold_efforts
 from ..system.serialisation import Memory, plain, worker
 from ..system.system import State, System
@@ -21,6 +22,7 @@ from .consistent import worst_block
 from .control import EPS, ErrorNorm, Statistics, StepControl
 from .dae import Points
 from .newton import Newton
+from .stage_iteration import StageIteration
 from .step_equations import step_equations
 from .stepping import TimeStepper
 
@@ -63,6 +65,7 @@ class ImplicitStepper(TimeStepper):
         self._fresh = False  # whether the tangent is that of this step
         self._full = False  # whether each iteration takes its own
         self._theta = 1e-3  # rate of convergence
+        self._unweighted = np.ones((3, system.n_v))
         self._still = (
             False  # whether the last increment moved nothing beyond roundoff: multipliers may go on changing by theirs
         )
@@ -143,8 +146,7 @@ class ImplicitStepper(TimeStepper):
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
         push = self.eq.pushes(dmult)
-        moved = max(self.system.max_abs(dxi), h * self.system.max_abs(dv))
-        self._still = moved <= STILL * EPS * self.system.length
+        moved = self._way(h, self.system.max_abs(dxi), self.system.max_abs(dv))
         if self.adaptive:
             # joints and ties apart, though they may cancel: what is left of either is noise of the next steps
             pulls = self.eq.pulls(dmult)
@@ -156,6 +158,34 @@ class ImplicitStepper(TimeStepper):
             # also where accelerations tell multipliers: those of several levels may change while places and velocities do not
             moved = max(moved, h * h * self.system.max_abs(push))
         return moved / self._enough(h)
+
+    def _size_told(self, h: float, moved: Array) -> float:
+        """The same of what compiled code tells of an increment: lengths of its three parts, and their weighted mean squares."""
+        lengths, squares = moved[:3], moved[3:]
+        places, speeds, pushes = map(float, lengths)
+        way = self._way(h, places, speeds)
+        if self.adaptive:
+            return float(np.sqrt(np.maximum.reduce(squares)))
+        return (max(way, h * h * pushes) if self.eq.levels else way) / self._enough(h)
+
+    def _way(self, h: float, places: float, speeds: float) -> float:
+        """The length (m) that an increment moves, which is noted where it is roundoff."""
+        moved = max(places, h * speeds)
+        self._still = moved <= STILL * EPS * self.system.length
+        return moved
+
+    def _iteration(self, h: float, t: Array, points: Points, rule: Rule) -> StageIteration:
+        """Newton's iteration for the points of a step of size h (s)."""
+        weights = self.norm.weights(h) if self.adaptive else self._unweighted
+        return StageIteration(self.eq, t, points, rule, weights)
+
+    def _increment(self, h: float, iteration: StageIteration) -> float:
+        """One more increment; its norm."""
+        self.newton.iterations += 1
+        self.stats.newton_iterations += 1
+        return iteration.increment(
+            self._pencil, lambda *parts: self._size(h, *parts), lambda moved: self._size_told(h, moved)
+        )
 
     def _enough(self, h: float) -> float:
         """What an increment of a constant step may move, m; found once a step."""

@@ -1,4 +1,4 @@
-"""The equations of an implicit step of a small system, in any form of its constraints, and their tangents.
+"""The equations of an implicit step of a system without elastic fields, in any form of its constraints.
 
 They are (1), (2) of :mod:`.dae`, with efforts of stiff springs as unknowns beside the multipliers (:mod:`~..system.stiff_ties`).
 """
@@ -12,31 +12,35 @@ import numpy as np
 
 from ..linear.condensation import StepSolver, Weights
 from ..linear.residual import Judge
-from ..linear.saddle.pencil import Pencil, PencilTangent
+from ..linear.saddle.pencil import Pencil
+from ..linear.saddle.sparse_pencil import SparsePencil
 from ..rotations import Array
 from ..system.compiled.choice import use_driver
+from ..system.compiled.couplings import couplings_of
 from ..system.compiled.evaluation import DriverStates
 from ..system.compiled.points import PointsTold
+from ..system.compiled.stages import StageStructure
 from ..system.evaluation_batch import EvaluationBatch
-from ..system.linearise import at_once, differences
-from ..system.serialisation import Remembering, plain
+from ..system.linearise import at_once
+from ..system.serialisation import Memory, Remembering, plain, worker
 from ..system.stiff_ties import stiff_ties
 from ..system.system import State, System
 from .dae import Form, Points
+from .step_tangents import DenseTangents, SparseTangents, dense
 
 CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
 
 
 class StepEquations(Remembering):
-    """(1), (2) in the local coordinates of one step; shared by the implicit schemes. Small systems: dense.
+    """(1), (2) in the local coordinates of one step; shared by the implicit schemes.
 
     ``begin`` sets the origin of the coordinates, ``refresh`` the tangent, ``residual`` evaluates. Counts its work. Systems with
     elastic fields have :class:`.field_stages.FieldEquations`, with the same names.
     """
 
-    keeps: ClassVar = dict.fromkeys(
-        ("residuals", "jacobians", "U", "U_ties", "rows", "normal", "origin", "_inverse_mass"), plain()
-    )
+    keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "rows", "normal", "origin"), plain()) | {
+        "tangents": worker
+    }
     dense = True
     counters: ClassVar[dict[str, float]] = {}
 
@@ -49,32 +53,60 @@ class StepEquations(Remembering):
         self.n_mult = self.levels * system.n_lam + len(self.stiff)
         self.residuals = self.jacobians = 0
 
-        # of the last tangent, and of the last point
-        self.U: Array = np.zeros((system.n_v, system.n_lam))
-        self.U_ties: Array = np.zeros((system.n_v, len(self.stiff)))
+        self.tangents: DenseTangents | SparseTangents = DenseTangents(system, form, self.levels, self.stiff)
+        self._chosen: Any = None  # who evaluated the system when these were chosen
+        self._weighed: State | None = None  # whose masses are to be taken
+
+        # of the last point
         self.rows: Array = np.zeros((self.stiff.system.n_lam, system.n_v))  # of joints and ties
         self.left: Array = np.zeros(system.n_lam)  # the first rows of the form there
-        self.normal: Array = self.U
+        self.normal: Array = np.zeros((0, 0))
         self.origin: Array = np.zeros(0)
         self._closed: State | None = None
         self._start: tuple[Array, Array, Array] = (self.origin,) * 3
-        self._inverse_mass: Any = None
+
+    def remember(self, m: Memory) -> None:
+        """With the tangents of the kind that the system has."""
+        self._choose()
+        super().remember(m)
+
+    def _structure(self) -> StageStructure | None:
+        """Patterns of the equations where compiled code knows them, and solves sparse stage systems; else None."""
+        states, levels = self.system.evaluator, self.form.levels[: self.levels]
+        if not isinstance(states, DriverStates) or len(self.stiff) or 2 in levels or self.solver.core.redundant:
+            return None
+        couplings = couplings_of(states)
+        return None if couplings is None else StageStructure(couplings, states, levels)
+
+    def _choose(self) -> None:
+        """Take notice of who evaluates the system by now, and of a state whose masses are to be taken."""
+        sparse = isinstance(self.tangents, SparseTangents)
+        if not sparse and self._chosen is not self.system.evaluator:
+            structure = self._structure()
+            if structure is not None:
+                self.tangents = SparseTangents(self.system, structure)
+            self._chosen = self.system.evaluator
+        elif sparse and self.solver.core.redundant:
+            self.tangents = DenseTangents(self.system, self.form, self.levels, self.stiff)
+        if self._weighed is not None:
+            state, self._weighed = self._weighed, None
+            self.tangents.weigh(self.solver.masses(self.system.at(state.t, state.q, state.v)))
 
     def begin(self, state: State) -> None:
         """Local coordinates about the state."""
+        self._choose()
         self.origin = state.q
         if self.form.frozen and self.levels:
-            ev = self.system.at(state.t, state.q, state.v)
-            self.U = self._inverse_mass @ _dense(ev.jacobian.core).T
+            assert isinstance(self.tangents, DenseTangents)
+            self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
 
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
         s, m = self.system, self.system.n_lam
-        self.residuals += len(t)
         told = self._told(t, p)
         if told is not None:
             low = np.concatenate((told.sums, *self.form.rows(told, p.vd)), axis=1) if self.levels else told.sums
-            self.left = low[-1, s.n_v : s.n_v + m]
+            self.note(len(t), low[-1, s.n_v : s.n_v + m])
             return p.rate - told.rates, low
 
         ev = self.stiff.system.batch(t, s.compose(self.origin, p.xi), p.v)
@@ -82,7 +114,7 @@ class StepEquations(Remembering):
         # more levels than one: positions or accelerations are corrected along M^-1 G^T
         if self.levels > 1:
             G = ev.jacobian.core[:, self.stiff.joints] if len(self.stiff) else ev.jacobian.core
-            self.normal = self.U if self.form.frozen else self._inverse_mass @ G.swapaxes(1, 2)
+            self.normal = self.tangents.U if self.form.frozen else self.tangents.matrix() @ G.swapaxes(1, 2)
             v = v - self._normally(p.mult[:, m : 2 * m])
             if self.levels > 2:
                 a = a + self._normally(p.mult[:, 2 * m : 3 * m])
@@ -90,8 +122,13 @@ class StepEquations(Remembering):
         if len(self.stiff):
             self.rows = ev.jacobian.core[-1]
         low = self.lower(ev, a, p.mult)
-        self.left = low[-1, s.n_v : s.n_v + m]
+        self.note(len(t), low[-1, s.n_v : s.n_v + m])
         return p.rate - s.rate(p.xi, v), low
+
+    def note(self, points: int, left: Array) -> None:
+        """Take note of an evaluation of so many points, the last of which left the first rows open by this."""
+        self.residuals += points
+        self.left = left
 
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
@@ -99,8 +136,8 @@ class StepEquations(Remembering):
         if not isinstance(states, DriverStates) or len(self.stiff) or (self.levels and 2 in self.form.levels):
             return None
         lam = p.mult[:, :m] if self.levels else np.zeros((len(t), m))
-        mu, W = (p.mult[:, m:], self._inverse_mass) if self.levels > 1 else (None, None)
-        return states.points(t, self.origin, (p.xi, p.v, p.vd), (lam, mu, W))
+        mu, metric = (p.mult[:, m:], self.tangents.metric()) if self.levels > 1 else (None, None)
+        return states.points(t, self.origin, (p.xi, p.v, p.vd), (lam, mu, metric))
 
     def lower(self, ev: EvaluationBatch, a: Array, mult: Array) -> Array:
         """The balance, the constraints of all levels, and the efforts of ties: (k, n_v + n_mult)."""
@@ -136,11 +173,9 @@ class StepEquations(Remembering):
     def corrections(self, mult: Array, level: int) -> Array:
         """U times the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
         m = self.system.n_lam
-        return (
-            mult[:, level * m : (level + 1) * m] @ self.U.T
-            if self.levels > level
-            else np.zeros((len(mult), self.system.n_v))
-        )
+        if self.levels <= level:
+            return np.zeros((len(mult), self.system.n_v))
+        return self.tangents.normally(mult[:, level * m : (level + 1) * m])
 
     def pushes(self, mult: Array) -> Array | None:
         """Accelerations U lambda, U tau that the multipliers (k, n_mult) cause, (1 or 2 k, n_v); None without constraints."""
@@ -151,7 +186,10 @@ class StepEquations(Remembering):
 
     def pulls(self, mult: Array) -> Array | None:
         """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""
-        return mult[:, self.n_mult - len(self.stiff) :] @ self.U_ties.T if len(self.stiff) else None
+        if not len(self.stiff):
+            return None
+        assert isinstance(self.tangents, DenseTangents)
+        return mult[:, self.n_mult - len(self.stiff) :] @ self.tangents.U_ties.T
 
     def close_ties(self, h: float, state: State, mult: Array) -> State:
         """The end of a step of h (s) with places and velocities that give ties the efforts among the multipliers (n_mult,).
@@ -167,8 +205,8 @@ class StepEquations(Remembering):
             ev = ties.system.at(state.t, state.q, state.v)
             left = ties.residual(ev.constraint()[None], ev.opening()[None], mult[None, self.n_mult - len(ties) :])
             missing = ties.forces(np.zeros(self.system.n_lam), -left[0] / (ties.stiffness + ties.damping / h))
-            rows = _dense(ev.jacobian.core)
-            across = self._inverse_mass @ rows.T
+            rows = dense(ev.jacobian.core)
+            across = self.tangents.matrix() @ rows.T
             dq = across @ (np.linalg.pinv(rows @ across, hermitian=True) @ missing)
             state = replace(state, q=self.system.compose(state.q, dq), v=state.v + dq / h)
         return state
@@ -186,24 +224,12 @@ class StepEquations(Remembering):
         soft = np.zeros(len(self.rows))
         soft[ties.ties] = 1.0 / (h * ties.damping + h * h * ties.stiffness)
         across = np.zeros_like(self.rows.T)
-        across[:, ties.joints], across[:, ties.ties] = self.U, self.U_ties  # those that push and pull
+        assert isinstance(self.tangents, DenseTangents)
+        across[:, ties.joints], across[:, ties.ties] = self.tangents.U, self.tangents.U_ties  # those that push and pull
         wanted = np.zeros((len(soft), *v.shape[:-1]))
         wanted[ties.ties] = self.rows[ties.ties] @ v.T
         found = np.linalg.lstsq(self.rows @ across + np.diag(soft), wanted, rcond=None)[0]
         return np.asarray((across @ found).T)
-
-    def inertia(self, tangent: PencilTangent, a: Array) -> Array:
-        """M a at the tangent's motion."""
-        return tangent.M @ a
-
-    def pencil(self, tangent: PencilTangent, s: Array, judge: Judge) -> Pencil:
-        """Solver of the stages for the frequencies s, (p,)."""
-        return Pencil(tangent, s, judge, self.solver.core.redundant)
-
-    def weigh(self, state: State) -> None:
-        """Take the mass matrix of a state for the normal directions."""
-        ev = self.system.at(state.t, state.q, state.v)
-        self._inverse_mass = np.linalg.inv(_dense(self.solver.masses(ev)))
 
     def consistent_start(self, state: State) -> tuple[Array, Array, Array]:
         """What closes the constraints of a step's start: increments of q, the velocity on G v + g_t = 0, its acceleration.
@@ -229,64 +255,39 @@ class StepEquations(Remembering):
             self._start, self._closed = (dq, v, a), state
         return self._start
 
-    def refresh(self, state: State, mult: Array) -> PencilTangent:
+    def refresh(self, state: State, mult: Array) -> Any:
         """The tangent of (1), (2) at a state with multipliers (n_mult,); also refreshes the metric W.
 
         M and G are assembled. Stiffness and damping of the balance, with the geometric stiffness (G^T lambda)_q, and the
         derivatives of the velocity and acceleration rows are directional derivatives, all directions in one evaluation.
         """
-        s = self.system
-        form = self.form
-        n = s.n_v
-        m = s.n_lam
+        s, n, a = self.system, self.system.n_v, state.a
         self.jacobians += 1
-        q, v, a = state.q, state.v, state.a
-        ev = s.at(state.t, q, v)
-        M = _dense(self.solver.masses(ev))
-        self._inverse_mass = np.linalg.inv(M)
-        G = _dense(ev.jacobian.core)
-        if not form.frozen:
-            self.U = self._inverse_mass @ G.T
 
         def lower(at: EvaluationBatch) -> Array:
             k = len(at.q)
             return self.lower(at, np.broadcast_to(a, (k, n)), np.broadcast_to(mult, (k, self.n_mult)))
 
-        by_q, by_v = differences(s, at_once(self.stiff.system, state.t, lower), (q, v, a))
-        # known exactly: M, and G on the level of each row
-        by_a = np.zeros_like(by_v)
-        by_a[:n] = M
-        for i, level in enumerate(form.levels[: self.levels]):
-            rows = slice(n + i * m, n + (i + 1) * m)
-            if level == 0:
-                by_q[rows], by_v[rows] = G, 0.0
-            elif level == 1:
-                by_v[rows] = G
-            else:
-                by_a[rows] = G
-        R = np.zeros((0, n))
-        if ties := len(self.stiff):
-            R = _dense(self.stiff.system.at(state.t, q, v).jacobian.core)[self.stiff.ties]
-            self.U_ties = self._inverse_mass @ R.T
-            by_q[-ties:], by_v[-ties:] = self.stiff.stiffness[:, None] * R, self.stiff.damping[:, None] * R
-        return PencilTangent(self._turning(np.zeros(n), v)[0], M, G, self.U, by_q, by_v, by_a, R)
+        ev = s.at(state.t, state.q, state.v)
+        return self.tangents.take(ev, a, self.solver.masses(ev), at_once(self.stiff.system, state.t, lower))
 
-    def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
-        """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
-        s = self.system
-        eye = np.eye(s.n_v)
-        if s.motions.dim == 2 or not s.n_frames:
-            return np.zeros_like(eye), eye
-        # rotations in space: xi' depends on xi
-        J = (s.rate(xi + 1e-6 * eye, v) - s.rate(xi - 1e-6 * eye, v)).T / 2e-6
-        return J, np.asarray(np.linalg.inv(s.rate(xi, eye).T))
-
-    def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> PencilTangent:
+    def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Any:
         """The tangent at a point of the local coordinates, for a full Newton iteration."""
         at = State(t, self.system.compose(self.origin, xi), v, vd, mult[: self.system.n_lam])
-        made = self.refresh(at, mult)
-        J, T = self._turning(xi, v)
-        return replace(made, J=J, by_q=made.by_q @ T)
+        return self.tangents.at_increments(self.refresh(at, mult), xi, v)
+
+    def inertia(self, tangent: Any, a: Array) -> Array:
+        """M a at the tangent's motion."""
+        return self.tangents.inertia(tangent, a)
+
+    def pencil(self, tangent: Any, s: Array, judge: Judge) -> Pencil | SparsePencil:
+        """Solver of the stages for the frequencies s, (p,)."""
+        self._choose()  # a checkpoint asks before any step
+        return self.tangents.pencil(tangent, s, judge, self.solver.core.redundant)
+
+    def weigh(self, state: State) -> None:
+        """Take the mass matrix of a state for the normal directions, when they are asked for."""
+        self._weighed = state
 
 
 def step_equations(system: System, form: Form, solver: StepSolver) -> Any:
@@ -296,7 +297,3 @@ def step_equations(system: System, form: Form, solver: StepSolver) -> Any:
     from .field_stages import FieldEquations
 
     return FieldEquations(system, form, solver)
-
-
-def _dense(A: Any) -> Array:
-    return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())

@@ -26,6 +26,10 @@ from ...rotations import Array
 from ..residual import Judge
 
 REFINED = 1e-12  # relative residuals above this are refined once
+OPEN_ROWS = "Constraints depend on each other, or a body is not held."
+SINGULAR_MATRIX = (
+    "the matrix is singular. Constraints depend on each other, or a body without mass is not held. See scene.check()."
+)
 
 
 @dataclass(frozen=True)
@@ -125,10 +129,7 @@ class Pencil:
         try:
             self.inverse = np.linalg.pinv(self.matrix, rcond=1e-11) if self.redundant else np.linalg.inv(self.matrix)
         except np.linalg.LinAlgError as error:
-            raise LinearSolveError(
-                f"{self.judge.what}: the matrix is singular. Constraints depend on each other, or a body without "
-                "mass is not held. See scene.check()."
-            ) from error
+            raise LinearSolveError(f"{self.judge.what}: {SINGULAR_MATRIX}") from error
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
         """Increments dxi, dv side by side (p, 2 n) and multipliers (p, levels m), for residuals r_kin (p, n) and r_low
@@ -144,7 +145,7 @@ class Pencil:
             y = y + _times(self.inverse, rhs - _times(self.matrix, y))
             left, size = self._left(rhs, y)
 
-        self.judge.check(left, size, "Constraints depend on each other, or a body is not held.")
+        self.judge.check(left, size, OPEN_ROWS)
         self.judge.solves += len(y) - 1
         z = self.columns * y
 

@@ -30,6 +30,7 @@ from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import PencilTangent
 from ...rotations import Array
+from ...system.compiled.stages import SparseTangent
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
@@ -143,8 +144,10 @@ class BDFStepper(Corrector):
 
     def remember(self, m: Memory) -> None:
         """With the tangent, whose factor is made again."""
-        self._tangent, self.judge = m("tangent", (self._tangent, self.judge), PencilTangent, Judge)
-        factored = m("factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), PencilTangent)
+        self._tangent, self.judge = m("tangent", (self._tangent, self.judge), PencilTangent, SparseTangent, Judge)
+        factored = m(
+            "factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), PencilTangent, SparseTangent
+        )
         if m.reading:
             self._pencil = None if factored is None else self.eq.pencil(factored[0], factored[1], self.judge)
         super().remember(m)

@@ -12,12 +12,15 @@ from __future__ import annotations
 import numpy as np
 
 from ...rotations import Array
+from ...system.compiled.stages import Rule
 from ...system.system import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
 from ..implicit_stepper import ImplicitStepper
 from ..newton import strayed
 from .past import Past, local, slopes_at_first, weights
+
+ALONE = np.eye(1)  # one point is coupled with none
 
 
 class Corrector(ImplicitStepper):
@@ -60,12 +63,12 @@ class Corrector(ImplicitStepper):
         relax = self._prepare(t, p, c[0])
 
         tolerance = self._newton_tolerance()
+        iteration = self._iteration(h, np.array([t]), p, Rule(c[:1, None], ALONE, ALONE, relax))
         last = 0.0
         for i in range(self.newton.max_iterations):
-            kin, low = self.eq.residual(np.array([t]), p)
             if self._full and self.eq.dense and i > 0:
-                self._own_tangent(t, p, c[0])
-            p, size = self._moved(h, p, c[0], self._increment(kin, low, relax))
+                self._own_tangent(t, iteration.points, c[0])
+            size = self._increment(h, iteration)
 
             theta = 0.5 if i == 0 else min(size / last if last > 0 else 0.0, 2.0)
             size, why = self._judged(i, theta, size, last)
@@ -77,6 +80,7 @@ class Corrector(ImplicitStepper):
             left = theta / (1 - min(theta, 0.95)) * size
             if left <= tolerance or size <= 1e-2 * tolerance:
                 self.newton.note(left)
+                p = iteration.points
                 if self._full and strayed(self.system, p.xi[0], foretold):
                     return "Newton found another solution, far from the predicted one"
                 return p
@@ -87,21 +91,6 @@ class Corrector(ImplicitStepper):
         tangent = self.eq.tangent_at(t, p.xi[0], p.v[0], p.vd[0], p.mult[0])
         self._pencil = self.eq.pencil(tangent, np.array([frequency]), self.judge)
         self.stats.factorisations += 1
-
-    def _increment(self, kin: Array, low: Array, relax: float) -> tuple[Array, Array, Array]:
-        """Increments of xi, v (1, n_v) and of the multipliers for what the equations leave."""
-        assert self._pencil is not None
-        change, dmult = self._pencil.solve(kin, low)
-        n = self.system.n_v
-        return relax * change[:, :n], relax * change[:, n:], relax * dmult
-
-    def _moved(self, h: float, p: Points, c: float, increment: tuple[Array, Array, Array]) -> tuple[Points, float]:
-        """The values after an increment, and its norm."""
-        dxi, dv, dmult = increment
-        self.newton.iterations += 1
-        self.stats.newton_iterations += 1
-        size = self._size(h, dxi, dv, dmult)
-        return Points(p.xi + dxi, p.rate + c * dxi, p.v + dv, p.vd + c * dv, p.mult + dmult), size
 
     def _judged(self, i: int, theta: float, size: float, last: float) -> tuple[float, str | None]:
         """The size of increment i, 0 where it is roundoff, and why the iteration has failed, if it has; the rate is kept.

@@ -29,6 +29,7 @@ from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import PencilTangent
 from ...rotations import Array
+from ...system.compiled.stages import SparseTangent
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ..consistent import accelerations, project
@@ -114,7 +115,7 @@ class RadauStepper(StageNewton):
     def remember(self, m: Memory) -> None:
         """With the last collocation polynomial and the tangent, whose factors are made again."""
         if self.eq.dense:
-            self._last, self._tangent = m("last", (self._last, self._tangent), Points, PencilTangent)
+            self._last, self._tangent = m("last", (self._last, self._tangent), Points, PencilTangent, SparseTangent)
         else:  # every step takes its own derivatives
             self._last = self.eq.remember_points(m.inside("last"), self._last)
         made = m("made", (self._pencil is not None, self._filter is not None))

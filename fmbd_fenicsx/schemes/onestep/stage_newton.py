@@ -16,6 +16,7 @@ import numpy as np
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.saddle.pencil import Pencil, cuts_of, stacked
 from ...rotations import Array
+from ...system.compiled.stages import Rule
 from ...system.system import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
@@ -73,16 +74,15 @@ class StageNewton(ImplicitStepper):
 
     def _iterate(self, h: float) -> Points | str:
         """With one tangent for all stages, as long as it converges."""
-        xi, v, mult = self._predict(h)
-        times = self.state.t + h * self.tab.c
+        tab = self.tab
+        stages = self._stages(h, *self._predict(h))
+        rule = Rule(tab.W / h, tab.inverse, tab.vectors)
+        iteration = self._iteration(h, self.state.t + h * tab.c, stages, rule)
         tolerance = self._newton_tolerance()
         last = 0.0
 
         for k in range(self.newton.max_iterations):
-            kin, low = self.eq.residual(times, self._stages(h, xi, v, mult))
-            increment = self._solve(kin, low)
-            xi, v, mult = xi + increment[0], v + increment[1], mult + increment[2]
-            size, why = self._judged(k, h, self._counted(h, increment), last)
+            size, why = self._judged(k, h, self._increment(h, iteration), last)
             if why is not None:
                 return why
 
@@ -93,7 +93,7 @@ class StageNewton(ImplicitStepper):
                 self._eta, self._iterations = share, k + 1
                 self._h_rate = h if k else max(h, self._h_rate)
                 self.newton.note(share * size)
-                return self._finished(h, xi, v, mult)
+                return self._finished(h, iteration.points)
         return "Newton too slow"
 
     def _counted(self, h: float, increment: tuple[Array, Array, Array]) -> float:
@@ -141,8 +141,8 @@ class StageNewton(ImplicitStepper):
         left = self.newton.max_iterations - 1 - k
         return bool(self._share_left(k, h) * size * self._theta**left > self._newton_tolerance())
 
-    def _finished(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
-        points = self._stages(h, xi, v, mult)
+    def _finished(self, h: float, found: Points) -> Points:
+        points = self._stages(h, found.xi, found.v, found.mult)
         self._acceleration = self.eq.accelerations(points)[-1]
         return points
 
@@ -190,7 +190,7 @@ class StageNewton(ImplicitStepper):
             fast = size <= KEPT * last
             if (size <= enough and (fresh or fast)) or (calmed and (size <= floor or self._still)):
                 self._iterations, self._theta = k + 1, 1.0
-                return self._finished(h, xi, v, mult)
+                return self._finished(h, self._stages(h, xi, v, mult))
             pencil = pencil if fast else None
             last = size
         return "Newton too slow"
@@ -199,7 +199,7 @@ class StageNewton(ImplicitStepper):
         """One large matrix of all stages, with a tangent at each."""
         times = self.state.t + h * self.tab.c
         each = zip(times, points.xi, points.v, points.vd, points.mult, strict=True)
-        tangents = [self.eq.tangent_at(float(t), *values) for t, *values in each]
+        tangents = [self.eq.tangents.filled(self.eq.tangent_at(float(t), *values)) for t, *values in each]
         self.stats.factorisations += 1
         coupling = np.kron(self.tab.W / h, np.eye(self.system.n_v))
         return Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
@@ -220,14 +220,6 @@ class StageNewton(ImplicitStepper):
     def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
         W = self.tab.W / h
         return Points(xi, W @ xi, v, W @ (v - self.state.v), mult)
-
-    def _solve(self, kin: Array, low: Array) -> tuple[Array, Array, Array]:
-        """Decoupled solves: y = Re(vectors z), z of the real eigenvalue and of one of each complex pair."""
-        tab, n = self.tab, self.system.n_v
-        assert self._pencil is not None
-        z = np.concatenate(self._pencil.solve(tab.inverse @ kin, tab.inverse @ low), axis=1)
-        y = (tab.vectors @ z).real
-        return y[:, :n], y[:, n : 2 * n], y[:, 2 * n :]
 
     def _predict(self, h: float) -> tuple[Array, Array, Array]:
         """Stages on the polynomial of the last step, or on the parabola at the start."""

@@ -25,7 +25,7 @@ from .calls import Calls
 from .exchange import Exchange, Room
 from .geometry import CompiledGeometry
 from .glance import Glance
-from .points import LocalPoints, PointsTold
+from .points import LocalPoints, Metric, PointsTold
 from .structures import address_of, enumeration
 from .tables import Tables
 
@@ -128,7 +128,7 @@ class DriverStates(CompiledGeometry):
         return DriverBatch(self, t, q, v)
 
     def points(
-        self, t: Array, q0: Array, points: tuple[Array, Array, Array], forces: tuple[Array, Array | None, Array | None]
+        self, t: Array, q0: Array, points: tuple[Array, Array, Array], forces: tuple[Array, Array | None, Metric | None]
     ) -> PointsTold | None:
         """What an implicit step asks of points in local coordinates, see :class:`.LocalPoints`."""
         return self._points.told(t, q0, points, forces) if self.same_rows else None

@@ -23,7 +23,16 @@ if TYPE_CHECKING:
 
 DRIVER = Path(__file__).with_name("driver")
 FLAGS = (
-    *("-O3", "-march=native", "-fno-math-errno", "-ffp-contract=off", "-shared", "-fPIC", "-fvisibility=hidden"),
+    *(
+        "-O3",
+        "-march=native",
+        "-fno-math-errno",
+        "-ffp-contract=off",
+        "-fcx-limited-range",
+        "-shared",
+        "-fPIC",
+        "-fvisibility=hidden",
+    ),
     "-std=gnu11",
 )
 CORE = "driver"

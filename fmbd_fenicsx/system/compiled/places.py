@@ -42,6 +42,7 @@ class Structure:
         count = int(ends[-1]) if len(ends) else 0
         unknowns = [np.arange(end - width, end) for end, width in zip(ends, shape.widths, strict=True)]
         unknowns += [count + np.array(group.rows) for group in shape.groups]
+        self.shape = shape
         self.fronts = Fronts(unknowns, list(shape.groups), set(shape.pairs))
         self.store = Store()
         self._found: dict[Any, Any] = {}

@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ...rotations import Array
+from ..sparsity import Pattern
 from .exchange import Exchange
+from .structures import address_of
 
 if TYPE_CHECKING:
     from .evaluation import DriverStates
+
+Metric = tuple[Pattern, Array]  # of a matrix by its pattern and data
 
 
 class PointsTold(NamedTuple):
@@ -49,14 +53,13 @@ class LocalPoints:
                 "a": n,
                 "lam": m,
                 "mu": m,
-                "W": (s.n_v, s.n_v),
             }
             sizes |= {"rates": n, "sums": n, "gaps": m, "slips": m, "room": s.n_q + s.n_v}
             self._rooms[count] = Exchange(sizes)
         return self._rooms[count]
 
     def told(
-        self, t: Array, q0: Array, points: tuple[Array, Array, Array], forces: tuple[Array, Array | None, Array | None]
+        self, t: Array, q0: Array, points: tuple[Array, Array, Array], forces: tuple[Array, Array | None, Metric | None]
     ) -> PointsTold | None:
         """Of points q0 o exp(xi) at the times t (k,); None where NumPy has something to say.
 
@@ -65,12 +68,15 @@ class LocalPoints:
         """
         states, (lam, mu, W) = self.states, forces
         room = self._room(len(t))
-        at: list[int | None] = list(room.put(t, q0, *points, lam, mu, W))
-        if mu is None:
-            at[6] = at[7] = None
+        at: list[int | None] = list(room.put(t, q0, *points, lam, mu))
+        metric: list[int | None] = [None] * 3
+        if mu is None or W is None:
+            at[6] = None
+        else:
+            metric = [address_of(x) for x in (W[0].start, W[0].on, W[1])]
 
         states.anew = True
-        if not states.ask(states.library.driver_points, len(t), *at, *room.at[8:]):
+        if not states.ask(states.library.driver_points, len(t), *at, *metric, *room.at[7:]):
             return None
-        told = PointsTold(*[x.copy() for x in room.arrays[8:12]])
+        told = PointsTold(*[x.copy() for x in room.arrays[7:11]])
         return told if np.logical_and.reduce(np.isfinite(told.sums), axis=None) else None

@@ -202,33 +202,6 @@ EXPORT int driver_rows(System *s, long count, const double *t, const double *q, 
     return DONE;
 }
 
-/* Points of an implicit step at q0 o exp(xi): the rates of xi for the velocities v - W G^T mu, W like v squared; the sums of the
-   balance, g and G v + g_t. ``mu`` may be NULL. ``room``: nq + nv. */
-EXPORT int driver_points(System *s, long count, const double *t, const double *q0, const double *xi, const double *v, const double *a,
-                         const double *lam, const double *mu, const double *W, double *rates, double *sums, double *gap,
-                         double *slip, double *room)
-{
-    double *q = room, *push = q + s->nq, last = NAN;
-    int verdict;
-    for (long i = 0; i < count; i++, xi += s->nv, v += s->nv, a += s->nv, rates += s->nv, sums += s->nv) {
-        long at = i * s->rows;
-        configuration(s, q0, xi, q);
-        if ((verdict = sample(s, t[i], &last)) || (verdict = evaluate(s, q, v, a, lam + at, t[i]))) return verdict;
-        like_v(s, s->residual, sums);
-        drift(s);
-        memcpy(gap + at, s->gap, s->rows * sizeof(double));
-        memcpy(slip + at, s->slip, s->rows * sizeof(double));
-
-        memcpy(rates, v, s->nv * sizeof(double));
-        if (mu) {
-            all_rows(s, mu + at, push);
-            for (int j = 0; j < s->nv; j++) rates[j] -= dot(W + (long)j * s->nv, push, s->nv);
-        }
-        for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, rates + TWIST * b);
-    }
-    return DONE;
-}
-
 /* What the first solution of dependent rows leaves open, epsilon y / u^2, closed. */
 static void close_dependent(System *s, double *x, double *y)
 {

@@ -1,0 +1,41 @@
+"""The matrix of an implicit step (:mod:`.pencil`) with sparse factors in compiled code: work grows with the length of a chain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...errors import LinearSolveError
+from ...rotations import Array
+from ...system.compiled.stages import SparseTangent, StageRoom
+from ..residual import Judge
+from .pencil import OPEN_ROWS, SINGULAR_MATRIX
+
+
+class SparsePencil:
+    """As :class:`.Pencil` for frequencies s (p,); ``room``: of C, which the newest pencil has for itself."""
+
+    def __init__(self, tangent: SparseTangent, s: Array, judge: Judge, room: StageRoom) -> None:
+        self.t, self.s, self.judge, self.room = tangent, s, judge, room
+        if not room.factor(tangent, s):
+            raise LinearSolveError(f"{judge.what}: {SINGULAR_MATRIX}")
+
+    def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
+        """Increments dxi, dv side by side (p, 2 n) and multipliers (p, levels m), for residuals r_kin (p, n) and r_low
+        (p, n + levels m).
+        """
+        change, mult, judged = self.room.solve(kin, low)
+        shares = judged[:, 0] / np.where(judged[:, 1] > 0, judged[:, 1], 1.0)
+        self._check(*judged[int(shares.argmax())])
+        real = not np.iscomplexobj(self.s)
+        return (change.real, mult.real) if real else (change, mult)
+
+    def increment(self) -> bool:
+        """One increment of the points in the room; False where NumPy has something to say."""
+        if not self.room.increment():
+            return False
+        self._check(*self.room.arrays["judged"])
+        return True
+
+    def _check(self, left: float, size: float) -> None:
+        self.judge.check(float(left), float(size), OPEN_ROWS)
+        self.judge.solves += len(self.s) - 1

@@ -1,0 +1,196 @@
+/* L U of a sparse matrix, column by column in a given order, rows exchanged: each column of U is found by those columns of L that it
+   reaches (Gilbert and Peierls, doi:10.1137/0909058). Included for real and for complex numbers, see stages.c.
+
+   Of rows that may stand on the diagonal the column's own is taken unless another entry is much larger, so that little fills. */
+
+/* The rows that a new row reaches through columns of L that are known, before those of the row in ``found``, from ``top`` on. */
+static int NAME(reach)(const Stages *o, const Lower *f, int row, int mark, int top)
+{
+    int depth = 0;
+    o->stack[0] = row;
+    o->mark[row] = mark;
+    o->next[0] = f->place[row] < 0 ? 0 : f->L_start[f->place[row]];
+    while (depth >= 0) {
+        int at = o->stack[depth], column = f->place[at];
+        long end = column < 0 ? 0 : f->L_start[column + 1], p = o->next[depth];
+        while (p < end && o->mark[f->L_row[p]] == mark) p++;
+        if (p < end) {
+            int below = f->L_row[p];
+            o->next[depth] = p + 1;
+            o->mark[below] = mark;
+            o->stack[++depth] = below;
+            o->next[depth] = f->place[below] < 0 ? 0 : f->L_start[f->place[below]];
+        } else {
+            o->found[--top] = at;
+            depth--;
+        }
+    }
+    return top;
+}
+
+/* SIZE: there was no room for the entries; SINGULAR: a column is zero. */
+static int NAME(decompose)(const Stages *o, const NUMBER *A, Lower *f)
+{
+    NUMBER *L = (NUMBER *)f->L, *U = (NUMBER *)f->U, *pivots = (NUMBER *)f->pivot, *x = (NUMBER *)o->x;
+    const int n = o->size;
+    long lower = 0, upper = 0;
+    for (int i = 0; i < n; i++) {
+        f->place[i] = o->mark[i] = -1;
+        x[i] = 0.0;
+    }
+    for (int k = 0; k < n; k++) {
+        int column = o->order[k], top = n, best = -1;
+        f->L_start[k] = lower;
+        f->U_start[k] = upper;
+        if (lower + n > o->room || upper + n > o->room) return SIZE;
+        for (int p = o->start[column]; p < o->start[column + 1]; p++) {
+            if (o->mark[o->row[p]] != k) top = NAME(reach)(o, f, o->row[p], k, top);
+            x[o->row[p]] = A[p];
+        }
+
+        double largest = 0.0;
+        for (int i = top; i < n; i++) {
+            int row = o->found[i], known = f->place[row];
+            NUMBER u = x[row];
+            if (known < 0) {
+                double size = MAGNITUDE(u);
+                if (size > largest) largest = size, best = row;
+                continue;
+            }
+            f->U_row[upper] = known;
+            U[upper++] = u;
+            for (long p = f->L_start[known]; p < f->L_start[known + 1]; p++) x[f->L_row[p]] -= L[p] * u;
+        }
+        if (best < 0) return SINGULAR;
+        if (f->place[column] < 0 && o->mark[column] == k && MAGNITUDE(x[column]) >= OWN * largest) best = column;
+
+        NUMBER pivot = x[best];
+        f->place[best] = k;
+        pivots[k] = pivot;
+        for (int i = top; i < n; i++) {
+            int row = o->found[i];
+            if (f->place[row] < 0 && x[row] != 0.0) {
+                f->L_row[lower] = row;
+                L[lower++] = x[row] / pivot;
+            }
+            x[row] = 0.0;
+        }
+        f->L_start[k + 1] = lower;
+    }
+    f->U_start[n] = upper;
+    for (long p = 0; p < lower; p++) f->L_row[p] = f->place[f->L_row[p]];
+    return DONE;
+}
+
+/* y, like the unknowns, for the right-hand side b. */
+static void NAME(substitute)(const Stages *o, const Lower *f, const NUMBER *b, NUMBER *y)
+{
+    const NUMBER *L = (NUMBER *)f->L, *U = (NUMBER *)f->U, *pivots = (NUMBER *)f->pivot;
+    NUMBER *x = (NUMBER *)o->x;
+    for (int i = 0; i < o->size; i++) x[f->place[i]] = b[i];
+    for (int k = 0; k < o->size; k++) {
+        NUMBER c = x[k];
+        for (long p = f->L_start[k]; p < f->L_start[k + 1]; p++) x[f->L_row[p]] -= L[p] * c;
+    }
+    for (int k = o->size - 1; k >= 0; k--) {
+        NUMBER c = x[k] / pivots[k];
+        y[o->order[k]] = c;
+        for (long p = f->U_start[k]; p < f->U_start[k + 1]; p++) x[f->U_row[p]] -= U[p] * c;
+    }
+}
+
+/* A at one frequency s, its rows and columns scaled by powers of two, and its factors. */
+static int NAME(factorise)(const Stages *o, NUMBER s, NUMBER *A, double *rows, double *columns, Lower *f)
+{
+    for (long p = 0; p < o->entries; p++) {
+        A[p] = o->K0[p] + s * (o->K1[p] + s * o->K2[p]);
+        if (!(MAGNITUDE(A[p]) < INFINITY)) return NEWTON;
+        o->sizes[p] = ABSOLUTE(A[p]);
+    }
+    balance(o, rows, columns);
+    for (int j = 0; j < o->size; j++)
+        for (int p = o->start[j]; p < o->start[j + 1]; p++) A[p] *= rows[o->row[p]] * columns[j];
+    return NAME(decompose)(o, A, f);
+}
+
+/* y += A x of a matrix by rows. */
+static void NAME(apply)(const Sparse *A, double sign, const NUMBER *x, NUMBER *y)
+{
+    for (int i = 0; i < A->rows; i++) {
+        NUMBER sum = 0.0;
+        for (int p = A->start[i]; p < A->start[i + 1]; p++) sum += A->data[p] * x[A->on[p]];
+        y[i] += sign * sum;
+    }
+}
+
+/* What y leaves of the scaled equations, into ``left``: its largest entry, and its scale. */
+static double NAME(remainder)(const Stages *o, const NUMBER *A, const NUMBER *right, const NUMBER *y, NUMBER *left, double *scale)
+{
+    double most = 0.0, given = 0.0, found = 0.0;
+    for (int i = 0; i < o->size; i++) left[i] = right[i];
+    for (int j = 0; j < o->size; j++)
+        for (int p = o->start[j]; p < o->start[j + 1]; p++) left[o->row[p]] -= A[p] * y[j];
+    for (int i = 0; i < o->size; i++) {
+        double size = ABSOLUTE(left[i]);
+        if (!(size <= most)) most = size; /* nan stays */
+        given = fmax(given, ABSOLUTE(right[i]));
+        found = fmax(found, ABSOLUTE(y[i]));
+    }
+    *scale = given + found;
+    return most;
+}
+
+/* Increments dxi, dv behind each other and multipliers for the residuals of one frequency; ``judged``: as of the remainder. */
+static void NAME(resolve)(const Stages *o, int f, const NUMBER *kin, const NUMBER *low, NUMBER *change, NUMBER *mult, double *judged)
+{
+    const int n = o->n;
+    const long N = sizeof(NUMBER) / sizeof(double);
+    const NUMBER *A = (NUMBER *)(o->A + f * 2 * o->entries), s = FREQUENCY(o->s + 2 * f);
+    const double *rows = o->scales + (long)f * 2 * o->size, *columns = rows + o->size;
+    NUMBER *right = (NUMBER *)o->right, *y = (NUMBER *)(o->right + N * o->size), *left = (NUMBER *)(o->right + 2 * N * o->size);
+
+    for (int i = 0; i < o->size; i++) right[i] = 0.0;
+    NAME(apply)(&o->by_a, 1.0, kin, right);
+    for (int i = 0; i < o->size; i++) right[i] = low[i] + s * right[i];
+    NAME(apply)(&o->by_v, 1.0, kin, right);
+    for (int i = 0; i < o->size; i++) right[i] *= -rows[i];
+
+    NAME(substitute)(o, o->lower + f, right, y);
+    judged[0] = NAME(remainder)(o, A, right, y, left, judged + 1);
+    if (judged[0] > REFINE * judged[1]) {
+        NUMBER *more = (NUMBER *)(o->right + 3 * N * o->size);
+        NAME(substitute)(o, o->lower + f, left, more);
+        for (int i = 0; i < o->size; i++) y[i] += more[i];
+        judged[0] = NAME(remainder)(o, A, right, y, left, judged + 1);
+    }
+
+    for (int i = 0; i < o->size; i++) y[i] *= columns[i];
+    for (int i = 0; i < n; i++) {
+        change[i] = y[i];
+        change[n + i] = s * y[i] + kin[i];
+    }
+    for (int i = n; i < o->size; i++) mult[i - n] = y[i];
+    NAME(apply)(&o->J, -1.0, y, change + n);
+    if (o->levels > 1) NAME(apply)(&o->U, 1.0, mult + o->m, change + n);
+}
+
+/* Increments of all points that one frequency adds, from the residuals kin (points x n) and low (points x size). */
+static void NAME(contribute)(const Stages *o, int f, double *judged)
+{
+    const int n = o->n, k = o->points, size = o->size;
+    const double *inverse = o->inverse + 2 * k * f;
+    NUMBER *kin = (NUMBER *)o->mixed, *low = kin + n, *change = low + size, *mult = change + 2 * n;
+    for (int i = 0; i < n + size; i++) kin[i] = 0.0;
+    for (int j = 0; j < k; j++) {
+        NUMBER share = FREQUENCY(inverse + 2 * j);
+        for (int i = 0; i < n; i++) kin[i] += share * o->kin[j * n + i];
+        for (int i = 0; i < size; i++) low[i] += share * o->low[j * size + i];
+    }
+    NAME(resolve)(o, f, kin, low, change, mult, judged);
+    for (int j = 0; j < k; j++) {
+        NUMBER share = FREQUENCY(o->vectors + 2 * (j * o->frequencies + f));
+        for (int i = 0; i < n; i++) o->dxi[j * n + i] += REAL(share * change[i]);
+        for (int i = 0; i < n; i++) o->dv[j * n + i] += REAL(share * change[n + i]);
+        for (int i = 0; i < size - n; i++) o->dmult[j * (size - n) + i] += REAL(share * mult[i]);
+    }
+}

@@ -1,0 +1,243 @@
+/* The stages of an implicit step in local coordinates: one increment of Newton's iteration is one call, and so are the factors of all
+   frequencies. With K = K0 + s K1 + s^2 K2 for a frequency s, real or one of a complex pair (linear/saddle/pencil.py, whose symbols
+   these are), the work is proportional to the entries of the factors: to the length of chains and trees. */
+
+#include <complex.h>
+#undef I
+
+static const double OWN = 0.1;      /* share of the largest entry of a column from which its own row is its pivot */
+static const double REFINE = 1e-12; /* relative residuals above this are refined once */
+
+/* By rows. */
+typedef struct {
+    int rows, *start, *on;
+    double *data;
+} Sparse;
+
+/* L, U and pivots of one frequency; place: which column a row is the pivot of. */
+typedef struct {
+    long *L_start, *U_start;
+    int *L_row, *U_row, *place;
+    double *L, *U, *pivot;
+} Lower;
+
+/* What stands here has the same order in ``STAGES`` of system/compiled/stages.py. */
+typedef struct {
+    int n, m, size, levels, frequencies, points, first; /* size: unknowns; first: of the levels of rows */
+    int *start, *row, *order;       /* K by columns; order of elimination */
+    long entries, room;             /* room: for entries of L, and of U */
+    double *K0, *K1, *K2, *s, *A, *scales, *sizes;  /* A: frequencies x entries, scaled; sizes: entries */
+    Lower *lower;
+    double *x, *right, *mixed;      /* work: size; 4 size; 3 n + 2 size, all complex */
+    int *stack, *mark, *found;
+    long *next;
+    Sparse by_v, by_a, J, U, W;
+    /* the points */
+    double *t, *q0, *xi, *rate, *v, *vd, *mult, *couple, *inverse, *vectors;  /* couple: points x points, d rate / d xi */
+    double *kin, *low, *dxi, *dv, *dmult, *push;
+    double *weigh, *moved, *judged; /* weigh: 3 x n, of dxi, dv and U dlambda; moved: 6; judged: 2 */
+    double *local, relax;           /* local: nq + n */
+} Stages;
+
+/* The nearest power of two. */
+static double power(double x) { return x > 0.0 ? exp2(rint(log2(x))) : 1.0; }
+
+/* Scales of rows and columns that bring all largest entries near one, two sweeps, as powers of two: no rounding; ``sizes`` is lost. */
+static void balance(const Stages *o, double *rows, double *columns)
+{
+    double *most = o->x; /* of rows */
+    for (int i = 0; i < o->size; i++) rows[i] = columns[i] = 1.0;
+    for (int sweep = 0; sweep < 3; sweep++) {
+        for (int i = 0; i < o->size; i++) most[i] = 0.0;
+        for (int j = 0; j < o->size; j++)
+            for (int p = o->start[j]; p < o->start[j + 1]; p++) most[o->row[p]] = fmax(most[o->row[p]], o->sizes[p]);
+        for (int i = 0; i < o->size; i++) rows[i] /= most[i] = power(sweep < 2 ? sqrt(most[i]) : most[i]);
+        for (int j = 0; sweep < 2 && j < o->size; j++) {
+            double largest = 0.0;
+            for (int p = o->start[j]; p < o->start[j + 1]; p++) largest = fmax(largest, o->sizes[p] /= most[o->row[p]]);
+            largest = power(sqrt(largest));
+            for (int p = o->start[j]; p < o->start[j + 1]; p++) o->sizes[p] /= largest;
+            columns[j] /= largest;
+        }
+    }
+}
+
+#define NUMBER double
+#define NAME(x) x##_real
+#define MAGNITUDE(x) fabs(x)
+#define ABSOLUTE(x) fabs(x)
+#define REAL(x) (x)
+#define FREQUENCY(x) (*(x))
+#include "lu.c"
+#undef NUMBER
+#undef NAME
+#undef MAGNITUDE
+#undef ABSOLUTE
+#undef REAL
+#undef FREQUENCY
+
+#define NUMBER double complex
+#define NAME(x) x##_complex
+#define MAGNITUDE(x) (fabs(creal(x)) + fabs(cimag(x)))
+#define ABSOLUTE(x) cabs(x)
+#define REAL(x) creal(x)
+#define FREQUENCY(x) (*(const double complex *)(x))
+#include "lu.c"
+
+/* Factors of all frequencies. */
+EXPORT int driver_stage_factors(Stages *o)
+{
+    for (int f = 0; f < o->frequencies; f++) {
+        double *A = o->A + f * 2 * o->entries, *rows = o->scales + (long)f * 2 * o->size, *s = o->s + 2 * f;
+        int verdict = s[1] == 0.0 ? factorise_real(o, *s, A, rows, rows + o->size, o->lower + f)
+                                  : factorise_complex(o, *(double complex *)s, (double complex *)A, rows, rows + o->size, o->lower + f);
+        if (verdict) return verdict;
+    }
+    return DONE;
+}
+
+/* Increments and multipliers for residuals kin and low of all frequencies, complex numbers: frequencies x n, x size. */
+EXPORT int driver_stage_solve(Stages *o, const double *kin, const double *low, double *change, double *mult, double *judged)
+{
+    const int n = o->n, size = o->size;
+    for (int f = 0; f < o->frequencies; f++, kin += 2 * n, low += 2 * size, change += 4 * n, mult += 2 * (size - n), judged += 2) {
+        if (o->s[2 * f + 1] != 0.0) {
+            resolve_complex(o, f, (const double complex *)kin, (const double complex *)low, (double complex *)change,
+                            (double complex *)mult, judged);
+            continue;
+        }
+        double *k = o->mixed, *l = k + n, *x = l + size, *y = x + 2 * n, least[2] = {0.0, 0.0};
+        for (int part = 0; part < 2; part++) {
+            for (int i = 0; i < n; i++) k[i] = kin[2 * i + part];
+            for (int i = 0; i < size; i++) l[i] = low[2 * i + part];
+            resolve_real(o, f, k, l, x, y, judged);
+            for (int i = 0; i < 2 * n; i++) change[2 * i + part] = x[i];
+            for (int i = 0; i < size - n; i++) mult[2 * i + part] = y[i];
+            for (int i = 0; i < 2; i++) judged[i] = least[i] = fmax(judged[i], least[i]);
+        }
+    }
+    return DONE;
+}
+
+/* The rate of xi for the velocities v - W G^T mu at a point q0 o exp(xi), and the balance there; what rows leave open stands in the
+   system. ``mu`` may be NULL. ``room``: nq + nv. */
+static int local_point(System *s, const Sparse *W, double t, const double *q0, const double *xi, const double *v, const double *a,
+                       const double *lam, const double *mu, double *rates, double *sums, double *room)
+{
+    double *q = room, *push = q + s->nq;
+    int verdict;
+    configuration(s, q0, xi, q);
+    if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
+    like_v(s, s->residual, sums);
+    drift(s);
+    memcpy(rates, v, s->nv * sizeof(double));
+    if (mu) {
+        all_rows(s, mu, push);
+        apply_real(W, -1.0, push, rates);
+    }
+    for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, rates + TWIST * b);
+    return DONE;
+}
+
+/* Points of an implicit step: the rates of xi, the sums of the balance, g and G v + g_t. W: by rows. ``room``: nq + nv. */
+EXPORT int driver_points(System *s, long count, const double *t, const double *q0, const double *xi, const double *v, const double *a,
+                         const double *lam, const double *mu, int *W_start, int *W_on, double *W, double *rates, double *sums,
+                         double *gap, double *slip, double *room)
+{
+    const Sparse metric = {s->nv, W_start, W_on, W};
+    double last = NAN;
+    int verdict;
+    for (long i = 0; i < count; i++, xi += s->nv, v += s->nv, a += s->nv, rates += s->nv, sums += s->nv) {
+        long at = i * s->rows;
+        if ((verdict = sample(s, t[i], &last))) return verdict;
+        verdict = local_point(s, &metric, t[i], q0, xi, v, a, lam + at, mu ? mu + at : NULL, rates, sums, room);
+        if (verdict) return verdict;
+        memcpy(gap + at, s->gap, s->rows * sizeof(double));
+        memcpy(slip + at, s->slip, s->rows * sizeof(double));
+    }
+    return DONE;
+}
+
+/* What the points leave of the equations: kin, points x n, and low, points x size. */
+static int stage_residuals(System *s, const Stages *o)
+{
+    const int n = o->n, m = o->m, size = o->size;
+    double last = NAN;
+    int verdict;
+    for (int j = 0; j < o->points; j++) {
+        double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
+        if ((verdict = sample(s, o->t[j], &last))) return verdict;
+        verdict = local_point(s, &o->W, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult, o->levels > 1 ? mult + m : NULL,
+                              kin, low, o->local);
+        if (verdict) return verdict;
+        for (int i = 0; i < n; i++) {
+            kin[i] = o->rate[j * n + i] - kin[i];
+            if (!(fabs(low[i]) < INFINITY)) return NEWTON;
+        }
+        for (int k = 0; k < o->levels; k++) memcpy(low + n + k * m, o->first + k ? s->slip : s->gap, m * sizeof(double));
+    }
+    return DONE;
+}
+
+/* The largest of the points' mean squares of x, weighted. */
+static double mean_square(const Stages *o, const double *weigh, const double *x)
+{
+    double worst = 0.0;
+    for (int j = 0; j < o->points; j++, x += o->n) {
+        double sum = 0.0;
+        for (int i = 0; i < o->n; i++) sum += weigh[i] * x[i] * weigh[i] * x[i];
+        if (!(sum / o->n <= worst)) worst = sum / o->n;
+    }
+    return worst;
+}
+
+/* The largest length in x, of all points. */
+static double largest_length(const System *s, const Stages *o, const double *x)
+{
+    double worst = 0.0;
+    for (int j = 0; j < o->points; j++) {
+        double size = largest_of(s->units, x + j * o->n, o->n);
+        if (!(size <= worst)) worst = size;
+    }
+    return worst;
+}
+
+/* One increment of all points: residuals, solutions, what they move. ``moved``: the largest lengths of dxi, dv and U dlambda, and the
+   mean squares of the three by their weights; ``judged``: the linear residual, and its scale, where the two are farthest apart. */
+EXPORT int driver_stage_increment(System *s, Stages *o)
+{
+    const int n = o->n, size = o->size, k = o->points, multipliers = size - n;
+    double judged[2], worst = -1.0;
+    int verdict = stage_residuals(s, o);
+    if (verdict) return verdict;
+
+    memset(o->dxi, 0, (size_t)k * n * sizeof(double));
+    memset(o->dv, 0, (size_t)k * n * sizeof(double));
+    memset(o->dmult, 0, (size_t)k * multipliers * sizeof(double));
+    for (int f = 0; f < o->frequencies; f++) {
+        if (o->s[2 * f + 1] == 0.0) contribute_real(o, f, judged);
+        else contribute_complex(o, f, judged);
+        double share = judged[0] / (judged[1] > 0.0 ? judged[1] : 1.0);
+        if (!(share <= worst)) worst = share, memcpy(o->judged, judged, sizeof judged);
+    }
+
+    for (int i = 0; i < k * n; i++) o->dxi[i] *= o->relax, o->dv[i] *= o->relax;
+    for (int i = 0; i < k * multipliers; i++) o->dmult[i] *= o->relax;
+    memset(o->push, 0, (size_t)k * n * sizeof(double));
+    for (int j = 0; o->levels && j < k; j++) apply_real(&o->U, 1.0, o->dmult + j * multipliers, o->push + j * n);
+    const double *moved[3] = {o->dxi, o->dv, o->push};
+    for (int i = 0; i < 3; i++) {
+        o->moved[i] = largest_length(s, o, moved[i]);
+        o->moved[3 + i] = mean_square(o, o->weigh + i * n, moved[i]);
+    }
+
+    add(o->xi, 1.0, o->dxi, k * n);
+    add(o->v, 1.0, o->dv, k * n);
+    add(o->mult, 1.0, o->dmult, k * multipliers);
+    for (int j = 0; j < k; j++)
+        for (int i = 0; i < k; i++) {
+            add(o->rate + j * n, o->couple[j * k + i], o->dxi + i * n, n);
+            add(o->vd + j * n, o->couple[j * k + i], o->dv + i * n, n);
+        }
+    return DONE;
+}

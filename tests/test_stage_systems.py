@@ -1,0 +1,175 @@
+"""Stage systems of Radau and BDF by sparse patterns: numbers of dense ones, and work that grows with the length of a chain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_compiled_evaluation import MAKERS, calls_of, compiled, pair_of
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import LinearSolveError
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.residual import Judge
+from fmbd_fenicsx.schemes.dae import Points
+from fmbd_fenicsx.schemes.onestep.collocation import tableau
+from fmbd_fenicsx.schemes.stage_iteration import StageIteration
+from fmbd_fenicsx.schemes.step_equations import StepEquations
+from fmbd_fenicsx.schemes.step_tangents import DenseTangents, SparseTangents
+from fmbd_fenicsx.system.compiled.choice import use_driver
+from fmbd_fenicsx.system.compiled.couplings import couplings_of
+from fmbd_fenicsx.system.compiled.stages import Rule, SparseTangent
+from fmbd_fenicsx.system.system import State
+
+FORMS = [fmbd.GGL(), fmbd.Index3(), fmbd.Index2()]
+H = 1e-4
+JUDGE = Judge("a test", tolerance=1e-6)
+
+
+def chain(n: int) -> fmbd.Scene:
+    """Links in the plane."""
+    scene, before = fmbd.Scene("chain", gravity=(0.0, -9.81)), fmbd.ground
+    for i in range(n):
+        link = fmbd.RigidBody(f"link {i}", 0.1, 1e-4, (0.1 * i + 0.05, 0.0))
+        scene.add(link, fmbd.revolute(f"hinge {i}", before, link, center=(0.1 * i, 0.0)))
+        before = link
+    return scene
+
+
+def equations(system: Any, form: Any, at: tuple[Any, ...]) -> tuple[StepEquations, State, np.ndarray]:
+    """The equations of a step from the first of some configurations, and multipliers of all levels."""
+    t, q, v, a, lam = (x[0] for x in at)
+    state = State(float(t), q, v, a, lam)
+    eq = StepEquations(system, form, StepSolver(system))
+    eq.solver.look_for_dependent_rows(system.at(state.t, q, v))
+    eq.weigh(state)
+    eq.begin(state)
+    mult = np.concatenate([lam, 1e-2 * lam][: eq.levels]) if eq.levels else np.zeros(0)
+    return eq, state, mult
+
+
+def with_dense_matrices(eq: StepEquations) -> DenseTangents:
+    """Dense tangents of the same system, evaluated by the same code."""
+    return DenseTangents(eq.system, eq.form, eq.levels, eq.stiff)
+
+
+def right_hand_sides(eq: StepEquations, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Complex residuals for so many frequencies."""
+    rng, n = np.random.default_rng(4), eq.system.n_v
+    kin, low = rng.normal(size=(2, count, n)), rng.normal(size=(2, count, n + eq.n_mult))
+    return kin[0] + 1j * kin[1], low[0] + 1j * low[1]
+
+
+@compiled
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+@pytest.mark.parametrize("name", MAKERS)
+def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any) -> None:
+    _, system, at = pair_of(MAKERS[name])
+    eq, state, mult = equations(system, form, at)
+    if not isinstance(eq.tangents, SparseTangents):
+        assert system.n_lam and (eq.solver.core.redundant or couplings_of(system.evaluator) is None)
+        return
+    made = eq.tangents.at_increments(eq.refresh(state, mult), 0.1 * state.v, state.v)
+    sparse, eq.tangents = eq.tangents, with_dense_matrices(eq)
+    wanted = eq.tangents.at_increments(eq.refresh(state, mult), 0.1 * state.v, state.v)
+
+    found = sparse.filled(made)
+    for field, values in vars(wanted).items():
+        size = np.abs(values).max(initial=1e-300)
+        assert getattr(found, field) == pytest.approx(values, rel=1e-13, abs=1e-13 * size), field
+
+    for s in (np.array([1.5 / H]), tableau(2).values / H, tableau(3).values / H):
+        kin, low = right_hand_sides(eq, len(s))
+        given = (kin, low) if np.iscomplexobj(s) else (kin.real, low.real)
+        expected = eq.tangents.pencil(wanted, s, JUDGE, False).solve(*given)
+        for x, y in zip(sparse.pencil(made, s, JUDGE, False).solve(*given), expected, strict=True):
+            assert x.dtype == y.dtype
+            assert x == pytest.approx(y, rel=1e-7, abs=1e-8 * np.abs(y).max(initial=1e-300))
+
+
+@compiled
+@pytest.mark.parametrize("name", ["plane", "reduced 3D", "rod"])
+def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
+    """Derivatives of any numbers, half of them none, and no masses."""
+    _, system, at = pair_of(MAKERS[name])
+    eq, state, mult = equations(system, fmbd.GGL(), at)
+    made, rng = eq.refresh(state, mult), np.random.default_rng(5)
+    assert isinstance(eq.tangents, SparseTangents) and isinstance(made, SparseTangent)
+    any_numbers = {x: rng.normal(size=made.by_q.shape) * rng.integers(0, 2, made.by_q.shape) for x in ("by_q", "by_v")}
+    made = replace(made, **any_numbers, by_a=0.0 * made.by_a)
+
+    s = tableau(3).values / H
+    given = right_hand_sides(eq, len(s))
+    found = eq.tangents.pencil(made, s, JUDGE, False).solve(*given)
+    wanted = with_dense_matrices(eq).pencil(eq.tangents.filled(made), s, JUDGE, False).solve(*given)
+    for x, y in zip(found, wanted, strict=True):
+        assert x == pytest.approx(y, rel=1e-6, abs=1e-7 * np.abs(y).max())
+
+    nothing = replace(made, **{key: 0.0 * values for key, values in vars(made).items()})
+    with pytest.raises(LinearSolveError, match="singular"):
+        eq.tangents.pencil(nothing, s, JUDGE, False)
+
+
+@compiled
+@pytest.mark.parametrize("stages", [1, 3])
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+@pytest.mark.parametrize("name", ["plane", "reduced 2D", "reduced 3D", "rod"])
+def test_increments_of_compiled_code(name: str, form: Any, stages: int) -> None:
+    """One call evaluates, solves and adds; points, sizes and counts like those that NumPy finds."""
+    _, system, at = pair_of(MAKERS[name])
+    t, _, v, a, _ = at
+    eq, state, mult = equations(system, form, at)
+    tangent, tab = eq.refresh(state, mult), tableau(3)
+    rule, s = Rule(np.array([[1.5 / H]]), np.eye(1), np.eye(1), 0.9), np.array([1.5 / H])
+    if stages > 1:
+        rule, s = Rule(tab.W / H, tab.inverse, tab.vectors), tab.values / H
+    points = Points(*(x[:stages] for x in (0.01 * v, v - a, v, a)), np.repeat(mult[None], stages, axis=0))
+    weights = np.random.default_rng(6).uniform(1.0, 2.0, (3, system.n_v))
+
+    seen: list[Any] = []
+
+    def size(dxi: np.ndarray, dv: np.ndarray, dmult: np.ndarray) -> float:
+        push = eq.pushes(dmult) if eq.levels else np.zeros_like(dxi)
+        parts = (dxi, dv, push)
+        squares = [((w * x) ** 2).mean(axis=1).max() for w, x in zip(weights, parts, strict=True)]
+        seen.append(np.array([*map(system.max_abs, parts), *squares]))
+        return 0.0
+
+    def size_told(moved: np.ndarray) -> float:
+        seen.append(moved.copy())
+        return 0.0
+
+    pencil, found = eq.pencil(tangent, s, JUDGE), []
+    for w in (None, weights):
+        iteration, before = StageIteration(eq, t[:stages], points, rule, w), eq.residuals
+        iteration.increment(pencil, size, size_told)
+        calls = calls_of(lambda i=iteration: i.increment(pencil, size, size_told))
+        found.append((*vars(iteration.points).values(), np.array(eq.residuals - before), eq.left.copy()))
+
+    assert len(seen) == 4
+    for x, y in zip([*seen[2:], *found[1]], [*seen[:2], *found[0]], strict=True):
+        assert x == pytest.approx(y, rel=1e-8, abs=1e-10 * np.abs(y).max(initial=1e-300))
+    if name == "rod":  # laws of time are Python's in the plane, and NumPy looks at reduced bodies that bend as much
+        assert calls <= 12
+
+
+@compiled
+def test_work_grows_with_the_length_of_a_chain() -> None:
+    """As many directions of differences for any length, and entries of matrices and factors in proportion to it."""
+    found = []
+    for n in (40, 80, 160):
+        system, start, _ = chain(n).build()
+        use_driver(system)
+        rest = tuple(np.array([x]) for x in (0.0, start.q, start.v, 0.0 * start.v, np.zeros(system.n_lam)))
+        eq, state, mult = equations(system, fmbd.GGL(), rest)
+        pencil: Any = eq.pencil(eq.refresh(state, mult), tableau(3).values / H, JUDGE)
+        structure, size = pencil.room.structure, pencil.room.structure.size
+        filled = sum(int(np.ctypeslib.as_array((np.ctypeslib.ctypes.c_long * (size + 1)).from_address(x))[-1])
+                     for one in pencil.room.lower for x in (one.L_start, one.U_start))  # fmt: skip
+        found.append((structure.couplings.together.max() + 1, len(structure.row) / n, filled / n))
+    directions, entries, filled = np.array(found).T
+    assert (directions == 9).all()
+    assert entries == pytest.approx(entries[-1], rel=0.1)
+    assert filled == pytest.approx(filled[-1], rel=0.1)
