@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.errors import ConvergenceError, InputError
 
 G = 9.81
 PLACES = np.array([(1.0, 0.0, 0.0), (2.0, 0.3, 0.0), (2.5, 1.0, 0.2)])  # m
@@ -287,3 +287,13 @@ def test_messages_of_bodies_name_it() -> None:
         fmbd.PointMass("bead", 1.0, (0.0,))
     with pytest.raises(InputError, match="positive"):
         fmbd.PointMass("bead", 0.0, (0.0, 0.0))
+
+
+def test_a_failed_step_names_no_constraint_that_is_closed() -> None:
+    """A law that jumps fails; the rows of the attitude, open by nothing, are no place to look."""
+    mass = fmbd.PointMass("mass", 1.0, (0.57, 0.0))
+    scene = fmbd.Scene("jump")
+    scene.add(mass, fmbd.Spring("jump", fmbd.ground, mass, law=lambda s, rate, t: 1e6 * np.sign(s - 0.3 - t)))
+    with pytest.raises(ConvergenceError) as caught:
+        fmbd.solve(scene, t_end=1.0, dt=0.1)
+    assert "attitude" not in str(caught.value)

@@ -21,6 +21,7 @@ from ..system.evaluation import Evaluation
 from ..system.system import State, System
 
 MASS = Weights(1.0, 0.0, 0.0)
+CLOSED = 1e-9  # of the model's length: what is open by less is open by roundoff
 REFUSED = 1e-3  # a position correction above this share of the model's length is wrong input, not roundoff
 
 
@@ -307,6 +308,13 @@ def worst_block(system: System, g: np.ndarray) -> str:
         if block.rows.start <= row < block.rows.stop:
             return block.name if block.kind == "frame" else f'joint "{block.name}" ({block.kind})'
     return "a constraint"
+
+
+def widest(system: System, g: np.ndarray) -> str:
+    """The joint or frame that is open most, as the rest of a message; nothing where all are closed but for roundoff."""
+    gap = float(np.abs(g * system.row_units).max(initial=0.0))
+    closed = gap <= CLOSED * system.length
+    return "" if closed else f"; the largest open constraint is {worst_block(system, g * system.row_units)}"
 
 
 def jerk(

@@ -33,7 +33,7 @@ from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State, System
-from ..consistent import Correction, consistent, worst_block
+from ..consistent import Correction, consistent, widest
 from ..dense_output import state_within
 from ..newton import Newton, not_converged
 from .contact_detection import candidates, refuse_penetration
@@ -132,8 +132,7 @@ class ContactMidpointStepper(ContactStepper):
             step = _Step(self, h, near)
             converged, history = self.newton.solve(step.increment, step.renew)
             if not converged:
-                where = f"; the largest open constraint is {worst_block(system, step.g)}" if step.g.size else ""
-                raise not_converged(s.t + h, h, history, f"{where}. Try a smaller dt.")
+                raise not_converged(s.t + h, h, history, f"{widest(system, step.g)}. Try a smaller dt.")
             # points that the step brings through a surface join in, and the step is made again
             missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
             if not missed.any():

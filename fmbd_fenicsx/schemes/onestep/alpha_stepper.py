@@ -29,7 +29,7 @@ from ...rotations import Array
 from ...system.serialisation import Memory, plain
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
-from ..consistent import jerk, spin_of_acceleration, worst_block
+from ..consistent import jerk, spin_of_acceleration, widest
 from ..dae import GGL
 from ..dense_output import cubic, place_within, state_within
 from ..newton import Newton, not_converged, strayed
@@ -164,7 +164,7 @@ class AlphaStepper(TimeStepper):
 
     def _failure(self, step: AlphaStep, history: list[float]) -> ConvergenceError:
         """The error of a step whose iteration failed: where, and what to try."""
-        where = f"; the largest open constraint is {worst_block(self.system, step.gaps)}" if step.gaps.size else ""
+        where = widest(self.system, step.gaps)
         tolerance = self.newton.tolerance
         damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
         looser = f", or a larger Newton tolerance than {tolerance:g}" if tolerance < 1e-6 else ""
