@@ -17,7 +17,15 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError, PartsError
 from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run import single_run
-from fmbd_fenicsx.run.accuracy import companion_runs, estimates, next_attempt, shared_runs, tolerance
+from fmbd_fenicsx.run.accuracy import (
+    companion_runs,
+    estimates,
+    next_attempt,
+    shared_runs,
+    shared_spaces,
+    space_levels,
+    tolerance,
+)
 from fmbd_fenicsx.run.accuracy.certificate import moving
 from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.system.scene import refinement
@@ -170,14 +178,26 @@ def test_steps_that_failed_are_not_tried_again(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_space_that_an_error_was_measured_against_is_the_next_one_where_it_is_enough() -> None:
     """Its system and its run are there; a far smaller error needs smaller elements."""
-    case = CASES["elastic pendulum"]
-    plan = tolerance._first(case.scene(), None, case.t_end, None)
-    shared = shared_runs.SharedRuns(None, None, plan.grain)
-    finer = estimates.finer_scene(plan.scene)
-    shared._finer[id(plan.scene)] = finer
-    assert shared.refined(plan.scene, 0.5) is finer[0]
-    smaller = shared.refined(plan.scene, 0.1).bodies["rod"]
-    assert smaller.displacement_degree == 2 and smaller.mesh is not plan.scene.bodies["rod"].mesh
+    scene = MORE["copper arm"].scene()
+    for _ in range(2):  # so fine that the next level is dear
+        scene = refinement.refined(scene)
+    shared = shared_spaces.SharedSpaces(None, None, 12)
+    finer = shared._finer[id(scene)] = space_levels.finer_scene(scene)
+    assert finer[0].bodies["strip"].displacement_degree == 3 and not space_levels.cheap(scene)
+    assert shared.refined(scene, 0.5) is finer[0]
+    smaller = shared.refined(scene, 0.1).bodies["strip"]
+    assert smaller.displacement_degree == 2 and smaller.mesh is not scene.bodies["strip"].mesh
+
+
+def test_errors_are_measured_against_the_next_level_where_that_costs_no_more() -> None:
+    """Elements of half the size in place of a higher degree: whatever is found, their system and run serve again."""
+    plan = tolerance._first(CASES["elastic pendulum"].scene(), None, 0.5, None)
+    made = space_levels.next_level(plan.scene)
+    assert made is not None and made[0].bodies["rod"].displacement_degree == 2
+    shared = shared_spaces.SharedSpaces(None, None, plan.grain)
+    shared._finer[id(plan.scene)] = made
+    assert shared.refined(plan.scene, 0.01) is made[0]
+    assert space_levels.next_level(CASES["bar on the wall and back"].scene()) is None
 
 
 @pytest.mark.parametrize(("tol", "words"), [(1e-3, "0.001"), ("tip", "1e-3")])
@@ -240,13 +260,13 @@ def test_steps_that_are_too_few_for_finer_meshes_do_not_end_the_search(
     few: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The fewest steps that follow the motion on coarse meshes fail on finer ones: more are taken, and the tolerance is kept."""
-    run_once, run_like, refined = shared_runs.run_once, shared_runs.run_like, shared_runs.SharedRuns.refined
+    run_once, run_like, refined = shared_runs.run_once, shared_runs.run_like, shared_spaces.SharedSpaces.refined
     run_again = shared_runs.again
     refused: list[int] = []
     trusted: list[int] = []  # all the same
     fine: list[fmbd.Scene] = []  # refined once at least
 
-    def finer(self: shared_runs.SharedRuns, scene: fmbd.Scene, enough: float) -> fmbd.Scene:
+    def finer(self: shared_spaces.SharedSpaces, scene: fmbd.Scene, enough: float) -> fmbd.Scene:
         fine.append(refined(self, scene, enough))
         return fine[-1]
 
@@ -276,7 +296,7 @@ def test_steps_that_are_too_few_for_finer_meshes_do_not_end_the_search(
     monkeypatch.setattr(shared_runs, "run_once", once)
     monkeypatch.setattr(shared_runs, "run_like", like)
     monkeypatch.setattr(shared_runs, "again", again)
-    monkeypatch.setattr(shared_runs.SharedRuns, "refined", finer)
+    monkeypatch.setattr(shared_spaces.SharedSpaces, "refined", finer)
     case = CASES["tied bar"]
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: 1e-3}, output=fmbd.Output(progress=False))
     assert refused and not trusted
@@ -351,14 +371,31 @@ def test_the_level_below_tells_an_error_that_is_small_enough() -> None:
 
     def told(levels: int, limit: float, rate: float = 4.0) -> Any:
         enough = lambda found: found["x"].size <= limit  # noqa: E731
-        return estimates.from_below(given, below, rate, levels, enough)  # type: ignore[arg-type]
+        return space_levels.from_below(given, below, rate, levels, enough)  # type: ignore[arg-type]
 
     assert told(1, 0.5)["x"].size == pytest.approx(1 / 3)
     assert told(2, 0.125)["x"].size == pytest.approx(1 / 15)
     assert told(1, 0.4) is None and told(2, 0.1) is None
+    raised = space_levels.from_below(given, below, 4.0, 1, lambda found: found["x"].size <= 0.34, 1)  # type: ignore[arg-type]
+    assert raised is not None and raised["x"].size == pytest.approx(1 / 3)
     assert told(1, 0.2, 8.0)["x"].size == pytest.approx(1 / 7) and told(1, 0.19, 8.0) is None
     below.series["x"] = np.zeros((5, 2))
     assert told(1, 10.0) is None
+
+
+@pytest.mark.parametrize("gaps", [(1, 1), (3, 1), (1, 2)])
+def test_two_levels_below_tell_the_rate_however_far_they_are(gaps: tuple[int, int]) -> None:
+    """Errors of 3.5^-k on level k: the rate is seen from differences, and with it what is left; not above the highest rate."""
+    times, (n, m) = np.linspace(0.0, 1.0, 5), gaps
+    runs = [
+        SimpleNamespace(times=times, series={"x": np.full((5, 1), 3.5**-k)}) for k in (n + m, m, 0)
+    ]  # the finest first
+    found = space_levels.levels_compared(4.0, *runs, gaps)  # type: ignore[arg-type]
+    assert found is not None and found["x"].size == pytest.approx(3.5 ** -(n + m))
+    capped = space_levels.levels_compared(3.2, *runs, gaps)  # type: ignore[arg-type]
+    assert capped is not None and capped["x"].size > found["x"].size
+    slow = [SimpleNamespace(times=times, series={"x": np.full((5, 1), 2.0**-k)}) for k in (n + m, m, 0)]
+    assert space_levels.levels_compared(4.0, *slow, gaps) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -369,7 +406,7 @@ def test_no_run_is_made_twice(name: str, k: int, spaces: int, monkeypatch: pytes
     or where the bodies' own has changed.
     """
     case, made, finer, systems = CASES[name], [], [], []
-    march, finer_scene = single_run.march, shared_runs.finer_scene
+    march, finer_scene = single_run.march, shared_spaces.finer_scene
 
     def noted(problem: Any, solver: Any, schedule: Any, *rest: Any, **more: Any) -> Any:
         systems.append(problem.system)  # kept alive, so that their ids stay theirs
@@ -382,7 +419,7 @@ def test_no_run_is_made_twice(name: str, k: int, spaces: int, monkeypatch: pytes
 
     for module in (companion_runs, single_run):
         monkeypatch.setattr(module, "march", noted)
-    monkeypatch.setattr(shared_runs, "finer_scene", counted)
+    monkeypatch.setattr(shared_spaces, "finer_scene", counted)
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[k]})
     assert run.history[-1].then == "done" and len(run.history) > 1
     assert len(set(made)) == len(made), made
@@ -425,7 +462,7 @@ def test_looks_end_where_finer_meshes_do_not_help() -> None:
     wanted = fmbd.Output(progress=False)
 
     def looked(before: tuple[int, float] | None) -> Any:
-        shared = shared_runs.SharedRuns(None, None, plan.grain)
+        shared = shared_spaces.SharedSpaces(None, None, plan.grain)
         return next_attempt.space_first(replace(plan, before=before, meshes=1), {case.sensor: 1e-4}, shared, wanted)
 
     first = looked(None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,6 +46,11 @@ class Deviation:
         flat = self.values.reshape(len(self.times), -1)
         found = [np.interp(times, self.times, column) for column in flat.T]
         return np.stack(found, axis=1).reshape(len(times), *self.values.shape[1:])
+
+
+def scaled(deviation: Deviation, factor: float) -> Deviation:
+    """A deviation times a factor."""
+    return replace(deviation, values=factor * deviation.values)
 
 
 def sizes(found: dict[str, Deviation]) -> dict[str, float]:

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...errors import InputError
 from ...log import log
 from ...notices import Gathered
 from ...schemes.control import FINEST
 from ...schemes.declared import Declared
 from ...system.scene.refined_basis import finer_system
-from ...system.scene.refinement import finer_space
 from ...system.scene.scene import Scene
-from ..built import Built, build
+from ..built import Built
 from ..problem import Problem
 from ..recording.accompanied import Accompanied
 from ..recording.output import Output
@@ -27,20 +25,16 @@ from ..time_loop import March
 from .algebra import algebra_error, tighter_run
 from .certificate import moving
 from .companion_runs import UNFIT, Compared, StoppedError, again, as_recorded, companion
-from .deviation import Deviation
+from .deviation import Deviation, scaled
 from .orders import expected_orders, irregular, order_seen, resolved, scattered_order, usable_order
+from .space_levels import finer_scene, space_deviations, unended
 
 if TYPE_CHECKING:
     from ..result import Run
 
 NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
 FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an order
-EXPECTED = 4.0  # ratio of the errors in a space and in the next finer one
-AHEAD = EXPECTED / (EXPECTED - 1.0)  # the error of the finer space counts as at most a quarter of that of the given one
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
-FALLING = 3.0  # from one level to the next; below, the differences of levels do not tell the error
-SLOWER = 0.75  # share of a rate that errors may fall with
-UNENDED = "the run with finer spaces did not end"
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
 LOOKED_AT = 50  # instants at which runs of a search with steps of their own choice are compared
 CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and reactions are narrow
@@ -275,85 +269,6 @@ def run_like(problem: Problem, compared: Compared, scene: Scene, built: Built) -
     return companion(replace(problem, scene=scene, scheme=compared.scheme), compared.schedule, wanted, of=built)
 
 
-def unended(error: Exception) -> str:
-    """Why there is no error in space, where a user sees it."""
-    log.warning("no error in space: the run with finer spaces did not end: %s", error)
-    return f"{UNENDED}: {error}"
-
-
-def space_deviations(coarse: Recorder, fine: Recorder, why: str) -> tuple[dict[str, Deviation], str]:
-    """(2) from what both have recorded, and what could not be stated, with what was not before (``why``)."""
-    errors = {}
-    for name, x in coarse.series.items():
-        if x.shape == fine.series[name].shape:
-            errors[name] = Deviation(coarse.times, AHEAD * (fine.series[name] - x))
-        else:
-            why = f'"{name}" has other values on another mesh'
-    return errors, why
-
-
-def from_below(
-    given: Recorder, below: Recorder, rate: float, levels: int, enough: Callable[[dict[str, Deviation]], bool]
-) -> dict[str, Deviation] | None:
-    """Error in space of each sensor from a run on a mesh so many ``levels`` coarser, each expected to be better by a ``rate`` r:
-
-        x - x_h ~ (x_h - x_H) / (r^levels - 1)                                                                       (1)
-
-    for r = 4 what (2) of :func:`space_error` takes for granted too. None where it is not ``enough`` if the rate were only the
-    share :data:`SLOWER` of it, and where a sensor has other values on each mesh.
-    """
-    apart = {}
-    for name, x in given.series.items():
-        if x.shape != below.series[name].shape:
-            return None
-        apart[name] = Deviation(given.times, x - below.series[name])
-    if not enough({n: scaled(x, 1.0 / ((SLOWER * rate) ** levels - 1.0)) for n, x in apart.items()}):
-        return None
-    return {n: scaled(x, 1.0 / (rate**levels - 1.0)) for n, x in apart.items()}
-
-
-def levels_compared(highest: float, given: Recorder, below: Recorder, lowest: Recorder) -> dict[str, Deviation] | None:
-    """Error in space of each sensor from runs on the two levels below, elements of the size h, 2 h and 4 h:
-
-        x - x_h ~ (x_h - x_2h) / (r - 1),     r = |x_2h - x_4h| / |x_h - x_2h|, at most the ``highest``              (1)
-
-    in the maximum norm over time. None where errors do not fall by :data:`FALLING` or more, so that the next difference is open,
-    and where a sensor has other values on each mesh.
-    """
-    errors = {}
-    for name, x in given.series.items():
-        y, z = below.series[name], lowest.series[name]
-        if not x.shape == y.shape == z.shape:
-            return None
-        near, far = x - y, float(np.abs(y - z).max(initial=0.0))
-        size = float(np.abs(near).max(initial=0.0))
-        if size <= ROUNDOFF * float(np.abs(x).max(initial=0.0)):
-            errors[name] = Deviation(given.times, near)
-            continue
-        if far < FALLING * size:
-            return None
-        errors[name] = Deviation(given.times, near / (min(far / size, highest) - 1.0))
-    return errors
-
-
-def finer_scene(scene: Scene) -> tuple[Scene, str, Built | None]:
-    """The scene in finer spaces, what has none, and the system; None where nothing is finer. Collective.
-
-    Ties and contact take some degrees only: where they refuse a higher one, meshes of half the cell size are taken.
-    """
-    why = ""
-    for higher in (True, False):
-        finer, without = finer_space(scene, higher=higher)
-        why = "" if not without else "no finer space for " + ", ".join(f'body "{n}"' for n in without)
-        if finer is scene:
-            continue
-        try:
-            return finer, why, build(finer)
-        except InputError as error:
-            why = str(error)
-    return scene, why, None
-
-
 def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
     """A series less one recorded with larger steps, at the instants that both have."""
     x, y = fine.series[name], coarse.series[name]
@@ -361,11 +276,6 @@ def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
     rows = np.searchsorted(coarse.times, t - rounding).clip(max=len(coarse.times) - 1)
     common = np.abs(coarse.times[rows] - t) <= rounding
     return Deviation(t[common], x[common] - y[rows[common]])
-
-
-def scaled(deviation: Deviation, factor: float) -> Deviation:
-    """A deviation times a factor."""
-    return replace(deviation, values=factor * deviation.values)
 
 
 def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation]:
@@ -394,6 +304,11 @@ def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation
         log.warning("no error of reduction: the run with more modes did not end: %s", error)
         return {}
 
+    return mode_deviations(coarse, fine)
+
+
+def mode_deviations(coarse: Recorder, fine: Recorder) -> dict[str, Deviation]:
+    """(1) of :func:`reduction_error` from what both have recorded."""
     return {n: Deviation(coarse.times, SATURATION * (fine.series[n] - x)) for n, x in coarse.series.items()}
 
 

@@ -19,7 +19,6 @@ from ...system.scene.refinement import (
     expected_rate,
     meshed_bodies,
     modal_bodies,
-    more_modes,
     refined,
     slender,
 )
@@ -29,10 +28,12 @@ from ..result import Run
 from ..schedule import StepSchedule
 from .certificate import KINDS
 from .deviation import Deviation
-from .estimates import FEWEST, UNENDED, usual_power
+from .estimates import FEWEST, usual_power
 from .orders import expected_orders, resolved
-from .shared_runs import Orders, SharedRuns, doubt
+from .shared_runs import Orders, doubt
+from .shared_spaces import SharedSpaces
 from .shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
+from .space_levels import UNENDED
 
 if TYPE_CHECKING:
     from .tolerance import Attempt
@@ -111,7 +112,7 @@ def beginning(plan: AttemptPlan) -> AttemptPlan:
     return replace(plan, scene=scenes[-1], meshes=len(scenes) - 1, below=tuple(scenes[:-1]))
 
 
-def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> Looked | None:
+def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Output) -> Looked | None:
     """A look at meshes that are new, by runs with the fewest steps that follow the motion; None where they are fine enough.
 
     These runs serve the whole attempt too. Where errors fall more slowly than expected, at corners, it is spared; collective.
@@ -132,7 +133,7 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: O
     if unstated or not errors:
         return None
 
-    over = largest_share(errors, series, tol)
+    over = shared.looked[id(plan.scene)] = largest_share(errors, series, tol)
     if over <= limit or (plan.before is not None and over > plan.before[1] / FALLS):
         return None  # fine enough, or no better than coarser ones: the whole attempt tells what is the matter
     try:
@@ -143,7 +144,7 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: O
 
 
 def next_plan(
-    plan: AttemptPlan, run: Run, tol: Tolerance, *, shared: SharedRuns, history: Sequence[Attempt]
+    plan: AttemptPlan, run: Run, tol: Tolerance, *, shared: SharedSpaces, history: Sequence[Attempt]
 ) -> tuple[AttemptPlan | None, str]:
     """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
     if run.space_unstated.startswith(UNENDED):  # finer spaces may need smaller steps
@@ -174,7 +175,7 @@ def next_plan(
             made = _finer_meshes(made, over["space"], limits["space"], shared)
             done.append("finer meshes")
         if over["modes"] > limits["modes"]:
-            scene, *below = (more_modes(x, run.system) for x in (made.scene, *made.below))
+            scene, *below = (shared.with_more_modes(x, run.system) for x in (made.scene, *made.below))
             made = replace(made, scene=scene, modes=made.modes + 1, below=tuple(below))
             done.append("more modes")
     except InputError as error:
@@ -225,7 +226,7 @@ def _limits(over: Mapping[str, float]) -> dict[str, float]:
     return {"space": fixed, "modes": fixed, "time": WHOLE - spent}
 
 
-def _finer_meshes(plan: AttemptPlan, over: float, limit: float, shared: SharedRuns) -> AttemptPlan:
+def _finer_meshes(plan: AttemptPlan, over: float, limit: float, shared: SharedSpaces) -> AttemptPlan:
     """The plan with meshes refined as often as the rate seen so far asks for."""
     rate = expected_rate(plan.scene)
     if plan.before is not None and np.isfinite(plan.before[1]):

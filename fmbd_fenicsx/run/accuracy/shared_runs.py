@@ -17,7 +17,6 @@ from ...errors import ConvergenceError
 from ...log import log
 from ...notices import Gathered
 from ...schemes.newton import Newton
-from ...system.scene.refinement import expected_rate, one_kind, refined, refined_by_finer_space
 from ...system.scene.scene import Scene
 from ..built import Built, build
 from ..problem import Problem
@@ -28,21 +27,15 @@ from .companion_runs import UNFIT, Compared, again
 from .deviation import Deviation
 from .estimates import (
     FEWEST,
-    UNENDED,
     TimeError,
     beyond,
     compare_steps,
-    finer_scene,
-    from_below,
-    levels_compared,
     looked_at,
     looser_run,
     of_order,
     of_tolerances,
     run_like,
-    space_deviations,
     tolerance_error,
-    unended,
     usual_power,
 )
 from .orders import REGULAR, expected_orders, resolved
@@ -52,13 +45,8 @@ BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
 LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
 LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
-LEFT = (
-    0.4  # share of its error that a space is sure to lose in the one that it was measured against, and room beside it
-)
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
-
-Enough = Callable[[dict[str, Deviation]], bool] | None
 
 
 @dataclass(frozen=True)
@@ -87,7 +75,6 @@ class SharedRuns:
         self.newton, self.linear, self.grain = Newton() if newton is None else newton, linear, max(grain, 1)
         self.newton_is_given = newton is not None
         self._built: dict[int, Built] = {}
-        self._finer: dict[int, tuple[Scene, str, Built | None]] = {}
         self._runs: dict[int, dict[int, Compared]] = {}
         self._newest: Problem | None = None  # of a run: others have its scheme and settings
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
@@ -98,12 +85,17 @@ class SharedRuns:
     def built(self, scene: Scene) -> Built:
         """The system of a scene, with the warnings of its own; collective."""
         if id(scene) not in self._built:
-            self._keep(scene, build(scene))
+            self.keep(scene, build(scene))
             return self._afresh(scene)
         return replace(self._afresh(scene), seconds=0.0)
 
-    def _keep(self, scene: Scene, built: Built) -> None:
+    def hold(self, scene: Scene) -> None:
+        """A scene stays, so that what is known of it does."""
         self._scenes.append(scene)
+
+    def keep(self, scene: Scene, built: Built) -> None:
+        """The system of a scene is there."""
+        self.hold(scene)
         self._built[id(scene)] = built
 
     def _afresh(self, scene: Scene) -> Built:
@@ -150,6 +142,23 @@ class SharedRuns:
         """Steps as large as some that failed before are not tried again."""
         if steps <= self._parted.get(id(scene), 0):
             raise ConvergenceError(f"{steps} steps had to be made in parts")
+
+    def kept(self, scene: Scene, steps: int) -> Compared | None:
+        """The run of a scene with so many equal steps, where there is one."""
+        return self._runs.get(id(scene), {}).get(steps)
+
+    def like(self, made: Compared, scene: Scene) -> Compared:
+        """A run of a scene with other spaces and the steps of a run ``made``; raises one of UNFIT where it does not end."""
+        kept = self.kept(scene, made.schedule.steps)
+        if kept is not None:
+            return kept
+        assert self._newest is not None
+        problem = replace(self._newest, most_parts=PARTED * made.schedule.steps)
+        marched = run_like(problem, made, scene, self.built(scene))
+        found = Compared(marched.recorder, made.schedule, made.scheme)
+        if not marched.counters.get("halved_steps"):
+            self._note(scene, found)
+        return found
 
     def _note(self, scene: Scene, made: Compared) -> None:
         """Keep a run whose steps have one size, recorded at all their ends or at given times."""
@@ -293,90 +302,6 @@ class SharedRuns:
         if found is None or not LOOSER[0] <= found.scheme.rtol / scheme.rtol <= LOOSER[1]:
             return None
         return found
-
-    # -- errors in space ----------------------------------------------------------------------------------------------
-    def space_error(
-        self, scene: Scene, runs: Sequence[Compared], below: Sequence[Scene], enough: Enough = None
-    ) -> tuple[dict[str, Deviation], str]:
-        """The error by the meshes of a scene, with the steps of one of its ``runs``: from runs on the levels ``below`` that are
-        there, where these tell that it is small ``enough``; else from new ones, of the first of the ``runs`` for which they end;
-        collective.
-        """
-        for made in runs:
-            found = self._from_kept(scene, made, below, enough)
-            if found is not None:
-                return found, ""
-        for made in runs:
-            errors, why = self._from_new(scene, made, below)
-            # steps that a scheme chooses differ from run to run: where they are few, by what that changes
-            few = not made.schedule.steps and made is not runs[-1]
-            if not why.startswith(UNENDED) and not (few and errors and enough is not None and not enough(errors)):
-                break
-        return errors, why
-
-    def _from_kept(
-        self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
-    ) -> dict[str, Deviation] | None:
-        """The error by the meshes from the nearest level below with a run that is there; None where it is not ``enough``."""
-        if enough is None or scene.contacts:
-            return None
-        for levels, coarser in enumerate(reversed(below), start=1):
-            lower = self.kept(coarser, made.schedule.steps)
-            if lower is not None:
-                return from_below(made.recorder, lower.recorder, expected_rate(scene), levels, enough)
-        return None
-
-    def _from_new(self, scene: Scene, made: Compared, below: Sequence[Scene]) -> tuple[dict[str, Deviation], str]:
-        """The error by the meshes from the two levels below, where these tell how it falls, else from a run in finer spaces."""
-        if len(below) > 1 and one_kind(below[-2], below[-1], scene):
-            try:
-                lower, lowest = (self._like(made, x).recorder for x in below[:-3:-1])
-            except UNFIT:
-                found = None
-            else:
-                found = levels_compared(expected_rate(scene), made.recorder, lower, lowest)
-            if found is not None:
-                return found, ""
-
-        if id(scene) not in self._finer:
-            self._finer[id(scene)] = finer_scene(scene)
-        finer, why, built = self._finer[id(scene)]
-        if built is None:
-            return {}, why or "no body is on a mesh"
-        if id(finer) not in self._built:
-            self._keep(finer, built)
-        try:
-            fine = self._like(made, finer)
-        except UNFIT as error:
-            return {}, unended(error)
-        return space_deviations(made.recorder, fine.recorder, why)
-
-    def kept(self, scene: Scene, steps: int) -> Compared | None:
-        """The run of a scene with so many equal steps, where there is one."""
-        return self._runs.get(id(scene), {}).get(steps)
-
-    def _like(self, made: Compared, scene: Scene) -> Compared:
-        """A run of the scene with other meshes and the steps of a run ``made``; raises one of UNFIT where it does not end."""
-        kept = self.kept(scene, made.schedule.steps)
-        if kept is not None:
-            return kept
-        assert self._newest is not None
-        problem = replace(self._newest, most_parts=PARTED * made.schedule.steps)
-        marched = run_like(problem, made, scene, self.built(scene))
-        found = Compared(marched.recorder, made.schedule, made.scheme)
-        if not marched.counters.get("halved_steps"):
-            self._note(scene, found)
-        return found
-
-    def refined(self, scene: Scene, enough: float = np.inf) -> Scene:
-        """The next level: the spaces that the error was measured against where these are it, or are the last level that is
-        wanted, so that their system and run serve again. ``enough``: the share of the error that may be left there.
-        """
-        finer = self._finer.get(id(scene))
-        if finer is not None and finer[2] is not None and not finer[1]:
-            if refined_by_finer_space(scene) or enough >= LEFT:
-                return finer[0]
-        return refined(scene)
 
 
 def _expected(problem: Problem) -> dict[str, int]:

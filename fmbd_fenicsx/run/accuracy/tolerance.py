@@ -9,6 +9,7 @@ with the step, so they are estimated again only when bodies have changed; runs w
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,9 +30,11 @@ from ..settings import check_tangent, default_scheme
 from ..single_run import Solved
 from .certificate import HIDDEN, Certificate, left_by_kinks
 from .companion_runs import UNFIT, Compared
-from .estimates import FEWEST, TimeError, reduction_error, scaled, tolerance_error, warn_of_uncertain
+from .deviation import Deviation, scaled
+from .estimates import FEWEST, TimeError, tolerance_error, warn_of_uncertain
 from .next_attempt import AttemptPlan, Looked, beginning, finer_steps, next_plan, space_first, space_limit
-from .shared_runs import Allowed, Orders, SharedRuns, doubt, known_orders
+from .shared_runs import Allowed, Orders, doubt, known_orders
+from .shared_spaces import SharedSpaces
 from .shares import AIM, SAFE, WHOLE, Relative, Tolerance, check_tolerances, largest_share, relative, safe, share, worst
 
 __all__ = ["Attempt", "Relative", "relative", "solve_within"]
@@ -87,7 +90,7 @@ def solve_within(
     plan = _first(scene, start[0], t_end, start[1])
     check_tangent(plan.scheme, newton)
     wanted = replace(Output() if wanted is None else wanted, estimate_error=True)
-    shared = SharedRuns(newton, linear, plan.grain)
+    shared = SharedSpaces(newton, linear, plan.grain)
 
     found = Search()
     for _ in range(ATTEMPTS):
@@ -159,7 +162,7 @@ class Search:
 
 
 def _one_more(
-    plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, *, wanted: Output, found: Search
+    plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, *, wanted: Output, found: Search
 ) -> AttemptPlan | None:
     """One attempt, noted among what was found; the plan of the next one, or None; collective."""
     begun = clock.perf_counter()
@@ -191,7 +194,7 @@ def _anew(plan: AttemptPlan) -> AttemptPlan:
 
 
 def _after(
-    tried: AttemptPlan, run: Run, certificate: Certificate, *, tol: Tolerance, shared: SharedRuns, found: Search
+    tried: AttemptPlan, run: Run, certificate: Certificate, *, tol: Tolerance, shared: SharedSpaces, found: Search
 ) -> tuple[AttemptPlan | None, str]:
     """The plan after an attempt and what it changes, or None and why there is none; collective."""
     ratio = worst(certificate, tol)
@@ -237,7 +240,7 @@ def _default(scene: Scene, t_end: float) -> Any:
     return replace(scheme, rtol=LOOSEST) if jumps and isinstance(scheme, GeneralizedAlpha) else scheme
 
 
-def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, wanted: Output) -> tuple[Run, Orders]:
+def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Output) -> tuple[Run, Orders]:
     """A run with the estimates that are not known yet, and the orders that were seen; collective."""
     every = _often(wanted, plan.schedule)
     output = replace(wanted, every=every, estimate_error=False)
@@ -263,18 +266,32 @@ def _doubtful(run: Run, tol: Tolerance) -> bool:
     return likely <= SAFE < likely + time * (1.0 / doubt(run.scheme.order) - 1.0)
 
 
-def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved: Solved) -> TimeError:
+def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> TimeError:
     """The error by the steps, or by the scheme's tolerance; collective."""
     run, alone = solved.run, not meshed_bodies(plan.scene) and not modal_bodies(plan.scene)
-    room = SAFE if alone else WHOLE - AIM if plan.steps else WHOLE
     looked = bool(plan.orders.follow) and not plan.orders.seen  # at spaces, with few steps
-    allowed = Allowed(lambda errors: largest_share(errors, run.series, tol), room, rough=alone or looked)
+
+    def share_of(errors: dict[str, Deviation]) -> float:
+        return largest_share(errors, run.series, tol)
+
+    room = WHOLE - _reserved(plan, shared, share_of) if plan.steps and not alone else SAFE if alone else WHOLE
+    allowed = Allowed(share_of, room, rough=alone or looked)
     found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
     if plan.steps and solved.compared.recorder.output.times is None:  # records are ends of steps
         found = _with_kinks(run, found, tol, every=solved.compared.recorder.output.every)
     run.state_error("time", found.errors)
     run.observed_order = found.orders
     return found
+
+
+def _reserved(plan: AttemptPlan, shared: SharedSpaces, share_of: Callable[[dict[str, Deviation]], float]) -> float:
+    """Share of the tolerance that errors in space and by modes take: those that are known, and what the others may."""
+    known = {kind: share_of(errors) for kind, errors in plan.known.errors.items() if errors}
+    if id(plan.scene) in shared.looked:
+        known.setdefault("space", shared.looked[id(plan.scene)])
+    kinds = {"space": meshed_bodies(plan.scene), "modes": modal_bodies(plan.scene)}
+    wanted = [kind for kind, bodies in kinds.items() if bodies]
+    return sum(min(known.get(kind, AIM / len(wanted)), AIM) for kind in wanted)
 
 
 def _with_kinks(run: Run, found: TimeError, tol: Tolerance, *, every: int) -> TimeError:
@@ -289,7 +306,7 @@ def _with_kinks(run: Run, found: TimeError, tol: Tolerance, *, every: int) -> Ti
     return replace(found, errors=errors, orders=orders)
 
 
-def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved: Solved, made: Compared) -> None:
+def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved, made: Compared) -> None:
     """State the errors of modes and space: those that are known, or from runs with the steps of a run ``made``; collective."""
     run, known = solved.run, plan.known.errors
     for kind, found in known.items():
@@ -300,8 +317,7 @@ def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedRuns, solved:
     steps = [made] if made is solved.compared else [made, solved.compared]
     begun = clock.perf_counter()
     if modal_bodies(plan.scene) and "modes" not in known:
-        by_modes = (reduction_error(solved.problem, x) for x in steps)
-        run.state_error("modes", next(filter(None, by_modes), {}))
+        run.state_error("modes", shared.mode_error(plan.scene, solved.problem.system, steps))
         run.seconds["reduction estimate"] = clock.perf_counter() - begun
     begun = clock.perf_counter()
     if meshed_bodies(plan.scene) and "space" not in known:

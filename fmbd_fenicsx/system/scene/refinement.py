@@ -129,22 +129,22 @@ def refined_by_finer_space(scene: Scene) -> bool:
     return all(body.displacement_degree == 1 or not body.meshed for body in bodies)
 
 
-def cheap_levels(scene: Scene) -> int:
-    """How often the bodies of a scene can be :func:`refined` with :data:`FEW` unknowns at most in each; collective.
+def cheap_levels(scene: Scene, few: int = FEW) -> int:
+    """How often the bodies of a scene can be :func:`refined` with a ``few`` unknowns at most in each; collective.
 
     A mesh with n corners and displacements of degree p has about d p^d n unknowns, 2^d times as many after each halving.
     """
-    return min((_cheap_levels(scene.bodies[name]) for name in meshed_bodies(scene)), default=0)
+    return min((_cheap_levels(scene.bodies[name], few) for name in meshed_bodies(scene)), default=0)
 
 
-def _cheap_levels(body: Body) -> int:
+def _cheap_levels(body: Body, few: int) -> int:
     """The same for one body; none for a slender one."""
     degree = body.displacement_degree
     if not body.meshed or degree is None:
         return 0
     mesh = body.solid.mesh
     linear, corners = degree == 1, mesh.dolfinx.topology.index_map(0).size_global
-    room = FEW / (mesh.dim * max(degree, 2) ** mesh.dim * corners)
+    room = few / (mesh.dim * max(degree, 2) ** mesh.dim * corners)
     return int(linear + np.log2(room) // mesh.dim) if room >= 1.0 else 0
 
 
