@@ -65,6 +65,18 @@ def marches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return made
 
 
+def counted_builds(monkeypatch: pytest.MonkeyPatch) -> list[fmbd.Scene]:
+    """Scenes whose systems are built from now on."""
+    made, build = [], fmbd.Scene.build
+
+    def noted(self: fmbd.Scene) -> Any:
+        made.append(self)
+        return build(self)
+
+    monkeypatch.setattr(fmbd.Scene, "build", noted)
+    return made
+
+
 def test_an_order_that_is_not_needed_is_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where half of the order of the scheme would do, one run with twice the step is enough, and states no nonsense."""
     case, made = CASES["top"], marches(monkeypatch)
@@ -179,25 +191,54 @@ def test_steps_that_failed_are_not_tried_again(monkeypatch: pytest.MonkeyPatch) 
 def test_a_space_that_an_error_was_measured_against_is_the_next_one_where_it_is_enough() -> None:
     """Its system and its run are there; a far smaller error needs smaller elements."""
     scene = MORE["copper arm"].scene()
-    for _ in range(2):  # so fine that the next level is dear
-        scene = refinement.refined(scene)
     shared = shared_spaces.SharedSpaces(None, None, 12)
     finer = shared._finer[id(scene)] = space_levels.finer_scene(scene)
-    assert finer[0].bodies["strip"].displacement_degree == 3 and not space_levels.cheap(scene)
+    assert finer[0].bodies["strip"].displacement_degree == 3
     assert shared.refined(scene, 0.5) is finer[0]
     smaller = shared.refined(scene, 0.1).bodies["strip"]
     assert smaller.displacement_degree == 2 and smaller.mesh is not scene.bodies["strip"].mesh
 
 
-def test_errors_are_measured_against_the_next_level_where_that_costs_no_more() -> None:
-    """Elements of half the size in place of a higher degree: whatever is found, their system and run serve again."""
-    plan = tolerance._first(CASES["elastic pendulum"].scene(), None, 0.5, None)
-    made = space_levels.next_level(plan.scene)
-    assert made is not None and made[0].bodies["rod"].displacement_degree == 2
-    shared = shared_spaces.SharedSpaces(None, None, plan.grain)
-    shared._finer[id(plan.scene)] = made
-    assert shared.refined(plan.scene, 0.01) is made[0]
+@pytest.mark.parametrize(("k", "halved", "systems"), [(0, False, 2), (1, True, 3)])
+def test_errors_are_measured_against_a_level_that_is_likely_to_be_needed(
+    k: int, halved: bool, systems: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Elements of half the size in place of a higher degree, where the tolerance is small: their system and runs serve again, and
+    the call builds three systems; one that ends where it began builds two.
+    """
+    case, built, finer = CASES["elastic pendulum"], counted_builds(monkeypatch), []
+    next_level = shared_spaces.next_level
+
+    def noted(scene: fmbd.Scene) -> Any:
+        finer.append(next_level(scene))
+        return finer[-1]
+
+    monkeypatch.setattr(shared_spaces, "next_level", noted)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[k]})
+    assert run.history[-1].then == "done" and len(built) == systems
+    assert bool(finer) == halved and all(x[0].bodies["rod"].displacement_degree == 2 for x in finer)
+    if halved:
+        assert any(x[0] is run.scene for x in finer)
     assert space_levels.next_level(CASES["bar on the wall and back"].scene()) is None
+
+
+@pytest.mark.parametrize(("name", "k", "systems"), [("rod", 1, 4), ("reduced pendulum", 0, 6), ("bar in space", 1, 2)])
+def test_no_system_is_built_that_others_make_needless(
+    name: str, k: int, systems: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Levels that are there tell errors in space however far they are, runs with more modes are those of the next attempt, and
+    quadratic elements need no finer ones to be known to be better than linear ones by four.
+    """
+    case, built = {**CASES, **MORE}[name], counted_builds(monkeypatch)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(case.tolerances[k]))
+    assert run.history[-1].then == "done" and len(built) <= systems
+
+
+def test_no_run_is_made_for_an_order_that_leaves_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors in space are known from the look: what they do not take is room for those of time, and the look tells these."""
+    case, made = CASES["elastic pendulum"], marches(monkeypatch)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[0]})
+    assert [x.steps for x in made] == [12, 12, 24] and run.history[-1].then == "done"
 
 
 @pytest.mark.parametrize(("tol", "words"), [(1e-3, "0.001"), ("tip", "1e-3")])

@@ -27,7 +27,6 @@ from .estimates import mode_deviations
 from .shared_runs import SharedRuns
 from .space_levels import (
     UNENDED,
-    cheap,
     finer_scene,
     from_below,
     levels_compared,
@@ -38,6 +37,7 @@ from .space_levels import (
 
 # share of its error that a space is sure to lose in the one that it was measured against, and room beside it
 LEFT = 0.4
+LEAVES = 2e-3  # of the range of a sensor: what spaces of few unknowns may leave, where nothing is known of them
 
 Enough = Callable[[dict[str, Deviation]], bool] | None
 
@@ -52,6 +52,7 @@ class SharedSpaces(SharedRuns):
         super().__init__(newton, linear, grain)
         self.looked: dict[int, float] = {}
         self._finer: dict[int, tuple[Scene, str, Built | None]] = {}
+        self._next: set[int] = set()  # scenes whose errors are measured against the next level
         self._richer: dict[int, Scene] = {}
 
     # -- modes --------------------------------------------------------------------------------------------------------
@@ -133,7 +134,7 @@ class SharedSpaces(SharedRuns):
                 return found, ""
 
         if id(scene) not in self._finer:
-            self._finer[id(scene)] = next_level(scene) or finer_scene(scene)
+            self._finer[id(scene)] = self._ahead(scene, made, enough) or finer_scene(scene)
         finer, why, built = self._finer[id(scene)]
         if built is None:
             return {}, why or "no body is on a mesh"
@@ -144,6 +145,17 @@ class SharedSpaces(SharedRuns):
         except UNFIT as error:
             return {}, unended(error)
         return space_deviations(made.recorder, fine.recorder, why)
+
+    def _ahead(self, scene: Scene, made: Compared, enough: Enough) -> tuple[Scene, str, Built] | None:
+        """The next level to measure an error against, where it is likely to be needed: its system and runs serve again."""
+        series, times = made.recorder.series, made.recorder.times
+        usual = {n: Deviation(times, np.full_like(x, LEAVES * np.ptp(x, axis=0))) for n, x in series.items()}
+        if enough is None or enough(usual):
+            return None
+        found = next_level(scene)
+        if found is not None:
+            self._next.add(id(scene))
+        return found
 
     def _from_levels(
         self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
@@ -165,6 +177,6 @@ class SharedSpaces(SharedRuns):
         """
         finer = self._finer.get(id(scene))
         if finer is not None and finer[2] is not None and not finer[1]:
-            if refined_by_finer_space(scene) or cheap(scene) or enough >= LEFT:
+            if refined_by_finer_space(scene) or id(scene) in self._next or enough >= LEFT:
                 return finer[0]
         return refined(scene)
