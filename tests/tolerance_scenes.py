@@ -27,7 +27,7 @@ MESHES = Path(__file__).resolve().parents[1] / "meshes"
 VERBOSE = "-v" in sys.argv
 LAST: list[str] = []  # attempts of the last check
 TIMES = 81  # instants of a comparison
-SHORT = 0.2  # s: runs that are timed again
+SHORT, AGAIN = 0.2, 4  # s: runs that are timed again, and how often
 
 
 @dataclass(frozen=True)
@@ -351,8 +351,8 @@ def check(name: str, tol: Any, reference: Any | None = None, cases: dict[str, Ca
 
 
 def costs(case: Case, tol: float) -> tuple[float, float]:
-    """CPU time (s) of the call, and of one plain run with the steps and spaces at which it ended, each the least of three where
-    that is short; the scene is there before.
+    """CPU time (s) of the call, and of one plain run with the steps and spaces at which it ended, each the least of five, made in
+    turn, where that is short; the scene is there before.
     """
     called = [_timed(case.scene(), case, tol=case.tol(tol), **case.settings)]
     run = called[0][1]
@@ -364,9 +364,9 @@ def costs(case: Case, tol: float) -> tuple[float, float]:
         return _timed(scene, case, **same)[0]
 
     alone = [plain()]
-    if alone[0] < SHORT:
-        called += [_timed(case.scene(), case, tol=case.tol(tol), **case.settings) for _ in range(2)]
-        alone += [plain(), plain()]
+    for _ in range(AGAIN if alone[0] < SHORT else 0):
+        called.append(_timed(case.scene(), case, tol=case.tol(tol), **case.settings))
+        alone.append(plain())
     return min(spent for spent, _ in called), min(alone)
 
 
