@@ -12,7 +12,7 @@ from ...log import log
 from ...system.scene.refinement import FEW, cheap_levels, finer_space, refined
 from ...system.scene.scene import Scene
 from ..built import Built, build
-from ..recording.output import Recorder
+from ..recording.recorder import Recorder
 from .deviation import Deviation, scaled
 
 EXPECTED = 4.0  # ratio of the errors in a space and in the next finer one
