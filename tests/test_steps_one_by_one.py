@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_compiled_evaluation import MAKERS, pair_of
-from test_driver import compiled, joint_springs
+from test_driver import compiled, joint_springs, suspended
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
@@ -18,6 +18,9 @@ from fmbd_fenicsx.run.judges.acceptance import Closed
 from fmbd_fenicsx.run.judges.energy_check import Watch
 from fmbd_fenicsx.run.judges.force_balance import Balanced
 from fmbd_fenicsx.run.step_bisection import Judges
+from fmbd_fenicsx.schemes.onestep.explicit_limit import spectral_radius
+from fmbd_fenicsx.schemes.onestep.rattle import amplification
+from fmbd_fenicsx.system.compiled.explicit import ExplicitStates
 from fmbd_fenicsx.system.lengths import farthest
 from fmbd_fenicsx.system.system import State
 
@@ -29,6 +32,16 @@ SCHEMES = [
     fmbd.BDF(2, rtol=None),
     fmbd.Radau(rtol=None),
 ]
+
+
+def driven_rod(dim: int) -> fmbd.Scene:
+    """A crank that a motion turns, and a rod on it."""
+    scene = fmbd.Scene("driven", gravity=(0.0, -9.81))
+    crank, bob = fmbd.RigidBody("crank", 1.0, 0.1, (0.5, 0.0)), fmbd.RigidBody("bob", 1.0, 0.1, (1.5, 0.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, crank, center=(0, 0))
+    drive = fmbd.drive("drive", fmbd.angle(hinge), lambda t: 0.3 * np.sin(5 * t) ** 2)
+    scene.add(crank, bob, hinge, fmbd.revolute("knee", crank, bob, center=(1, 0)), drive)
+    return scene
 
 
 def named(scheme: Any) -> str:
@@ -114,6 +127,36 @@ def test_the_run_enters_few_functions_a_step(scheme: Any) -> None:
     run(5)
     calls = [entered(lambda steps=steps: run(steps), "/fmbd_fenicsx/run/") for steps in (10, 40)]
     assert calls[1] - calls[0] <= 30 * 14
+
+
+@compiled
+@pytest.mark.parametrize("make", [joint_springs, suspended, driven_rod], ids=lambda make: make.__name__)
+@pytest.mark.parametrize("scheme", SCHEMES[:3], ids=named)
+def test_a_step_in_one_call_is_that_in_parts(scheme: Any, make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """RATTLE's whole step, and the ends of explicit ones: the same states to the last bit, and the same counts."""
+    asked: list[str] = []
+
+    def run(refused: bool) -> fmbd.Run:
+        for name in ("rattle", "arrived"):
+            one = getattr(ExplicitStates, name)
+            made = lambda self, *given, one=one, name=name: (
+                None if refused else (asked.append(name), one(self, *given))[1]
+            )  # noqa: E731
+            monkeypatch.setattr(ExplicitStates, name, made)
+        return fmbd.solve(make(2), t_end=0.02, dt=1e-3, scheme=scheme, output=fmbd.Output(progress=False))
+
+    whole, parts = run(False), run(True)
+    assert len(asked) >= 20 or not whole.system.n_lam  # nothing to close
+    for x in ("q", "v", "a", "lam"):
+        assert np.array_equal(getattr(whole.state, x), getattr(parts.state, x)), x
+    assert whole.counters == parts.counters
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3, 5.0])
+def test_the_spectral_radius_is_that_of_the_eigenvalues(damping: float) -> None:
+    for z in np.geomspace(0.01, 30.0, 40):
+        A = amplification(float(z), damping * float(z))
+        assert spectral_radius(A) == pytest.approx(np.abs(np.linalg.eigvals(A)).max(), rel=1e-6)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES, ids=named)

@@ -12,7 +12,7 @@ from typing import Any, TypeGuard
 from ..rotations import Array
 from ..system.compiled.choice import solves
 from ..system.compiled.evaluation import DriverEvaluation, DriverStates
-from ..system.compiled.explicit import ExplicitStates, Found, Stage, Stages, Tableau
+from ..system.compiled.explicit import ExplicitStates, Found, RattleStep, Stage, Stages, Tableau
 from ..system.compiled.field_states import FieldStates
 from ..system.compiled.means import MeanStates
 from ..system.evaluation import Evaluation
@@ -83,6 +83,13 @@ class DriverSolver:
         usable, self.ready = self._usable_at(t, q, v), False
         return self.explicit.closed(t, q, v) if usable else None
 
+    def arrived(self, t: float, q: Array, v: Array) -> State | None:
+        """The state on the constraints next to q and v in one call; None as above. Fields take new factors on the way."""
+        usable, self.ready = self._usable_at(t, q, v), False
+        found = self.explicit.arrived(t, q, v) if usable and not self.states.system.fields else None
+        self.ready, self._weights = found is not None, MASSES
+        return found
+
     def stages(self, state: State, h: float, tableau: Tableau) -> Stages | None:
         """All stages of an explicit Runge-Kutta method from a state in one call; None as above. Nothing is prepared then."""
         usable, self.ready = self._usable_at(state.t, state.q, state.v), False
@@ -93,6 +100,14 @@ class DriverSolver:
         usable, self.ready = self._usable_at(stage.times[0], stage.q, stage.v), False
         found = self.explicit.stage(stage, *given) if usable else None
         self.ready, self._weights = found is not None and not stage.damping, MASSES
+        return found
+
+    def rattle(self, state: State, *given: Any) -> RattleStep | None:
+        """A step of RATTLE from a state in one call, see ExplicitStates; None as above. Fields take new factors on the way."""
+        usable, self.ready = self._usable_at(state.t, state.q, state.v), False
+        plain = usable and self.states.same_rows and not self.states.system.fields
+        found = self.explicit.rattle(state, *given) if plain else None
+        self.ready, self._weights = found is not None, MASSES
         return found
 
     def half_stages(self, state: State, h: float, *given: Any) -> tuple[Stages, Found] | None:

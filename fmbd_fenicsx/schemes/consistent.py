@@ -390,6 +390,13 @@ def spin_of_acceleration(system: System, v: Array, a: Array) -> Array:
     return out
 
 
+def arrived(system: System, state: State, solver: StepSolver) -> State:
+    """The end of a step: the state moved on the constraints by :func:`project`, with a and lambda there; collective."""
+    driver = solver.driver if system.n_lam else None
+    found = None if driver is None else driver.arrived(state.t, state.q, state.v)
+    return found or accelerations(system, project(system, state, solver), solver)
+
+
 def project(system: System, state: State, solver: StepSolver) -> State:
     """The state with q, then v, moved on the constraints in the mass metric, the first two of (1); a and lambda kept;
     collective.

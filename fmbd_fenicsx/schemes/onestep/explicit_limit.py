@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import hypot, sqrt
 
 import numpy as np
 
@@ -154,6 +155,14 @@ def _moving_most(system: System, energy: Array) -> str:
     return max(shares, key=lambda name: shares[name])
 
 
+def spectral_radius(A: Array) -> float:
+    """The largest size of an eigenvalue of a matrix (2, 2)."""
+    a, b, c, d = map(float, A.ravel())
+    middle = 0.5 * (a + d)
+    square = 0.25 * (a - d) ** 2 + b * c  # of half the distance of both
+    return abs(middle) + sqrt(square) if square >= 0.0 else hypot(middle, sqrt(-square))
+
+
 def largest_step(
     vibration: FastestVibration, matrix: Callable[[float, float], Array], *, enough: float = np.inf
 ) -> float:
@@ -163,7 +172,7 @@ def largest_step(
     """
 
     def grows(z: float) -> bool:
-        return bool(np.abs(np.linalg.eigvals(matrix(z, z * ratio))).max() > GROWTH)
+        return spectral_radius(matrix(z, z * ratio)) > GROWTH
 
     ratio = vibration.damping / vibration.omega
     z = 0.02

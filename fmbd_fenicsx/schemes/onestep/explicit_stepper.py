@@ -18,7 +18,7 @@ from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
-from ..consistent import accelerations, project
+from ..consistent import accelerations, arrived
 from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands, turn_limit, turns_too_far
 from ..newton import Newton
 from ..stepping import TimeStepper
@@ -142,7 +142,7 @@ class ExplicitStepper(TimeStepper):
 
     def _accept(self, made: State) -> State:
         self.before = self.state
-        self.state = accelerations(self.system, project(self.system, made, self.solver), self.solver)
+        self.state = arrived(self.system, made, self.solver)
         self.stats.steps += 1
         return self.state
 

@@ -100,9 +100,39 @@ class RattleStepper(TimeStepper):
     def _step(self, h: float) -> State:
         system = self.system
         s = self.state
+        guess = s.a + h * self.ahead[0], s.lam
+        if (
+            not self.solver.core.redundant
+        ):  # the smallest multipliers of dependent rows have none that grow from step to step
+            guess = guess[0], s.lam + h * self.ahead[1]
+        # increments move positions by h^2 a / 2: no less than roundoff
+        floor = 64 * EPS * system.length
+        tolerance = max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
+
+        driver = self.solver.driver
+        if driver is not None:
+            both = np.array((guess[0], s.a)), np.array((guess[1], self.half))
+            parameters = self._of_newton(tolerance / (0.5 * h * h))
+            step = driver.rattle(s, h, both, parameters, 0.5 * h * self.damped)
+            if step is not None:
+                self._count(step.solves)
+                self._look_ahead(h, step.first, step.solves)
+                self.half, self.state = step.half, step.end
+                return step.end
+        return self._step_in_parts(h, guess, tolerance)
+
+    def _step_in_parts(self, h: float, guess: tuple[Array, Array], tolerance: float) -> State:
+        """The same, where it is no one call of C; ``guess`` and ``tolerance`` (m) are those of (1)."""
+        system = self.system
+        s = self.state
         t = s.t + h
         # first half, which closes the positions at the end
-        a, _ = self._to_half(h)
+        half = Stage(
+            (s.t, s.t + h), s.q, s.v, s.q, h * s.v, 0.5 * h, 0.5 * h * h, 0.5 * h * self.damped, on_places=True
+        )
+        found = self._compiled_stage(half, guess, tolerance)
+        a, lam, increments = self._iterated_half(h, guess, tolerance) if found is None else found
+        self._look_ahead(h, (a, lam), increments)
         v = s.v + 0.5 * h * a
         q = system.compose(s.q, h * v)
         # second half, which closes the velocities
@@ -110,9 +140,9 @@ class RattleStepper(TimeStepper):
         v = v + 0.5 * h * a
         # accelerations and multipliers of the end, for records
         driver = self.solver.driver
-        found = None if driver is None else driver.accelerations(t, q, v)
-        if found is not None:
-            self.state = State(t, q, v, *found)
+        end = None if driver is None else driver.accelerations(t, q, v)
+        if end is not None:
+            self.state = State(t, q, v, *end)
             return self.state
         ev = system.at(t, q, v)
         self._prepare(ev)
@@ -121,45 +151,37 @@ class RattleStepper(TimeStepper):
         self.state = State(t, q, v, a, least(self.solver, ev, lam))
         return self.state
 
-    def _to_half(self, h: float) -> tuple[Array, Array]:
-        """a = 2 (v_1/2 - v_n) / h and lambda of (1), by Newton's iteration with the matrix at q_n."""
-        system, s = self.system, self.state
-        guess = s.a + h * self.ahead[0], s.lam.copy()
-        if (
-            not self.solver.core.redundant
-        ):  # the smallest multipliers of dependent rows have none that grow from step to step
-            guess[1][:] += h * self.ahead[1]
+    def _look_ahead(self, h: float, first: tuple[Array, Array], increments: int) -> None:
+        """Where the next step starts, from a and lambda of the first half of this one and how many increments these took."""
+        a, lam = first
+        self.ahead = (a - self.state.a) / h, (lam - self.state.lam) / h
+        self.damped |= increments > PATIENCE and not self.system.fields
 
-        # increments move positions by h^2 a / 2: no less than roundoff
-        floor = 64 * EPS * system.length
-        tolerance = max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
+    def _of_newton(self, tolerance: float) -> Array:
+        """Parameters of Newton's iteration in compiled code, to a tolerance of accelerations."""
+        p, newton = self.parameters, self.newton
+        p[TOL], p[THETA], p[SLOW], p[MAXIT] = tolerance, newton.theta, newton.slow, newton.max_iterations
+        p[NEW_TANGENT], p[LEFT] = newton.patience, 0.0
+        return p
 
-        half = Stage(
-            (s.t, s.t + h), s.q, s.v, s.q, h * s.v, 0.5 * h, 0.5 * h * h, 0.5 * h * self.damped, on_places=True
-        )
-        found = self._compiled_stage(half, guess, tolerance)
-        a, lam, increments = self._iterated_half(h, guess, tolerance) if found is None else found
-        self.ahead = (a - s.a) / h, (lam - s.lam) / h
-        self.damped |= increments > PATIENCE and not system.fields
-        return a, lam
+    def _count(self, solves: int) -> None:
+        """Take note of an iteration of compiled code of so many increments."""
+        self.newton.theta = float(self.parameters[THETA])
+        self.newton.iterations += solves
+        self.newton.note(float(self.parameters[LEFT]))
 
     def _compiled_stage(
         self, stage: Stage, guess: tuple[Array, Array], tolerance: float | None = None
     ) -> tuple[Array, Array, int] | None:
         """a, lambda and the number of increments of a half step in one call, to a tolerance (m) of places or to roundoff."""
-        driver, newton = self.solver.driver, self.newton
+        driver = self.solver.driver
         if driver is None:
             return None
         if tolerance is None:
             return driver.stage(stage, guess)
-        p = self.parameters
-        p[TOL], p[THETA], p[SLOW], p[MAXIT] = tolerance / stage.c, newton.theta, newton.slow, newton.max_iterations
-        p[NEW_TANGENT], p[LEFT] = newton.patience, 0.0
-        found = driver.stage(stage, guess, p)
+        found = driver.stage(stage, guess, self._of_newton(tolerance / stage.c))
         if found is not None:
-            newton.theta = float(p[THETA])
-            newton.iterations += found[2]
-            newton.note(float(p[LEFT]))
+            self._count(found[2])
         return found
 
     def _iterated_half(self, h: float, guess: tuple[Array, Array], tolerance: float) -> tuple[Array, Array, int]:

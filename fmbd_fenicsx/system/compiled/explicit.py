@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...rotations import Array
+from ..system import State
 from .structures import address_of, addresses_of, enumeration
 
 if TYPE_CHECKING:
@@ -44,6 +45,18 @@ class Stage:
     on_places: bool = False
 
 
+@dataclass(frozen=True)
+class RattleStep:
+    """The state at the end of a step of RATTLE, a and lambda of the first half step, lambda of the second, and how many solutions
+    the first took.
+    """
+
+    end: State
+    first: tuple[Array, Array]
+    half: Array
+    solves: int
+
+
 class ExplicitStates:
     """The answers for one system; ``states``: whose driver it is."""
 
@@ -51,7 +64,7 @@ class ExplicitStates:
         self.states, self.system = states, states.system
         tables = states.tables
         s = tables.system
-        self.room = np.zeros(3 * s.n_q + 3 * s.n_v + 5 * s.n_lam + tables.nu)
+        self.room = np.zeros(3 * s.n_q + 4 * s.n_v + 5 * s.n_lam + tables.nu)
         self.place = address_of(self.room)
 
     def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
@@ -72,6 +85,18 @@ class ExplicitStates:
         q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
         made = self._ask(self.states.library.driver_close, (t, self.system.length), (q, v))
         return (twin.places(q), twin.forces(v)) if made else None
+
+    def arrived(self, t: float, q: Array, v: Array) -> State | None:
+        """:meth:`closed`, and a and lambda there."""
+        twin = self.states.twin
+        q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
+        a, lam = np.empty_like(v), np.empty(self.system.n_lam)
+        arrays = self._bias(np.array([t])), q, v, a, lam
+        if not self._ask(self.states.library.driver_arrive, (t, self.system.length), arrays):
+            return None
+        end = State(t, twin.places(q), twin.forces(v), twin.forces(a), lam)
+        self.states.hold(t, end.q, end.v)
+        return end
 
     def stages(self, span: tuple[float, float], start: tuple[Array, Array, Array], tableau: Tableau) -> Stages | None:
         """All stages of a step.
@@ -107,6 +132,30 @@ class ExplicitStates:
         if not o.damping:
             states.hold(o.times[0], o.q, o.v, new=not factored)
         return twin.forces(a), lam, int(solves[0])
+
+    def rattle(
+        self, state: State, h: float, guess: tuple[Array, Array], newton: Array, damping: float
+    ) -> RattleStep | None:
+        """A step of RATTLE of size h (s). ``guess``: a (2, n_v) and lambda (2, n_lam) of both half steps. Of the first,
+        ``newton`` are the parameters of a march, ``damping`` is its weight in the matrix (s).
+        """
+        states, twin = self.states, self.states.twin
+        push, force = twin.velocities(guess[0]), guess[1]
+        q, v = twin.configurations(state.q), twin.velocities(state.v)
+        q1, (v1, a), lam = np.empty_like(q), np.empty((2, len(v))), np.empty(self.system.n_lam)
+        solves = np.zeros(1, dtype=np.int64)
+        t = state.t + h
+        factored = not damping and states.holds_masses(state.t, state.q)
+
+        numbers = int(factored), state.t, h, self.system.length, damping
+        arrays = q, v, self._bias(np.array([t])), newton, push, force, q1, v1, a, lam, solves
+        if not self._ask(states.library.driver_rattle, numbers, arrays):
+            return None
+        end = State(t, twin.places(q1), twin.forces(v1), twin.forces(a), lam)
+        states.factors += not damping and not factored
+        states.hold(t, end.q, end.v)
+        push = twin.forces(push)
+        return RattleStep(end, (push[0], force[0]), force[1], int(solves[0]))
 
     def half_stages(
         self,
@@ -151,13 +200,16 @@ class ExplicitStates:
             return False
         if factors:
             states.hold(None)
-        states.tables.recall()
+        if states.recalls:
+            states.tables.recall()
 
         given = [np.ascontiguousarray(x) for x in arrays if x is not None]  # alive until C is done
         known = iter(addresses_of(given))
         places = [None if x is None else next(known) for x in arrays]
         verdict = function(states.address, *numbers, *places, self.place)
-        states.calls.raise_error()
+        calls = states.calls
+        if calls.error is not None or calls.asked:
+            calls.raise_error()
         if verdict == LOOK:
             states.tables.look()
         return not verdict

@@ -135,6 +135,14 @@ EXPORT int driver_close(System *s, double t, double length, double *q, double *v
     return NEWTON;
 }
 
+/* The end of a step: q and v moved onto the constraints, then a and lambda there; ``room`` as of both. */
+EXPORT int driver_arrive(System *s, double t, double length, const double *bias, double *q, double *v, double *a, double *lam,
+                         double *room)
+{
+    int verdict = driver_close(s, t, length, q, v, room);
+    return verdict ? verdict : accelerate(s, t, length, q, v, bias, a, lam, room, 0);
+}
+
 /* The stages of an explicit Runge-Kutta method in local coordinates xi about q0, whose rates and accelerations (stages x nv) are
    known for the first; xi and v: the end of the step, by the last row of A, (stages + 1) x stages. ``bias``: stages x rows;
    ``room``: nq + 2 nv + 4 rows + nu. */
@@ -281,4 +289,32 @@ EXPORT int driver_half_stages(System *s, int stages, double t, double h, double 
         add(v, h * share[i], a, s->nv);
     }
     return DONE;
+}
+
+/* A step of RATTLE, schemes/onestep/rattle.py, to t + h. ``push`` (2 x nv) and ``force`` (2 x rows): a and lambda of (1) and of (2),
+   which begin as guesses; q1, v1, a and lam: the state at the end. ``factored``, ``damp``, ``newton`` and ``solves`` are those of the
+   stage (1), ``bias`` is that of accelerations; ``room``: nv, and that of a stage or of accelerations. */
+EXPORT int driver_rattle(System *s, int factored, double t, double h, double length, double damp, const double *q, const double *v,
+                         const double *bias, double *newton, double *push, double *force, double *q1, double *v1, double *a,
+                         double *lam, long *solves, double *room)
+{
+    double start[2] = {t, t + h}, end[2] = {t + h, t + h}, *xi = room, *rest = xi + s->nv, last = NAN;
+    int verdict;
+
+    /* v at the middle, q at the end */
+    for (int i = 0; i < s->nv; i++) xi[i] = h * v[i];
+    Stage half = {start, q, v, q, xi, 0.5 * h, 0.5 * h * h, damp, 0.0, 1, factored};
+    if ((verdict = solve_stage(s, &half, newton, push, force, solves, rest))) return verdict;
+    memcpy(v1, v, s->nv * sizeof(double));
+    add(v1, 0.5 * h, push, s->nv);
+    for (int i = 0; i < s->nv; i++) xi[i] = h * v1[i];
+    configuration(s, q, xi, q1);
+
+    /* v at the end */
+    long more = 0;
+    Stage other = {end, q1, v1, q1, v1, 0.0, 0.5 * h, 0.0, 0.0, 0, 0};
+    if ((verdict = solve_stage(s, &other, NULL, push + s->nv, force + s->rows, &more, rest))) return verdict;
+    add(v1, 0.5 * h, push + s->nv, s->nv);
+    if ((verdict = sample(s, t + h, &last))) return verdict;
+    return accelerate(s, t + h, length, q1, v1, bias, a, lam, rest, 1);
 }
