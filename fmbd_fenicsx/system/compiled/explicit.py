@@ -148,7 +148,8 @@ class ExplicitStates:
         factored = not damping and states.holds_masses(state.t, state.q)
 
         numbers = int(factored), state.t, h, self.system.length, damping
-        arrays = q, v, self._bias(np.array([t])), newton, push, force, q1, v1, a, lam, solves
+        bias = self._bias(np.array([t]))
+        arrays: tuple[Any, ...] = (q, v, bias, newton, push, force, q1, v1, a, lam, solves)
         if not self._ask(states.library.driver_rattle, numbers, arrays):
             return None
         end = State(t, twin.places(q1), twin.forces(v1), twin.forces(a), lam)
