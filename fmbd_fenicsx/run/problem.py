@@ -22,6 +22,7 @@ from .judges.energy_check import Guarded, Watch
 from .judges.force_balance import Balanced
 from .judges.forecast import Forecast
 from .judges.given_velocities import warn_of_changed_velocities
+from .recording.output import Output
 from .schedule import StepSchedule
 from .step_bisection import ConstantSteps, Judges
 
@@ -41,7 +42,7 @@ class Problem:
     pressures: list[Array]  # that bodies carry as unknowns
     warned: Gathered | None = None  # the warnings of the run; None: it warns of nothing
     most_parts: float | None = None  # times that steps may be halved; None: as often as that helps
-    beside: tuple[float, ...] = ()  # times at which sensors are recorded beside what the run is asked for, s
+    beside: Output | None = None  # how sensors are recorded beside what the run is asked for
 
 
 def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:

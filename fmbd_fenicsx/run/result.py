@@ -53,6 +53,9 @@ class Run(Uncopied):
         history: attempts of :func:`solve` with ``tol``.
         memory: peak memory of the largest rank, bytes.
         status: "finished", or "stopped" on request. ``step_limit``: of steps that the scheme chooses, s.
+        damped: sensor -> amplitude of vibrations that steps do not resolve and the scheme takes out, where that is more than
+            runs with other steps tell.
+        at_steps: times and series of sensors at ends of equal steps, where records are at given times and errors are stated.
     """
 
     instead: ClassVar[str] = (
@@ -85,6 +88,8 @@ class Run(Uncopied):
     memory: float = 0.0
     status: str = "finished"
     step_limit: float = np.inf
+    damped: dict[str, float] = field(default_factory=dict)
+    at_steps: tuple[Array, dict[str, Array]] | None = None
     not_unique: list[str] = field(default_factory=list)
     books: Books | None = None
     warnings: list[str] = field(default_factory=list)

@@ -11,6 +11,7 @@ from ..errors import Stopped
 from ..linear.condensation import StepSolver
 from ..linear.redundancy import not_unique
 from ..log import peak_memory
+from ..rotations import Array
 from ..schemes.newton import Newton
 from ..system.scene.plan import make_plan
 from ..system.scene.scene import Scene
@@ -20,7 +21,9 @@ from .doubts import warn_of_doubts
 from .judges.rank_advice import advise_on_ranks
 from .judges.turning_rows import warn_of_turning_rows
 from .problem import Problem, make_solver
+from .recording.accompanied import Accompanied
 from .recording.output import Output, refuse_too_many
+from .recording.recorder import Recorder
 from .result import Run
 from .schedule import StepSchedule, warn_of_dense_break_points, warn_of_late_samples
 from .settings import check_times
@@ -41,7 +44,7 @@ class Task:
     linear: Any
     output: Output
     most_parts: float | None = None
-    beside: tuple[float, ...] = ()
+    beside: Output | None = None
 
 
 @dataclass(frozen=True)
@@ -173,9 +176,17 @@ def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
         # what users should know
         status=marched.status,
         step_limit=task.schedule.largest,
+        at_steps=_at_steps(recorder),
         not_unique=finished.undetermined,
         warnings=built.warned.lines(),
     )
+
+
+def _at_steps(recorder: Recorder) -> tuple[Array, dict[str, Array]] | None:
+    """Sensors at ends of steps beside records at given times."""
+    if not isinstance(recorder, Accompanied) or not recorder.timed:
+        return None
+    return recorder.beside.times, recorder.beside.series
 
 
 def _seconds(built: Built, finished: FinishedMarch) -> dict[str, float]:

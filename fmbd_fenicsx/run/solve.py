@@ -11,6 +11,7 @@ from ..log import install_hooks
 from ..schemes.declared import Declared, checked_scheme
 from ..schemes.newton import Newton
 from ..system.scene.scene import Scene
+from .accuracy.companion_runs import steps_beside
 from .accuracy.estimates import state_errors
 from .built import build
 from .recording.output import Output
@@ -84,7 +85,10 @@ def solve(
     check_contents(scene, scheme)
     halvings = output.estimate_error and not Declared.by(scheme).adaptive
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4 if halvings else 1)
-    task = Task(scene, scheme, schedule, newton, linear, output)
+    beside = (
+        steps_beside(output, schedule) if output.estimate_error and checkpoint is None and restart is None else None
+    )
+    task = Task(scene, scheme, schedule, newton, linear, output, beside=beside)
     solved = run_once(task, build(scene), checkpoint=checkpoint, restart=restart)
     state_errors(solved.run, solved.problem, solved.compared, output)
     return solved.run

@@ -205,7 +205,7 @@ class Loop:
         steps = self.schedule.steps
         expected = steps // self.output.every + 2 if steps else 0
         recorder = Recorder(problem.scene, problem.system, problem.markers, self.output, self.schedule.t_end, expected)
-        if problem.beside:
+        if problem.beside is not None:
             from .recording.accompanied import Accompanied
 
             recorder = Accompanied(recorder, problem.beside)

@@ -91,9 +91,10 @@ def positions_refused(held: Contents, name: str, levels: tuple[int, ...]) -> str
 
 
 class OfForm:
-    """A scheme that takes the constraints in any form, but for those on positions where there are none."""
+    """A scheme that takes the constraints in any form, but for those on positions where there are none; stiffly accurate."""
 
     form: Form
+    forgets: ClassVar[bool] = True
 
     def refusal(self, held: Contents) -> str:
         """Why it does not take what a scene holds."""

@@ -24,6 +24,7 @@ class Declared:
     (:mod:`~fmbd_fenicsx.run.judges.turning_rows`).
     ``ends_ahead``: values at the ends of steps are of a higher order than those between them.
     ``orders``: of positions, velocities, and accelerations with multipliers, where there are any; None: the scheme's in all.
+    ``forgets``: nothing is left after a few steps of vibrations that these do not resolve.
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
 
@@ -37,6 +38,7 @@ class Declared:
     turn_limit: float | None = None
     orders: tuple[int, int, int] | None = None
     ends_ahead: bool = False
+    forgets: bool = False
     timeless: bool = False
     compiled: bool = True
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 KINDS = ("space", "time", "modes", "algebra")
 UNRESOLVED = 0.5  # error by spaces or modes over the range of a sensor above which no rate can be taken for granted
 HIDDEN = 2.0  # error that a kink may leave over the stated one, above which this says too little
+TAKEN_OUT = 1e-6  # amplitude over the range of a sensor below which differences tell of Newton's iteration, too
 STILL = 1e-9  # range over the largest value of its unit below which a sensor does not move
 
 
@@ -129,8 +130,9 @@ def certificate_of(run: Run) -> Certificate:
         time = run.error_estimate.get(name)
         made.append(Statement(name, sensor.unit, space, time, modes, left, together(found) + more, span))
     spans = moving(run.series, run.scene.sensors)
+    in_time = _uncertain_in_time, _uncertain_by_kinks, _uncertain_by_damping
     reasons = {
-        s.sensor: [*_uncertain_in_time(run, s), *_uncertain_by_kinks(run, s), *_uncertain_in_space(s)]
+        s.sensor: [why for tell in in_time for why in tell(run, s)] + _uncertain_in_space(s)
         for s in made
         if s.sensor in spans
     }
@@ -171,8 +173,9 @@ def left_by_kinks(run: Run, name: str) -> tuple[float, float]:
         return 0.0, np.inf
     order = expected_orders(run.scheme, run.scene, run.system)[name]
     # what breaks at instants that the scene names breaks between two steps
-    parts = np.searchsorted(run.times, [far_side(x) for x in sorted(run.scene.breakpoints)])
-    pieces = zip(np.split(run.times, parts), np.split(run.series[name], parts), strict=True)
+    times, series = (run.times, run.series) if run.at_steps is None else run.at_steps
+    parts = np.searchsorted(times, [far_side(x) for x in sorted(run.scene.breakpoints)])
+    pieces = zip(np.split(times, parts), np.split(series[name], parts), strict=True)
     return max(kink(t, x, order, run.scene.sensors[name].derivative) for t, x in pieces)
 
 
@@ -189,6 +192,18 @@ def _uncertain_by_kinks(run: Run, stated: Statement) -> list[str]:
         f'the error of time of "{name}" is uncertain: its records have a kink that leaves an order of about {left:.1f}, '
         f"{order} is expected, and an error of some {error:.1e} {stated.unit}, by where in a step it falls, which runs with "
         "other steps do not tell. Take a scheme that chooses its steps (rtol), and name the instant in Scene(breakpoints=...)"
+    ]
+
+
+def _uncertain_by_damping(run: Run, stated: Statement) -> list[str]:
+    """Why vibrations that no run resolves may be more than what is stated; empty where there are none."""
+    amplitude = run.damped.get(stated.sensor, 0.0)
+    if amplitude <= TAKEN_OUT * stated.span:
+        return []
+    return [
+        f'the error of time of "{stated.sensor}" is uncertain: {run.scheme.name} takes vibrations of some {amplitude:.1e} '
+        f"{stated.unit} out of it that steps of {run.dt:.2g} s do not resolve, and that runs with other steps do not tell. "
+        "Take a much smaller dt if they matter, or damping or a start in equilibrium (settle=True) if they do not"
     ]
 
 

@@ -54,13 +54,19 @@ def companion(problem: Problem, schedule: StepSchedule, output: Output, of: Buil
             problem = replace(problem, system=system, markers=of.markers, given=of.given)
 
         newton, pressures = problem.newton.afresh(), solver.pressures
-        made = replace(problem, start=start, newton=newton, pressures=pressures, warned=None, beside=())
+        made = replace(problem, start=start, newton=newton, pressures=pressures, warned=None, beside=None)
         marched = march(made, solver, schedule, output)
     finally:
         solver.destroy()
     if marched.status != "finished":
         raise StoppedError(f"stopped at t = {marched.state.t:g} s")
     return marched
+
+
+def steps_beside(output: Output, schedule: StepSchedule) -> Output | None:
+    """Sensors at ends of equal steps, beside records at given times: they tell of jumps within steps."""
+    at_times = output.times is not None and schedule.steps
+    return Output(every=output.every, energy=False, progress=False) if at_times else None
 
 
 def as_recorded(coarse: Recorder, schedule: StepSchedule) -> Output:

@@ -23,8 +23,9 @@ from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March
 from .algebra import algebra_error, tighter_run
-from .certificate import moving
+from .certificate import HIDDEN, moving
 from .companion_runs import UNFIT, Compared, StoppedError, again, as_recorded, companion
+from .damped import damped_vibrations
 from .deviation import Deviation, scaled
 from .orders import expected_orders, irregular, order_seen, resolved, scattered_order, usable_order
 from .space_levels import finer_scene, space_deviations, unended
@@ -325,7 +326,8 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
             run.state_error("algebra", algebra_error(made, tight[1]))
             problem, made = tight
             found = time_error(problem, made.recorder, made.schedule)
-        run.state_error("time", found.errors)
+        errors, run.damped = with_damped(found.errors, damped_vibrations(problem, made.schedule))
+        run.state_error("time", errors)
         run.observed_order, made = found.orders, found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended
 
@@ -339,6 +341,15 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
         run.state_error("space", found_in_space)
         run.seconds["space estimate"] = clock.perf_counter() - ended
     warn_of_uncertain(run, run.series)
+
+
+def with_damped(
+    errors: dict[str, Deviation], amplitudes: Mapping[str, float]
+) -> tuple[dict[str, Deviation], dict[str, float]]:
+    """Errors that are at least the amplitudes of what a scheme takes out, and those that say more than the errors do."""
+    hidden = {n: x for n, x in amplitudes.items() if n in errors and x > HIDDEN * errors[n].size > 0.0}
+    stated = {n: scaled(x, hidden[n] / x.size) if n in hidden else x for n, x in errors.items()}
+    return stated, hidden
 
 
 def warn_of_uncertain(run: Run, sensors: Iterable[str]) -> None:

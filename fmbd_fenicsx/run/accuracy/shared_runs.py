@@ -23,7 +23,7 @@ from ..problem import Problem
 from ..recording.output import Output
 from ..schedule import StepSchedule
 from ..single_run import Solved, Task, run_once
-from .companion_runs import UNFIT, Compared, again
+from .companion_runs import UNFIT, Compared, again, steps_beside
 from .deviation import Deviation
 from .estimates import (
     FEWEST,
@@ -110,7 +110,11 @@ class SharedRuns:
         collective.
         """
         parts, before = PARTED * schedule.steps if parted else 0.0, self._before(scene, scheme, schedule)
-        beside = () if before is None else tuple(before.recorder.times[looked_at(before.recorder)])
+        beside = steps_beside(output, schedule)
+        if before is not None:
+            beside = Output(
+                energy=False, progress=False, times=tuple(before.recorder.times[looked_at(before.recorder)])
+            )
         task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, parts, beside)
         solved = run_once(task, self.built(scene))
         self._newest = solved.problem

@@ -30,8 +30,9 @@ from ..settings import check_tangent, default_scheme
 from ..single_run import Solved
 from .certificate import HIDDEN, Certificate, left_by_kinks
 from .companion_runs import UNFIT, Compared
+from .damped import damped_vibrations
 from .deviation import Deviation, scaled
-from .estimates import FEWEST, TimeError, tolerance_error, warn_of_uncertain
+from .estimates import FEWEST, TimeError, tolerance_error, warn_of_uncertain, with_damped
 from .next_attempt import AttemptPlan, Looked, beginning, finer_steps, next_plan, space_first, space_limit
 from .shared_runs import Allowed, Orders, doubt, known_orders
 from .shared_spaces import SharedSpaces
@@ -252,7 +253,7 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Ou
     _other_errors(plan, tol, shared, solved, found.with_others)
     if not plan.steps and found.with_others is not solved.compared and _doubtful(run, tol):
         run.state_error("time", tolerance_error(solved.problem, solved.compared.recorder, plan.schedule))
-    if every != wanted.every:
+    if every != wanted.every and wanted.times is None:
         _thin_out(run, solved.compared.recorder.indices, wanted.every)
     fewest = found.with_others.schedule.steps
     return run, Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()
@@ -277,8 +278,10 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     room = WHOLE - _reserved(plan, shared, share_of) if plan.steps and not alone else SAFE if alone else WHOLE
     allowed = Allowed(share_of, room, rough=alone or looked)
     found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
-    if plan.steps and solved.compared.recorder.output.times is None:  # records are ends of steps
+    if plan.steps:
         found = _with_kinks(run, found, tol, every=solved.compared.recorder.output.every)
+        errors, run.damped = with_damped(found.errors, damped_vibrations(solved.problem, solved.compared.schedule))
+        found = replace(found, errors=errors)
     run.state_error("time", found.errors)
     run.observed_order = found.orders
     return found
@@ -331,7 +334,7 @@ def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solve
 
 def _often(wanted: Output, schedule: StepSchedule) -> int:
     """Every how many steps an attempt is recorded: as wanted, or a divisor of it where that would leave few records."""
-    if not schedule.steps or wanted.times is not None:
+    if not schedule.steps:
         return wanted.every
     fits = [n for n in range(1, wanted.every + 1) if wanted.every % n == 0 and schedule.steps / n >= RECORDS]
     return max(fits, default=1)

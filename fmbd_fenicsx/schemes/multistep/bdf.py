@@ -162,7 +162,7 @@ class BDFStepper(Corrector):
         m, s = self.system.n_lam, self.state
         mult = w @ np.array([p.mult for p in self.past[:count]])
         lam = mult[:m] if self.eq.levels else s.lam
-        return State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, t) @ vs, lam)
+        return self._held(State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, t) @ vs, lam))
 
     # -- steps --------------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:

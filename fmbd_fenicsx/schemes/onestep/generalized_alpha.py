@@ -70,6 +70,11 @@ class GeneralizedAlpha:
     order = 2
 
     @property
+    def forgets(self) -> bool:
+        """Whether eight steps leave less than a hundredth of a vibration that they do not resolve."""
+        return self.rho_inf < 0.5
+
+    @property
     def carries_pressure(self) -> bool:
         """Whether bodies may have a pressure that is an unknown."""
         return isinstance(self.form, Index3)

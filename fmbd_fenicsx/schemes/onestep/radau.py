@@ -229,7 +229,9 @@ class RadauStepper(StageNewton):
         lam = self.state.lam
         if self.eq.levels:
             lam = (powers[:-1] @ self.tab.stage_basis @ points.mult)[:m]
-        return State(t, self.system.compose(q0, values @ points.xi), v0 + values @ change, rates @ change, lam)
+        return self._held(
+            State(t, self.system.compose(q0, values @ points.xi), v0 + values @ change, rates @ change, lam)
+        )
 
     def restart(self, t: float) -> None:
         """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
