@@ -37,6 +37,7 @@ ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the toler
 STAGNATION = 100.0  # the same with constant steps, where the tolerance may lie below the roundoff of stiff forces
 TURN = 2.5  # rad
 LEAST_ERROR = 1e-2  # of errors that are remembered
+FADING = 0.8  # of the largest error of late, from step to step
 EPS = float(np.finfo(float).eps)
 FINEST = 100 * EPS
 
@@ -338,6 +339,10 @@ class StepControl:
         self.rejections.clear()
         factor = min(max(factor, self.shrink), 1.0 if after_rejection else self.grow)
         return h * factor
+
+    def largest(self, h: float, error: float) -> float:
+        """Step of which an error is expected that may be, where one of size h (s) has this error."""
+        return self.safety * h * max(error, 1e-10) ** (-1.0 / self.order)
 
     def pressure(self, factor: float) -> float:
         """The larger of error and error^2 / error_old after which a step of the same size as the one before is followed by one of

@@ -14,7 +14,7 @@ import numpy as np
 from ...rotations import Array
 from ...system.compiled.resting import twin_of
 from ...system.compiled.structures import Store, array_of, structure
-from ..control import LEAST_ERROR, TURN, NormOfWays, StepControl
+from ..control import FADING, LEAST_ERROR, TURN, NormOfWays, StepControl
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class Stay:
 
     ``place``: the present one, in steps of h; ``count`` of them are a ``stretch`` (s), up to ``end`` (s);
     ``ratio``: of the next larger size, which begins at its multiples, 0 without one;
-    ``keeps``: share of h that a proposal must have; ``calm``: error below which loads are looked at; ``until``: a time, s.
+    ``keeps``: share of h that a proposal must have; ``calm``: error below which loads are looked at; ``until``: a time, s;
+    ``peak``: the largest error of late.
     """
 
     place: int
@@ -34,6 +35,7 @@ class Stay:
     keeps: float
     calm: float
     until: float
+    peak: float
 
 
 class CompiledControl:
@@ -61,7 +63,7 @@ class CompiledControl:
         # tolerances and arrays that C works in
         work = self.store.zeros({"e": s.n_v, "y": s.n_lam, "a": s.n_v, "missed": s.n_v})
         self.c = structure("Control", dim)(
-            rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, floor=LEAST_ERROR, turn=TURN,
+            rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, floor=LEAST_ERROR, turn=TURN, fading=FADING,
             frames=norm.system.n_frames, core=norm.system.n_core,
             deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
             **{name: address for name, (_, address) in work.items()},
@@ -82,7 +84,7 @@ class CompiledControl:
             c.origin = self.store.address(self.twin.configurations(norm.origin[None])[0])
         for one, largest in zip(self.deflections, norm.deflections, strict=True):
             one.size = largest
-        c.way, c.error, c.largest = norm.way, control.error_old, 0.0
+        c.way, c.error, c.largest, c.peak = norm.way, control.error_old, 0.0, stay.peak
 
         c.place, c.count, c.stretch, c.end = stay.place, stay.count, stay.stretch, stay.end
         c.ratio, c.calm, c.until = stay.ratio, stay.calm, stay.until

@@ -44,7 +44,7 @@ from ...system.evaluation import Evaluation
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import consistent
-from ..control import NormOfWays, Statistics, StepControl, first_step, moves, turn_limit
+from ..control import FADING, NormOfWays, Statistics, StepControl, first_step, moves, turn_limit
 from ..dae import GGL
 from ..newton import Newton
 from ..stepping import TimeStepper
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
 DEEPEST = 48  # levels of parts; the finest are below roundoff
-CALM = 0.01  # error of the last step over what is allowed, below which nothing happens
+CALM = 0.01  # errors of late over what is allowed, below which nothing happens
 # share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
 KEEPS = 0.93
 FARTHEST = 10.0  # times the least motion that closes constraints: one that bends bodies less may be as large
@@ -85,7 +85,9 @@ class VariableAlpha(TimeStepper):
         "norm": worker,
         "control": plain(StepControl),
         "stats": plain(Statistics),
-        **dict.fromkeys(("proposed", "size", "largest", "lost", "local_error", "error", "stretch", "end"), plain()),
+        **dict.fromkeys(
+            ("proposed", "size", "largest", "lost", "local_error", "error", "peak", "stretch", "end"), plain()
+        ),
         "place": _keep_share,
     }
 
@@ -102,6 +104,7 @@ class VariableAlpha(TimeStepper):
         self.control = StepControl(3.0)
         self.stats = Statistics()
         self.local_error = self.error = 0.0  # the largest since :meth:`advance`, and that of the newest step
+        self.peak = 0.0  # the largest error of late
         self._compiled: CompiledControl | None = None
 
         self.proposed: float | None = None
@@ -150,7 +153,7 @@ class VariableAlpha(TimeStepper):
         self.inner = self._steps(start)
         self.size = self.proposed = None
         self.stretch, self.place = 0.0, Fraction(0)
-        self.control.h_old = 0.0
+        self.control.h_old = self.peak = 0.0
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step."""
@@ -192,7 +195,7 @@ class VariableAlpha(TimeStepper):
             self.stats.rejected[cause] += 1
             self.proposed = min(self.control.rejected(s.t, h, error, cause), 0.9 * h)
 
-        self.local_error = error
+        self.local_error, self.peak = error, max(error, FADING * self.peak)
         self._count(h, error, Fraction(1, parts(level)))
         return self.state
 
@@ -200,6 +203,9 @@ class VariableAlpha(TimeStepper):
         """So many accepted steps of size h (s), which are a share of the stretch; the error of the newest."""
         self.stats.steps += steps
         self.error, self.proposed = error, self.control.accepted(h, error)
+        # errors of vibrations pass through zero: no sign that larger steps will do
+        if self.proposed > h:
+            self.proposed = max(h, min(self.proposed, self.control.largest(h, self.peak)))
         if KEEPS * h <= self.proposed < h:  # the next smaller size is a half or a third
             self.proposed = h
         self.place += way
@@ -256,7 +262,7 @@ class VariableAlpha(TimeStepper):
 
     def _is_looked_at(self, h: float) -> bool:
         """Whether loads within a step of size h (s) need no look."""
-        return h <= self.largest and self.error > CALM
+        return h <= self.largest and self.peak > CALM
 
     # -- many steps in compiled code ------------------------------------------------------------------------------------
     def stride(self, h: float) -> float:
@@ -298,6 +304,7 @@ class VariableAlpha(TimeStepper):
         made: int = self.inner.controlled(size, steps, control, watch, tape)
         if made:
             control.take()
+            self.peak = control.c.peak
             self.local_error = max(self.local_error, control.c.largest)
             self._count(size, control.c.error, Fraction(made, count), made)
             self._arrive(self.place)
@@ -320,7 +327,7 @@ class VariableAlpha(TimeStepper):
         lost = bool(ratio) and self._loses(ratio * self.stretch / count)
         assert not lost or self.lost is not None
         until = self.lost[1] if lost and self.lost is not None else np.inf
-        return Stay(place, count, self.stretch, self.end, 0 if lost else ratio, KEEPS, CALM, until)
+        return Stay(place, count, self.stretch, self.end, 0 if lost else ratio, KEEPS, CALM, until, self.peak)
 
     @property
     def path(self) -> str:  # type: ignore[override]

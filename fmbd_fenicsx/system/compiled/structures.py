@@ -88,7 +88,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         ("deflection", _POINTER),
         *_fields("high low", _REAL),
         ("count", _LONG),
-        *_fields("stretch end calm floor turn until error before largest", _REAL),
+        *_fields("stretch end calm floor turn until error before largest peak fading", _REAL),
         *_fields("e y a missed", _POINTER),
     ],
     "System": [

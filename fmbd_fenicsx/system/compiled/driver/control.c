@@ -79,6 +79,7 @@ static int judged(System *s, const double *p, Control *c, const Block *now, cons
     c->before = fmax(c->error, c->floor);
     c->error = error;
     c->largest = fmax(c->largest, error);
+    c->peak = fmax(error, c->fading * c->peak);
     c->way = c->reached;
     for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) x->size = x->reached;
     return DONE;
@@ -111,6 +112,6 @@ static int stays(const double *p, Control *c, const Block *now)
 {
     double pressure = fmax(c->error, c->error * c->error / c->before), far = farthest(c, now);
     c->place++;
-    if (pressure > c->high || c->error <= c->calm || p[H] > far || *now->t >= c->until) return 0;
-    return !(c->ratio && c->place % c->ratio == 0 && pressure <= c->low && c->ratio * p[H] <= far);
+    if (pressure > c->high || c->peak <= c->calm || p[H] > far || *now->t >= c->until) return 0;
+    return !(c->ratio && c->place % c->ratio == 0 && fmax(pressure, c->peak) <= c->low && c->ratio * p[H] <= far);
 }
