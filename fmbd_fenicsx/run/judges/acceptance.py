@@ -146,12 +146,17 @@ class Closed(Remembering):
         """Whether there is anything to judge."""
         return bool(self.system.n_lam) and 0 in self.levels
 
+    @cached_property
+    def _wide(self) -> float:
+        """What (1) allows beside roundoff, m."""
+        return self.share * self.system.length
+
     def passes(self, seen: Seen, t: float) -> bool:
         """Whether a state at time t (s) of which this was seen passes; :meth:`check` has to look closely where it does not."""
         if not self.judging:
             return True
         known = ROUNDOFF * seen.far
-        if not seen.gap <= self._gap_allowed(known):
+        if not seen.gap <= self._wide + known:
             return False
         if 1 in self.levels and not seen.slip <= self._slip_allowed(t, known, seen.speed, seen.rate):
             return False
@@ -166,7 +171,7 @@ class Closed(Remembering):
         # (1), positions
         gap = self.units * np.abs(ev.constraint())
         known = ROUNDOFF * farthest(s, ev.q)
-        allowed = self._gap_allowed(known)
+        allowed = self._wide + known
         if not np.maximum.reduce(gap) <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
@@ -176,10 +181,6 @@ class Closed(Remembering):
         if 1 in self.levels and ev.v is not None:
             self._check_velocities(ev, ev.v, known)
         self.last = ev.t
-
-    def _gap_allowed(self, known: float) -> float:
-        """The right-hand side of (1), m; ``known``: roundoff of places, m."""
-        return self.share * self.system.length + known
 
     def _slip_allowed(self, t: float, known: float, speed: float, rate: float) -> float:
         """The right-hand side of (2) at t, m/s, of the largest velocity and the largest rate that is given in time."""

@@ -27,7 +27,9 @@ class Seen(NamedTuple):
 
 
 class Glance:
-    """Looks at states of one system; ``sums``: of the balance of the one looked at last, like v; None where nobody asks."""
+    """Looks at states of one system. Of the one looked at last, ``energies`` are kinetic, elastic, of the weight and of springs
+    (J), ``sums`` those of the balance, like v; each None where nobody asks for it, or C does not know all.
+    """
 
     def __init__(self, states: DriverStates, units: Array, *, energies: bool, balance: bool) -> None:
         """``units``: what turns values of constraints into lengths, (n_lam,)."""
@@ -41,17 +43,13 @@ class Glance:
         self.q, self.v, self.a, self.lam = (made[name][0] for name in ("q", "v", "a", "lam"))
         self.found = made["found"][0]
         self._energies: Array | None = made["energies"][0] if known else None
+        self.energies: list[float] | None = None
         self.sums: Array | None = made["sums"][0] if balance else None
 
         made["units"][0][:] = units
         told = {"energies": known, "sums": balance}
         names = "units", "q", "v", "a", "lam", "found", "energies", "sums", "room"
         self.at = [made[name][1] if told.get(name, True) else None for name in names]
-
-    @property
-    def energies(self) -> list[float] | None:
-        """Kinetic, elastic, of the weight and of springs, J; None where nobody asks for them, or C does not know all."""
-        return None if self._energies is None else list(map(float, self._energies))
 
     def of(self, state: State) -> Seen | None:
         """What a state shows; None where NumPy has to look."""
@@ -61,4 +59,8 @@ class Glance:
         self.q[:], self.v[:], self.a[:], self.lam[:] = state.q, state.v, state.a, state.lam
         states.anew = True
         told = states.ask(states.library.driver_look, state.t, self.length, *self.at)
-        return Seen(*map(float, self.found)) if told else None
+        if not told:
+            return None
+        if self._energies is not None:
+            self.energies = list(map(float, self._energies))
+        return Seen(*map(float, self.found))
