@@ -174,11 +174,10 @@ class ImplicitStepper(TimeStepper):
 
     def _size_told(self, h: float, moved: Array) -> float:
         """The same of what compiled code tells of an increment: lengths of its three parts, and their weighted mean squares."""
-        lengths, squares = moved[:3], moved[3:]
-        places, speeds, pushes = map(float, lengths)
-        way = self._way(h, places, speeds)
+        way = self._way(h, float(moved[0]), float(moved[1]))
         if self.adaptive:
-            return float(np.sqrt(np.maximum.reduce(squares)))
+            return float(np.sqrt(np.maximum.reduce(moved[3:])))
+        pushes = float(moved[2])
         return (max(way, h * h * pushes) if self.eq.levels else way) / self._enough(h)
 
     def _way(self, h: float, places: float, speeds: float) -> float:
@@ -196,9 +195,8 @@ class ImplicitStepper(TimeStepper):
         """One more increment; its norm."""
         self.newton.iterations += 1
         self.stats.newton_iterations += 1
-        return iteration.increment(
-            self._pencil, lambda *parts: self._size(h, *parts), lambda moved: self._size_told(h, moved)
-        )
+        found = iteration.increment(self._pencil)
+        return self._size(h, *found) if isinstance(found, tuple) else self._size_told(h, found)
 
     def _enough(self, h: float) -> float:
         """What an increment of a constant step may move, m; found once a step."""

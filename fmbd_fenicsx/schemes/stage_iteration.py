@@ -7,7 +7,6 @@ What the points leave of the equations is decoupled by the rule of the scheme, s
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,7 @@ from ..rotations import Array
 from ..system.compiled.stages import Rule
 from .dae import Points
 
-Sizes = Callable[[Array, Array, Array], float]  # of increments of xi, v and of multipliers
-SizesTold = Callable[[Array], float]  # of what compiled code tells of them, see stages.c
+Increments = tuple[Array, Array, Array]  # of xi, v and of multipliers
 
 
 class StageIteration:
@@ -36,16 +34,16 @@ class StageIteration:
             self._points, self._told = Points(*self._told.room.points()), None
         return self._points
 
-    def increment(self, pencil: Any, size: Sizes, size_told: SizesTold) -> float:
-        """Add one increment; its size."""
+    def increment(self, pencil: Any) -> Array | Increments:
+        """Add one increment; what compiled code tells of its size (stages.c), or the increment itself."""
         if isinstance(pencil, SparsePencil) and self._weights is not None:
+            room, eq = pencil.room, self.eq
             if self._told is not pencil:
-                pencil.room.put(
-                    self.t, self.eq.origin, self.points, self.eq.tangents.metric(), (self.rule, self._weights)
-                )
-                self._told = pencil
-            if self._increment_told(pencil):
-                return size_told(pencil.room.arrays["moved"])
+                room.put(self.t, eq.origin, self.points, eq.tangents.inverse_mass, (self.rule, self._weights))
+                self._told, eq.left = pencil, room.left
+            if pencil.increment():
+                eq.residuals += len(self.t)
+                return room.moved
 
         p, n = self.points, self._points.xi.shape[1]
         kin, low = self.eq.residual(self.t, p)
@@ -53,14 +51,7 @@ class StageIteration:
         dxi, dv = change[:, :n], change[:, n:]
         couple = self.rule.couple
         self._points = Points(p.xi + dxi, p.rate + couple @ dxi, p.v + dv, p.vd + couple @ dv, p.mult + mult)
-        return size(dxi, dv, mult)
-
-    def _increment_told(self, pencil: SparsePencil) -> bool:
-        """The same by compiled code; False where NumPy has something to say."""
-        if not pencil.increment():
-            return False
-        self.eq.note(len(self.t), pencil.room.left)
-        return True
+        return dxi, dv, mult
 
     def _solved(self, pencil: Any, kin: Array, low: Array) -> tuple[Array, Array]:
         """(1): increments of xi and v side by side, and of the multipliers."""

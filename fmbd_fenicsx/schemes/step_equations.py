@@ -103,10 +103,11 @@ class StepEquations(Remembering):
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
         s, m = self.system, self.system.n_lam
+        self.residuals += len(t)
         told = self._told(t, p)
         if told is not None:
             low = np.concatenate((told.sums, *self.form.rows(told, p.vd)), axis=1) if self.levels else told.sums
-            self.note(len(t), low[-1, s.n_v : s.n_v + m])
+            self.left = low[-1, s.n_v : s.n_v + m]
             return p.rate - told.rates, low
 
         ev = self.stiff.system.batch(t, s.compose(self.origin, p.xi), p.v)
@@ -122,13 +123,8 @@ class StepEquations(Remembering):
         if len(self.stiff):
             self.rows = ev.jacobian.core[-1]
         low = self.lower(ev, a, p.mult)
-        self.note(len(t), low[-1, s.n_v : s.n_v + m])
+        self.left = low[-1, s.n_v : s.n_v + m]
         return p.rate - s.rate(p.xi, v), low
-
-    def note(self, points: int, left: Array) -> None:
-        """Take note of an evaluation of so many points, the last of which left the first rows open by this."""
-        self.residuals += points
-        self.left = left
 
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""

@@ -143,7 +143,7 @@ class SparseTangents(Remembering):
 
     def normally(self, mult: Array) -> Array:
         """U times multipliers (k, n_lam), (k, n_v)."""
-        return np.asarray((self.structure.normal.pattern.matrix(self.U) @ mult.T).T)
+        return self.structure.normal.pattern.times(self.U, mult)
 
     def metric(self) -> Metric:
         """The inverse of the mass matrix by its pattern and data."""
@@ -205,7 +205,7 @@ class SparseTangents(Remembering):
 
     def inertia(self, tangent: SparseTangent, a: Array) -> Array:
         """M a."""
-        return np.asarray(self.structure.couplings.masses.matrix(tangent.M) @ a)
+        return self.structure.couplings.masses.times(tangent.M, a[None])[0]
 
     def pencil(self, tangent: SparseTangent, s: Array, judge: Judge, redundant: bool) -> SparsePencil:
         """Solver of the stages for the frequencies s, (p,); rows do not depend on each other."""

@@ -67,6 +67,10 @@ class Pattern:
         """A matrix of SciPy with these data."""
         return sp.csr_matrix((data, self.on, self.start), shape=self.shape, copy=False)
 
+    def times(self, data: Array, x: Array) -> Array:
+        """Products with vectors (k, columns), (k, rows)."""
+        return np.array([np.bincount(self.rows, data * one[self.columns], self.shape[0]) for one in x])
+
     def transposed(self) -> tuple[Pattern, np.ndarray]:
         """The pattern of the transpose, and the numbers of the entries in its order."""
         order = np.argsort(self.columns, kind="stable")

@@ -21,21 +21,21 @@ class SparsePencil:
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
         """Increments dxi, dv side by side (p, 2 n) and multipliers (p, levels m), for residuals r_kin (p, n) and r_low
-        (p, n + levels m).
+        (p, n + levels m); of the first p frequencies.
         """
         change, mult, judged = self.room.solve(kin, low)
         shares = judged[:, 0] / np.where(judged[:, 1] > 0, judged[:, 1], 1.0)
-        self._check(*judged[int(shares.argmax())])
-        real = not np.iscomplexobj(self.s)
+        left, size = judged[int(shares.argmax())]
+        self.judge.check(float(left), float(size), OPEN_ROWS)
+        self.judge.solves += len(kin) - 1
+        real = not self.s[: len(kin)].imag.any()
         return (change.real, mult.real) if real else (change, mult)
 
     def increment(self) -> bool:
         """One increment of the points in the room; False where NumPy has something to say."""
-        if not self.room.increment():
+        room, judge = self.room, self.judge
+        if not room.increment():
             return False
-        self._check(*self.room.arrays["judged"])
+        judge.check(float(room.judged[0]), float(room.judged[1]), OPEN_ROWS)
+        judge.solves += len(self.s) - 1
         return True
-
-    def _check(self, left: float, size: float) -> None:
-        self.judge.check(float(left), float(size), OPEN_ROWS)
-        self.judge.solves += len(self.s) - 1

@@ -28,6 +28,7 @@ from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import PencilTangent
+from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.compiled.stages import SparseTangent
 from ...system.serialisation import Memory, plain
@@ -276,7 +277,11 @@ class RadauStepper(StageNewton):
 
     # -- error --------------------------------------------------------------------------------------------------
     def _error_filter(self, h: float) -> Any:
+        """The solver for gamma_0 / h; of an odd number of stages it is the real one of their own."""
         assert self._tangent is not None
+        if isinstance(self._pencil, SparsePencil) and self._h_factor == h and self.tab.gamma == self.tab.values[0]:
+            return self._pencil
+        self.stats.factorisations += 1
         return self.eq.pencil(self._tangent, np.array([self.tab.gamma / h]), self.judge)
 
     def _estimate(self, h: float, points: Points) -> float:
@@ -285,7 +290,6 @@ class RadauStepper(StageNewton):
         assert self._tangent is not None
         if self._filter is None:
             self._filter = self._error_filter(h)
-            self.stats.factorisations += 1
 
         # what the start of the step leaves of the constraints is no error of the step
         dq, v, a = self.eq.consistent_start(s)

@@ -124,6 +124,11 @@ class StageStructure:
             "J": c.turns, "M": c.masses, "G": c.rows, "U": self.normal.pattern, "by_q": low, "by_v": low, "by_a": low,
         }  # fmt: skip
 
+    @property
+    def multiplied(self) -> dict[str, Pattern]:
+        """Those of matrices that C multiplies with."""
+        return {name: (self.patterns | {"W": self.couplings.masses})[name] for name in MATRICES}
+
     def powers(self, T: SparseTangent) -> tuple[Array, Array, Array]:
         """K0, K1 and K2."""
         parts: tuple[list[Array], ...] = (
@@ -157,6 +162,11 @@ class StageStructure:
         return out
 
 
+def _by_rows(pattern: Pattern, data: int) -> SparseRows:
+    """A matrix of a pattern with its data at an address."""
+    return SparseRows(pattern.shape[0], address_of(pattern.start), address_of(pattern.on), data)
+
+
 class StageRoom:
     """Room in C for the factors of p frequencies and for k points."""
 
@@ -180,17 +190,18 @@ class StageRoom:
             "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)), "push": (k, n), "weigh": (3, n),
             "moved": 6, "judged": 2, "local": states.tables.system.n_q + n,
         }  # fmt: skip
-        self.arrays = {}
-        for name, (x, address) in zeros_of(sizes).items():
-            self.arrays[name] = x
-            setattr(c, name, address)
+        sizes |= {name: len(pattern) for name, pattern in structure.multiplied.items()}
+        made = zeros_of(sizes)
+        self.arrays = {name: x for name, (x, _) in made.items()}
+        for name, (_, address) in made.items():
+            setattr(c, name, address if name not in MATRICES else _by_rows(structure.multiplied[name], address))
+        self.moved, self.judged = self.arrays["moved"], self.arrays["judged"]
         for name in ("mult", "dmult"):
             self.arrays[name] = self.arrays[name].reshape(-1)[: k * multipliers].reshape(k, multipliers)
         for name in ("stack", "mark", "found"):
             setattr(c, name, self._integers(size, np.int32))
         c.next = self._integers(size, np.int64)
         self.address, self._room = ctypes.addressof(c), FILLED * entries + 2 * size
-        self._data: dict[str, Array] = {}
         self._make_room()
 
     def _integers(self, count: int, kind: Any) -> int:
@@ -216,37 +227,25 @@ class StageRoom:
         for name, data in zip(("K0", "K1", "K2"), self.structure.powers(tangent), strict=True):
             self.arrays[name][:] = data
         self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
-        couplings = self.structure.couplings
-        for name, pattern in (("J", couplings.turns), ("U", self.structure.normal.pattern)):
-            self.take(name, pattern, getattr(tangent, name))
-        for name in ("by_v", "by_a"):
-            self.take(name, self.structure.low, getattr(tangent, name))
+        for name, data in (("by_v", tangent.by_v), ("by_a", tangent.by_a), ("J", tangent.J), ("U", tangent.U)):
+            self.arrays[name][:] = data
 
         while (verdict := self.states.library.driver_stage_factors(self.address)) == SIZE:
             self._room *= 2
             self._make_room()
         return not verdict
 
-    def take(self, name: str, pattern: Pattern, data: Array) -> None:
-        """A matrix that C multiplies with, by rows."""
-        self._data[name] = data
-        setattr(
-            self.c,
-            name,
-            SparseRows(pattern.shape[0], address_of(pattern.start), address_of(pattern.on), address_of(data)),
-        )
-
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array, Array]:
-        """Increments dxi, dv side by side and multipliers, a row for each frequency; linear residuals and their scales (p, 2)."""
-        p, n, multipliers = self.c.frequencies, self.structure.n, self.structure.size - self.structure.n
+        """Increments dxi, dv side by side and multipliers, a row for each of the first frequencies; residuals and scales."""
+        p, n, multipliers = len(kin), self.structure.n, self.structure.size - self.structure.n
         given = [np.ascontiguousarray(x, dtype=complex) for x in (kin, low)]
         change, mult, judged = np.empty((p, 2 * n), complex), np.empty((p, multipliers), complex), np.empty((p, 2))
         places = [address_of(x) for x in (*given, change, mult, judged)]
-        self.states.library.driver_stage_solve(self.address, *places)
+        self.states.library.driver_stage_solve(self.address, p, *places)
         return change, mult, judged
 
-    def put(self, t: Array, q0: Array, points: Any, metric: tuple[Pattern, Array], given: tuple[Rule, Array]) -> None:
-        """Points about q0 at the times t (k,), W, the rule, and weights of increments (3, n)."""
+    def put(self, t: Array, q0: Array, points: Any, inverse_mass: Array, given: tuple[Rule, Array]) -> None:
+        """Points about q0 at the times t (k,), data of W, the rule, and weights of increments (3, n)."""
         rule, weights = given
         x = self.arrays
         x["t"][:], x["q0"][:], x["weigh"][:] = t, q0, weights
@@ -255,7 +254,7 @@ class StageRoom:
         for name, mixing in (("inverse", rule.inverse), ("vectors", rule.vectors)):
             x[name][..., 0], x[name][..., 1] = mixing.real, mixing.imag
         self.c.relax = rule.relax
-        self.take("W", *metric)
+        x["W"][:] = inverse_mass
 
     def points(self) -> tuple[Array, ...]:
         """xi, its rate, v, its rate and multipliers of the points, the caller's own."""

@@ -96,11 +96,11 @@ EXPORT int driver_stage_factors(Stages *o)
     return DONE;
 }
 
-/* Increments and multipliers for residuals kin and low of all frequencies, complex numbers: frequencies x n, x size. */
-EXPORT int driver_stage_solve(Stages *o, const double *kin, const double *low, double *change, double *mult, double *judged)
+/* Increments and multipliers for residuals kin and low of the first so many frequencies, complex numbers: count x n, x size. */
+EXPORT int driver_stage_solve(Stages *o, int count, const double *kin, const double *low, double *change, double *mult, double *judged)
 {
     const int n = o->n, size = o->size;
-    for (int f = 0; f < o->frequencies; f++, kin += 2 * n, low += 2 * size, change += 4 * n, mult += 2 * (size - n), judged += 2) {
+    for (int f = 0; f < count; f++, kin += 2 * n, low += 2 * size, change += 4 * n, mult += 2 * (size - n), judged += 2) {
         if (o->s[2 * f + 1] != 0.0) {
             resolve_complex(o, f, (const double complex *)kin, (const double complex *)low, (double complex *)change,
                             (double complex *)mult, judged);
