@@ -22,6 +22,7 @@ FILES = (
     "compiled_parts",
     "compiled_recording",
     "field_states",
+    "stage_systems",
     "checkpoint",
     "substructures",
 )

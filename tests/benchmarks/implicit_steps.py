@@ -8,6 +8,7 @@ Calls do not scatter; CPU times are the least of three differences.
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -110,33 +111,91 @@ CASES = {
     "the same, laws in Python": Case(andrews_coordinates, 1e-5, 0.03),
     "car axis, laws in Python": Case(car_axis, 1e-3, 1.0),
 }
-SCHEMES = {
-    "Rattle": lambda rtol: fmbd.Rattle(),
+SCHEMES: dict[str, Callable[[float | None], Any]] = {
     "BDF": lambda rtol: fmbd.BDF(order=2, rtol=None) if rtol is None else fmbd.BDF(rtol=rtol),
     "Radau": lambda rtol: fmbd.Radau(rtol=rtol),
 }
+COUNTED = ("steps", "newton_iterations", "jacobians")
 
 
-def once(case: Case, scheme: Any, steps: int, controlled: bool, calls: bool) -> tuple[float, np.ndarray, fmbd.Run]:
-    """CPU time (s) or calls of Python of a run, and its steps, increments, tangents and factors."""
+@dataclass(frozen=True)
+class Cost:
+    """Of a run: CPU time (s) or calls of Python, and the counters of :data:`COUNTED`."""
+
+    spent: float
+    work: np.ndarray
+
+
+def cost(case: Case, scheme: Any, steps: int, *, calls: bool) -> Cost:
+    """Of a run of so many steps, or of as many hundredths of the span where the scheme chooses its steps."""
     scene, count = case.make(), [0]
-    until = {"t_end": case.span * steps / 100} if controlled else {"t_end": case.step * steps, "dt": case.step}
+    chosen = scheme.rtol is not None
+    until = {"t_end": case.span * steps / 100} if chosen else {"t_end": case.step * steps, "dt": case.step}
 
     def entered(frame: Any, event: str, arg: Any) -> None:
         count[0] += event == "call"
 
-    if calls:
-        sys.setprofile(entered)
+    sys.setprofile(entered if calls else None)
     began = time.process_time()
     try:
-        run = fmbd.solve(scene, scheme=scheme, output=fmbd.Output(every=10**9) if not controlled else None, **until)
+        run = fmbd.solve(scene, scheme=scheme, output=fmbd.Output(every=10**9) if not chosen else None, **until)
     finally:
         sys.setprofile(None)
     spent = time.process_time() - began
-    told = run.counters
-    work = [run.counters.get("steps", 0), run.iterations if False else told.get("newton_iterations", 0)]
-    return (
-        (count[0] if calls else spent),
-        np.array(work + [told.get(k, 0) for k in ("jacobians", "factorisations")], float),
-        run,
-    )
+    work = np.array([run.counters[name] for name in COUNTED])
+    return Cost(count[0] if calls else spent, work)
+
+
+def of_a_step(case: Case, scheme: Any, steps: int, repeat: int) -> tuple[float, float, np.ndarray]:
+    """Calls of Python, CPU time (s) and work, by differences of runs of N and 2 N steps."""
+    cost(case, scheme, 2, calls=False)
+    once, twice = (cost(case, scheme, k, calls=True) for k in (steps, 2 * steps))
+    work = twice.work - once.work
+    count = work[0]
+    times = [
+        cost(case, scheme, 2 * steps, calls=False).spent - cost(case, scheme, steps, calls=False).spent
+        for _ in range(repeat)
+    ]
+    return (twice.spent - once.spent) / count, min(times) / count, work / count
+
+
+def table(steps: int, repeat: int) -> None:
+    """All scenes with both schemes."""
+    print("| scene | scheme | calls | us | increments | tangents |\n|---|---|---|---|---|---|")
+    for name, case in CASES.items():
+        for scheme, make in SCHEMES.items():
+            for rtol in (None, 1e-6):
+                calls, spent, work = of_a_step(case, make(rtol), steps, repeat)
+                sort = "constant" if rtol is None else f"rtol {rtol:.0e}"
+                print(
+                    f"| {name} | {scheme}, {sort} | {calls:.0f} | {1e6 * spent:.0f} | {work[1]:.1f} | {work[2]:.2f} |",
+                    flush=True,
+                )
+
+
+def growth(lengths: tuple[int, ...], repeat: int) -> None:
+    """CPU time a step of chains over their lengths, constant steps."""
+    print("| chain | scheme | links | ms | increments | tangents |\n|---|---|---|---|---|---|")
+    for dim in (2, 3):
+        for scheme, make in SCHEMES.items():
+            for n in lengths:
+                _, spent, work = of_a_step(Case(lambda dim=dim, n=n: chain(dim, n)), make(None), 8, repeat)  # type: ignore[misc]
+                print(f"| {dim}D | {scheme} | {n} | {1e3 * spent:.2f} | {work[1]:.1f} | {work[2]:.2f} |", flush=True)
+
+
+def main() -> None:
+    """The table, or the growth with the length of a chain."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--growth", action="store_true")
+    parser.add_argument("--steps", type=int, default=20)
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--lengths", type=int, nargs="+", default=[10, 100, 400])
+    asked = parser.parse_args()
+    if asked.growth:
+        growth(tuple(asked.lengths), asked.repeat)
+    else:
+        table(asked.steps, asked.repeat)
+
+
+if __name__ == "__main__":
+    main()
