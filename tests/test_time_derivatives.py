@@ -198,3 +198,29 @@ def test_a_motor_with_a_target_of_plain_numbers_asks_it_seldom() -> None:
     scene.add(arm, pin, fmbd.motor("motor", fmbd.angle(pin), target=target, kp=100.0, kd=5.0))
     fmbd.solve(scene, t_end=1.0, dt=1e-3)
     assert calls < 25 * 1000  # 85 a step by all steps of differences
+
+
+def of_terms_that_cancel(t: float) -> float:
+    """A way from rest as inverse kinematics give it: the difference of two lengths, whose roundoff its value does not tell."""
+    u = min(t / 0.5, 1.0)
+    moved = u**3 * (10 - 15 * u + 6 * u * u)
+    return float(np.linalg.norm(np.array([1.0, moved, 0.2]))) - float(np.linalg.norm([1.0, 0.2]))
+
+
+def test_terms_that_cancel() -> None:
+    """Both rates, at most forty values a time; differences over long steps are the reference."""
+    calls, kept, h = 0, KeptSteps(), 2e-3
+
+    def counted(t: float) -> float:
+        nonlocal calls
+        calls += 1
+        return of_terms_that_cancel(float(t))
+
+    times = np.arange(0.03, 0.48, 2e-3)
+    found = np.array([rates(counted, t, kept=kept) for t in times])
+    s = np.array([[of_terms_that_cancel(t + k * h) for k in range(-3, 4)] for t in times])
+    first = s @ np.array([-1, 9, -45, 0, 45, -9, 1]) / (60 * h)
+    second = s @ np.array([2, -27, 270, -490, 270, -27, 2]) / (180 * h * h)
+    assert np.allclose(found[:, 0], first, atol=1e-9)
+    assert np.allclose(found[:, 1], second, atol=1e-6)
+    assert calls < 40 * len(times)

@@ -283,21 +283,28 @@ SIDES = tuple(
 class Best:
     """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it.
 
-    ``number``: of its step.
+    ``number``: of its step. One alone may be misled by roundoff of terms that cancel, of which values tell nothing; two steps
+    in turn that agree to :data:`SMOOTH` of a rate are ``sure``, and only these can be contradicted.
     """
 
-    __slots__ = ("contradicted", "error", "number", "value")
+    __slots__ = ("contradicted", "error", "number", "sharp", "sure", "value")
 
     def __init__(self) -> None:
-        self.value, self.error, self.number, self.contradicted = math.nan, math.inf, 0, False
+        self.value, self.error, self.number = math.nan, math.inf, 0
+        self.sharp = self.sure = self.contradicted = False
 
     def take(self, value: float, doubt: float, number: int) -> None:
         """Look at the estimate by the next longer step."""
         if self.contradicted:
             return
-        if not (math.isnan(self.value) or abs(value - self.value) <= AGREES * (self.error + doubt)):
+        sharp = doubt <= SMOOTH * abs(value)
+        agrees = math.isnan(self.value) or abs(value - self.value) <= AGREES * (self.error + doubt)
+        if not agrees and self.sure:
             self.contradicted = True
-        elif doubt < self.error:
+            return
+        self.sure |= agrees and sharp and self.sharp
+        self.sharp = sharp
+        if doubt < self.error:
             self.value, self.error, self.number = value, doubt, number
 
 
