@@ -170,8 +170,10 @@ def test_refusals(ring: Any) -> None:
 def test_tangents_serve_many_steps(
     rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, *, large: bool
 ) -> None:
-    """A bar that falls by 17 degrees in 50 steps: its tangent turns with it, that of a linear form is always the same."""
-    from fmbd_fenicsx.schemes.onestep import elastic_momentum, energy_momentum
+    """A bar that falls by 17 degrees in 50 steps in parts: its tangent turns with it, that of a linear form is constant."""
+    from fmbd_fenicsx.schemes.onestep import elastic_momentum, energy_momentum, tangent_age
+
+    monkeypatch.setattr(tangent_age.TangentAge, "apart", True)
 
     law = (
         {"energy": saint_venant_kirchhoff(1e5, 0.3)} if large else {"elastic": fmbd.materials.linear_elastic(1e5, 0.3)}
@@ -196,4 +198,4 @@ def test_tangents_serve_many_steps(
     run = fmbd.solve(scene, t_end=0.2, dt=0.004, scheme=fmbd.EnergyMomentum())
     energy = sum(run.energy.values())
     assert np.abs(energy - energy[0]).max() < 1e-9 * run.energy["kinetic"].max()
-    assert taken["of bodies"] <= 3 and taken["of joints"] <= 3
+    assert 1 <= taken["of bodies"] <= 3 and 1 <= taken["of joints"] <= 3

@@ -23,6 +23,7 @@ from ..energies import StoredEnergy, ViscousForm
 from ..errors import InputError
 from ..log import together
 from ..rotations import Array, motions
+from .assembly import NodalVector
 from .energy_quadrature import integrated
 from .field_checks import check_field
 from .loads import AppliedLoads, Load
@@ -72,6 +73,7 @@ class Field:
     indefinite = False  # whether a tangent of it was found to be so: compressed bodies
     carried = False  # whether that pressure is an unknown of its own
     keeps_volume: bool = False  # whether that pressure keeps J = 1
+    loads: AppliedLoads
 
     def __init__(self, name: str, mesh: Any, forms: ElasticForms) -> None:
         import dolfinx.fem.petsc as fp
@@ -144,7 +146,7 @@ class Field:
             density = self.forms.energy
             energy, self.elastic_measure = integrated(lambda dx: density(self._w, dx), dx, self.forms)
             residual = ufl.derivative(energy, self._w, v)
-            self._energy_form, self._residual_form = compat.form(energy), compat.form(residual)
+            self._energy_form, self._residual = compat.form(energy), NodalVector(compat.form(residual))
             self.stiffness_form = compat.form(ufl.derivative(residual, self._w, u))
         except Exception as error:
             raise InputError(f'Body "{self.name}": {what}: {type(error).__name__}: {error}') from error
@@ -255,12 +257,8 @@ class Field:
         """Internal forces K U, or dPi/du, (n d,) -> (n d,); collective."""
         if not self.nonlinear:
             return self.stiffness(U)
-        from dolfinx import fem, la
-
         self._place(U)
-        b = fem.assemble_vector(self._residual_form)
-        b.scatter_reverse(la.InsertMode.add)
-        return b.array[: self.n * self.dim].copy()
+        return self._residual.assembled()
 
     def energy(self, U: Array) -> float:
         """Elastic energy in J; collective."""

@@ -31,6 +31,7 @@ from .. import dolfinx_compat as compat
 from ..energies import MixedEnergy
 from ..errors import InputError
 from ..rotations import Array
+from .assembly import NodalVector
 from .energy_quadrature import integrated
 from .fields import ElasticForms, Field
 
@@ -69,9 +70,8 @@ class MixedField(Field):
             energy, self.elastic_measure = integrated(lambda dx: self._energy(self._w, self._p, dx), dx, self.forms)
             force = ufl.derivative(energy, self._w, v)
             balance = ufl.derivative(energy, self._p, q)
-            self._energy_form, self._residual_form, self._balance_form = (
-                compat.form(x) for x in (energy, force, balance)
-            )
+            self._energy_form, self._balance_form = (compat.form(x) for x in (energy, balance))
+            self._residual = NodalVector(compat.form(force))
             self.stiffness_form = compat.form(ufl.derivative(force, self._w, u))
             self._coupling_form = compat.form(ufl.derivative(balance, self._w, u))
             self._compliance_form = compat.form(ufl.derivative(balance, self._p, p))

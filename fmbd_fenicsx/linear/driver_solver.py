@@ -13,7 +13,7 @@ from ..rotations import Array
 from ..system.compiled.choice import solves
 from ..system.compiled.evaluation import DriverEvaluation, DriverStates
 from ..system.compiled.explicit import ExplicitStates, Found, RattleStep, Stage, Stages, Tableau
-from ..system.compiled.field_states import FieldStates
+from ..system.compiled.field_states import FactoredFieldStates, FieldStates
 from ..system.compiled.means import MeanStates
 from ..system.evaluation import Evaluation
 from ..system.system import State, System
@@ -124,10 +124,10 @@ class DriverSolver:
         """Made where a scheme asks for it."""
         return MeanStates(self.states)
 
-    def means(self, t: float, q: Array, v: Array) -> MeanStates | None:
-        """Who makes steps of the energy-momentum scheme from a state; None as above. Nothing is prepared then."""
-        usable, self.ready = self._usable_at(t, q, v), False
-        return self._means if usable and not self.states.system.fields else None
+    def means(self, state: State, h: float) -> MeanStates | None:
+        """Who makes a step of size h (s) of the energy-momentum scheme from a state; None as above. Nothing is prepared then."""
+        usable, self.ready = self._usable_at(state.t, state.q, state.v), False
+        return self._means if usable else None
 
     def new_factors(self) -> int:
         """Factorisations since the last call."""
@@ -149,6 +149,8 @@ class FieldDriverSolver(DriverSolver):
         """``states``: those that are asked for; ``elastic``: the factors of fields."""
         super().__init__(states, core)
         self.told, self.elastic = states, elastic
+        self._made: MeanStates | None = None
+        self._of_means = 0  # factorisations of it that are counted
         self._versions: list[tuple[Any, Any]] = []  # of tangents and columns in the matrix prepared last
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
@@ -174,6 +176,38 @@ class FieldDriverSolver(DriverSolver):
         ev = self.told.at(t, q, v)
         self._choose(ev, MASSES)
         return self._looked(ev)
+
+    def means(self, state: State, h: float) -> MeanStates | None:
+        """As above, with the factors of a step of size h (s), whose matrix is M + h D / 2 + h^2 K / 4."""
+        self.ready = False
+        if self.usable is None:
+            self._usable_at(state.t, state.q, state.v)
+        if not self.usable:
+            return None
+        ev, weights = self.told.at(state.t, state.q, state.v), Weights(1.0, 0.5 * h, 0.25 * h * h)
+        states = self.told.of_steps(self.elastic.beside(ev.jacobian, weights))
+        states.tables.renewed = lambda *_: self._renewed(states, ev, weights)
+        if self._made is None or self._made.states is not states:
+            self._made = MeanStates(states)
+        return self._made
+
+    def new_factors(self) -> int:
+        """As above, those of steps of the energy-momentum scheme too."""
+        now = 0 if self._made is None else self._made.states.factors
+        new, self._of_means = now - self._of_means, now
+        return new + super().new_factors()
+
+    def _renewed(self, states: FactoredFieldStates, ev: DriverEvaluation, weights: Weights) -> list[FactoredField]:
+        """Factors with new tangents of the fields where a step of the energy-momentum scheme begins, that was told last.
+
+        At the mean displacements of its middle a body that turns is pressed, and its end may be far off still.
+        """
+        for field in states.tables.fields:
+            if field.part.renewable:
+                motion, _, local = field.motion.at(ev.t + 0.5 * states.tables.c.span)
+                field.part.part.relinearise(motion, local)
+        states.blocks = self.elastic.beside(ev.jacobian, weights)
+        return states.blocks
 
 
 def driver_solver(system: System, core: CoreSolver, elastic: FieldBlocks | None) -> DriverSolver | None:

@@ -66,6 +66,10 @@ class Memory:
         """An array like v."""
         return self._parts(name, x, self.system.slices[1])
 
+    def past(self, name: str, x: Any) -> list[tuple[float, Any, Any]]:
+        """Earlier values: times, arrays like v, multipliers."""
+        return [(i("t", t), i.like_v("a", a), i("lam", lam)) for i, (t, a, lam) in self.each(name, x, 3)]
+
     def like_q(self, name: str, x: Any) -> Any:
         """An array like q."""
         return self._parts(name, x, self.system.slices[0])

@@ -295,14 +295,18 @@ class System:
 
     def typical(self, x: Array) -> float:
         """The largest entry of the core, or root mean square of a field that no frame carries, as lengths; collective."""
+        return float(self.each_typical(x[None])[0])
+
+    def each_typical(self, x: Array) -> Array:
+        """The same of each of several arrays like v, (k, n_v) -> (k,); collective."""
         n = self.n_core
-        sizes = [float(np.maximum.reduce(np.abs(self.units[:n] * x[:n]), initial=0.0))]
+        sizes = np.abs(self.units[:n] * x[:, :n]).max(axis=1, initial=0.0)
         for k, p in self.fields:
             if p.frame == self.n_frames:
-                y = self.local_v(x, k)
-                square, count = rank_sum(self.comm, np.array([y @ y, len(y)]))
-                sizes.append(float(np.sqrt(square / count)))
-        return max(sizes)
+                y = x[:, self.slices[1][k]]
+                *squares, count = rank_sum(self.comm, np.append((y * y).sum(1), y.shape[1]))
+                sizes = np.maximum(sizes, np.sqrt(np.array(squares) / count))
+        return sizes
 
     # -- evaluation ---------------------------------------------------------------------------------------------------
     @cached_property

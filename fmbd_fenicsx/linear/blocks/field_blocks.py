@@ -84,6 +84,7 @@ class FieldBlocks:
     def __init__(self, system: System, linear: Any, prefix: str) -> None:
         self.system, self.linear, self.prefix = system, linear, prefix
         self.kept = 1
+        self.stepping: Weights | None = None  # those of :meth:`beside`
         self.factorisations = 0
         self.retired_solves: list[int] = []  # of factors that have been freed
         self.methods: dict[str, str] = {}  # by what the block of a body was solved last, in words
@@ -139,6 +140,11 @@ class FieldBlocks:
 
         self._sets[key] = blocks  # those used last are dropped last
         return blocks
+
+    def beside(self, G: Any, w: Weights) -> list[FactoredField]:
+        """:meth:`of` for a scheme whose steps have another matrix than what is solved between them: both are kept."""
+        self.kept, self.stepping = max(self.kept, 2), w
+        return self.of(G, w, ties_apart=False, splits=False)
 
     def _block(self, i: int, G: Any, w: Weights, ties_apart: bool) -> FactoredField:
         """Factor of field i, an earlier one where its matrix is the same, and its columns."""

@@ -13,7 +13,7 @@ def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
     Tangents must have been taken up before: a carried pressure belongs to the factor that was made with it.
     """
     system, elastic = solver.system, solver.elastic
-    weights = m("weights", solver.weights, Weights)
+    weights, stepping = m("weights", solver.weights, Weights), m("stepping", elastic.stepping, Weights)
 
     for k, part in system.fields:
         part.field.indefinite = m(f"indefinite {k}", part.field.indefinite)
@@ -21,6 +21,8 @@ def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
         ev = system.at(state.t, state.q, state.v)
         ev.forces = state.a, state.lam
         solver.prepare(ev, weights)
+        if stepping is not None:
+            elastic.beside(ev.jacobian, stepping)
     for k, part in system.fields:
         field = part.field
         if field.carried:

@@ -10,12 +10,14 @@ deformed surface and a viscous law F S_v(E') : grad v are in the tangent by thei
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ...fem.fields import Field
 from ...fem.initial import initial_fields
+from ...fem.mean_forces import MeanForces
 from ...rotations import Array
 from ..frames import polar_rotation
 from ..placements import FrameMotion
@@ -128,6 +130,50 @@ class AbsoluteField(FieldPart):
             rows -= (outer + inner).ravel()
 
         return np.zeros(self.motions.n_twist), rows
+
+    def moved_rigidly(self, U0: Array, V0: Array, h: float) -> Array:
+        """Displacements (n d,) of the body moved on rigidly for h (s): with its mean velocity, and turned by its mean angular
+        velocity; collective.
+        """
+        f = self.field
+        d, m = f.dim, f.motions
+        x = f.points(U0)
+        mass_x = f.mass(x)
+        V = V0.reshape(-1, d)
+
+        # mass centre, momentum and angular momentum about the origin
+        center = f.total(mass_x.sum(0)) / f.mass_total
+        speed = f.total(f.mass(V).sum(0))
+        spin = f.total(m.moment(x, f.mass(V)).sum(0))
+        mean = speed / f.mass_total
+
+        # inertia of the deformed body about its mass centre, and the angular velocity of its angular momentum
+        arm = x - center
+        inertia = np.empty((m.n_rot, m.n_rot))
+        for k in range(m.n_rot):
+            unit = np.eye(m.n_rot)[k : k + 1]
+            inertia[:, k] = m.moment(arm, f.mass(m.spin(unit, arm))).sum(0)
+        w = np.linalg.solve(f.total(inertia), spin - m.moment(center, speed))
+
+        turn = m.matrix(m.compose(m.identity[None], np.concatenate((np.zeros(d), h * w))[None]))[0]
+        return np.asarray(U0 + (arm @ turn.T - arm + h * mean).ravel())
+
+    @cached_property
+    def mean_forces(self) -> MeanForces:
+        """Forces over a step as difference quotients, compiled at first use; collective."""
+        return MeanForces(self.field)
+
+    def mean_force(self, motion: FrameMotion, local: tuple[Array, Array, Array], h: float) -> Array:
+        """Rows of (1) over a step of size h (s) about the time of ``motion``: ``local`` are displacements where it begins, mean
+        rates and mean accelerations, and forces difference quotients. Collective.
+        """
+        (U, rate, accel), f = local, self.field
+        self.mean_forces.place(motion.t - 0.5 * h, (U, U + h * rate), h)
+        rows = f.mass(accel.reshape(-1, f.dim) - motion.gravity).ravel() + self.mean_forces.force()
+        if f.loads.loads:
+            outer, inner = f.loads.constant(motion.t, np.eye(f.dim))
+            rows -= (outer + inner).ravel()
+        return rows
 
     def _turned_stiffness(self, U: Array, Ud: Array) -> Array:
         """R K_0 R^T u', R the mean rotation of the body: damping by the stiffness without stress leaves rigid motion alone and

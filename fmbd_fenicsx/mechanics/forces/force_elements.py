@@ -213,10 +213,10 @@ class ScalarLoads(Loads):
         return formulas_of([f.law for f in self.forces], self.relative)
 
     def effort(self, s: Array, rate: Array, t: float) -> Array:
-        """N of elongations s and rates, (m,)."""
+        """N of elongations s and rates, (.., m)."""
         N = self.k * s + self.c * rate
         if len(self.own):
-            N[self.own] = self.laws_of(self.own)(s[self.own], rate[self.own], t)
+            N[..., self.own] = self.laws_of(self.own)(s[..., self.own], rate[..., self.own], t)
         return N
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:

@@ -28,7 +28,17 @@ from .user_laws import Repeatable
 FEW = 8  # numbers: below it Python is faster with each of them
 STEP, LEAST = 1e-6, 1e-3  # of differences, relative to s and s'; the least size of these (m or rad, and a second)
 SAME = 1e-9  # relative, of arrays against numbers: their functions may round in other ways
+GAUSS = (0.5 - 0.15**0.5, 5 / 18), (0.5, 4 / 9), (0.5 + 0.15**0.5, 5 / 18)  # points and weights, of means over a step
 _content = attrgetter("cell_contents")
+
+
+def mean_effort(law: Callable[[Array, Array], Array], begun: Array, rate: Array, h: float) -> Array:
+    """Means (n,) of N(s, s') over a step of size h (s) that begins at s = ``begun`` with constant rates (n,); all points in one
+    call with arrays (3, n).
+    """
+    points, weights = np.array(GAUSS).T
+    s = begun + points[:, None] * (h * rate)
+    return np.asarray(weights @ law(s, np.broadcast_to(rate, s.shape)))
 
 
 class LawsTogether:

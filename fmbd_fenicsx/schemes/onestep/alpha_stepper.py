@@ -43,11 +43,6 @@ CLOSINGS = 3  # iterations that close joints within a step
 SHUT = 1e-12  # lengths of the model by which they may stay open
 
 
-def _keep_past(m: Memory, name: str, past: Any) -> list[tuple[float, Array, Array]]:
-    """The past of the predictor: times, accelerations, multipliers."""
-    return [(i("t", t), i.like_v("a", a), i("lam", lam)) for i, (t, a, lam) in m.each(name, past, 3)]
-
-
 def _keep_counters(m: Memory, name: str, counters: Any) -> dict[str, float]:
     """Counts; a compiled step may be there on one rank only."""
     return {**counters, **m(name, counters)}
@@ -62,7 +57,7 @@ class AlphaStepper(TimeStepper):
         "fresh": plain(),
         "local_error": plain(),
         "counters": _keep_counters,
-        "_past": _keep_past,
+        "_past": Memory.past,
         "slopes": plain(),
     }
     counters: dict[str, float] = {}

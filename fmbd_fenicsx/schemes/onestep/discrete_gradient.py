@@ -23,13 +23,12 @@ from functools import cached_property
 import numpy as np
 
 from ...mechanics.forces.force_elements import ScalarLoads
+from ...mechanics.forces.laws_together import mean_effort
 from ...mechanics.frames import Kinematics, Markers
 from ...mechanics.placements import FrameMotion
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.system import System
-
-GAUSS = ((0.5 - 0.15**0.5, 5 / 18), (0.5, 4 / 9), (0.5 + 0.15**0.5, 5 / 18))  # of laws of the user's own over a step
 
 
 class GradientEnd(Evaluation):
@@ -117,8 +116,7 @@ class Mean(Evaluation):
         linear = self.h * (ra * twist[loads.a] + rb * twist[loads.b]).sum(1)
         share = loads.relative.share(self.kin, (s0, s1), linear)
 
-        rate = moved / self.h
-        mean = sum(w * loads.effort(s0 + x * moved - loads.free, rate, self.t) for x, w in GAUSS)
+        mean = mean_effort(lambda s, rate: loads.effort(s, rate, self.t), s0 - loads.free, moved / self.h, self.h)
         N = (share * mean)[:, None]
         return -N * ra, -N * rb
 

@@ -1,19 +1,10 @@
-"""Absolute bodies in the energy-momentum scheme: forces as difference quotients of their energies, in every quadrature point.
+"""Absolute bodies in the energy-momentum scheme: forces as difference quotients of their energies.
 
     u_1 - u_0 = h (v_0 + v_1) / 2,      M ((v_1 - v_0) / h - g) + f_dg(u_0, u_1) + H P = b                        (1)
-    f_dg . w = int F_m S : grad w,      F_m = (F_0 + F_1) / 2,     C_m = (C_0 + C_1) / 2,     dC = C_1 - C_0
-    S = 2 W'(C_m) + 2 (W(C_1) - W(C_0) - W'(C_m) : dC) / (dC : dC) dC                                          (2)
 
-S : dC / 2 = W(C_1) - W(C_0), so energy is conserved for any step, and F_m S with symmetric S keeps the momenta. W must be
-given as a function of C = F^T F (:class:`~fmbd_fenicsx.energies.StoredEnergy`); linear forms act on (u_0 + u_1) / 2.
-
-A viscous law acts at (u_0 + u_1) / 2 with the rate (u_1 - u_0) / h; there sym(F_m^T grad u') = (E_1 - E_0) / h, so its work
-is that of the strain that has changed, and a rigid rotation over any angle does none. Dead loads b do the work
-b . (u_1 - u_0), a pressure that of its mean over the way from u_0 to u_1 (two points: exact). P are the forces of joints
+f_dg are those of :mod:`fmbd_fenicsx.fem.mean_forces`. Dead loads b do the work b . (u_1 - u_0). P are the forces of joints
 and springs on the ports, see :mod:`.energy_momentum`. The tangent is exact; it is taken anew while Newton's iteration is
-slow, and turns with the body in between: the scheme is for steps that turn bodies far.
-
-Source: Gonzalez, doi:10.1016/S0045-7825(00)00189-4; Simo and Tarnow, doi:10.1007/BF00913408.
+slow, and turns with the body in between: for steps that turn bodies far, and on several ranks. Usual steps are compiled.
 """
 
 from __future__ import annotations
@@ -23,16 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ... import dolfinx_compat as compat
-from ...energies import StoredEnergy, ViscousForm
 from ...mechanics.bodies.absolute import AbsoluteField
 from ...rotations import Array, rotate_nodal
 from ...system.evaluation import Evaluation
 from ...system.serialisation import Memory
 from ...system.system import State, System
-
-TINY = 1e-9  # dC : dC below which the correction in (2), of the third order in dC, is lost in roundoff
-POINTS = (0.5 - 1 / 12**0.5, 0.5 + 1 / 12**0.5)  # of Gauss's rule from u_0 to u_1
 
 
 @dataclass(frozen=True)
@@ -51,25 +37,14 @@ class _Body:
 
     def __init__(self, part: AbsoluteField) -> None:
         import dolfinx.fem.petsc as fp
-        import ufl
-        from dolfinx import fem
         from petsc4py import PETSc
 
         self.part, self.field = part, part.field
         field = part.field
 
-        v = ufl.TestFunction(field.space)
-        du = ufl.TrialFunction(field.space)
-        self.u0 = fem.Function(field.space)
-        self.u1 = fem.Function(field.space)
-        self.h = fem.Constant(field.mesh.dolfinx, 1.0)
-        force = self._forces(v)
-
         # tangent of (1): J_f = 2 M / h^2 + d f_dg / d u_1
-        dx = ufl.Measure("dx", domain=field.mesh.dolfinx)
-        inertia = 2 * float(field.forms.density) / self.h**2 * ufl.inner(du, v) * dx
-        self._force = compat.form(force)
-        self._tangent = compat.form(inertia + ufl.derivative(force, self.u1, du))
+        self.forces = part.mean_forces
+        self._tangent = self.forces.tangent()
         self.J = fp.create_matrix(self._tangent)
         self._assemble = fp.assemble_matrix
 
@@ -88,76 +63,18 @@ class _Body:
         """Whether the tangent depends on the size of the step only."""
         return not (self.field.nonlinear or self.field.loads.moving or self.field.viscous.law is not None)
 
-    def _forces(self, v: Any) -> Any:
-        """UFL form of elastic and viscous forces and of loads on the deformed body."""
-        import ufl
-
-        field, forms = self.field, self.field.forms
-        dx, density = field.elastic_measure, float(forms.density)
-        mean = 0.5 * (self.u0 + self.u1)
-        rate = (self.u1 - self.u0) / self.h
-
-        force = self._elastic(mean, v)
-        if isinstance(forms.viscous, ViscousForm):
-            force += forms.viscous(mean, rate, v, dx)
-        elif forms.viscous is not None:
-            force += forms.viscous(rate, v, dx)
-
-        if forms.mass_damping:
-            force += forms.mass_damping * density * ufl.inner(rate, v) * ufl.Measure("dx", domain=field.mesh.dolfinx)
-        if forms.stiffness_damping:
-            assert forms.elastic is not None  # an energy is refused by the scheme
-            force += forms.stiffness_damping * forms.elastic(rate, v, dx)
-        # loads that follow the body: their mean over the way from u_0 to u_1
-        if field.loads.moving:
-            for x in POINTS:
-                force -= 0.5 * field.loads.moving_form((1 - x) * self.u0 + x * self.u1, v)
-        return force
-
-    def _elastic(self, mean: Any, v: Any) -> Any:
-        """(2), or the linear form at the mean."""
-        import ufl
-
-        field = self.field
-        stored = field.forms.energy
-        if stored is None and not field.mixed:
-            return field.stress_form(mean, v)[0]
-        assert isinstance(stored, StoredEnergy)  # others are refused by the scheme
-
-        eye = ufl.Identity(field.dim)
-        F0 = eye + ufl.grad(self.u0)
-        F1 = eye + ufl.grad(self.u1)
-        C0, C1 = F0.T * F0, F1.T * F1
-        Cm = ufl.variable(0.5 * (C0 + C1))
-        dC = C1 - C0
-
-        W = stored.density(field.mesh.dolfinx)
-        # 2 W' is symmetric only with the symmetric part of the derivative
-        slope = ufl.diff(W(Cm), Cm)
-        slope = 0.5 * (slope + slope.T)
-
-        # the correction of (2), where dC is no roundoff
-        square = ufl.inner(dC, dC)
-        rest = (W(C1) - W(C0) - ufl.inner(slope, dC)) / ufl.max_value(square, TINY)
-        rest = ufl.conditional(ufl.gt(square, TINY), rest, 0.0)
-
-        S = 2 * (slope + rest * dC)
-        return ufl.inner(0.5 * (F0 + F1) * S, ufl.grad(v)) * field.elastic_measure
-
     def begin(self, state: tuple[float, Array, Array], h: float, gravity: Array) -> None:
         """A step of size h (s) from t, u_0, v_0, and a first u_1; collective."""
         self.t, U, V = state
         t, f = self.t, self.field
-        self.h.value = h
-        f.loads.at(t + 0.5 * h)
+        self.h = h
 
         outer, inner = f.loads.constant(t + 0.5 * h, np.eye(f.dim)) if f.loads.loads else (0.0, 0.0)
         # what of (1) does not depend on u_1
         drift = 2.0 / h * (U / h + V).reshape(-1, f.dim) + gravity
         self._known = (f.mass(drift) + outer + inner).ravel()
 
-        self._place(self.u0, U)
-        self.U, self.U0, self.V0 = self._predict(U, V, h), U, V
+        self.U, self.U0, self.V0 = self.part.moved_rigidly(U, V, h), U, V
         self.turn = None
         if self.taken is not None and not self.constant:
             self.turn = self._mean_turn() @ self.taken.turn.T
@@ -166,36 +83,23 @@ class _Body:
         """Mean rotation of the body in the middle of the step, (d, d); collective."""
         return self.part.mean_rotation(0.5 * (self.U0 + self.U))
 
-    def _place(self, function: Any, U: Array) -> None:
-        """Nodal values with ghosts."""
-        function.x.array[: len(U)] = U
-        function.x.scatter_forward()
-
     def residual(self) -> Array:
         """(1) without P at u_1, (n d,); collective."""
-        from dolfinx import fem, la
-
-        self._place(self.u1, self.U)
-        b = fem.assemble_vector(self._force)
-        b.scatter_reverse(la.InsertMode.add)
-        n = len(self.U)
-        inertia = self.field.mass((2.0 / self.h.value**2 * self.U).reshape(-1, self.field.dim)).ravel()
-        return np.array(inertia + b.array[:n] - self._known)
+        self.forces.place(self.t, (self.U0, self.U), self.h)
+        inertia = self.field.mass((2.0 / self.h**2 * self.U).reshape(-1, self.field.dim)).ravel()
+        return np.array(inertia + self.forces.force() - self._known)
 
     def linearise(self) -> bool:
         """J_f at u_1, factored at the next solve; False where the one that is there would be the same. Collective."""
-        h = float(self.h.value)
-        if self.constant and self.taken is not None and self.taken.h == h:
+        if self.constant and self.taken is not None and self.taken.h == self.h:
             return False
-        self._take(Taken(self.t, h, self.U0, self.U, self._mean_turn()))
+        self._take(Taken(self.t, self.h, self.U0, self.U, self._mean_turn()))
         return True
 
     def _take(self, at: Taken) -> None:
         """J_f of a step; collective."""
-        self.taken, self.turn, self.h.value = at, None, at.h
-        self.field.loads.at(at.t + 0.5 * at.h)
-        self._place(self.u0, at.U0)
-        self._place(self.u1, at.U1)
+        self.taken, self.turn = at, None
+        self.forces.place(at.t, (at.U0, at.U1), at.h)
         self.J.zeroEntries()
         self._assemble(self.J, self._tangent)
         self.J.assemble()
@@ -220,31 +124,6 @@ class _Body:
     def solve_columns(self, B: Array) -> Array:
         """The same for columns (n d, k)."""
         return np.stack([self.solve(B[:, k]) for k in range(B.shape[1])], axis=1) if B.shape[1] else B.copy()
-
-    def _predict(self, U0: Array, V0: Array, h: float) -> Array:
-        """The body moved on rigidly: with its mean velocity, and turned by its mean angular velocity."""
-        f = self.field
-        d, m = f.dim, f.motions
-        x = f.points(U0)
-        mass_x = f.mass(x)
-        V = V0.reshape(-1, d)
-
-        # mass centre, momentum and angular momentum about the origin
-        center = f.total(mass_x.sum(0)) / f.mass_total
-        speed = f.total(f.mass(V).sum(0))
-        spin = f.total(m.moment(x, f.mass(V)).sum(0))
-        mean = speed / f.mass_total
-
-        # inertia of the deformed body about its mass centre, and the angular velocity of its angular momentum
-        arm = x - center
-        inertia = np.empty((m.n_rot, m.n_rot))
-        for k in range(m.n_rot):
-            unit = np.eye(m.n_rot)[k : k + 1]
-            inertia[:, k] = m.moment(arm, f.mass(m.spin(unit, arm))).sum(0)
-        w = np.linalg.solve(f.total(inertia), spin - m.moment(center, speed))
-
-        turn = m.matrix(m.compose(m.identity[None], np.concatenate((np.zeros(d), h * w))[None]))[0]
-        return np.asarray(U0 + (arm @ turn.T - arm + h * mean).ravel())
 
     def destroy(self) -> None:
         """Free the solver; collective."""
@@ -369,7 +248,7 @@ class Fields:
         in_q, in_v, _ = self.system.slices
         for body, (k, _) in zip(self.bodies, self.system.fields, strict=True):
             q[in_q[k]] = body.U
-            v[in_v[k]] = 2.0 / body.h.value * (body.U - body.U0) - body.V0
+            v[in_v[k]] = 2.0 / body.h * (body.U - body.U0) - body.V0
 
     def destroy(self) -> None:
         """Free the solvers; collective."""

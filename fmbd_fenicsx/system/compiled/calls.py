@@ -12,17 +12,18 @@ import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError
 from ...mechanics.forces.formulas import TARGET
+from ...mechanics.forces.laws_together import mean_effort
 from ...mechanics.joints.couplings import SmoothMotion
 from ...mechanics.kinds.asked import AskedKind
 from .items import GIVEN, Items
-from .structures import PYTHON, enumeration
+from .structures import PYTHON, address_of, enumeration
 from .tables import Tables
 
 ASKED = enumeration("SAMPLE")  # what C asks for
 OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer
 WHOLE_SAMPLE, PLACES, RATES = enumeration("WHOLE_SAMPLE").values()
 NUMPYS = tuple(
-    ASKED[what] for what in ("FIELD_FORCES", "FIELD_TANGENTS", "PART_FORCES", "PART_TANGENTS")
+    ASKED[what] for what in ("FIELD", "FIELD_FORCES", "FIELD_MEANS", "FIELD_TANGENTS", "PART_FORCES", "PART_TANGENTS")
 )  # where these fail NumPy makes the step
 
 
@@ -58,9 +59,25 @@ class Calls:
         timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
         slower = any(_differentiated(motion) for motion, _ in self.prescribed)
         tables.c.samples = int(ramp or any(timed)) + int(slower)
+        self._list_timed()
         self.answers = self._answers()
         self.function = PYTHON(self.answer)
         tables.c.python = self.function
+
+    def _list_timed(self) -> None:
+        """Tell C which arrays a sample writes."""
+        tables = self.tables
+        written = [tables.arrays[name] for name in ("motion", "motion_rate") if self.moving]
+        written += [x.table for x in tables.sources if x.drive or x.load is not None]
+        written += [x.arrays["effort"] for x in self.given]
+        written += [constants for constants, _ in self.targets]
+        written += [rod.load for rod in self.loaded_rods]
+        written += [tables.arrays["gravity"]] if self.ramp else []
+
+        store = tables.store
+        tables.c.timed = len(written)
+        tables.c.timed_at = store.array([address_of(x) for x in written], np.uint64)[1]
+        tables.c.timed_size = store.array([x.size for x in written], np.int64)[1]
 
     def answer(self, what: int, number: int, t: float) -> int:
         """0, 1 after an exception, OUTSIDE where a field's forces have no value, or its tangent no factor."""
@@ -79,6 +96,7 @@ class Calls:
         said: dict[str, Callable[[int, float], None]] = {
             "SAMPLE": lambda part, t: self.sample(t, part),
             "EFFORT": lambda number, t: self._effort(tables.sources[number], t),
+            "EFFORT_MEANS": lambda number, t: self._mean_effort(tables.sources[number], t),
             "SLOPES": lambda number, t: self._slopes(tables.sources[number], t),
             "KEEP": lambda number, t: self._keep(t),
             "LINKS": lambda number, t: self._link(t),
@@ -88,6 +106,7 @@ class Calls:
             "SECTION_SLOPES": lambda number, t: tables.rods[number].section_slopes(),
             "FIELD": lambda number, t: tables.fields[number].solve(),
             "FIELD_FORCES": lambda number, t: tables.fields[number].forces(t),
+            "FIELD_MEANS": lambda number, t: tables.fields[number].mean_forces(t),
             "FIELD_ENERGIES": lambda number, t: tables.fields[number].energies(t),
             "FIELD_TANGENTS": lambda number, t: tables.renew_fields(t),
             "PART_FORCES": lambda number, t: tables.told[number].forces(t),
@@ -152,6 +171,13 @@ class Calls:
         x = items.arrays
         assert items.law is not None
         x["effort"][:] = items.law(x["s"] - x["free"], x["rate"], t)
+
+    def _mean_effort(self, items: Items, t: float) -> None:
+        """Means of laws over a step, from the coordinates where it begins on at their mean rates."""
+        x, law = items.arrays, items.law
+        assert law is not None
+        begun, rate = x["s"] - x["free"], x["rate"]
+        x["effort"][:] = mean_effort(lambda s, rate: law(s, rate, t), begun, rate, self.tables.c.span)
 
     def _keep(self, t: float) -> None:
         """Controllers take up an accepted step."""

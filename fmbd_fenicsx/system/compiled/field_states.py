@@ -42,15 +42,30 @@ class FieldStates(DriverStates):
 
     solves = False
     _factored: FactoredFieldStates | None = None
+    _of_steps: FactoredFieldStates | None = None
+
+    def of_steps(self, blocks: Sequence[Block]) -> FactoredFieldStates:
+        """As :meth:`factored`, apart from those that solve with other matrices between steps."""
+        made = self._of_steps
+        if made is None:
+            self._of_steps = made = FactoredFieldStates(self, blocks)
+        elif made.blocks is not blocks:
+            made.take(blocks)
+        return made
 
     def factored(self, blocks: Sequence[Block]) -> FactoredFieldStates:
         """The same system with factors of its fields; the last one that was asked for goes on with these."""
         made = self._factored
         if made is None or self.remembers:
             self._factored = made = FactoredFieldStates(self, blocks)
-        elif made.blocks is not blocks:
-            made.take(blocks)
+        elif made.blocks is not blocks or made.tangents != self.newest_tangents:
+            made.take(blocks)  # masses have no tangents, but turn with the body since the newest ones
         return made
+
+    @property
+    def newest_tangents(self) -> list[int]:
+        """Numbers of the tangents of the fields."""
+        return [part.tangent_version for _, part in self.system.fields]
 
     def factored_by(self, blocks: Sequence[Block]) -> bool:
         """Whether the tables have these factors now."""
@@ -73,10 +88,11 @@ class FactoredFieldStates(FieldStates):
     def __init__(self, states: FieldStates, blocks: Sequence[Block]) -> None:
         self.blocks = blocks
         super().__init__(states.system, states.library)
+        self.tangents = self.newest_tangents  # in the tables
 
     def take(self, blocks: Sequence[Block]) -> None:
         """Go on with the factors of another size of step."""
-        self.blocks = blocks
+        self.blocks, self.tangents = blocks, self.newest_tangents
         if self.tables.take(blocks):
             self._held = None
         else:

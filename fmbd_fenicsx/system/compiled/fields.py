@@ -129,6 +129,11 @@ class FieldTable:
         motion, _, local = self.motion.at(t)
         self.sums[:], self.force[:] = self.part.force(motion, local)
 
+    def mean_forces(self, t: float) -> None:
+        """Forces on the nodes over a step about t (s); its frame rests."""
+        motion, _, local = self.motion.at(t)
+        self.force[:] = self.part.mean_force(motion, local, self.tables.c.span)
+
     def energies(self, t: float) -> None:
         """Kinetic, elastic and weight energy."""
         motion, pose, local = self.motion.at(t)

@@ -110,6 +110,10 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields("again renewed led renewable foretells renewals linkable links", _INT),
         *_fields("push pull answer mutual", _POINTER),
         *_fields("indefinite leaves_out", _INT),
+        ("from", _POINTER),
+        ("span", _REAL),
+        ("timed", _INT),
+        *_fields("timed_at timed_size", _POINTER),
     ],
 }
 

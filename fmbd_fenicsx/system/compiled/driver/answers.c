@@ -11,6 +11,22 @@ static int sample(System *s, double t, double *last)
     return DONE;
 }
 
+/* Numbers that a sample writes. */
+static long sample_size(const System *s)
+{
+    long n = 0;
+    for (int i = 0; i < s->timed; i++) n += s->timed_size[i];
+    return n;
+}
+
+/* What was sampled last into ``kept``, or back to where it belongs. */
+static void keep_sample(const System *s, double *kept, int back)
+{
+    for (int i = 0; i < s->timed; kept += s->timed_size[i++])
+        if (back) memcpy(s->timed_at[i], kept, s->timed_size[i] * sizeof(double));
+        else memcpy(kept, s->timed_at[i], s->timed_size[i] * sizeof(double));
+}
+
 /* The residual evaluated last, in the order of the unknowns and in world axes, as an array like v. */
 static void like_v(const System *s, const double *u, double *x)
 {

@@ -135,14 +135,10 @@ static int items(System *s, Batch *k, const double *lam, double t)
     return DONE;
 }
 
-/* Residuals of the balance (bodies' blocks, world axes) and open constraints at a state. */
-int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t)
+/* What constraints and efforts do, added to the forces of inertia and to those within bodies; open constraints. */
+static int acting(System *s, const double *lam, double t)
 {
-    int verdict = place(s, q, v), looked;
-    s->evaluations++;
-    if (verdict) return verdict;
-    looked = inertia(s, q, v, a, t);
-    if (looked == FAILED) return FAILED;
+    int verdict;
     memset(s->residual + s->nu, 0, TWIST * s->surfaces * sizeof(double));
     for (int i = 0; i < s->rows; i++) s->gap[i] = -s->motion[i];
 
@@ -170,5 +166,16 @@ int evaluate(System *s, const double *q, const double *v, const double *a, const
             add(o->now, pull, k->G + r * o->modes * o->modes, o->modes * o->modes);
         }
     }
-    return looked;
+    return DONE;
+}
+
+/* Residuals of the balance (bodies' blocks, world axes) and open constraints at a state. */
+int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t)
+{
+    int verdict = place(s, q, v), looked;
+    s->evaluations++;
+    if (verdict) return verdict;
+    looked = inertia(s, q, v, a, t);
+    if (looked == FAILED) return FAILED;
+    return (verdict = acting(s, lam, t)) ? verdict : looked;
 }

@@ -125,7 +125,10 @@ int field_force(System *s, int b, const double *q, const double *v, const double
     const Field *e = o->field;
     const double *R = s->frames + FRAME * b + TURN;
     Motion m = motion_of(o, b, q, v, a);
-    int verdict = e->own ? tell(s, FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t) : linear_field(o, R, &m, s->gravity, f);
+    int verdict;
+    if (e->own && s->from) m.U = s->from + o->at_q; /* those of the middle follow for linear fields alone */
+    if (e->own) verdict = tell(s, s->from ? FIELD_MEANS : FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t);
+    else verdict = linear_field(o, R, &m, s->gravity, f);
     if (rests(o)) {
         memset(f, 0, TWIST * sizeof(double));
     } else if (e->own && !verdict) {
@@ -248,7 +251,8 @@ static int field_alone(System *s, const Body *o, double scale, double t)
     memset(b, 0, o->modes * sizeof(double));
     turn_nodes(e, e->b, e->n, 1);
     s->calls++;
-    return s->python(FIELD, e->number, t) ? FAILED : DONE;
+    int told = s->python(FIELD, e->number, t);
+    return told == OUTSIDE ? NEWTON : told ? FAILED : DONE;
 }
 
 /* The right-hand side of (2) into s->b, whose rows of the frame conditions hold what C^T dU has to be; ``scale`` = 0: no forces. */
@@ -256,8 +260,9 @@ int field_load(System *s, const Body *o, double scale, double t)
 {
     const Field *e = o->field;
     double *b = s->b + o->at_u + TWIST, *wanted = s->b + s->nu + e->row, open[TWIST];
+    int verdict = DONE;
     if (scale == 0.0) memset(e->z, 0, e->n * sizeof(double));
-    else if (field_alone(s, o, scale, t)) return FAILED;
+    else if ((verdict = field_alone(s, o, scale, t))) return verdict;
 
     /* h closes the frame conditions */
     for (int i = 0; i < e->solved; i++) e->pz[i] = column(e, i, e->z);

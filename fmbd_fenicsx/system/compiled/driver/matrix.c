@@ -265,3 +265,25 @@ static int misled(const System *s)
         if (k->role == WHOLE && *k->astray) return 1;
     return 0;
 }
+
+/* The size of accelerations, as System.typical: of frames and modes the largest, of fields without a moving frame the root mean
+   square. */
+static double typical(const System *s, const double *a)
+{
+    double found = largest_of(s->units, a, s->core);
+    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
+        if (o->field && rests(o)) found = fmax(found, sqrt(dot(a + o->at_v, a + o->at_v, o->field->n) / o->field->n));
+    return found;
+}
+
+/* New tangents of fields from the state evaluated last, where an increment x led; see fields.py. */
+static int take_tangents(System *s, const double *x, double t)
+{
+    for (const Body *o = s->body; o < s->body + s->bodies; o++) {
+        if (!o->field) continue;
+        memcpy(o->field->b, x + o->at_v, o->field->n * sizeof(double));
+    }
+    s->calls++;
+    int told = s->python(FIELD_TANGENTS, 0, t);
+    return told == OUTSIDE ? NEWTON : told ? FAILED : DONE;
+}

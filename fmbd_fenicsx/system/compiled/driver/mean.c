@@ -1,8 +1,11 @@
-/* A step of the energy-momentum scheme, (1) to (4) of schemes/onestep/energy_momentum.py: frames and maps of surfaces at the mean of
-   both ends, A = (R_0 + R_1) / 2, with angular velocities A^-T w_b. Kernels of kinds then give the rows of difference quotients. */
+/* A step of the energy-momentum scheme, (1) to (4) of schemes/onestep/energy_momentum.py. With frames and maps of surfaces at the mean
+   of both ends kernels of kinds give the rows of difference quotients. Bodies in absolute coordinates are at their mean displacements,
+   where linear forces are difference quotients; Python tells those of energies. */
 
 static const double GAUSS[3] = {0.5 - 0.3872983346207417, 0.5, 0.5 + 0.3872983346207417}, SHARES[3] = {5.0 / 18, 4.0 / 9, 5.0 / 18};
-static const double SLOW_RATE = 0.1, FASTEST = 1e-5, ENOUGH = 1e-9, ZERO = 1e-13;   /* as in energy_momentum.py */
+enum { MATRICES = 2 };                  /* of a step at most */
+enum { PATIENT = 8 };                   /* increments of a scene with fields that are cheaper than new tangents */
+static const double ASTRAY = 10.0, FAR_AWAY = 0.2; /* accelerations, of their size, and ways, of the length, that lead to other solutions */
 static const double UNMOVED = 1e-6, KEPT = 1e-13; /* of coordinates over a step; of the length, that rows may leave of g_1 - g_0 */
 
 /* One step of size h from q0, v0 at t: what is there at both ends, and where the newest accelerations lead. */
@@ -12,7 +15,13 @@ typedef struct {
     double *frames[2], *maps[2], *s[2], *gap0; /* frames, maps of surfaces, coordinates of efforts; g_0 */
     double *q, *v, *middle, *w, *xi;           /* the end; between: configuration, velocity, increment */
     double *core, *inertia, *along, *missing, *share, *effort;
+    double *sampled[2];                        /* what depends on time only, at the end and in the middle */
 } Step;
+
+#include "mean_places.c"
+
+/* When an iteration ends, see Ends of system/compiled/means.py. */
+enum { LARGEST, NONE, LOST, SLOW_RATE, FASTEST, ENOUGH, ZERO, CLOSE, IDLE, NOISE };
 
 static long mean_coordinates(const System *s)
 {
@@ -32,7 +41,8 @@ static long mean_maps(const System *s)
 EXPORT long driver_mean_room(const System *s)
 {
     long frames = FRAME * (s->bodies + 1 + s->surfaces);
-    return 2 * (frames + mean_maps(s)) + 4 * mean_coordinates(s) + 3 * s->nq + 7 * s->nv + 4 * s->rows;
+    long pairs = s->fields ? (2 * PAIRS + 3) * (2 * s->nv + s->rows) : 0;
+    return 2 * (frames + mean_maps(s) + sample_size(s)) + 4 * mean_coordinates(s) + 3 * s->nq + 7 * s->nv + 4 * s->rows + pairs;
 }
 
 static double *part_of(double **room, long n)
@@ -59,15 +69,17 @@ static void keep_end(System *s, Step *o, int end)
     }
 }
 
-/* The beginning; ``room`` is cut, what is left of it comes back. */
-static int mean_begin(System *s, Step *o, double *asked, double **room)
+/* The beginning, and what depends on time only, sampled once; ``room`` is cut, what is left of it comes back. */
+static int mean_begin(System *s, Step *o, double **room)
 {
+    double asked = NAN;
     long frames = FRAME * (s->bodies + 1 + s->surfaces), maps = mean_maps(s), n = mean_coordinates(s);
     int verdict;
     for (int end = 0; end < 2; end++) {
         o->frames[end] = part_of(room, frames);
         o->maps[end] = part_of(room, maps);
         o->s[end] = part_of(room, n);
+        o->sampled[end] = part_of(room, sample_size(s));
     }
     o->share = part_of(room, n), o->effort = part_of(room, n);
     o->q = part_of(room, s->nq), o->middle = part_of(room, s->nq);
@@ -75,10 +87,15 @@ static int mean_begin(System *s, Step *o, double *asked, double **room)
     o->core = part_of(room, s->nv), o->inertia = part_of(room, s->nv), o->along = part_of(room, s->nv);
     o->gap0 = part_of(room, s->rows), o->missing = part_of(room, s->rows);
 
-    if ((verdict = sample(s, o->t, asked)) || (verdict = place(s, o->q0, o->v0))) return verdict;
+    if ((verdict = sample(s, o->t, &asked)) || (verdict = place(s, o->q0, o->v0))) return verdict;
     drift(s);
     memcpy(o->gap0, s->gap, s->rows * sizeof(double));
     keep_end(s, o, 0);
+
+    for (int i = 0; i < 2; i++) {
+        if ((verdict = sample(s, o->t + (i ? 0.5 : 1.0) * o->h, &asked))) return verdict;
+        keep_sample(s, o->sampled[i], 0);
+    }
     return DONE;
 }
 
@@ -100,58 +117,6 @@ static void mean_motion(const System *s, Step *o, const double *a)
     configuration(s, o->q0, o->xi, o->middle);
 }
 
-#if DIM == 3
-/* det A A^-T; det A */
-static double cofactors(const double *A, double *C)
-{
-    for (int i = 0; i < 3; i++) moment(A + 3 * ((i + 1) % 3), A + 3 * ((i + 2) % 3), C + 3 * i);
-    return dot(A, C, 3);
-}
-
-/* A^-T w */
-static void spatial(const double *A, const double *w, double *out)
-{
-    double C[9], size = cofactors(A, C);
-    times(C, w, out);
-    for (int j = 0; j < 3; j++) out[j] /= size;
-}
-
-/* A^-1 m */
-static void material(const double *A, const double *m, double *out)
-{
-    double C[9], size = cofactors(A, C);
-    transposed(C, m, out);
-    for (int j = 0; j < 3; j++) out[j] /= size;
-}
-#else
-static void spatial(const double *A, const double *w, double *out) { (void)A, out[0] = w[0]; }
-static void material(const double *A, const double *m, double *out) { (void)A, out[0] = m[0]; }
-#endif
-
-/* Frames, velocities and maps of surfaces at the mean of both ends. */
-static void place_mean(System *s, const Step *o)
-{
-    const double *map[2] = {o->maps[0], o->maps[1]};
-    for (int i = 0; i < FRAME * (s->bodies + 1 + s->surfaces); i++) s->frames[i] = 0.5 * (o->frames[0][i] + o->frames[1][i]);
-    for (int b = 0; b < s->bodies; b++) {
-        const Body *k = s->body + b;
-        double *x = s->frames + FRAME * b, *velocity = s->velocity + k->at_u;
-        memcpy(x + SPEED, o->w + TWIST * b, D * sizeof(double));
-        spatial(x + TURN, o->w + TWIST * b + D, x + SPIN);
-        memcpy(velocity, x + SPEED, TWIST * sizeof(double));
-        memcpy(velocity + TWIST, o->w + k->at_v, k->modes * sizeof(double));
-    }
-    for (int i = 0; i < s->surfaces; i++) {
-        Surface *k = s->surface + i;
-        const Body *body = s->body + k->body;
-        const int width = TWIST + body->modes;
-        double *velocity = s->velocity + s->nu + TWIST * i;
-        for (int j = 0; j < TWIST * width; j++) k->map[j] = 0.5 * (*map[0]++ + *map[1]++);
-        for (int j = 0; j < TWIST; j++) velocity[j] = dot(k->map + j * width, s->velocity + body->at_u, width);
-        memcpy(s->frames + FRAME * (s->bodies + 1 + i) + SPEED, velocity, TWIST * sizeof(double));
-    }
-}
-
 /* Efforts N as means of the law from s_0 to s_1 at the mean rate, and the share of rows with h rows . twist = s_1 - s_0; the kernel's
    answers at the mean are there. */
 static int mean_efforts(System *s, Batch *k, const Step *o, long first, double t)
@@ -168,17 +133,20 @@ static int mean_efforts(System *s, Batch *k, const Step *o, long first, double t
         k->rate[i] = (to[i] - from[i]) / o->h;
         sum[i] = 0.0;
     }
-    for (int g = 0; g < 3 && k->role != GIVEN; g++) {
+    if (k->role == LAW) { /* Python takes the mean, of all three points in one call */
+        memcpy(k->s, from, k->n * sizeof(double));
+        s->calls++;
+        if (s->python(EFFORT_MEANS, k->number, t)) return FAILED;
+    }
+    for (int g = 0; g < 3 && k->role != GIVEN && k->role != LAW; g++) {
         for (long i = 0; i < k->n; i++) {
             k->s[i] = from[i] + GAUSS[g] * (to[i] - from[i]);
             if (k->role == FORMULA) formula(k, i, t);
             if (k->role == LINEAR) k->effort[i] = k->stiffness[i] * (k->s[i] - k->free[i]) + k->damping[i] * k->rate[i];
         }
-        s->calls += k->role == LAW;
-        if (k->role == LAW && s->python(EFFORT, k->number, t)) return FAILED;
         add(sum, SHARES[g], k->effort, k->n);
     }
-    if (k->role == GIVEN) memcpy(sum, k->effort, k->n * sizeof(double));
+    if (k->role == GIVEN || k->role == LAW) memcpy(sum, k->effort, k->n * sizeof(double));
     for (long i = 0; i < k->n; i++) sum[i] *= share[i];
     return DONE;
 }
@@ -227,9 +195,22 @@ static int mean_forces(System *s, const Step *o, const double *lam, double t)
         material(s->frames + FRAME * b + TURN, s->residual + body->at_u + D, turning);
         add(o->core + TWIST * b, 1.0, s->residual + body->at_u, D);
         add(o->core + TWIST * b + D, 1.0, turning, ROT);
-        add(o->core + body->at_v, 1.0, s->residual + body->at_u + TWIST, body->modes);
+        if (body->field) add_columns(body, s->residual + body->at_u + TWIST, o->core + body->at_v);
+        else add(o->core + body->at_v, 1.0, s->residual + body->at_u + TWIST, body->modes);
     }
     return DONE;
+}
+
+/* Forces within bodies and of inertia at the middle of the step, in order of its unknowns into ``out``. */
+static int mean_bodies(System *s, const Step *o, const double *a, double t, double *out)
+{
+    int verdict = place(s, o->middle, o->w);
+    if (verdict) return verdict;
+    s->from = o->q0;
+    verdict = body_forces(s, o->middle, o->w, a, t);
+    s->from = 0;
+    if (!verdict) like_v(s, s->residual, out);
+    return verdict;
 }
 
 /* What constraints that are not of second order leave of the energy is given back by a force along the motion, (3). */
@@ -240,30 +221,36 @@ static int give_back(System *s, const Step *o, const double *a, const double *la
     if (greatest(o->missing, s->rows) <= KEPT * o->length) return DONE;
     memcpy(o->xi, a, s->nv * sizeof(double));
     add(o->xi, 1.0, o->w, s->nv);
-    if ((verdict = place(s, o->middle, o->w)) || (verdict = body_forces(s, o->middle, o->w, o->xi, t))) return verdict;
-    like_v(s, s->residual, o->along);
+    if ((verdict = mean_bodies(s, o, o->xi, t, o->along))) return verdict;
     add(o->along, -1.0, o->inertia, s->nv);
     for (int i = 0; i < s->nv; i++) work += o->h * o->w[i] * o->along[i];
     add(o->core, dot(lam, o->missing, s->rows) / fmax(work, 1e-300), o->along, s->nv);
     return DONE;
 }
 
-/* The balance (core, like v) for a and lambda, and what constraints leave open at the end. */
-static int mean_residual(System *s, Step *o, double *asked, const double *a, const double *lam, double *gap)
+/* What constraints leave open at the end, where a leads. */
+static int mean_end(System *s, Step *o, const double *a, double *gap)
 {
-    double t = o->t + 0.5 * o->h;
     int verdict;
     mean_motion(s, o, a);
-    if ((verdict = sample(s, o->t + o->h, asked)) || (verdict = place(s, o->q, o->v))) return verdict;
+    if ((verdict = place(s, o->q, o->v))) return verdict;
     if (turns_freely(s)) settle_angles(s, o->q);
     drift(s);
     memcpy(gap, s->gap, s->rows * sizeof(double));
     keep_end(s, o, 1);
+    return DONE;
+}
 
-    if ((verdict = sample(s, t, asked)) || (verdict = place(s, o->middle, o->w))) return verdict;
+/* The balance (core, like v) for a and lambda, and what constraints leave open at the end. */
+static int mean_residual(System *s, Step *o, const double *a, const double *lam, double *gap)
+{
+    double t = o->t + 0.5 * o->h;
+    int verdict;
+    keep_sample(s, o->sampled[0], 1);
+    verdict = mean_end(s, o, a, gap);
+    keep_sample(s, o->sampled[1], 1);
+    if (verdict || (verdict = mean_bodies(s, o, a, t, o->inertia))) return verdict;
     s->evaluations++;
-    if ((verdict = body_forces(s, o->middle, o->w, a, t))) return verdict;
-    like_v(s, s->residual, o->inertia);
     for (const Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (k->load) rod_loads(s, k);
     like_v(s, s->residual, o->core);
@@ -284,61 +271,107 @@ EXPORT int driver_mean(System *s, double t, double h, double length, const doubl
                        const double *lam, double *core, double *gap, double *room)
 {
     Step o = {t, h, length, q0, v0};
-    double asked = NAN;
-    int verdict = mean_begin(s, &o, &asked, &room);
-    if (verdict || (verdict = mean_residual(s, &o, &asked, a, lam, gap))) return verdict;
+    s->span = h;
+    int verdict = mean_begin(s, &o, &room);
+    if (verdict || (verdict = mean_residual(s, &o, a, lam, gap))) return verdict;
     memcpy(core, o.core, s->nv * sizeof(double));
     return DONE;
 }
 
-/* The factor of the middle of the step. */
-static int mean_prepare(System *s, const Step *o, const double *a, const double *lam, double *factored)
+/* The factor of the middle of the step, where the forces within bodies were evaluated last. */
+static int mean_prepare(System *s, const Step *o, const double *lam, double *factored)
 {
     double t = o->t + 0.5 * o->h;
-    int verdict = evaluate(s, o->middle, o->w, a, lam, t);
+    int verdict = place(s, o->middle, o->w);
+    if (verdict) return verdict;
+    for (Rod *k = s->rod; k < s->rod + s->rods; k++)
+        if (rod_forces(s, k, t)) return FAILED;
+    if ((verdict = acting(s, lam, t))) return verdict;
     memcpy(factored, o->middle, s->nq * sizeof(double));
-    return verdict ? verdict : prepare(s, o->middle, 0.5 * o->h, 0.25 * o->h * o->h, lam, 0, t);
+    return prepare(s, o->middle, 0.5 * o->h, 0.25 * o->h * o->h, lam, 0, t);
 }
 
-/* Whether increments are at roundoff, fall no more close to it, or the next one would be ``nothing``. */
-static int mean_over(const double *sizes, int done, double rate, double nothing)
+/* An increment x and y of a and lambda by the factor of the configuration ``factored``. */
+static int mean_increment(System *s, const Step *o, const double *factored, const double *gap, double *x, double *y)
+{
+    int verdict = place(s, factored, o->core);
+    if (verdict) return verdict;
+    for (int i = 0; i < s->nu; i++) s->b[i] = -s->velocity[i];
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 / (o->h * o->h) * gap[i];
+    for (const Body *k = s->body; s->fields && k < s->body + s->bodies; k++) {
+        if (!k->field) continue;
+        memset(s->b + k->at_u + TWIST, 0, k->modes * sizeof(double)); /* all acts on the nodes */
+        memcpy(k->field->force, o->core + k->at_v, k->field->n * sizeof(double));
+    }
+    if ((verdict = with_fields(s, 1.0, x, y, o->t + 0.5 * o->h))) return verdict;
+    if (s->redundant) close_dependent(s, x, y);
+    return DONE;
+}
+
+/* The size of an increment; infinite where it has none. */
+static double mean_size(const System *s, const double *x)
+{
+    return dot(x, x, s->nv) < INFINITY ? typical(s, x) : INFINITY;
+}
+
+/* Whether increments are at roundoff, fall no more close to it, or the next one would be nothing. */
+static int mean_over(const double *sizes, int done, double rate, const double *e)
 {
     double last = sizes[done - 1];
-    int stalled = done > 2 && last <= 1e-10 && last > 0.2 * sizes[done - 2];
-    return last <= ZERO || stalled || (done > 1 && last <= ENOUGH && rate <= SLOW_RATE && fmax(rate, FASTEST) * last <= nothing);
+    if (last <= e[ZERO] || (rate > e[SLOW_RATE] && last <= e[LOST])) return 1;
+    if (done > 2 && last <= e[CLOSE] && last > e[IDLE] * sizes[done - 2]) return 1;
+    return done > 1 && last <= e[ENOUGH] && rate <= e[SLOW_RATE] && fmax(rate, e[FASTEST]) * last <= e[NONE];
+}
+
+/* Whether a scene with fields would take more increments than new tangents are worth. */
+static int mean_lingers(const Secants *told, const double *sizes, int done, const double *e)
+{
+    if (done < 3) return 0;
+    double last = sizes[done - 1], rate = sqrt(last / sizes[done - 3]);
+    return told->count >= LEARNT && last > e[NOISE] && (rate >= 0.9 || log(e[NONE] / last) / log(rate) > PATIENT);
 }
 
 /* a and lambda of a step, which begin as a guess, by Newton's iteration with the matrix of its middle; ``sizes`` of the increments
-   over ``size``, at most so many (``done`` counts), to ``nothing``, or to ``roundoff`` where they stall. q, v: the end. NEWTON where
-   this matrix does not serve: a and lambda are as far as they came. */
-EXPORT int driver_mean_step(System *s, int most, double t, double h, double length, double size, double nothing, double roundoff,
-                            const double *q0, const double *v0, double *a, double *lam, double *sizes, long *done, double *q,
-                            double *v, double *room)
+   over that of accelerations, at most so many (``done`` counts, and new tangents of fields, of which the first is taken at once where
+   they are ``old``); ``e``: when they end. q, v: the end. NEWTON where this matrix does not serve: a and lambda are as far as they
+   came. */
+EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, double length, const double *e, const double *q0,
+                            const double *v0, double *a, double *lam, double *sizes, long *done, double *q, double *v, double *room)
 {
     Step o = {t, h, length, q0, v0};
-    double asked = NAN, rate = 0.0;
-    int verdict = mean_begin(s, &o, &asked, &room), anew = 1, taken = 0;
+    double rate = 0.0;
+    s->span = h;
+    int verdict = mean_begin(s, &o, &room), anew = 1, taken = 0, since = 0;
     double *x = part_of(&room, s->nv), *y = part_of(&room, s->rows), *gap = part_of(&room, s->rows), *factored = part_of(&room, s->nq);
+    const int width = 2 * s->nv + s->rows;
+    Secants told = {.last = room, .made = room + width, .pair = room + 2 * width};
     if (verdict) return verdict;
 
     for (int k = 0; k < most; k++) {
-        if ((verdict = mean_residual(s, &o, &asked, a, lam, gap))) return verdict;
-        if (anew && (taken++ == 2 || mean_prepare(s, &o, a, lam, factored))) return NEWTON;
+        if ((verdict = mean_residual(s, &o, a, lam, gap))) return verdict;
+        if (anew) {
+            if (taken++ == MATRICES) return NEWTON;
+            forget(&told);
+            told.poor = 1; /* each increment is worth more than what the pairs cost */
+            if ((old || taken > 1) && s->renewable) {
+                if ((verdict = take_tangents(s, x, t + 0.5 * h))) return verdict;
+                done[1]++;
+            }
+            if (mean_prepare(s, &o, lam, factored)) return NEWTON;
+        }
         anew = 0;
-        if ((verdict = place(s, factored, o.core))) return verdict;
-        for (int i = 0; i < s->nu; i++) s->b[i] = -s->velocity[i];
-        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 / (h * h) * gap[i];
-        solution(s, x, y);
-        if (s->redundant) close_dependent(s, x, y);
+        if ((verdict = mean_increment(s, &o, factored, gap, x, y))) return verdict;
+        if (s->fields) improve(s, &told, x, NULL, y);
 
-        sizes[k] = largest_of(s->units, x, s->nv) / size;
+        sizes[k] = mean_size(s, x) / e[LARGEST];
         if (!(sizes[k] < INFINITY)) return NEWTON;
+        if (s->fields && sizes[k] > ASTRAY && sizes[k] * e[LARGEST] * h * h > FAR_AWAY * length) return NEWTON;
         add(a, 1.0, x, s->nv);
         add(lam, 1.0, y, s->rows);
-        *done = k + 1;
+        done[0] = k + 1;
         rate = k ? sizes[k] / fmax(sizes[k - 1], 1e-300) : 0.0;
-        if ((rate > SLOW_RATE && sizes[k] <= roundoff) || mean_over(sizes, k + 1, rate, nothing)) {
-            if (!(sizes[k] <= fmax(ENOUGH, roundoff))) return NEWTON;
+        if (mean_over(sizes, k + 1, rate, e)) {
+            if (!(sizes[k] <= fmax(e[ENOUGH], e[LOST]))) return NEWTON;
             mean_motion(s, &o, a);
             if (turns_freely(s)) {
                 if ((verdict = place(s, o.q, o.v))) return verdict;
@@ -348,7 +381,8 @@ EXPORT int driver_mean_step(System *s, int most, double t, double h, double leng
             memcpy(v, o.v, s->nv * sizeof(double));
             return DONE;
         }
-        anew = rate > SLOW_RATE && sizes[k] > 1e-11;
+        anew = s->fields ? mean_lingers(&told, sizes + since, k + 1 - since, e) : rate > e[SLOW_RATE] && sizes[k] > e[NOISE];
+        if (anew) since = k + 1;
     }
     return NEWTON;
 }

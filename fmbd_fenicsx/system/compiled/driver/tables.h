@@ -208,6 +208,11 @@ typedef struct {
     double *push, *pull, *answer, *mutual; /* linkable x (nu + TWIST surfaces + 1), twice; x (nu + rows); x linkable */
     int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
     int leaves_out;                    /* whether the matrix lacks terms of the motion of a body, see secants.c */
+    const double *from;                /* where a step begins whose mean forces fields tell in place of those of a state; NULL else */
+    double span;                       /* its size, s */
+    int timed;                         /* arrays that a SAMPLE writes, and how long they are: */
+    double **timed_at;
+    long *timed_size;
 } System;
 
 /* A number of a record that an event is about, times ``scale``: where it is in the first one, how many numbers further in the next;
@@ -270,7 +275,8 @@ typedef struct {
 
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
-       FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, LINKS };
+       FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, LINKS,
+       FIELD_MEANS, EFFORT_MEANS };
 enum { OUTSIDE = 2 };
 
 /* Parts of a SAMPLE: all of it, all but the rates of motions, these alone. */
