@@ -8,7 +8,7 @@ markers are taken at the mean of their old and new positions and rotations with 
     spring      N_dg = mean of N(s) from s_n to s_n+1, along rows whose product with h w is s_n+1 - s_n                     (2)
     constraint  h G_dg w = g_n+1 - g_n: mean rows, plus a correction along M w where g is not of second order               (3)
     body        torques in body axes R_mean^-1 (x x f),   R_mean = (R_n + R_n+1) / 2                                       (4)
-    field       forces of :mod:`.elastic_momentum`
+    field       forces of :mod:`fmbd_fenicsx.fem.mean_forces`
 
 do as much work as energies change, and the constraint forces none. Weight and dead loads are linear. Energy is conserved
 for any step, also h omega >> 1, and so are linear and angular momentum: all joints are of second order, their correction
@@ -16,7 +16,9 @@ in (3) is zero. Dampers and viscous laws take exactly their work at the mean poi
 order in q, v and lambda: accelerations and multipliers of a state are solved for at its end, those in (1) are means over the
 step. No damping at high frequencies, so the multipliers of stiff systems oscillate.
 
-One iteration solves for the core, the ports p = H^T u of the fields and lambda together. With the tangent J_f of a field, its
+Usual steps are one call of compiled code (driver/mean.c): Newton's iteration with the matrix M + h D / 2 + h^2 K / 4 of the middle,
+fields with the tangent of an earlier state, turned with the body. Where that does not serve, as where steps turn bodies far, one
+iteration solves for the core, the ports p = H^T u of the fields and lambda together. With the tangent J_f of a field, its
 residual r_f, z = J_f^-1 r_f and W = H^T J_f^-1 H, and forces P(a, p, lambda) of joints and springs on the ports,
 
     [ dR_c  ]          [ R_c   ]
