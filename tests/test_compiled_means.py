@@ -90,3 +90,37 @@ def test_steps_are_those_of_numpy(h: float) -> None:
     for name in ("q", "v", "a", "lam"):
         one, other = (getattr(s, name) for s in found)
         assert other == pytest.approx(one, rel=1e-7, abs=1e-8 * np.abs(one).max()), name
+
+
+@compiled
+def test_laws_are_asked_once_for_a_step_and_once_for_all_points() -> None:
+    """What depends on time only does not change in a step; laws take the points of a mean as arrays (3, n)."""
+    times: list[float] = []
+    shapes: list[tuple[int, ...]] = []
+
+    def push(t: float) -> Any:
+        times.append(t)
+        return np.array([np.sin(t), 0.0])
+
+    def law(s: Any, rate: Any, t: float) -> Any:
+        shapes.append(np.shape(s))
+        return 40.0 * s + 300.0 * s**3
+
+    scene, place = fmbd.Scene("swing", gravity=(0.0, -9.81)), 0.0
+    for i in range(4):
+        body = fmbd.RigidBody(f"{i}", 1.0, 0.1, position=(place, 0.0))
+        hinge = fmbd.revolute(f"hinge {i}", fmbd.ground, body, center=(place - 0.5, 0.0))
+        scene.add(body, hinge, fmbd.joint_spring(f"spring {i}", fmbd.angle(hinge), law=law))
+        place += 2.0
+    scene.add(fmbd.force("push", body, push))
+    system, state, _ = scene.build()
+    use_driver(system)
+    stepper = stepper_of(system, state)
+    stepper.advance(0.01)
+    times.clear()
+    shapes.clear()
+    stepper.newton.iterations = 0
+    stepper.advance(0.01)
+    assert stepper.newton.iterations > 1
+    assert sum(abs(t - 0.015) < 1e-12 for t in times) == 1 and len(times) <= 4
+    assert (3, 4) in shapes
