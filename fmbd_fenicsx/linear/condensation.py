@@ -238,10 +238,8 @@ class StepSolver:
         self.back_couplings = [R for _, R in pairs]
         for block, (S, R) in zip(self.blocks, pairs, strict=True):
             WS = block.seen_by(R, S)
-            A -= WS[:n, :n]
-            lower -= WS[n:, :n]
-            upper -= WS[:n, n:]
-            C -= WS[n:, n:]
+            A, C = A - WS[:n, :n], C - WS[n:, n:]
+            lower, upper = lower - WS[n:, :n], upper - WS[:n, n:]
         self.core.factor(A, lower, C, upper)
 
     @property
@@ -314,7 +312,7 @@ class StepSolver:
         driver = self.driver
         if driver is not None and driver.ready:
             return driver.solve(b, c)
-        if b.dtype.kind == "c":
+        if b.dtype.kind == "c" and self.weights.real:
             (x, y), (u, w) = self.solve(b.real, c.real), self.solve(b.imag, c.imag)
             return x + 1j * u, y + 1j * w
         if not s.fields:
@@ -399,7 +397,7 @@ class StepSolver:
         if all(MU is None for MU in self._missing_momenta):
             return None
         s, m = self.system, self.system.motions
-        out: Array = np.zeros((s.n_core, *increments[0].shape[1:]))
+        out: Array = np.zeros((s.n_core, *increments[0].shape[1:]), np.result_type(*increments))
         for (_, f), rows, dU in zip(s.fields, self._missing_momenta, increments, strict=True):
             if rows is not None:
                 at = f.frame * m.n_twist

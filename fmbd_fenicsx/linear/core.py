@@ -111,7 +111,7 @@ class CoreSolver:
         n, m = self.n, self.m
 
         # dense and scaled
-        K = np.empty((n + m, n + m))
+        K = np.empty((n + m, n + m), np.result_type(A, self.upper))
         K[:n, :n] = D[:, None] * A * D
         K[n:, :n] = E[:, None] * G * D
         K[:n, n:] = D[:, None] * dense(self.upper) * E
@@ -123,14 +123,15 @@ class CoreSolver:
         if not np.isfinite(K).all():
             raise LinearSolveError(f"{self.judge.what}: the matrix is not finite.")
 
-        lu, pivots, _ = sl.lapack.dgetrf(K)
+        factor, solve = sl.get_lapack_funcs(("getrf", "getrs"), (K,))
+        lu, pivots, _ = factor(K)
         pivot = np.abs(lu.diagonal())
         self.ratio = float(pivot.min() / pivot.max())
         if self.ratio < SINGULAR:  # passing through a singular configuration
             self.exact = False
             self._factor_any(K)
             return
-        self._solve = lambda b: sl.lapack.dgetrs(lu, pivots, b)[0]
+        self._solve = lambda b: solve(lu, pivots, b)[0]
 
     def _factor_sparse(self) -> None:
         """Sparse LU; its pattern and the order of its columns are those of the first factorisation while they fit."""
@@ -255,7 +256,7 @@ class CoreSolver:
 
 
 def _norm(x: Array) -> float:
-    return math.sqrt(x @ x)
+    return math.sqrt(np.vdot(x, x).real)
 
 
 def _scales(A: Any, G: Any, C: Array | None, upper: Any) -> tuple[Array, Array]:

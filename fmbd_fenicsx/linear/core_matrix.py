@@ -65,7 +65,7 @@ def _local(ev: Evaluation, k: int, motion: FrameMotion, mass: Array, w: Weights)
 def _dense(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> Array:
     """(1) of the blocks of the frames (n_frames, n_twist, n_twist) and of the parts."""
     s, n = ev.system, ev.system.motions.n_twist
-    out = np.zeros((s.n_core, s.n_core))
+    out = np.zeros((s.n_core, s.n_core), np.result_type(frames, *[block.local for block in blocks]))
     view = out[: s.n_frames * n, : s.n_frames * n].reshape(s.n_frames, n, s.n_frames, n)
     view[range(s.n_frames), :, range(s.n_frames)] = frames
 

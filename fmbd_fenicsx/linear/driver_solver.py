@@ -40,7 +40,7 @@ class DriverSolver:
     def prepare(self, ev: Evaluation, weights: Weights) -> bool:
         """Factor the matrix of a state; False where NumPy has to."""
         self.ready = False
-        if self.usable is False or weights.cm != 1.0 or not self._evaluated(ev):
+        if self.usable is False or weights.cm != 1.0 or not weights.real or not self._evaluated(ev):
             return False
         self._choose(ev, weights)
         self._weights = weights

@@ -24,20 +24,21 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..linear.condensation import StepSolver, Weights
+from ..linear.frequency_solvers import DECADE, FrequencySolvers
 from ..linear.residual import Judge
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.evaluation_batch import EvaluationBatch
-from ..system.serialisation import Memory, Remembering, plain
+from ..system.serialisation import Memory, Remembering, plain, worker
 from ..system.system import State, System
 from .dae import Form, Points
 from .stage_krylov import FieldStages
 
 MASS = Weights(1.0, 0.0, 0.0)
 SHIFT = float(np.sqrt(np.finfo(float).eps))  # of a difference quotient, over the model's length
-DECADE = 3  # factors kept for a decade of step sizes
+ROUNDED_UP = 1.1  # what a step may be longer than the one proposed, whose safety allows it
+ROUNDOFF = 1e-14  # of rates, over their largest
 COLUMNS = 64  # multipliers for which N is kept as a matrix
-KEPT = 6  # sets of elastic factors, that of the mass included
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +108,8 @@ class FieldEquations(Remembering):
     """
 
     keeps: ClassVar = {
-        **dict.fromkeys(("residuals", "jacobians", "krylov", "anchor"), plain()),
+        **dict.fromkeys(("residuals", "jacobians", "krylov", "trusted", "size_anchor"), plain()),
+        "solvers": worker,
         "metric": plain(Weights),
     }
     dense = False
@@ -119,8 +121,10 @@ class FieldEquations(Remembering):
         self.left: Array = np.zeros(system.n_lam)  # the first rows of the form at the last point
         self.residuals = self.jacobians = self.krylov = 0
         self.origin: Array = np.zeros(0)
-        self.anchor: float | None = None  # |s| of the grid's first factor, 1/s
-        solver.elastic.kept = KEPT
+        self.solvers = FrequencySolvers(system, solver)
+        self.trusted = True  # whether exact factors of a frequency need no iteration
+        self.size_anchor: float | None = None  # first step of the grid, s
+        self._estimates = False  # whether steps end with :meth:`consistent_start`
         self.metric = MASS  # of the corrections N c: the matrix P of the step
         self._last_metric = MASS  # of the step before: its errors across the constraints are of least size in it
         self._begun: State | None = None
@@ -158,19 +162,46 @@ class FieldEquations(Remembering):
         if self._begun is not state:
             self._begun, self._basis = state, None
             self._last_metric = self.metric
+            if self._estimates:  # while the matrix is at hand
+                self.consistent_start(state)
         self.origin = state.q
+
+    def keep_sizes(self) -> None:
+        """Steps keep to a few sizes, as :meth:`step_size` does: factors of these pay."""
+        self.solvers.settles = True
+
+    def step_size(self, h: float) -> float:
+        """The largest step of a geometric grid that is hardly above h (s): few sizes, whose factors are kept."""
+        if self.size_anchor is None:
+            self.size_anchor = h
+        places = np.floor(DECADE * np.log10(ROUNDED_UP * h / self.size_anchor))
+        return float(self.size_anchor * 10.0 ** (places / DECADE))
 
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) at the times t (k,)."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
-        slips = self.corrections(p.mult, 1)
         pulls = self.corrections(p.mult, 2)
-
         ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
         low = lower(self.form, self.levels, ev, p.vd + pulls, p.mult[:, :m])
         self.left = low[-1, s.n_v : s.n_v + m]
-        return p.rate - s.rate(p.xi, p.v - slips), low
+        return self._lacking(p), low
+
+    def aligned(self, t: Array, W: Array, p: Points) -> Points:
+        """Foretold stages at the times t (k,) with velocities and multipliers that go with their places; d rate = W dxi."""
+        v, mult = p.v + self._lacking(p), p.mult
+        if self.levels > 1:  # what rows of velocities ask for where places do not close
+            m = self.system.n_lam
+            ev = self.system.batch(t, self.system.compose(self.origin, p.xi), v)
+            slips = W @ ev.constraint() - ev.opening()
+            v, mult = v + self.closing(slips), mult.copy()
+            mult[:, m : 2 * m] += slips
+        return replace(p, v=v, vd=p.vd + W @ (v - p.v), mult=mult)
+
+    def _lacking(self, p: Points) -> Array:
+        """What velocities (k, n_v) lack to be those of the places: r_kin, without roundoff."""
+        left = p.rate - self.system.rate(p.xi, p.v - self.corrections(p.mult, 1))
+        return np.where(np.abs(left) > ROUNDOFF * np.abs(p.rate).max(initial=0.0), left, 0.0)
 
     def corrections(self, mult: Array, level: int) -> Array:
         """N c of the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
@@ -240,6 +271,7 @@ class FieldEquations(Remembering):
         """What closes the constraints of a step's start, as :meth:`.StepEquations.consistent_start`."""
         if self.form.index == 1 or not self.levels:
             return np.zeros(self.system.n_v), state.v, state.a
+        self._estimates = True
         if self._closed is state:
             return self._start
 
@@ -276,11 +308,3 @@ class FieldEquations(Remembering):
     def pencil(self, tangent: FieldTangent, s: Array, judge: Judge) -> FieldStages:
         """Solver of (2) for the frequencies s, (p,)."""
         return FieldStages(self, tangent, s, judge)
-
-    def weights(self, frequency: float) -> Weights:
-        """The real step of (3), |s| rounded to the geometric grid."""
-        if self.anchor is None:
-            self.anchor = frequency
-        places = round(DECADE * float(np.log10(frequency / self.anchor)))
-        grid = self.anchor * 10.0 ** (places / DECADE)
-        return Weights(1.0, 1.0 / grid, 1.0 / grid**2)

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 ACCURATE = 1e-2  # share of the residual that an inner iteration leaves
 LIMIT = 40  # inner iterations
+SLOW = 0.3  # an increment, over the one before, above which the solutions of exact factors are iterated on
+FEW = 2  # iterations up to which they are trusted again
+SMALL = 0.05  # share of an increment that known parts may have without being seen
 WEAK = 1e-6  # share of the residual that a direction takes, below which the next one is its image
 
 Images = tuple[Array, Array, Array]  # motion (n_v,) and multipliers (n_lam,) of P^-1 J d, further rows of J d
@@ -125,9 +128,11 @@ class FieldStages:
     def __init__(self, equations: FieldEquations, tangent: FieldTangent, s: Array, judge: Judge) -> None:
         self.eq, self.t, self.judge = equations, tangent, judge
         self.s = [x.real if x.imag == 0 else x for x in s]
-        self.weights = equations.metric = equations.weights(float(np.abs(s).max()))
+        self.by = [equations.solvers.of(x) for x in s]
+        equations.metric = next((by.weights for by in self.by if by.weights.real), equations.metric)
         self.square = _shares(equations.system) ** 2
         self.known = [Directions(self._dot, judge.what) for _ in self.s]
+        self.before = [0.0] * len(s)  # sizes of the last increments
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
         """Increments dxi, dv side by side (p, 2 n_v) and multipliers (p, levels n_lam), for residuals r_kin (p, n_v) and r_low
@@ -146,19 +151,20 @@ class FieldStages:
         # slips that follow from the rows alone: their motion acts on the balance
         rate = kin
         if L > 1:
-            slip = s * low[n : n + m] - low[n + m : n + 2 * m] - self._rows(kin)
+            slip = s * low[n : n + m] - low[n + m : n + 2 * m]
+            slip = slip - self._rows(kin) if kin.any() else slip
             rate = kin + eq.closing(slip[None])[0]
         push = s * rate
         if L > 2:
             pull = s * low[n + m : n + 2 * m] - low[n + 2 * m :]
             push = push + eq.closing(pull[None])[0]
 
-        eq.prepare(self.t.ev, self.weights)
+        self.by[i].prepare(self.t.ev)
         dxi, dv, dlam, left = self._motion(i, (rate, push), low)
         mult = [dlam]
         if L > 1:  # what the motion itself adds
             mult.append(slip + left[:m])
-            dv = dv + eq.closing(left[None, :m])[0]
+            dv = dv + eq.closing(left[None, :m])[0] if left.any() else dv
         if L > 2:
             mult.append(pull + left[m:] - s * left[:m])
         return np.concatenate((dxi, dv)), np.concatenate(mult) if L else np.zeros(0)
@@ -173,16 +179,32 @@ class FieldStages:
         s, directions, (rate, push) = self.s[i], self.known[i], known
         further = self.eq.system.n_v + self.eq.system.n_lam
 
-        if directions.norm(rate) + directions.norm(push) > 0.0:
+        x, y = self._precondition(i, -low)
+        size = directions.norm(x)
+        acts = (directions.norm(rate) + directions.norm(push) / abs(s)) / abs(s)
+        seen = SMALL * max(size, self.before[i]) if self._trusted(i) else 0.0
+        if acts > seen:
             low = low + self.t.along(np.zeros_like(rate), rate, push)
-        x, y = self._precondition(*self._parts(s, -low))
-        if not directions.norm(x) < np.inf:
+            x, y = self._precondition(i, -low)
+            size = directions.norm(x)
+        if not size < np.inf:
             raise LinearSolveError(f"{self.judge.what}: the first increment is not finite.")
 
+        slow, self.before[i] = 0.0 < SLOW * self.before[i] < size, size
+        if self._trusted(i) and not slow:
+            return x, self._lift(s, x) + rate, s**2 * y, np.zeros(len(low) - further)
+
         before = directions.iterations
-        dxi, dlam, rows = directions.solve((x, y, low[further:]), lambda d: self._image(s, d))
-        self.eq.krylov += directions.iterations - before
+        dxi, dlam, rows = directions.solve((x, y, low[further:]), lambda d: self._image(i, d))
+        used = directions.iterations - before
+        self.eq.krylov += used
+        if self.by[i].exact:
+            self.eq.trusted = used <= FEW
         return dxi, self._lift(s, dxi) + rate, s**2 * dlam, -rows
+
+    def _trusted(self, i: int) -> bool:
+        """Whether a solution with the matrix of a frequency needs no iteration: nothing but turning and bending is missing."""
+        return self.by[i].exact and self.eq.trusted
 
     def _parts(self, s: Any, r: Array) -> tuple[Array, Array]:
         """The balance and the first rows, as P sees them."""
@@ -193,18 +215,19 @@ class FieldStages:
         """D d."""
         return np.asarray(s * d - self.t.turning(d))
 
-    def _image(self, s: Any, d: Array) -> Images:
+    def _image(self, i: int, d: Array) -> Images:
         """P^-1 J d, motion and multipliers, and the further rows of J d."""
+        s = self.s[i]
         dv = self._lift(s, d)
         r = self.t.along(d, dv, s * dv)
-        motion, multipliers = self._precondition(*self._parts(s, r))
+        motion, multipliers = self._precondition(i, r)
 
         return motion, multipliers, r[self.eq.system.n_v + self.eq.system.n_lam :]
 
-    def _precondition(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """P^-1 of (1)."""
+    def _precondition(self, i: int, r: Array) -> tuple[Array, Array]:
+        """P^-1 of (1) for the balance and the first rows, with the matrix of a frequency."""
         self.judge.solves += 1
-        return self.eq.solver.solve(b, c)
+        return self.by[i].solver.solve(*self._parts(self.s[i], r))
 
     def _dot(self, V: Array, w: Array) -> Array:
         """Inner products of vectors (k, n_v) with one: mean squares of each field, sums of the core; collective."""

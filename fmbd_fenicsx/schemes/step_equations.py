@@ -100,6 +100,17 @@ class StepEquations(Remembering):
             assert isinstance(self.tangents, DenseTangents)
             self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
 
+    def keep_sizes(self) -> None:
+        """Steps keep to a few sizes: nothing, since matrices change from tangent to tangent."""
+
+    def step_size(self, h: float) -> float:
+        """h itself (s): matrices are made anew where it changes."""
+        return h
+
+    def aligned(self, t: Array, W: Array, p: Points) -> Points:
+        """Foretold stages as they are, since any are corrected alike."""
+        return p
+
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
         s, m = self.system, self.system.n_lam

@@ -23,11 +23,16 @@ from .spd import CholeskyFactor, FieldFactor, MassInverse
 
 @dataclass(frozen=True)
 class Weights:
-    """The step's matrix is cm M + cd C + ck K."""
+    """The step's matrix is cm M + cd C + ck K; cd and ck are complex for motions of complex frequencies."""
 
     cm: float
-    cd: float
-    ck: float
+    cd: Any
+    ck: Any
+
+    @property
+    def real(self) -> bool:
+        """Whether all are real."""
+        return not isinstance(self.ck, complex)
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,7 @@ class FieldBlocks:
         self.factorisations = 0
         self.retired_solves: list[int] = []  # of factors that have been freed
         self.methods: dict[str, str] = {}  # by what the block of a body was solved last, in words
+        self._columns: dict[int, tuple[Any, Array]] = {}  # of each part, and what they are made for
         self._sets: dict[tuple[Any, ...], list[FactoredField]] = {}
 
     # -- counts -------------------------------------------------------------------------------------------------
@@ -162,10 +168,19 @@ class FieldBlocks:
             self.methods[part.name] = factor.how
 
         used = self._used_ports(k, part, G, ties_apart)
-        H = np.concatenate((part.inertia_columns, part.port_columns(used, G.t)), axis=1)
+        H = self._constant_columns(k, part, used, G.t)
         Y = factor.solve_columns(H)
         W = part.field.total(np.asarray(thin(H.T) @ Y))
         return FactoredField(factor, used, Y, 0.5 * (W + W.T), matrix)
+
+    def _constant_columns(self, k: int, part: DistributedPart, used: np.ndarray, t: float) -> Array:
+        """H of part k at a time (s), made again where other ports are used or columns have changed."""
+        version = used.tolist(), part.column_version(t)
+        known = self._columns.get(k)
+        if known is None or known[0] != version:
+            H = np.concatenate((part.inertia_columns, part.port_columns(used, t)), axis=1)
+            self._columns[k] = known = version, H
+        return known[1]
 
     def _used_ports(self, k: int, part: DistributedPart, G: Any, ties_apart: bool) -> np.ndarray:
         """Numbers of the ports of a part that constraints or force elements act on."""
@@ -189,6 +204,10 @@ class FieldBlocks:
         field, (cm, cd, ck) = part.field, (matrix.cm, matrix.cd, matrix.ck)
         if ck == 0:
             return VolumeMass(field, cm) if field.keeps_volume else MassInverse(field, cm)
+        if isinstance(ck, complex):
+            from .complex_factor import ComplexFactor
+
+            return ComplexFactor(field, complex(cm), ck, complex(cd))
         if part.slack is not None:
             from .low_rank import SlackFactor
 

@@ -112,6 +112,7 @@ class RadauStepper(StageNewton):
         self._eta, self._h_rate = 1.0, 0.0
         self._last: tuple[float, Array, Array, Points] | None = None
         self.eq.weigh(state)
+        self.eq.keep_sizes()
 
     def remember(self, m: Memory) -> None:
         """With the last collocation polynomial and the tangent, whose factors are made again."""
@@ -168,7 +169,7 @@ class RadauStepper(StageNewton):
         s = self.state
         assert self.proposed is not None
         while True:
-            h = lands(min(self.proposed, farthest), limit)
+            h = lands(self.eq.step_size(min(self.proposed, farthest)), limit)
             moves(s.t, h)
             self.solver.near_singular.begin_trial()
             self.norm.update(s, h)

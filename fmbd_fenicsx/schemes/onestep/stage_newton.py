@@ -75,9 +75,10 @@ class StageNewton(ImplicitStepper):
     def _iterate(self, h: float) -> Points | str:
         """With one tangent for all stages, as long as it converges."""
         tab = self.tab
-        stages = self._stages(h, *self._predict(h))
         rule = Rule(tab.W / h, tab.inverse, tab.vectors)
-        iteration = self._iteration(h, self.state.t + h * tab.c, stages, rule)
+        times = self.state.t + h * tab.c
+        stages = self.eq.aligned(times, rule.W, self._stages(h, *self._predict(h)))
+        iteration = self._iteration(h, times, stages, rule)
         tolerance = self._newton_tolerance()
         last = 0.0
 

@@ -1,0 +1,59 @@
+"""Factors of cm M + cd D + ck K of a field for complex coefficients: a symmetric matrix that is not Hermitian.
+
+By SuperLU, with pivots from the diagonal: the real part of the matrix times a number of unit size is definite, so that none is
+small against its column. On one rank.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+
+from ...errors import LinearSolveError
+from ...fem.fields import Field
+from ...rotations import Array
+from ..residual import Judge
+from .spd import FieldFactor
+
+
+class ComplexFactor(FieldFactor):
+    """The matrix factored, and every solve judged by its true residual."""
+
+    how = "SuperLU, complex symmetric"
+
+    def __init__(self, field: Field, cm: complex, ck: complex, cd: complex = 0.0) -> None:
+        self.judge = Judge(f'the elastic block of body "{field.name}" for vibrations that decay')
+        real, imaginary = (_matrix(field, cm.real, ck.real, cd.real), _matrix(field, cm.imag, ck.imag, cd.imag))
+        self.matrix = sp.csr_matrix(real + 1j * imaginary)
+        self.norm = float(abs(self.matrix).sum(axis=1).max())
+        try:
+            self.factor = spl.splu(
+                self.matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
+        except RuntimeError as error:
+            raise LinearSolveError(f"{self.judge.what} could not be factored: {error}.") from error
+
+    def solve(self, b: Array) -> Array:
+        """The solution (n,), or (n, k) of columns."""
+        x = self.factor.solve(np.asarray(b, dtype=complex))
+        r = self.matrix @ x - b
+        rr, bb, xx = (np.sqrt((abs(y) ** 2).sum(axis=0)) for y in (r, b, x))
+        for left, given, found in zip(np.atleast_1d(rr), np.atleast_1d(bb), np.atleast_1d(xx), strict=True):
+            self.judge.check(float(left), float(given), grown=self.norm * float(found))
+        return np.asarray(x)
+
+    def solve_columns(self, B: Array) -> Array:
+        """The solutions of columns (n, k)."""
+        return self.solve(B) if B.shape[1] else B.astype(complex)
+
+
+def _matrix(field: Field, cm: float, ck: float, cd: float) -> sp.csr_matrix:
+    """cm M + cd D + ck K as an array."""
+    E: Any = field.combination(cm, ck, cd)
+    start, columns, values = E.getValuesCSR()
+    A = sp.csr_matrix((values.copy(), columns.copy(), start.copy()), shape=(len(start) - 1,) * 2)
+    E.destroy()
+    return A

@@ -1,0 +1,97 @@
+"""Solvers of a constrained system for motions exp(s t): with M + C / s + K / s^2 for real and complex frequencies s (1/s).
+
+Implicit schemes of several stages ask for a few frequencies, over the size of the step. Those that come back step after step get
+elastic factors of their own, complex ones too, so that no vibration is left to an iteration, however stiff it is. Others take the
+real factor whose frequency is next to |s|, of a geometric grid of three for a decade.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..system.evaluation import Evaluation
+from ..system.serialisation import Remembering, plain
+from ..system.system import System
+from .blocks.field_blocks import Weights
+from .condensation import StepSolver
+
+DECADE = 3  # real factors for a decade of frequencies
+SAME = 1e-8  # relative difference below which frequencies are the same: steps of one size differ by roundoff
+SETTLED = 4  # times that a frequency is asked for before it gets factors of its own
+MANY = 32  # frequencies that are remembered
+KEPT = 12  # sets of elastic factors, that of the mass included
+
+
+@dataclass(frozen=True)
+class FrequencySolver:
+    """A solver and the weights of its matrix; ``exact``: whether these are those of the frequency."""
+
+    solver: StepSolver
+    weights: Weights
+    exact: bool
+
+    @classmethod
+    def of(cls, solver: StepSolver, s: complex, exact: bool) -> FrequencySolver:
+        """For the matrix of a frequency."""
+        used = s if s.imag else s.real
+        return cls(solver, Weights(1.0, 1.0 / used, 1.0 / used**2), exact)
+
+    def prepare(self, ev: Evaluation) -> None:
+        """The matrix of a configuration, unless it is there; collective."""
+        if not self.solver.holds(ev, self.weights):
+            self.solver.prepare(ev, self.weights)
+
+
+class FrequencySolvers(Remembering):
+    """Those of one run. ``real``: of real matrices, which others use too. ``settles``: whether steps keep to a few sizes, so that
+    factors of one frequency pay.
+    """
+
+    keeps: ClassVar = dict.fromkeys(("asked", "anchor"), plain())
+
+    def __init__(self, system: System, solver: StepSolver) -> None:
+        self.real = solver
+        solver.elastic.kept = KEPT
+        self.settles = False
+        self.asked: list[tuple[complex, int]] = []  # the last frequencies, and how often
+        self.anchor: float | None = None  # first frequency of the grid, 1/s
+        self._possible = solver.linear is None and solver.iterated is None and _sparse_blocks(system)
+        self._complex = StepSolver(system) if self._possible else solver
+        self._complex.elastic = solver.elastic
+
+    def of(self, s: complex) -> FrequencySolver:
+        """Who solves for a frequency."""
+        nearest = self._on_grid(abs(s))
+        if not self.settles:
+            return FrequencySolver.of(self.real, complex(nearest), False)
+        if abs(s - nearest) <= SAME * nearest:
+            return FrequencySolver.of(self.real, complex(nearest), True)
+        s, count = self._noted(s)
+        if count > SETTLED and self._possible and not self.real.core.redundant:
+            return FrequencySolver.of(self._complex if s.imag else self.real, s, True)
+        return FrequencySolver.of(self.real, complex(nearest), False)
+
+    def _noted(self, s: complex) -> tuple[complex, int]:
+        """A frequency as it was asked for first, and how often it has been, with this time."""
+        same = [known for known in self.asked if abs(known[0] - s) <= SAME * abs(s)]
+        first, count = same[0] if same else (complex(s), 0)
+        others = [known for known in self.asked if known[0] != first]
+        self.asked = [*others[-MANY:], (first, count + 1)]
+        return first, count + 1
+
+    def _on_grid(self, frequency: float) -> float:
+        """The frequency of the grid that is next to one."""
+        if self.anchor is None:
+            self.anchor = float(frequency)
+        places = round(DECADE * float(np.log10(frequency / self.anchor)))
+        return float(self.anchor * 10.0 ** (places / DECADE))
+
+
+def _sparse_blocks(system: System) -> bool:
+    """Whether all elastic blocks are sparse matrices of displacements on one rank."""
+    parts = [part for _, part in system.fields]
+    sparse = all(p.slack is None and p.heavier is None and not (p.field.mixed or p.field.carried) for p in parts)
+    return sparse and system.comm.size == 1 and not system.elements
