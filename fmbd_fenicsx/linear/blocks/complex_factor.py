@@ -25,7 +25,7 @@ class ComplexFactor(FieldFactor):
     how = "SuperLU, complex symmetric"
 
     def __init__(self, field: Field, cm: complex, ck: complex, cd: complex = 0.0) -> None:
-        self.judge = Judge(f'the elastic block of body "{field.name}" for vibrations that decay')
+        self.judge = Judge(f'the elastic block of body "{field.name}" for motions of complex frequency')
         real, imaginary = (_matrix(field, cm.real, ck.real, cd.real), _matrix(field, cm.imag, ck.imag, cd.imag))
         self.matrix = sp.csr_matrix(real + 1j * imaginary)
         self.norm = float(abs(self.matrix).sum(axis=1).max())
