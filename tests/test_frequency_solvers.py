@@ -59,7 +59,11 @@ def test_a_singular_complex_matrix_is_refused(rod_mesh: Callable[..., Any]) -> N
 def test_exact_factors_leave_nothing_where_nothing_turns(rod_mesh: Callable[..., Any], name: str) -> None:
     """Near rest the matrix of a frequency is that of its stage: what a Krylov method would find, without an iteration."""
     mesh = rod_mesh(dim=2, h=0.5, height=0.2)
-    scenes = {"damped": lambda: damped(mesh), "absolute": lambda: pendulum(mesh, "absolute"), "tied": lambda: tied_bar(2, 1)[0]}
+    scenes = {
+        "damped": lambda: damped(mesh),
+        "absolute": lambda: pendulum(mesh, "absolute"),
+        "tied": lambda: tied_bar(2, 1)[0],
+    }
     system, start, _ = scenes[name]().build()
     equations = FieldEquations(system, fmbd.GGL(), StepSolver(system))
     equations.keep_sizes()

@@ -152,7 +152,7 @@ class FieldStages:
         rate = kin
         if L > 1:
             slip = s * low[n : n + m] - low[n + m : n + 2 * m]
-            slip = slip - self._rows(kin) if kin.any() else slip
+            slip = slip - self._rows(kin) if self.known[i].norm(kin) > 0.0 else slip
             rate = kin + eq.closing(slip[None])[0]
         push = s * rate
         if L > 2:
