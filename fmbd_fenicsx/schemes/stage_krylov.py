@@ -1,7 +1,12 @@
-"""Stage systems of elastic fields: a Krylov method with real factors as its preconditioner.
+"""Stage systems of elastic fields: by a factor of their frequency, or a Krylov method with a real one as its preconditioner.
 
-The equations are (1) and (2) of :mod:`.field_stages`, for frequencies s. Divided by s^2, (2) is solved with the matrix of a real
-step as preconditioner,
+The equations are (1) and (2) of :mod:`.field_stages`, for frequencies s. A frequency that comes back has the matrix
+M + C / s + K / s^2 with the constraints factored (:mod:`..linear.frequency_solvers`). It leaves out gyroscopic terms, turning and
+bending only, which Newton's iteration sees in its next residual: one solution serves, until an increment is not much smaller than
+the one before.
+
+Other frequencies, of steps that are taken a few times, and those whose solutions do not serve, have J itself: divided by s^2, (2)
+is solved with the matrix of a real step as preconditioner,
 
     P = [ M + C / |s| + K / |s|^2    G^T ]          eigenvalues of P^-1 J: on the segment from 1 to |s|^2 / s^2    (1)
         [ G                            0 ]
