@@ -77,7 +77,7 @@ class StageNewton(ImplicitStepper):
         tab = self.tab
         rule = Rule(tab.W / h, tab.inverse, tab.vectors)
         times = self.state.t + h * tab.c
-        stages = self.eq.aligned(times, rule.W, self._stages(h, *self._predict(h)))
+        stages = self.eq.aligned(times, rule.couple, self._stages(h, *self._predict(h)))
         iteration = self._iteration(h, times, stages, rule)
         tolerance = self._newton_tolerance()
         last = 0.0
