@@ -5,7 +5,7 @@ from .mechanics.forces.expressed import force_element
 from .mechanics.forces.forces import Spring, Tyre, effort, force, joint_spring, own_force, torque
 from .mechanics.forces.joint_elements import dry_friction, elastic_stop, joint_friction, motor
 from .mechanics.joints.limits import joint_limit
-from .system.controllers import controller, pid
+from .system.control.controllers import controller, pid
 
 __all__ = [
     "Spring",

@@ -13,9 +13,9 @@ from test_mobility import slider_crank
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
-from fmbd_fenicsx.schemes.onestep.alpha_stepper import AlphaStepper
-from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
-from fmbd_fenicsx.schemes.onestep.generalized_alpha import GeneralizedAlpha
+from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
+from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
+from fmbd_fenicsx.schemes.onestep.alpha.generalized_alpha import GeneralizedAlpha
 from fmbd_fenicsx.system.compiled.library import driver_library
 from fmbd_fenicsx.system.system import State
 

@@ -12,7 +12,7 @@ from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
-from fmbd_fenicsx.schemes.onestep.field_stepper import FieldStepper
+from fmbd_fenicsx.schemes.onestep.alpha.field_stepper import FieldStepper
 from fmbd_fenicsx.system.compiled.choice import driver_states
 
 pytestmark = compiled

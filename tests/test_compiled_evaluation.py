@@ -18,7 +18,7 @@ from test_rods import UNIT
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.dae import Points
-from fmbd_fenicsx.schemes.step_equations import StepEquations
+from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.system.compiled.choice import solves, use_driver
 from fmbd_fenicsx.system.system import State, System
 

@@ -13,9 +13,9 @@ from test_rods import UNIT, follower, stiffening
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.schemes.onestep.energy_momentum import EnergyMomentumStepper
+from fmbd_fenicsx.schemes.onestep.conserving.energy_momentum import EnergyMomentumStepper
 from fmbd_fenicsx.system.compiled.choice import use_driver
-from fmbd_fenicsx.system.compiled.means import MeanStates
+from fmbd_fenicsx.system.compiled.states.means import MeanStates
 from fmbd_fenicsx.system.system import State, System
 
 

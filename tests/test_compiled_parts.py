@@ -14,8 +14,8 @@ from test_line_body import line
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic
-from fmbd_fenicsx.system.compiled.resting import RestingPart
-from fmbd_fenicsx.system.compiled.told import can_be_told
+from fmbd_fenicsx.system.compiled.tables.resting import RestingPart
+from fmbd_fenicsx.system.compiled.tables.told import can_be_told
 
 
 def beside_a_field(mesh: Any) -> fmbd.Scene:

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError, LawError
 from fmbd_fenicsx.rotations import Array
-from fmbd_fenicsx.system.force_tangent import force_tangent
+from fmbd_fenicsx.system.tangents.force_tangent import force_tangent
 
 GAINS, G = ((60.0, 80.0, 9.0), (25.0, 40.0, 3.0)), 9.81
 GOAL = (0.7, -1.1)

@@ -13,11 +13,11 @@ from test_kernel import flexible
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, LawError
-from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
+from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.compiled.library import driver_library
 from fmbd_fenicsx.system.compiled.order import Elimination, Fronts, RowGroup, joint_tree
-from fmbd_fenicsx.system.compiled.tables import Tables
+from fmbd_fenicsx.system.compiled.tables.tables import Tables
 from fmbd_fenicsx.system.evaluation import Evaluation
 
 compiled = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")

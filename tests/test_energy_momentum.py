@@ -8,7 +8,7 @@ from dae_problems import march, observed, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.schemes.onestep.energy_momentum import EnergyMomentumStepper
+from fmbd_fenicsx.schemes.onestep.conserving.energy_momentum import EnergyMomentumStepper
 
 
 def spinner(eps: float) -> fmbd.Scene:
@@ -79,7 +79,7 @@ def test_elastic_fields_are_refused(rod_mesh: object) -> None:
 
 def test_usual_steps_need_no_differences(monkeypatch: pytest.MonkeyPatch) -> None:
     """The tangent of the middle of the step solves them; differences cost an evaluation for each unknown."""
-    from fmbd_fenicsx.schemes.onestep import energy_momentum
+    from fmbd_fenicsx.schemes.onestep.conserving import energy_momentum
 
     scene, before = fmbd.Scene("links", gravity=(0, -9.81)), fmbd.ground
     for i in range(4):

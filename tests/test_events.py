@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.schemes.onestep.alpha_stepper import AlphaStepper
-from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
+from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
+from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 
 FALL = 0.5 * np.sqrt(2.0)  # m
 

@@ -10,8 +10,8 @@ import pytest
 from dae_problems import march, pendulum, pendulum_at, pendulum_errors, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.system.compiled.evaluation import DriverStates
-from fmbd_fenicsx.system.compiled.explicit import ExplicitStates
+from fmbd_fenicsx.system.compiled.states.evaluation import DriverStates
+from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
 
 
 def bead() -> fmbd.Scene:

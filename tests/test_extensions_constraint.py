@@ -16,7 +16,7 @@ from test_kinds import defects
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.kinds.own import own_term, traced
-from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
+from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.system.compiled.library import driver_library
 
 LENGTH = 1.25

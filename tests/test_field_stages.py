@@ -18,8 +18,8 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, ConvergenceError, InputError
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
-from fmbd_fenicsx.schemes.field_stages import FieldEquations
-from fmbd_fenicsx.schemes.implicit_stepper import ImplicitStepper
+from fmbd_fenicsx.schemes.implicit.field_stages import FieldEquations
+from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
 from fmbd_fenicsx.system.compiled.choice import use_driver
 
 T_END = 0.25  # s

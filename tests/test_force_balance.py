@@ -14,7 +14,8 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.run.judges.force_balance import Balanced
 from fmbd_fenicsx.schemes.multistep import bdf
-from fmbd_fenicsx.schemes.onestep import alpha_stepper, radau
+from fmbd_fenicsx.schemes.onestep import radau
+from fmbd_fenicsx.schemes.onestep.alpha import alpha_stepper
 
 
 def double_pendulum(size: float = 1.0, mass: float = 1.0) -> fmbd.Scene:

@@ -11,7 +11,7 @@ from motion import Motion, first, plane_scene, space_scene
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError
-from fmbd_fenicsx.system.force_tangent import force_tangent
+from fmbd_fenicsx.system.tangents.force_tangent import force_tangent
 
 
 def loaded(dim: int, what: str) -> fmbd.Scene:

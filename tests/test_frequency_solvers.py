@@ -19,7 +19,7 @@ from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.frequency_solvers import DECADE, SETTLED, FrequencySolvers
 from fmbd_fenicsx.linear.residual import Judge
 from fmbd_fenicsx.materials import linear_elastic
-from fmbd_fenicsx.schemes.field_stages import ROUNDED_UP, FieldEquations
+from fmbd_fenicsx.schemes.implicit.field_stages import ROUNDED_UP, FieldEquations
 
 S = 300.0 + 400.0j  # 1/s
 

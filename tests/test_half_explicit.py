@@ -10,7 +10,7 @@ from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, s
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.schemes.onestep.half_explicit import coefficients
-from fmbd_fenicsx.system.compiled.explicit import ExplicitStates
+from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
 
 
 def test_order_conditions() -> None:

@@ -141,7 +141,7 @@ def stacked(vectors: Any) -> Any:
 def test_exudyn_gets_the_integrals_of_nodal_sums() -> None:
     """Against the sums over nodes that Exudyn itself takes of a finite element model."""
     from fmbd_fenicsx.mechanics.reduction.reduced import ReducedConstants, constants_of
-    from fmbd_fenicsx.post.exudyn_file import _integrals
+    from fmbd_fenicsx.post.exchange.exudyn_file import _integrals
 
     n, m = 5, 3
     rng = np.random.default_rng(1)

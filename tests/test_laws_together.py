@@ -16,7 +16,7 @@ from fmbd_fenicsx.errors import CallbackError
 from fmbd_fenicsx.mechanics.forces import laws_together
 from fmbd_fenicsx.mechanics.forces.laws_together import LawsTogether
 from fmbd_fenicsx.mechanics.forces.user_laws import Repeatable
-from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
+from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 
 N = 9
 RNG = np.random.default_rng(3)

@@ -36,7 +36,7 @@ def test_without_energy_no_energy_is_recorded():
 
 def test_steps_between_given_times_are_made_in_one_call(monkeypatch):
     """Only those that pass an instant are steps by themselves; values are those of single steps to the last bit."""
-    from fmbd_fenicsx.schemes.onestep.compiled_stepper import CompiledAlphaStepper
+    from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 
     calls, march = [], CompiledAlphaStepper._steps
     monkeypatch.setattr(CompiledAlphaStepper, "_steps", lambda self, h, n, *x: calls.append(n) or march(self, h, n, *x))

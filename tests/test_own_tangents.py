@@ -9,8 +9,8 @@ import pytest
 from combinations import scene_of
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.schemes.onestep import stage_newton
-from fmbd_fenicsx.schemes.step_equations import StepEquations
 
 
 def test_a_beam_on_a_spring_keeps_tangents_while_increments_fall_fast(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
-from fmbd_fenicsx.system.compiled.explicit import ExplicitStates
+from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
 
 
 def test_order_two_and_half_step_multipliers_of_order_one() -> None:

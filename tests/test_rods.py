@@ -12,7 +12,7 @@ from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.rods.elements import spins
 from fmbd_fenicsx.mechanics.rods.strains import shape_of, strain_hessian, strain_jacobian, strains
 from fmbd_fenicsx.rotations import hat, quaternion_exp, quaternion_matrix, quaternion_product
-from fmbd_fenicsx.system.force_tangent import force_tangent
+from fmbd_fenicsx.system.tangents.force_tangent import force_tangent
 
 UNIT = fmbd.RodSection((1e4, 1e4, 1e4, 100.0, 100.0, 100.0), 1.0, (0.2, 0.1, 0.1))
 
@@ -500,7 +500,7 @@ def stiffening(gamma, kappa, s):
 )
 def test_compiled_rods_move_as_those_in_numpy(more, monkeypatch):
     """A bent rod that swings on a pin: the same motion, reactions and energies by both, and most steps compiled."""
-    from fmbd_fenicsx.schemes.onestep import alpha_driver
+    from fmbd_fenicsx.schemes.onestep.alpha import alpha_driver
     from fmbd_fenicsx.system.compiled import choice
 
     def run():

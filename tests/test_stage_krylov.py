@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fmbd_fenicsx.errors import LinearSolveError
-from fmbd_fenicsx.schemes.stage_krylov import LIMIT, Directions
+from fmbd_fenicsx.schemes.implicit.stage_krylov import LIMIT, Directions
 
 N = 60
 

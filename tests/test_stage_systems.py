@@ -14,13 +14,13 @@ from fmbd_fenicsx.errors import LinearSolveError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.residual import Judge
 from fmbd_fenicsx.schemes.dae import Points
+from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
+from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
+from fmbd_fenicsx.schemes.implicit.step_tangents import DenseTangents, SparseTangents
 from fmbd_fenicsx.schemes.onestep.collocation import tableau
-from fmbd_fenicsx.schemes.stage_iteration import StageIteration
-from fmbd_fenicsx.schemes.step_equations import StepEquations
-from fmbd_fenicsx.schemes.step_tangents import DenseTangents, SparseTangents
 from fmbd_fenicsx.system.compiled.choice import use_driver
-from fmbd_fenicsx.system.compiled.couplings import couplings_of
-from fmbd_fenicsx.system.compiled.stages import Rule, SparseTangent
+from fmbd_fenicsx.system.compiled.states.couplings import couplings_of
+from fmbd_fenicsx.system.compiled.states.stages import Rule, SparseTangent
 from fmbd_fenicsx.system.system import State
 
 FORMS = [fmbd.GGL(), fmbd.Index3(), fmbd.Index2()]

@@ -20,7 +20,7 @@ from fmbd_fenicsx.run.judges.force_balance import Balanced
 from fmbd_fenicsx.run.step_bisection import Judges
 from fmbd_fenicsx.schemes.onestep.explicit_limit import spectral_radius
 from fmbd_fenicsx.schemes.onestep.rattle import amplification
-from fmbd_fenicsx.system.compiled.explicit import ExplicitStates
+from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
 from fmbd_fenicsx.system.lengths import farthest
 from fmbd_fenicsx.system.system import State
 

@@ -12,7 +12,7 @@ from test_checkpoint import at_every_step
 from test_foretold_efforts import ANGLE, DIRECTION, END, G, chain, error
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.system.stiff_ties import stiff_ties
+from fmbd_fenicsx.system.tangents.stiff_ties import stiff_ties
 
 CHAINS = [(1.0, 1e-3), (1e-3, 1.0), (1e-3, 1.0, 1e-3, 1.0)]
 SCHEMES = [fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4)]

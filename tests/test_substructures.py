@@ -12,11 +12,11 @@ import scipy.sparse.csgraph as graph
 from motion import elastic_rod
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.fem import partial_factor, substructures
-from fmbd_fenicsx.fem.factor import PetscFactor, direct
+from fmbd_fenicsx.fem.factors import partial_factor, substructures
+from fmbd_fenicsx.fem.factors.factor import PetscFactor, direct
+from fmbd_fenicsx.fem.factors.partial_factor import IndefiniteError, PartialFactor
+from fmbd_fenicsx.fem.factors.substructures import Substructures, separator
 from fmbd_fenicsx.fem.fields import Field
-from fmbd_fenicsx.fem.partial_factor import IndefiniteError, PartialFactor
-from fmbd_fenicsx.fem.substructures import Substructures, separator
 
 needs_cholmod = pytest.mark.skipif(partial_factor.library() is None, reason="CHOLMOD cannot be called here")
 

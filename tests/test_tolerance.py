@@ -17,16 +17,9 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError, PartsError
 from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run import single_run
-from fmbd_fenicsx.run.accuracy import (
-    companion_runs,
-    estimates,
-    next_attempt,
-    shared_runs,
-    shared_spaces,
-    space_levels,
-    tolerance,
-)
+from fmbd_fenicsx.run.accuracy import companion_runs, estimates
 from fmbd_fenicsx.run.accuracy.certificate import moving
+from fmbd_fenicsx.run.accuracy.search import next_attempt, shared_runs, shared_spaces, space_levels, tolerance
 from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.system.scene import refinement
 

@@ -67,7 +67,7 @@ def test_other_exceptions_of_a_variant_come_back() -> None:
 
 def test_scenes_of_one_structure_share_their_places() -> None:
     from fmbd_fenicsx.system.compiled.places import structures_kept
-    from fmbd_fenicsx.system.compiled.tables import Tables
+    from fmbd_fenicsx.system.compiled.tables.tables import Tables
 
     tables = [Tables(pendulum(length).build()[0], redundant=False) for length in (1.0, 0.5, 2.0)]
     assert tables[0].structure is tables[1].structure is tables[2].structure
@@ -124,8 +124,8 @@ def test_a_start_costs_few_calls() -> None:
 
 def test_starts_make_no_matrix_of_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Products with the rows of constraints come without these, which a long chain would fill memory with."""
-    from fmbd_fenicsx.system.compiled.evaluation import DriverStates
-    from fmbd_fenicsx.system.jacobian import Jacobian
+    from fmbd_fenicsx.system.compiled.states.evaluation import DriverStates
+    from fmbd_fenicsx.system.tangents.jacobian import Jacobian
 
     def refuse(*given: Any) -> None:
         raise AssertionError("rows were made")

@@ -1,6 +1,6 @@
 """Applied forces on the surfaces of elastic fields, as compliant rows beside the constraints of a step.
 
-See :mod:`fmbd_fenicsx.system.force_tangent`: with y the scaled efforts of the elements, in their r modes,
+See :mod:`fmbd_fenicsx.system.tangents.force_tangent`: with y the scaled efforts of the elements, in their r modes,
 
     balance:  .. + L y,        rows:  R^T dq - y = 0                                                        (1)
 
@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..rotations import Array
-from ..system.force_tangent import ForceTangent
-from ..system.foreshortened_ports import tangent_ports
 from ..system.system import System
+from ..system.tangents.force_tangent import ForceTangent
+from ..system.tangents.foreshortened_ports import tangent_ports
 
 Solve = Callable[[Array, Array], tuple[Array, Array]]
 

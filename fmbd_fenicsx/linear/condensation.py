@@ -25,9 +25,9 @@ from ..mechanics.placements import DistributedPart
 from ..rotations import Array, rotate_nodal
 from ..system.evaluation import Evaluation
 from ..system.evaluator import Evaluator
-from ..system.force_tangent import force_tangent
-from ..system.foreshortened_ports import tangent_ports
 from ..system.system import System
+from ..system.tangents.force_tangent import force_tangent
+from ..system.tangents.foreshortened_ports import tangent_ports
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from .border import AroundSolver, Border

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from ..mechanics.placements import FrameMotion, Part
 from ..rotations import Array
 from ..system.evaluation import Evaluation
-from ..system.jacobian import dense_core
+from ..system.tangents.jacobian import dense_core
 from .blocks.field_blocks import Weights
 
 

@@ -11,10 +11,10 @@ from typing import Any, TypeGuard
 
 from ..rotations import Array
 from ..system.compiled.choice import solves
-from ..system.compiled.evaluation import DriverEvaluation, DriverStates
-from ..system.compiled.explicit import ExplicitStates, Found, RattleStep, Stage, Stages, Tableau
-from ..system.compiled.field_states import FactoredFieldStates, FieldStates
-from ..system.compiled.means import MeanStates
+from ..system.compiled.states.evaluation import DriverEvaluation, DriverStates
+from ..system.compiled.states.explicit import ExplicitStates, Found, RattleStep, Stage, Stages, Tableau
+from ..system.compiled.states.field_states import FactoredFieldStates, FieldStates
+from ..system.compiled.states.means import MeanStates
 from ..system.evaluation import Evaluation
 from ..system.system import State, System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights

@@ -23,7 +23,7 @@ from .drawing.draw import draw
 from .drawing.render import Renderer
 from .drawing.scene_graph import Drawing
 from .drawing.view import Paint, View
-from .files import write_whole
+from .exchange.files import write_whole
 from .plot import STYLE, arrow_legend, draw_history, series_of
 
 FASTEST = 50.0  # frames a second: what a GIF can do

@@ -20,7 +20,7 @@ from ..schemes.declared import Declared
 from .drawing.render import ARROWS, strobe
 from .drawing.scene_graph import Deforming, Drawing, Role
 from .drawing.view import Paint, View
-from .files import write_whole
+from .exchange.files import write_whole
 
 __all__ = ["REFERENCE", "STYLE", "figure", "picture", "plot_history", "plot_series", "plot_work_precision", "shapes"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..analysis.linear_model import LinearModel
+from ..analysis.vibration.linear_model import LinearModel
 from ..checks import typed
 from ..errors import require
 from ..rotations import Array

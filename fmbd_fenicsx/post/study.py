@@ -31,7 +31,7 @@ from ..run.variants import Variant as Variant
 from ..run.variants import Variants as Variants
 from ..run.variants import run_variants as map  # noqa: F401
 from ..schemes.declared import Declared
-from .files import write_whole
+from .exchange.files import write_whole
 from .text_tables import Table
 from .text_tables import aligned as aligned
 from .text_tables import markdown as markdown

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..analysis.equilibrium import read
-from ..analysis.modes import Modes, readable
+from ..analysis.statics.equilibrium import read
+from ..analysis.vibration.modes import Modes, readable
 from ..checks import typed
 from ..errors import require
 from ..run.result import Run

@@ -67,7 +67,7 @@ def _begun(
 ) -> tuple[State, Correction]:
     """See :func:`begin`."""
     if scene.settle:
-        from ..analysis.equilibrium import settled
+        from ..analysis.statics.equilibrium import settled
 
         given = settled(system, given, solver)
     said = Declared.by(scheme)

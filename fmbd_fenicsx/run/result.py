@@ -171,7 +171,7 @@ class Run(Uncopied):
 
         Stated errors of sensors go to a second file beside it, ``<name>.errors.csv``.
         """
-        from ..post.export import save_series
+        from ..post.exchange.export import save_series
 
         save_series(self, file)
 
@@ -179,13 +179,13 @@ class Run(Uncopied):
         """All sensors and energies over time as an ``xarray.Dataset`` with units and names of components; ``.to_netcdf(file)``
         writes it. Needs xarray.
         """
-        from ..post.tables import to_xarray
+        from ..post.exchange.tables import to_xarray
 
         return to_xarray(self)
 
     def to_pandas(self) -> Any:
         """All sensors and energies as a ``pandas.DataFrame`` over time, columns "tip x (m)". Needs pandas."""
-        from ..post.tables import to_pandas
+        from ..post.exchange.tables import to_pandas
 
         return to_pandas(self)
 
@@ -196,7 +196,7 @@ class Run(Uncopied):
         Each holds the displacement x - X of the true motion, for "Warp by Vector", and ``quantities`` in the middle of each cell:
         name -> UFL expression of the displacement in the body's axes, as for :func:`fmbd_fenicsx.stress`.
         """
-        from ..post.export import save_fields
+        from ..post.exchange.export import save_fields
 
         return save_fields(self, folder, quantities)
 

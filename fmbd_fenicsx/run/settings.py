@@ -11,7 +11,7 @@ from ..errors import InputError, require
 from ..schemes.dae import Index3
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
-from ..schemes.onestep.generalized_alpha import GeneralizedAlpha
+from ..schemes.onestep.alpha.generalized_alpha import GeneralizedAlpha
 from ..system.scene.contents import contents_of
 from ..system.scene.scene import Scene
 from .recording.output import ROUNDING, Output

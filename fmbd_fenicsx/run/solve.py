@@ -72,7 +72,7 @@ def solve(
         check_is_of_sensors(scene, tol)
         if scheme is not None:
             check_contents(scene, checked_scheme(scheme))
-        from .accuracy.tolerance import solve_within
+        from .accuracy.search.tolerance import solve_within
 
         require(
             checkpoint is None and restart is None, "A run with tol is made of several runs: no checkpoint, no restart."

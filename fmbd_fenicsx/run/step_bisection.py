@@ -20,8 +20,8 @@ import numpy as np
 from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveError, PartsError, StabilityError
 from ..log import log
 from ..schemes.stepping import Around, TimeStepper
-from ..system.compiled.glance import Glance
 from ..system.compiled.recording import Tape
+from ..system.compiled.states.glance import Glance
 from ..system.element_memory import accept, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.serialisation import plain, worker

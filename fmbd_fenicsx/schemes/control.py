@@ -28,9 +28,9 @@ from ..checks import check_fields
 from ..errors import ConvergenceError, require
 from ..fem.fields import rank_sum
 from ..rotations import Array
-from ..system.linearise import Sizes
 from ..system.serialisation import Memory, Remembering, plain
 from ..system.system import State, System
+from ..system.tangents.linearise import Sizes
 from .rigid_motions import RigidMotions
 
 ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted

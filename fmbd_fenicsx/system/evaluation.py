@@ -18,8 +18,8 @@ from ..mechanics.frames import Kinematics
 from ..mechanics.placements import FrameMotion
 from ..mechanics.reduction.foreshortening import Bent
 from ..rotations import Array
-from .foreshortened_ports import bend, port_bias, port_forces, pulls
-from .jacobian import Jacobian
+from .tangents.foreshortened_ports import bend, port_bias, port_forces, pulls
+from .tangents.jacobian import Jacobian
 
 if TYPE_CHECKING:
     from .system import System
@@ -49,7 +49,7 @@ class Evaluation:
 
     @cached_property
     def bent(self) -> dict[int, Bent]:
-        """Ports of second order by part (:mod:`.foreshortened_ports`)."""
+        """Ports of second order by part (:mod:`.tangents.foreshortened_ports`)."""
         return bend(self.system, self.q) if self.system.curved else {}
 
     @cached_property

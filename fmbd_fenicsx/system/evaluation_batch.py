@@ -2,8 +2,8 @@
 
 The names are those of :class:`~.system.Evaluation`, with the configurations in front of every array: t (k,), q (k, n_q),
 v (k, n_v), lambda (k, n_lam), G (k, n_lam, n_v). Where the compiled driver knows the system it evaluates all of them in one call
-(:mod:`~.compiled.evaluation`); equations in coordinates of the user's own take arrays of configurations; others are evaluated
-one by one.
+(:mod:`~.compiled.states.evaluation`); equations in coordinates of the user's own take arrays of configurations; others are
+evaluated one by one.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from ..rotations import Array
 from .evaluation import Evaluation
 
 if TYPE_CHECKING:
-    from .jacobian import Jacobian
     from .system import System
+    from .tangents.jacobian import Jacobian
 
 
 class Jacobians:

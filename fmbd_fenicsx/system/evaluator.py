@@ -15,7 +15,7 @@ from .evaluation import Evaluation
 from .evaluation_batch import CoordinateBatch, EvaluationBatch, in_coordinates
 
 if TYPE_CHECKING:
-    from .compiled.glance import Glance
+    from .compiled.states.glance import Glance
     from .system import System
 
 

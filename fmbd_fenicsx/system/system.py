@@ -311,7 +311,7 @@ class System:
     # -- evaluation ---------------------------------------------------------------------------------------------------
     @cached_property
     def evaluator(self) -> Evaluator:
-        """Who evaluates states: NumPy, unless a run has asked for compiled code (:mod:`.compiled.evaluation`)."""
+        """Who evaluates states: NumPy, unless a run has asked for compiled code (:mod:`.compiled.states.evaluation`)."""
         return NumPyEvaluator(self)
 
     def evaluate_by(self, evaluator: Evaluator) -> Evaluator:

@@ -1,6 +1,6 @@
 """Factorised symmetric positive definite blocks of elastic fields: E = cm M + ck K.
 
-The factors themselves are those of :mod:`fmbd_fenicsx.fem.factor`; here every solve is judged.
+The factors themselves are those of :mod:`fmbd_fenicsx.fem.factors.factor`; here every solve is judged.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import require
-from ...fem.factor import Factor, factored
+from ...fem.factors.factor import Factor, factored
 from ...fem.fields import Field, rank_sum
 from ...rotations import Array
 from ..residual import Judge

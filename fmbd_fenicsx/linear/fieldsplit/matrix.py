@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array, rotate_nodal
-from ...system.jacobian import Jacobian
+from ...system.tangents.jacobian import Jacobian
 from ..blocks.field_blocks import FactoredField
 from .layout import Layout
 

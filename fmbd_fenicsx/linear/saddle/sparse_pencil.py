@@ -6,7 +6,7 @@ import numpy as np
 
 from ...errors import LinearSolveError
 from ...rotations import Array
-from ...system.compiled.stages import SparseTangent, StageRoom
+from ...system.compiled.states.stages import SparseTangent, StageRoom
 from ..residual import Judge
 from .pencil import OPEN_ROWS, SINGULAR_MATRIX
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FmbdError, InputError
-from ...fem.factor import Factor
+from ...fem.factors.factor import Factor
 from ...fem.fields import Field
 from ...rotations import Array
 

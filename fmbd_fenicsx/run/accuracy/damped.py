@@ -47,8 +47,8 @@ def damped_vibrations(problem: Problem, schedule: StepSchedule) -> dict[str, flo
 
 def _undamped(problem: Problem) -> Any:
     """A scheme that conserves energy; where it refuses the scene, as with floating frames, one that damps little."""
-    from ...schemes.onestep.energy_momentum import EnergyMomentum
-    from ...schemes.onestep.generalized_alpha import GeneralizedAlpha
+    from ...schemes.onestep.alpha.generalized_alpha import GeneralizedAlpha
+    from ...schemes.onestep.conserving.energy_momentum import EnergyMomentum
 
     conserving = EnergyMomentum()
     refused = Declared.by(conserving).refuse(conserving.name, contents_of(problem.scene))

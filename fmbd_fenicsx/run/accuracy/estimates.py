@@ -28,7 +28,7 @@ from .companion_runs import UNFIT, Compared, StoppedError, again, as_recorded, c
 from .damped import damped_vibrations
 from .deviation import Deviation, scaled
 from .orders import expected_orders, irregular, order_seen, resolved, scattered_order, usable_order
-from .space_levels import finer_scene, space_deviations, unended
+from .search.space_levels import finer_scene, space_deviations, unended
 
 if TYPE_CHECKING:
     from ..result import Run

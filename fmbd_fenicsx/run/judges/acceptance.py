@@ -24,8 +24,8 @@ from ...errors import ConvergenceError
 from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...schemes.declared import Declared
-from ...system.compiled.glance import Seen
 from ...system.compiled.recording import Openness
+from ...system.compiled.states.glance import Seen
 from ...system.evaluation import Evaluation
 from ...system.lengths import farthest
 from ...system.serialisation import Remembering, plain

@@ -30,12 +30,12 @@ from ...linear.condensation import StepSolver, Weights
 from ...linear.core_matrix import core_matrix
 from ...rotations import Array
 from ...schemes.declared import Declared
-from ...system.compiled.glance import Seen
+from ...system.compiled.states.glance import Seen
 from ...system.evaluation import Evaluation
-from ...system.force_tangent import force_tangent
 from ...system.lengths import farthest
 from ...system.serialisation import Remembering, plain
 from ...system.system import State, System
+from ...system.tangents.force_tangent import force_tangent
 
 SHARE = 1e-2  # of accelerations
 KNOWN = 1e-8  # of the forces that joints and elements exert on a body

@@ -17,9 +17,9 @@ import numpy as np
 from ...linear.condensation import StepSolver
 from ...linear.configuration_warnings import CLOSE
 from ...log import log
-from ...system.force_tangent import force_tangent
 from ...system.mobility import nearly_dependent
 from ...system.system import State
+from ...system.tangents.force_tangent import force_tangent
 
 EVERY = 100  # steps
 MANY = 1e5  # steps that a user wants to be told of

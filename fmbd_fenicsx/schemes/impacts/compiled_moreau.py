@@ -12,7 +12,7 @@ from ...system.sensors.contact import ContactForces, ContactState
 from ...system.serialisation import Memory
 from ...system.system import State, System
 from ..newton import Newton
-from ..onestep import alpha_driver as slots
+from ..onestep.alpha import alpha_driver as slots
 from .contact_driver import ContactDriver, Tally
 from .moreau_stepper import MoreauStepper
 

@@ -3,8 +3,8 @@
     M a + h + G^T lambda - N^T Lambda = 0,   g = 0,   0 <= Lambda _|_ gap >= 0     at t_n+1                 (1)
     v_n+1 <- v_n+1 + A^-1 N^T P,   0 <= P _|_ N v_n+1 >= 0   for the contacts that are closed               (2)
 
-(1) is the step of :mod:`..onestep.generalized_alpha` with unilateral rows beside the joints; (2) removes the approach velocity
-of closed contacts (lambda g' = 0, persistency), in the metric A of the step. Contact nodes carry no inertia, so
+(1) is the step of :mod:`..onestep.alpha.generalized_alpha` with unilateral rows beside the joints; (2) removes the approach
+velocity of closed contacts (lambda g' = 0, persistency), in the metric A of the step. Contact nodes carry no inertia, so
 Lambda is bounded and the recursion of accelerations stays smooth; rigid impacts belong to :mod:`.moreau`. Energy is
 damped at high frequencies and at impacts; see :mod:`.contact_midpoint` for the rule that conserves it.
 
@@ -31,7 +31,7 @@ from ...system.speed_rows import gaps
 from ...system.system import State, System
 from ..consistent import Correction
 from ..newton import Newton, not_converged
-from ..onestep.generalized_alpha import GeneralizedAlpha
+from ..onestep.alpha.generalized_alpha import GeneralizedAlpha
 from .contact_detection import candidates
 from .contact_ledger import StepForces
 from .contact_midpoint import elastic_refusal, elastic_start

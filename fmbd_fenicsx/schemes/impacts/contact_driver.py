@@ -20,15 +20,15 @@ from ...mechanics.contact.shapes import KNOWN, Shape
 from ...mechanics.joints.relative import ExpressedCoordinate
 from ...rotations import Array, Motions
 from ...system.compiled.blocks import Ring, block_size, state_of
-from ...system.compiled.bodies import covers_bodies
 from ...system.compiled.calls import Calls
-from ...system.compiled.items import covers
 from ...system.compiled.library import CONTACT, driver_library, units_of
-from ...system.compiled.structures import PYTHON
-from ...system.compiled.tables import Tables
+from ...system.compiled.tables.bodies import covers_bodies
+from ...system.compiled.tables.items import covers
+from ...system.compiled.tables.structures import PYTHON
+from ...system.compiled.tables.tables import Tables
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
-from ..onestep import alpha_driver as slots
+from ..onestep.alpha import alpha_driver as slots
 from .contact_detection import tell_rest
 from .contact_newton import frictional_forces, normal_forces
 from .contact_tape import ContactTape

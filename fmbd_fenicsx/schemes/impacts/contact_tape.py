@@ -10,7 +10,7 @@ import numpy as np
 from ...mechanics.contact.rows import ContactSet
 from ...rotations import Array
 from ...system.compiled.recording import Openness, Recorded, Tape
-from ...system.compiled.tables import Tables
+from ...system.compiled.tables.tables import Tables
 from ...system.sensors.contact import WORKS, ContactForces, ContactState
 from ...system.system import State, System
 

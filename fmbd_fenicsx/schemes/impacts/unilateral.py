@@ -21,7 +21,7 @@ from ...system.system import State, System
 from ..consistent import accelerations, project
 from ..declared import Declared, checked_scheme
 from ..newton import Newton
-from ..onestep.generalized_alpha import GeneralizedAlpha
+from ..onestep.alpha.generalized_alpha import GeneralizedAlpha
 from ..stepping import TimeStepper, made_stepper
 
 

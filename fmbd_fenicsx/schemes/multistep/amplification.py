@@ -22,9 +22,9 @@ from ...linear.core import dense
 from ...linear.core_matrix import core_matrix
 from ...rotations import Array
 from ...system.evaluation import Evaluation
-from ...system.force_tangent import force_tangent
 from ...system.serialisation import Remembering, plain
 from ...system.system import State
+from ...system.tangents.force_tangent import force_tangent
 
 GROWTH = 5e-3  # in a step, that an order may have
 RENEWAL = 50  # steps after which the vibrations are looked at again

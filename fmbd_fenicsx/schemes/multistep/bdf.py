@@ -30,7 +30,7 @@ from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import PencilTangent
 from ...rotations import Array
-from ...system.compiled.stages import SparseTangent
+from ...system.compiled.states.stages import SparseTangent
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
@@ -46,7 +46,7 @@ from ..control import (
     turns_too_far,
 )
 from ..dae import GGL, Form, OfForm, Points
-from ..implicit_stepper import ImplicitStepper
+from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from ..onestep.radau import Radau
 from .amplification import Amplification

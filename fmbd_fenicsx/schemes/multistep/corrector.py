@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...rotations import Array
-from ...system.compiled.stages import Rule
+from ...system.compiled.states.stages import Rule
 from ...system.system import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
-from ..implicit_stepper import ImplicitStepper
+from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import strayed
 from .past import Past, local, slopes_at_first, weights
 

@@ -23,7 +23,7 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
-from ...system.compiled.explicit import Found, Stages
+from ...system.compiled.states.explicit import Found, Stages
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
 from ..consistent import accelerations

@@ -30,7 +30,7 @@ from ...linear.residual import Judge
 from ...linear.saddle.pencil import PencilTangent
 from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
-from ...system.compiled.stages import SparseTangent
+from ...system.compiled.states.stages import SparseTangent
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ..consistent import accelerations, project
@@ -44,7 +44,7 @@ from ..control import (
     turns_too_far,
 )
 from ..dae import GGL, Form, OfForm, Points
-from ..implicit_stepper import ImplicitStepper
+from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from .collocation import tableau
 from .stage_newton import StageNewton

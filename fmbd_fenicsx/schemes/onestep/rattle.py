@@ -24,7 +24,7 @@ from ...errors import BalanceError, ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...rotations import Array
-from ...system.compiled.explicit import Stage
+from ...system.compiled.states.explicit import Stage
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
@@ -33,7 +33,7 @@ from ..control import EPS
 from ..dae import positions_refused
 from ..newton import Newton
 from ..stepping import TimeStepper
-from .alpha_driver import LEFT, MAXIT, NEW_TANGENT, PARAMETERS, SLOW, THETA, TOL
+from .alpha.alpha_driver import LEFT, MAXIT, NEW_TANGENT, PARAMETERS, SLOW, THETA, TOL
 from .explicit_limit import StepLimit
 
 MASS = Weights(1.0, 0.0, 0.0)

@@ -16,11 +16,11 @@ import numpy as np
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.saddle.pencil import Pencil, cuts_of, stacked
 from ...rotations import Array
-from ...system.compiled.stages import Rule
+from ...system.compiled.states.stages import Rule
 from ...system.system import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
-from ..implicit_stepper import ImplicitStepper
+from ..implicit.implicit_stepper import ImplicitStepper
 from .collocation import Tableau, lagrange
 
 LONGER = 1.2  # steps so much longer than that of a rate do not rely on it

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...rotations import Array
 from ..system import State, System
-from .structures import address_of
+from .tables.structures import address_of
 
 Block = tuple[float, Array, Array, Array, Array, Array]  # t, q, v, a, A, lambda
 

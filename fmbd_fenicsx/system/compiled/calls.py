@@ -15,9 +15,9 @@ from ...mechanics.forces.formulas import TARGET
 from ...mechanics.forces.laws_together import mean_effort
 from ...mechanics.joints.couplings import SmoothMotion
 from ...mechanics.kinds.asked import AskedKind
-from .items import GIVEN, Items
-from .structures import PYTHON, address_of, enumeration
-from .tables import Tables
+from .tables.items import GIVEN, Items
+from .tables.structures import PYTHON, address_of, enumeration
+from .tables.tables import Tables
 
 ASKED = enumeration("SAMPLE")  # what C asks for
 OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer

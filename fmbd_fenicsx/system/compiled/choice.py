@@ -6,12 +6,12 @@ from typing import TypeGuard
 
 from ..evaluator import Evaluator
 from ..system import System
-from .bodies import covers_bodies
-from .evaluation import DriverStates
-from .field_states import FieldStates
-from .items import covers, other_loads
 from .library import driver_library, units_of
-from .resting import twin_of
+from .states.evaluation import DriverStates
+from .states.field_states import FieldStates
+from .tables.bodies import covers_bodies
+from .tables.items import covers, other_loads
+from .tables.resting import twin_of
 
 STORAGE_LIMIT = 20_000_000  # numbers in the factor
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 from ... import kernel_cache
 from ...mechanics.kinds.library import package_kernels, processor
 from ...mechanics.rods import strains
-from .items import other_loads
-from .told import is_told
+from .tables.items import other_loads
+from .tables.told import is_told
 
 if TYPE_CHECKING:
     from ..system import System

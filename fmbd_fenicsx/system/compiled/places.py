@@ -15,12 +15,12 @@ import numpy as np
 
 from ...mechanics.kinds.derivation import KERNELS, Kind
 from ...mechanics.kinds.library import kernel_address
-from .items import GIVEN, READ, ROW, Items
 from .order import Fronts, RowGroup
-from .structures import Store, structure
+from .tables.items import GIVEN, READ, ROW, Items
+from .tables.structures import Store, structure
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .tables.tables import Tables
 
 STRUCTURES = 16  # that are kept
 

@@ -26,11 +26,11 @@ from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..system import State, System
 from .blocks import block_size, state_of
-from .structures import address_of, zeros_of
+from .tables.structures import address_of, zeros_of
 
 if TYPE_CHECKING:
     from ..evaluation import Evaluation
-    from .tables import Tables
+    from .tables.tables import Tables
 
 FIRST, CAPACITY = 64, 2048  # records between two visits of Python, at first and at most
 BYTES = 1_000_000  # that they may take, so that they stay in the cache

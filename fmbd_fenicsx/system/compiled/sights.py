@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .structures import structure
+from .tables.structures import structure
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .tables.tables import Tables
 
 
 def seen_places(tables: Tables) -> int:

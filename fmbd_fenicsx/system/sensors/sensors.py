@@ -17,9 +17,9 @@ from ...mechanics.joints.relative import Relative
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..foreshortened_ports import port_acceleration
 from ..scene.joints import relative_of
 from ..system import State, System
+from ..tangents.foreshortened_ports import port_acceleration
 from .sensor import Sensor, named_part
 
 

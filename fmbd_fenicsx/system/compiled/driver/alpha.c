@@ -1,4 +1,4 @@
-/* Generalized-alpha, index 3 or stabilised: the algorithm of schemes/onestep/generalized_alpha.py, many steps in one call.
+/* Generalized-alpha, index 3 or stabilised: the algorithm of schemes/onestep/alpha/generalized_alpha.py, many steps in one call.
 
    A block of a state holds t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
 
@@ -210,7 +210,7 @@ static int step(System *s, double *p, const Block *past, int known, Block out)
     return DONE;
 }
 
-/* The error (3) of schemes/onestep/variable_alpha.py with the factor of the step that led to a state, e like v: ``a`` has the jump of
+/* The error (3) of schemes/onestep/alpha/variable_alpha.py with the factor of the step that led to a state, e like v: ``a`` has the jump of
    accelerations, which ``scale`` weights and which ``missed`` is, so weighted; velocities open constraints for ``span`` (s), 0 where they hold them.
    y: its multipliers. */
 EXPORT int driver_error(System *s, double scale, double span, const double *q, const double *v, const double *a, const double *lam,

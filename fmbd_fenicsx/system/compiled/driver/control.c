@@ -1,5 +1,5 @@
 /* Error control of steps of one size: the norm of schemes/control.py (NormOfWays) for errors of positions, and whether the next step
-   has this size too, as schemes/onestep/variable_alpha.py decides it. Every other decision is Python's. */
+   has this size too, as schemes/onestep/alpha/variable_alpha.py decides it. Every other decision is Python's. */
 
 #if DIM == 3
 /* Largest component of the smallest rotation vector between two attitudes. */

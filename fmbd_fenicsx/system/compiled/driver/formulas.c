@@ -1,6 +1,6 @@
 /* Efforts on coordinates by formulas with a name: motors, PID controllers, dry friction, smooth friction, stops,
    and the unit effort of a coordinate that is an energy. The formulas are
-   those of mechanics/forces/effort_laws.py, mechanics/forces/dry_friction.py and system/controllers.py; x: elongation. */
+   those of mechanics/forces/effort_laws.py, mechanics/forces/dry_friction.py and system/control/controllers.py; x: elongation. */
 
 enum { SERVO, PID, DRY, SMOOTH, STOP, POTENTIAL };         /* as in mechanics/forces/formulas.py */
 enum { FORMULA_WIDTH = 6, MEMORY = 3 };

@@ -1,4 +1,4 @@
-/* A step of the energy-momentum scheme, (1) to (4) of schemes/onestep/energy_momentum.py. With frames and maps of surfaces at the mean
+/* A step of the energy-momentum scheme, (1) to (4) of schemes/onestep/conserving/energy_momentum.py. With frames and maps of surfaces at the mean
    of both ends kernels of kinds give the rows of difference quotients. Bodies in absolute coordinates are at their mean displacements,
    where linear forces are difference quotients; Python tells those of energies. */
 
@@ -20,7 +20,7 @@ typedef struct {
 
 #include "mean_places.c"
 
-/* When an iteration ends, see Ends of system/compiled/means.py. */
+/* When an iteration ends, see Ends of system/compiled/states/means.py. */
 enum { LARGEST, NONE, LOST, SLOW_RATE, FASTEST, ENOUGH, ZERO, CLOSE, IDLE, NOISE };
 
 static long mean_coordinates(const System *s)

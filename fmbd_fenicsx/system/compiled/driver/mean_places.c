@@ -1,5 +1,5 @@
 /* Frames and maps of surfaces between both ends of a step of the energy-momentum scheme, (1) to (3) of
-   schemes/onestep/discrete_gradient.py: A = (R_0 + R_1) / 2, with angular velocities A^-T w_b. */
+   schemes/onestep/conserving/discrete_gradient.py: A = (R_0 + R_1) / 2, with angular velocities A^-T w_b. */
 
 #if DIM == 3
 /* det A A^-T; det A */

@@ -1,0 +1,1 @@
+"""Equilibria: at rest, in steady rotation, with contact, along paths of loads."""

@@ -1,0 +1,167 @@
+"""Paths of equilibria by pseudo-arc length: the scene's time is the load parameter, and may turn back at limit points.
+
+With F(x, t) = 0 the equations of an equilibrium, x = (q, lambda), a step of length s from (x_0, t_0) along the tangent (d, e) is
+
+    F(x, t) = 0,     (d, q o- q_0) / L^2 + e (t - t_0) / T^2 = s                                              (1)
+
+solved by Newton's method with two solutions of J a time, J u = -F and J w = -F_t (Keller's bordering). Source: Riks,
+doi:10.1016/0020-7683(79)90081-7; Keller, Lectures on Numerical Methods in Bifurcation Problems, 1987.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...checks import check_fields
+from ...errors import ConvergenceError, LinearSolveError, require
+from ...rotations import Array
+from .static_newton import StaticNewton, StaticPoint
+
+
+@dataclass(eq=False)
+class Path:
+    """Points of a path. ``parameter`` (n,): the scene's time at each; ``series``: sensor -> (n, size).
+
+    ``limits``: numbers of the points after which the load parameter turns back.
+    """
+
+    parameter: list[float] = field(default_factory=list)
+    points: list[StaticPoint] = field(default_factory=list)
+    series: dict[str, Array] = field(default_factory=dict)
+    distance: list[float] = field(default_factory=lambda: [0.0])  # along the path
+
+    def add(self, parameter: float, point: StaticPoint, length: float = 0.0) -> None:
+        """Take one more point, ``length`` beyond the last one along the path."""
+        self.points.append(point)
+        self.parameter.append(parameter)
+        self.distance.append(self.distance[-1] + length)
+
+    @property
+    def limits(self) -> list[int]:
+        """Numbers of the points nearest to limit points."""
+        rise = np.sign(np.diff(self.parameter))
+        return [int(i) + 1 for i in np.flatnonzero(rise[1:] * rise[:-1] < 0)]
+
+    @property
+    def limit_parameters(self) -> list[float]:
+        """Load parameters of the limit points, by the parabola through the three points about each."""
+        found = []
+        for i in self.limits:
+            s = np.array(self.distance[i - 1 : i + 2])
+            p = np.array(self.parameter[i - 1 : i + 2])
+            a, b, c = np.polyfit(s - s[1], p, 2)
+            found.append(float(c - b * b / (4.0 * a)))
+        return found
+
+
+@dataclass(frozen=True)
+class ArcLength:
+    """Follow equilibria until the load parameter, the scene's time, reaches ``t_end`` (s) or ``most`` points are made.
+
+    ``step``: first and largest step, as a share of the model's length and of t_end together.
+    """
+
+    t_end: float
+    step: float = 0.05
+    most: int = 400
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require(self.t_end != 0.0, "ArcLength: t_end is the last load parameter; it must not be zero.")
+        require(0.0 < self.step <= 1.0, f"ArcLength: step = {self.step} must be in (0, 1].")
+        require(self.most >= 1, f"ArcLength: most = {self.most} must be at least 1.")
+
+    def trace(self, newton: StaticNewton, start: StaticPoint, t: float) -> Path:
+        """The path from an equilibrium at t on; collective. Raises ConvergenceError where steps become too short."""
+        span = self.t_end - t
+        path = Path([t], [start])
+        tangent: tuple[Array, float] | None = None
+        length = self.step
+
+        while len(path.points) < self.most and (path.parameter[-1] - self.t_end) * np.sign(span) < 0:
+            point, now = path.points[-1], path.parameter[-1]
+            tangent = _tangent(newton, point, now, span, tangent)
+            # halve the step until its corrector converges
+            while True:
+                try:
+                    made, then, count = _step(newton, (point, now), tangent, span, length)
+                    break
+                except (ConvergenceError, LinearSolveError) as error:
+                    length *= 0.5
+                    if length < 1e-5 * self.step:
+                        raise ConvergenceError(f"The path of equilibria ends at t = {now:g} s: {error}") from error
+
+            path.add(then, made, length)
+            # few iterations: the path is nearly straight here
+            length = min(self.step, length * (1.5 if count <= 4 else 0.7 if count > 7 else 1.0))
+
+        if (path.parameter[-1] - self.t_end) * np.sign(span) > 0:
+            _finish(newton, path, self.t_end)
+        return path
+
+
+def _product(newton: StaticNewton, x: Array, y: Array) -> float:
+    """Inner product of increments over the model's length, per velocity component."""
+    s = newton.residual.system
+    # those of all ranks: a share of their own would give every rank a step of its own
+    components = s.n_core + sum(p.field.n_global for _, p in s.fields)
+    return s.dot(s.units * x, s.units * y) / s.length**2 / max(int(components), 1)
+
+
+def _tangent(
+    newton: StaticNewton, point: StaticPoint, t: float, span: float, last: tuple[Array, float] | None
+) -> tuple[Array, float]:
+    """(d, e) of (1) with unit length, e over the span, in the sense of the last one."""
+    r = newton.take(point, t)
+    by_t = newton.residual.by_time(point.q, point.lam, t, 1e-6 * abs(span))
+    w, _ = newton.inverse(point, t, r, (r[0] - by_t[0] * span, r[1] - by_t[1] * span))
+    size = float(np.sqrt(_product(newton, w, w) + 1.0))
+    d, e = w / size, 1.0 / size
+    if last is not None and _product(newton, d, last[0]) + e * last[1] < 0:
+        d, e = -d, -e
+    return d, e
+
+
+def _step(
+    newton: StaticNewton, start: tuple[StaticPoint, float], tangent: tuple[Array, float], span: float, length: float
+) -> tuple[StaticPoint, float, int]:
+    """One step of (1): point, parameter and number of iterations."""
+    system, (first, t0), (d, e) = newton.residual.system, start, tangent
+
+    # predictor: along the tangent
+    xi, lam, s = length * d, first.lam, length * e
+    for count in range(12):
+        point = StaticPoint(system.compose(first.q, xi), lam)
+        t = t0 + span * s
+        r = newton.take(point, t)
+        newton.iterations += 1
+
+        # u: Newton's increment at this t; w: what one span of t more adds; of both, what keeps the length (1)
+        by_t = newton.residual.by_time(point.q, lam, t, 1e-6 * abs(span))
+        u, du = newton.inverse(point, t, r, (np.zeros_like(r[0]), np.zeros_like(r[1])))
+        w, dw = newton.inverse(point, t, r, (r[0] - by_t[0] * span, r[1] - by_t[1] * span))
+
+        gap = length - _product(newton, d, xi) - e * s
+        slope = _product(newton, d, w) + e
+
+        ds = (gap - _product(newton, d, u)) / slope
+        xi = xi + system.rate(xi, u + ds * w)
+        lam = lam + du + ds * dw
+        s = s + ds
+
+        size = system.max_abs(u + ds * w)
+        # far from the predictor another branch would be met
+        if not size < 0.5 * system.length:
+            break
+        if size <= 1e-9 * system.length and abs(ds) < 1e-9:
+            return StaticPoint(system.compose(first.q, xi), lam), t0 + span * s, count + 1
+    raise ConvergenceError("a step along the path did not converge")
+
+
+def _finish(newton: StaticNewton, path: Path, t_end: float) -> None:
+    """Replace the last point, beyond the end, by the one at t_end."""
+    zero = np.zeros(newton.residual.system.n_v), np.zeros(newton.residual.system.n_lam)
+    path.points[-1] = newton.solve(path.points[-1], t_end, zero)
+    path.parameter[-1] = t_end

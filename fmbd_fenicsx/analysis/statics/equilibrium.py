@@ -1,0 +1,397 @@
+"""Static equilibrium and steady rotation of a scene.
+
+fmbd.equilibrium(scene)                      at rest under the loads of t = 0
+fmbd.equilibrium(scene, t=2.0)               under those of t = 2 s, drives where they are then
+fmbd.equilibrium(scene, spin=Spin(30.0))     in rotation with 30 rad/s
+fmbd.equilibrium(scene, path=ArcLength(1.0)) along the loads of t = 0 ... 1 s, past limit points
+fmbd.equilibrium(scene, path=LoadSteps((0.5, 1.0))) under the loads of t = 0.5 s, then of t = 1 s
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ...checks import typed
+from ...errors import ConvergenceError, InputError, LinearSolveError, near, require
+from ...fem.fields import Field
+from ...linear.condensation import StepSolver
+from ...log import log
+from ...mechanics.forces.effort_laws import Friction
+from ...mechanics.forces.forces import CoordinateForce
+from ...mechanics.reduction.modes import first_eigenvalue_bound
+from ...ranks import OneAnswer
+from ...rotations import Array
+from ...schemes.consistent import worst_block
+from ...system.scene.scene import Scene
+from ...system.speed_rows import speed_rows
+from ...system.system import State, System
+from ..vibration.basis import free_motions
+from ..vibration.perturbation import Perturbation
+from ..vibration.rotors import BodySpin, body_spin, check_steady
+from .arc_length import ArcLength, Path
+from .load_steps import LoadSteps
+from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps, relax
+from .steady import Residual, Spin, steady_rates
+
+FEW = 120  # coordinates up to which stability is looked at
+ASIDE = 0.1  # displacement along a motion that may be free, over the model's length
+SAME = 1e-3  # relative change of the force along a free motion there
+PERIODS = 300.0  # of the preconditioner's step, over a bound of elastic periods
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A scene in equilibrium; sensors are read with ``equilibrium["name"]``.
+
+    Attributes:
+        state: configuration, steady velocities and accelerations, multipliers, at time ``state.t``.
+        path: the points of a path of equilibria, None for a single one.
+        counters: Newton iterations, iterations on the exact tangent, factorisations.
+    """
+
+    scene: Scene
+    system: System
+    state: State
+    markers: dict[str, int]
+    spin: Spin | BodySpin | None = None
+    path: Path | None = None
+    counters: dict[str, int] = field(default_factory=dict)
+
+    def __getitem__(self, sensor: str) -> Array:
+        """Value of a sensor, (size,); collective."""
+        if sensor not in self.scene.sensors:
+            raise InputError(f'No sensor "{sensor}". {near(sensor, self.scene.sensors)}')
+        return read(self, sensor, self.state)
+
+
+def read(where: Any, sensor: str, state: State) -> Array:
+    """Value of a sensor of ``where`` (scene, system, markers) in a state; collective."""
+    ev = where.system.at(state.t, state.q, state.v)
+    value = where.scene.sensors[sensor].read(ev, state, where.markers.get(sensor, -1))
+    return np.atleast_1d(np.asarray(value, dtype=float))
+
+
+@typed
+def equilibrium(
+    scene: Scene,
+    *,
+    t: float = 0.0,
+    spin: Spin | None = None,
+    path: ArcLength | LoadSteps | None = None,
+    linear: Any = None,
+) -> Equilibrium:
+    """The equilibrium of a scene near its given placement, under the loads of time t (s); collective.
+
+    Args:
+        spin: steady rotation instead of rest, of the whole scene or of some of its bodies.
+        path: follow equilibria along the scene's time as load parameter, from t on.
+        linear: how elastic bodies are solved, as for :func:`~fmbd_fenicsx.solve`.
+
+    Raises:
+        ConvergenceError: there is none nearby: which body can move freely, or the load factor that was reached.
+    """
+    require(spin is None or isinstance(spin, Spin), f"equilibrium: spin must be fmbd.Spin(rate, ...), found {spin!r}.")
+    require(
+        path is None or isinstance(path, ArcLength | LoadSteps),
+        f"equilibrium: path must be fmbd.ArcLength(...) or fmbd.LoadSteps(...), found {path!r}.",
+    )
+    require(
+        not (scene.unilateral and isinstance(path, ArcLength)),
+        "equilibrium: path=fmbd.ArcLength(...) does not take contact or joint limits, where the path has corners. "
+        "Take fmbd.LoadSteps(...).",
+    )
+    system, given, markers = scene.build()
+    solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
+
+    with OneAnswer(system.comm):
+        try:
+            # a spin of some bodies turns them in their own frames
+            turning = spin if spin is None or not spin.bodies else body_spin(system, given.q, spin)
+            newton = static_newton(system, solver, t, turning)
+            _check_drives(newton.residual, given.q, t)
+            point = _with_controllers(newton, StaticPoint(given.q, np.zeros(system.n_lam)), t, path)
+            made = None if path is None else path.trace(newton, point, t)
+            _check_given_speeds(newton.residual, point.q, t)
+            check_steady(newton, point if made is None else made.points[-1], t if made is None else made.parameter[-1])
+        finally:
+            solver.destroy()
+
+        _tell_smooth_friction(system)
+        if made is not None:
+            t, point = made.parameter[-1], made.points[-1]
+
+        counters = {
+            "newton_iterations": newton.iterations,
+            "tangent_iterations": newton.tangent_iterations,
+            "factorisations": solver.factorisations,
+        }
+
+        found = Equilibrium(scene, system, state_of(system, point, t, turning), markers, turning, made, counters)
+        if made is not None:
+            _read_along(found, made)
+    return found
+
+
+def _tell_smooth_friction(system: System) -> None:
+    """Smooth friction creeps under any load: an equilibrium is what is left when it has crept as far as it can."""
+    every = [f for loads in system.forces for f in loads.forces]
+    names = [f.name for f in every if isinstance(f, CoordinateForce) and isinstance(f.law, Friction)]
+    if names:
+        log.warning(
+            'friction "%s" is smooth through rest and holds nothing in an equilibrium; dry_friction does',
+            '", "'.join(names),
+        )
+
+
+def _check_drives(residual: Residual, q: Array, t: float) -> None:
+    """Refuse drives that move in another way than the steady rotation does."""
+    ev = residual.at(q, t)
+    if not isinstance(residual.spin, Spin) or not residual.system.n_lam:
+        return
+    assert ev.v is not None
+    # where a drive moves, the steady rotation must move the joint likewise
+    rate = ev.constraint_rate()
+    missed = np.where(rate != 0.0, ev.jacobian.times(ev.v) + rate, 0.0)
+    row = int(np.abs(missed).argmax())
+    if np.abs(missed[row]) > 1e-6 * np.abs(rate[row]):
+        name = next(b.name for b in residual.system.blocks if b.rows.start <= row < b.rows.stop)
+        raise InputError(
+            f'"{name}" moves with {-rate[row]:.6g} (rad/s, m/s) at t = {t:g} s; in the rotation with {residual.spin.rate:g} '
+            f"rad/s it would with {missed[row] - rate[row]:.6g}: no steady motion has both. Let the drive stand, as the ground "
+            "turns, or give both one rate."
+        )
+
+
+def _check_given_speeds(residual: Residual, q: Array, t: float) -> None:
+    """Refuse constraints that give a speed to bodies at rest: rows on velocities take no part in an equilibrium."""
+    system = residual.system
+    rows = speed_rows(system)
+    if not rows.size or isinstance(residual.spin, Spin):
+        return
+    given = np.abs(system.at(t, q, np.zeros(system.n_v)).constraint_rate()[rows])
+    if given.max() > 1e-9 * system.length:  # m/s
+        row = rows[int(given.argmax())]
+        name = next(b.name for b in system.blocks if b.rows.start <= row < b.rows.stop)
+        raise InputError(
+            f'Joint "{name}" gives a speed of {given.max():.6g} m/s to bodies at rest: there is no equilibrium.'
+        )
+
+
+def _with_controllers(
+    newton: StaticNewton, start: StaticPoint, t: float, path: ArcLength | LoadSteps | None
+) -> StaticPoint:
+    """:func:`find`, with memories of controllers at rest as well; collective."""
+    system = newton.residual.system
+    if not system.keepers:
+        return find(newton, start, t)
+
+    from .memories import begin, check_sampled, remembering, steady
+
+    check_sampled(system)
+    begin(system, State(t, start.q, np.zeros(system.n_v), np.zeros(system.n_v), start.lam))
+    point = find(newton, start, t)
+    # only memories that change efforts have to come to rest
+    keeping = remembering(system, point.q, t)
+    if not keeping:
+        return point
+    require(
+        path is None,
+        f'Controller "{keeping[0].controller.name}" has a memory, which no path of equilibria follows. Leave path out.',
+    )
+    return steady(newton, point, t, keeping)
+
+
+def _read_along(found: Equilibrium, path: Path) -> None:
+    """All sensors at all points of a path; collective."""
+    states = [state_of(found.system, p, s, found.spin) for p, s in zip(path.points, path.parameter, strict=True)]
+    for name in found.scene.sensors:
+        path.series[name] = np.array([read(found, name, s) for s in states])
+
+
+def settled(system: System, given: State, solver: StepSolver) -> State:
+    """The state at rest in equilibrium near a given one: the start of ``Scene(settle=True)``; collective."""
+    newton = static_newton(system, solver, given.t, None)
+    return state_of(system, find(newton, StaticPoint(given.q, np.zeros(system.n_lam)), given.t), given.t, None)
+
+
+def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | BodySpin | None) -> StaticNewton:
+    """Newton's method for a system, its preconditioner a step that is long against a pendulum and against elastic periods."""
+    pull = float(np.abs(system.gravity(t)).max(initial=0.0))
+    # long against a pendulum's period, and against the first vibrations of elastic bodies
+    taus = [10.0 * float(np.sqrt(system.length / pull))] if pull else []
+    taus += [
+        PERIODS / float(np.sqrt(first_eigenvalue_bound(p.field)))
+        for _, p in system.fields
+        if isinstance(p.field, Field)
+    ]
+    tau = min(taus, default=10.0)
+    if system.contacts is None:
+        return StaticNewton(Residual(system, spin), solver, tau)
+
+    from .static_contact import ContactNewton, check_contacts
+
+    check_contacts(system)
+    # what slides and rolls freely moves by roundoff as the square of the step: one unit of a pendulum's time, not ten
+    return ContactNewton(Residual(system, spin), solver, 0.1 * tau)
+
+
+def state_of(system: System, point: StaticPoint, t: float, spin: Spin | BodySpin | None) -> State:
+    """A point as a state with its steady velocities, and contact forces where there are contacts."""
+    v, a = steady_rates(system, point.q, spin)
+    state = State(t, point.q, v, a, point.lam)
+    if system.contacts is None:
+        return state
+
+    from .static_contact import state_with_contact
+
+    return state_with_contact(system, state, point.force)
+
+
+def find(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
+    """:func:`by_load_steps` with shorter preconditioning steps where elastic blocks are singular; errors say what moves."""
+    system = newton.residual.system
+    while True:
+        try:
+            found = by_load_steps(newton, start, t)
+            return _stable(newton, start, found, t)
+        # too far away: from the rest of a motion with much damping it may be near
+        except NoEquilibriumError as error:
+            try:
+                return by_load_steps(newton, _nearer(newton, start, t), t)
+            except (ConvergenceError, LinearSolveError):
+                raise ConvergenceError(_why(newton, start, t, error)) from None
+        except LinearSolveError:
+            if newton.tau < 1e-4 * float(np.sqrt(system.length)):
+                raise
+            # more inertia in the preconditioner holds what no joint holds
+            newton.tau /= 3.0
+            newton.__post_init__()
+
+
+def _nearer(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
+    """A better start by descent; with contact, whose increments descend anyway, the same with a shorter step."""
+    slow = _slow(newton.residual.system, t)
+    if newton.residual.system.contacts is None:
+        return relax(newton, start, t, slow)
+    newton.tau = min(newton.tau, slow)
+    newton.__post_init__()
+    return start
+
+
+def _stable(newton: StaticNewton, start: StaticPoint, found: StaticPoint, t: float) -> StaticPoint:
+    """The equilibrium found, or a stable one by descent where Newton went far and ended on an unstable one.
+
+    Looks at scenes of few replicated coordinates only: others rarely end there.
+    """
+    system = newton.residual.system
+    moved = system.max_abs(system.difference(start.q, found.q))
+    if system.contacts is not None or system.fields or system.n_core > FEW or moved <= 0.1 * system.length:
+        return found
+
+    # of few unknowns: the stiffness on all free motions tells
+    spin = newton.residual.spin
+    about = Perturbation(system, state_of(system, found, t, spin), spin if isinstance(spin, Spin) else None)
+    V = free_motions(about)
+    images = [about.stiffness(v) for v in V]
+    K = np.array([[v @ image for image in images] for v in V])
+
+    if not K.size or np.linalg.eigvalsh(0.5 * (K + K.T)).min() >= -1e-9 * np.abs(K).max():
+        return found
+
+    try:
+        return by_load_steps(newton, relax(newton, start, t, _slow(system, t)), t)
+    except (ConvergenceError, LinearSolveError):
+        return found
+
+
+def _slow(system: System, t: float) -> float:
+    """Half the time unit of a pendulum of the model's length, s."""
+    pull = float(np.abs(system.gravity(t)).max(initial=0.0))
+    return 0.5 * float(np.sqrt(system.length / (pull or 1.0)))
+
+
+def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriumError) -> str:
+    """What a missing equilibrium means: a body that moves freely, or a load above the limit."""
+    system = newton.residual.system
+    here = _softest(newton, start, t, np.ones(system.n_v))
+    free, moved = here.grown > 1.0 - 1e-6, _shares(system, here.motion)
+    if free and system.contacts is None:
+        ways = [replace(start, q=system.compose(start.q, way * system.length * here.motion)) for way in (ASIDE, -ASIDE)]
+        aside = [_softest(newton, there, t, here.motion) for there in ways]
+        # beside a body that moves freely the push is the same; beside a lever that its weight cannot hold it is not
+        pushes = [here.push, *(there.push for there in aside)]
+        free = float(np.ptp(pushes)) <= SAME * float(np.abs(pushes).max())
+        # of bodies that move together, those that forces move by as much there
+        for there in aside:
+            other = _shares(system, there.image - here.motion)
+            moved = {name: size for name, size in moved.items() if other[name] <= SAME * size} or moved
+    if free:
+        name = max(moved, key=lambda name: moved[name])
+        return f'No static equilibrium: body "{name}" can move freely ({error}). Hold it by a joint or a spring.'
+    g = newton.residual.values(newton.residual.at(start.q, t), start.lam)[1]
+    gap = float(np.abs(g).max(initial=0.0))
+    if gap > 0.1 * system.length:
+        return (
+            f"No static equilibrium was found from the given placement, in which {worst_block(system, g)} is open by "
+            f"{gap:.3g} m: {error}. Check the positions of the bodies and the points of the joint."
+        )
+    return (
+        f"No static equilibrium was found from the given placement: {error}. The load may be above its limit: "
+        "follow the equilibria with path=fmbd.ArcLength(...), or give a start nearer to the solution."
+    )
+
+
+@dataclass(frozen=True)
+class Softest:
+    """The motion (largest displacement 1 m) that forces move farthest about a point.
+
+    Attributes:
+        motion: like v.
+        grown: how far; inertia forces of a motion without any stiffness move it by as much: 1.
+        push: the force along it, N.
+        image: what inertia forces of the motion that the search began with move there.
+    """
+
+    motion: Array
+    grown: float
+    push: float
+    image: Array
+
+
+def _softest(newton: StaticNewton, start: StaticPoint, t: float, motion: Array) -> Softest:
+    """By inverse iteration from a motion."""
+    system = newton.residual.system
+    q, answer = newton.respond(start, t)
+    images: list[Array] = []
+    for _ in range(6):
+        motion = motion / max(system.max_abs(motion), 1e-300)
+        motion = answer(_inertia(newton, q, t, motion))
+        images.append(motion)
+    grown = system.max_abs(motion)
+    motion = motion / max(grown, 1e-300)
+    push = system.dot(motion, newton.residual.at(q, t).balance(np.zeros(system.n_v)))
+    return Softest(motion, grown, push, images[0])
+
+
+def _inertia(newton: StaticNewton, q: Array, t: float, motion: Array) -> Array:
+    """Inertia forces of a motion, as the preconditioner weighs them."""
+    ev = newton.residual.at(q, t)
+    forces: Array = newton.solver.weights.cm * (ev.balance(motion) - ev.balance(np.zeros(newton.residual.system.n_v)))
+    return forces
+
+
+def _shares(system: System, motion: Array) -> dict[str, float]:
+    """The largest displacement (m) of each body in a motion; collective."""
+    n, sizes = system.motions.n_twist, {}
+    weighted = np.abs(system.units * motion)
+    for i, name in enumerate(system.frame_names):
+        sizes[name] = float(weighted[i * n : (i + 1) * n].max())
+    for k, p in enumerate(system.parts):
+        part = float(np.abs(weighted[system.slices[1][k]]).max(initial=0.0))
+        sizes[p.name] = max(
+            sizes.get(p.name, 0.0), part if not p.distributed else float(np.max(p.comm.allgather(part)))
+        )
+    return sizes

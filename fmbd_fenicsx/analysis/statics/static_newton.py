@@ -1,0 +1,267 @@
+"""Newton's iteration for an equilibrium: the consistent tangent, a line search, and load steps where a whole one fails.
+
+    f(q) + G(q)^T lambda = (1 - s) r_0,    g(q) = (1 - s) g_0,       s = 0 ... 1                                (1)
+
+with r_0, g_0 the residuals of the start: for dead loads on unstressed bodies s is the load factor. The matrix P of a very long
+time step, M / tau^2 + K, preconditions GMRES on the exact tangent J, the derivative of the left-hand sides: reactions that turn
+with the bodies, weights about moved frames and all springs are in J, whatever P leaves out. With d = -J^-1 r an increment l d
+is taken when
+
+    |P^-1 r(q + l d)| <= (1 - l / 4) |P^-1 r(q)|,     l = 1, 1/2, 1/4 ...                                       (2)
+
+Whole increments, l = 1, are tried first: a slender body that bends by them is stretched for one iteration, which (2) in the
+metric of the start would take for an ascent, and answer with a thousand short increments.
+
+Source: Deuflhard, Newton Methods for Nonlinear Problems, doi:10.1007/978-3-642-23899-4, on affine invariant tests of descent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...errors import ConvergenceError, LinearSolveError
+from ...linear.condensation import StepSolver, Weights
+from ...rotations import Array
+from ...schemes.exact_tangent import exact_increment
+from ...schemes.newton import ExactTangent
+from ...system.speed_rows import speed_rows
+from .steady import Residual
+
+RELAXED = 150  # iterations of descent from a poor start
+SHORTEST = 1 / 256  # load step, and share of an increment in the line search
+EXACT = ExactTangent(rtol=1e-6, max_iterations=60)
+
+WHOLE, DAMPED = 12, 40  # increments at most, without and with a line search
+TINY = 1e-6  # increments, over the model's length, that ought to become smaller
+LONG = 0.5  # increment that is not taken whole, over the model's length
+
+Pair = tuple[Array, Array]
+Increment = Callable[["StaticPoint", float, Pair, Pair], Pair | None]  # point, time, residuals, what they are to be
+
+
+@dataclass(frozen=True, eq=False)
+class StaticPoint:
+    """A configuration and its multipliers; ``force`` (m,) N on the candidates of contacts, None without any."""
+
+    q: Array
+    lam: Array
+    force: Array | None = None
+
+
+@dataclass(eq=False)
+class StaticNewton:
+    """Newton's method on a :class:`Residual`; counts its work. Collective.
+
+    ``tau`` (s): the time step of the preconditioner, long against all periods.
+    """
+
+    residual: Residual
+    solver: StepSolver
+    tau: float
+    tolerance: float = 1e-12  # of increments, over the model's length
+    iterations: int = 0
+    tangent_iterations: int = 0
+    weights: Weights = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.weights = Weights(1.0 / self.tau**2, 0.0, 1.0)
+
+    # -- one tangent ----------------------------------------------------------------------------------------------
+    def take(self, point: StaticPoint, t: float) -> Pair:
+        """Take the tangent at a point; the residuals there."""
+        ev = self.residual.at(point.q, t)
+        r = self.residual.values(ev, point.lam)
+        ev.take_tangents()
+        self.solver.prepare(ev, self.weights)
+        return r
+
+    def inverse(self, point: StaticPoint, t: float, r: Pair, goal: Pair, share: float = 0.0) -> Pair:
+        """(J + s M / tau^2)^-1 (goal - r) at a point with residuals r, J exact, s = ``share``; increments of q and lambda."""
+        system = self.residual.system
+        inertia = share * self.weights.cm
+
+        rolling = speed_rows(system)
+        G = self.residual.at(point.q, t).jacobian if rolling.size else None
+
+        def moved(d: Array) -> Pair:
+            q = system.compose(point.q, d)
+            found = self.residual.values(self.residual.at(q, t), point.lam, inertia * d)
+            if G is not None:  # rows without g: the increment itself rolls
+                found[1][rolling] += G.times(d)[rolling]
+            return found[0] - goal[0], found[1] - goal[1]
+
+        b = goal[0] - r[0], goal[1] - r[1]
+        dq, dlam, count = exact_increment(EXACT, system, self.solver.solve, moved, b)
+        self.tangent_iterations += count
+        return dq, dlam
+
+    def direct(self, point: StaticPoint, t: float, b: Pair) -> Pair:
+        """Increment of Newton with the solver's own matrix from a point; pressures that bodies carry move along."""
+        return self.solver.step(self.residual.at(point.q, t), *b)
+
+    # -- a whole iteration ----------------------------------------------------------------------------------------
+    def solve(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
+        """The point where both residuals equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
+        carried = any(p.field.carried for _, p in self.residual.system.fields)
+        if carried:
+            return self._iterate(start, t, rest, DAMPED, self._carrying_increment)
+        try:
+            return self._iterate(start, t, rest, WHOLE, self._whole_increment)
+        except ConvergenceError:
+            pass
+        try:
+            return self._iterate(start, t, rest, DAMPED, self._damped_increment)
+        except ConvergenceError:
+            return self._iterate(start, t, rest, WHOLE, self._slow_increment)
+
+    def _iterate(self, start: StaticPoint, t: float, rest: Pair, most: int, increment: Increment) -> StaticPoint:
+        """Newton's iteration of at most ``most`` increments from ``increment``, which gives None where there is none to take."""
+        system = self.residual.system
+        point = start
+        sizes = [np.inf]
+        for _ in range(most):
+            r = self.take(point, t)
+            self.iterations += 1
+            step = increment(point, t, r, rest)
+            if step is None:
+                break
+            point = StaticPoint(system.compose(point.q, step[0]), point.lam + step[1])
+
+            size = system.max_abs(step[0])
+            sizes.append(size)
+            stalled = size > 0.5 * sizes[-2] and size <= 1e-9 * system.length
+            if size <= self.tolerance * system.length or stalled:
+                if not self._balanced(point, t, rest):
+                    break
+                return point
+            if sizes[-2] <= size <= TINY * system.length:  # roundoff, enlarged by a motion without stiffness
+                break
+        raise ConvergenceError(f"increments of {', '.join(f'{x:.1e}' for x in sizes[-4:])} m")
+
+    def _carrying_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
+        """Increment of the solver's own matrix, the pressures of bodies with it."""
+        step = self.direct(point, t, (rest[0] - r[0], rest[1] - r[1]))
+        return step if np.isfinite(self.residual.system.max_abs(step[0])) else None
+
+    def _whole_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
+        """Increment of the exact tangent, unless it is long against the model."""
+        system = self.residual.system
+        dq, dlam = self.inverse(point, t, r, rest)
+        return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
+
+    def _damped_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
+        """Share (2) of the increment of the exact tangent."""
+        system = self.residual.system
+        dq, dlam = self.inverse(point, t, r, rest)
+        size = system.max_abs(dq)
+        if not np.isfinite(size):
+            return None
+        if size < TINY * system.length:
+            return dq, dlam
+        share = self._share(point, t, (dq, dlam), (rest[0] - r[0], rest[1] - r[1]), rest)
+        return (share * dq, share * dlam) if share else None
+
+    def _slow_increment(self, point: StaticPoint, t: float, r: Pair, rest: Pair) -> Pair | None:
+        """Increment with M / tau^2 beside the exact tangent.
+
+        What may turn or slide freely has no stiffness, and roundoff would move it far; the rest hardly feels it, as tau is long.
+        """
+        system = self.residual.system
+        dq, dlam = self.inverse(point, t, r, rest, 1.0)
+        return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
+
+    def respond(self, start: StaticPoint, t: float) -> tuple[Array, Callable[[Array], Array]]:
+        """A configuration, and P^-1 there: what forces move where there is no equilibrium."""
+        self.take(start, t)
+        zero = np.zeros(self.residual.system.n_lam)
+        return start.q, lambda b: self.solver.solve(b, zero)[0]
+
+    def _balanced(self, point: StaticPoint, t: float, rest: Pair) -> bool:
+        """Whether the residuals are small in the measure of the preconditioner: no increment is no proof where J is singular."""
+        system = self.residual.system
+        r = self.residual.values(self.residual.at(point.q, t), point.lam)
+        left = self.solver.solve(rest[0] - r[0], rest[1] - r[1])[0]
+        return system.max_abs(left) <= 1e-6 * system.length
+
+    def _share(self, point: StaticPoint, t: float, step: Pair, b: Pair, rest: Pair) -> float:
+        """The share l of (2), 0.0 where there is none."""
+        system, share = self.residual.system, 1.0
+        before = system.max_abs(self.solver.solve(*b)[0])
+        while share >= SHORTEST:
+            q = system.compose(point.q, share * step[0])
+            lam = point.lam + share * step[1]
+            try:
+                r = self.residual.values(self.residual.at(q, t), lam)
+                left = system.max_abs(self.solver.solve(rest[0] - r[0], rest[1] - r[1])[0])
+            except (ConvergenceError, LinearSolveError, ArithmeticError):
+                left = np.inf
+            if left <= (1.0 - 0.25 * share) * before:
+                return share
+            share *= 0.5
+        return 0.0
+
+
+def by_load_steps(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
+    """The equilibrium at time t by load steps (1), as long as they can be; collective.
+
+    Raises ConvergenceError with the last load factor reached.
+    """
+    first = newton.residual.values(newton.residual.at(start.q, t), start.lam)
+    point, reached, step = start, 0.0, 1.0
+
+    while reached < 1.0:
+        # what is out of balance at the start is let go share by share
+        goal = min(reached + step, 1.0)
+        rest = (1.0 - goal) * first[0], (1.0 - goal) * first[1]
+
+        pressures = newton.solver.pressures
+        try:
+            point = newton.solve(point, t, rest)
+        except ConvergenceError as error:
+            newton.solver.pressures = pressures
+            step *= 0.25
+            if step < SHORTEST:
+                raise NoEquilibriumError(reached, str(error)) from error
+            continue
+
+        reached, step = goal, 2.0 * step
+    return point
+
+
+def relax(newton: StaticNewton, start: StaticPoint, t: float, tau: float) -> StaticPoint:
+    """A point near a stable equilibrium, by descent in the metric M / tau^2 + K: for starts where J is not definite; collective.
+
+    Raises ConvergenceError where increments do not become small.
+    """
+    system, point, last = newton.residual.system, start, np.inf
+    for _ in range(RELAXED):
+        ev = newton.residual.at(point.q, t)
+        r = newton.residual.values(ev, np.zeros(system.n_lam))
+        newton.solver.prepare(ev, Weights(1.0 / tau**2, 0.0, 1.0))
+
+        d, lam = newton.solver.step(ev, -r[0], -r[1])
+        size = system.max_abs(d)
+
+        if not size < np.inf:
+            break
+        # growing increments: the metric has too little inertia
+        if size > 1.2 * last:
+            tau *= 0.6
+
+        share = min(1.0, 0.2 * system.length / max(size, 1e-300))
+        last = size
+        point = StaticPoint(system.compose(point.q, share * d), lam)
+        if size <= 1e-4 * system.length:
+            return point
+    raise ConvergenceError(f"increments of {last:.1e} m after {RELAXED} iterations of descent")
+
+
+class NoEquilibriumError(ConvergenceError):
+    """Load steps ended at the load factor ``reached``."""
+
+    def __init__(self, reached: float, why: str) -> None:
+        super().__init__(f"load steps ended at {reached:.4g} of the load ({why})")
+        self.reached = reached

@@ -1,0 +1,287 @@
+"""Motions in which a scene is described: all that the constraints leave, or those that its first modes need.
+
+Scenes of replicated coordinates (rigid and reduced bodies) take a basis of the null space of G. Those with elastic fields take a
+block Krylov space of the shifted operator (K + s M)^-1 M, solved by GMRES with the factors of the step's matrix; gyroscopic
+and damping terms add (K + s M)^-1 C, static answers to inputs can be put in. Projected on it, (M, C, K) are small and dense. The
+space grows until its modes are those wanted, or to its largest size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...errors import InputError, LinearSolveError
+from ...linear.condensation import StepSolver, Weights
+from ...rotations import Array
+from ...schemes.exact_tangent import exact_increment
+from ...schemes.newton import ExactTangent
+from ...system.speed_rows import speed_rows
+from .perturbation import Perturbation
+from .small_memory import SmallMemory, small_memory
+
+RANK = 1e-9  # singular values of the scaled G below this share of the largest are zero
+BLOCK, MORE = 3, 24  # start vectors, and vectors beyond those asked for
+ENLARGED = 1e-2  # share of a vector that must be new for its violation of the constraints to stay roundoff
+NEW = 1e-5  # share of a vector that must be new: below it stands the noise of GMRES, which no constraint holds
+DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
+TRIES, LARGER = 5, 9.0  # shifts beyond the one given, and each over the one before
+EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedSystem:
+    """M, C, K on a basis: ``vectors`` (k, n_v), each satisfying the constraints; ``speeds``: G_s and P of rows on velocities;
+    ``memory``: what moves with them in elements that remember.
+    """
+
+    vectors: Array
+    M: Array
+    C: Array
+    K: Array
+    speeds: tuple[Array, Array]
+    memory: SmallMemory | None = None
+
+    def on(self, Q: Array) -> ProjectedSystem:
+        """The same on combinations Q (k, n) of the basis."""
+        G, P = self.speeds
+        memory = None if self.memory is None else self.memory.on(Q)
+        return ProjectedSystem(
+            Q.T @ self.vectors, Q.T @ self.M @ Q, Q.T @ self.C @ Q, Q.T @ self.K @ Q, (G @ Q, P @ Q), memory
+        )
+
+
+def projected(
+    about: Perturbation,
+    solver: StepSolver,
+    count: int,
+    *,
+    shift: float,
+    inputs: Sequence[Array] = (),
+    enough: Callable[[ProjectedSystem], bool] | None = None,
+) -> ProjectedSystem:
+    """The small matrices for the first ``count`` modes, and for static answers to ``inputs`` (forces like v); collective.
+
+    ``enough`` tells from the matrices whether the space of elastic fields need not grow any more.
+    """
+    system = about.system
+    if not system.fields and system.n_core <= DENSE_LIMIT:
+        space = _Space(about)
+        for v in free_motions(about):
+            space.add(v)
+        made = space.projected()
+        made = replace(made, speeds=_speeds(about, made.vectors))
+    else:
+        made = _with_enough_inertia(
+            about, solver, shift, lambda inverse: _krylov(_Space(about), inverse, count, inputs, enough)
+        )
+    return replace(made, memory=small_memory(about, made.vectors))
+
+
+def _with_enough_inertia(
+    about: Perturbation, solver: StepSolver, shift: float, make: Callable[[_Shifted], ProjectedSystem]
+) -> ProjectedSystem:
+    """What ``make`` finds by the inverse (K + s M)^-1 with the least s, from the given one on, that roundoff of K does not hide.
+
+    A thin body by itself is held by its inertia alone, and its first frequency is low against its largest.
+    """
+    for _ in range(TRIES):
+        try:
+            return make(_Shifted(about, solver, shift))
+        except LinearSolveError:
+            shift *= LARGER
+    return make(_Shifted(about, solver, shift))
+
+
+@dataclass(eq=False)
+class _Space:
+    """Vectors of a basis with the products of M, C and K, which grow together."""
+
+    about: Perturbation
+    vectors: list[Array] = field(default_factory=list)
+    images: list[tuple[Array, Array, Array]] = field(default_factory=list)
+    small: Array = field(default_factory=lambda: np.zeros((3, 0, 0)))
+
+    def add(self, v: Array) -> None:
+        """One more vector; collective."""
+        about = self.about
+        dot = about.system.dot
+        images = about.mass(v), about.damping(v), about.stiffness(v)
+        n = len(self.vectors)
+        made = np.zeros((3, n + 1, n + 1))
+        made[:, :n, :n] = self.small
+
+        self.vectors.append(v)
+        self.images.append(images)
+        for i, w in enumerate(self.vectors):
+            made[:, i, n] = [dot(w, x) for x in images]
+            made[:, n, i] = [dot(v, x) for x in self.images[i]]
+        self.small = made
+
+    def without(self, b: Array, count: int) -> Array:
+        """A force less that by which inertia answers in the first ``count`` vectors; collective.
+
+        Of its answer what is slow would leave nothing else to be seen: beside a pendulum the waves of its rod are small, by the
+        square of the ratio of the frequencies.
+        """
+        n = min(count, len(self.vectors))
+        if not n:
+            return b
+        along = np.array([self.about.system.dot(v, b) for v in self.vectors[:n]])
+        share = np.linalg.lstsq(self.small[0][:n, :n], along, rcond=None)[0]
+        return b - np.sum([c * image[0] for c, image in zip(share, self.images, strict=False)], axis=0)
+
+    def projected(self) -> ProjectedSystem:
+        """The matrices so far, without rows on velocities."""
+        n = len(self.vectors)
+        M, C, K = self.small
+        return ProjectedSystem(
+            np.array(self.vectors).reshape(n, self.about.system.n_v), M, C, K, (np.zeros((0, n)), np.zeros((0, n)))
+        )
+
+
+def _speeds(about: Perturbation, V: Array) -> tuple[Array, Array]:
+    """G_s and P of the rows on velocities on a basis, (rows, k) each; rows scaled to one."""
+    rows = speed_rows(about.system)
+    G = np.array([about.rows(v)[rows] for v in V]).reshape(len(V), len(rows)).T
+    P = np.array([about.slip(v) for v in V]).reshape(len(V), len(rows)).T
+    size = np.maximum(np.linalg.norm(G, axis=1), 1e-300)[:, None]
+    return G / size, P / size
+
+
+def free_motions(about: Perturbation) -> Array:
+    """Basis (k, n_v) of all motions that the constraints leave (those on velocities aside); replicated coordinates only."""
+    system = about.system
+    held = np.setdiff1d(np.arange(about.row_count), speed_rows(system))
+    if not len(held):
+        return np.diag(1.0 / system.units)
+    G = np.array([about.rows(e)[held] for e in np.diag(1.0 / system.units)]).T
+    sizes = np.linalg.norm(G, axis=1)
+    _, s, Vt = np.linalg.svd(G / np.where(sizes > 0, sizes, 1.0)[:, None])
+
+    rank = int((s > RANK * s[0]).sum())
+    return np.asarray(Vt[rank:] / system.units)
+
+
+def _krylov(
+    space: _Space,
+    inverse: _Shifted,
+    count: int,
+    inputs: Sequence[Array],
+    enough: Callable[[ProjectedSystem], bool] | None,
+) -> ProjectedSystem:
+    """The matrices on an orthonormal basis of a block Krylov space; where it ends early others go on beside it."""
+    about, basis = space.about, space.vectors
+    limit = min(3 * count + MORE, _freedom(about))
+    started = known = done = 0  # random starts; vectors whose own answers are left out; those that were answered
+
+    def starts() -> list[Array]:
+        numbers = range(started, started + BLOCK)
+        return [inverse.solve(space.without(about.mass(random_motion(about, i)), known)) for i in numbers]
+
+    waiting = [inverse.solve(b) for b in inputs] + starts()
+    turning = _turning(about, waiting[-1])
+    while len(basis) < limit:
+        # the space has ended: other motions, which it cannot hold, begin beside it
+        if not waiting and done == len(basis):
+            if known == done:
+                break
+            known, started = done, started + BLOCK
+            waiting = starts()
+        elif not waiting:
+            if enough is not None and done % BLOCK == 0 and done >= count and enough(space.projected()):
+                break
+            # the next answers: (K + s M)^-1 M v, and C v where velocities make forces
+            v = basis[done]
+            done += 1
+            waiting.append(inverse.solve(space.without(about.mass(v), known)))
+            if turning:
+                waiting.append(inverse.solve(space.without(about.damping(v), known)))
+
+        made = _new_part(about, basis, waiting.pop(0), inverse)
+        if made is not None:
+            space.add(made)
+    return space.projected()
+
+
+def _new_part(about: Perturbation, basis: list[Array], x: Array, inverse: _Shifted) -> Array | None:
+    """What of x is new beside the basis, of unit length and without violation of the constraints; None where it is noise."""
+    system = about.system
+    size = _norm(about, x)
+    # twice: the second pass takes the roundoff of the first
+    for _ in range(2):
+        for v in basis:
+            x = x - system.dot(system.units**2 * v, x) * v
+
+    left = _norm(about, x)
+    if not left > NEW * size > 0.0:
+        return None
+    x = x / left
+    if left > ENLARGED * size:
+        return x
+    # little was left: what violates the constraints was enlarged with it
+    held = inverse.held(x)
+    return held / _norm(about, held)
+
+
+def _norm(about: Perturbation, x: Array) -> float:
+    units = about.system.units
+    return float(np.sqrt(about.system.dot(units * x, units * x)))
+
+
+def _turning(about: Perturbation, x: Array) -> bool:
+    """Whether there are velocity-dependent forces."""
+    return _norm(about, about.damping(x)) > 1e-12 * _norm(about, about.stiffness(x))
+
+
+def _freedom(about: Perturbation) -> int:
+    system = about.system
+    fields = sum(p.field.n_global for _, p in system.fields)
+    return max(int(system.n_core + fields - about.row_count), 1)
+
+
+def random_motion(about: Perturbation, k: int) -> Array:
+    """A random array like v, the same for any number of ranks: fields get waves of random lengths and phases."""
+    system = about.system
+    draw = np.random.default_rng(k)
+    out = np.zeros(system.n_v)
+    out[: system.n_core] = draw.standard_normal(system.n_core)
+    for i, part in system.fields:
+        d = part.field.dim
+        turns = draw.standard_normal((d, d)) * 2.0 * np.pi / part.field.size
+        waves = np.cos(part.field.X @ turns + draw.uniform(0.0, 2.0 * np.pi, d))
+        out[system.slices[1][i]] = waves.ravel()
+    return out / system.units
+
+
+class _Shifted:
+    """(K + s M)^-1 with the constraints, exact up to GMRES's tolerance."""
+
+    def __init__(self, about: Perturbation, solver: StepSolver, shift: float) -> None:
+        self.about, self.shift = about, shift
+        s = about.state
+        ev = about.system.at(s.t, s.q, s.v)
+        # tangents are those of this state
+        ev.forces = s.a, s.lam
+        ev.take_tangents()
+        solver.prepare(ev, Weights(shift, 0.0, 1.0))
+        self.inverse = solver.solve if about.closed is None else about.closed.held(solver)
+
+    def held(self, x: Array) -> Array:
+        """x without what violates the constraints: differences of nearly equal vectors enlarge it."""
+        return x + self.inverse(np.zeros_like(x), -self.about.rows(x))[0]
+
+    def solve(self, b: Array) -> Array:
+        """x with (K + s M) x + G^T mu = b, G x = 0."""
+        about, system = self.about, self.about.system
+        none = np.zeros(about.row_count)
+
+        def moved(d: Array) -> tuple[Array, Array]:
+            return about.stiffness(d) + self.shift * about.mass(d) - b, about.rows(d)
+
+        x, _, _ = exact_increment(EXACT, system, self.inverse, moved, (b, none))
+        if not np.isfinite(system.max_abs(x)):
+            raise InputError("The linearised scene is singular at this state: a body without mass is not held.")
+        return x

@@ -1,0 +1,241 @@
+"""Linear models of a scene: state space from named inputs to named outputs, and its frequency response.
+
+With y = V z on the basis of :mod:`.basis` and u the inputs,
+
+    x = (z, z'),    x' = A x + B u,    o = C x + D u                                                         (1)
+
+    A = [0 1; -M^-1 K  -M^-1 C],    B = [0; M^-1 V^T F]
+
+with rows on velocities x = (z, what these leave of z'), with memories (integrals of controllers, dashpots) these as well, see
+:mod:`.first_order`; minimal for rigid and reduced bodies: constraints are gone, whatever form a scheme would use. Outputs are
+the scene's sensors, differentiated by positions, velocities, accelerations, reactions and memories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+
+from ...checks import typed
+from ...errors import InputError, near, require
+from ...mechanics.forces.force_elements import ScalarLoads, TimeLoads
+from ...rotations import Array
+from ...system.scene.scene import Scene
+from ...system.system import State
+from .basis import ProjectedSystem, projected
+from .first_order import first_order
+from .modes import Linearised, eigenpairs, prepared, readable
+from .small_memory import changed, memory_size, pushed_by
+
+STEP = 1e-4
+AXES = ("x", "y", "z")
+NEAREST = 1e-9  # relative distance of a frequency to an undamped one that is refused
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Matrices of (1), with the names of inputs and outputs ("force y", "tip x")."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    @property
+    def state_space(self) -> Any:
+        """As a ``scipy.signal.StateSpace``."""
+        from scipy.signal import StateSpace
+
+        return StateSpace(self.A, self.B, self.C, self.D)
+
+    def frequency_response(self, omega: Sequence[float] | Array) -> Array:
+        """H(i omega) = C (i omega - A)^-1 B + D for angular frequencies (rad/s), (n, outputs, inputs) complex.
+
+        Raises InputError at an undamped resonance.
+        """
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        values = np.linalg.eigvals(self.A) if len(self.A) else np.zeros(0)
+        out = np.empty((len(omega), len(self.C), self.B.shape[1]), dtype=complex)
+        for k, w in enumerate(omega):
+            # at an eigenvalue the matrix is singular, and its solution roundoff
+            gap = np.abs(1j * w - values)
+            if len(gap) and gap.min() <= NEAREST * max(abs(float(w)), float(np.abs(values).max()) * 1e-6):
+                raise InputError(
+                    f"Undamped resonance at {w:.9g} rad/s: the response is unbounded. Add damping, or leave that frequency out."
+                )
+            out[k] = self.C @ np.linalg.solve(1j * w * np.eye(len(self.A)) - self.A, self.B) + self.D
+        return out
+
+
+@typed
+def linearise(
+    scene: Scene, inputs: Sequence[str] = (), outputs: Sequence[str] = (), *, at: Any = None, modes: int | None = None
+) -> LinearModel:
+    """The linear model of a scene about a state; collective.
+
+    Args:
+        inputs: names of forces, torques, efforts or springs, whole ("push") or one component ("push y"); an input adds to the
+            force that is there, for a spring or an effort along its coordinate.
+        outputs: names of sensors, whole or one component ("tip y").
+        at: as for :func:`.modes`.
+        modes: keep the first so many modes only; scenes with elastic fields take 20 and static answers where None.
+
+    Raises:
+        InputError: an unknown input or output, or a state that is not in equilibrium.
+    """
+    with prepared(scene, at, None) as made:
+        forces = _inputs(made, inputs)
+        small = projected(made.about, made.solver, modes or 20, shift=made.shift, inputs=[f for _, f in forces])
+        if modes is not None:
+            small = _first_modes(small, modes)
+        return _model(made, small, forces, _outputs(made, outputs))
+
+
+@typed
+def frequency_response(
+    scene: Scene, inputs: Sequence[str], outputs: Sequence[str], omega: Sequence[float] | Array, *, at: Any = None
+) -> Array:
+    """H(i omega), (n, outputs, inputs) complex, of :func:`linearise`; collective."""
+    for what, names in (("inputs", inputs), ("outputs", outputs)):
+        require(len(names) > 0, f"frequency_response: {what} = {names!r} names nothing. Give the names of some.")
+    return linearise(scene, inputs, outputs, at=at).frequency_response(omega)
+
+
+def _first_modes(small: ProjectedSystem, n: int) -> ProjectedSystem:
+    """The model on real and imaginary parts of its first modes."""
+    _, Y = eigenpairs(small, n)
+    Q = sl.orth(np.concatenate((Y.real, Y.imag), axis=1), rcond=1e-9)
+    return small.on(Q)
+
+
+def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
+    """Labels and generalised forces of unit inputs, like v."""
+    system, state = made.about.system, made.about.state
+    ev = system.at(state.t, state.q, state.v)
+    d = system.motions.dim
+    count = system.motions.dim + system.motions.n_rot
+
+    # inputs by label
+    known: dict[str, Array] = {}
+
+    for loads in system.forces:
+        for i, f in enumerate(loads.forces):
+            wrench = np.zeros((len(ev.kin.x), count))
+            if isinstance(loads, ScalarLoads):
+                ra, rb = loads.relative.rows(ev.kin)
+                wrench[loads.a[i]] += ra[i]
+                wrench[loads.b[i]] += rb[i]
+                known[f.name] = ev.spread(wrench)
+            # one input for each component, in the axes that the force has
+            elif isinstance(loads, TimeLoads):
+                first, n = (d, system.motions.n_rot) if f.turns else (0, d)
+                for c in range(n):
+                    unit = np.eye(n)[c]
+                    one = np.zeros_like(wrench)
+                    one[loads.a[i], first : first + n] = ev.kin.R[loads.a[i]] @ unit if f.follower and n == d else unit
+                    known[f.name if n == 1 else f"{f.name} {AXES[c]}"] = ev.spread(one)
+    return [(label, known[label]) for name in names for label in _chosen(name, known, "input")]
+
+
+def _chosen(name: str, known: Any, what: str) -> list[str]:
+    """The labels that a name stands for."""
+    found = [label for label in known if label == name or label.rsplit(" ", 1)[0] == name]
+    if not found:
+        raise InputError(f'Unknown {what} "{name}". {near(name, list(known))}')
+    return found
+
+
+def _outputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, str, int]]:
+    """Label, sensor and component of each output."""
+    known = {}
+    for name, sensor in readable(made.scene).items():
+        size = len(_values(made, made.about.state, [name])[0])
+        labels = list(sensor.labels)[:size] or range(size)  # in the plane vectors have two components
+        for c, label in enumerate(labels):
+            known[name if len(labels) == 1 else f"{name} {label}"] = (name, c)
+    return [(label, *known[label]) for name in names for label in _chosen(name, known, "output")]
+
+
+def _values(made: Linearised, state: State, names: Sequence[str]) -> list[Array]:
+    """Values of sensors in a state."""
+    ev = made.about.system.at(state.t, state.q, state.v)
+    ev.balance(state.a, state.lam)
+    sensors = made.scene.sensors
+    return [np.atleast_1d(sensors[name].read(ev, state, made.markers.get(name, -1))) for name in names]
+
+
+def _model(
+    made: Linearised, small: ProjectedSystem, forces: list[tuple[str, Array]], outputs: list[tuple[str, str, int]]
+) -> LinearModel:
+    """(1) from the projected matrices and the derivatives of the sensors."""
+    system = made.about.system
+    V = small.vectors
+    k = len(small.M)
+    F = np.array([[system.dot(v, f) for _, f in forces] for v in V]).reshape(k, len(forces))
+
+    form = first_order(small)
+    n_x = len(form.A)
+    speeds = slice(k, k + len(form.push))
+
+    B = np.zeros((n_x, len(forces)))
+    B[k : k + len(form.push)] = form.push @ F
+
+    rows = []
+    for j in range(n_x + len(forces)):
+        # the outputs of each unit state, then of each unit force
+        x = np.zeros(n_x)
+        if j < n_x:
+            x[j] = 1.0
+        rate = form.A[speeds, j] if j < n_x else B[speeds, j - n_x]
+        force = forces[j - n_x][1] if j >= n_x else np.zeros(system.n_v)
+
+        z, z_rate, z_accel = form.motion(x, rate)
+        change = np.zeros(memory_size(system))
+        if small.memory is not None:
+            change[small.memory.which] = x[speeds.stop :]
+        rows.append(_answer(made, (z @ V, z_rate @ V, z_accel @ V), (force, change), outputs))
+
+    CD = np.array(rows).reshape(n_x + len(forces), len(outputs)).T
+    return LinearModel(
+        form.A, B, CD[:, :n_x], CD[:, n_x:], tuple(name for name, _ in forces), tuple(label for label, _, _ in outputs)
+    )
+
+
+def _answer(
+    made: Linearised,
+    motion: tuple[Array, Array, Array],
+    causes: tuple[Array, Array],
+    outputs: list[tuple[str, str, int]],
+) -> Array:
+    """Derivatives of the outputs for a motion (y, y', y'') under ``causes``: a force, like v, and a change of the memory."""
+    about, (y, rate, accel), (force, change) = made.about, motion, causes
+    system, s = about.system, about.state
+    v = about.velocity(y, rate)
+    a = about.acceleration(y, rate, accel)
+
+    # reactions that hold the motion, from what it leaves of the balance
+    reaction = np.zeros(system.n_lam)
+    if about.row_count and not system.fields:
+        left = force - about.stiffness(y) - about.damping(rate) - about.mass(accel) - pushed_by(about, change)
+        G = np.array([about.rows(e) for e in np.eye(system.n_v)]).T
+        reaction = np.linalg.lstsq(G.T, left, rcond=None)[0][: system.n_lam]
+
+    size = max(system.max_abs(y), system.max_abs(rate), system.max_abs(accel))
+    if size == 0.0 and not reaction.any() and not change.any():
+        return np.zeros(len(outputs))
+    # differences of fourth order, in steps that move the scene by a share of its length
+    h = STEP * system.length / size if size else 1.0
+
+    def read(e: float) -> Array:
+        state = State(s.t, system.compose(s.q, e * y), s.v + e * v, s.a + e * a, s.lam + e * reaction)
+        with changed(system, s.t, e * change):
+            values = _values(made, state, [name for _, name, _ in outputs])
+        return np.array([x[c] for x, (_, _, c) in zip(values, outputs, strict=True)], dtype=float)
+
+    return np.asarray((8.0 * (read(h) - read(-h)) - read(2 * h) + read(-2 * h)) / (12.0 * h))

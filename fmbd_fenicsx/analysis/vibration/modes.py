@@ -1,0 +1,337 @@
+"""Vibration of a whole scene about an equilibrium, a steady spin or a state: frequencies, damping ratios, shapes.
+
+    (l^2 M + l C + K) y + G^T mu = 0,    G y = 0                                                              (1)
+
+with all terms of :mod:`.perturbation`. Without velocity-dependent and circulatory terms the problem is symmetric and solved as
+such; otherwise as the eigenvalues of its companion matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import scipy.linalg as sl
+
+from ...checks import typed
+from ...errors import InputError, require
+from ...fem.fields import rank_sum
+from ...linear.condensation import StepSolver
+from ...ranks import OneAnswer
+from ...rotations import Array
+from ...schemes.consistent import consistent
+from ...system.own_state import refuse_other_state
+from ...system.scene.scene import Scene
+from ...system.speed_rows import speed_rows
+from ...system.system import State, System
+from ..statics.equilibrium import Equilibrium, static_newton
+from ..statics.static_newton import StaticNewton, StaticPoint
+from ..statics.steady import Spin
+from .basis import ProjectedSystem, projected
+from .first_order import first_order, slowest
+from .perturbation import Perturbation
+from .rotors import BodySpin, check_round
+from .small_memory import refuse_moving_memory, relaxes
+
+SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
+PLANE = 1e-6  # share of circling motion below which a mode is plane
+FAR = 1e-3  # accelerations of a state "in equilibrium", over weights
+STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
+RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
+NOTHING = 1e-6  # motion in a long time that counts as rest, over the model's length
+
+
+@runtime_checkable
+class AtState(Protocol):
+    """What stands for a state: a run that is over for its last one, an equilibrium."""
+
+    state: State
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Modes of a scene, the slowest first; conjugate pairs once.
+
+    Attributes:
+        eigenvalues: (n,) complex, 1/s; motions are Re(shape exp(eigenvalue t)).
+        shapes: (n, n_v) complex increments of the configuration, largest displacement 1 m (this rank's nodes).
+        about: the state they are about. ``markers``: of the scene's sensors.
+    """
+
+    scene: Scene
+    system: System
+    about: State
+    eigenvalues: Array
+    shapes: Array
+    markers: dict[str, int]
+
+    @property
+    def omega(self) -> Array:
+        """Angular frequencies |Im l| (rad/s), (n,)."""
+        return np.abs(self.eigenvalues.imag)
+
+    @property
+    def frequencies(self) -> Array:
+        """Frequencies in Hz, (n,)."""
+        return self.omega / (2.0 * np.pi)
+
+    @property
+    def damping(self) -> Array:
+        """Damping ratios -Re l / |l|, (n,); 0 for l = 0."""
+        size = np.abs(self.eigenvalues)
+        return np.where(size > 0, -self.eigenvalues.real / np.where(size > 0, size, 1.0), 0.0)
+
+    @property
+    def growth(self) -> Array:
+        """Rates Re l (1/s) at which amplitudes grow, (n,); negative where they decay. All there is of real eigenvalues."""
+        return np.asarray(self.eigenvalues.real)
+
+    def whirl(self, axis: Sequence[float] = (0.0, 0.0, 1.0)) -> Array:
+        """Sense in which each mode circles about an axis, (n,): 1 with it, -1 against it, 0 for motions in a plane; collective.
+
+        A point moves by a cos(w t) - b sin(w t), with a + i b its part of the shape, and goes round with -a x b.
+        """
+        s = self.system
+        d = s.motions.dim
+        n = s.motions.n_twist
+        held = s.n_frames * n
+        out = np.zeros(len(self.shapes))
+        for k in range(len(out)):
+            y: Array = self.shapes[k]
+            moves = [y[:held].reshape(-1, n)[:, :d]]
+            local = [s.local_v(y, i).reshape(-1, d) for i, p in s.fields if p.frame == s.n_frames]
+            sums = _circling(moves, axis)
+            if s.comm is not None:
+                sums = sums + rank_sum(s.comm, _circling(local, axis))
+            out[k] = np.sign(sums[0]) if abs(sums[0]) > PLANE * sums[1] else 0.0
+        return out
+
+    def displaced(self, k: int, amplitude: float, phase: float = 0.0) -> State:
+        """The state with mode k at an amplitude (m) and phase (rad): for pictures and movies."""
+        require(0 <= k < len(self.eigenvalues), f"Mode {k} does not exist: there are {len(self.eigenvalues)}, from 0.")
+        y = amplitude * np.real(self.shapes[k] * np.exp(1j * phase))
+        return replace(self.about, q=self.system.compose(self.about.q, y))
+
+    def __str__(self) -> str:
+        table = zip(self.frequencies, self.omega, self.damping, self.growth, strict=True)
+        rows = [f"  {k:>3} {f:14.6g} {w:14.6g} {z:10.2e} {g:14.6g}" for k, (f, w, z, g) in enumerate(table)]
+        head = f"  {'':3} {'Hz':>14} {'rad/s':>14} {'damping':>10} {'growth 1/s':>14}"
+        return "\n".join([f'modes of scene "{self.scene.name}"', head, *rows])
+
+
+def _circling(moves: Sequence[Array], axis: Sequence[float]) -> Array:
+    """Sums over points of the area rate about an axis and of the squared motion."""
+    area = total = 0.0
+    for x in moves:
+        a, b = x.real, x.imag
+        turn = np.cross(a, b) if x.shape[1] == 3 else a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        area -= 2.0 * float((turn @ np.asarray(axis, dtype=float) if x.shape[1] == 3 else turn).sum())
+        total += float((a * a + b * b).sum())
+    return np.array([area, total])
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A scene about a state, ready for projections as long as :func:`prepared` lasts."""
+
+    scene: Scene
+    about: Perturbation
+    solver: StepSolver
+    markers: dict[str, int]
+    shift: float
+
+
+@typed
+def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
+    """The first n modes of a scene; collective.
+
+    Args:
+        at: an :class:`.Equilibrium` (rest or spin), a run (its last state), a State, or None for the placement as given.
+        linear: how elastic bodies are solved, as for :func:`~fmbd_fenicsx.solve`.
+
+    Raises:
+        InputError: more modes than the scene has; a state that is not in equilibrium, with how far.
+    """
+    return modes_of(scene, n, at=at, linear=linear)
+
+
+def modes_of(scene: Scene, n: int, *, at: Any, linear: Any = None, held: bool = False) -> Modes:
+    """:func:`modes`; ``held``: without motions that nothing holds, of eigenvalue zero."""
+    require(isinstance(n, int) and n >= 1, f"modes: n must be a whole number of at least 1, found {n!r}.")
+    with prepared(scene, at, linear) as made:
+        small = projected(made.about, made.solver, n, shift=made.shift, enough=Settled(n))
+        values, vectors = eigenpairs(small, n, relaxing=relaxes(made.about.system), held=held)
+    system = made.about.system
+    shapes = vectors.T @ small.vectors
+    sizes = [max(system.max_abs(x.real), system.max_abs(x.imag), 1e-300) for x in shapes]
+    scaled = np.array([x / s for x, s in zip(shapes, sizes, strict=True)])
+    return Modes(scene, system, made.about.state, values, scaled, made.markers)
+
+
+@contextmanager
+def prepared(scene: Scene, at: Any, linear: Any) -> Iterator[Linearised]:
+    """A scene linearised about a start, an equilibrium, a run's last state or a state, as a context; collective."""
+    system, given, markers = scene.build()
+    with OneAnswer(system.comm):
+        made = _linearised(scene, at, linear, (system, given, markers))
+        try:
+            yield made
+        finally:
+            made.solver.destroy()
+
+
+def readable(scene: Scene) -> dict[str, Any]:
+    """The sensors that small motions can be read with, by name."""
+    if not scene.unilateral:
+        return scene.sensors
+
+    from .closed_contacts import without_contact
+
+    return without_contact(scene.sensors)
+
+
+def _linearised(scene: Scene, at: Any, linear: Any, built: tuple[System, State, dict[str, int]]) -> Linearised:
+    """See :func:`prepared`."""
+    system, given, markers = built
+    solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
+    try:
+        about = _about(scene, at, (system, given), solver)
+        _refuse_rolling_fields(system, about.state)
+        newton = static_newton(system, solver, about.state.t, about.spin)
+        _refuse_moving(about, newton)
+    except BaseException:
+        solver.destroy()
+        raise
+    return Linearised(scene, about, solver, markers, newton.weights.cm)
+
+
+def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolver) -> Perturbation:
+    """The operators at the state that ``at`` stands for."""
+    system, given = built
+    state = at.state if isinstance(at, AtState) else at
+    if state is not None and not isinstance(state, State):
+        raise InputError(f"at must be an equilibrium, a run or a state of the same scene, found {at!r}.")
+    if state is not None:
+        refuse_other_state(system, state, scene.name)
+
+    closed = None
+    if scene.unilateral:
+        from .closed_contacts import closed_contacts, without_forces
+
+        closed = closed_contacts(at, system, solver)
+    if system.keepers:
+        from ..statics.memories import remember
+
+        remember(system, given if state is None else state, at, relaxed=isinstance(at, Equilibrium))
+    if state is None:
+        state, _ = consistent(system, given, solver)
+    if closed is not None:
+        state = without_forces(state)
+    spin = at.spin if isinstance(at, Equilibrium) else None
+    about = Perturbation(system, state, spin if isinstance(spin, Spin) else None, closed)
+    if isinstance(spin, BodySpin):
+        check_round(about, spin)
+    return about
+
+
+def _refuse_rolling_fields(system: System, state: State) -> None:
+    """Elastic fields that roll: the basis of their motions takes rows on velocities for rows on positions, right at rest only."""
+    if speed_rows(system).size and system.fields and system.max_abs(state.v) > 0.0:
+        raise InputError(
+            "Modes about a rolling motion are offered for rigid and reduced bodies: reduce the elastic bodies by "
+            "body.reduced(...), or take the modes at rest."
+        )
+
+
+def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
+    """A state at rest that accelerates is no equilibrium: frequencies about it would mean nothing.
+
+    The time step of ``newton`` is long against all vibrations; what moves nothing in it, or until it is balanced, is roundoff.
+    """
+    if about.spin is not None:
+        return
+
+    system = about.system
+    state = about.state
+    shift = newton.weights.cm
+    speed, accel = system.max_abs(state.v), system.max_abs(state.a)
+    # what gravity would do is the scale of accelerations
+    pull = float(np.abs(system.gravity(state.t)).max(initial=0.0))
+
+    if speed == 0.0 and system.keepers:
+        refuse_moving_memory(about, shift)
+    if speed != 0.0 or accel <= max(FAR * pull, NOTHING * system.length * shift):
+        return
+
+    # where would a long step bring it?
+    r = newton.take(StaticPoint(state.q, state.lam), state.t)
+    away = system.max_abs(newton.solver.solve(-r[0], -r[1])[0])
+    if away > NOTHING * system.length:
+        raise InputError(
+            f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest and are "
+            f"{f'some {away:.2g} m' if away < system.length else 'far'} away. Take the modes about fmbd.equilibrium(scene)."
+        )
+
+
+def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: bool = False) -> tuple[Array, Array]:
+    """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair.
+
+    ``relaxing``: as for :func:`.first_order.slowest`; ``held``: without those that are zero but for roundoff.
+    """
+    M, C, K = small.M, small.C, small.K
+
+    size_M = np.abs(M).max(initial=1e-300)
+    size_K = np.abs(K).max(initial=1e-300)
+    quiet = np.abs(C).max(initial=0.0) <= SYMMETRIC * float(np.sqrt(size_M * size_K))
+    symmetric = np.abs(K - K.T).max(initial=0.0) <= SYMMETRIC * size_K
+
+    # without damping: real squares omega^2 of a symmetric pencil
+    if quiet and symmetric and not len(small.speeds[0]) and small.memory is None:
+        squares, Y = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
+        order = np.argsort(np.abs(squares))
+        rates = np.sqrt(np.abs(squares[order]))
+        values = np.where(squares[order] >= 0, 1j * rates, rates)
+        vectors = Y[:, order].astype(complex)
+    else:
+        values, vectors = slowest(first_order(small), relaxing=relaxing)
+
+    if held:
+        kept = np.logical_not(_zeros(small, values, vectors))
+        values, vectors = values[kept], vectors[:, kept]
+    _enough(len(values), n)
+    return values[:n], vectors[:, :n]
+
+
+def _zeros(small: ProjectedSystem, values: Array, vectors: Array) -> Array:
+    """Which eigenvalues l are zero but for roundoff, (m,): l^2 M y and l C y, so K y too, are nothing beside the size of K."""
+    rate, size = np.abs(values), np.linalg.norm(small.K, 2) * np.linalg.norm(vectors, axis=0)
+    left = rate * rate * np.linalg.norm(small.M @ vectors, axis=0) + rate * np.linalg.norm(small.C @ vectors, axis=0)
+    return np.asarray(left <= 1e3 * np.finfo(float).eps * size)
+
+
+@dataclass(eq=False)
+class Settled:
+    """Whether the first n eigenvalues stay as a space of motions grows: called with each larger one."""
+
+    n: int
+    last: Array | None = None
+    stays: int = 0
+
+    def __call__(self, small: ProjectedSystem) -> bool:
+        """Twice in a row they do."""
+        if len(small.M) <= 2 * self.n:
+            return False
+        last, self.last = self.last, eigenpairs(small, self.n)[0] ** 2
+        if last is None:
+            return False
+        moved = np.abs(self.last - last)
+        same = moved <= STAYS * (np.abs(self.last) + RIGID * np.abs(self.last).max())
+        self.stays = self.stays + 1 if same.all() else 0
+        return self.stays == 2
+
+
+def _enough(count: int, n: int) -> None:
+    require(n <= count, f"The scene has {count} modes, {n} were asked for.")

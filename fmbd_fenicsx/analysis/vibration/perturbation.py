@@ -1,0 +1,165 @@
+"""Small motions about a steady state: the exact matrices M, C, K of a whole scene as operators.
+
+Axes in which the motion is steady turn with W: that of a steady spin, zero for all other states. With y small increments of the
+configuration, translations along these axes, rotations about axes of each body that turn with W alone,
+
+    v = v_0 + y' + B y,      a = a_0 + y'' + B_1 y' + B_2 y                                                   (1)
+
+    translations   B = W~,  B_1 = 2 W~,           B_2 = W~ W~
+    rotations      B = W~,  B_1 = (2 W - w)~,     B_2 = (W - w)~ W~       W, w in body axes, w the body's own velocity
+
+and none of them for coordinates in body axes. Coefficients are constant where a body that turns against the axes is round about
+its w: wheels, rotors. The residual r of the balance, linear in a, then gives
+
+    M y'' + C y' + K y + G^T lambda = f,     G y = 0                                                          (2)
+
+by central differences of fourth order along y: stress, reactions, weights, spins and springs stiffen as in the equations. Rows on
+velocities (rolling) are G_s y' + P y = 0 instead. Contacts that are closed are further rows of G, see :mod:`.closed_contacts`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...rotations import Array
+from ...system.speed_rows import gaps, speed_rows
+from ...system.system import State, System
+from ..statics.steady import Spin
+
+if TYPE_CHECKING:
+    from .closed_contacts import ClosedContacts
+
+SHIFT = 1e-4  # of a difference, over the model's length
+SIDES = ((1.0, 8.0), (-1.0, -8.0), (2.0, -1.0), (-2.0, 1.0))  # weights over 12 h
+
+
+@dataclass(frozen=True, eq=False)
+class Perturbation:
+    """The operators of (2) at a state; products are collective."""
+
+    system: System
+    state: State
+    spin: Spin | None = None
+    closed: ClosedContacts | None = None
+
+    @property
+    def row_count(self) -> int:
+        """Rows of G: those of the joints, then those of closed contacts."""
+        return self.system.n_lam + (0 if self.closed is None else self.closed.count)
+
+    def stiffness(self, y: Array) -> Array:
+        """K y, like v."""
+        zero = np.zeros_like(y)
+        return self._difference(y, (y, self.velocity(y, zero), self.acceleration(y, zero, zero)))
+
+    def damping(self, rate: Array) -> Array:
+        """C y', like v: dampers, gyroscopic terms."""
+        zero = np.zeros_like(rate)
+        return self._difference(rate, (None, rate, self.acceleration(zero, rate, zero)))
+
+    def mass(self, accel: Array) -> Array:
+        """M y'', like v."""
+        s = self.state
+        return self._here.balance(s.a + accel, s.lam) - self._balance
+
+    def rows(self, y: Array) -> Array:
+        """G y, (row_count,)."""
+        joints = self._here.jacobian.times(y)
+        return joints if self.closed is None else np.append(joints, self.closed.times(y))
+
+    @cached_property
+    def _here(self):  # type: ignore[no-untyped-def]
+        s = self.state
+        return self.system.at(s.t, s.q, s.v)
+
+    @cached_property
+    def _balance(self) -> Array:
+        return self._here.balance(self.state.a, self.state.lam)
+
+    def residual(self) -> Array:
+        """What is left of the balance at the state, like v: zero in a steady motion."""
+        return self._balance - self._pushed(self.state.q)
+
+    def _pushed(self, q: Array) -> Array | float:
+        """Forces of closed contacts, which stay as they are and turn with their surfaces; like v."""
+        return 0.0 if self.closed is None else self.closed.pushed(q)
+
+    # -- differences ------------------------------------------------------------------------------------------------
+    def _difference(self, along: Array, moved: tuple[Array | None, Array, Array]) -> Array:
+        """Derivative of the balance for increments (q, v, a)."""
+        size = self.system.max_abs(along)
+        if size == 0.0:
+            return np.zeros_like(along)
+        h, s, (y, v, a) = SHIFT * self.system.length / size, self.state, moved
+        total: Array = np.zeros_like(along)
+        for side, weight in SIDES:
+            # closed contacts push as before, turned with their surfaces
+            e = side * h
+            q = s.q if y is None else self.system.compose(s.q, e * y)
+            ev = self.system.at(s.t, q, s.v + e * v)
+            total += weight * (ev.balance(s.a + e * a, s.lam) - (self._pushed(q) if y is not None else 0.0))
+        return total / (12.0 * h)
+
+    def slip(self, y: Array) -> Array:
+        """P y for the rows on velocities."""
+        rows = speed_rows(self.system)
+        v = self.velocity(y, np.zeros_like(y))
+
+        def speeds(e: float) -> Array:
+            s = self.state
+            return gaps(self.system.at(s.t, self.system.compose(s.q, e * y), s.v + e * v), 1.0)[rows]
+
+        h = SHIFT * self.system.length / max(self.system.max_abs(y), 1e-300)
+        return sum((weight * speeds(side * h) for side, weight in SIDES), np.zeros(len(rows))) / (12.0 * h)
+
+    # -- a small motion in the axes of the balance, (1) -------------------------------------------------------------
+    def velocity(self, y: Array, rate: Array) -> Array:
+        """y' + B y, like v."""
+        return rate + self._along(y, lambda x, W, w: W(x), self._turn)
+
+    def acceleration(self, y: Array, rate: Array, accel: Array) -> Array:
+        """y'' + B_1 y' + B_2 y, like v."""
+        first = self._along(rate, lambda x, W, w: 2.0 * W(x) - w(x), lambda x: 2.0 * self._turn(x))
+        second = self._along(y, lambda x, W, w: W(W(x)) - w(W(x)), lambda x: self._turn(self._turn(x)))
+        return accel + first + second
+
+    def _turn(self, x: Array) -> Array:
+        """W x x for vectors (.., d) in space."""
+        return np.zeros_like(x) if self.spin is None else x @ self.spin.matrix(self.system.motions.dim).T
+
+    def _along(self, y: Array, rotations: Callable[..., Array], translations: Callable[[Array], Array]) -> Array:
+        """An array like v from translations and rotations of another; ``rotations`` gets the products W x, w x (body axes)."""
+        s = self.system
+        d = s.motions.dim
+        n = s.motions.n_twist
+        out = np.zeros_like(y)
+        k = s.n_frames * n
+        twists = y[:k].reshape(-1, n)
+        made = np.zeros((s.n_frames, n))
+        made[:, :d] = translations(twists[:, :d])
+
+        # rotations stand in body axes: W and w too
+        if d == 3:
+            own = self.state.v[:k].reshape(-1, n)[:, 3:]
+            carried = self._carried
+            made[:, 3:] = rotations(twists[:, 3:], lambda x: np.cross(carried, x), lambda x: np.cross(own, x))
+        out[:k] = made.ravel()
+
+        for i, p in s.fields:
+            if p.frame == s.n_frames:
+                out[s.slices[1][i]] = translations(s.local_v(y, i).reshape(-1, d)).ravel()
+        return out
+
+    @cached_property
+    def _carried(self) -> Array:
+        """W in the axes of each body, (n_frames, 3)."""
+        s = self.system
+        if self.spin is None:
+            return np.zeros((s.n_frames, 3))
+        axis = self.spin.rate * np.asarray(self.spin.axis, dtype=float)
+        return np.asarray(np.swapaxes(s.motions.matrix(s.poses(self.state.q))[:-1], 1, 2) @ axis)

@@ -1,0 +1,1 @@
+"""Factors of elastic matrices, on one rank and by substructures on several."""

@@ -1,0 +1,193 @@
+"""Factors of the elastic matrices cm M + ck K: Cholesky for displacement forms, LDL^T for displacement and pressure.
+
+CHOLMOD on one rank, through PETSc; on several ranks each factors its own substructure by it (:mod:`.substructures`), or MUMPS
+factors all, where the interface is too large for that. Symmetric indefinite matrices always by MUMPS. The factor is kept, the
+matrix is freed. A mixed field is factored with its pressure, which stays inside: right-hand sides and solutions are
+displacements.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...errors import LinearSolveError
+from ...rotations import Array
+from .partial_factor import IndefiniteError
+from .substructures import substructured
+
+
+class Factor:
+    """cm M + ck K of a field, factored; collective to build, solve and destroy. Unjudged, see :mod:`...linear.blocks.spd`.
+
+    ``how``: by what, in words.
+    """
+
+    def __init__(self, field: Any, cm: float, ck: float, cd: float = 0.0) -> None:
+        from petsc4py import PETSc
+
+        self.field, self.cm, self.ck, self.cd = field, cm, ck, cd
+        E = field.combination(cm, ck, cd)
+        definite = not (field.mixed or field.indefinite)
+        try:
+            self.factor = direct(E, field.dim, definite)
+        except IndefiniteError as error:
+            if not (definite and field.nonlinear):
+                raise LinearSolveError(
+                    f'Body "{field.name}": the elastic block cm M + ck K (cm = {cm:.3g}, ck = {ck:.3g}) could not be factored '
+                    f"({error}). Check density and moduli for their signs and units."
+                ) from error
+            field.indefinite = True  # LDL^T from now on: Cholesky factorisations that fail leave memory behind
+            self.factor = direct(E, field.dim, False)
+        self.how: str = self.factor.how
+        self._rows = E.getSizes()[0][0]
+        self.norm = float(E.norm(PETSc.NormType.NORM_INFINITY))
+        self._n = field.n * field.dim
+        self._E: Any = E if field.mixed else None
+        if field.mixed:
+            self._x, self._b = E.createVecs()
+        else:
+            E.destroy()
+
+    def _solve(self, b: Array) -> Array:
+        """Solution with the pressure, where there is one."""
+        x = self.factor.solve(self._with_pressure(b))
+        if self._E is not None:  # one refinement: pivots of the pressure are small
+            x -= self.factor.solve(self._residual(x, b))
+        return x
+
+    def _with_pressure(self, b: Array) -> Array:
+        """Loads (n d,) or (n d, k) with zeros for the rows of the pressure."""
+        if len(b) == self._rows:
+            return b
+        return np.concatenate((b, np.zeros((self._rows - len(b), *b.shape[1:]))))
+
+    def solve(self, b: Array) -> Array:
+        """E^-1 b on owned displacements."""
+        return self._solve(b)[: self._n]
+
+    def solve_with_residual(self, b: Array) -> tuple[Array, Array]:
+        """E^-1 b and the true residual E x - b, with the rows of the pressure where there are some."""
+        x = self._solve(b)
+        return x[: self._n], self._residual(x, b)
+
+    def _residual(self, x: Array, b: Array) -> Array:
+        f = self.field
+        if self._E is None:
+            r: Array = f.mass(x.reshape(-1, f.dim)).ravel()
+            r *= self.cm
+            r += self.ck * f.tangent(x)
+            if self.cd:
+                r += self.cd * f.damping_in_tangent(x)
+            r -= b
+            return r
+        self._x.array[:] = x
+        self._E.mult(self._x, self._b)
+        r = np.array(self._b.array)
+        r[: self._n] -= b
+        return r
+
+    def solve_columns(self, B: Array) -> tuple[Array, list[Array]]:
+        """E^-1 B for dense columns (n d, k), all at once, and the residual of each column."""
+        if not B.shape[1]:
+            return B.copy(), []
+        X = self.factor.solve(self._with_pressure(B))
+        return X[: self._n], [self._residual(X[:, j], B[:, j]) for j in range(B.shape[1])]
+
+    def destroy(self) -> None:
+        """Free the factor; collective."""
+        for obj in (self.factor, *([] if self._E is None else [self._E, self._x, self._b])):
+            obj.destroy()
+
+
+def direct(E: Any, dim: int, definite: bool) -> Any:
+    """What solves with E by a factor: by substructures on several ranks where E is definite, else by PETSc; collective.
+
+    Its ``how`` says in words which it is.
+
+    Raises:
+        IndefiniteError: there is none.
+    """
+    if not definite:
+        return PetscFactor(E, definite, "MUMPS, LDL^T of an indefinite matrix")
+    if E.getComm().size == 1:
+        return PetscFactor(E, definite, "CHOLMOD")
+    made, why = substructured(E, dim)
+    return PetscFactor(E, definite, f"MUMPS, as {why}") if made is None else made
+
+
+class PetscFactor:
+    """A factor of E by PETSc; collective to build, to solve and to destroy. ``how``: in words."""
+
+    def __init__(self, E: Any, definite: bool, how: str) -> None:
+        from petsc4py import PETSc
+
+        self.how = how
+        try:
+            ksp = factored(E, definite)
+        except PETSc.Error as error:
+            raise IndefiniteError(f"PETSc error {error.ierr}") from error
+        self.matrix = ksp.getPC().getFactorMatrix()
+        self.matrix.incRef()
+        self._x, self._b = E.createVecs()
+        ksp.destroy()
+
+    def solve(self, B: Array) -> Array:
+        """E^-1 B on this rank's rows, (n,) or (n, k)."""
+        if B.ndim == 2:
+            return self._solve_columns(B)
+        self._b.array[:] = B
+        self.matrix.solve(self._b, self._x)
+        return np.array(self._x.array)
+
+    def _solve_columns(self, B: Array) -> Array:
+        from petsc4py import PETSc
+
+        n, k = B.shape
+        rhs, out = (PETSc.Mat().createDense(((n, None), (None, k)), comm=self.matrix.getComm()) for _ in range(2))
+        for matrix in (rhs, out):
+            matrix.setUp()
+        rhs.getDenseArray()[:] = B
+        for matrix in (rhs, out):
+            matrix.assemble()
+        self.matrix.matSolve(rhs, out)
+        X = np.array(out.getDenseArray())
+        for matrix in (rhs, out):
+            matrix.destroy()
+        return X
+
+    def destroy(self) -> None:
+        """Free the factor; collective."""
+        for obj in (self.matrix, self._x, self._b):
+            obj.destroy()
+
+
+def factored(E: Any, definite: bool) -> Any:
+    """A PETSc solver with the factor of E: Cholesky where it is definite, LDL^T by MUMPS otherwise."""
+    from petsc4py import PETSc
+
+    E.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    E.setOption(PETSc.Mat.Option.SPD, definite)
+    ksp = PETSc.KSP().create(E.getComm())
+    ksp.setOperators(E)
+    ksp.setType("preonly")
+    pc = ksp.getPC()
+    pc.setType("cholesky")
+    cholmod = E.getComm().size == 1 and definite
+    pc.setFactorSolverType("cholmod" if cholmod else "mumps")
+    options, warnings = PETSc.Options(), "mat_cholmod_print"
+    quiet = cholmod and not options.hasName(warnings)  # an indefinite tangent is no news to the user
+    if cholmod:
+        pc.setFactorOrdering("rcm")  # CHOLMOD takes this order, good for slender bodies, or its own: that of least fill
+    if quiet:
+        options[warnings] = 0
+    try:
+        ksp.setUp()
+    except PETSc.Error:
+        ksp.destroy()
+        raise
+    finally:
+        if quiet:
+            options.delValue(warnings)
+    return ksp

@@ -1,0 +1,1 @@
+"""Results and scenes for other programs."""

@@ -1,0 +1,119 @@
+"""Results for other programs: time histories as a table, fields of the snapshots for ParaView.
+
+Fields are written with the true motion: the displacement of the points x = r + R (X + u) from where the mesh lies, so that
+ParaView's "Warp by Vector" shows the bodies where they are. One ``.pvd`` for each elastic body, full or reduced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import require
+from ...log import on_root
+from ...mechanics.reduction.recovery import displacement_field, within_cells
+from ...run.result import Run
+from ...system.system import State
+from ..drawing.draw import draw
+from ..drawing.view import View
+from ..plot import components
+from .files import write_whole
+from .paraview import save_scene
+
+Quantity = Callable[[Any], Any]
+"""A UFL expression of the displacement u in the body's axes, scalar, vector or tensor: say von Mises' stress."""
+
+
+def save_series(run: Run, file: str | Path) -> None:
+    """Time, every component of every sensor with its unit, and the energies, as comma-separated values; collective, rank 0
+    writes.
+
+    Raises InputError where the file cannot be written, or its name promises another format.
+    """
+    ending = Path(file).suffix.lower()
+    require(
+        ending in ("", ".csv", ".txt", ".dat"),
+        f'run.save writes comma-separated values: the name must end in .csv, .txt or .dat, found "{ending}". run.to_xarray() and '
+        "run.to_pandas() write other formats, run.picture and run.animate pictures.",
+    )
+    names = ["time (s)"]
+    for sensor in run.series:
+        names += [
+            f"{label} ({run.scene.sensors[sensor].unit_of(k)})" for k, label in enumerate(components(run, sensor))
+        ]
+    names += [f"{kind} energy (J)" for kind in run.energy]
+
+    columns = np.column_stack((run.times, *run.series.values(), *run.energy.values()))
+    # names may hold commas
+    heads = ",".join('"' + name.replace('"', '""') + '"' for name in names)
+
+    def write(place: Path) -> None:
+        np.savetxt(place, columns, delimiter=",", header=heads, comments="", fmt="%.17g")
+
+    on_root(run.system.comm, lambda: write_whole("The time histories", file, write))
+    if run.error_estimate or run.space_error or run.reduction_error:
+        on_root(run.system.comm, lambda: _save_errors(run, Path(file)))
+
+
+def _save_errors(run: Run, file: Path) -> None:
+    """The certificate beside the time histories; empty where an error was not stated."""
+    kinds = ("space", "time", "modes", "algebra", "total", "share")
+    lines = ["sensor,unit," + ",".join(kinds)]
+    for s in run.certificate.statements:
+        numbers = [getattr(s, k) for k in kinds]
+        name = s.sensor.replace('"', '""')
+        lines.append(f'"{name}",{s.unit},' + ",".join("" if x is None else f"{x:.6g}" for x in numbers))
+    table = "\n".join(lines) + "\n"
+    write_whole("The certificate", file.with_suffix(".errors.csv"), lambda place: place.write_text(table))
+
+
+def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity] | None = None) -> list[Path]:
+    """Displacements and quantities of every elastic body at the snapshots, ``folder/<body>.pvd``, and the whole scene with rigid
+    bodies, joints, springs and obstacles, ``folder/scene.pvd``; collective.
+
+    ``quantities`` are those of the middle of each cell. Returns the files, that of the scene last.
+    """
+    require(bool(run.snapshots), "Fields are those of snapshots: solve(..., output=Output(snapshots=50)).")
+    bodies = [b for b in run.scene.bodies.values() if b.meshed]
+    files = [_save_body(run, b, Path(folder), dict(quantities or {})) for b in bodies]
+    drawing = draw(run, view=View(floor=False))
+    on_root(run.system.comm, lambda: save_scene(drawing, Path(folder), files))
+    return [*files, Path(folder) / "scene.pvd"]
+
+
+def _save_body(run: Run, body: Any, folder: Path, quantities: dict[str, Quantity]) -> Path:
+    from dolfinx import fem, io
+
+    file = folder / f"{body.name.replace('/', '_')}.pvd"
+    u = displacement_field(run, body, run.snapshots[0])
+    mesh = u.function_space.mesh
+    moved = fem.Function(u.function_space, name="displacement")
+    cells = [within_cells(u, quantity, degree=0, name=name) for name, quantity in quantities.items()]
+
+    with io.VTKFile(mesh.comm, file, "w") as out:
+        for state in run.snapshots:
+            # quantities are those of u in the body's axes; what is shown is the motion in the world
+            u.x.array[:] = displacement_field(run, body, state).x.array
+            moved.x.array[:] = _motion(run, body, state, u)
+            for function, expression in cells:
+                function.interpolate(expression)
+            out.write_function([moved, *(function for function, _ in cells)], state.t)
+    return file
+
+
+def _motion(run: Run, body: Any, state: State, u: Any) -> np.ndarray:
+    """x - X at the nodes, world axes: r + R (X - r_0 + u) - X with a frame, else u."""
+    s = run.system
+    _, part = s.part(body.name)
+    if part.frame == s.n_frames:
+        return np.asarray(u.x.array)
+    ev = s.at(state.t, state.q)
+    d = s.motions.dim
+    X = u.function_space.tabulate_dof_coordinates()[:, :d]
+
+    origin = part.constants.center if body.modal else part.origin
+    P = X - origin + u.x.array.reshape(-1, d)
+    return np.asarray((ev.pose[part.frame, :d] + P @ ev.rotation[part.frame].T - X).ravel())

@@ -1,0 +1,300 @@
+"""What the next attempt of a run with a tolerance is made with: fewer or more steps, modes, elements.
+
+Spaces and modes of solids come first, with steps as they are: runs that are compared for them may be coarse in time. Steps
+are then made as small as what is left of the tolerance asks for; at once, where the next error in space can be foreseen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....errors import InputError
+from ....schemes.control import FINEST
+from ....system.scene.refinement import (
+    cheap_levels,
+    expected_rate,
+    meshed_bodies,
+    modal_bodies,
+    refined,
+    slender,
+)
+from ....system.scene.scene import Scene
+from ...recording.output import Output
+from ...result import Run
+from ...schedule import StepSchedule
+from ..certificate import KINDS
+from ..deviation import Deviation
+from ..estimates import FEWEST, usual_power
+from ..orders import expected_orders, resolved
+from ..shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
+from .shared_runs import Orders, doubt
+from .shared_spaces import SharedSpaces
+from .space_levels import UNENDED
+
+if TYPE_CHECKING:
+    from .tolerance import Attempt
+
+LEAST = 0.65  # of smaller changes of the step the runs cost more than they save
+LEAST_UNSEEN = 0.5  # the same where the order of the scheme was not seen
+NEAR, FAR = 1 / 4, 1 / 128  # most that a step is made smaller at once, without and with the order of the scheme seen
+HALF, LATER = 0.45, 0.3  # shares for time beside an error in space that is not known yet: allowed, and brought below
+BOTH = 0.6  # part of it for each of space and modes, where there are both
+SMALL = 0.5  # part of what it is allowed up to which an error is not estimated again when the other kind is refined
+TIGHTER = 0.05  # share of the tolerance that Newton's iteration is brought to leave, where it left too much
+LEAST_NEWTON = 1e-12  # tolerance of Newton's iteration: roundoff is above smaller ones
+FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
+WORTH = 4  # times the fewest steps of runs that tell errors: what is made after a first look
+MANY = 32  # grains above which numbers of steps are rounded to four
+
+
+@dataclass(frozen=True)
+class Known:
+    """Errors of space and modes, by kind, that still hold, and what could not be stated of the error in space."""
+
+    errors: Mapping[str, dict[str, Deviation]] = field(default_factory=dict)
+    unstated: str = ""
+
+
+@dataclass(frozen=True)
+class AttemptPlan:
+    """What an attempt is made with.
+
+    ``steps``: their number, a multiple of ``grain``; 0 for schemes with error control. ``known``: errors that need no new
+    estimate. ``orders``: of time, seen with other spaces. ``before``: level of the meshes and error in space over the
+    tolerance of the attempt before they were refined last. ``below``: the scene with the meshes of each level below.
+    """
+
+    scene: Scene
+    scheme: Any
+    schedule: StepSchedule
+    grain: int
+    meshes: int = 0
+    modes: int = 0
+    known: Known = field(default_factory=Known)
+    orders: Orders = field(default_factory=Orders)
+    before: tuple[int, float] | None = None
+    below: tuple[Scene, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """Number of equal steps; 0 with error control."""
+        return self.schedule.steps
+
+    @property
+    def step(self) -> float:
+        """Size of the steps (s), or rtol."""
+        return self.schedule.t_end / self.steps if self.steps else self.scheme.rtol
+
+
+@dataclass(frozen=True)
+class Looked:
+    """The plan with finer meshes after a look at the error in space: each sensor's, and the largest over its tolerance."""
+
+    plan: AttemptPlan
+    errors: dict[str, float]
+    over: float
+
+
+def beginning(plan: AttemptPlan) -> AttemptPlan:
+    """The plan of a first attempt in spaces that cost hardly more than coarser ones: systems of few unknowns are made and solved
+    in the time that it takes to make any.
+    """
+    scenes, levels = [plan.scene], cheap_levels(plan.scene)
+    for _ in range(0 if plan.scene.contacts else levels):
+        try:
+            scenes.append(refined(scenes[-1]))
+        except InputError:
+            break
+    return replace(plan, scene=scenes[-1], meshes=len(scenes) - 1, below=tuple(scenes[:-1]))
+
+
+def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Output) -> Looked | None:
+    """A look at meshes that are new, by runs with the fewest steps that follow the motion; None where they are fine enough.
+
+    These runs serve the whole attempt too. Where errors fall more slowly than expected, at corners, it is spared; collective.
+
+    Raises ConvergenceError or LinearSolveError where these steps are too few: a run does not end, or only with steps in parts.
+    """
+    few = plan.orders.follow
+    if "space" in plan.known.errors or not 0 < few < plan.steps or not meshed_bodies(plan.scene):
+        return None
+
+    output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
+    seen = shared.look(plan.scene, plan.scheme, plan.schedule.with_steps(few), output)
+    series, limit = seen.recorder.series, space_limit(plan.scene)
+    check_floor(plan.scene, series, tol)
+    errors, unstated = shared.space_error(
+        plan.scene, [seen], plan.below, lambda x: largest_share(x, series, tol) <= limit
+    )
+    if unstated or not errors:
+        return None
+
+    over = shared.looked[id(plan.scene)] = largest_share(errors, series, tol)
+    if over <= limit or (plan.before is not None and over > plan.before[1] / FALLS):
+        return None  # fine enough, or no better than coarser ones: the whole attempt tells what is the matter
+    try:
+        made = _finer_meshes(plan, over, limit, shared)
+    except InputError:
+        return None  # the whole attempt tells why
+    return Looked(_whole_run(made), {n: errors[n].size for n in tol}, over)
+
+
+def next_plan(
+    plan: AttemptPlan, run: Run, tol: Tolerance, *, shared: SharedSpaces, history: Sequence[Attempt]
+) -> tuple[AttemptPlan | None, str]:
+    """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
+    if run.space_unstated.startswith(UNENDED):  # finer spaces may need smaller steps
+        tried = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes) and np.isinf(a.worst)]
+        return (None, run.space_unstated) if tried else (finer_steps(plan, NEAR), "finer steps")
+
+    certificate = run.certificate
+    over = {kind: max(share(certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
+    made, done = plan, []
+    if over["algebra"] > AIM:
+        smaller = shared.newton.tolerance * TIGHTER / over["algebra"]
+        if shared.newton_is_given:
+            return None, f"Newton's tolerance is too large: give newton=fmbd.Newton(tolerance={smaller:.0e})"
+        if smaller < LEAST_NEWTON:
+            return None, "Newton's iteration leaves more than that, by the roundoff of its increments"
+        shared.iterate_to(smaller)
+        over["algebra"], done = TIGHTER, ["a smaller tolerance of Newton's iteration"]
+    limits = _limits(over)
+    before = np.inf if plan.before is None else plan.before[1]
+    if over["space"] > limits["space"] and over["space"] > max(before / FALLS, 1.0):
+        return None, (
+            f"errors in space do not fall with the cells: {before:.2g} times the tolerance, {over['space']:.2g} times "
+            "after the meshes were refined. The sensor sees a singular corner, or jumps: take one that is a mean over a "
+            "surface or over time"
+        )
+    try:
+        if over["space"] > limits["space"]:
+            made = _finer_meshes(made, over["space"], limits["space"], shared)
+            done.append("finer meshes")
+        if over["modes"] > limits["modes"]:
+            scene, *below = (shared.with_more_modes(x, run.system) for x in (made.scene, *made.below))
+            made = replace(made, scene=scene, modes=made.modes + 1, below=tuple(below))
+            done.append("more modes")
+    except InputError as error:
+        known = certificate.unstated.get("space")
+        return None, f"{error}" + (f" Of its error in space: {known}." if known else "")
+
+    made = replace(made, known=_still_known(plan, made, run, over, limits))
+
+    # where the next error in space is open, steps change in the same attempt only if they have to
+    unseen = not np.isfinite(over["time"])
+    allowed = wanted = limits["time"]
+    if made.meshes != plan.meshes and not _foreseen(plan):
+        allowed, wanted = max(HALF, wanted), max(LATER, wanted)
+    if made.steps:
+        made = _whole_run(made)
+    if done and not (unseen or over["time"] > allowed):
+        return made, " and ".join(done)
+    factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
+    finer = finer_steps(plan, factor)
+    made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
+    if not made.steps and made.scheme.rtol <= FINEST:
+        return None, "the scheme's tolerance is at roundoff"
+    return made, " and ".join([*done, "finer steps"])
+
+
+def _still_known(
+    plan: AttemptPlan, made: AttemptPlan, run: Run, over: Mapping[str, float], limits: Mapping[str, float]
+) -> Known:
+    """Errors of a run that hold for the next plan: what is small does not grow when only the other kind is refined."""
+    changed = {"space": made.meshes != plan.meshes, "modes": made.modes != plan.modes}
+    other = {"space": "modes", "modes": "space"}
+    keeps = [k for k in changed if not changed[k] and (not changed[other[k]] or over[k] <= SMALL * limits[k])]
+    if plan.orders.follow and not plan.orders.seen:  # nobody has seen that so few steps follow the motion
+        keeps = [k for k in keeps if k != "space"]
+    return Known({k: run.deviations.get(k, {}) for k in keeps}, run.space_unstated if "space" in keeps else "")
+
+
+def space_limit(scene: Scene) -> float:
+    """Share of the tolerance that the error in space may take of itself."""
+    return AIM * (BOTH if modal_bodies(scene) else 1.0)
+
+
+def _limits(over: Mapping[str, float]) -> dict[str, float]:
+    """Shares of the tolerance below which spaces, modes and time are left alone: what is fixed first leaves the rest to time."""
+    kinds = sum(over[k] > 0 for k in ("space", "modes"))
+    fixed = AIM if kinds < 2 else BOTH * AIM
+    spent = sum(min(over[k], fixed) for k in ("space", "modes")) + over["algebra"]
+    return {"space": fixed, "modes": fixed, "time": WHOLE - spent}
+
+
+def _finer_meshes(plan: AttemptPlan, over: float, limit: float, shared: SharedSpaces) -> AttemptPlan:
+    """The plan with meshes refined as often as the rate seen so far asks for."""
+    rate = expected_rate(plan.scene)
+    if plan.before is not None and np.isfinite(plan.before[1]):
+        rate = float(np.clip((plan.before[1] / over) ** (1.0 / (plan.meshes - plan.before[0])), 2.0, 16.0))
+    solid = any(b.meshed and b.dim == 3 for b in plan.scene.bodies.values())
+    exact = np.log(over / limit) / np.log(rate) if np.isfinite(over) else 1.0
+    wanted = int(np.ceil(exact - 0.1) if _foreseen(plan) and np.isfinite(over) else exact + 0.5)
+    one_by_one = solid or bool(plan.scene.contacts)  # dear, or of a rate that nobody knows
+    levels = min(max(wanted, 1), 1 if one_by_one else 5 if slender(plan.scene) else 3)
+
+    scenes = [*plan.below, plan.scene]
+    for level in range(levels):
+        try:
+            scenes.append(shared.refined(scenes[-1], limit / over if levels == 1 else 0.0))
+        except InputError:
+            if not level:
+                raise
+            break  # as fine as they get
+    made = replace(plan, scene=scenes[-1], meshes=len(scenes) - 1, below=tuple(scenes[:-1]))
+    modes = {k: x for k, x in plan.known.errors.items() if k == "modes"}
+    return replace(made, known=Known(modes), before=(plan.meshes, over))
+
+
+def _foreseen(plan: AttemptPlan) -> bool:
+    """Whether the next error in space can be told in advance: from a rate that was seen, or of slender bodies."""
+    return plan.before is not None or slender(plan.scene)
+
+
+def _factor(
+    plan: AttemptPlan, run: Run, tol: Tolerance, *, shares: tuple[float, float], history: Sequence[Attempt]
+) -> float:
+    """By what steps, or the scheme's tolerance, are multiplied, so that the error of time falls from one share to another."""
+    now, wanted = shares
+    if plan.steps:
+        order, regular = _order(run, tol)
+        most, least = (FAR, LEAST) if regular else (NEAR, LEAST_UNSEEN)
+        return float(np.clip((wanted / now) ** (1.0 / order), most, least))
+
+    # errors of controlled runs follow the tolerance with a slope of their own
+    same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
+    slope = usual_power(run.scheme.order)
+    wanted *= doubt(run.scheme.order)
+    if same and same[-1].worst > now:
+        slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
+    return float(np.clip(0.7 * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
+
+
+def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:
+    """The lowest order seen in the sensors with a tolerance, from 1/2 to the scheme's; whether all are those expected."""
+    orders = expected_orders(run.scheme, run.scene, run.system)
+    seen = {n: run.observed_order.get(n, np.nan) for n in tol}
+    known = {n: p for n, p in seen.items() if np.isfinite(p)}
+    if not known:
+        return float(min(orders[n] for n in tol)), True
+    return float(np.clip(min(known.values()), 0.5, run.scheme.order)), resolved(known, orders)
+
+
+def _whole_run(plan: AttemptPlan) -> AttemptPlan:
+    """The plan with as many steps as a run has beside which those that tell its errors, of a quarter of them, cost little."""
+    least = -(-WORTH * FEWEST // plan.grain) * plan.grain
+    return plan if plan.steps >= least else replace(plan, schedule=plan.schedule.with_steps(least))
+
+
+def finer_steps(plan: AttemptPlan, factor: float) -> AttemptPlan:
+    """Smaller steps by a factor below one, rounded to whole grains; or a smaller tolerance of the scheme."""
+    if not plan.steps:
+        return replace(plan, scheme=replace(plan.scheme, rtol=max(plan.scheme.rtol * factor, FINEST)))
+    wanted = plan.steps / factor
+    grain = plan.grain if wanted < MANY * plan.grain else 4 * plan.grain
+    steps = int(np.ceil(wanted / grain - 1e-9)) * grain
+    return replace(plan, schedule=plan.schedule.with_steps(steps))

@@ -1,0 +1,323 @@
+"""What the attempts of a run with a tolerance share: systems that are built once, runs with larger steps, runs in finer spaces.
+
+An attempt is one run with the steps, spaces and modes that are thought to be enough. Its errors are told by runs that cost less:
+those of earlier attempts, as far as their steps are near enough, and runs in finer spaces with the largest steps that still
+follow the same motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ....errors import ConvergenceError
+from ....log import log
+from ....notices import Gathered
+from ....schemes.newton import Newton
+from ....system.scene.scene import Scene
+from ...built import Built, build
+from ...problem import Problem
+from ...recording.output import Output
+from ...schedule import StepSchedule
+from ...single_run import Solved, Task, run_once
+from ..companion_runs import UNFIT, Compared, again, steps_beside
+from ..deviation import Deviation
+from ..estimates import (
+    FEWEST,
+    TimeError,
+    beyond,
+    compare_steps,
+    looked_at,
+    looser_run,
+    of_order,
+    of_tolerances,
+    run_like,
+    tolerance_error,
+    usual_power,
+)
+from ..orders import REGULAR, expected_orders, resolved
+
+NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
+BEYOND = 20.0  # the same where they show the order of the scheme
+PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
+LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
+LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
+LOOSE = 1e-3  # tolerances up to which ten times as much tells something
+TWICE = 2.0  # least ratio where they do not
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Orders seen in runs of the same motion in other spaces: sensor -> order; ``follow``: the fewest steps that have them."""
+
+    seen: Mapping[str, float] = field(default_factory=dict)
+    follow: int = 0
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """The ``share`` of the tolerance that errors take, and the ``room`` that there is for those of time. ``rough``: what else
+    depends on the steps of a run whose error is too large is asked again later.
+    """
+
+    share: Callable[[dict[str, Deviation]], float]
+    room: float
+    rough: bool
+
+
+class SharedRuns:
+    """Systems and runs by the scene that they belong to; ``grain``: numbers of steps are multiples of it."""
+
+    def __init__(self, newton: Newton | None, linear: Any, grain: int) -> None:
+        self.newton, self.linear, self.grain = Newton() if newton is None else newton, linear, max(grain, 1)
+        self.newton_is_given = newton is not None
+        self._built: dict[int, Built] = {}
+        self._runs: dict[int, dict[int, Compared]] = {}
+        self._newest: Problem | None = None  # of a run: others have its scheme and settings
+        self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
+        self._parted: dict[int, int] = {}  # the most steps with which a run of a scene failed, or only went on in parts
+        self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
+        self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
+
+    def built(self, scene: Scene) -> Built:
+        """The system of a scene, with the warnings of its own; collective."""
+        if id(scene) not in self._built:
+            self.keep(scene, build(scene))
+            return self._afresh(scene)
+        return replace(self._afresh(scene), seconds=0.0)
+
+    def hold(self, scene: Scene) -> None:
+        """A scene stays, so that what is known of it does."""
+        self._scenes.append(scene)
+
+    def keep(self, scene: Scene, built: Built) -> None:
+        """The system of a scene is there."""
+        self.hold(scene)
+        self._built[id(scene)] = built
+
+    def _afresh(self, scene: Scene) -> Built:
+        made, warned = self._built[id(scene)], Gathered()
+        warned.found = list(made.warned.found)
+        return replace(made, warned=warned)
+
+    def solve(
+        self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output, *, parted: bool = True
+    ) -> Solved:
+        """One run, kept for later ones with smaller steps to be compared with; ``parted``: whether steps may be halved;
+        collective.
+        """
+        parts, before = PARTED * schedule.steps if parted else 0.0, self._before(scene, scheme, schedule)
+        beside = steps_beside(output, schedule)
+        if before is not None:
+            beside = Output(
+                energy=False, progress=False, times=tuple(before.recorder.times[looked_at(before.recorder)])
+            )
+        task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, parts, beside)
+        solved = run_once(task, self.built(scene))
+        self._newest = solved.problem
+        if not solved.run.counters.get("halved_steps"):
+            self._note(scene, solved.compared)
+        return solved
+
+    def iterate_to(self, tolerance: float) -> None:
+        """Newton's iteration to another tolerance from now on; runs with the old one are not compared with those to come."""
+        self.newton = replace(self.newton.afresh(), tolerance=tolerance)
+        self._runs.clear()
+
+    def look(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Compared:
+        """A run with equal steps that tells an error only: one that is there, or a new one; collective.
+
+        Raises ConvergenceError where its steps are made in parts.
+        """
+        kept = self.kept(scene, schedule.steps)
+        if kept is not None:
+            return kept
+        self._refuse_parted(scene, schedule.steps)
+        try:
+            return self.solve(scene, scheme, schedule, output, parted=False).compared
+        except UNFIT:
+            self._parted[id(scene)] = schedule.steps
+            raise
+
+    def _refuse_parted(self, scene: Scene, steps: int) -> None:
+        """Steps as large as some that failed before are not tried again."""
+        if steps <= self._parted.get(id(scene), 0):
+            raise ConvergenceError(f"{steps} steps had to be made in parts")
+
+    def kept(self, scene: Scene, steps: int) -> Compared | None:
+        """The run of a scene with so many equal steps, where there is one."""
+        return self._runs.get(id(scene), {}).get(steps)
+
+    def like(self, made: Compared, scene: Scene) -> Compared:
+        """A run of a scene with other spaces and the steps of a run ``made``; raises one of UNFIT where it does not end."""
+        kept = self.kept(scene, made.schedule.steps)
+        if kept is not None:
+            return kept
+        assert self._newest is not None
+        problem = replace(self._newest, most_parts=PARTED * made.schedule.steps)
+        marched = run_like(problem, made, scene, self.built(scene))
+        found = Compared(marched.recorder, made.schedule, made.scheme)
+        if not marched.counters.get("halved_steps"):
+            self._note(scene, found)
+        return found
+
+    def _note(self, scene: Scene, made: Compared) -> None:
+        """Keep a run whose steps have one size, recorded at all their ends or at given times."""
+        output = made.recorder.output
+        if made.schedule.steps and (output.every == 1 or output.times is not None):
+            self._runs.setdefault(id(scene), {})[made.schedule.steps] = made
+
+    # -- errors of time -----------------------------------------------------------------------------------------------
+    def time_error(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
+        """The error by the steps from runs with fewer of them, made where there are none; collective.
+
+        Nobody has to see the order where half of it would be enough.
+        """
+        found = self._compared(solved, known, allowed)
+        self._seen.update(known_orders(found))
+        return found
+
+    def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
+        """See :meth:`time_error`."""
+        given, scene = solved.compared, solved.problem.scene
+        steps = given.schedule.steps
+        have = self._runs.setdefault(id(scene), {})
+        earlier = [n for n in have if n <= steps / NEAREST]
+        near = [n for n in earlier if n >= steps / FARTHEST]
+
+        if not near and (found := self._from_afar(solved, earlier)) is not None:
+            return found
+
+        coarser = []
+        try:
+            coarser.append(self._coarser(solved, max(near) if near else self._wanted(steps, known, bool(earlier))))
+            first = coarser[0].schedule.steps
+            before = [n for n in have if n <= first / NEAREST]
+            if before:
+                coarser.append(have[max(before)])
+            elif not known.seen:
+                found = self._unseen(solved, coarser[0], allowed)
+                if found is not None:
+                    return found
+                coarser.append(self._with(solved, max(first // 2, 1)))
+        except UNFIT as error:
+            if not coarser:
+                log.warning("no error estimate: the run with larger steps did not end: %s", error)
+                return TimeError({}, {}, given)
+        orders, seen = _expected(solved.problem), dict(self._seen)
+        found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
+        if steps < TWICE * coarser[0].schedule.steps and not resolved(known_orders(found), orders):
+            # irregular motion is not judged by steps of nearly the same size
+            half = self._with(solved, steps // 2)
+            found = compare_steps(orders, given, [half, coarser[0]], before=seen)
+        return found
+
+    def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
+        """The error by the steps from one run with larger ones, where no order has to be seen: half of that of the scheme would
+        be enough, or the whole is not, and the run will not be the last; None else.
+
+        What is stated goes with three quarters of the order, at least one: neither half nor all of it is far from that.
+        """
+        given, orders = solved.compared, _expected(solved.problem)
+        whole = compare_steps(orders, given, [coarser])
+        if allowed.rough and allowed.share(whole.errors) > allowed.room:
+            return replace(whole, with_others=coarser)
+        if allowed.share(of_order(orders, given, coarser, 0.5)) > allowed.room:
+            return None
+        # where bodies touch, when they do depends on the steps
+        follows = coarser.schedule.steps >= FEWEST and not solved.problem.scene.contacts
+        return TimeError(of_order(orders, given, coarser, 0.75, 1.0), whole.orders, coarser if follows else given)
+
+    def _from_afar(self, solved: Solved, earlier: Sequence[int]) -> TimeError | None:
+        """The error by the steps from two earlier runs with far larger ones, if all three show the order of the scheme."""
+        given, scene = solved.compared, solved.problem.scene
+        orders, have = _expected(solved.problem), self._runs[id(scene)]
+        known = sorted(n for n in earlier if n >= given.schedule.steps / BEYOND)[::-1]
+        below = [n for n in earlier if known and n <= known[0] / NEAREST]
+        if not below:
+            return None
+        found = compare_steps(orders, given, [have[known[0]], have[max(below)]])
+        seen = known_orders(found)
+        return found if seen and resolved(seen, orders, REGULAR) else None
+
+    def _wanted(self, steps: int, known: Orders, earlier: bool) -> int:
+        """How many steps a run to compare with is made of: as few as tell the error, half as many where no order was seen."""
+        if steps / FARTHEST <= known.follow <= steps / NEAREST:
+            return known.follow
+        if known.seen or earlier:
+            return max(round(steps / 4 / self.grain), 1) * self.grain
+        return max(steps // 2, 1)
+
+    def _coarser(self, solved: Solved, steps: int) -> Compared:
+        """The run with so many steps, or with half as many as the given one where it does not come to its end."""
+        half = solved.compared.schedule.steps // 2
+        try:
+            return self._with(solved, steps)
+        except UNFIT:
+            if steps >= half:
+                raise
+            return self._with(solved, half)
+
+    def _with(self, solved: Solved, steps: int) -> Compared:
+        """The run with so many steps."""
+        scene, schedule = solved.problem.scene, solved.compared.schedule
+        have = self._runs.setdefault(id(scene), {})
+        if steps not in have:
+            self._refuse_parted(scene, steps)
+            try:
+                have[steps] = again(solved.problem, schedule, steps, solved.compared.recorder.output.times)
+            except UNFIT:
+                self._parted[id(scene)] = steps
+                raise
+        return have[steps]
+
+    def tolerance_error(self, solved: Solved, allowed: Allowed) -> TimeError:
+        """The error by the tolerance of a scheme with error control; collective.
+
+        A run with a looser one, the attempt before or one with ten times the tolerance, tells it where it is too large anyway,
+        and where it is not even if errors fell with the least power of tolerances only; in between one with a tenth.
+        """
+        problem, given = solved.problem, solved.compared
+        before = self._before(problem.scene, problem.scheme, given.schedule)
+        self._chosen[id(problem.scene)] = given
+        looser: tuple[dict[str, Deviation], Compared] | None = None
+        if before is not None:
+            looser = beyond(given.recorder, before), before
+        elif problem.scheme.rtol <= LOOSE:
+            try:
+                looser = looser_run(problem, given)
+            except UNFIT:
+                pass
+
+        if looser is not None:
+            apart, loose = looser
+            ratio, order = loose.scheme.rtol / problem.scheme.rtol, problem.scheme.order
+            least, likely = (of_tolerances(apart, ratio, power) for power in (LEAST_POWER, usual_power(order)))
+            if allowed.share(least) <= allowed.room or allowed.share(likely) > allowed.room:
+                return TimeError(likely, {}, loose)
+        return TimeError(tolerance_error(problem, given.recorder, given.schedule), {}, given)
+
+    def _before(self, scene: Scene, scheme: Any, schedule: StepSchedule) -> Compared | None:
+        """The attempt before with steps of its own choice, where its tolerance is as much looser as tells an error."""
+        found = None if schedule.steps else self._chosen.get(id(scene))
+        if found is None or not LOOSER[0] <= found.scheme.rtol / scheme.rtol <= LOOSER[1]:
+            return None
+        return found
+
+
+def _expected(problem: Problem) -> dict[str, int]:
+    """The order of the scheme in each sensor."""
+    return expected_orders(problem.scheme, problem.scene, problem.system)
+
+
+def doubt(order: int) -> float:
+    """By how much less errors of a tolerance are likely to be than a run with a looser one excludes."""
+    return (10.0**LEAST_POWER - 1.0) / (10.0 ** usual_power(order) - 1.0)
+
+
+def known_orders(found: TimeError) -> dict[str, float]:
+    """Orders that were seen, by sensor."""
+    return {name: p for name, p in found.orders.items() if np.isfinite(p)}

@@ -1,0 +1,182 @@
+"""What the attempts of a run with a tolerance share of other spaces: finer and coarser meshes, more modes, and runs in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ....log import log
+from ....schemes.newton import Newton
+from ....system.scene.refinement import (
+    expected_rate,
+    more_modes,
+    one_kind,
+    refined,
+    refined_by_finer_space,
+    slender,
+)
+from ....system.scene.scene import Scene
+from ....system.system import System
+from ...built import Built
+from ..companion_runs import UNFIT, Compared
+from ..deviation import Deviation
+from ..estimates import mode_deviations
+from .shared_runs import SharedRuns
+from .space_levels import (
+    UNENDED,
+    finer_scene,
+    from_below,
+    levels_compared,
+    next_level,
+    space_deviations,
+    unended,
+)
+
+# share of its error that a space is sure to lose in the one that it was measured against, and room beside it
+LEFT = 0.4
+LEAVES = 2e-3  # of the range of a sensor: what spaces of few unknowns may leave, where nothing is known of them
+
+Enough = Callable[[dict[str, Deviation]], bool] | None
+
+
+class SharedSpaces(SharedRuns):
+    """Scenes with other meshes and more modes beside shared runs.
+
+    ``looked``: share of the tolerance that the error in space of a scene takes, by a look at it.
+    """
+
+    def __init__(self, newton: Newton | None, linear: Any, grain: int) -> None:
+        super().__init__(newton, linear, grain)
+        self.looked: dict[int, float] = {}
+        self._finer: dict[int, tuple[Scene, str, Built | None]] = {}
+        self._next: set[int] = set()  # scenes whose errors are measured against the next level
+        self._richer: dict[int, Scene] = {}
+
+    # -- modes --------------------------------------------------------------------------------------------------------
+    def with_more_modes(self, scene: Scene, system: System) -> Scene:
+        """The scene by the finer bases that errors by modes are measured against, made once; see :func:`.more_modes`."""
+        if id(scene) not in self._richer:
+            self.hold(scene)
+            self._richer[id(scene)] = more_modes(scene, system)
+        return self._richer[id(scene)]
+
+    def mode_error(self, scene: Scene, system: System, runs: Sequence[Compared]) -> dict[str, Deviation]:
+        """The error by the modes of a scene and its system, from a run with more of them and the steps of the first of the
+        ``runs`` for which it ends; collective.
+        """
+        richer = self.with_more_modes(scene, system)
+        for made in runs:
+            try:
+                return mode_deviations(made.recorder, self.like(made, richer).recorder)
+            except UNFIT as error:
+                log.warning("no error of reduction: the run with more modes did not end: %s", error)
+        return {}
+
+    # -- meshes -------------------------------------------------------------------------------------------------------
+    def space_error(
+        self, scene: Scene, runs: Sequence[Compared], below: Sequence[Scene], enough: Enough = None
+    ) -> tuple[dict[str, Deviation], str]:
+        """The error by the meshes of a scene, with the steps of one of its ``runs``: from runs on the levels ``below`` that are
+        there, where these tell that it is small ``enough``; else from new ones, of the first of the ``runs`` for which they end;
+        collective.
+        """
+        for made in runs:
+            found = self._from_kept(scene, made, below, enough)
+            if found is not None:
+                return found, ""
+        for made in runs:
+            errors, why = self._from_new(scene, made, below, enough)
+            # steps that a scheme chooses differ from run to run: where they are few, by what that changes
+            few = not made.schedule.steps and made is not runs[-1]
+            if not why.startswith(UNENDED) and not (few and errors and enough is not None and not enough(errors)):
+                break
+        return errors, why
+
+    def _from_kept(
+        self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
+    ) -> dict[str, Deviation] | None:
+        """The error by the meshes from the nearest level below with a run that is there, where it is small ``enough``; of slender
+        bodies, whose errors fall evenly, else from the two nearest ones. None where these do not tell it.
+        """
+        if enough is None or scene.contacts:
+            return None
+        steps, rate = made.schedule.steps, expected_rate(scene)
+        known = [(n, x) for n, x in enumerate(reversed(below), start=1) if self.kept(x, steps) is not None]
+        if not known:
+            return None
+
+        levels, coarser = known[0]
+        lower = self.kept(coarser, steps)
+        assert lower is not None
+        raised = sum(not one_kind(*pair) for pair in pairwise((*below[-levels:], scene)))
+        found = from_below(made.recorder, lower.recorder, rate, levels, enough, raised)
+        if found is not None or len(known) == 1 or not slender(scene):
+            return found
+
+        lowest = self.kept(known[1][1], steps)
+        assert lowest is not None
+        gaps = levels, known[1][0] - levels
+        seen = levels_compared(rate, made.recorder, lower.recorder, lowest.recorder, gaps)
+        return seen if seen is not None and enough(seen) else None  # from afar it may be too large
+
+    def _from_new(
+        self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
+    ) -> tuple[dict[str, Deviation], str]:
+        """The error by the meshes from a run on the level below, where this tells that it is small ``enough``, else from the two
+        levels below, where these tell how it falls, else from a run in finer spaces.
+        """
+        if len(below) > 1 and one_kind(below[-2], below[-1], scene):
+            found = self._from_levels(scene, made, below, enough)
+            if found is not None:
+                return found, ""
+
+        if id(scene) not in self._finer:
+            self._finer[id(scene)] = self._ahead(scene, made, enough) or finer_scene(scene)
+        finer, why, built = self._finer[id(scene)]
+        if built is None:
+            return {}, why or "no body is on a mesh"
+        if id(finer) not in self._built:
+            self.keep(finer, built)
+        try:
+            fine = self.like(made, finer)
+        except UNFIT as error:
+            return {}, unended(error)
+        return space_deviations(made.recorder, fine.recorder, why)
+
+    def _ahead(self, scene: Scene, made: Compared, enough: Enough) -> tuple[Scene, str, Built] | None:
+        """The next level to measure an error against, where it is likely to be needed: its system and runs serve again."""
+        series, times = made.recorder.series, made.recorder.times
+        usual = {n: Deviation(times, np.full_like(x, LEAVES * np.ptp(x, axis=0))) for n, x in series.items()}
+        if enough is None or enough(usual):
+            return None
+        found = next_level(scene)
+        if found is not None:
+            self._next.add(id(scene))
+        return found
+
+    def _from_levels(
+        self, scene: Scene, made: Compared, below: Sequence[Scene], enough: Enough
+    ) -> dict[str, Deviation] | None:
+        """The error by the meshes from new runs on one or two levels below; None where these do not tell it."""
+        try:
+            lower = self.like(made, below[-1])
+            found = self._from_kept(scene, made, below, enough)
+            if found is not None:
+                return found
+            lowest = self.like(made, below[-2])
+        except UNFIT:
+            return None
+        return levels_compared(expected_rate(scene), made.recorder, lower.recorder, lowest.recorder)
+
+    def refined(self, scene: Scene, enough: float = np.inf) -> Scene:
+        """The next level: the spaces that the error was measured against where these are it, or are the last level that is
+        wanted, so that their system and run serve again. ``enough``: the share of the error that may be left there.
+        """
+        finer = self._finer.get(id(scene))
+        if finer is not None and finer[2] is not None and not finer[1]:
+            if refined_by_finer_space(scene) or id(scene) in self._next or enough >= LEFT:
+                return finer[0]
+        return refined(scene)

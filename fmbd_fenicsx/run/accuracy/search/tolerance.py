@@ -1,0 +1,364 @@
+"""A run that keeps a tolerance: steps, modes and meshes are refined until the run states errors below it.
+
+Every attempt is a whole run with its estimates. From its certificate follows what is too large, and by how much: the step from
+the order that was seen, modes and meshes one level at a time (:mod:`.next_attempt`). Errors by modes and meshes change little
+with the step, so they are estimated again only when bodies have changed; runs with larger steps, and systems, serve all attempts
+(:mod:`.shared_runs`).
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ....checks import number
+from ....errors import ConvergenceError, LinearSolveError
+from ....log import log
+from ....schemes.declared import Declared, checked_scheme
+from ....schemes.onestep.alpha.generalized_alpha import GeneralizedAlpha
+from ....system.scene.refinement import meshed_bodies, modal_bodies, slender
+from ....system.scene.scene import Scene
+from ...recording.ledger import Books
+from ...recording.output import Output
+from ...result import Run
+from ...schedule import StepSchedule, step_schedule
+from ...settings import check_tangent, default_scheme
+from ...single_run import Solved
+from ..certificate import HIDDEN, Certificate, left_by_kinks
+from ..companion_runs import UNFIT, Compared
+from ..damped import damped_vibrations
+from ..deviation import Deviation, scaled
+from ..estimates import FEWEST, TimeError, tolerance_error, warn_of_uncertain, with_damped
+from ..shares import (
+    AIM,
+    SAFE,
+    WHOLE,
+    Relative,
+    Tolerance,
+    check_tolerances,
+    largest_share,
+    relative,
+    safe,
+    share,
+    worst,
+)
+from .next_attempt import AttemptPlan, Looked, beginning, finer_steps, next_plan, space_first, space_limit
+from .shared_runs import Allowed, Orders, doubt, known_orders
+from .shared_spaces import SharedSpaces
+
+__all__ = ["Attempt", "Relative", "relative", "solve_within"]
+
+ATTEMPTS = 12
+START = 100  # steps of the first attempt where no dt is given
+# the same where spaces or modes have to be found first, whose errors are seen with few steps, and nothing touches: of bodies on
+# meshes, whose steps cost, and of slender ones
+SCOUT, SCOUT_SLENDER = 24, 48
+LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
+STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
+FAILURES = 1  # runs that may fail, each followed by one with a quarter of the step, beside one that came to its end
+OF_JUMPS = 1.0  # order that jumps of forces within steps leave
+RECORDS = 200  # that runs make at least, so that they can be compared
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One run on the way to a tolerance: its steps (s, or rtol), its level of refinement, stated errors, seconds with estimates.
+
+    One that only looked at the error in space, with the fewest steps that follow the motion, states this error alone.
+    ``worst`` is the largest stated error over its tolerance; ``errors``: sensor -> sum of errors. ``then``: what was done next.
+    """
+
+    step: float
+    meshes: int
+    modes: int
+    worst: float
+    errors: dict[str, float]
+    seconds: float
+    then: str
+
+    def __str__(self) -> str:
+        """A line of a table."""
+        errors = ", ".join(f"{n} {x:.1e}" for n, x in self.errors.items())
+        return (
+            f"step {self.step:<9.3g} mesh level {self.meshes}, modes level {self.modes}: error / tol {self.worst:8.2g} "
+            f"({errors}), {self.seconds:.2f} s: {self.then}"
+        )
+
+
+def solve_within(
+    scene: Scene,
+    tol: Tolerance,
+    *,
+    t_end: float,
+    start: tuple[Any, float | None],
+    settings: tuple[Any, Any, Any],
+) -> Run:
+    """A run whose stated errors are below ``tol``, or the best that was found, see :func:`.solve`; collective."""
+    check_tolerances(scene, tol)
+    newton, wanted, linear = settings
+    plan = _first(scene, start[0], t_end, start[1])
+    check_tangent(plan.scheme, newton)
+    wanted = replace(Output() if wanted is None else wanted, estimate_error=True)
+    shared = SharedSpaces(newton, linear, plan.grain)
+
+    found = Search()
+    for _ in range(ATTEMPTS):
+        try:
+            plan_next = _one_more(plan, tol, shared, wanted=wanted, found=found)
+        except (ConvergenceError, LinearSolveError) as error:
+            # finer meshes may need smaller steps than those on which the error was small enough
+            found.failed += 1
+            if (found.best is not None and found.failed > FAILURES) or plan.step < 1e-3 * t_end / START:
+                found.why = f"a run failed: {error}"
+                break
+            plan_next = finer_steps(_anew(plan), 0.25)
+        if plan_next is None:
+            break
+        plan = plan_next
+    return found.result(scene, tol)
+
+
+@dataclass
+class Search:
+    """What was tried so far, the best run with its largest error over the tolerance, and why there is no better one."""
+
+    history: list[Attempt] = field(default_factory=list)
+    best: tuple[float, Run] | None = None
+    why: str = f"{ATTEMPTS} attempts were not enough"
+    failed: int = 0  # runs that did not come to their end
+
+    def take(self, run: Run, ratio: float, plan: AttemptPlan) -> None:
+        """A run of an attempt: better than the best so far, or a finer one that shows how little that knew of its error."""
+        refuted = False
+        if self.best is not None and 1.0 < self.best[0] < ratio < np.inf:
+            last = self.history[-1]
+            refuted = last.step > plan.step and (last.meshes, last.modes) == (plan.meshes, plan.modes)
+        if self.best is None or ratio < self.best[0] or refuted:
+            self.best = ratio, run
+
+    def stalled(self, plan: AttemptPlan, ratio: float) -> str:
+        """Why smaller steps are of no use: errors have not fallen while steps of the same spaces became far smaller; "" else."""
+        same = [a for a in self.history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
+        far = STALLED_IN_CONTACT if plan.scene.contacts else STALLED
+        coarser = [a for a in same if a.step >= far * plan.step * (1 - 1e-9)]
+        if not plan.steps or ratio <= 1.0 or not coarser or min(a.worst for a in coarser) > ratio:
+            return ""
+        last = coarser[-1]
+        return (
+            f"errors do not fall with the steps: {last.worst:.2g} times the tolerance with {last.step:.2g} s, {ratio:.2g} times "
+            f"with {plan.step:.2g} s. The sensor jumps, or follows vibrations that no step so far resolves. Give a smaller dt to "
+            "begin with, smooth the load, or take a sensor that is a mean over time or space"
+        )
+
+    def result(self, scene: Scene, tol: Tolerance) -> Run:
+        """The best run, with a warning where it does not keep the tolerance.
+
+        Raises ConvergenceError where no run came to its end.
+        """
+        if self.best is None:
+            raise ConvergenceError(f'Scene "{scene.name}": no run with tol came to its end: {self.why}')
+        over, run = self.best
+        if over > 1.0:
+            log.warning(
+                'scene "%s": the tolerance was not reached, %.2g times it is stated: %s.',
+                scene.name,
+                over,
+                self.why.rstrip("."),
+            )
+        warn_of_uncertain(run, tol)
+        run.history = tuple(self.history)
+        return run
+
+
+def _one_more(
+    plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, *, wanted: Output, found: Search
+) -> AttemptPlan | None:
+    """One attempt, noted among what was found; the plan of the next one, or None; collective."""
+    begun = clock.perf_counter()
+    try:
+        looked = space_first(plan, tol, shared, wanted)
+    except UNFIT:
+        plan, looked = _anew(plan), None
+    if looked is not None:
+        found.history.append(_of_space(plan, looked, clock.perf_counter() - begun))
+        return looked.plan
+
+    run, orders = _attempt(plan, tol, shared, wanted)
+    certificate = run.certificate
+    ratio = worst(certificate, tol)
+    found.take(run, ratio, plan)
+    made, then = _after(replace(plan, orders=orders), run, certificate, tol=tol, shared=shared, found=found)
+
+    errors = {n: certificate[n].sum for n in tol}
+    seconds = clock.perf_counter() - begun
+    found.history.append(Attempt(plan.step, plan.meshes, plan.modes, ratio, errors, seconds, then))
+    if made is None:
+        found.why = then
+    return made
+
+
+def _anew(plan: AttemptPlan) -> AttemptPlan:
+    """The plan where the fewest steps that follow the motion on coarser meshes are too few."""
+    return replace(plan, orders=replace(plan.orders, follow=0))
+
+
+def _after(
+    tried: AttemptPlan, run: Run, certificate: Certificate, *, tol: Tolerance, shared: SharedSpaces, found: Search
+) -> tuple[AttemptPlan | None, str]:
+    """The plan after an attempt and what it changes, or None and why there is none; collective."""
+    ratio = worst(certificate, tol)
+    if safe(certificate, tol):
+        return None, "done"
+    if why := found.stalled(tried, ratio):
+        return None, why
+
+    made, then = next_plan(tried, run, tol, shared=shared, history=found.history)
+    nothing_has_to = made is None and ratio <= 1.0
+    return made, "done" if nothing_has_to else then
+
+
+def _of_space(plan: AttemptPlan, looked: Looked, seconds: float) -> Attempt:
+    """The line of an attempt that ended when its meshes were found too coarse."""
+    step = plan.schedule.t_end / plan.orders.follow
+    return Attempt(step, plan.meshes, plan.modes, looked.over, looked.errors, seconds, "finer meshes")
+
+
+def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> AttemptPlan:
+    """The first attempt: the scene as it is, with the steps given or a hundred of them, or with a loose tolerance."""
+    scheme = _default(scene, t_end) if scheme is None else checked_scheme(scheme)
+    if Declared.by(scheme).adaptive:
+        scheme = replace(scheme, rtol=max(scheme.rtol, LOOSEST))
+        return beginning(AttemptPlan(scene, scheme, step_schedule(scene, scheme, t_end, dt), 1))
+    number("End time t_end =", t_end, above=0.0, unit="s")
+    spaces = bool(meshed_bodies(scene) or modal_bodies(scene)) and not scene.contacts
+    look = FEWEST if spaces and dt is None and not modal_bodies(scene) and not slender(scene) else 0
+    scout = SCOUT_SLENDER if slender(scene) else SCOUT
+    dt = t_end / (scout if spaces else START) if dt is None else dt
+    schedule = step_schedule(scene, scheme, t_end, dt, multiple=4)
+    # few steps share half of their ends with those of the next attempts, so that there are enough to be compared
+    grain = schedule.steps // (2 if schedule.steps <= SCOUT else 4)
+    return beginning(AttemptPlan(scene, scheme, schedule, grain, orders=Orders(follow=look)))
+
+
+def _default(scene: Scene, t_end: float) -> Any:
+    """The usual scheme of a scene; where loads jump at break points on the way, it chooses its steps: a jump within a step leaves
+    an error that depends on where it falls, and that other steps of equal size do not tell.
+    """
+    scheme = default_scheme(scene)
+    jumps = any(0.0 < t < t_end for t in scene.breakpoints)
+    return replace(scheme, rtol=LOOSEST) if jumps and isinstance(scheme, GeneralizedAlpha) else scheme
+
+
+def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Output) -> tuple[Run, Orders]:
+    """A run with the estimates that are not known yet, and the orders that were seen; collective."""
+    every = _often(wanted, plan.schedule)
+    output = replace(wanted, every=every, estimate_error=False)
+    solved = shared.solve(plan.scene, plan.scheme, plan.schedule, output)
+    run, ended = solved.run, clock.perf_counter()
+    found = _time_error(plan, tol, shared, solved)
+    run.seconds["error estimate"] = clock.perf_counter() - ended
+
+    _other_errors(plan, tol, shared, solved, found.with_others)
+    if not plan.steps and found.with_others is not solved.compared and _doubtful(run, tol):
+        run.state_error("time", tolerance_error(solved.problem, solved.compared.recorder, plan.schedule))
+    if every != wanted.every and wanted.times is None:
+        _thin_out(run, solved.compared.recorder.indices, wanted.every)
+    fewest = found.with_others.schedule.steps
+    return run, Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()
+
+
+def _doubtful(run: Run, tol: Tolerance) -> bool:
+    """Whether a run keeps its tolerance if errors go with the usual power of that of its scheme, but not with the least one."""
+    certificate = run.certificate
+    time = max(share(certificate, n, x, "time") for n, x in tol.items())
+    likely = worst(certificate, tol)
+    return likely <= SAFE < likely + time * (1.0 / doubt(run.scheme.order) - 1.0)
+
+
+def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> TimeError:
+    """The error by the steps, or by the scheme's tolerance; collective."""
+    run, alone = solved.run, not meshed_bodies(plan.scene) and not modal_bodies(plan.scene)
+    looked = bool(plan.orders.follow) and not plan.orders.seen  # at spaces, with few steps
+
+    def share_of(errors: dict[str, Deviation]) -> float:
+        return largest_share(errors, run.series, tol)
+
+    room = WHOLE - _reserved(plan, shared, share_of) if plan.steps and not alone else SAFE if alone else WHOLE
+    allowed = Allowed(share_of, room, rough=alone or looked)
+    found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
+    if plan.steps:
+        found = _with_kinks(run, found, tol, every=solved.compared.recorder.output.every)
+        errors, run.damped = with_damped(found.errors, damped_vibrations(solved.problem, solved.compared.schedule))
+        found = replace(found, errors=errors)
+    run.state_error("time", found.errors)
+    run.observed_order = found.orders
+    return found
+
+
+def _reserved(plan: AttemptPlan, shared: SharedSpaces, share_of: Callable[[dict[str, Deviation]], float]) -> float:
+    """Share of the tolerance that errors in space and by modes take: those that are known, and what the others may."""
+    known = {kind: share_of(errors) for kind, errors in plan.known.errors.items() if errors}
+    if id(plan.scene) in shared.looked:
+        known.setdefault("space", shared.looked[id(plan.scene)])
+    kinds = {"space": meshed_bodies(plan.scene), "modes": modal_bodies(plan.scene)}
+    wanted = [kind for kind, bodies in kinds.items() if bodies]
+    return sum(min(known.get(kind, AIM / len(wanted)), AIM) for kind in wanted)
+
+
+def _with_kinks(run: Run, found: TimeError, tol: Tolerance, *, every: int) -> TimeError:
+    """No less than what a jump of a force within a step may leave at most: what other steps tell of it is chance. In records
+    of ``every`` so many steps it is as many times larger.
+    """
+    errors, orders = dict(found.errors), dict(found.orders)
+    for name in errors.keys() & tol:
+        most, size = HIDDEN * left_by_kinks(run, name)[0] / every, errors[name].size
+        if most > size > 0.0:
+            errors[name], orders[name] = scaled(errors[name], most / size), OF_JUMPS
+    return replace(found, errors=errors, orders=orders)
+
+
+def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved, made: Compared) -> None:
+    """State the errors of modes and space: those that are known, or from runs with the steps of a run ``made``; collective."""
+    run, known = solved.run, plan.known.errors
+    for kind, found in known.items():
+        run.state_error(kind, found)
+    run.space_unstated = plan.known.unstated
+
+    # steps that are enough for the run may be too few with more modes or finer meshes: those of the run itself then
+    steps = [made] if made is solved.compared else [made, solved.compared]
+    begun = clock.perf_counter()
+    if modal_bodies(plan.scene) and "modes" not in known:
+        run.state_error("modes", shared.mode_error(plan.scene, solved.problem.system, steps))
+        run.seconds["reduction estimate"] = clock.perf_counter() - begun
+    begun = clock.perf_counter()
+    if meshed_bodies(plan.scene) and "space" not in known:
+        series, limit = run.series, space_limit(plan.scene)
+        in_space, run.space_unstated = shared.space_error(
+            plan.scene, steps, plan.below, lambda found: largest_share(found, series, tol) <= limit
+        )
+        run.state_error("space", in_space)
+        run.seconds["space estimate"] = clock.perf_counter() - begun
+
+
+def _often(wanted: Output, schedule: StepSchedule) -> int:
+    """Every how many steps an attempt is recorded: as wanted, or a divisor of it where that would leave few records."""
+    if not schedule.steps:
+        return wanted.every
+    fits = [n for n in range(1, wanted.every + 1) if wanted.every % n == 0 and schedule.steps / n >= RECORDS]
+    return max(fits, default=1)
+
+
+def _thin_out(run: Run, indices: np.ndarray, every: int) -> None:
+    """Leave only the records that were wanted: of every so many steps, and the last."""
+    keep = indices % every == 0
+    keep[-1:] = True
+    run.times = run.times[keep]
+    run.series = {name: x[keep] for name, x in run.series.items()}
+    run.energy = {kind: x[keep] for kind, x in run.energy.items()}
+    if run.books is not None:
+        power, work = ({n: x[keep] for n, x in kind.items()} for kind in (run.books.power, run.books.work))
+        run.books = Books(power, work, run.books.unlisted)

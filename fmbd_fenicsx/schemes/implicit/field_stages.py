@@ -1,0 +1,310 @@
+"""Stages of implicit schemes for systems with elastic fields: Newton's matrix by its action, preconditioned by real factors.
+
+A stage system of frequency s (real, or one of a complex pair of the scheme's coefficients) reads, with D = s - d rate/d xi,
+
+    dv = D dxi + r_kin + N dc,       da = s dv + N de                                                              (1)
+    d balance [dxi, dv, da] + G^T dlambda = -r_low,        d rows [dxi, dv, da] = -r_rows                          (2)
+
+The brackets are directional derivatives at one motion in the middle of the step: one more evaluation of the forces, inertia of
+the deformed body, gyroscopic terms and turned reactions included. N c is the motion with G N c = c that is least in the metric
+of P below, where derivatives are taken: a floating body has no mass matrix that could be inverted, but this motion is always
+determined, so the multipliers of corrections are replaced by the slips c, e that they close; and it is smooth, where the
+least motion by the mass alone would dent a stiff body at its joint. As G N = 1, c and e follow after dxi.
+
+How (2) is solved: :mod:`.stage_krylov`. States are evaluated in compiled code where that knows the fields.
+Source of the forms: :mod:`..dae`. Newton-Krylov methods: Knoll and Keyes, doi:10.1016/j.jcp.2003.08.010.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...linear.condensation import StepSolver, Weights
+from ...linear.frequency_solvers import DECADE, FrequencySolvers
+from ...linear.residual import Judge
+from ...rotations import Array
+from ...system.evaluation import Evaluation
+from ...system.evaluation_batch import EvaluationBatch
+from ...system.serialisation import Memory, Remembering, plain, worker
+from ...system.system import State, System
+from ..dae import Form, Points
+from .stage_krylov import FieldStages
+
+MASS = Weights(1.0, 0.0, 0.0)
+SHIFT = float(np.sqrt(np.finfo(float).eps))  # of a difference quotient, over the model's length
+ROUNDED_UP = 1.1  # what a step may be longer than the one proposed, whose safety allows it
+ROUNDOFF = 1e-14  # of rates, over their largest
+COLUMNS = 64  # multipliers for which N is kept as a matrix
+
+
+@dataclass(frozen=True, eq=False)
+class FieldTangent:
+    """The motion at which derivatives are taken, and the balance and rows there, (n_v + levels n_lam,)."""
+
+    form: Form
+    levels: int
+    state: State
+    ev: Evaluation
+    low: Array
+
+    def along(self, dq: Array, dv: Array, da: Array) -> Array:
+        """Derivative of balance and rows along (dq, dv, da), complex directions by their two parts; collective."""
+        system, s = self.ev.system, self.state
+        direction = np.array((dq, dv, da))
+        parts = (direction.real, direction.imag) if direction.dtype.kind == "c" else (direction,)
+        sizes = system.each_max_abs(np.array(parts))
+        eps = [self._shift(float(place), float(speed), float(push)) for place, speed, push in sizes]
+
+        moved = np.array([x * part for x, part in zip(eps, parts, strict=True)])
+        ev = system.batch(s.t, system.compose(s.q, moved[:, 0]), s.v + moved[:, 1])
+        lam = np.array([s.lam] * len(parts))
+        change = lower(self.form, self.levels, ev, s.a + moved[:, 2], lam) - self.low
+        return change[0] / eps[0] if len(parts) == 1 else change[0] / eps[0] + 1j * (change[1] / eps[1])
+
+    def _shift(self, place: float, speed: float, push: float) -> float:
+        """The length of a difference along a direction with parts of these sizes; collective."""
+        system, s = self.ev.system, self.state
+        if place == speed == 0.0:  # linear: as large as the accelerations that they are added to
+            return (system.max_abs(s.a) or 1.0) / (push or 1.0)
+        # lengths: positions, and what velocities move within the time in which they change
+        return SHIFT * system.length / max(place, speed**2 / max(push, 1e-300))
+
+    @cached_property
+    def _turnings(self) -> Array:
+        """Derivatives of rate(xi, v) by xi at xi = 0, frame by frame: (frames, n_twist, n_twist)."""
+        system, count = self.ev.system, self.ev.system.motions.n_twist
+        frames, k = system.n_frames, system.n_frames * count
+        one = np.zeros((count, system.n_v))
+        one[:, :k] = np.tile(1e-6 * np.eye(count), frames)
+
+        slopes = (system.rate(one, self.state.v) - system.rate(-one, self.state.v)) / 2e-6
+        return np.asarray(slopes[:, :k].reshape(count, frames, count).transpose(1, 2, 0))
+
+    def turning(self, d: Array) -> Array | float:
+        """Derivative of rate(xi, v) along d at xi = 0; not collective."""
+        system, k = self.ev.system, self.ev.system.n_frames * self.ev.system.motions.n_twist
+        if system.motions.dim == 2 or not k:
+            return 0.0
+        found = np.zeros_like(d)
+        if k:
+            found[:k] = (self._turnings @ d[:k].reshape(system.n_frames, -1, 1)).ravel()
+        return found
+
+
+def lower(form: Form, levels: int, ev: Evaluation | EvaluationBatch, a: Array, lam: Array) -> Array:
+    """Balance and constraint rows, (n_v + levels n_lam,), of one configuration or, (k, ..), of many; collective."""
+    balance = ev.balance(a, lam if levels else None)
+    return np.concatenate((balance, *form.rows(ev, a)), axis=-1) if levels else balance
+
+
+class FieldEquations(Remembering):
+    """What :class:`.StepEquations` is for small systems, for those with elastic fields; the same names. Collective.
+
+    Multipliers of the second and third level are the slips c (m/s) and e (m/s^2) of (1).
+    """
+
+    keeps: ClassVar = {
+        **dict.fromkeys(("residuals", "jacobians", "krylov", "trusted", "size_anchor"), plain()),
+        "solvers": worker,
+        "metric": plain(Weights),
+    }
+    dense = False
+
+    def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
+        self.system, self.form, self.solver = system, form, solver
+        self.levels = len(form.levels) if system.n_lam else 0
+        self.n_mult = self.levels * system.n_lam
+        self.left: Array = np.zeros(system.n_lam)  # the first rows of the form at the last point
+        self.residuals = self.jacobians = self.krylov = 0
+        self.origin: Array = np.zeros(0)
+        self.solvers = FrequencySolvers(system, solver)
+        self.trusted = True  # whether exact factors of a frequency need no iteration
+        self.size_anchor: float | None = None  # first step of the grid, s
+        self._estimates = False  # whether steps end with :meth:`consistent_start`
+        self.metric = MASS  # of the corrections N c: the matrix P of the step
+        self._last_metric = MASS  # of the step before: its errors across the constraints are of least size in it
+        self._begun: State | None = None
+        self._basis: Evaluation | None = None  # where N is taken
+        self._motions: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
+        self._closed: State | None = None
+        self._start: tuple[Array, Array, Array] = (self.origin,) * 3
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work that dense systems do not have."""
+        return {"stage_iterations": self.krylov}
+
+    def remember_points(self, m: Memory, last: Any) -> Any:
+        """The last step: its size, q and v at its start, and its stages, in an order that does not depend on the ranks."""
+        if not m("last", last is not None):
+            return None
+        h, q, v, p = last or (None,) * 4
+        stages = m("stages", 0 if p is None else len(p.xi))
+
+        def rows(name: str, values: Array | None) -> Array:
+            return np.array([m.like_v(f"{name} {i}", None if values is None else values[i]) for i in range(stages)])
+
+        xi = rows("xi", None if p is None else p.xi)
+        rate = rows("rate", None if p is None else p.rate)
+        vs = rows("v", None if p is None else p.v)
+        vd = rows("vd", None if p is None else p.vd)
+        mult = m("mult", None if p is None else p.mult)
+        points = Points(xi, rate, vs, vd, mult)
+        return m("h", h), m.like_q("q", q), m.like_v("v", v), points
+
+    # -- residuals ----------------------------------------------------------------------------------------------
+    def begin(self, state: State) -> None:
+        """Local coordinates about the state."""
+        if self._begun is not state:
+            self._begun, self._basis = state, None
+            self._last_metric = self.metric
+            if self._estimates:  # while the matrix is at hand
+                self.consistent_start(state)
+        self.origin = state.q
+
+    def keep_sizes(self) -> None:
+        """Steps keep to a few sizes, as :meth:`step_size` does: factors of these pay."""
+        self.solvers.settles = True
+
+    def step_size(self, h: float) -> float:
+        """The largest step of a geometric grid that is hardly above h (s): few sizes, whose factors are kept."""
+        if self.size_anchor is None:
+            self.size_anchor = h
+        places = np.floor(DECADE * np.log10(ROUNDED_UP * h / self.size_anchor))
+        return float(self.size_anchor * 10.0 ** (places / DECADE))
+
+    def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
+        """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) at the times t (k,)."""
+        s, m = self.system, self.system.n_lam
+        self.residuals += len(t)
+        pulls = self.corrections(p.mult, 2)
+        ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
+        low = lower(self.form, self.levels, ev, p.vd + pulls, p.mult[:, :m])
+        self.left = low[-1, s.n_v : s.n_v + m]
+        return self._lacking(p), low
+
+    def aligned(self, t: Array, W: Array, p: Points) -> Points:
+        """Foretold stages at the times t (k,) with velocities and multipliers that go with their places; d rate = W dxi."""
+        v, mult = p.v + self._lacking(p), p.mult
+        if self.levels > 1:  # what rows of velocities ask for where places do not close
+            m = self.system.n_lam
+            ev = self.system.batch(t, self.system.compose(self.origin, p.xi), v)
+            slips = W @ ev.constraint() - ev.opening()
+            v, mult = v + self.closing(slips), mult.copy()
+            mult[:, m : 2 * m] += slips
+        return replace(p, v=v, vd=p.vd + W @ (v - p.v), mult=mult)
+
+    def _lacking(self, p: Points) -> Array:
+        """What velocities (k, n_v) lack to be those of the places: r_kin, without roundoff."""
+        left = p.rate - self.system.rate(p.xi, p.v - self.corrections(p.mult, 1))
+        return np.where(np.abs(left) > ROUNDOFF * np.abs(p.rate).max(initial=0.0), left, 0.0)
+
+    def corrections(self, mult: Array, level: int) -> Array:
+        """N c of the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
+        m = self.system.n_lam
+        slips = mult[:, level * m : (level + 1) * m]
+        if self.levels <= level or not slips.any():
+            return np.zeros((len(mult), self.system.n_v))
+        return self.closing(slips)
+
+    def closing(self, slips: Array) -> Array:
+        """N c of slips (k, n_lam), (k, n_v); complex ones by their parts."""
+        if self._basis is None:
+            assert self._begun is not None
+            self._basis = self.system.at(self._begun.t, self._begun.q)
+        if slips.shape[1] <= COLUMNS:
+            return slips @ self._closing_motions(self._basis).T
+
+        self.prepare(self._basis, self.metric)
+        closing = self.solver.closing
+        if np.iscomplexobj(slips):
+            return np.asarray(closing(slips.real.T).T + 1j * closing(slips.imag.T).T)
+        return closing(slips.T).T
+
+    def _closing_motions(self, basis: Evaluation) -> Array:
+        """N of (1), (n_v, n_lam), solved for once where derivatives are taken."""
+        known = self._motions
+        if known is None or known[0] is not basis or known[1] != self.metric:
+            self.prepare(basis, self.metric)
+            self._motions = known = basis, self.metric, self.solver.closing(np.eye(self.system.n_lam))
+        return known[2]
+
+    def prepare(self, ev: Evaluation, weights: Weights) -> None:
+        """The matrix of a step, unless it is there."""
+        if not self.solver.holds(ev, weights):
+            self.solver.prepare(ev, weights)
+
+    def accelerations(self, p: Points) -> Array:
+        """a = v' + N e, (k, n_v)."""
+        return p.vd + self.corrections(p.mult, 2)
+
+    def pushes(self, mult: Array) -> Array | None:
+        """Accelerations that multipliers cause: without an inverse of the mass they stay out of error norms."""
+        return None
+
+    def pulls(self, mult: Array) -> Array | None:
+        """No efforts are unknowns of their own."""
+        return None
+
+    def close_ties(self, h: float, state: State, mult: Array) -> State:
+        """The end of a step as it is."""
+        return state
+
+    def along_ties(self, h: float, v: Array) -> Array:
+        """None of velocities (n_v,)."""
+        return np.zeros_like(v)
+
+    def multipliers(self, state: State) -> Array:
+        """Those that a state begins with, (n_mult,)."""
+        mult = np.zeros(self.n_mult)
+        mult[: self.system.n_lam if self.levels else 0] = state.lam
+        return mult
+
+    def weigh(self, state: State) -> None:
+        """Nothing: N takes the mass where it needs it."""
+
+    def consistent_start(self, state: State) -> tuple[Array, Array, Array]:
+        """What closes the constraints of a step's start, as :meth:`.StepEquations.consistent_start`."""
+        if self.form.index == 1 or not self.levels:
+            return np.zeros(self.system.n_v), state.v, state.a
+        self._estimates = True
+        if self._closed is state:
+            return self._start
+
+        s, zero = self.system, np.zeros(self.system.n_v)
+        ev = s.at(state.t, state.q, state.v)
+        self.prepare(ev, self._last_metric)
+
+        def closed(gap: Array) -> Array:
+            return self.solver.solve(zero, -gap)[0]
+
+        dq = closed(ev.constraint()) if 0 in self.form.levels else zero
+        q = s.compose(state.q, dq)  # rows turn by dq
+        v = state.v + closed(s.at(state.t, q, state.v).opening())
+        ev = s.at(state.t, q, v)
+        a = state.a + closed(ev.jacobian.times(state.a) + ev.gamma())
+        self._start, self._closed = (dq, v, a), state
+        return self._start
+
+    # -- derivatives --------------------------------------------------------------------------------------------
+    def refresh(self, state: State, mult: Array) -> FieldTangent:
+        """Derivatives at a state with multipliers (n_mult,) from now on."""
+        self.jacobians += 1
+        ev = self._basis = self.system.at(state.t, state.q, state.v)
+        if self.levels:
+            state = replace(state, lam=mult[: self.system.n_lam])
+        low = lower(self.form, self.levels, ev, state.a, state.lam)
+        return FieldTangent(self.form, self.levels, state, ev, low)
+
+    def inertia(self, tangent: FieldTangent, a: Array) -> Array:
+        """M a at the tangent's motion."""
+        zero = np.zeros_like(a)
+        return tangent.along(zero, zero, a)[: self.system.n_v]
+
+    def pencil(self, tangent: FieldTangent, s: Array, judge: Judge) -> FieldStages:
+        """Solver of (2) for the frequencies s, (p,)."""
+        return FieldStages(self, tangent, s, judge)

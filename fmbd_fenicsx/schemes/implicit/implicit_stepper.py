@@ -1,0 +1,206 @@
+"""What implicit schemes in local coordinates have in common: the equations of a step, their tangent, Newton's iteration and its
+judge, the step control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...errors import CallbackError, ConvergenceError, LinearSolveError
+from ...linear.condensation import StepSolver
+from ...linear.residual import Judge
+from ...log import log
+from ...rotations import Array
+from ...system.compiled.states.stages import Rule
+from ...system.serialisation import Memory, plain, worker
+from ...system.system import State, System
+from ...system.tangents.foretold_efforts import foretold_efforts
+from ..consistent import project, worst_block
+from ..control import EPS, ErrorNorm, Statistics, StepControl
+from ..dae import Points
+from ..declared import Declared
+from ..newton import Newton
+from ..stepping import TimeStepper
+from .stage_iteration import StageIteration
+from .step_equations import step_equations
+
+OPEN = 1e-6  # of the model's length
+STILL = 16.0  # roundings of the model's length
+
+
+class ImplicitStepper(TimeStepper):
+    """Advances a consistent state by stages that Newton's iteration finds; :class:`.Radau` and :class:`.BDF` derive from it.
+
+    ``what``: what is solved, for messages. ``lost``: measured, where motions begin to differ from those of rigid links.
+    ``control``: of the step size, set by the scheme.
+    """
+
+    what: ClassVar[str]
+    lost: ClassVar[float] = 3e-4  # share of the forces that the roundoff of a spring's effort may have
+    control: StepControl
+    keeps: ClassVar = {
+        "state": Memory.state,
+        **dict.fromkeys(("_fresh", "_full", "proposed", "local_error", "_theta"), plain()),
+        "control": plain(StepControl),
+        "stats": plain(Statistics),
+        "norm": worker,
+        "eq": worker,
+    }
+
+    def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
+        self.eq = step_equations(system, scheme.form, solver)
+        self.adaptive = scheme.rtol is not None
+        self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
+        self.stats = Statistics()
+        self.judge = Judge(self.what)
+        self.proposed: float | None = None
+        self._allowed: tuple[State, float, float] | None = None  # start and size of a step, what increments may move
+
+        # the tangent is kept from step to step while Newton's iteration converges fast with it
+        self._tangent: Any = None  # of the equations' own kind
+        self._pencil: Any = None  # its factor
+        self._fresh = False  # whether the tangent is that of this step
+        self._full = False  # whether each iteration takes its own
+        self._theta = 1e-3  # rate of convergence
+        self._unweighted = np.ones((3, system.n_v))
+        self._still = (
+            False  # whether the last increment moved nothing beyond roundoff: multipliers may go on changing by theirs
+        )
+        if not self.eq.dense:
+            self._warn_of_roundoff()
+
+    def _warn_of_roundoff(self) -> None:
+        """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""
+        name, lost = foretold_efforts(self.system).lost(self.state.q)
+        system, state = self.system, self.state
+        gravity = float(np.linalg.norm(system.gravity(np.inf)))
+        centripetal = system.max_abs(state.v) ** 2 / system.length
+        weight = system.mass * max(gravity, system.max_abs(state.a), centripetal)
+        if lost > self.lost * weight > 0:  # at rest without loads nothing can be lost
+            log.warning(
+                'the effort of spring "%s" is known to %.1e N only, by roundoff of places times its stiffness, where forces are '
+                "of %.1e N: %s may lose the motion. Take fmbd.GeneralizedAlpha(), or fmbd.distance(...) in place of the spring",
+                name, lost, weight, self.scheme.name,
+            )  # fmt: skip
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work so far, for the counters of a run."""
+        eq, judge = self.eq, self.judge
+        self.stats.residuals, self.stats.jacobians, self.stats.solves = eq.residuals, eq.jacobians, judge.solves
+        return {**self.stats.as_dict(), **eq.counters}
+
+    def _held(self, within: State) -> State:
+        """A state within a step, moved to where constraints hold on the levels that the form holds at its end; collective.
+
+        What drives prescribe is no polynomial: places of a driven crank were off by a thousand times the error of the ends.
+        """
+        levels = Declared.by(self.scheme).levels
+        if 0 not in levels or not self.system.n_lam:
+            return within
+        closed = project(self.system, within, self.solver)
+        return closed if 1 in levels else replace(closed, v=within.v)
+
+    def _found(self, iterate: Callable[[], Points | str]) -> Points | str:
+        """The stages that an iteration finds, or the cause of its failure."""
+        try:
+            found = iterate()
+            if isinstance(found, str):
+                self._note_open()
+            return found
+        except (LinearSolveError, np.linalg.LinAlgError):
+            return "linear solve failed"
+        except (CallbackError, ConvergenceError) as error:
+            if not self.adaptive:
+                raise
+            self.control.fault = str(error)
+            return "forces not finite, or a motion out of range"
+
+    def _note_open(self) -> None:
+        """Where an iteration has failed: the joint that it left open by more than a rounding of steps, for messages."""
+        gaps = self.system.row_units * self.eq.left
+        gap = float(np.abs(gaps).max(initial=0.0))
+        if not gap > OPEN * self.system.length:
+            return
+        self.control.fault = (
+            f"Newton left {worst_block(self.system, gaps)} open by {gap:.1e} {self.eq.form.unit} after t = {self.state.t:.6g} s: "
+            "drives and joints may contradict each other there, or ask for more than bodies can reach."
+        )
+
+    def _failure(self, h: float, cause: str) -> ConvergenceError:
+        """The error of a step of constant size h (s) whose iteration failed."""
+        t = self.state.t + h
+        return ConvergenceError(
+            f"Newton's iteration failed at t = {t:.6g} s (h = {h:.3g} s): {cause}. "
+            + (f"{self.control.fault} " if self.control.fault else "")
+            + "Take a smaller dt."
+        )
+
+    def _newton_tolerance(self) -> float:
+        """Bound of the norm of the error left, in units of the error norm."""
+        if not self.adaptive:
+            return 1.0
+        roundoff = 10 * EPS / self.norm.rtol
+        return max(roundoff, min(0.03, self.norm.rtol**0.5))
+
+    def _error_size(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
+        """Norm of errors like v. Along ties velocities count by the places that they lead to, as in index 3."""
+        errors = np.array([e_v] if e_a is None else [e_v, e_a])
+        held = self.eq.along_ties(h, errors)
+        if not held.any():
+            return self.norm(h, e_q, e_v, e_a)
+        return max(self.norm(h, e_q, *(errors - held)), self.norm.mean(held[0] * (h / self.norm.wq)))
+
+    def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
+        """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
+        push = self.eq.pushes(dmult)
+        moved = self._way(h, self.system.max_abs(dxi), self.system.max_abs(dv))
+        if self.adaptive:
+            # joints and ties apart, though they may cancel: what is left of either is noise of the next steps
+            pulls = self.eq.pulls(dmult)
+            size = self.norm(h, dxi, dv, push)
+            if push is not None and self.scheme.form.index == 1:  # no part of an error, but of what is recorded
+                size = max(size, self.norm.mean(push * (h / self.norm.wv)))
+            return size if pulls is None else max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))
+        if push is not None:
+            # also where accelerations tell multipliers: those of several levels may change while places and velocities do not
+            moved = max(moved, h * h * self.system.max_abs(push))
+        return moved / self._enough(h)
+
+    def _size_told(self, h: float, moved: Array) -> float:
+        """The same of what compiled code tells of an increment: lengths of its three parts, and their weighted mean squares."""
+        way = self._way(h, float(moved[0]), float(moved[1]))
+        if self.adaptive:
+            return float(np.sqrt(np.maximum.reduce(moved[3:])))
+        pushes = float(moved[2])
+        return (max(way, h * h * pushes) if self.eq.levels else way) / self._enough(h)
+
+    def _way(self, h: float, places: float, speeds: float) -> float:
+        """The length (m) that an increment moves, which is noted where it is roundoff."""
+        moved = max(places, h * speeds)
+        self._still = moved <= STILL * EPS * self.system.length
+        return moved
+
+    def _iteration(self, h: float, t: Array, points: Points, rule: Rule) -> StageIteration:
+        """Newton's iteration for the points of a step of size h (s)."""
+        weights = self.norm.weights(h) if self.adaptive else self._unweighted
+        return StageIteration(self.eq, t, points, rule, weights)
+
+    def _increment(self, h: float, iteration: StageIteration) -> float:
+        """One more increment; its norm."""
+        self.newton.iterations += 1
+        self.stats.newton_iterations += 1
+        found = iteration.increment(self._pencil)
+        return self._size(h, *found) if isinstance(found, tuple) else self._size_told(h, found)
+
+    def _enough(self, h: float) -> float:
+        """What an increment of a constant step may move, m; found once a step."""
+        known = self._allowed
+        if known is None or known[0] is not self.state or known[1] != h:
+            self._allowed = known = self.state, h, self.norm.constant(h, self.state)
+        return known[2]

@@ -1,0 +1,61 @@
+"""Increments of Newton's iteration for the points of an implicit step: evaluated, solved and added in compiled code where it can.
+
+What the points leave of the equations is decoupled by the rule of the scheme, solved for frequency by frequency, and added:
+
+    kin, low = residual(points),      z = pencil.solve(inverse kin, inverse low),      points += relax Re(vectors z)         (1)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...linear.saddle.sparse_pencil import SparsePencil
+from ...rotations import Array
+from ...system.compiled.states.stages import Rule
+from ..dae import Points
+
+Increments = tuple[Array, Array, Array]  # of xi, v and of multipliers
+
+
+class StageIteration:
+    """The iteration from predicted ``points`` at the times t (k,); ``equations`` and ``pencil`` of the step."""
+
+    def __init__(self, equations: Any, t: Array, points: Points, rule: Rule, weights: Array | None) -> None:
+        self.eq, self.t, self.rule, self._weights = equations, t, rule, weights
+        self._points = points
+        self._told: SparsePencil | None = None  # who has the points
+
+    @property
+    def points(self) -> Points:
+        """The newest."""
+        if self._told is not None:
+            self._points, self._told = Points(*self._told.room.points()), None
+        return self._points
+
+    def increment(self, pencil: Any) -> Array | Increments:
+        """Add one increment; what compiled code tells of its size (stages.c), or the increment itself."""
+        if isinstance(pencil, SparsePencil) and self._weights is not None:
+            room, eq = pencil.room, self.eq
+            if self._told is not pencil:
+                room.put(self.t, eq.origin, self.points, eq.tangents.inverse_mass, (self.rule, self._weights))
+                self._told, eq.left = pencil, room.left
+            if pencil.increment():
+                eq.residuals += len(self.t)
+                return room.moved
+
+        p, n = self.points, self._points.xi.shape[1]
+        kin, low = self.eq.residual(self.t, p)
+        change, mult = self._solved(pencil, kin, low)
+        dxi, dv = change[:, :n], change[:, n:]
+        couple = self.rule.couple
+        self._points = Points(p.xi + dxi, p.rate + couple @ dxi, p.v + dv, p.vd + couple @ dv, p.mult + mult)
+        return dxi, dv, mult
+
+    def _solved(self, pencil: Any, kin: Array, low: Array) -> tuple[Array, Array]:
+        """(1): increments of xi and v side by side, and of the multipliers."""
+        rule = self.rule
+        change, mult = pencil.solve(rule.inverse @ kin, rule.inverse @ low)
+        change, mult = (np.asarray((rule.vectors @ x).real) for x in (change, mult))
+        return (change, mult) if rule.relax == 1.0 else (rule.relax * change, rule.relax * mult)

@@ -1,0 +1,256 @@
+"""Stage systems of elastic fields: by a factor of their frequency, or a Krylov method with a real one as its preconditioner.
+
+The equations are (1) and (2) of :mod:`.field_stages`, for frequencies s. A frequency that comes back has the matrix
+M + C / s + K / s^2 with the constraints factored (:mod:`...linear.frequency_solvers`). It leaves out gyroscopic terms, turning
+and bending only, which Newton's iteration sees in its next residual: one solution serves, until an increment is not much smaller
+than the one before.
+
+Other frequencies, of steps that are taken a few times, and those whose solutions do not serve, have J itself: divided by s^2, (2)
+is solved with the matrix of a real step as preconditioner,
+
+    P = [ M + C / |s| + K / |s|^2    G^T ]          eigenvalues of P^-1 J: on the segment from 1 to |s|^2 / s^2    (1)
+        [ G                            0 ]
+
+whatever the stiffness, so the residual falls by tan(arg(s^2) / 4) an iteration: 0.32 with two stages, 0.45 with three. All
+stages and the filter of the error estimate share one elastic factor. |s| is taken from a geometric grid of three values
+for a decade, whose factors are kept: the step itself may have any size.
+
+J stays as it is for all iterations of Newton in a step. Directions and their images are therefore kept: later right-hand sides,
+small and much like the first, take their part in the known directions without an evaluation (generalized conjugate residuals with
+recycling).
+
+Sources: Eisenstat, Elman and Schultz, doi:10.1137/0720023; recycling: Parks et al., doi:10.1137/040607277; real preconditioners
+of complex symmetric systems: Axelsson and Kucherov, doi:10.1002/1099-1506(200005)7:4<197::AID-NLA194>3.0.CO;2-S.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import LinearSolveError
+from ...fem.fields import rank_sum
+from ...linear.residual import Judge
+from ...rotations import Array
+from ...system.system import System
+
+if TYPE_CHECKING:
+    from .field_stages import FieldEquations, FieldTangent
+
+ACCURATE = 1e-2  # share of the residual that an inner iteration leaves
+LIMIT = 40  # inner iterations
+SLOW = 0.3  # an increment, over the one before, above which the solutions of exact factors are iterated on
+FEW = 2  # iterations up to which they are trusted again
+SMALL = 0.05  # share of an increment that known parts may have without being seen
+WEAK = 1e-6  # share of the residual that a direction takes, below which the next one is its image
+
+Images = tuple[Array, Array, Array]  # motion (n_v,) and multipliers (n_lam,) of P^-1 J d, further rows of J d
+Dot = Callable[[Array, Array], Array]
+
+
+class Directions:
+    """Directions d (n_v,) of one frequency whose images P^-1 J d are orthonormal, with what else is known of them."""
+
+    def __init__(self, dot: Dot, what: str) -> None:
+        self.dot, self.what = dot, what
+        self.iterations = self.count = 0
+        self._rows: list[Array] = []  # d, then its images: a row for each direction, and room for more
+
+    @property
+    def known(self) -> list[Array]:
+        """The directions (count, n_v) and their images: motions, multipliers and further rows."""
+        return [x[: self.count] for x in self._rows]
+
+    def solve(self, first: Images, image: Callable[[Array], Images]) -> Images:
+        """dxi with P^-1 J dxi = x, but for a share of the residual; y less the multipliers that go with dxi, z plus its further
+        rows; ``first``: x, y, z. Collective.
+
+        Raises LinearSolveError where the residual does not fall.
+        """
+        residual, y, z = first
+        dxi = np.zeros_like(residual)
+        enough = ACCURATE * self.norm(residual)
+        if self.count > LIMIT:
+            self.count = 0
+
+        # the part of the residual that all known directions take
+        if self.count and enough > 0.0:
+            d, w, reaction, row = self.known
+            shares = self.dot(w, residual)
+            dxi, residual = shares @ d, residual - shares @ w
+            y, z = y - shares @ reaction, z + shares @ row
+
+        used, share, left = 0, 1.0, self.norm(residual)
+        while left > enough:
+            if used == LIMIT:
+                raise LinearSolveError(
+                    f"{self.what}: {LIMIT} iterations of the stages left {left / enough * ACCURATE:.1e} of the residual."
+                )
+            stuck = used > 0 and abs(share) <= WEAK * left
+            self._add(self.known[1][-1] if stuck else residual / left, image)
+
+            # and one more
+            d, w, reaction, row = (x[-1] for x in self.known)
+            share = self.dot(w[None], residual)[0]
+            dxi, residual = dxi + share * d, residual - share * w
+            y, z = y - share * reaction, z + share * row
+            used, left = used + 1, self.norm(residual)
+        return dxi, y, z
+
+    def _add(self, d: Array, image: Callable[[Array], Images]) -> None:
+        """One more direction, with an image of unit size across the others."""
+        self.iterations += 1
+        new = [d, *image(d)]
+        for _ in range(2 if self.count else 0):  # twice is enough
+            shares = self.dot(self.known[1], new[1])
+            new = [x - shares @ others for x, others in zip(new, self.known, strict=True)]
+
+        size = self.norm(new[1])
+        if not 0.0 < size < np.inf:
+            raise LinearSolveError(f"{self.what}: an iteration of the stages is not finite, or stands still.")
+        if not self._rows or self.count == len(self._rows[0]):
+            self._make_room(new)
+        for rows, x in zip(self._rows, new, strict=True):
+            rows[self.count] = x / size
+        self.count += 1
+
+    def _make_room(self, like: list[Array]) -> None:
+        """For twice as many."""
+        room = max(4, 2 * self.count)
+        before = self.known if self._rows else [x[None][:0] for x in like]
+        self._rows = [np.concatenate((x, np.empty((room - len(x), x.shape[1]), x.dtype))) for x in before]
+
+    def norm(self, x: Array) -> float:
+        """Size of a motion; collective."""
+        return float(self.dot(x[None], x)[0].real) ** 0.5
+
+
+class FieldStages:
+    """The stage systems of frequencies s, (p,) real or complex; what :class:`.Pencil` is for small systems."""
+
+    def __init__(self, equations: FieldEquations, tangent: FieldTangent, s: Array, judge: Judge) -> None:
+        self.eq, self.t, self.judge = equations, tangent, judge
+        self.s = [x.real if x.imag == 0 else x for x in s]
+        self.by = [equations.solvers.of(x) for x in s]
+        equations.metric = next((by.weights for by in self.by if by.weights.real), equations.metric)
+        self.square = _shares(equations.system) ** 2
+        self.known = [Directions(self._dot, judge.what) for _ in self.s]
+        self.before = [0.0] * len(s)  # sizes of the last increments
+
+    def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
+        """Increments dxi, dv side by side (p, 2 n_v) and multipliers (p, levels n_lam), for residuals r_kin (p, n_v) and r_low
+        (p, n_v + levels n_lam).
+        """
+        made = [self._one(i, np.asarray(kin[i]), np.asarray(low[i])) for i in range(len(self.s))]
+        return np.array([x for x, _ in made]), np.array([y for _, y in made])
+
+    def _one(self, i: int, kin: Array, low: Array) -> tuple[Array, Array]:
+        """dxi, dv side by side, and the multipliers, of one frequency."""
+        s = self.s[i]
+        if not np.iscomplexobj(s):
+            kin, low = kin.real, low.real
+        eq, n, m, L = self.eq, self.eq.system.n_v, self.eq.system.n_lam, self.eq.levels
+
+        # slips that follow from the rows alone: their motion acts on the balance
+        rate = kin
+        if L > 1:
+            slip = s * low[n : n + m] - low[n + m : n + 2 * m]
+            slip = slip - self._rows(kin) if self.known[i].norm(kin) > 0.0 else slip
+            rate = kin + eq.closing(slip[None])[0]
+        push = s * rate
+        if L > 2:
+            pull = s * low[n + m : n + 2 * m] - low[n + 2 * m :]
+            push = push + eq.closing(pull[None])[0]
+
+        self.by[i].prepare(self.t.ev)
+        dxi, dv, dlam, left = self._motion(i, (rate, push), low)
+        mult = [dlam]
+        if L > 1:  # what the motion itself adds
+            mult.append(slip + left[:m])
+            dv = dv + eq.closing(left[None, :m])[0] if left.any() else dv
+        if L > 2:
+            mult.append(pull + left[m:] - s * left[:m])
+        return np.concatenate((dxi, dv)), np.concatenate(mult) if L else np.zeros(0)
+
+    def _rows(self, x: Array) -> Array:
+        """G x at the tangent's motion."""
+        times = self.t.ev.jacobian.times
+        return times(x.real) + 1j * times(x.imag) if np.iscomplexobj(x) else times(x)
+
+    def _motion(self, i: int, known: tuple[Array, Array], low: Array) -> tuple[Array, Array, Array, Array]:
+        """dxi, dv and dlambda of one frequency for known parts of dv and da, and what the further rows leave open."""
+        s, directions, (rate, push) = self.s[i], self.known[i], known
+        further = self.eq.system.n_v + self.eq.system.n_lam
+
+        x, y = self._precondition(i, -low)
+        size = directions.norm(x)
+        acts = (directions.norm(rate) + directions.norm(push) / abs(s)) / abs(s)
+        seen = SMALL * max(size, self.before[i]) if self._trusted(i) else 0.0
+        if acts > seen:
+            low = low + self.t.along(np.zeros_like(rate), rate, push)
+            x, y = self._precondition(i, -low)
+            size = directions.norm(x)
+        if not size < np.inf:
+            raise LinearSolveError(f"{self.judge.what}: the first increment is not finite.")
+
+        slow, self.before[i] = 0.0 < SLOW * self.before[i] < size, size
+        if self._trusted(i) and not slow:
+            return x, self._lift(s, x) + rate, s**2 * y, np.zeros(len(low) - further)
+
+        before = directions.iterations
+        dxi, dlam, rows = directions.solve((x, y, low[further:]), lambda d: self._image(i, d))
+        used = directions.iterations - before
+        self.eq.krylov += used
+        if self.by[i].exact:
+            self.eq.trusted = used <= FEW
+        return dxi, self._lift(s, dxi) + rate, s**2 * dlam, -rows
+
+    def _trusted(self, i: int) -> bool:
+        """Whether a solution with the matrix of a frequency needs no iteration: nothing but turning and bending is missing."""
+        return self.by[i].exact and self.eq.trusted
+
+    def _parts(self, s: Any, r: Array) -> tuple[Array, Array]:
+        """The balance and the first rows, as P sees them."""
+        n, m = self.eq.system.n_v, self.eq.system.n_lam
+        return r[:n] / s**2, r[n : n + m] / self.eq.form.rows_scale(s) if self.eq.levels else np.zeros(0)
+
+    def _lift(self, s: Any, d: Array) -> Array:
+        """D d."""
+        return np.asarray(s * d - self.t.turning(d))
+
+    def _image(self, i: int, d: Array) -> Images:
+        """P^-1 J d, motion and multipliers, and the further rows of J d."""
+        s = self.s[i]
+        dv = self._lift(s, d)
+        r = self.t.along(d, dv, s * dv)
+        motion, multipliers = self._precondition(i, r)
+
+        return motion, multipliers, r[self.eq.system.n_v + self.eq.system.n_lam :]
+
+    def _precondition(self, i: int, r: Array) -> tuple[Array, Array]:
+        """P^-1 of (1) for the balance and the first rows, with the matrix of a frequency."""
+        self.judge.solves += 1
+        return self.by[i].solver.solve(*self._parts(self.s[i], r))
+
+    def _dot(self, V: Array, w: Array) -> Array:
+        """Inner products of vectors (k, n_v) with one: mean squares of each field, sums of the core; collective."""
+        system, n = self.eq.system, self.eq.system.n_core
+        w = (self.square * w).conj()
+        if system.comm.size == 1:
+            return (V @ w).conj()
+        core = V[:, :n] @ w[:n]
+        return np.asarray((core + rank_sum(system.comm, V[:, n:] @ w[n:])).conj())
+
+
+def _shares(system: System) -> Array:
+    """Weights like v that turn increments into lengths, those of a field into its root mean square."""
+    if "shares" not in system.cache:
+        share = system.units.copy()
+        for k, part in system.fields:
+            count = rank_sum(system.comm, np.array(float(part.n)))
+            share[system.slices[1][k]] /= np.sqrt(max(float(count), 1.0))
+        system.cache["shares"] = share
+    found: Array = system.cache["shares"]
+    return found

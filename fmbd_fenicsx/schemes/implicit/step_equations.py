@@ -1,0 +1,307 @@
+"""The equations of an implicit step of a system without elastic fields, in any form of its constraints.
+
+They are (1), (2) of :mod:`..dae`, with efforts of stiff springs as unknowns beside the multipliers
+(:mod:`~...system.tangents.stiff_ties`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...linear.condensation import StepSolver, Weights
+from ...linear.residual import Judge
+from ...linear.saddle.pencil import Pencil
+from ...linear.saddle.sparse_pencil import SparsePencil
+from ...rotations import Array
+from ...system.compiled.choice import use_driver
+from ...system.compiled.states.couplings import couplings_of
+from ...system.compiled.states.evaluation import DriverStates
+from ...system.compiled.states.points import PointsTold
+from ...system.compiled.states.stages import StageStructure
+from ...system.evaluation_batch import EvaluationBatch
+from ...system.serialisation import Memory, Remembering, plain, worker
+from ...system.system import State, System
+from ...system.tangents.linearise import at_once
+from ...system.tangents.stiff_ties import stiff_ties
+from ..dae import Form, Points
+from .step_tangents import DenseTangents, SparseTangents, dense
+
+CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
+
+
+class StepEquations(Remembering):
+    """(1), (2) in the local coordinates of one step; shared by the implicit schemes.
+
+    ``begin`` sets the origin of the coordinates, ``refresh`` the tangent, ``residual`` evaluates. Counts its work. Systems with
+    elastic fields have :class:`.field_stages.FieldEquations`, with the same names.
+    """
+
+    keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "rows", "normal", "origin"), plain()) | {
+        "tangents": worker
+    }
+    dense = True
+    counters: ClassVar[dict[str, float]] = {}
+
+    def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
+        self.system, self.form, self.solver = system, form, solver
+        self.levels = len(form.levels) if system.n_lam else 0
+        self.stiff = stiff_ties(system)
+        if "driver looked for" in system.cache:
+            use_driver(self.stiff.system)
+        self.n_mult = self.levels * system.n_lam + len(self.stiff)
+        self.residuals = self.jacobians = 0
+
+        self.tangents: DenseTangents | SparseTangents = DenseTangents(system, form, self.levels, self.stiff)
+        self._chosen: Any = None  # who evaluated the system when these were chosen
+        self._weighed: State | None = None  # whose masses are to be taken
+
+        # of the last point
+        self.rows: Array = np.zeros((self.stiff.system.n_lam, system.n_v))  # of joints and ties
+        self.left: Array = np.zeros(system.n_lam)  # the first rows of the form there
+        self.normal: Array = np.zeros((0, 0))
+        self.origin: Array = np.zeros(0)
+        self._closed: State | None = None
+        self._start: tuple[Array, Array, Array] = (self.origin,) * 3
+
+    def remember(self, m: Memory) -> None:
+        """With the tangents of the kind that the system has."""
+        self._choose()
+        super().remember(m)
+
+    def _structure(self) -> StageStructure | None:
+        """Patterns of the equations where compiled code knows them, and solves sparse stage systems; else None."""
+        states, levels = self.system.evaluator, self.form.levels[: self.levels]
+        if not isinstance(states, DriverStates) or len(self.stiff) or 2 in levels or self.solver.core.redundant:
+            return None
+        couplings = couplings_of(states)
+        return None if couplings is None else StageStructure(couplings, states, levels)
+
+    def _choose(self) -> None:
+        """Take notice of who evaluates the system by now, and of a state whose masses are to be taken."""
+        sparse = isinstance(self.tangents, SparseTangents)
+        if not sparse and self._chosen is not self.system.evaluator:
+            structure = self._structure()
+            if structure is not None:
+                self.tangents = SparseTangents(self.system, structure)
+            self._chosen = self.system.evaluator
+        elif sparse and self.solver.core.redundant:
+            self.tangents = DenseTangents(self.system, self.form, self.levels, self.stiff)
+        if self._weighed is not None:
+            state, self._weighed = self._weighed, None
+            self.tangents.weigh(self.solver.masses(self.system.at(state.t, state.q, state.v)))
+
+    def begin(self, state: State) -> None:
+        """Local coordinates about the state."""
+        self._choose()
+        self.origin = state.q
+        if self.form.frozen and self.levels:
+            assert isinstance(self.tangents, DenseTangents)
+            self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
+
+    def keep_sizes(self) -> None:
+        """Steps keep to a few sizes: nothing, since matrices change from tangent to tangent."""
+
+    def step_size(self, h: float) -> float:
+        """h itself (s): matrices are made anew where it changes."""
+        return h
+
+    def aligned(self, t: Array, W: Array, p: Points) -> Points:
+        """Foretold stages as they are, since any are corrected alike."""
+        return p
+
+    def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
+        """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
+        s, m = self.system, self.system.n_lam
+        self.residuals += len(t)
+        told = self._told(t, p)
+        if told is not None:
+            low = np.concatenate((told.sums, *self.form.rows(told, p.vd)), axis=1) if self.levels else told.sums
+            self.left = low[-1, s.n_v : s.n_v + m]
+            return p.rate - told.rates, low
+
+        ev = self.stiff.system.batch(t, s.compose(self.origin, p.xi), p.v)
+        v, a = p.v, p.vd
+        # more levels than one: positions or accelerations are corrected along M^-1 G^T
+        if self.levels > 1:
+            G = ev.jacobian.core[:, self.stiff.joints] if len(self.stiff) else ev.jacobian.core
+            self.normal = self.tangents.U if self.form.frozen else self.tangents.matrix() @ G.swapaxes(1, 2)
+            v = v - self._normally(p.mult[:, m : 2 * m])
+            if self.levels > 2:
+                a = a + self._normally(p.mult[:, 2 * m : 3 * m])
+
+        if len(self.stiff):
+            self.rows = ev.jacobian.core[-1]
+        low = self.lower(ev, a, p.mult)
+        self.left = low[-1, s.n_v : s.n_v + m]
+        return p.rate - s.rate(p.xi, v), low
+
+    def _told(self, t: Array, p: Points) -> PointsTold | None:
+        """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
+        m, states = self.system.n_lam, self.system.evaluator
+        if not isinstance(states, DriverStates) or len(self.stiff) or (self.levels and 2 in self.form.levels):
+            return None
+        lam = p.mult[:, :m] if self.levels else np.zeros((len(t), m))
+        mu, metric = (p.mult[:, m:], self.tangents.metric()) if self.levels > 1 else (None, None)
+        return states.points(t, self.origin, (p.xi, p.v, p.vd), (lam, mu, metric))
+
+    def lower(self, ev: EvaluationBatch, a: Array, mult: Array) -> Array:
+        """The balance, the constraints of all levels, and the efforts of ties: (k, n_v + n_mult)."""
+        m, ties = self.system.n_lam, self.stiff
+        lam, efforts = mult[:, :m], mult[:, self.levels * m :]
+        if not len(ties):
+            balance = ev.balance(a, lam if self.levels else None)
+            return np.concatenate((balance, *self.form.rows(ev, a)), axis=1) if self.levels else balance
+
+        rows = [ev.balance(a, ties.forces(lam, efforts))]
+        if self.levels:
+            rows += [every[:, ties.joints] for every in self.form.rows(ev, a)]
+        rows.append(ties.residual(ev.constraint(), ev.opening(), efforts))
+        return np.concatenate(rows, axis=1)
+
+    def multipliers(self, state: State) -> Array:
+        """Those that a state begins with, (n_mult,)."""
+        efforts = self.stiff.efforts(self.system.at(state.t, state.q, state.v)) if len(self.stiff) else np.zeros(0)
+        mult = np.zeros(self.n_mult)
+        mult[: self.system.n_lam if self.levels else 0] = state.lam
+        mult[self.n_mult - len(efforts) :] = efforts
+        return mult
+
+    def _normally(self, mult: Array) -> Array:
+        """U times multipliers (k, n_lam), with the U of the last residual, (n_v, n_lam) or one for each of the k."""
+        return mult @ self.normal.T if self.normal.ndim == 2 else (self.normal @ mult[..., None])[..., 0]
+
+    def accelerations(self, p: Points) -> Array:
+        """a = v' + U tau, (k, n_v), with the U of the last residual."""
+        m = self.system.n_lam
+        return p.vd + self._normally(p.mult[:, 2 * m : 3 * m]) if self.levels > 2 else p.vd
+
+    def corrections(self, mult: Array, level: int) -> Array:
+        """U times the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
+        m = self.system.n_lam
+        if self.levels <= level:
+            return np.zeros((len(mult), self.system.n_v))
+        return self.tangents.normally(mult[:, level * m : (level + 1) * m])
+
+    def pushes(self, mult: Array) -> Array | None:
+        """Accelerations U lambda, U tau that the multipliers (k, n_mult) cause, (1 or 2 k, n_v); None without constraints."""
+        if not self.levels:
+            return None
+        caused = self.corrections(mult, 0)
+        return caused if self.levels < 3 else np.concatenate((caused, self.corrections(mult, 2)))
+
+    def pulls(self, mult: Array) -> Array | None:
+        """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""
+        if not len(self.stiff):
+            return None
+        assert isinstance(self.tangents, DenseTangents)
+        return mult[:, self.n_mult - len(self.stiff) :] @ self.tangents.U_ties.T
+
+    def close_ties(self, h: float, state: State, mult: Array) -> State:
+        """The end of a step of h (s) with places and velocities that give ties the efforts among the multipliers (n_mult,).
+
+        What Newton's iteration leaves of a place, times k, is no small effort, nor its square a small energy. Joints stay closed:
+
+            R dq = (N - k (s - free) - c s') / (k + c / h),        G dq = 0,        dv = dq / h
+        """
+        ties = self.stiff
+        if not len(ties):
+            return state
+        for _ in range(CLOSINGS):
+            ev = ties.system.at(state.t, state.q, state.v)
+            left = ties.residual(ev.constraint()[None], ev.opening()[None], mult[None, self.n_mult - len(ties) :])
+            missing = ties.forces(np.zeros(self.system.n_lam), -left[0] / (ties.stiffness + ties.damping / h))
+            rows = dense(ev.jacobian.core)
+            across = self.tangents.matrix() @ rows.T
+            dq = across @ (np.linalg.pinv(rows @ across, hermitian=True) @ missing)
+            state = replace(state, q=self.system.compose(state.q, dq), v=state.v + dq / h)
+        return state
+
+    def along_ties(self, h: float, v: Array) -> Array:
+        """The part of velocities (..., n_v) that ties hold in steps of h (s), joints closed: dv with
+
+            M dv + G^T mu + R^T nu = 0,        G dv = 0,        R dv - nu / (h c + h^2 k) = R v,
+
+        all of R v where h does not resolve the periods of ties.
+        """
+        ties = self.stiff
+        if not len(ties):
+            return np.zeros_like(v)
+        soft = np.zeros(len(self.rows))
+        soft[ties.ties] = 1.0 / (h * ties.damping + h * h * ties.stiffness)
+        across = np.zeros_like(self.rows.T)
+        assert isinstance(self.tangents, DenseTangents)
+        across[:, ties.joints], across[:, ties.ties] = self.tangents.U, self.tangents.U_ties  # those that push and pull
+        wanted = np.zeros((len(soft), *v.shape[:-1]))
+        wanted[ties.ties] = self.rows[ties.ties] @ v.T
+        found = np.linalg.lstsq(self.rows @ across + np.diag(soft), wanted, rcond=None)[0]
+        return np.asarray((across @ found).T)
+
+    def consistent_start(self, state: State) -> tuple[Array, Array, Array]:
+        """What closes the constraints of a step's start: increments of q, the velocity on G v + g_t = 0, its acceleration.
+
+        Above index 1 schemes leave errors of lower order across the constraints in a (index 3: in v too), and what Newton's
+        tolerance permits in all of them. The next step forgets these; an error estimate must not take them for its own: they do
+        not fall with the step.
+        """
+        if self.form.index == 1 or not self.levels:
+            return np.zeros(self.system.n_v), state.v, state.a
+        if self._closed is not state:
+            s = self.system
+            zero = np.zeros(s.n_v)
+            ev = s.at(state.t, state.q, state.v)
+            self.solver.prepare(ev, Weights(1.0, 0.0, 0.0))
+            # positions, then velocities where these are closed, then accelerations: rows turn by dq
+            dq = self.solver.solve(zero, -ev.constraint())[0] if 0 in self.form.levels else zero
+            q = s.compose(state.q, dq)
+            v = state.v + self.solver.solve(zero, -s.at(state.t, q, state.v).opening())[0]
+            ev = s.at(state.t, q, v)
+            a = self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
+            a = a - self.solver.solve(zero, ev.jacobian.times(a) + ev.gamma())[0]
+            self._start, self._closed = (dq, v, a), state
+        return self._start
+
+    def refresh(self, state: State, mult: Array) -> Any:
+        """The tangent of (1), (2) at a state with multipliers (n_mult,); also refreshes the metric W.
+
+        M and G are assembled. Stiffness and damping of the balance, with the geometric stiffness (G^T lambda)_q, and the
+        derivatives of the velocity and acceleration rows are directional derivatives, all directions in one evaluation.
+        """
+        s, n, a = self.system, self.system.n_v, state.a
+        self.jacobians += 1
+
+        def lower(at: EvaluationBatch) -> Array:
+            k = len(at.q)
+            return self.lower(at, np.broadcast_to(a, (k, n)), np.broadcast_to(mult, (k, self.n_mult)))
+
+        ev = s.at(state.t, state.q, state.v)
+        return self.tangents.take(ev, a, self.solver.masses(ev), at_once(self.stiff.system, state.t, lower))
+
+    def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Any:
+        """The tangent at a point of the local coordinates, for a full Newton iteration."""
+        at = State(t, self.system.compose(self.origin, xi), v, vd, mult[: self.system.n_lam])
+        return self.tangents.at_increments(self.refresh(at, mult), xi, v)
+
+    def inertia(self, tangent: Any, a: Array) -> Array:
+        """M a at the tangent's motion."""
+        return self.tangents.inertia(tangent, a)
+
+    def pencil(self, tangent: Any, s: Array, judge: Judge) -> Pencil | SparsePencil:
+        """Solver of the stages for the frequencies s, (p,)."""
+        self._choose()  # a checkpoint asks before any step
+        return self.tangents.pencil(tangent, s, judge, self.solver.core.redundant)
+
+    def weigh(self, state: State) -> None:
+        """Take the mass matrix of a state for the normal directions, when they are asked for."""
+        self._weighed = state
+
+
+def step_equations(system: System, form: Form, solver: StepSolver) -> Any:
+    """The equations of a step: with dense tangents, or by their action where there are elastic fields."""
+    if not system.fields:
+        return StepEquations(system, form, solver)
+    from .field_stages import FieldEquations
+
+    return FieldEquations(system, form, solver)

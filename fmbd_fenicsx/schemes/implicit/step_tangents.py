@@ -1,0 +1,217 @@
+"""Tangents of the equations of an implicit step (:mod:`.step_equations`), with dense matrices or by sparse patterns.
+
+Both keep what the step needs of the mass matrix W that was taken last: its inverse, and the normal directions U = W^-1 G^T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...linear.residual import Judge
+from ...linear.saddle.pencil import Pencil, PencilTangent
+from ...linear.saddle.sparse_pencil import SparsePencil
+from ...rotations import Array
+from ...system.compiled.states.points import Metric
+from ...system.compiled.states.stages import SparseTangent, StageRoom, StageStructure
+from ...system.evaluation import Evaluation
+from ...system.serialisation import Remembering, plain
+from ...system.sparsity import Pattern
+from ...system.system import System
+from ...system.tangents.linearise import differences, sparse_differences
+from ...system.tangents.stiff_ties import StiffTies
+from ..dae import Form
+
+TURNED = 1e-6  # rad and m, of differences of rates
+Function = Callable[[Array, Array], Array]  # the lower rows of many (q, v)
+
+
+def dense(A: Any) -> Array:
+    """A matrix of NumPy or of SciPy as one of NumPy."""
+    return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())
+
+
+class DenseTangents(Remembering):
+    """With dense matrices: small systems, any form, stiff ties."""
+
+    keeps: ClassVar = dict.fromkeys(("U", "U_ties", "inverse_mass"), plain())
+
+    def __init__(self, system: System, form: Form, levels: int, stiff: StiffTies) -> None:
+        self.system, self.form, self.levels, self.stiff = system, form, levels, stiff
+        self.U: Array = np.zeros((system.n_v, system.n_lam))
+        self.U_ties: Array = np.zeros((system.n_v, len(stiff)))
+        self.inverse_mass: Array = np.zeros((0, 0))
+        self._full: Pattern | None = None
+
+    def weigh(self, M: Any) -> None:
+        """Take a mass matrix."""
+        self.inverse_mass = np.linalg.inv(dense(M))
+
+    def direct(self, G: Any) -> None:
+        """Take directions of constraints."""
+        self.U = self.inverse_mass @ dense(G).T
+
+    def normally(self, mult: Array) -> Array:
+        """U times multipliers (k, n_lam), (k, n_v)."""
+        return mult @ self.U.T
+
+    def metric(self) -> Metric:
+        """The inverse of the mass matrix by its pattern and data."""
+        n = self.system.n_v
+        if self._full is None:
+            self._full = Pattern.of((n, n), np.repeat(np.arange(n), n), np.tile(np.arange(n), n))
+        return self._full, self.inverse_mass.ravel()
+
+    def matrix(self) -> Array:
+        """The same as a matrix."""
+        return self.inverse_mass
+
+    def take(self, ev: Evaluation, a: Array, M: Any, function: Function) -> PencilTangent:
+        """The tangent at a state with the mass matrix M, whose lower rows are a function."""
+        form, n, m, v = self.form, self.system.n_v, self.system.n_lam, ev.v
+        assert v is not None
+        self.weigh(M)
+        G = dense(ev.jacobian.core)
+        if not form.frozen:
+            self.direct(G)
+
+        by_q, by_v = differences(self.system, function, (ev.q, v, a))
+        # known exactly: M, and G on the level of each row
+        by_a = np.zeros_like(by_v)
+        by_a[:n] = dense(M)
+        for i, level in enumerate(form.levels[: self.levels]):
+            rows = slice(n + i * m, n + (i + 1) * m)
+            if level == 0:
+                by_q[rows], by_v[rows] = G, 0.0
+            elif level == 1:
+                by_v[rows] = G
+            else:
+                by_a[rows] = G
+
+        R = np.zeros((0, n))
+        if ties := len(self.stiff):
+            R = dense(self.stiff.system.at(ev.t, ev.q, v).jacobian.core)[self.stiff.ties]
+            self.U_ties = self.inverse_mass @ R.T
+            by_q[-ties:], by_v[-ties:] = self.stiff.stiffness[:, None] * R, self.stiff.damping[:, None] * R
+        return PencilTangent(self._turning(np.zeros(n), v)[0], dense(M), G, self.U, by_q, by_v, by_a, R)
+
+    def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
+        """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
+        s = self.system
+        eye = np.eye(s.n_v)
+        if s.motions.dim == 2 or not s.n_frames:
+            return np.zeros_like(eye), eye
+        # rotations in space: xi' depends on xi
+        J = (s.rate(xi + TURNED * eye, v) - s.rate(xi - TURNED * eye, v)).T / (2 * TURNED)
+        return J, np.asarray(np.linalg.inv(s.rate(xi, eye).T))
+
+    def at_increments(self, made: PencilTangent, xi: Array, v: Array) -> PencilTangent:
+        """The tangent that was taken at q_0 o exp(xi), in the coordinates about q_0."""
+        J, T = self._turning(xi, v)
+        return replace(made, J=J, by_q=made.by_q @ T)
+
+    def filled(self, tangent: PencilTangent) -> PencilTangent:
+        """A tangent with dense matrices."""
+        return tangent
+
+    def inertia(self, tangent: PencilTangent, a: Array) -> Array:
+        """M a."""
+        return tangent.M @ a
+
+    def pencil(self, tangent: PencilTangent, s: Array, judge: Judge, redundant: bool) -> Pencil:
+        """Solver of the stages for the frequencies s, (p,)."""
+        return Pencil(tangent, s, judge, redundant)
+
+
+class SparseTangents(Remembering):
+    """By the patterns of a structure, solved in compiled code: derivatives and factors take work in proportion to its entries."""
+
+    keeps: ClassVar = dict.fromkeys(("U", "inverse_mass"), plain())
+
+    def __init__(self, system: System, structure: StageStructure) -> None:
+        self.system, self.structure = system, structure
+        self.U: Array = np.zeros(len(structure.normal.pattern))
+        self.inverse_mass: Array = np.zeros(0)
+        self._rooms: dict[tuple[int, int], StageRoom] = {}
+
+    def weigh(self, M: Any) -> None:
+        """Take a mass matrix."""
+        self.inverse_mass = self.structure.inverse_masses(self.structure.couplings.masses.taken(M))
+
+    def normally(self, mult: Array) -> Array:
+        """U times multipliers (k, n_lam), (k, n_v)."""
+        return self.structure.normal.pattern.times(self.U, mult)
+
+    def metric(self) -> Metric:
+        """The inverse of the mass matrix by its pattern and data."""
+        return self.structure.couplings.masses, self.inverse_mass
+
+    def matrix(self) -> Array:
+        """The same as a matrix."""
+        pattern, data = self.metric()
+        return dense(pattern.matrix(data))
+
+    def take(self, ev: Evaluation, a: Array, M: Any, function: Function) -> SparseTangent:
+        """The tangent at a state with the mass matrix M, whose lower rows are a function."""
+        structure, v = self.structure, ev.v
+        couplings = structure.couplings
+        assert v is not None
+        self.weigh(M)
+        G = couplings.rows.taken(ev.jacobian.core)
+        self.U = structure.normals(self.inverse_mass, G)
+
+        by_q, by_v = sparse_differences(self.system, function, (ev.q, v, a), couplings.together, structure.low)
+        # known exactly: M, and G on the level of each row
+        masses = couplings.masses.taken(M)
+        by_a = np.zeros_like(by_v)
+        by_a[structure.of_masses] = masses
+        for level, places in zip(structure.levels, structure.of_level, strict=True):
+            if level == 0:
+                by_q[places], by_v[places] = G, 0.0
+            else:
+                by_v[places] = G
+        return SparseTangent(self._turning(np.zeros(len(v)), v)[0], masses, G, self.U, by_q, by_v, by_a)
+
+    def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
+        """The data of J and T, as of dense matrices: frames do not turn each other, and are moved together."""
+        s, pattern = self.system, self.structure.couplings.turns
+        n, frames = s.motions.n_twist, s.n_frames
+        of_frames = pattern.columns < frames * n
+        J, T = np.zeros(len(pattern)), (pattern.rows == pattern.columns).astype(float)
+        if s.motions.dim == 2 or not frames:
+            return J, T
+        one = np.zeros((n, s.n_v))
+        one[:, : frames * n] = np.tile(np.eye(n), frames)
+        slopes = (s.rate(xi + TURNED * one, v) - s.rate(xi - TURNED * one, v)) / (2 * TURNED)
+        J[of_frames] = slopes[pattern.columns % n, pattern.rows][of_frames]
+
+        turned = s.rate(xi, one)[:, : frames * n].reshape(n, frames, n).transpose(1, 2, 0)
+        T[of_frames] = np.linalg.inv(turned).ravel()
+        return J, T
+
+    def at_increments(self, made: SparseTangent, xi: Array, v: Array) -> SparseTangent:
+        """The tangent that was taken at q_0 o exp(xi), in the coordinates about q_0."""
+        J, T = self._turning(xi, v)
+        return replace(made, J=J, by_q=self.structure.turned.data(made.by_q, T))
+
+    def filled(self, tangent: SparseTangent) -> PencilTangent:
+        """A tangent with dense matrices."""
+        patterns = self.structure.patterns
+        matrices = {name: dense(patterns[name].matrix(data)) for name, data in vars(tangent).items()}
+        return PencilTangent(**matrices, R=np.zeros((0, self.system.n_v)))
+
+    def inertia(self, tangent: SparseTangent, a: Array) -> Array:
+        """M a."""
+        return self.structure.couplings.masses.times(tangent.M, a[None])[0]
+
+    def pencil(self, tangent: SparseTangent, s: Array, judge: Judge, redundant: bool) -> SparsePencil:
+        """Solver of the stages for the frequencies s, (p,); rows do not depend on each other."""
+        assert not redundant
+        # a frequency of a complex pair belongs to two points
+        key = len(s), len(s) + int(np.count_nonzero(s.imag))
+        if key not in self._rooms:
+            self._rooms[key] = StageRoom(self.structure, *key)
+        return SparsePencil(tangent, s, judge, self._rooms[key])

@@ -1,0 +1,199 @@
+"""Generalized-alpha in the compiled driver: many steps in one call, for systems of rigid, reduced and floating bodies and rods.
+
+Joints, drives, gears, springs, dampers, loads and laws of the user's own are all items of the driver's tables; Python is entered
+once a step where something depends on time, and at evaluations where a law is given in Python.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....rotations import Array
+from ....system.compiled.blocks import Block as StateBlock
+from ....system.compiled.blocks import Ring
+from ....system.compiled.calls import Calls
+from ....system.compiled.choice import STORAGE_LIMIT, solves
+from ....system.compiled.library import driver_library, units_of
+from ....system.compiled.recording import Openness, Tape
+from ....system.compiled.tables.bodies import covers_bodies
+from ....system.compiled.tables.fields import Block
+from ....system.compiled.tables.items import covers, other_loads
+from ....system.compiled.tables.resting import twin_of
+from ....system.compiled.tables.structures import address_of, enumeration
+from ....system.compiled.tables.tables import Tables
+from ....system.system import State, System
+
+if TYPE_CHECKING:
+    from ....system.compiled.states.evaluation import DriverStates
+    from ...newton import Newton
+    from .compiled_control import CompiledControl
+
+# fmt: off
+(H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
+ GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED) = range(PARAMETERS := 25)
+# fmt: on
+COUNTED = [ITERATIONS, LOCAL, LEFT]  # by a march, from zero
+DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE = enumeration("DONE").values()
+
+
+class AlphaDriver:
+    """The driver for one system: its tables, its calls into Python, and a ring of four states."""
+
+    def __init__(self, library: Any, tables: Tables, calls: Calls) -> None:
+        self.evaluator: DriverStates | None = None  # whose the tables are
+        system = tables.system
+        self.system, self.library = system, library
+        self.tables, self.calls = tables, calls
+        self.address = ctypes.addressof(self.tables.c)
+        self.ring = Ring(system, 4)
+        self.parameters = np.zeros(PARAMETERS)
+        self._verdict = ctypes.c_int(0)
+        self._tape: Tape | None = None
+
+    def idle(self) -> AbstractContextManager[None]:
+        """Between steps: who evaluates the system may have its tables back, where they are its own."""
+        evaluator = self.evaluator
+        return nullcontext() if evaluator is None or evaluator.tables is not self.tables else evaluator.back()
+
+    def load(self, states: Sequence[StateBlock]) -> None:
+        """Take the last states, the newest first, at most three."""
+        self.ring.load([self.tables.twin.widened(x) for x in states])
+        self.parameters[HISTORY] = len(states) - 1
+
+    def block(self, i: int) -> StateBlock:
+        """The i-th newest state, with its algorithmic acceleration."""
+        return self.tables.twin.narrowed(self.ring.block(i))
+
+    def state(self) -> State:
+        """The newest state."""
+        return self.tables.twin.state(self.ring.state())
+
+    @property
+    def slopes(self) -> Array | None:
+        """What the next step knows of forces that Python gives as a whole; None without any."""
+        tables = self.tables
+        if not tables.whole:
+            return None
+        return np.concatenate(([tables.c.ck], tables.arrays["diagonal"], *(x.memory for x in tables.whole)))
+
+    @slopes.setter
+    def slopes(self, kept: Array | None) -> None:
+        tables = self.tables
+        if kept is None:
+            for x in tables.whole:
+                x.astray[0] = 1
+            return
+        diagonal = tables.arrays["diagonal"]
+        at = 1 + len(tables.arrays["diagonal"])
+        tables.c.ck, diagonal[:] = kept[0], kept[1:at]
+        for x in tables.whole:
+            x.recall(kept[at : at + len(x.memory)])
+            at += len(x.memory)
+
+    def tape(self, judged: Openness) -> Tape:
+        """Room for records; ``judged``: how open joints are told. Made once."""
+        if self._tape is None:
+            self._tape = Tape(self.tables, judged)
+        return self._tape
+
+    def march(self, steps: int, tape: Tape | None = None, control: CompiledControl | None = None) -> tuple[int, int]:
+        """Make up to so many steps; the number made, and the verdict of the one that stopped them. ``control``: judges errors."""
+        self.parameters[COUNTED] = 0.0
+        made = self.library.march(
+            self.address,
+            address_of(self.parameters),
+            steps,
+            self.ring.address,
+            ctypes.byref(self._verdict),
+            None if tape is None else tape.address,
+            None if control is None else control.address,
+        )
+        self.calls.raise_error()
+        return int(made), int(self._verdict.value)
+
+    def error(self, scale: float, span: float, arrays: Sequence[Array], t: float, missed: Array) -> Array | None:
+        """``driver_error`` of alpha.c for q, v, a and lambda; None where NumPy has to do."""
+        twin = self.tables.twin
+        e, y = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
+        q, v, a, lam = arrays
+        v, a, missed = twin.velocities(np.stack((v, a, missed)))
+        kept = [np.ascontiguousarray(x) for x in (twin.configurations(q[None])[0], v, a, lam, missed)]
+        *at, missing = [address_of(x) for x in kept]
+        if self.tables.c.samples > 1:
+            self.calls.sample(t)  # a step may have left out the rates of motions
+        verdict = self.library.driver_error(self.address, scale, span, *at, t, missing, address_of(e), address_of(y))
+        self.calls.raise_error()
+        return None if verdict else twin.forces(e[None])[0]
+
+    def shut(self, t: float, q: Array, v: Array, allowed: float, most: int) -> Array | None:
+        """``driver_shut`` of march.c: q with closed joints, by at most so many iterations; None where NumPy has to do."""
+        system, twin = self.system, self.tables.twin
+        made, still = np.array(twin.configurations(q[None])[0]), np.ascontiguousarray(twin.velocities(v[None])[0])
+        room = np.zeros(system.n_v + system.n_lam + system.n_q)
+        verdict = self.library.driver_shut(
+            self.address, t, allowed, most, address_of(made), address_of(still), address_of(room)
+        )
+        self.calls.raise_error()
+        return None if verdict else twin.state(State(t, made, still, still, np.zeros(0))).q
+
+
+def settings(p: Array, system: System, newton: Newton) -> None:
+    """Fill the driver's parameters from a system and Newton's settings."""
+    p[TOL], p[LENGTH], p[FLOOR] = newton.tolerance, system.length, 64 * np.finfo(float).eps * system.length
+    p[SLOW], p[MAXIT], p[NEW_TANGENT] = newton.slow, newton.max_iterations, newton.patience
+
+
+def drivable(system: System) -> Any:
+    """The library of the driver where it knows all of a system, else None.
+
+    It takes the symmetric half of the tangents of forces that Python gives as a whole: cheap iterations may make up for that,
+    those with the factor of a field do not.
+    """
+    twin = twin_of(system).system
+    plain = system.contacts is None and not (twin.fields and other_loads(twin))
+    known = plain and covers_bodies(twin) and covers(twin)
+    return driver_library(twin.motions.dim, units_of(twin)) if known else None
+
+
+def alpha_driver(
+    system: System, *, redundant: bool, blocks: Sequence[Block] = (), alone: bool = True
+) -> AlphaDriver | None:
+    """The driver for a system, or None where the NumPy path has to do; ``blocks``: of its fields for the size of a step.
+
+    ``alone``: where the driver evaluates the system its tables are taken.
+    """
+    evaluator = system.evaluator
+    if alone and solves(evaluator):
+        tables, calls = evaluator.give()
+        tables.c.redundant = int(redundant)
+        made = AlphaDriver(evaluator.library, tables, calls)
+        made.evaluator = evaluator
+        return made
+
+    library = drivable(system)
+    if library is None:
+        return None
+    tables, calls = _field_tables(system, redundant, blocks)
+    return AlphaDriver(library, tables, calls) if tables.fronts.storage <= STORAGE_LIMIT else None
+
+
+def _field_tables(system: System, redundant: bool, blocks: Sequence[Block]) -> tuple[Tables, Calls]:
+    """Tables with factors of the fields: those that another size of step or an earlier run had, where these remember nothing of
+    its steps and its tangents.
+    """
+    known: tuple[Tables, Calls] | None = system.cache.get("tables of steps")
+    if known is not None and blocks:
+        tables = known[0]
+        remembers = (
+            tables.c.remembers or tables.sampled or tables.whole or any(field.changes for field in tables.fields)
+        )
+        if not remembers and tables.c.redundant == redundant and tables.take(blocks):
+            return known
+    tables = Tables(system, redundant=redundant, blocks=blocks)
+    made = system.cache["tables of steps"] = tables, Calls(tables)
+    return made

@@ -1,0 +1,257 @@
+"""Steps of generalized-alpha: predictor, first step, acceptance, error, states within a step. Equations are those of
+:mod:`.generalized_alpha`.
+
+The smooth solution of (1)..(3) along a constrained motion has A_n = a(t_n + (alpha_m - alpha_f) h) and velocities that miss
+the velocity constraints by h^2 G (c v'' + v x v' / 12) with c = 1/6 - beta - (alpha_m - alpha_f) / 2 (the product acts on
+rotations in space). Starting with exact values instead excites a transient that leaves q and v of second order but makes
+lambda of first order until rho^n is small. The first step therefore starts from A_0 = a_0 + (alpha_m - alpha_f) h a'_0 and
+from v_0 + dv with M dv + G^T mu = 0 and G dv equal to that expression (Arnold, Bruels and Cardona,
+doi:10.1007/s00211-014-0633-1). The recorded state at the start stays exact.
+
+By the same amount c h^2 v'' + h^2 v x v' / 12, in all directions, velocities differ from the derivatives of the places that (1)
+gives: the values within a step are those of the cubic with slopes that are less by it, with v'' = (A_n+1 - A_n) / h, and joints
+are then closed by the least motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from ....errors import ConvergenceError, LinearSolveError
+from ....linear.blocks.incompressibility import volume_push
+from ....linear.condensation import StepSolver
+from ....linear.redundancy import least
+from ....rotations import Array
+from ....system.serialisation import Memory, plain
+from ....system.speed_rows import speed_rows
+from ....system.system import State, System
+from ...consistent import jerk, spin_of_acceleration, widest
+from ...dae import GGL
+from ...dense_output import cubic, place_within, state_within
+from ...newton import Newton, not_converged, strayed
+from ...stepping import TimeStepper
+from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
+
+if TYPE_CHECKING:
+    from .generalized_alpha import GeneralizedAlpha
+
+CLOSINGS = 3  # iterations that close joints within a step
+SHUT = 1e-12  # lengths of the model by which they may stay open
+
+
+def _keep_counters(m: Memory, name: str, counters: Any) -> dict[str, float]:
+    """Counts; a compiled step may be there on one rank only."""
+    return {**counters, **m(name, counters)}
+
+
+class AlphaStepper(TimeStepper):
+    """Advances a consistent state; holds the algorithmic acceleration and the history of the predictor."""
+
+    keeps: ClassVar = {
+        "state": Memory.state,
+        "A": Memory.like_v,
+        "fresh": plain(),
+        "local_error": plain(),
+        "counters": _keep_counters,
+        "_past": Memory.past,
+        "slopes": plain(),
+    }
+    counters: dict[str, float] = {}
+    slopes: Array | None = None  # of forces in Python, where steps go on with earlier ones
+
+    def __init__(
+        self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
+    ) -> None:
+        self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
+        self.counters = {}
+        self._begin_from(state)
+
+    def _begin_from(self, state: State) -> None:
+        """A consistent state, without a past."""
+        self.state = state
+        self.A = state.a.copy()
+        self.fresh = True  # the next step is the first after a consistent start
+        self._past: list[tuple[float, Array, Array]] = []
+        self._begun: tuple[State, Array, Array] | None = None  # state, v and A as the last step took them
+        self.size = 0.0  # of the last step, s
+        self.local_error = 0.0
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """As :meth:`TimeStepper.begin_anew`."""
+        self._begin_from(start())
+        return True
+
+    def _predict(self, h: float) -> tuple[Array, Array]:
+        """a and lambda extrapolated by the parabola through the last steps (less at the start)."""
+        s = self.state
+        t = s.t + h
+        points = [(s.t, s.a, s.lam), *self._past]
+        a, lam = np.zeros_like(s.a), np.zeros_like(s.lam)
+        for i, (ti, ai, li) in enumerate(points):
+            # Lagrange's weights of the newest three states
+            w = float(np.prod([(t - tj) / (ti - tj) for j, (tj, _, _) in enumerate(points) if j != i]))
+            a += w * ai
+            lam += w * li
+        return a, lam
+
+    def _first(self, rule: Rule) -> StepStart:
+        """v_0 and A_0 without a transient (see the module), and a, lambda predicted for the end of the first step."""
+        system, s, h = self.system, self.state, rule.h
+        ahead = rule.alpha_m - rule.alpha_f
+        ev = self.system.at(s.t, s.q, s.v)
+        rate, lam_rate, volume = jerk(ev, s, self.solver, rule.weights, h)
+
+        v = s.v
+        if (system.n_lam or volume) and not isinstance(self.scheme.form, GGL):
+            c = rule.miss
+            miss = h * h * (c * rate + spin_of_acceleration(system, s.v, s.a) / 12)
+            push = volume_push(self.solver, {k: h * h * c * x for k, x in volume.items()})
+            across = ev.jacobian.times(miss)
+            across[speed_rows(system)] = 0.0  # rows on velocities are held there, not missed
+            v = v + self.solver.solve(push, across)[0]
+        return StepStart(s, v, s.a + ahead * h * rate, s.a + h * rate, s.lam + h * lam_rate)
+
+    def _predicted(self, rule: Rule) -> StepStart:
+        """What the next step begins with, and the prediction of its end."""
+        if self.fresh:
+            return self._first(rule)
+        return StepStart(self.state, self.state.v, self.A, *self._predict(rule.h))
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
+        rule = self.scheme.rule(h)
+        start = self._predicted(rule)
+        pressures = self.solver.pressures
+        try:
+            return self._step(rule, start, PATIENCE)
+        except (ConvergenceError, LinearSolveError):
+            self.solver.pressures = pressures
+            if self.system.fields:
+                raise
+        # once more with a tangent for each iteration, before the step is made in parts
+        self.newton.theta = 0.5
+        return self._step(rule, start, 0)  # stiff springs that turn need Newton's own tangent
+
+    def controlled(self, h: float, steps: int, control: Any, watch: Any = None, tape: Any = None) -> int:
+        """Up to so many steps under error control in one call of compiled code; none here."""
+        return 0
+
+    def _step(self, rule: Rule, start: StepStart, patience: int) -> State:
+        """The step by Newton's iteration, its first ``patience`` iterations with one tangent."""
+        stabilised = isinstance(self.scheme.form, GGL)
+        step = AlphaStep(rule, start, self.solver, self.newton, patience=patience, stabilised=stabilised)
+        try:
+            converged, history = step.solve()
+        finally:
+            self._count(step)
+        if not converged or (patience == 0 and strayed(self.system, step.end.xi, step.begun.xi)):
+            raise self._failure(step, history)
+        return self._accept(step)
+
+    def _count(self, step: AlphaStep) -> None:
+        """Iterations on the exact tangent, where one is taken."""
+        if step.tangent is not None:
+            self.counters["tangent_iterations"] = self.counters.get("tangent_iterations", 0.0) + step.tangent_iterations
+
+    def _failure(self, step: AlphaStep, history: list[float]) -> ConvergenceError:
+        """The error of a step whose iteration failed: where, and what to try."""
+        where = widest(self.system, step.gaps)
+        tolerance = self.newton.tolerance
+        damping = ", or a smaller rho_inf" if self.scheme.rho_inf > 0.8 else ""
+        looser = f", or a larger Newton tolerance than {tolerance:g}" if tolerance < 1e-6 else ""
+        return not_converged(step.t, step.rule.h, history, f"{where}. Try a smaller dt{damping}{looser}.")
+
+    def _accept(self, step: AlphaStep) -> State:
+        """The end of a step becomes the state."""
+        s = self.state
+        h = step.rule.h
+        A = step.end.A
+        self.local_error = h * h * abs(step.rule.beta - 1.0 / 6.0) * self.system.max_abs(A - step.start.A)
+        # two earlier states and the newest one make the parabola of the predictor
+        self._past = [(s.t, s.a, s.lam), *self._past][:2]
+        self.A, self.fresh = A, False
+        self._begun, self.size = (s, step.start.v, step.start.A), h
+
+        found = step.found
+        if step.lost:
+            self.solver.note_lost_gaps(self.system.at(found.t, found.q))
+        self.state = replace(found, lam=self._reactions(found.t, found.q, found.lam))
+        return self.state
+
+    @property
+    def begun(self) -> tuple[State, Array, Array] | None:
+        """The state that the last step began with, v and A as it took them; None before the first one."""
+        return self._begun
+
+    @property
+    def miss(self) -> Array:
+        """By how much velocities exceed the derivatives of places in the last step, (n_v,); none in the stabilised form."""
+        assert self.begun is not None
+        before, v, A = self.begun
+        if isinstance(self.scheme.form, GGL):
+            return np.zeros_like(v)
+        rule = self.scheme.rule(self.state.t - before.t)
+        turning = spin_of_acceleration(self.system, v, before.a)
+        return rule.h * rule.miss * (self.A - A) + rule.h**2 / 12 * turning
+
+    def error(self, h: float) -> Array:
+        """The error of the last step, of size h (s), as :mod:`.variable_alpha` defines it, (n_v,); collective."""
+        s, scale, jump, span = self._of_error(h)
+        ev = self.system.at(s.t, s.q, s.v)
+        # M times the jump of accelerations: times h^2, it would be lost beside those of short steps
+        change = ev.balance(s.a + jump, s.lam) - ev.balance(s.a, s.lam)
+        self.solver.prepare(ev, self.scheme.rule(h).weights)
+
+        free = ev.jacobian.times(scale * jump)
+        across = span * ev.opening() if span else free
+        held = speed_rows(self.system)  # rows on velocities hold no places
+        across[held] = free[held]
+        return self.solver.solve(scale * change, across)[0]
+
+    def _of_error(self, h: float) -> tuple[State, float, Array, float]:
+        """The newest state, h^2 (beta - 1/6), the jump of A, and how long velocities open constraints (s), 0 where they hold."""
+        assert self.begun is not None
+        scale = h * h * (self.scheme.parameters[3] - 1.0 / 6.0)
+        return self.state, scale, self.A - self.begun[2], 0.0 if isinstance(self.scheme.form, GGL) else 0.5 * h
+
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step: q, v by cubics with the slopes of (1) to (3), a and lambda by straight
+        lines; q closes its constraints.
+        """
+        if self.begun is None or t < self.begun[0].t:
+            return None
+        (before, v, A), after = self.begun, self.state
+        rule, jump = self.scheme.rule(after.t - before.t), self.A - A
+        h, ahead, miss = rule.h, rule.alpha_m - rule.alpha_f, self.miss
+        q = place_within(self.system, before, after, t, (v - miss, after.v - miss))
+
+        # A is that of a time t + ahead h
+        slopes = A - ahead * jump, self.A - ahead * jump
+        v = cubic((t - before.t) / h, h, (v, after.v), slopes)
+        return replace(state_within(before, after, t, self._shut(t, q, v)), v=v)
+
+    def _shut(self, t: float, q: Array, v: Array) -> Array:
+        """A configuration within the last step, joints closed by the least motion for the matrix of that step; collective.
+
+        What drives prescribe is not the cubic through the ends of a step: a crank was off by ten times the error of its ends.
+        """
+        system = self.system
+        for _ in range(CLOSINGS if system.n_lam else 0):
+            ev = system.at(t, q, v)
+            gap = ev.constraint()
+            gap[speed_rows(system)] = 0.0  # rows on velocities hold no places
+            if np.abs(system.row_units * gap).max() <= SHUT * system.length:
+                break
+            self.solver.prepare(ev, self.scheme.rule(self.size).weights)
+            q = system.compose(q, self.solver.solve(np.zeros_like(v), -gap)[0])
+        return q
+
+    def _reactions(self, t: float, q: Array, lam: Array) -> Array:
+        """Multipliers of a configuration; of those with the same forces the smallest."""
+        if not self.solver.core.redundant:
+            return lam
+        return least(self.solver, self.system.at(t, q), lam)

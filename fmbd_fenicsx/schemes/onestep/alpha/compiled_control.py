@@ -1,0 +1,98 @@
+"""Error control of compiled steps of one size: what :mod:`.variable_alpha` lends to ``driver/control.c`` for a march.
+
+C judges each step by the norm of :class:`~..control.NormOfWays` and goes on while the next step has the same size. It stops
+behind a step after which the size may change, and before one that is refused: all decisions are Python's.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....rotations import Array
+from ....system.compiled.tables.resting import twin_of
+from ....system.compiled.tables.structures import Store, array_of, structure
+from ...control import FADING, LEAST_ERROR, TURN, NormOfWays, StepControl
+
+
+@dataclass(frozen=True)
+class Stay:
+    """Up to when steps keep their size h (s).
+
+    ``place``: the present one, in steps of h; ``count`` of them are a ``stretch`` (s), up to ``end`` (s);
+    ``ratio``: of the next larger size, which begins at its multiples, 0 without one;
+    ``keeps``: share of h that a proposal must have; ``calm``: error below which loads are looked at; ``until``: a time, s;
+    ``peak``: the largest error of late.
+    """
+
+    place: int
+    count: int
+    stretch: float
+    end: float
+    ratio: int
+    keeps: float
+    calm: float
+    until: float
+    peak: float
+
+
+class CompiledControl:
+    """``Control`` of tables.h for one norm and one controller, of a system whose local coordinates are all deformations."""
+
+    def __init__(self, norm: NormOfWays, control: StepControl) -> None:
+        self.norm, self.control, self.store = norm, control, Store()
+        self.twin = twin_of(norm.system)
+        s, dim = self.twin.system, norm.system.motions.dim
+
+        # bodies whose deformations count, with the places of their coordinates
+        one = structure("Deflection", dim)
+        self.deflections = array_of(one, len(norm.deforming))(
+            *(
+                one(
+                    at_q=s.slices[0][k].start,
+                    at_v=s.slices[1][k].start,
+                    n=part.n,
+                    rms=None if part.rms is None else self.store.address(part.rms),
+                )
+                for k, part in norm.deforming
+            )
+        )
+
+        # tolerances and arrays that C works in
+        work = self.store.zeros({"e": s.n_v, "y": s.n_lam, "a": s.n_v, "missed": s.n_v})
+        self.c = structure("Control", dim)(
+            rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, floor=LEAST_ERROR, turn=TURN, fading=FADING,
+            frames=norm.system.n_frames, core=norm.system.n_core,
+            deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
+            **{name: address for name, (_, address) in work.items()},
+        )  # fmt: skip
+        self._origin: Array | None = None
+
+    @property
+    def address(self) -> int:
+        """For C."""
+        return ctypes.addressof(self.c)
+
+    def lend(self, stay: Stay) -> None:
+        """Sizes and errors so far, and up to when steps keep their size."""
+        norm, control, c = self.norm, self.control, self.c
+        if self._origin is not norm.origin:
+            assert norm.origin is not None
+            self._origin = norm.origin
+            c.origin = self.store.address(self.twin.configurations(norm.origin[None])[0])
+        for one, largest in zip(self.deflections, norm.deflections, strict=True):
+            one.size = largest
+        c.way, c.error, c.largest, c.peak = norm.way, control.error_old, 0.0, stay.peak
+
+        c.place, c.count, c.stretch, c.end = stay.place, stay.count, stay.stretch, stay.end
+        c.ratio, c.calm, c.until = stay.ratio, stay.calm, stay.until
+        c.high = min(control.pressure(stay.keeps), 1.0)
+        c.low = control.pressure(stay.ratio) if stay.ratio else 0.0
+
+    def take(self) -> None:
+        """The same back."""
+        norm, c = self.norm, self.c
+        norm.deflections = np.array([one.size for one in self.deflections])
+        norm.way, self.control.error_old = c.way, c.before

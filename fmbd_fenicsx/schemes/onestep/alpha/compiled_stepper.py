@@ -1,0 +1,287 @@
+"""Generalized-alpha with compiled steps; a step that the compiled code gives back is made in NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....rotations import Array
+from ....system.system import State
+from ...dae import GGL
+from . import alpha_driver as slots
+from .alpha_driver import AlphaDriver, settings
+from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
+from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
+
+if TYPE_CHECKING:
+    from ....run.judges.energy_check import Watch
+    from ....system.compiled.recording import Openness, Tape
+    from .compiled_control import CompiledControl
+    from .generalized_alpha import GeneralizedAlpha
+
+
+class CompiledAlphaStepper(AlphaStepper):
+    """Steps by the driver, one or many in a call. Those that fail are NumPy's."""
+
+    path = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"
+    compiled_whole = True
+    keeps_memories = True
+
+    def __init__(self, data: tuple[GeneralizedAlpha, Any, Any, Any, State], driver: AlphaDriver | None) -> None:
+        self._driver: AlphaDriver | None = None
+        self._tail: State | None = None  # the state of the newest block
+        self._driven = False  # the driver made the last step, and has its factor
+        self._ahead = False  # blocks are newer than A and the past of the NumPy path
+        self._refused: tuple[State, float] | None = None  # where the driver gave a step of this size back
+        self._foretold: tuple[float, StepStart] | None = None  # the first step of a size, s
+        super().__init__(*data)
+        self.counters["compiled_steps"] = 0.0
+        if driver is not None:
+            self._use(driver)
+
+    def _use(self, driver: AlphaDriver) -> None:
+        """Take a driver."""
+        self._driver, self._tail, self._driven = driver, None, False
+        driver.parameters[slots.AM : slots.BETA + 1] = self.scheme.parameters
+        settings(driver.parameters, driver.system, self.newton)
+        driver.parameters[slots.FAR] = FAR * self.system.length
+        driver.parameters[slots.PATIENCE] = PATIENCE
+        driver.parameters[slots.STABILISED] = isinstance(self.scheme.form, GGL)
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """As :meth:`TimeStepper.begin_anew`; the driver's tables serve the start too, where they are those of evaluations."""
+        with nullcontext() if self._driver is None else self._driver.idle():
+            found = start()
+        self._tail, self._driven, self._ahead, self._refused, self.slopes = None, False, False, None, None
+        return super().begin_anew(lambda: found)
+
+    @property
+    def driver(self) -> AlphaDriver:
+        """The driver in use."""
+        assert self._driver is not None
+        return self._driver
+
+    @property
+    def A(self) -> Array:  # type: ignore[override]
+        """Algorithmic acceleration at the end of the last step."""
+        self._settle()
+        return self._A
+
+    @A.setter
+    def A(self, value: Array) -> None:
+        self._A = value
+
+    @property
+    def _past(self) -> list[tuple[float, Array, Array]]:  # type: ignore[override]
+        self._settle()
+        return self._earlier
+
+    @_past.setter
+    def _past(self, value: list[tuple[float, Array, Array]]) -> None:
+        self._earlier = value
+
+    @property
+    def slopes(self) -> Array | None:  # type: ignore[override]
+        """Slopes of forces in Python that the next step begins with."""
+        return None if self._driver is None else self._driver.slopes
+
+    @slopes.setter
+    def slopes(self, kept: Array | None) -> None:
+        if self._driver is not None:
+            self._driver.slopes = kept
+
+    @property
+    def begun(self) -> tuple[State, Array, Array] | None:
+        """What the last step began with, wherever it was made."""
+        self._settle()
+        return self._begun
+
+    @property
+    def origin(self) -> State:
+        """As :meth:`TimeStepper.origin`."""
+        begun = self.begun
+        assert begun is not None
+        return begun[0]
+
+    def error(self, h: float) -> Array:
+        """As :meth:`Stepper.error`, with the driver's factor where it made the last step."""
+        if not self._ahead:
+            return super().error(h)
+        s, scale, jump, span = self._of_error(h)
+        found = self.driver.error(scale, span, (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump)
+        return super().error(h) if found is None else found
+
+    def _shut(self, t: float, q: Array, v: Array) -> Array:
+        """As :meth:`Stepper._shut`, with the driver's factor where it made the last step."""
+        if not self._driven or not self.system.n_lam:
+            return super()._shut(t, q, v)
+        found = self.driver.shut(t, q, v, SHUT * self.system.length, CLOSINGS)
+        return super()._shut(t, q, v) if found is None else found
+
+    def _settle(self) -> None:
+        """Give A and the past of the newest blocks to the NumPy path; they hold for the state with its time rounded too."""
+        if self._ahead:
+            # the newest block first, then as many earlier ones as steps were made
+            known = int(self.driver.parameters[slots.HISTORY])
+            blocks = [self.driver.block(i) for i in range(known + 1)]
+            self._A = blocks[0][4]
+            self._earlier = [(t, a, lam) for t, _, _, a, _, lam in blocks[1:]]
+            t, q, v, a, A, lam = blocks[1]
+            self._begun = State(t, q, v, a, lam), v, A
+        self._ahead = False
+
+    def _load(self) -> None:
+        """Blocks from the state, A and the past of the NumPy path."""
+        s = self.state
+        zero = np.zeros(self.system.n_v)
+        place = np.zeros(self.system.n_q)
+        past = [(t, place, zero, a, zero, lam) for t, a, lam in self._past]
+        self.driver.load([(s.t, s.q, s.v, s.a, self.A, s.lam), *past])
+        self._tail = s
+
+    def _accept(self, step: AlphaStep) -> State:
+        self._driven = False
+        return super()._accept(step)
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s), as :meth:`Stepper.advance`."""
+        if not (self._first_march(h) if self.fresh else self._march(h, 1)):
+            return super().advance(h)
+        return self.state  # who called notes the memory of elements when the step is accepted
+
+    def _first(self, rule: Rule) -> StepStart:
+        """As :meth:`Stepper._first`, found once for a step that the driver gives back."""
+        known = self._foretold
+        if known is None or known[0] != rule.h or known[1].state is not self.state:
+            self._foretold = known = rule.h, super()._first(rule)
+        return known[1]
+
+    def _first_march(self, h: float, watch: Watch | None = None, tape: Tape | None = None) -> int:
+        """The first step after a consistent start, as :meth:`Stepper._first` prepares it; 1, or 0 where it fails."""
+        s = self.state
+        start = self._predicted(self.scheme.rule(h))  # which factors the fields
+        if not self._ready(h):
+            return 0
+
+        # the predictor of the driver is a line through two states: one before the start that leads to what was predicted
+        place = np.zeros(self.system.n_q)
+        zero = np.zeros(self.system.n_v)
+        before = (s.t - h, place, zero, 2 * s.a - start.a, zero, 2 * s.lam - start.lam)
+        self.driver.load([(s.t, s.q, start.v, s.a, start.A, s.lam), before])
+        self.fresh = not self._steps(h, 1, watch, tape)
+        self.driver.parameters[slots.HISTORY] = 1
+        return 0 if self.fresh else 1
+
+    def march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+        """Up to so many steps of size h (s) in one call; how many were made.
+
+        ``watch``: stop before one that gains energy. ``tape``: takes records on the way, one of :meth:`tape`. Elements with a
+        memory have that of the last step.
+        """
+        made = self._march(h, steps, watch, tape)
+        if made:
+            self.driver.tables.remember()
+        return made
+
+    def controlled(
+        self, h: float, steps: int, control: CompiledControl, watch: Watch | None = None, tape: Tape | None = None
+    ) -> int:
+        """:meth:`march` under error control, up to where the size may change, or a step is refused."""
+        if self.fresh or not self._ready(h) or self._is_refused(h):
+            return 0
+        made = self._steps(h, steps, watch, tape, control)
+        if made:
+            self.driver.tables.remember()
+        return made
+
+    def _ready(self, h: float) -> bool:
+        """Whether the driver can make steps of size h (s)."""
+        return True
+
+    def _is_refused(self, h: float) -> bool:
+        """Whether the driver gave a step of size h (s) from this state back."""
+        return self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
+
+    def note(self) -> bool:
+        """Elements with a memory keep that of the newest state, which is accepted; whether it is known."""
+        known = self._ahead and self._tail is self.state
+        if not known or self.driver.tables.sampled:  # a new sample is a jump, which who called has to know
+            return False
+        self.driver.tables.remember()
+        return True
+
+    def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+        """The same; the memory of elements may be that of a step before."""
+        if self._is_refused(h):
+            return 0
+
+        # the first step after a consistent start begins with values of its own
+        if self.fresh:
+            made = self._first_march(h, watch, tape)
+            largest = self.local_error
+            if not made or steps == 1 or (tape is not None and tape.c.crossed):
+                return made
+            self.driver.tables.remember()  # what later steps begin with
+            made += self._steps(h, steps - 1, watch, tape)
+            self.local_error = max(self.local_error, largest)
+            return made
+
+        return self._steps(h, steps, watch, tape)
+
+    def _steps(
+        self,
+        h: float,
+        steps: int,
+        watch: Watch | None = None,
+        tape: Tape | None = None,
+        control: CompiledControl | None = None,
+    ) -> int:
+        """The same from the newest blocks."""
+        # steps that NumPy made since are given to the driver
+        if not self.fresh and self._tail is not self.state:
+            self._load()
+        driver, newton = self.driver, self.newton
+        p = driver.parameters
+        p[slots.H], p[slots.THETA] = h, newton.theta
+        p[slots.GUARDED] = watch is not None
+        if watch is not None:
+            p[slots.HIGHEST : slots.SETTLING + 1] = watch.limits
+
+        driver.tables.recall()
+        driver.tables.c.renewals = newton.renewals
+        made, verdict = driver.march(steps, tape, control)
+        if verdict == slots.LOOK:
+            driver.tables.look()
+        if made and watch is not None:
+            watch.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
+        if made:
+            self.size = h
+            self._take(made)
+        # not again from the same state with the same step: NumPy has it
+        if verdict in (slots.NEWTON, slots.SINGULAR):
+            self._refused = self.state, h
+        return made
+
+    def tape(self, judged: Openness) -> Tape | None:
+        """Room for records of :meth:`march`; ``judged``: how open joints are told. None where states would be read one by one
+        that depend on a memory, which later steps change.
+        """
+        tables = self.driver.tables
+        if (tables.c.remembers or tables.sampled) and not tables.looks.complete:
+            return None
+        return self.driver.tape(judged)
+
+    def _take(self, made: int) -> None:
+        """The newest state, and what the steps counted."""
+        p, newton = self.driver.parameters, self.newton
+        self.counters["compiled_steps"] += made
+        newton.iterations += int(p[slots.ITERATIONS])
+        newton.note(float(p[slots.LEFT]), made)
+        newton.theta, newton.renewals = float(p[slots.THETA]), int(self.driver.tables.c.renewals)
+        self.solver.core.factorisations += made
+        self.local_error = float(p[slots.LOCAL])
+        self._ahead = self._driven = True
+        self.state = self._tail = self.driver.state()

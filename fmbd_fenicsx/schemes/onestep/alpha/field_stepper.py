@@ -1,0 +1,67 @@
+"""Compiled steps of systems with floating elastic fields: the driver needs the fields' factors of a step's size first.
+
+Its tables go on with other factors when the size of steps changes, and in other runs of the system.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .alpha_driver import AlphaDriver, alpha_driver
+from .compiled_stepper import CompiledAlphaStepper
+
+if TYPE_CHECKING:
+    from ....linear.blocks.field_blocks import FactoredField
+    from ....rotations import Array
+    from ....run.judges.energy_check import Watch
+    from ....system.compiled.recording import Openness, Tape
+
+
+NEXT = 3  # block of a ring that a step writes
+
+
+class FieldStepper(CompiledAlphaStepper):
+    """The same; the first new tangent of a frame with mean axes is NumPy's."""
+
+    def _use(self, driver: AlphaDriver) -> None:
+        super()._use(driver)
+        driver.tables.renewed, driver.tables.user = self._renewed, self
+
+    def _renewed(self, t: float, increments: dict[int, Array]) -> list[FactoredField]:
+        """The fields' blocks with new tangents, for the driver in use, at the state that it evaluated last."""
+        _, q, v, a, _, lam = self.driver.block(NEXT)
+        ev = self.system.at(t, q, v)
+        ev.forces = a, lam  # whose stress the tangents take
+        return self.solver.renew_fields(ev, increments)
+
+    def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+        return super()._march(h, steps, watch, tape) if not self.fresh and self._ready(h) else 0
+
+    def tape(self, judged: Openness) -> Tape | None:
+        """Room for records, as soon as there are factors of a step."""
+        return super().tape(judged) if not self.fresh and self._bound() else None
+
+    def _ready(self, h: float) -> bool:
+        """Whether the driver has the solver's factors, and these are those of a step of size h (s)."""
+        return bool(self.solver.blocks) and self.solver.weights.ck == self.scheme.rule(h).weights.ck and self._bound()
+
+    def _bound(self) -> bool:
+        """Whether there is a driver with the solver's present factors, for the steps of this stepper."""
+        solver = self.solver
+        if solver.split is not None or not solver.blocks:
+            return False
+        tables = None if self._driver is None else self._driver.tables
+        if tables is not None and tables.user is self and tables.blocks is solver.blocks:
+            return True
+        self._settle()
+        found = self._driver_of_factors()
+        if found is not None:
+            self._use(found)
+        return found is not None
+
+    def _driver_of_factors(self) -> AlphaDriver | None:
+        """The driver with the solver's present factors: the one in use, where its tables go on with them."""
+        solver, driver = self.solver, self._driver
+        if driver is not None and driver.tables.take(solver.blocks):
+            return driver
+        return alpha_driver(self.system, redundant=solver.core.redundant, blocks=solver.blocks)

@@ -1,0 +1,93 @@
+"""What loads and drives do within a step that is not made yet: a step that would miss it is not tried.
+
+With the state held, forces f between the ends of a step leave a straight line from end to end by more than the ends differ. What
+is less, the error of the step sees:
+
+    (M + s K) e + G^T mu = h^2 / 6 (f(t + k h) - (1 - k) f(t) - k f(t + h)),     G e = 0                                  (1)
+
+Constraints that depend on time open by g(q, t + h) - g(q, t) with the state held. A step follows a parabola, and its error is
+about half of what it misses of this:
+
+    e  =  1/2 (g(q, t + h) - g(q, t) - h g_t - h^2 / 2 g_tt)                                                              (2)
+
+of order h^3, as the errors of steps are. It needs no factor, which a step that is tried and refused has made in vain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....linear.condensation import StepSolver, Weights
+from ....rotations import Array
+from ....system.system import State, System
+from ...control import NormOfWays
+
+LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step loads and drives are looked at
+# where else drives are, whose steps may have to be much smaller: a few in a decade
+FINER = 2.45 ** -np.arange(2.0, 14.0)
+SAFETY = 0.9
+
+
+@dataclass(frozen=True)
+class LookAhead:
+    """Of one system. ``weights``: those of a step of a size (s)."""
+
+    system: System
+    solver: StepSolver
+    norm: NormOfWays
+    weights: Callable[[float], Weights]
+
+    def farthest(self, s: State, h: float) -> float:
+        """Largest step (s) of at most h that follows what drives prescribe, by (2); h where nothing depends on time."""
+        system = self.system
+        if not system.n_lam:
+            return h
+        ways = h * np.sort(np.concatenate((FINER, LOOKS, (1.0,))))
+        held = [np.tile(x, (1 + len(ways), 1)) for x in (s.q, np.zeros_like(s.v))]
+        states = system.batch(s.t + np.concatenate(([0.0], ways)), *held)
+        now, *later = states.constraint()
+        if not (np.array(later) - now).any():
+            return h
+
+        at_rest = system.at(s.t, s.q, np.zeros_like(s.v))
+        rates = at_rest.opening(), at_rest.gamma()
+        parabola = ways[:, None] * rates[0] + 0.5 * ways[:, None] ** 2 * rates[1]
+        missed = 0.5 * np.abs(system.row_units * (np.array(later) - now - parabola)).max(axis=1)
+        errors = self.norm.of_lengths(missed)
+
+        # steps that follow all up to their end, or what errors of third order tell
+        followed = np.append(np.flatnonzero(errors > 1.0), len(ways))[0]
+        if followed == len(ways):
+            return h
+        foretold = float((ways * np.maximum(errors, 1.0) ** (-1.0 / 3.0)).min())
+        return max(SAFETY * foretold, float(ways[followed - 1]) if followed else 0.0)
+
+    def loads(self, s: State, h: float) -> float:
+        """The norm of (1) for a step of size h (s)."""
+        # all at once, with the state held
+        shares = np.array([0.0, *LOOKS, 1.0])
+        q, v, a, lam = (np.tile(x, (len(shares), 1)) for x in (s.q, s.v, s.a, s.lam))
+        first, *inner, last = self.system.batch(s.t + h * shares, q, v).balance(a, lam)
+
+        between = [f - (1.0 - k) * first - k * last for k, f in zip(LOOKS, inner, strict=True)]
+        # what the ends of the step differ by is seen by the error of the step
+        unseen = [np.sign(f) * np.maximum(np.abs(f) - np.abs(last - first), 0.0) for f in between]
+        worst = h * h / 6.0 * max(unseen, key=lambda f: float(np.abs(f).max(initial=0.0)))
+        self.norm.update(s, h)
+
+        # a softer matrix that is at hand tells more than the error, and costs no factor
+        softer, own = self.solver.weights, self.weights(h)
+        at_hand = (softer.cm, softer.ck < own.ck) == (own.cm, True)
+        error = self._moved(s, h, worst, softer if at_hand else own)
+        return self._moved(s, h, worst, own) if at_hand and not error <= 1.0 else error
+
+    def _moved(self, s: State, h: float, force: Array, weights: Weights) -> float:
+        """The norm of (1) with the matrix of given weights."""
+        ev = self.system.at(s.t, s.q, s.v)
+        ev.forces = s.a, s.lam
+        self.solver.prepare(ev, weights)
+        e, _ = self.solver.solve(force, np.zeros(self.system.n_lam))
+        return self.norm(h, e, np.zeros_like(e))

@@ -1,0 +1,1 @@
+"""Energy-momentum: difference quotients in place of derivatives."""

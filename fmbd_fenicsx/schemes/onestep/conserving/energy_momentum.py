@@ -1,0 +1,205 @@
+"""Energy-momentum scheme: difference quotients for bodies, springs and constraints; for stiff motion without losses.
+
+    q_n+1 = q_n o cay(h w),   w = (v_n + v_n+1) / 2,     M (v_n+1 - v_n) / h + f_dg + G_dg^T lambda = 0,   g(q_n+1) = 0     (1)
+
+cay is the Cayley map, so that R_n+1 - R_n = h (R_n + R_n+1) / 2 w~; displacements u of absolute bodies move by h w. All
+markers are taken at the mean of their old and new positions and rotations with exact Jacobians (:mod:`.discrete_gradient`); then
+
+    spring      N_dg = mean of N(s) from s_n to s_n+1, along rows whose product with h w is s_n+1 - s_n                     (2)
+    constraint  h G_dg w = g_n+1 - g_n: mean rows, plus a correction along M w where g is not of second order               (3)
+    body        torques in body axes R_mean^-1 (x x f),   R_mean = (R_n + R_n+1) / 2                                       (4)
+    field       forces of :mod:`fmbd_fenicsx.fem.mean_forces`
+
+do as much work as energies change, and the constraint forces none. Weight and dead loads are linear. Energy is conserved
+for any step, also h omega >> 1, and so are linear and angular momentum: all joints are of second order, their correction
+in (3) is zero. Dampers and viscous laws take exactly their work at the mean point; other forces act at the mean point. Second
+order in q, v and lambda: accelerations and multipliers of a state are solved for at its end, those in (1) are means over the
+step. No damping at high frequencies, so the multipliers of stiff systems oscillate.
+
+Usual steps are one call of compiled code (driver/mean.c): Newton's iteration with the matrix M + h D / 2 + h^2 K / 4 of the
+middle, fields with the tangent of an earlier state, turned with the body. Where that does not serve, as where steps turn bodies
+far, one iteration solves for the core, the ports p = H^T u of the fields and lambda together. With the tangent J_f of a field,
+its residual r_f, z = J_f^-1 r_f and W = H^T J_f^-1 H, and forces P(a, p, lambda) of joints and springs on the ports,
+
+    [ dR_c  ]          [ R_c   ]
+    [ 1 p + W dP ]  = -[ H^T z ],          du = -z - J_f^-1 H dP                                                           (5)
+    [ dg    ]          [ g     ]
+
+The small tangent is taken by differences.
+
+Sources: Gonzalez, doi:10.1007/s003329900016 (discrete gradient), doi:10.1016/S0045-7825(98)00204-8 (constraints); Simo and Wong,
+doi:10.1002/nme.1620310103 (rotations); Betsch, doi:10.1007/s11044-005-0103-8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ....energies import MixedEnergy, StoredEnergy
+from ....linear.condensation import StepSolver
+from ....linear.redundancy import least
+from ....log import log
+from ....mechanics.bodies.bodies import AbsoluteBody
+from ....rotations import Array
+from ....system.compiled.states.means import Ends
+from ....system.scene.contents import Contents
+from ....system.serialisation import Memory, plain, worker
+from ....system.system import State, System
+from ...consistent import accelerations, consistent
+from ...newton import Newton
+from .past_means import PastMeans
+from .steps_in_parts import StepsInParts
+from .tangent_age import TangentAge
+
+POOR = 0.1  # error of a prediction, of the size of accelerations, above which bodies that move on rigidly may be nearer
+LARGE = 0.5  # rad that a body turns in a step: the Cayley map lags by 2 %
+
+
+@dataclass(frozen=True)
+class EnergyMomentum:
+    """Second order; keeps energy, momentum and angular momentum for any step, also where the step does not resolve vibrations:
+
+        q_n+1 = q_n o cay(h w),   w = (v_n + v_n+1) / 2,   M (v_n+1 - v_n) / h + f_dg + G_dg^T lambda = 0,   g(q_n+1) = 0
+
+    with difference quotients f_dg of the energies and G_dg of the constraints, which do as much work as energies change. It damps
+    nothing, so that multipliers of stiff systems oscillate. There is nothing to choose. Gonzalez, doi:10.1007/s003329900016.
+    """
+
+    order = 2
+    name = "energy-momentum"
+    free_steps = True  # any size may follow any other
+
+    holds = (0,)
+
+    def refusal(self, held: Contents) -> str:
+        """Why it does not take what a scene holds."""
+        return next((reason for body in held.nodal if (reason := _refused(body))), "")
+
+    def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> EnergyMomentumStepper:
+        """A run's worker, from a consistent state."""
+        return EnergyMomentumStepper(system, solver, newton, state)
+
+
+def _refused(body: Any) -> str:
+    """Why the scheme does not take a body with unknowns of a mesh, "" where it does."""
+    if not isinstance(body, AbsoluteBody):
+        return (
+            f'EnergyMomentum takes elastic fields in absolute coordinates only, and "{body.name}" is not one. Use an '
+            "AbsoluteBody, a ReducedBody (energy not kept), or GeneralizedAlpha."
+        )
+    law = body.elastic_law
+    if isinstance(law, MixedEnergy) or (body.energy is not None and not isinstance(law, StoredEnergy)):
+        return f'Body "{body.name}": EnergyMomentum needs a StoredEnergy W(C), such as saint_venant_kirchhoff(...).'
+    if body.stiffness_damping and body.energy is not None:
+        return (
+            f'Body "{body.name}": stiffness_damping does not go with EnergyMomentum and an energy: it would change the '
+            "angular momentum of strained bodies. Use viscous=fmbd.materials.kelvin_voigt(...)."
+        )
+    return ""
+
+
+class EnergyMomentumStepper(StepsInParts):
+    """Advances a consistent state. The unknowns of a step: mean accelerations of the core, ports of fields in use, lambda."""
+
+    keeps: ClassVar = {
+        "state": Memory.state,
+        **dict.fromkeys(("_kept", "counters"), plain()),
+        "past": worker,
+        "age": worker,
+    }
+    counters: dict[str, float] = {}
+
+    def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
+        super().__init__(system, solver, newton, state)
+        self.past = PastMeans(state.t, state.a, state.lam, rigid=bool(system.fields))
+        self._rigid: Array | None = None  # mean accelerations of bodies that move on rigidly, where these may be needed
+        self.age = TangentAge()
+        self.counters = {}
+        self._warned = False  # of large turns
+
+    def remember(self, m: Memory) -> None:
+        """As :meth:`Remembering.remember`."""
+        super().remember(m)
+        if m("in parts", self.fields is not None):
+            self._use_fields()
+            self.fields.remember(m.inside("fields"))
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """Go on with velocities on the constraints: what drives prescribe may jump, and the rule holds means only."""
+        self.state = consistent(self.system, start(), self.solver)[0]
+        return True
+
+    def advance(self, h: float) -> State:
+        """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""
+        s, driver = self.state, self.solver.driver
+        self._old = None
+        self._means = means = None if driver is None else driver.means(s, h)
+        ends = self._ends(h)
+        guess = self._guess(h, ends)
+
+        tried = False
+        if (
+            driver is not None
+            and means is not None
+            and not self.age.apart
+            and (self._kept is None or self._kept[0] != h)
+        ):
+            tried = True
+            found = means.step((s.t, s.q, s.v), h, guess, ends, old=self.age.due)
+            self.newton.iterations += len(found.sizes)
+            self.solver.core.factorisations += driver.new_factors()
+            if found.end is not None:
+                self._note(found.sizes)
+                self.age.take(len(found.sizes), renewed=found.renewed)
+                self._kept = None
+                return self._take(h, (found.a, found.lam), found.end)
+            if self.system.fields:
+                self.age.failed()
+            elif np.isfinite(found.a).all():
+                guess = found.a, found.lam
+        self.age.pass_by()
+        return self._take(h, *self._in_parts(h, guess, ends, differences=tried))
+
+    def _guess(self, h: float, ends: Ends) -> tuple[Array, Array]:
+        """Mean accelerations and multipliers of the next step; collective."""
+        s, past = self.state, self.past
+        a, lam = past.predicted(s.t + 0.5 * h)
+        self._rigid = None
+        if self.system.fields and past.missed > POOR * ends.size:
+            self._rigid = a.copy()
+            bodies: list[tuple[int, Any]] = list(self.system.fields)
+            for k, part in bodies:
+                U, V = self.system.local_q(s.q, k), self.system.local_v(s.v, k)
+                self.system.local_v(self._rigid, k)[:] = 2.0 / h**2 * (part.moved_rigidly(U, V, h) - U - h * V)
+        return self._rigid if past.rigidly and self._rigid is not None else a, lam
+
+    def _take(self, h: float, means: tuple[Array, Array], end: tuple[Array, Array]) -> State:
+        """The state at the end of the step, its accelerations and multipliers solved for."""
+        (a, lam), (q, v), s = means, end, self.state
+        self._warn_of_turns(h, s.v[: self.n] + 0.5 * h * a[: self.n])
+        self.state = accelerations(self.system, State(s.t + h, q, v, s.a, lam), self.solver)
+        # of multipliers with the same forces the smallest
+        if self.solver.core.redundant:
+            lam = least(self.solver, self.system.at(s.t + h, q), lam)
+        self.past.take((s.t + 0.5 * h, a, lam), self.system.each_typical, self._rigid)
+        return self.state
+
+    def _warn_of_turns(self, h: float, w: Array) -> None:
+        """Say once that a body turns so far in a step that the Cayley map lags: by 2 atan(x / 2) in place of x = h |w|, rad."""
+        m, n = self.system.motions, self.system.n_frames
+        if self._warned or not n:
+            return
+        turns = h * np.linalg.norm(w[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :], axis=1)
+        fastest = int(turns.argmax())
+        if (x := float(turns[fastest])) <= LARGE:
+            return
+        self._warned = True
+        log.warning(
+            't = %.6g s: "%s" turns by %.2g rad a step, of which energy-momentum leaves out %.1f %%. Take dt = %.2g s or less, '
+            "or fmbd.GeneralizedAlpha()",
+            self.state.t, self.system.frame_names[fastest], x, 100 * (1 - 2 * np.arctan(0.5 * x) / x), LARGE * h / x,
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""What the driver tells of states: evaluations, projections, stages, means."""

@@ -1,0 +1,446 @@
+"""A system evaluated and solved by the driver: one configuration, or many in a call.
+
+What schemes in Python ask for at every stage, the balance and the constraints with their derivatives, comes from the driver's
+tables, to roundoff the numbers of :class:`~..evaluation.Evaluation`, and so are energies. Markers and momenta are NumPy's, made
+when someone asks for them. Systems without elastic fields.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from typing import Any, TypeGuard
+
+import numpy as np
+
+from ....rotations import Array
+from ...evaluation import Evaluation
+from ...evaluation_batch import EvaluationBatch, Jacobians
+from ...mobility import certainly_regular
+from ...system import System
+from ...tangents.jacobian import Jacobian, dense_core
+from ..calls import Calls
+from ..tables.structures import address_of, enumeration
+from ..tables.tables import Tables
+from .exchange import Exchange, Room
+from .geometry import CompiledGeometry
+from .glance import Glance
+from .points import LocalPoints, Metric, PointsTold
+
+FEW, ROOMS = 4, 16  # configurations for which arrays are made at least; up to which they are kept
+LOOK = enumeration("DONE")["LOOK"]  # a verdict
+
+Configurations = tuple[Array, Array, Array]  # t (k,), q (k, n_q), v (k, n_v)
+
+
+class DriverStates(CompiledGeometry):
+    """The driver of a system, for states that Python asks for; arrays have the configurations in front, (k, ..)."""
+
+    solves = True  # whether it factors matrices too
+
+    def __init__(self, system: System, library: Any) -> None:
+        self.system, self.library, self.factors = system, library, 0
+        self.anew = True  # whether laws are asked again, since a state was taken
+        self.taken: bool = False
+        self.dependent = False  # whether rows depend on each other: multipliers are the smallest then
+        self.address: int = 0
+        self.renew()
+
+    def renew(self) -> None:
+        """Tables of its own, after steps have taken the former ones."""
+        self.tables = self.tables_of()
+        self.calls = Calls(self.tables)
+        self.address = ctypes.addressof(self.tables.c)
+        self.taken = False
+        self.twin = self.tables.twin  # between arrays of the system and those of the tables
+        self.same_rows = self.twin.system is self.system
+        n, m = self.tables.system.n_v, self.system.n_lam
+        # what C reads and writes for a solution: two right-hand sides are those of a complex one
+        self._given = Exchange({"q": self.tables.system.n_q, "b": (2, n), "c": (2, m)})
+        self._found = Exchange({"x": (2, n), "y": (2, m)})
+        self._kept_room: Room | None = None
+        self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
+        self._last: DriverEvaluation | None = None  # made by :meth:`at`
+        self._points = LocalPoints(self)
+        tables = self.tables
+        self.recalls = bool(tables.sampled or tables.remembering or tables.listeners)  # whether elements have a memory
+
+    def tables_of(self) -> Tables:
+        """New tables of the system."""
+        return Tables(self.system, redundant=self.dependent)
+
+    def let_depend(self) -> None:
+        """Solve for rows that depend on each other from now on."""
+        if not self.dependent:
+            self.dependent, self._held = True, None
+            self.tables.c.redundant = 1
+
+    @property
+    def remembers(self) -> bool:
+        """Whether forces depend on more than a state: elements have a memory."""
+        return bool(self.tables.c.remembers or self.tables.sampled)
+
+    def give(self) -> tuple[Tables, Calls]:
+        """The tables, for steps; they begin with new slopes of forces in Python."""
+        if self.taken:
+            self.renew()
+        self.taken, self._held = True, None
+        for loads in self.tables.whole:
+            loads.astray[0] = 1
+        return self.tables, self.calls
+
+    @contextmanager
+    def back(self) -> Iterator[None]:
+        """Tables that steps have taken are one's own meanwhile, between two of them."""
+        self.taken, self._held = False, None
+        try:
+            yield
+        finally:
+            self.give()
+
+    def begin_anew(self) -> None:
+        """Serve another run, the one before is over: tables that remember nothing of its steps serve again."""
+        if self.taken and (self.remembers or self.tables.whole):
+            self.renew()
+        self.taken, self._held = False, None
+
+    def at(self, t: float, q: Array, v: Array | None = None) -> DriverEvaluation:
+        """The system in one configuration (and velocity); what was found of the one before is taken where it is the same."""
+        last = self._last
+        if last is not None and last.is_at(t, q, v):
+            return last.again()
+        self.anew = True
+        # apart from arrays that a caller may write into later
+        made = DriverEvaluation(self, t, q.copy(), None if v is None else v.copy())
+        # what depends on time may be an input, and another one when it is asked again
+        self._last = None if self.remembers or self.tables.c.samples else made
+        return made
+
+    def evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
+        """Whether a state is one of :meth:`at`."""
+        return isinstance(ev, DriverEvaluation) and ev.states is self
+
+    def batch(self, t: Array, q: Array, v: Array) -> DriverBatch:
+        """Configurations at the times t (k,): q (k, n_q), v (k, n_v)."""
+        self.anew = True
+        return DriverBatch(self, t, q, v)
+
+    def points(
+        self, t: Array, q0: Array, points: tuple[Array, Array, Array], forces: tuple[Array, Array | None, Metric | None]
+    ) -> PointsTold | None:
+        """What an implicit step asks of points in local coordinates, see :class:`.LocalPoints`."""
+        return self._points.told(t, q0, points, forces) if self.same_rows else None
+
+    def glance(self, units: Array, *, energies: bool, balance: bool) -> Glance | None:
+        """Who looks at many states for the judges of a run, see :class:`.Glance`; None where rows or forces are NumPy's too."""
+        if not self.same_rows or self.system.fields:
+            return None
+        return Glance(self, units, energies=energies, balance=balance)
+
+    def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
+        """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
+        room, places = self._loaded_room(at, a, lam)
+        told = self.ask(self.library.driver_balances, *room.at, *places)
+        return self.twin.forces(room.sums[: room.count]).copy() if told else None
+
+    def together(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Array, Array] | None:
+        """:meth:`balances` and :meth:`constraints` in one call; None as above."""
+        room, places = self._loaded_room(at, a, lam)
+        if not self.ask(self.library.driver_batch, *room.at, *places, *room.constraints_at):
+            return None
+        sums, rows = room.sums[: room.count], room.constraints[:, : room.count]
+        return self.twin.forces(sums).copy(), self._with_motions(at[0], rows).copy()
+
+    def _loaded_room(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Room, list[int | None]]:
+        """Room with configurations, accelerations and multipliers in it, and where the last two and the balance are."""
+        room = self._room(at)
+        room.a[: room.count] = self.twin.velocities(a)
+        if lam is not None:
+            room.lam[: room.count] = lam
+        return room, [room.places["a"], None if lam is None else room.places["lam"], room.places["sums"]]
+
+    def constraints(self, at: Configurations) -> Array | None:
+        """g, G v + g_t, g_t and gamma, (4, k, n_lam). None as above."""
+        found = self._constraints(at)
+        return None if found is None else self._with_motions(at[0], found).copy()
+
+    def _with_motions(self, times: Array, found: Array) -> Array:
+        """Answers (4, k, n_lam) of the driver with the second rates of prescribed motions at the times (k,) written in."""
+        for rows, motions in self.calls.moving:
+            found[3][:, rows] -= [[motion(float(t))[2] for motion in motions] for t in times]
+        return found
+
+    def _constraints(self, at: Configurations) -> Array | None:
+        """The same without the second rates of prescribed motions, a view."""
+        room = self._room(at)
+        asked = self.ask(self.library.driver_constraints, *room.at, *room.constraints_at)
+        return room.constraints[:, : room.count] if asked else None
+
+    def along(self, at: Configurations) -> Array | None:
+        """G v, (k, n_lam), without G; None as above."""
+        found = self._constraints(at)
+        return None if found is None else found[1] - found[2]
+
+    def rows(self, at: Configurations) -> Array | None:
+        """G, (k, n_lam, n_v); None as above."""
+        out = np.empty((len(at[0]), self.system.n_lam, self.tables.system.n_v))
+        asked = self.ask(self.library.driver_rows, *self._room(at).at, address_of(out))
+        return self.twin.forces(out) if asked else None
+
+    def energies(self, at: Configurations) -> Array | None:
+        """Kinetic, elastic, of the weight and of springs, J, (k, 4); None as above, or where laws in Python store some."""
+        looks = self.tables.looks
+        if not looks.energies_known or looks.stores:
+            return None
+        room = self._room(at)
+        asked = self.ask(self.library.driver_energies, *room.at, room.places["energies"])
+        return room.energies[: room.count].copy() if asked else None
+
+    def _room(self, at: Configurations) -> Room:
+        """Arrays for so many configurations, with these in them."""
+        (t, q, v), twin = at, self.twin
+        count = len(t)
+        room = self._kept_room
+        if room is None or room.most < count:
+            room = Room(self.tables.system, max(count, FEW))
+            if count <= ROOMS:
+                self._kept_room = room
+        room.at[0] = room.count = count
+        for x, value in zip(room.state, (t, twin.configurations(q), twin.velocities(v)), strict=True):
+            x[:count] = value
+        return room
+
+    def ask(self, function: Any, *given: float | None) -> bool:
+        """One call of C for many configurations, with numbers and addresses; whether they have been evaluated."""
+        if self.recalls:
+            self.tables.recall()
+        self.calls.trusted = not self.anew
+        verdict = function(self.address, *given)
+        self.calls.trusted = self.anew = False
+        if self.calls.error is not None or self.calls.asked:
+            self.calls.raise_error()
+        if verdict == LOOK:
+            self.tables.look()
+        return not verdict
+
+    # -- solution ---------------------------------------------------------------------------------------------------------
+    def prepare(self, ev: DriverEvaluation, cd: float, ck: float) -> bool:
+        """Factor [M + cd C + ck K, G^T; G, 0] at a state; False where rows depend on each other, or nearly do."""
+        if self.holds(ev, cd, ck):
+            return True
+        self._held = None
+        a, lam = ev.forces
+        if self.balances(ev.alone, a[None], lam[None]) is None:
+            return False
+        q, _, below = self._given.put(self.twin.configurations(ev.q), None, lam)
+        verdict = self.library.driver_prepare(self.address, q, cd, ck, below, 0, ev.t)
+        self.calls.raise_error()
+        if verdict:
+            return False
+        self._held, self.factors = (ev.t, ev.q, ev.alone[2][0], (cd, ck)), self.factors + 1
+        return True
+
+    def holds(self, ev: DriverEvaluation, cd: float, ck: float) -> bool:
+        """Whether the factor is that of a state; velocities count where weights are those of stiffness or damping."""
+        if not self._holds_in(ev.t, ev.q, (cd, ck)):
+            return False
+        assert self._held is not None
+        return not (cd or ck) or bool((self._held[2] == ev.alone[2][0]).all())
+
+    def holds_masses(self, t: float, q: Array) -> bool:
+        """Whether the factor is that of the masses in a configuration."""
+        return self._holds_in(t, q, (0.0, 0.0))
+
+    def _holds_in(self, t: float, q: Array, weights: tuple[float, float]) -> bool:
+        """Whether the factor is that of a configuration; steps that took the tables write over it."""
+        if self.taken or self._held is None:
+            return False
+        return self._held[::3] == (t, weights) and bool(np.logical_and.reduce(self._held[1] == q))
+
+    def hold(self, t: float | None, q: Array | None = None, v: Array | None = None, *, new: bool = True) -> None:
+        """Take note that the factor is that of the masses in a state, or, without one, of nothing that is known."""
+        self._held = None if t is None or q is None or v is None else (t, q.copy(), v.copy(), (0.0, 0.0))
+        self.factors += self._held is not None and new
+
+    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """x like v and y (n_lam,) for the right-hand sides b and c, complex ones too."""
+        assert self._held is not None
+        twin, (x, y), parts = self.twin, self._found.arrays, np.iscomplexobj(b)
+        if parts:
+            b, c = np.array((b.real, b.imag)), np.array((c.real, c.imag))
+        q, right, below = self._given.put(twin.configurations(self._held[1]), twin.velocities(b), c)
+        self.library.driver_solve(self.address, 1 + parts, q, right, below, *self._found.at)
+        if self.calls.error is not None or self.calls.asked:
+            self.calls.raise_error()
+        x = twin.forces(x)
+        return (x[0] + 1j * x[1], y[0] + 1j * y[1]) if parts else (x[0].copy(), y[0].copy())
+
+    def independent(self) -> bool:
+        """Whether the rows certainly do not depend on each other, by the factor with masses only: as
+        :func:`~fmbd_fenicsx.system.mobility.independent`, with the true inertia.
+        """
+        assert self._held is not None
+        size = np.sqrt(self.tables.arrays["weight"])
+        places = self._given.put(self.twin.configurations(self._held[1]), np.zeros(self.tables.system.n_v))
+        below, found = self._given.arrays[2][0], self._found.arrays[1][0]
+
+        def solve(x: Array) -> Array:
+            np.multiply(size, x, out=below)
+            self.library.driver_solve(self.address, 1, *places, self._given.at[2], *self._found.at)
+            return np.asarray(size * found)
+
+        return certainly_regular(solve, len(size), float(len(size)))
+
+
+class _Constraints:
+    """Constraints by the driver, of one configuration or of many; those of NumPy, the next base, where it did not tell.
+
+    Answers are the caller's own.
+    """
+
+    _told: Array | None  # in the order of :meth:`DriverStates.constraints`
+
+    def constraint(self) -> Array:
+        """g(q, t), (n_lam,) or (k, n_lam)."""
+        told = self._told
+        return super().constraint() if told is None else told[0].copy()  # type: ignore[misc]
+
+    def opening(self) -> Array:
+        """G v + g_t, likewise."""
+        told = self._told
+        return super().opening() if told is None else told[1].copy()  # type: ignore[misc]
+
+    def gamma(self) -> Array:
+        """g'' - G a, likewise."""
+        told = self._told
+        return super().gamma() if told is None else told[3].copy()  # type: ignore[misc]
+
+
+class DriverEvaluation(_Constraints, Evaluation):
+    """An evaluation whose constraints and balance come from the driver."""
+
+    def __init__(self, states: DriverStates, t: float, q: Array, v: Array | None) -> None:
+        super().__init__(states.system, t, q, v)
+        self.states = states
+        rest = np.zeros(self.system.n_v) if v is None else v
+        self.alone = np.array([t]), q[None], rest[None]  # the configuration as one of many
+
+    def is_at(self, t: float, q: Array, v: Array | None) -> bool:
+        """Whether this is the same state."""
+        if self.t != t or (self.v is None) != (v is None):
+            return False
+        return bool((self.q == q).all()) and (v is None or bool((self.v == v).all()))
+
+    def again(self) -> DriverEvaluation:
+        """The same state for someone else, with all that is known of it but the forces."""
+        other = DriverEvaluation.__new__(DriverEvaluation)
+        other.__dict__.update(self.__dict__)
+        other.forces = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
+        return other
+
+    @cached_property
+    def _told(self) -> Array | None:  # type: ignore[override]
+        found = self.states.constraints(self.alone)
+        return None if found is None else found[:, 0]
+
+    def constraint_rate(self) -> Array:
+        """g_t, (n_lam,)."""
+        return super().constraint_rate() if self._told is None else self._told[2].copy()
+
+    @cached_property
+    def jacobian(self) -> Jacobian:
+        """G = dg/dv."""
+        return DriverJacobian(self)
+
+    def balance(self, a: Array, lam: Array | None = None) -> Array:
+        """M a + h + G^T lambda (lambda left out when None), like v."""
+        lam = np.zeros(self.system.n_lam) if lam is None else lam
+        found = self.states.balances(self.alone, a[None], lam[None])
+        if found is None or not np.logical_and.reduce(np.isfinite(found), axis=None):
+            return super().balance(a, lam)  # which says what is wrong
+        self.forces = a, lam
+        return found[0]
+
+    def _found_energies(self) -> dict[str, float]:
+        found = self.states.energies(self.alone)
+        if found is None:
+            return super()._found_energies()
+        return dict(zip(("kinetic", "elastic", "weight", "springs"), found[0].tolist(), strict=True))
+
+
+class DriverJacobian(Jacobian):
+    """G of a state by the driver; its parts are made when someone looks at them."""
+
+    def __init__(self, ev: DriverEvaluation) -> None:
+        self.ev = ev
+        self.system = ev.system
+        self.t = ev.t
+        self.bent = ev.bent
+
+    @cached_property
+    def numpy(self) -> Jacobian:
+        """The same as arrays with a pattern."""
+        return Jacobian(self.ev)
+
+    @cached_property
+    def core(self) -> Any:  # type: ignore[override]
+        """G, (n_lam, n_v), dense or sparse."""
+        G = self.ev.states.rows(self.ev.alone) if dense_core(self.system) else None
+        return self.numpy.core if G is None else G[0]
+
+    @cached_property
+    def port(self) -> Any:  # type: ignore[override]
+        """The part on the ports of parts."""
+        return self.numpy.port
+
+    def times(self, v: Array) -> Array:
+        """G v, (n_lam,)."""
+        t, q, _ = self.ev.alone
+        found = self.ev.states.along((t, q, v[None]))
+        return super().times(v) if found is None else found[0]
+
+
+class DriverJacobians(Jacobians):
+    """G of many configurations by the driver, made when someone looks at it."""
+
+    def __init__(self, batch: DriverBatch) -> None:
+        self.batch = batch
+
+    @cached_property
+    def core(self) -> Array:  # type: ignore[override]
+        """G, (k, n_lam, n_v)."""
+        G = self.batch.states.rows(self.batch.all)
+        return EvaluationBatch(self.batch.system, *self.batch.all).jacobian.core if G is None else G
+
+    def times(self, v: Array) -> Array:
+        """G v, (k, n_lam)."""
+        t, q, _ = self.batch.all
+        found = self.batch.states.along((t, q, v))
+        return super().times(v) if found is None else found
+
+
+class DriverBatch(_Constraints, EvaluationBatch):
+    """Many configurations by the driver."""
+
+    def __init__(self, states: DriverStates, t: Array, q: Array, v: Array) -> None:
+        super().__init__(states.system, t, q, v)
+        self.states, self.all = states, (t, q, v)
+
+    @cached_property
+    def _told(self) -> Array | None:  # type: ignore[override]
+        return self.states.constraints(self.all)
+
+    @cached_property
+    def jacobian(self) -> Jacobians:
+        """G of all configurations."""
+        return DriverJacobians(self)
+
+    def balance(self, a: Array, lam: Array | None = None) -> Array:
+        """M a + h + G^T lambda, (k, n_v); the constraints are evaluated beside it."""
+        found = self.states.together(self.all, a, lam)
+        if found is None or not np.isfinite(found[0]).all():
+            return super().balance(a, lam)
+        self._told = found[1]
+        return found[0]

@@ -1,0 +1,216 @@
+"""Accelerations, projections and the stages of explicit and half-explicit methods by the driver: one call each.
+
+None as an answer: NumPy has to do, or has something to say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....rotations import Array
+from ...system import State
+from ..tables.structures import address_of, addresses_of, enumeration
+
+if TYPE_CHECKING:
+    from .evaluation import DriverStates
+
+LOOK = enumeration("DONE")["LOOK"]  # a verdict
+Tableau = tuple[Array, Array]  # nodes c (stages,), rows A (stages + 1, stages) with the weights last
+Stages = tuple[Array, Array, Array, Array]  # rates and accelerations (stages, n_v); xi and v at the end
+Found = tuple[Array, Array, int]  # a and lambda of a stage, and how many solutions that took
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Accelerations and multipliers whose balance holds in one configuration, and whose rows in another (explicit.c):
+
+        M a + f(q, v + b a) + G^T lambda = 0        at the first of two times
+        G (known + c a) + g_t = 0 at ``after``,     or, ``on_places``, g(after o exp(known + c a)) = 0,     at the second
+
+    ``b`` in s, ``c`` in s, or s^2; ``damping``: its weight in the matrix (s); ``nothing``: the acceleration that counts as none.
+    """
+
+    times: tuple[float, float]
+    q: Array
+    v: Array
+    after: Array
+    known: Array
+    b: float
+    c: float
+    damping: float = 0.0
+    nothing: float = 0.0
+    on_places: bool = False
+
+
+@dataclass(frozen=True)
+class RattleStep:
+    """The state at the end of a step of RATTLE, a and lambda of the first half step, lambda of the second, and how many solutions
+    the first took.
+    """
+
+    end: State
+    first: tuple[Array, Array]
+    half: Array
+    solves: int
+
+
+class ExplicitStates:
+    """The answers for one system; ``states``: whose driver it is."""
+
+    def __init__(self, states: DriverStates) -> None:
+        self.states, self.system = states, states.system
+        tables = states.tables
+        s = tables.system
+        self.room = np.zeros(3 * s.n_q + 4 * s.n_v + 5 * s.n_lam + tables.nu)
+        self.place = address_of(self.room)
+
+    def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
+        """a and lambda of a consistent state; its matrix of masses is factored then."""
+        twin = self.states.twin
+        a = np.empty(twin.system.n_v)
+        lam = np.empty(self.system.n_lam)
+        arrays = twin.configurations(q), twin.velocities(v), self._bias(np.array([t])), a, lam
+        known = self.states.holds_masses(t, q)
+        if not self._ask(self.states.library.driver_accelerate, (int(known), t, self.system.length), arrays):
+            return None
+        self.states.hold(t, q, v, new=not known)
+        return twin.forces(a), lam
+
+    def closed(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
+        """q, then v, moved onto the constraints by the smallest change in the mass metric."""
+        twin = self.states.twin
+        q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
+        made = self._ask(self.states.library.driver_close, (t, self.system.length), (q, v))
+        return (twin.places(q), twin.forces(v)) if made else None
+
+    def arrived(self, t: float, q: Array, v: Array) -> State | None:
+        """:meth:`closed`, and a and lambda there."""
+        twin = self.states.twin
+        q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
+        a, lam = np.empty_like(v), np.empty(self.system.n_lam)
+        arrays = self._bias(np.array([t])), q, v, a, lam
+        if not self._ask(self.states.library.driver_arrive, (t, self.system.length), arrays):
+            return None
+        end = State(t, twin.places(q), twin.forces(v), twin.forces(a), lam)
+        self.states.hold(t, end.q, end.v)
+        return end
+
+    def stages(self, span: tuple[float, float], start: tuple[Array, Array, Array], tableau: Tableau) -> Stages | None:
+        """All stages of a step.
+
+        ``span``: where it begins, and its size (s). ``start``: q, v and the accelerations there.
+        """
+        (t, h), (c, A), twin = span, tableau, self.states.twin
+        q, v = twin.configurations(start[0]), twin.velocities(start[1])
+        rates, pushes = np.empty((2, len(c), len(v)))
+        rates[0], pushes[0] = v, twin.velocities(start[2])
+        xi, after = np.empty((2, len(v)))
+
+        arrays = c, A, self._bias(t + h * c), q, v, rates, pushes, xi, after
+        made = self._ask(self.states.library.driver_stages, (len(c), t, h, self.system.length), arrays)
+        return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(after)) if made else None
+
+    def stage(self, stage: Stage, guess: tuple[Array, Array], newton: Array | None = None) -> Found | None:
+        """a and lambda of a stage from a guess of them: to roundoff, or as far as ``newton`` says, the parameters of a march.
+
+        The matrix of the masses at q is kept.
+        """
+        states, twin, o = self.states, self.states.twin, stage
+        a, lam = twin.velocities(guess[0].copy()), guess[1].copy()
+        solves = np.zeros(1, dtype=np.int64)
+        sizes, times = np.array((o.b, o.c, o.damping, o.nothing)), np.array(o.times)
+        q, after = twin.configurations(o.q), twin.configurations(o.after)
+        v, known = twin.velocities(o.v), twin.velocities(o.known)
+        factored = not o.damping and states.holds_masses(o.times[0], o.q)
+
+        arrays: tuple[Any, ...] = (sizes, times, q, v, after, known, a, lam, solves, newton)
+        if not self._ask(states.library.driver_stage, (o.on_places, factored), arrays):
+            return None
+        if not o.damping:
+            states.hold(o.times[0], o.q, o.v, new=not factored)
+        return twin.forces(a), lam, int(solves[0])
+
+    def rattle(
+        self, state: State, h: float, guess: tuple[Array, Array], newton: Array, damping: float
+    ) -> RattleStep | None:
+        """A step of RATTLE of size h (s). ``guess``: a (2, n_v) and lambda (2, n_lam) of both half steps. Of the first,
+        ``newton`` are the parameters of a march, ``damping`` is its weight in the matrix (s).
+        """
+        states, twin = self.states, self.states.twin
+        push, force = twin.velocities(guess[0]), guess[1]
+        q, v = twin.configurations(state.q), twin.velocities(state.v)
+        q1, (v1, a), lam = np.empty_like(q), np.empty((2, len(v))), np.empty(self.system.n_lam)
+        solves = np.zeros(1, dtype=np.int64)
+        t = state.t + h
+        factored = not damping and states.holds_masses(state.t, state.q)
+
+        numbers = int(factored), state.t, h, self.system.length, damping
+        bias = self._bias(np.array([t]))
+        arrays: tuple[Any, ...] = (q, v, bias, newton, push, force, q1, v1, a, lam, solves)
+        if not self._ask(states.library.driver_rattle, numbers, arrays):
+            return None
+        end = State(t, twin.places(q1), twin.forces(v1), twin.forces(a), lam)
+        states.factors += not damping and not factored
+        states.hold(t, end.q, end.v)
+        push = twin.forces(push)
+        return RattleStep(end, (push[0], force[0]), force[1], int(solves[0]))
+
+    def half_stages(
+        self,
+        span: tuple[float, float],
+        start: tuple[Array, Array],
+        guess: tuple[Array, Array],
+        rule: tuple[Tableau, float],
+    ) -> tuple[Stages, Found] | None:
+        """All stages of a step of a half-explicit method, and a, lambda of the last one.
+
+        ``span``: where the step begins, and its size (s). ``start``: q and v there. ``rule``: nodes c (stages + 1,) and rows A
+        (stages + 1, stages), and the acceleration that counts as none.
+        """
+        ((c, A), nothing), twin = rule, self.states.twin
+        a, lam = twin.velocities(guess[0].copy()), guess[1].copy()
+        rates, pushes = np.empty((2, len(c) - 1, len(a)))
+        xi, v = np.empty((2, len(a)))
+        solves = np.zeros(1, dtype=np.int64)
+
+        q0, v0 = twin.configurations(start[0]), twin.velocities(start[1])
+        arrays: tuple[Any, ...] = (c, A, q0, v0, a, lam, rates, pushes, xi, v, solves)
+        if not self._ask(self.states.library.driver_half_stages, (len(c) - 1, *span, nothing), arrays):
+            return None
+        last = twin.forces(a), lam, int(solves[0])
+        return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(v)), last
+
+    def _bias(self, times: Array) -> Array:
+        """What prescribed motions add to gamma at several times, (k, n_lam)."""
+        bias = np.zeros((len(times), self.system.n_lam))
+        for rows, motions in self.states.calls.moving:
+            bias[:, rows] -= [[motion(float(t))[2] for motion in motions] for t in times]
+        return bias
+
+    def _ask(
+        self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array | None, ...], *, factors: bool = True
+    ) -> bool:
+        """One call of a function of numbers, arrays and room to work in; whether it has found an answer. ``factors``: a matrix of
+        its own, in place of the one that is held.
+        """
+        states = self.states
+        if states.taken:
+            return False
+        if factors:
+            states.hold(None)
+        if states.recalls:
+            states.tables.recall()
+
+        given = [np.ascontiguousarray(x) for x in arrays if x is not None]  # alive until C is done
+        known = iter(addresses_of(given))
+        places = [None if x is None else next(known) for x in arrays]
+        verdict = function(states.address, *numbers, *places, self.place)
+        calls = states.calls
+        if calls.error is not None or calls.asked:
+            calls.raise_error()
+        if verdict == LOOK:
+            states.tables.look()
+        return not verdict

@@ -1,0 +1,128 @@
+"""Rigid and reduced bodies and their surfaces as structures of ``driver/tables.h``."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....mechanics.reduction.second_order import SecondOrder
+from ....mechanics.rods.elements import RodElements
+from ....mechanics.validity import TOO_LARGE
+from ....rotations import Array
+from ...system import System
+from ..places import rigid_places
+from .fields import known_field
+from .structures import structure
+from .told import can_be_told, is_told
+
+if TYPE_CHECKING:
+    from .tables import Tables
+
+
+def rigid_bodies(tables: Tables) -> dict[int, Any]:
+    """The structures Body of all rigid bodies, by their frames."""
+    block, d = tables.system.rigid, tables.dim
+    if block is None:
+        return {}
+
+    first = tables.at_u[block.frame]
+    dest, ahead = rigid_places(tables, first)
+    # all inertias stand in one array; a body's own is found by its address
+    inertia, address = tables.store.array(block.inertia)
+    size = inertia[0].nbytes if len(inertia) else 0
+
+    kind = structure("Body", d)
+    out = {}
+    for i, frame in enumerate(block.frame):
+        out[int(frame)] = kind(
+            at_u=int(first[i]), mass=float(block.mass[i]), spin=np.inf, large=np.inf,
+            inertia=address + size * i, dest=dest + ahead * i,
+        )  # fmt: skip
+    return out
+
+
+def reduced_body(tables: Tables, b: int) -> Any:
+    """The structure Body of the frame b, a reduced body."""
+    system, store, d = tables.system, tables.store, tables.dim
+    k, part = tables.parts[b]
+    c = part.constants
+    m = part.n
+    width = int(tables.width[b])
+
+    arrays = modal_arrays(c, m, d) | {"block": np.zeros((width, width))}
+    unknown = tables.at_u[b] + np.arange(width)
+    i, j = np.tril_indices(width)
+    return structure("Body", d)(
+        modes=m, at_v=system.slices[1][k].start, at_q=system.slices[0][k].start, at_u=int(tables.at_u[b]), mass=c.mass,
+        large=(TOO_LARGE * c.size) ** 2 * c.mass, dest=store.integers(tables.fronts.place(unknown[i], unknown[j])),
+        **{name: store.address(x) for name, x in arrays.items()},
+    )  # fmt: skip
+
+
+def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
+    """Inertia and stiffness of a reduced body with m modes in d dimensions, by their names in C, and its work space."""
+    c = constants
+    T = c.T.transpose(1, 0, 2, 3)  # [b, a] = T_ab
+    pairs = ((2, 1), (0, 2), (1, 0)) if d == 3 else ((1, 0),)
+
+    arrays = {
+        "S": c.S,
+        "T": T,
+        "V": np.stack([T[..., i, j] - T[..., j, i] for i, j in pairs], axis=-1),
+        "modal": np.trace(c.T[1:, 1:], axis1=2, axis2=3),
+        "K": c.K,
+        "C": c.D,
+        "U": np.zeros((m + 1) * (d * d + 2 * d - 3) + 2 * m),
+    }
+
+    if c.stiffening is not None:
+        arrays |= {
+            "stress": c.stiffening.transpose(0, 2, 1),
+            "now": np.zeros((m, m)),
+            "bent": np.zeros((d + d * d + 1, m)),
+        }
+        second = SecondOrder(c.mass, c.S[:, 0], c.T[0, 0])
+        arrays |= {"mean": second.inverse, "heavy": np.zeros((4 * len(second.inverse), len(second.inverse) + m))}
+    return arrays
+
+
+def surface(tables: Tables, marker: int) -> Any:
+    """The structure Surface of a marker on a reduced or floating body; its map is kept in ``tables.maps``."""
+    system, store, d = tables.system, tables.store, tables.dim
+    markers = system.markers
+    body = int(markers.frame[marker])
+    k, part = tables.parts[body]
+    number = np.searchsorted(markers.surface, marker)
+    ports = markers.port[number] - system.port_slice(k).start
+    section = int(markers.section is not None and markers.section[number])
+    one = structure("Surface", d)(
+        body=body, section=section, p=(ctypes.c_double * d)(*markers.position[marker]),
+        reference=store.address(part.reference[ports]), ports=store.address(tables.port_matrix(body)[ports]),
+    )  # fmt: skip
+    surface_map, one.map = store.array(np.zeros((tables.twist, tables.width[body])))
+    tables.maps.append(surface_map)
+
+    if part.shortening is not None and part.shortening.G is not None:
+        N = part.shortening.N[ports]
+        mine = np.flatnonzero(np.abs(N).max(axis=0) > 0)
+        one.bends = len(mine)
+        one.N, one.G = store.address(N[:, mine]), store.address(part.shortening.G[mine].transpose(0, 2, 1))
+        one.now = store.address(np.zeros((len(ports) + 1, part.n)))
+        one.bend_map = store.address(np.zeros((tables.twist, max(len(mine), 1))))
+    return one
+
+
+def covers_bodies(system: System) -> bool:
+    """Whether all bodies are known to the driver, with all that loads them."""
+    known = all(_known_part(p) for p in system.parts)
+    rods = all(isinstance(e, RodElements) for e in system.elements)
+    return known and rods and not system.port_constraints and not system.traces and system.n_frames > 0
+
+
+def _known_part(part: Any) -> bool:
+    """Whether the driver takes a part."""
+    if part.distributed:
+        return known_field(part)
+    return not is_told(part) or can_be_told(part)

@@ -1,0 +1,278 @@
+"""Floating elastic fields in the driver's tables: their matrices, and the columns that their own factors have solved."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from ....errors import ConvergenceError
+from ....mechanics.bodies.field_part import FieldPart
+from ....mechanics.bodies.floating import FloatingField
+from ....mechanics.validity import TOO_LARGE
+from ....rotations import Array
+from .resting import RestingField
+from .structures import structure
+from .told import ToldMotion
+
+if TYPE_CHECKING:
+    from .tables import Tables
+
+FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the driver's copies of the matrices memory
+SIZES = 9  # of steps, whose compliances are kept
+VANISHING = 1e-9  # size of the column of a surface's port, against the largest
+LEAST = 1e-10  # compliance of a combination of columns, against the largest
+
+
+class Block(Protocol):
+    """Factor and columns of a field for one size of a step: Y = E^-1 H and W = H^T Y of its inertia and of the ports
+    ``used``.
+    """
+
+    factor: Any
+    used: np.ndarray
+    Y: Array
+    W: Array
+
+
+class FieldTable:
+    """One floating field as the structure Field of ``driver/tables.h``.
+
+    Columns of H: those of inertia, the ports that the factor has solved for, then ports that are only read.
+    """
+
+    def __init__(self, tables: Tables, number: int, k: int, block: Block) -> None:
+        system = tables.system
+        self.tables, self.number, self.k, self.block = tables, number, k, block
+        self.part: Any = system.parts[k]
+        self.rows = system.frame_rows[k]
+        self.turns = isinstance(self.part, RestingField) and self.part.turns
+        self.changes = self.turns or not linear_field(self.part)  # matrices with the steps that were made
+
+        first = system.port_slice(k).start
+        seen = [x for x in np.unique(system.markers.port) - first if 0 <= x < self.part.n_port]
+        self.ports = np.concatenate((block.used, np.setdiff1d(seen, block.used))).astype(int)
+        inertial = self.inertial = self.part.inertia_columns.shape[1]
+        self.solved, self.count = inertial + len(block.used), inertial + len(self.ports)
+        conditions = np.arange(self.part.n_frame_rows)
+        places = inertial + np.searchsorted(block.used, conditions)
+        self.frame_slots = conditions if self.part.shared_columns else places
+
+        self.port_matrix = np.zeros((self.part.n_port, self.count))
+        self.port_matrix[self.ports, inertial + np.arange(len(self.ports))] = 1.0
+        nothing: Array = np.zeros(0)
+        self.b = self.z = self.force = self.sums = nothing  # those of the structure
+        self.motion = ToldMotion(tables, self.part.n)
+        self.indefinite = False
+        self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
+        # of the factors in use, which sizes of steps come back to
+        self._condensed: dict[int, tuple[Array, Condensed]] = {}
+
+    @property
+    def spin_to_check(self) -> float:
+        """Angular velocity (rad/s) above which the body is to be warned of; infinite where it was, or stiffens."""
+        known = self.part.warned or self.part.stiffening is not None
+        return np.inf if known else float(self.part.spin_to_check)
+
+    def solve(self) -> None:
+        """z = E^-1 b."""
+        self.z[:] = self.block.factor.solve(self.b)
+
+    def alike(self, block: Block) -> bool:
+        """Whether another factor has solved for the same columns; ports of stiffened bodies change with the tangent."""
+        if self.part.stiffening is not None:
+            return False
+        same = block.Y.shape == self.block.Y.shape and self.part.inertia_columns.shape[1] == self.inertial
+        return same and np.array_equal(block.used, self.block.used)
+
+    def take(self, block: Block) -> None:
+        """Go on with another factor, and with the inertia of the frame that goes with it."""
+        self.block = block
+        for name, values in self._of_tangent().items():
+            self.of_tangent[name][...] = values
+
+    def _of_tangent(self) -> dict[str, Array]:
+        """What changes with the tangent."""
+        part, block = self.part, self.block
+        inverse = self._inverse(block.W)
+        self.indefinite = inverse.indefinite
+        d = self.tables.dim
+        moment = part.moment if part.column_version(0.0) else np.zeros(d)
+        return {
+            "Y": block.Y.T, "A": inverse.A, "W": inverse.W, "G": inverse.G, "S": inverse.S,
+            "Q": part.inertia_columns.T, "inertia": part.inertia, "moment": moment,
+            "began": part.began if self.turns else np.zeros((2, d, d)),
+        } | ({} if part.stiffening is None else self._bent_tangent())  # fmt: skip
+
+    def _bent_tangent(self) -> dict[str, Array]:
+        """The same with stiffening: ports of second order, and what second-order displacements add to the frame's mass."""
+        part = self.part
+        bends = 0 if part.shortening is None else part.shortening.N.shape[1]
+        return {
+            "held": np.zeros((bends, part.n)) if part.shown is None else part.shown.slopes.T,
+            "second": part.second_inertia,
+        }
+
+    def _inverse(self, W: Array) -> Condensed:
+        """The compliance W of a factor without the frame conditions; kept, as steps change between a few sizes."""
+        known = self._condensed.pop(id(W), None)
+        if known is None or known[0] is not W:
+            known = W, Condensed(W, self.frame_slots, self.inertial)
+        self._condensed[id(W)] = known
+        for old in list(self._condensed)[:-SIZES]:
+            del self._condensed[old]
+        return known[1]
+
+    def forces(self, t: float) -> None:
+        """Rows of the frame and forces on the nodes."""
+        motion, _, local = self.motion.at(t)
+        self.sums[:], self.force[:] = self.part.force(motion, local)
+
+    def mean_forces(self, t: float) -> None:
+        """Forces on the nodes over a step about t (s); its frame rests."""
+        motion, _, local = self.motion.at(t)
+        self.force[:] = self.part.mean_force(motion, local, self.tables.c.span)
+
+    def energies(self, t: float) -> None:
+        """Kinetic, elastic and weight energy."""
+        motion, pose, local = self.motion.at(t)
+        self.sums[:3] = self.part.energies(motion, pose, local[:2])
+
+    # -- structures ----------------------------------------------------------------------------------------------------------
+    def body(self) -> Any:
+        """The structure Body."""
+        tables = self.tables
+        part = self.part
+        system = tables.system
+        frame, d = part.frame, tables.dim
+        width = int(tables.width[frame])
+        i, j = np.tril_indices(width)
+        unknown = tables.at_u[frame] + np.arange(width)
+        address = tables.store.structure(self._field())
+        stiffening = part.stiffening
+        mean = np.zeros(0) if stiffening is None else stiffening.second.inverse
+        return structure("Body", d)(
+            modes=self.count, mean=tables.store.address(mean),
+            at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,
+            at_u=int(tables.at_u[frame]), mass=part.mass_total, large=(TOO_LARGE * part.size) ** 2 * part.field.n_global / d,
+            block=tables.store.address(np.zeros((width, width))),
+            dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])), field=address,
+        )  # fmt: skip
+
+    def _field(self) -> Any:
+        """The structure Field."""
+        part = self.part
+        field = part.field
+        tables = self.tables
+        d = tables.dim
+        store = tables.store
+        n = self.part.n
+        arrays = {
+            **self._matrices(), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
+            **{name: np.zeros(self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
+            **{name: np.zeros(n) for name in ("accel", "MU")},
+        }  # fmt: skip
+        of_tangent = {name: store.array(x) for name, x in self._of_tangent().items()}
+        self.of_tangent = {name: x for name, (x, _) in of_tangent.items()}
+
+        self.b, b = store.array(np.zeros(n))
+        self.z, z = store.array(np.zeros(n))
+        self.force, force = store.array(np.zeros(n))
+        self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
+
+        return structure("Field", d)(
+            n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
+            sways=int(part.shared_columns), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
+            own=int(not linear_field(part)), force=force, sums=sums, state=self.motion.address,
+            inertial=self.inertial, turns=int(self.turns), frame_slot=store.integers(self.frame_slots),
+            **{name: address for name, (_, address) in of_tangent.items()},
+            **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
+            **self._stiffening(),
+        )  # fmt: skip
+
+    def _matrices(self) -> dict[str, np.ndarray]:
+        """M and K by rows of nodes, and the columns of ports."""
+        part = self.part
+        field = part.field
+        d = self.tables.dim
+        start, columns, values = field.M.getValuesCSR()
+        K = sp.csr_matrix(field.K.getValuesCSR()[::-1], shape=(part.n, part.n)).tobsr((d, d))
+        ports = sp.csc_matrix(FieldPart.port_columns(part, self.ports, 0.0))  # of the body that is not bent
+        return {
+            "M_start": start.astype(np.int32), "M_column": columns.astype(np.int32), "M": values,
+            "K_start": K.indptr.astype(np.int32), "K_column": K.indices.astype(np.int32), "K": K.data,
+            "port": ports.data, "port_start": ports.indptr.astype(np.int32), "port_on": ports.indices.astype(np.int32),
+        }  # fmt: skip
+
+    def _stiffening(self) -> dict[str, int]:
+        """What a field with stiffening has beside, see ``driver/stiffened.c``."""
+        part, d = self.part, self.tables.dim
+        if part.stiffening is None:
+            return {}
+        store, stiffening = self.tables.store, part.stiffening
+        told = linear_field(part)
+        pattern, entries = stiffening.entries
+        first = d + d * d
+        entries = entries if told else entries[:, first:]
+        stresses, bends = (first if told else 0), entries.shape[1] - (first if told else 0)
+
+        N = np.zeros((self.count, bends))
+        if part.shortening is not None:
+            N[self.inertial :] = part.shortening.N[self.ports]
+        second, k = stiffening.second, stresses + bends
+        arrays = {
+            "N": N, "bent": np.zeros((part.n, k)), "form": np.zeros((3, k)), "bias": np.zeros(self.count),
+            "pull": np.zeros(bends), "one": stiffening.first[:: d, 0], "first": np.concatenate((second.S0, second.X0.ravel())),
+        }  # fmt: skip
+        return {
+            "stresses": stresses, "bends": bends, "stress": store.shared(entries),
+            "stress_start": store.integers(pattern.indptr), "stress_column": store.integers(pattern.indices),
+            **{name: store.address(x) for name, x in arrays.items()},
+        }  # fmt: skip
+
+
+class Condensed:
+    """What equation (2) of ``driver/fields.c`` knows of the columns of H: S, the inverse of their compliance with the frame
+    conditions solved.
+
+    W: H^T E^-1 H. ``at``: columns of the frame conditions. ``inertial``: how many columns are those of inertia.
+    """
+
+    def __init__(self, W: Array, at: np.ndarray, inertial: int) -> None:
+        if not np.isfinite(W).all():
+            raise ConvergenceError("The tangent of a field is not finite where an iteration led.")
+        self.A = np.linalg.inv(W[np.ix_(at, at)])
+        self.W = W[:, at]
+        self.G = self.A @ W[at]
+        compliance = W - self.W @ self.G
+
+        # columns at one scale; those of ports that vanish have that of the smallest one. Frame conditions are no measure for
+        # the others: they are large where a body's mass is a large number. Bodies that are pressed give way: negative ones
+        size = np.sqrt(np.abs(W.diagonal()))
+        ports = np.arange(len(W)) >= inertial
+        ports[at] = False
+        vanishes = ports & (size <= VANISHING * size[ports].max(initial=0.0))
+        size[vanishes] = size[ports & ~vanishes].min(initial=np.inf)
+        scaled = compliance / np.outer(size, size)
+
+        # negative ones are those of bodies that buckle
+        share, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        least = LEAST * np.abs(share).max(initial=LEAST)
+        stiffness = 1.0 / np.where(np.abs(share) > least, share, least)
+        self.indefinite = bool((share < -least).any())
+        self.S = (directions * stiffness) @ directions.T / np.outer(size, size)
+
+
+def known_field(part: Any) -> bool:
+    """Whether the driver takes a part with a field, floating or at rest: on one rank, of moderate size."""
+    if type(part) not in (FloatingField, RestingField):
+        return False
+    small = part.comm.size == 1 and part.n <= FIELD_LIMIT
+    return small and not (part.field.mixed or part.traces)
+
+
+def linear_field(part: Any) -> bool:
+    """Whether the forces of a field are in C: linear elasticity and damping by the stiffness. Python tells all others."""
+    field = part.field
+    return not (field.nonlinear or field.D is not None or field.loads.loads or field.forms.mass_damping)

@@ -1,0 +1,84 @@
+"""The rods of a system in the driver's tables: their elements, their loads, and section laws in Python."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....mechanics.rods.elements import RodElements
+from ....mechanics.rods.sections import LinearLaw
+from .structures import structure
+
+if TYPE_CHECKING:
+    from .tables import Tables
+
+LOADED = 12  # numbers of a load on a node: force, moment in world axes, then in axes of its section
+
+
+class RodTable:
+    """One rod as a structure of ``driver/tables.h``; ``c`` is the structure, the arrays are those that C reads."""
+
+    def __init__(self, tables: Tables, rod: RodElements, number: int) -> None:
+        self.rod, store = rod, tables.store
+        self.own = not isinstance(rod.law, LinearLaw)
+        m, q = rod.weights.shape
+        self.strain, strain = store.array(np.zeros((m, q, 6)))
+        self.S, S = store.array(np.zeros((m, q, 6)))
+        self.C, C = store.array(np.zeros((m, q, 6, 6)) if self.own else rod.law.C)
+        self.density, density = store.array(np.zeros((m, q)))
+        self.load, load = store.array(np.zeros((len(rod.nodes), LOADED)))
+
+        self.c = structure("Rod", 3)(
+            k=rod.frames.shape[1], points=q, nodes=len(rod.nodes), number=number if self.own else -1, n=m, beta=rod.beta,
+            node=store.integers(rod.frames), loaded=store.integers(rod.nodes[:, 0]), to=store.integers(self._places(tables)),
+            N=store.address(rod.shape.N), slope=store.address(rod.slopes), weight=store.address(rod.weights),
+            natural=store.address(rod.natural), C=C, strain=strain, S=S, density=density, load=load if rod.loads else None,
+            z=store.address(np.zeros((m, q, 11))), E=store.address(np.zeros((m, q, 6, 11))),
+            rate=store.address(np.zeros((m, q, 6))),
+        )  # fmt: skip
+
+    def _places(self, tables: Tables) -> np.ndarray:
+        """Where the lower half of each element's block goes in the fronts, node by node."""
+        frames = self.rod.frames
+        unknowns = tables.at_u[frames][..., None] + np.arange(6)
+        rows, columns = [], []
+        for i in range(frames.shape[1]):
+            for j in range(i + 1):
+                a, b = np.tril_indices(6) if i == j else np.divmod(np.arange(36), 6)
+                rows.append(unknowns[:, i, a])
+                columns.append(unknowns[:, j, b])
+        return tables.fronts.place(np.concatenate(rows, axis=1), np.concatenate(columns, axis=1))
+
+    @property
+    def of_time(self) -> bool:
+        """Whether loads along the rod are to be sampled."""
+        return bool(self.rod.loads)
+
+    def sample(self, t: float) -> None:
+        """Loads on the nodes at a time (s)."""
+        self.load[:] = 0.0
+        for load in self.rod.loads:
+            first = 6 * load.follower + 3 * load.turns
+            self.load[:, first : first + 3] += load.on_nodes(t)
+
+    def sections(self) -> None:
+        """Section forces and energies of a law in Python."""
+        self.S[:] = self.rod.law.stress(self.strain)
+        self.density[:] = self.rod.law.energy(self.strain)
+        if self.rod.beta:
+            self.section_slopes()
+
+    def section_slopes(self) -> None:
+        """Its tangents."""
+        self.C[:] = self.rod.law.tangent(self.strain)
+
+
+def rod_pairs(rods: tuple[Any, ...]) -> set[tuple[int, int]]:
+    """Frames that elements couple, the smaller one first."""
+    found: set[tuple[int, int]] = set()
+    for rod in rods:
+        for nodes in np.sort(rod.frames, axis=1):
+            found |= {(int(a), int(b)) for a, b in combinations(nodes, 2)}
+    return found

@@ -1,0 +1,444 @@
+"""The tables of a system, as ``driver/tables.h`` describes them."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ....errors import ConvergenceError
+from ....mechanics.forces.formulas import MEMORY
+from ....mechanics.joints.relative import Relative
+from ....mechanics.kinds.frames import FRAME
+from ....mechanics.reduction.reduced import ReducedPart
+from ....rotations import Array
+from ...system import System
+from ..order import Fronts, RowGroup
+from ..places import MatrixShape, Structure, batch_of, fronts_of, pivots_of, structure_of
+from ..recording import Looks
+from ..sights import reaction_of, seen_places
+from .angles import angles, free_markers, theta_places
+from .bodies import reduced_body, rigid_bodies, surface
+from .fields import Block, FieldTable
+from .items import LAW, READ, ROW, Items, items_of, other_loads
+from .listening import listeners
+from .mounts import mount_batch
+from .resting import twin_of
+from .rods import RodTable, rod_pairs
+from .structures import SECANTS, Store, array_of, structure
+from .told import ToldPart, is_told
+from .whole import WholeLoads
+
+PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
+TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
+DIRECTIONS = {  # constants that are directions in the axes of a marker: of which side
+    "along": {"e": 0},
+    "perpendicular": {"e": 0, "f": 1},
+    "turned": {"e": 0, "g": 0, "f": 1},
+    "angle": {"fa": 0, "ga": 0, "fb": 1, "gb": 1},
+    "follower": {"load": 1},
+    "wheel_height": {"e": 0, "f": 1},
+    "wheel_slip": {"e": 0, "t": 0, "f": 1},
+    "ball_slip": {"e": 0, "t": 0},
+    "skate": {"e": 1},
+    "follower_couple": {"load": 1},
+}
+OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
+LINKS_LIMIT = 1_000_000  # entries of the rows of efforts that answer to more than their own coordinate
+ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
+
+
+def _bytes(x: np.ndarray | None) -> bytes:
+    """Numbers as a part of a key."""
+    return b"" if x is None else x.tobytes()
+
+
+class Tables:
+    """All tables of one system; ``c`` is the driver's System, ``batches`` the items behind its batches."""
+
+    width: np.ndarray  # of the bodies' blocks
+    at_u: np.ndarray  # where they begin among the unknowns
+    nu: int
+    rows: int
+    c: Any  # the structure System
+    structure: Structure
+    fronts: Fronts
+    # fields with new tangents: at t, increments that led there
+    renewed: Callable[[float, dict[int, Array]], Sequence[Block]]
+
+    def __init__(
+        self, system: System, *, redundant: bool, blocks: Sequence[Block] = (), coordinates: Sequence[Relative] = ()
+    ) -> None:
+        """``blocks``: factors and columns of the floating fields for the size of a step; ``coordinates``: one item each that
+        nothing acts on, for :meth:`coordinate`.
+        """
+        self.twin = twin_of(system)
+        self.system = system = self.twin.system  # with a frame for each absolute body
+        self.store = Store()
+        self.dim = system.motions.dim
+        self.nb = system.n_frames
+        self.twist = system.motions.n_twist
+        reduced: tuple[Any, ...] = system.parts
+        self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
+        numbered = enumerate(zip(system.fields, blocks, strict=True))
+        self.blocks = blocks
+        self.user: Any = None  # the stepper whose steps were made last
+        self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
+        self.floating = {field.part.frame: field for field in self.fields}
+        self.looks = Looks(system)
+        self.listeners = listeners(self)
+        self.items = items_of(system, self.looks, [x for one in self.listeners for x in one.items], coordinates)
+        self.loads = other_loads(system)
+        self.mounts = [f for f in system.forces if f.mounts() is not None]
+        self.maps: list[Array] = []  # of surfaces: twist from the rates of the body
+        self._lay_out()
+        self._place_surfaces()
+        if sum(one.links for one in self.listeners) * self.nu > LINKS_LIMIT:
+            for one in self.listeners:
+                one.unlink()
+        self.structure = structure_of(self._connections(), self._shape)
+        self.fronts = self.structure.fronts
+
+        self.sources = [one for items in self.items for one in self._split(items)]
+        self.batches = [self._batch(items, number) for number, items in enumerate(self.sources)]
+        self._first_coordinate = len(self.sources) - len(coordinates)
+        self.batches += [mount_batch(self, loads) for loads in self.mounts]
+        self.whole = [WholeLoads(self, loads, number) for number, loads in enumerate(self.loads)]
+        self.batches += [loads.batch for loads in self.whole]
+        told = [k for k, part in enumerate(system.parts) if is_told(part)]
+        self.told = [ToldPart(self, number, k) for number, k in enumerate(told)]
+        rods: tuple[Any, ...] = system.elements
+        self.rods = [RodTable(self, rod, number) for number, rod in enumerate(rods)]
+        self._system(redundant)
+
+    # -- unknowns ----------------------------------------------------------------------------------------------------------
+    def _lay_out(self) -> None:
+        """Widths of the bodies' blocks and where they begin; the rows come behind."""
+        modes = [self.parts[b][1].n if b in self.parts else 0 for b in range(self.nb)]
+        for frame, field in self.floating.items():
+            modes[frame] = field.count
+        self.modes = np.array(modes, dtype=int)
+        self.width = self.twist + self.modes
+        self.at_u = np.cumsum(self.width) - self.width
+        self.nu, self.rows = int(self.width.sum()), self.system.n_lam
+
+    def _place_surfaces(self) -> None:
+        """The markers on surfaces that something acts on, each a frame behind the ground."""
+        mk = self.system.markers
+        used: list[np.ndarray] = [items.markers.ravel() for items in self.items]
+        used += [x for f in (*self.loads, *self.mounts) for x in (f.a, f.b)]
+        used.append(np.array(self.looks.markers, dtype=int))
+        used += free_markers(self.system)
+        used += [np.array(one.markers, dtype=int) for one in self.listeners]
+        self.surfaces = (
+            np.intersect1d(np.concatenate(used), mk.surface).astype(int) if mk.surface.size else np.zeros(0, int)
+        )
+        self.frame = mk.frame.copy()
+        self.frame[self.surfaces] = self.nb + 1 + np.arange(len(self.surfaces))
+        for items in self.items:
+            items.frames = self._frames_of(items)
+        self.nothing = self.nu + self.twist * len(self.surfaces)  # place of what the ground would have
+
+    def body_of(self, frame: np.ndarray) -> np.ndarray:
+        """The body of frames, -1 for the ground."""
+        on = np.append(np.arange(self.nb), -1)
+        on = np.append(on, self.system.markers.frame[self.surfaces])
+        return np.asarray(on[frame])
+
+    def port_matrix(self, body: int) -> Array:
+        """Rates of the ports of a body from those of its modes, (ports, modes)."""
+        matrix: Array = (self.floating[body] if body in self.floating else self.parts[body][1]).port_matrix
+        return matrix
+
+    def twist_places(self, frame: np.ndarray) -> np.ndarray:
+        """Places of the twists of frames in arrays of velocities, (..., n_twist)."""
+        first = np.concatenate((self.at_u, [self.nothing], self.nu + self.twist * np.arange(len(self.surfaces))))
+        places = first[frame][..., None] + np.arange(self.twist)
+        return np.where((frame == self.nb)[..., None], self.nothing, places)
+
+    def rates(self, frame: int) -> np.ndarray:
+        """The unknowns that move a frame."""
+        body = int(self.body_of(np.array(frame)))
+        if body < 0:
+            return np.zeros(0, int)
+        width = self.twist if frame < self.nb else self.width[body]
+        return np.asarray(self.at_u[body] + np.arange(width))
+
+    def _frames_of(self, items: Items) -> np.ndarray:
+        """Frames of both sides, (n, 2); loads have the ground for their first."""
+        frames = self.frame[items.markers]
+        if items.kind.name in ONE_SIDED:
+            frames[:, 0] = self.nb
+        return frames
+
+    # -- order ---------------------------------------------------------------------------------------------------------------
+    def _connections(self) -> tuple[Any, ...]:
+        """What acts between which frames, and on which rows: all that the structure depends on."""
+        acting = ((x.role == ROW, _bytes(x.frames), _bytes(x.row)) for x in self.items if x.role != READ)
+        whole = ((_bytes(self.frame[f.a]), _bytes(self.frame[f.b])) for f in (*self.loads, *self.mounts))
+        rods = frozenset(rod_pairs(self.system.elements)) if self.system.elements else frozenset()
+        on = _bytes(self.system.markers.frame[self.surfaces])
+        return self.dim, self.rows, _bytes(self.width), on, tuple(acting), tuple(whole), rods
+
+    def _shape(self) -> MatrixShape:
+        """Groups of rows, and the bodies that are coupled."""
+        touched: list[set[int]] = [set() for _ in range(self.rows)]
+        terms = np.zeros(self.rows, int)
+        pairs = rod_pairs(self.system.elements)
+        for items in (x for x in self.items if x.role != READ):
+            bodies: Any = self.body_of(items.frames)
+            if items.role == ROW:
+                assert items.row is not None
+                for number, pair in zip(items.row, bodies.tolist(), strict=True):
+                    touched[int(number)] |= {x for x in pair if x >= 0}
+                    terms[int(number)] += 1
+            pairs |= {(min(x), max(x)) for x in bodies.tolist() if x[0] != x[1] and min(x) >= 0}
+        for f in (*self.loads, *self.mounts):
+            both: Any = self.body_of(self.frame[np.stack((f.a, f.b), axis=1)])
+            pairs |= {(min(x), max(x)) for x in both.tolist() if x[0] != x[1] and min(x) >= 0}
+
+        found: dict[tuple[tuple[int, ...], bool], list[int]] = {}
+        for row in range(self.rows):
+            found.setdefault((tuple(sorted(touched[row])), bool(terms[row] > 1)), []).append(row)
+        groups = [RowGroup(near, tuple(rows), coupling) for (near, coupling), rows in found.items()]
+        return MatrixShape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs))
+
+    def renew_fields(self, t: float) -> None:
+        """New tangents of the fields at the state that C evaluated last; ConvergenceError where NumPy has to take them."""
+        if any(field.part.shared_columns for field in self.fields):
+            raise ConvergenceError(
+                "The columns of a frame with mean axes change their number with the first new tangent."
+            )
+        self._take(self.renewed(t, {field.k: field.b.copy() for field in self.fields}))
+
+    def take(self, blocks: Sequence[Block]) -> bool:
+        """Go on with other factors of the fields, for another size of step; False where their columns are others."""
+        if not all(field.alike(block) for field, block in zip(self.fields, blocks, strict=True)):
+            return False
+        self._take(blocks)
+        return True
+
+    def _take(self, blocks: Sequence[Block]) -> None:
+        """Write what depends on the factors of the fields."""
+        for field, block in zip(self.fields, blocks, strict=True):
+            field.take(block)
+        self.blocks = blocks
+        # ports that give way where they are pulled: of bodies that buckle
+        self.c.indefinite = int(any(field.indefinite for field in self.fields))
+
+    # -- batches -------------------------------------------------------------------------------------------------------------
+    def _split(self, items: Items) -> list[Items]:
+        """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces."""
+        sorts = self.structure.once(("sorts", _bytes(items.frames)), lambda: self._sorts(items.frames))
+        return [items] if len(sorts) == 1 else [items.part(which) for which in sorts]
+
+    def _sorts(self, frames: np.ndarray) -> list[np.ndarray]:
+        """Numbers of the items of each sort."""
+        sort = np.where((frames > self.nb).any(axis=1), 9, (frames == self.nb) @ np.array([1, 2]))
+        return [np.flatnonzero(sort == k) for k in np.unique(sort)]
+
+    def _constants(self, items: Items, P: Array) -> None:
+        """Fill the table of constants, (n, width), in the axes of the frames."""
+        mk = self.system.markers
+        n = len(items)
+        kind = items.kind
+
+        for name, side in PLACES.items():
+            if name in kind.constants:
+                place = mk.position[items.markers[:, side]]
+                if self.surfaces.size:  # a marker on a surface lies where the surface is
+                    place[self.frame[items.markers[:, side]] > self.nb] = 0.0
+                P[:, kind.place(name)] = place
+
+        for name, side in TURNS.items():
+            if name in kind.constants:
+                P[:, kind.place(name)] = mk.rotation[items.markers[:, side]].reshape(n, -1)
+        # in the plane angles count from those at the start
+        if kind.name == "angle" and self.dim == 2:
+            assert self.system.counted is not None
+            start = self.system.counted.start[items.markers]
+            P[:, kind.place("zero").start] = start[:, 1] - start[:, 0]
+
+        for name, values in items.constants.items():
+            if name in kind.constants:
+                P[:, kind.place(name)] = self.turned(items, name, values)
+
+    def turned(self, items: Items, name: str, values: Array) -> Array:
+        """Constants of items, directions turned from the axes of their markers into those of the frames; (n, size)."""
+        values = np.asarray(values, dtype=float).reshape(len(items), -1)
+        R = self.turning(items, name)
+        if R is None or values.shape[1] != self.dim:
+            return values
+        return np.asarray((R @ values[..., None])[..., 0])
+
+    def turning(self, items: Items, name: str) -> Array | None:
+        """Rotations (n, dim, dim) from the axes of the markers in which a constant is a direction; None for other constants."""
+        side = DIRECTIONS.get(items.kind.name, {}).get(name)
+        return None if side is None else np.asarray(self.system.markers.rotation[items.markers[:, side]])
+
+    def _batch(self, items: Items, number: int) -> Any:
+        """One structure Batch."""
+        kind, n, store = items.kind, len(items), self.store
+        one = batch_of(self, items)
+        one.number = number
+        room = store.zeros({
+            "P": (n, kind.width), "out": (n, one.outputs), "hessian": (n, 0 if items.role == READ else one.hessians),
+            "known": (n, 3 if items.role == LAW else 0), "numbers": (len(OF_ITEMS), n),
+        })  # fmt: skip
+        items.table, one.P = room["P"]
+        items.arrays["out"] = room["out"][0]
+        self._constants(items, items.table)
+        one.out, one.hessian, one.known = room["out"][1], room["hessian"][1], room["known"][1]
+
+        numbers, first = room["numbers"]
+        given = {"effort": items.effort, "stiffness": items.stiffness, "damping": items.damping, "free": items.free}
+        for k, name in enumerate(OF_ITEMS):
+            values = given.get(name)
+            items.arrays[name] = numbers[k]
+            if values is not None:
+                numbers[k] = values
+            setattr(one, name, first + 8 * n * k)
+        if items.formula is not None:
+            self._formula(one, items)
+        if items.slot is not None:
+            one.slot = store.integers(items.slot)
+        if items.role == ROW:
+            one.factor = store.address(items.factor)
+        if kind.name == "angle" and self.dim == 3:
+            one.near, one.theta = kind.place("near").start, store.integers(theta_places(self.system, items))
+        return one
+
+    def _formula(self, one: Any, items: Items) -> None:
+        """The numbers of a formula, and the memory of its elements."""
+        formula, store = items.formula, self.store
+        assert formula is not None
+        one.formula = formula.kind
+        items.arrays["constants"], one.constants = store.array(formula.constants)
+        memory = np.zeros((len(items), MEMORY)) if formula.kept is None else formula.kept()
+        items.arrays["kept"], one.kept = store.array(memory)
+
+    # -- all of it -------------------------------------------------------------------------------------------------------------
+    def _system(self, redundant: bool) -> None:
+        """The structure System."""
+        s, looks = self.system, self.looks
+        once = 4 * s.n_v + 3 * self.rows  # work of a step, and of a second solution where there are fields
+        counts, lists = self._lists()
+        row_dest, sign = pivots_of(self)
+
+        parts = [field.part for field in self.fields]
+        self.c = structure("System", self.dim)(
+            **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
+            rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
+            again=once, stiff=int(bool(self.rods or self.told) or any(f.stiff for f in s.forces)),
+            remembers=max([0, *(x.remembers for x in self.items), *(x.remembers for x in self.listeners)]),
+            storage=self.fronts.storage, seen=len(looks.markers), seen_frame=self.store.integers(self.frame[looks.markers]),
+            seen_place=seen_places(self), accelerated=int(looks.accelerated),
+            readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
+            foretells=int(any(part.foretells for part in parts)), indefinite=int(any(field.indefinite for field in self.fields)),
+            leaves_out=int(s.leaves_out), **self._links(),
+        )  # fmt: skip
+        self.look()
+
+    def _lists(self) -> tuple[dict[str, int], dict[str, int]]:
+        """How many bodies, surfaces .. there are, and the addresses of their structures."""
+        others = rigid_bodies(self) | {frame: field.body() for frame, field in self.floating.items()}
+        others |= {one.part.frame: one.body(others.get(one.part.frame)) for one in self.told}
+        lists = {
+            "body": ("bodies", [others[b] if b in others else reduced_body(self, b) for b in range(self.nb)]),
+            "surface": ("surfaces", [surface(self, int(i)) for i in self.surfaces]),
+            "angle": ("angles", angles(self)),
+            "rod": ("rods", [rod.c for rod in self.rods]),
+            "batch": ("batches", self.batches),
+            "reaction": ("reactions", [reaction_of(self, *which) for which in self.looks.wrenches]),
+        }
+
+        counts, addresses = {}, {}
+        for name, (plural, made) in lists.items():
+            array = array_of(structure(name.capitalize(), self.dim), max(len(made), 1))(*made)
+            self.store.kept.append(array)
+            counts[plural], addresses[name] = len(made), ctypes.addressof(array)
+            if name == "body":
+                self.body_array = array
+        return counts, addresses
+
+    def _numbers(self, once: int) -> dict[str, int]:
+        """The arrays of numbers, kept by their names, and their addresses; ``once``: size of the work of a step."""
+        s = self.system
+        store = self.store
+        size = self.nu + self.rows
+        widest = int(self.width.max(initial=0))
+        given = {
+            "gravity": s.gravity(0.0),
+            "rest_gravity": s.gravity(np.inf),
+            "units": s.units,
+            "row_units": s.row_units,
+            "multiplier_units": s.multiplier_units,
+        }
+
+        arrays = store.zeros({
+            "velocity": self.nothing + 1, "residual": self.nothing + 1,
+            "L": self.fronts.storage + 8, "diagonal": size, "inverse": size, "b": size, "local": size + 8,
+            "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows), "big": (2 * self.twist + 1) * 2 * widest + size,
+            **dict.fromkeys(("gap", "slip", "weight", "motion", "motion_rate"), self.rows),
+            "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},
+        })  # fmt: skip
+        self.arrays = {name: x for name, (x, _) in arrays.items()}
+        for name, values in given.items():
+            self.arrays[name][:] = values
+        # the ground does not turn
+        self.arrays["frames"][self.nb, self.dim : self.dim + self.dim**2 : self.dim + 1] = 1.0
+        return {name: address for name, (_, address) in arrays.items()}
+
+    def _links(self) -> dict[str, int]:
+        """Room for efforts that answer to more than their own coordinate, see links.c."""
+        count = sum(one.links for one in self.listeners)
+        if not count:
+            return {}
+        wide = count, self.nothing + 1
+        sizes = {"push": wide, "pull": wide, "answer": (count, self.nu + self.rows), "mutual": (count, count)}
+        made = self.store.zeros(sizes)
+        self.arrays |= {name: x for name, (x, _) in made.items()}
+        return {"linkable": count, **{name: address for name, (_, address) in made.items()}}
+
+    def coordinate(self, number: int) -> int:
+        """The address of the batch of one of the ``coordinates``."""
+        size = ctypes.sizeof(structure("Batch", self.dim))
+        return int(self.c.batch) + size * (self._first_coordinate + number)
+
+    @cached_property
+    def remembering(self) -> list[Any]:
+        """Items with a memory."""
+        return [items for items in self.sources if items.remembers]
+
+    @cached_property
+    def sampled(self) -> list[Any]:
+        """Items whose efforts stay the same between samples."""
+        return [items for items in self.sources if items.sampled is not None]
+
+    def recall(self) -> None:
+        """Take the memory of elements that have one."""
+        for items in self.sampled:
+            items.arrays["effort"][:] = items.sampled()
+        for items in self.remembering:
+            items.arrays["kept"][:] = items.formula.kept()
+        for one in self.listeners:
+            one.recall()
+
+    def remember(self) -> None:
+        """Give back the memory of elements after accepted steps."""
+        for items in self.remembering:
+            items.formula.keep(items.arrays["kept"])
+        for one in self.listeners:
+            one.remember()
+
+    def look(self) -> None:
+        """Take the angular velocities above which a body is to be warned of; those warned of have none."""
+        for b, (_, part) in self.parts.items():
+            if isinstance(part, ReducedPart) and not is_told(part):
+                known = part.warned or part.constants.stiffening is not None
+                self.body_array[b].spin = np.inf if known else part.first_frequency**2
+        for frame, field in self.floating.items():
+            self.body_array[frame].spin = field.spin_to_check**2

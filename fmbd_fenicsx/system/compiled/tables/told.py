@@ -1,0 +1,103 @@
+"""Parts that the driver asks Python about: lines, loaded reduced bodies, and those of the user's own, see ``driver/told.c``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....mechanics.placements import FrameMotion, Part
+from ....mechanics.reduction.reduced import ReducedPart
+from ....rotations import Array
+from .resting import RestingPart
+from .structures import structure
+
+if TYPE_CHECKING:
+    from .tables import Tables
+
+
+def is_told(part: Any) -> bool:
+    """Whether Python tells the forces of a part: of replicated ones all but those of reduced bodies that nothing loads."""
+    return not part.distributed and (type(part) is not ReducedPart or bool(part.constants.loads))
+
+
+def can_be_told(part: Any) -> bool:
+    """Whether the driver takes such a part: with ports that are constant rows of its coordinates."""
+    own = type(part.part if isinstance(part, RestingPart) else part)
+    constant = own.ports_of is Part.ports_of and own.port_force is Part.port_force
+    return constant and part.shortening is None
+
+
+class ToldMotion:
+    """The motion of a part with n coordinates, as C leaves it in ``state``; ``address``: of this array."""
+
+    def __init__(self, tables: Tables, n: int) -> None:
+        d, twist, pose = tables.dim, tables.twist, tables.system.motions.n_pose
+        sizes = (d * d, twist, twist, pose, d, n, n, n)
+        state, self.address = tables.store.array(np.zeros(sum(sizes)))
+        R, *self._frame, self._u, self._rate, self._second = np.split(state, np.cumsum(sizes)[:-1])
+        self._R = R.reshape(d, d)
+
+    def at(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
+        """Motion and pose of the frame, and the coordinates with two rates, which may be kept."""
+        twist, accel, pose, gravity = self._frame
+        return FrameMotion(t, self._R, twist, accel, gravity), pose, (self._u.copy(), self._rate.copy(), self._second)
+
+
+class ToldPart:
+    """One such part, number ``k`` of the system, as the structure Told of ``driver/tables.h``."""
+
+    def __init__(self, tables: Tables, number: int, k: int) -> None:
+        self.tables, self.number, self.k = tables, number, k
+        self.part: Any = tables.system.parts[k]
+        self.rests = isinstance(self.part, RestingPart)
+        self.width = tables.twist + self.part.n
+        self.motion = ToldMotion(tables, self.part.n)
+        made = tables.store.zeros({"rows": self.width, "block": (self.width, self.width)})
+        self.rows, self.block = (x for x, _ in made.values())
+        self.addresses = {name: address for name, (_, address) in made.items()}
+
+    def forces(self, t: float) -> None:
+        """Rows of the frame and of the coordinates."""
+        motion, _, local = self.motion.at(t)
+        self.rows[: self.tables.twist], self.rows[self.tables.twist :] = self.part.force(motion, local)
+
+    def energies(self, t: float) -> None:
+        """Kinetic, elastic and weight energy."""
+        motion, pose, local = self.motion.at(t)
+        self.rows[:3] = self.part.energies(motion, pose, local[:2])
+
+    def tangents(self, t: float) -> None:
+        """M + cd D + ck K, the frame in world axes."""
+        d, n, c = self.tables.dim, self.tables.twist, self.tables.c
+        motion, _, local = self.motion.at(t)
+        of_frame, coupling, mass = self.part.mass_blocks(motion, local[0])
+        if c.cd or c.ck:
+            K, D = self.part.stiffness_blocks(motion, local)
+            mass = mass + c.cd * D + c.ck * K
+        self.block[n:, n:] = mass
+        if self.rests:
+            self.block[range(n), range(n)] = 1.0
+            return
+
+        turn = np.eye(n)
+        if d == 3:
+            turn[d:, d:] = motion.R
+        self.block[:n, :n] = turn @ of_frame @ turn.T
+        self.block[n:, :n] = coupling @ turn.T
+
+    def body(self, rigid: Any) -> Any:
+        """The structure Body, of a rigid body on the same frame (None: there is none) and the part."""
+        tables, system = self.tables, self.tables.system
+        frame = self.part.frame
+        body = structure("Body", tables.dim)(spin=np.inf, large=np.inf) if rigid is None else rigid
+        i, j = np.tril_indices(self.width)
+        unknown = tables.at_u[frame] + np.arange(self.width)
+        told = structure("Told", tables.dim)(
+            number=self.number, rests=int(self.rests), state=self.motion.address, **self.addresses,
+            dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])),
+        )  # fmt: skip
+
+        body.modes, body.at_u, body.told = self.part.n, int(tables.at_u[frame]), tables.store.structure(told)
+        body.at_q, body.at_v = system.slices[0][self.k].start, system.slices[1][self.k].start
+        return body

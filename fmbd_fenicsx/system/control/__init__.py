@@ -1,0 +1,1 @@
+"""Controllers: their laws, what they remember, the efforts that they set."""

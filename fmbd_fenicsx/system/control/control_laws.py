@@ -1,0 +1,62 @@
+"""Laws of controllers: the PID law, and the numbers that a law of the user's own returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from ...errors import CallbackError
+from ...rotations import Array
+
+
+def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> Array:
+    """Numbers that a law returned, or an error that says what was found."""
+    size, t = wanted
+    if size == 1 and isinstance(value, tuple | list) and len(value) == 1:
+        value = value[0]
+    if size == 1 and isinstance(value, float) and isfinite(value):
+        return np.array([value])  # the usual answer: laws are asked many times a step
+    try:
+        found = np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError, OverflowError):
+        raise CallbackError(f'Controller "{name}" returned {value!r} at t = {t:g} s, expected {size} {what}.') from None
+    if found.shape != (size,) or not (isfinite(found.dot(found)) or np.isfinite(found).all()):
+        raise CallbackError(
+            f'Controller "{name}" returned {found} of shape {found.shape} at t = {t:g} s, expected {size} finite {what}.'
+        )
+    return found
+
+
+def differences(x: Array, asked: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Derivatives (.., n) of two answers of the law by the numbers x (n,)."""
+    found = []
+    for k in range(len(x)):
+        step = np.zeros(len(x))
+        step[k] = 1e-6 * max(1.0, abs(float(x[k])))
+        ahead, behind = asked(x + step), asked(x - step)
+        found.append([(p - q) / (2 * step[k]) for p, q in zip(ahead, behind, strict=True)])
+    return np.array([one for one, _ in found]).T, np.array([other for _, other in found]).T
+
+
+@dataclass(frozen=True)
+class PidLaw:
+    """See :func:`pid`; ``target`` gives (s, s', s'')."""
+
+    gains: tuple[float, float, float]
+    target: Callable[[float], tuple[float, float, float]]
+    limit: float
+    every: float | None
+
+    def __call__(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[float, float]:
+        """The effort, and how the integral grows or its next value."""
+        kp, ki, kd = self.gains
+        wanted, speed, _ = self.target(t)
+        error = wanted - y["s"][0]
+        free = kp * error + ki * z[0] + kd * (speed - y["rate"][0])
+        u = float(np.clip(free, -self.limit, self.limit))
+        growth = error if u == free else error + (u - free) / kp
+        return u, growth if self.every is None else z[0] + self.every * growth

@@ -1,0 +1,81 @@
+"""Memories of controllers with a continuous law: what is kept of a step, and the memory within the next.
+
+z(t) = z_n + (t - t_n) / 2 (g_n + g(t, y, z(t)))                                                              (1)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import CallbackError
+from ...rotations import Array
+from .control_laws import differences
+
+SLOW = 1e-2  # share of an error that may be left by inserting a memory in its own rule
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What a controller keeps: time t_n (s), memory z and its rate g, efforts u, and the number of the next sample."""
+
+    t: float
+    z: Array
+    rate: Array
+    u: Array
+    next: int
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a continuous law answered with at time t (s) and readings y after a step was kept: u, z and g of (1)."""
+
+    kept: Kept
+    t: float
+    y: dict[str, Array]
+    u: Array
+    z: Array
+    rate: Array
+
+    def holds(self, kept: Kept, t: float, y: Mapping[str, Array]) -> bool:
+        """Whether it is asked for the same once more."""
+        return self.follows(kept, t) and all(np.array_equal(x, self.y[name]) for name, x in y.items())
+
+    def follows(self, kept: Kept, t: float) -> bool:
+        """Whether it is of the same step."""
+        return self.kept is kept and self.t == t
+
+
+def implicit(
+    name: str, kept: Kept, t: float, law: Callable[[Array], tuple[Array, Array]], start: Array | None
+) -> tuple[Array, Array, Array]:
+    """u, z and g of (1) at time t: by inserting, enough for memories that are slow; else by Newton's method.
+
+    ``law``: z -> (u, g). ``start``: a memory of the same step, nearer than what the rate that was kept foretells; None for that.
+    """
+    half = 0.5 * (t - kept.t)
+    z = kept.z + 2 * half * kept.rate if start is None else start
+    u, rate = law(z)
+    if not len(z) or half == 0.0:
+        return u, z, rate
+
+    slopes, before, left, past = None, np.inf, 1.0, z
+    for count in range(20):
+        miss = z - kept.z - half * (kept.rate + rate)
+        size = _largest(miss)
+        if size <= 1e-14 * (_largest(z) + _largest(half * rate)):
+            return u, z, rate
+        if size > SLOW * before:
+            slopes = np.eye(len(z)) - half * differences(z, law)[1]
+        elif count == 1:
+            left = 1.0 - float(miss @ past) / float(past @ past)  # of a miss once z has moved by it
+        z, before, past = z - (miss / left if slopes is None else np.linalg.solve(slopes, miss)), size, miss
+        u, rate = law(z)
+    raise CallbackError(f'Controller "{name}": its memory has no value at t = {t:g} s. Is the law smooth in it?')
+
+
+def _largest(x: Array) -> float:
+    """max |x| of few numbers, (m,)."""
+    return max(map(abs, map(float, x)))

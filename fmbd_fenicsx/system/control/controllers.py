@@ -1,0 +1,417 @@
+"""Controllers: read sensors, set the efforts of joint coordinates, keep a memory of their own.
+
+    continuous     u = u(t, y, z),   z' = g(t, y, z)                                                              (1)
+    sampled        u, z = law(t_k, y_k, z)  at t_k = k T, held between                                            (2)
+
+y are the readings, u the efforts, z the memory. Within a step from t_n the memory of (1) follows the trapezoidal rule,
+
+    z(t) = z_n + (t - t_n) / 2 (g_n + g(t, y, z(t))),                                                             (3)
+
+a function of the configuration and of what was kept at t_n; so it is of second order in every scheme, a rejected step has
+nothing to undo, and Newton sees how u answers to the joint coordinates, positions and velocities that are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...checks import function, instance, typed, vector
+from ...errors import CallbackError, InputError, LawError, named, near, require
+from ...mechanics.forces.effort_laws import PID
+from ...mechanics.forces.force_elements import Loads, MarkerTangent
+from ...mechanics.forces.forces import Force
+from ...mechanics.forces.formulas import Formula, SampledEffort, table
+from ...mechanics.forces.joint_elements import motion_of
+from ...mechanics.frames import Kinematics
+from ...mechanics.joints.drives import JointCoordinate
+from ...mechanics.joints.relative import Relative
+from ...rotations import Array, Motions, hat
+from ..sensors.sensor import Sensor
+from ..sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Velocity
+from .control_laws import PidLaw, differences, numbers_of
+from .control_memory import Found, Kept, implicit
+
+_KINEMATIC = (Position, Velocity, AngularVelocity, Rotation)
+_AT = 1e-9  # share of the sampling period by which a step may end before its sample
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What a sensor of motion reads from."""
+
+    kin: Kinematics
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A quantity that a controller reads: a joint coordinate (``relative``, level 0) or its rate (1), or a sensor at a marker."""
+
+    name: str
+    sensor: Sensor
+    marker: int
+    relative: Relative | None
+    level: int
+
+    @property
+    def coordinate(self) -> JointCoordinate | None:
+        """The joint coordinate that it is, or is the rate of; None at a marker."""
+        return self.sensor.coordinate if isinstance(self.sensor, JointReading) else None
+
+    def at(self, kin: Kinematics) -> Array:
+        """The value in a configuration, (size,)."""
+        if self.relative is not None:
+            return self.relative.rates(kin) if self.level else self.relative.values(kin)
+        return self.sensor.read(_Seen(kin), None, self.marker)  # type: ignore[arg-type]
+
+    def rows(self, kin: Kinematics, size: int) -> list[tuple[int, Array, bool]]:
+        """(marker, rows (size, n), of velocities) by which it answers to markers."""
+        d, n = kin.x.shape[1], kin.jac_frame.shape[1]
+        if self.relative is not None:
+            ra, rb = self.relative.rows(kin)
+            return [(int(m[0]), r, bool(self.level)) for m, r in ((self.relative.a, ra), (self.relative.b, rb))]
+        if isinstance(self.sensor, Position | Velocity):
+            return [(self.marker, np.eye(d, n), isinstance(self.sensor, Velocity))]
+        turning = np.eye(n)[d:]
+        if isinstance(self.sensor, Rotation) and d == 3:  # of the columns r of R: theta x r
+            turning = (-hat(kin.R[self.marker].T)).swapaxes(0, 1).reshape(size, d) @ turning
+        return [(self.marker, turning, isinstance(self.sensor, AngularVelocity))]
+
+
+class Readings(dict[str, Array]):
+    """What a law reads, by name."""
+
+    def __missing__(self, name: str) -> Array:
+        raise LookupError(f'"{name}" is not among what it reads. {near(str(name), self)}')
+
+
+class ControlLoads(Loads):
+    """One controller: efforts on the coordinates ``acts``, one marker pair each; ``kept`` as in :class:`Kept`."""
+
+    def __init__(
+        self, motions: Motions, controller: Controller, acts: Sequence[Relative], readings: Sequence[Reading]
+    ) -> None:
+        super().__init__(motions, [controller] * len(acts), [(int(r.a[0]), int(r.b[0])) for r in acts])
+        self.controller, self.acts, self.readings = controller, tuple(acts), tuple(readings)
+        self.law = named("The law of controller", controller.name, controller.law, time=0)
+        z = np.asarray(controller.memory, dtype=float)
+        self.kept: Kept = Kept(0.0, z, np.zeros_like(z), np.zeros(len(acts)), 0)
+        self._found: Found | None = None
+
+    @property
+    def called(self) -> bool:
+        """Whether the law is called at every evaluation: a continuous one that has no formula."""
+        return self.controller.every is None and not self.formulas()
+
+    @staticmethod
+    def law_of(f: Any) -> Any:
+        """None: the law of a controller is called with its readings."""
+        return None
+
+    # -- the law ----------------------------------------------------------------------------------------------------
+    def ask_law(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
+        """Efforts (acts,) and rate (or next value) of the memory, checked."""
+        c = self.controller
+        try:
+            found = self.law(t, Readings(y), z.copy())
+        except LawError as error:
+            if not isinstance(error.__cause__, IndexError):
+                raise
+            sizes = ", ".join(f'"{name}" {len(x)}' for name, x in y.items())
+            raise LawError(
+                f"{error}. What it reads holds so many numbers: {sizes}; a memory, {len(z)}. The rate of a joint coordinate is a "
+                'reading of its own: reads={"rate": fmbd.joint_rate(...)}.'
+            ) from error.__cause__
+        if not len(z) and isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], tuple) and not found[1]:
+            found = found[0]  # an empty memory, returned as it was given
+        # with a memory a law returns two things
+        u, more = found if len(z) and isinstance(found, tuple) and len(found) == 2 else (found, None)
+        if (more is None) != (not len(z)):
+            wanted = "(efforts, rate of the memory)" if c.every is None else "(efforts, memory)"
+            raise CallbackError(f'Controller "{c.name}" keeps {len(z)} numbers: its law must return {wanted}.')
+
+        size = len(self.acts)
+        efforts = numbers_of(c.name, "efforts", u, (size, t))
+        return efforts, z if more is None else numbers_of(c.name, "numbers of the memory", more, (len(z), t))
+
+    def with_memory(self, t: float, y: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """u of a continuous law at time t, with z and g of (3); asked for the same again, what was found."""
+        last = self._found
+        if last is None or not last.holds(self.kept, t, y):
+            start = last.z if last is not None and last.follows(self.kept, t) else None
+            found = implicit(self.controller.name, self.kept, t, partial(self.ask_law, t, y), start)
+            last = self._found = Found(self.kept, t, {name: x.copy() for name, x in y.items()}, *found)
+        return last.u, last.z, last.rate
+
+    def _by_memory(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
+        """du/dz (acts, m) and dg/dz (m, m)."""
+        return differences(z, partial(self.ask_law, t, y))
+
+    def read(self, kin: Kinematics) -> dict[str, Array]:
+        """Values of what the law reads in a configuration, by name."""
+        return {r.name: r.at(kin) for r in self.readings}
+
+    def efforts(self, kin: Kinematics, t: float) -> Array:
+        """u, (acts,): N or N m, positive where the coordinate grows."""
+        return self.kept.u if self.controller.every is not None else self.with_memory(t, self.read(kin))[0]
+
+    # -- forces -----------------------------------------------------------------------------------------------------
+    def _rows(self, kin: Kinematics) -> tuple[Array, Array]:
+        rows = [r.rows(kin) for r in self.acts]
+        return np.concatenate([a for a, _ in rows]), np.concatenate([b for _, b in rows])
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """u along each coordinate."""
+        u = self.efforts(kin, t)[:, None]
+        ra, rb = self._rows(kin)
+        return u * ra, u * rb
+
+    def scalar(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array]:
+        """Coordinates, rates, and minus the efforts."""
+        s = np.concatenate([r.values(kin) for r in self.acts])
+        rate = np.concatenate([r.rates(kin) for r in self.acts])
+        return s, rate, -self.efforts(kin, t)
+
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent | None:
+        """How u answers to what is read, for each pair of an acting and a read marker; None when sampled."""
+        if self.controller.every is not None:
+            return None
+        y = self.read(kin)
+        ra, rb = self._rows(kin)
+        entries: list[tuple[int, int, Array, bool]] = []
+        slopes = self.slopes(t, y, list(y))
+        for reading in self.readings:
+            rows = reading.rows(kin, len(y[reading.name]))
+            for j in range(len(self.acts)):
+                for marker, row, fast in rows:
+                    push = slopes[reading.name][j] @ row  # du/d(displacement or velocity of the marker), (n,)
+                    entries.append((int(self.a[j]), marker, -np.outer(ra[j], push), fast))
+                    entries.append((int(self.b[j]), marker, -np.outer(rb[j], push), fast))
+        if not entries:
+            return None
+
+        # by displacements of what is read, or by its velocities
+        n = self.motions.n_twist
+        K, D = np.zeros((2, len(entries), 2 * n, 2 * n))
+        for i, (_, _, block, fast) in enumerate(entries):
+            (D if fast else K)[i, :n, n:] = block
+        return MarkerTangent(np.array([e[0] for e in entries]), np.array([e[1] for e in entries]), K, D)
+
+    def slopes(self, t: float, y: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
+        """du/dy of some readings, (acts, size) each, the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy."""
+        z, half = self.with_memory(t, y)[1], 0.5 * (t - self.kept.t)
+        by_memory: Array = np.zeros((len(self.acts), len(z)))
+        if len(z) and half:
+            effort, rate = self._by_memory(t, y, z)
+            by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
+
+        out: dict[str, Array] = {}
+        for name in names:
+            effort, rate = differences(y[name], partial(self._with, t, y, z, name))
+            out[name] = effort + by_memory @ rate
+        return out
+
+    def _with(self, t: float, y: Mapping[str, Array], z: Array, name: str, value: Array) -> tuple[Array, Array]:
+        """What the law answers with another value of one reading."""
+        return self.ask_law(t, {**y, name: value}, z)
+
+    def formulas(self) -> list[Formula]:
+        """That of a continuous PID controller; none of other laws."""
+        law = self.controller.law
+        if not isinstance(law, PidLaw) or self.controller.every is not None:
+            return []
+
+        def kept() -> Array:
+            return np.array([[self.kept.z[0], self.kept.rate[0], self.kept.t]])
+
+        def keep(memory: Array) -> None:
+            z, rate, t = (float(x) for x in memory[0])
+            self.kept = Kept(t, np.array([z]), np.array([rate]), self.kept.u, 0)
+
+        kp, ki, kd = law.gains
+        numbers = table([(kp, kd, law.limit, ki, *law.target(0.0)[:2])])
+        return [Formula(self.acts[0], PID, np.zeros(1, dtype=int), numbers, [law.target], kept, keep)]
+
+    # -- memory -----------------------------------------------------------------------------------------------------
+    def first(self, ev: Any, state: Any) -> Kept:
+        """Memory at the start, with the first sample taken."""
+        z = np.asarray(self.controller.memory, dtype=float)
+        self.kept = Kept(state.t, z, np.zeros_like(z), np.zeros(len(self.acts)), 0)
+        return self.accepted(ev, state)
+
+    @property
+    def due(self) -> float:
+        """When the next sample is taken, s."""
+        every = self.controller.every
+        return np.inf if every is None else every * (self.kept.next - _AT)
+
+    def sampled(self) -> list[SampledEffort]:
+        """The efforts between samples; none of continuous laws."""
+        acting = self.acts if self.controller.every is not None else ()
+        return [SampledEffort(relative, lambda i=i: -float(self.kept.u[i])) for i, relative in enumerate(acting)]  # type: ignore[misc]
+
+    def jumps(self, kept: Kept) -> bool:
+        """A new sample has been taken."""
+        return kept.next != self.kept.next
+
+    def memory_values(self) -> Array:
+        """z of a continuous law, (m,); sampled ones keep theirs from sample to sample."""
+        return self.kept.z if self.controller.every is None else np.zeros(0)
+
+    def set_memory(self, values: Array, t: float) -> None:
+        """Take z at time t, s."""
+        self.kept = replace(self.kept, t=t, z=values.copy())
+
+    def memory_rates(self, ev: Any, t: float) -> Array:
+        """g of (1), (m,)."""
+        z = self.memory_values()
+        return self.ask_law(t, self.read(ev.kin), z)[1] if len(z) else z
+
+    def after(self, t: float, y: Mapping[str, Array]) -> Kept:
+        """What a continuous law keeps of a step that ended at t with these readings, by (3)."""
+        u, z, rate = self.with_memory(t, y)
+        return Kept(t, z, rate, u, 0)
+
+    def accepted(self, ev: Any, state: Any) -> Kept:
+        """Memory after a step: of (3), or of the sample that is due."""
+        every, kept = self.controller.every, self.kept
+        if every is None:
+            return self.after(state.t, self.read(ev.kin))
+        if state.t < self.due:
+            return kept
+        y = {r.name: r.at(ev.kin) if r.relative else r.sensor.read(ev, state, r.marker) for r in self.readings}
+        u, z = self.ask_law(state.t, y, kept.z)
+        return Kept(state.t, z, kept.rate, u, int(np.floor(state.t / every + _AT)) + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Controller(Force):
+    """See :func:`controller`."""
+
+    acts: tuple[JointCoordinate, ...] = ()
+    reads: dict[str, Sensor] = field(default_factory=dict)
+    law: Callable[..., Any] = None  # type: ignore[assignment]
+    memory: tuple[float, ...] = ()
+    every: float | None = None
+
+    kind: ClassVar[str] = "controller"
+    batch: ClassVar[type[Loads]] = ControlLoads
+
+    @property
+    def coordinate(self) -> JointCoordinate:
+        """The first coordinate that it acts on."""
+        return self.acts[0]
+
+    @property
+    def coordinates(self) -> tuple[JointCoordinate, ...]:
+        """Those that it acts on or reads."""
+        return (*self.acts, *(c for s in self.reads.values() for c in s.coordinates))
+
+    @property
+    def period(self) -> float | None:
+        """Period of sampling, s."""
+        return self.every
+
+    @property
+    def sides(self) -> tuple[Any, ...]:
+        """All that it acts on or reads from."""
+        return (*(x for s in self.acts for x in (s.joint.a, s.joint.b)), *(s.on for s in self.reads.values()))
+
+    def own_loads(self, place: Any) -> ControlLoads:
+        """The controller in a system; ``place`` gives the coordinate and the marker of a sensor."""
+        readings = []
+        for name, sensor in self.reads.items():
+            if isinstance(sensor, JointReading):
+                readings.append(Reading(name, sensor, -1, place.relative(sensor.coordinate), sensor.derivative))
+            else:
+                readings.append(Reading(name, sensor, place.marker(sensor), None, 0))
+        return ControlLoads(place.motions, self, [place.relative(s) for s in self.acts], readings)
+
+
+@typed
+def controller(
+    name: str,
+    *,
+    reads: Mapping[str, Sensor | JointCoordinate],
+    acts: JointCoordinate | Sequence[JointCoordinate],
+    law: Callable[..., Any],
+    memory: Sequence[float] = (),
+    every: float | None = None,
+) -> Controller:
+    """A controller: reads sensors, sets the efforts of joint coordinates, with a memory of its own.
+
+    Args:
+        reads: name -> sensor or joint coordinate, say ``{"phi": fmbd.angle(hinge), "tip": fmbd.position(tip)}``.
+        acts: joint coordinates whose efforts it sets (N m of an angle, N of a displacement).
+        law: law(t, y, z) -> efforts, one for each of ``acts``; with a memory -> (efforts, rate of z), and sampled ->
+            (efforts, new z). ``y["phi"]`` are the readings as arrays, z the memory (m,).
+        memory: z at the start.
+        every: period of sampling, s: the law is called at the ends of the steps where a sample is due, and its efforts are held.
+            Constant steps should divide it; steps with error control end at samples.
+            None: continuous, the law is part of the equations of motion and is called at every iterate.
+
+    A continuous law reads joint coordinates, their rates, positions, velocities, angular velocities and rotations; a sampled
+    one any sensor. The memory is kept in checkpoints and changed by accepted steps only.
+
+    Raises:
+        CallbackError: during a run, where the law returns something of another shape.
+    """
+    acts = (acts,) if isinstance(acts, JointCoordinate) else tuple(acts)
+    require(len(acts) > 0, f'Controller "{name}": acts must hold a joint coordinate at least.')
+    for coordinate in acts:
+        instance(f'Controller "{name}": on', coordinate, JointCoordinate)
+
+    # continuous laws are asked inside Newton's iteration, where only the motion is known
+    function(f'Controller "{name}": law', law, "tyz", named="t, y, z")
+    require(every is None or (np.isfinite(every) and every > 0), f'Controller "{name}": every = {every} s must be > 0.')
+
+    sensors: dict[str, Sensor] = {}
+    for label, given in reads.items():
+        sensor = JointReading(None, given.unit, coordinate=given) if isinstance(given, JointCoordinate) else given
+        require(isinstance(sensor, Sensor), f'Controller "{name}" reads "{label}": expected a sensor, found {given!r}.')
+        if every is None and not isinstance(sensor, (*_KINEMATIC, JointReading)):
+            raise InputError(
+                f'Controller "{name}" reads "{label}", {type(sensor).__name__}, which no continuous law can: it depends on '
+                "more than the motion. Sample it: every=..."
+            )
+        sensors[label] = sensor
+
+    z = tuple(float(x) for x in memory)
+    joint = acts[0].joint
+    return Controller(name, joint.a, joint.b, None, None, acts, sensors, law, z, every)
+
+
+@typed
+def pid(
+    name: str,
+    on: JointCoordinate,
+    *,
+    target: Callable[[float], Any] | float,
+    gains: tuple[float, float, float],
+    limit: float = np.inf,
+    every: float | None = None,
+) -> Controller:
+    """PID controller of a joint coordinate s: effort k_p e + k_i int e dt + k_d e' with e = target(t) - s.
+
+    Args:
+        target: a number or a smooth function of time (rad or m); it may return (s, s', s'').
+        gains: (k_p, k_i, k_d): N m/rad, N m/(rad s), N m s/rad, or N/m, N/(m s), N s/m.
+        limit: largest effort; while it binds, what is cut off is fed back into the integral with time k_p / k_i, so that it
+            does not wind up. Needs k_p > 0.
+        every: period of sampling, s; None for a continuous controller.
+    """
+    vector(f'PID "{name}": gains (k_p, k_i, k_d)', gains, size=3)
+    require(min(gains) >= 0, f'PID "{name}": gains {gains} must not be negative.')
+    require(limit > 0, f'PID "{name}": limit = {limit} must be positive.')
+    require(gains[0] > 0 or not np.isfinite(limit), f'PID "{name}": a limit needs a proportional gain above 0.')
+
+    law = PidLaw(gains, motion_of(name, target), limit, every)
+    reads: dict[str, Sensor | JointCoordinate] = {
+        "s": on,
+        "rate": JointReading(None, on.unit + "/s", coordinate=on, derivative=1),
+    }
+    return controller(name, reads=reads, acts=on, law=law, memory=(0.0,), every=every)

@@ -1,0 +1,1 @@
+"""Derivatives of the balance and of the constraints: what Newton's iteration sees."""

@@ -1,0 +1,171 @@
+"""The tangent of applied forces: springs, dampers, tyres and laws of the user's own, as Newton's iteration sees them.
+
+An element between two markers has the tangent T = cd D + ck K over their displacements, d = J_a dq + J_b dq. On frames and on
+replicated parts J^T T J goes into the core. A marker on the surface of a distributed field moves with the ports of the field
+as well; with the singular values of T = U S V^T the element becomes a compliant row beside the constraints,
+
+    [ A          J^T U S^1/2 ] [ dq ]   [ b ]
+    [ S^1/2 V^T J     -1     ] [ y  ] = [ 0 ]                                                              (1)
+
+which is the same system, keeps the factor of the field as it is, and stays well conditioned for any stiffness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...mechanics.forces.force_elements import ScalarLoads
+from ...rotations import Array
+from .element_tangent import with_elements
+
+if TYPE_CHECKING:
+    from ..evaluation import Evaluation
+
+
+@dataclass(frozen=True, eq=False)
+class ForceTangent:
+    """Derivative of the applied forces by the increments of a step, cd D + ck K, in the two pieces that a solver needs.
+
+    ``core`` (n_core, n_core), dense or sparse as G, or None: elements between frames and replicated parts. ``left``, ``right``
+    (n_core + n_port, r): elements that touch a surface of a distributed field, whose tangent is left @ right^T on the core
+    and the ports; r is the sum of their ranks.
+    """
+
+    core: Any
+    left: Array
+    right: Array
+
+
+RANK = 1e-13  # singular values of an element's tangent below this share of the largest are roundoff
+
+
+def force_tangent(ev: Evaluation, cd: float, ck: float) -> ForceTangent | None:
+    """cd D + ck K of the applied forces, and of elements between frames; None when there is none. See :class:`ForceTangent`."""
+    s = ev.system
+    entries = _Entries(ev)
+    left, right = [], []
+    for loads in s.forces if ev.v is not None else ():
+        tangent = loads.tangent(ev.kin, ev.t)
+        if tangent is None:
+            continue
+        T = ck * tangent.K + cd * tangent.D
+        if isinstance(loads, ScalarLoads) and loads in ev.foretold:
+            T = T + ck * loads.relative.geometric(ev.kin, ev.foretold[loads] - loads.scalar(ev.kin, ev.t)[2])
+        on_surface = entries.seen.touches(tangent.a) | entries.seen.touches(tangent.b)
+        entries.add_frames(T, tangent.a, tangent.b, ~on_surface)
+
+        for i in np.flatnonzero(on_surface):
+            # both markers of an element on a surface, by core and ports
+            J = np.concatenate((entries.seen.rows(tangent.a[i]), entries.seen.rows(tangent.b[i])))
+            if not J[:, s.n_core :].any():
+                entries.add_block(J[:, : s.n_core].T @ T[i] @ J[:, : s.n_core])
+                continue
+            # on ports of fields: as a product of low rank, the border of the solver
+            U, sizes, Vt = np.linalg.svd(T[i])
+            keep = sizes > RANK * sizes[0]
+            root = np.sqrt(sizes[keep])
+            left.append(J.T @ (U[:, keep] * root))
+            right.append(J.T @ (Vt[keep].T * root))
+
+    core = entries.matrix()
+    if s.elements:
+        core = with_elements(ev, core, cd, ck)
+    if core is None and not left:
+        return None
+    none = np.zeros((s.n_core + s.n_port, 0))
+    return ForceTangent(core, np.concatenate([none, *left], axis=1), np.concatenate([none, *right], axis=1))
+
+
+class SurfaceMarkers:
+    """Displacements of markers as functions of the core and of the ports of distributed fields."""
+
+    def __init__(self, ev: Evaluation) -> None:
+        s = self.system = ev.system
+        self.ev, m = ev, s.markers
+        self.slot = np.full(len(m.frame), -1)
+        self.slot[m.surface] = np.arange(len(m.surface))
+
+    def touches(self, markers: np.ndarray) -> np.ndarray:
+        """Which of some markers sit on surfaces of elastic bodies."""
+        return np.asarray(self.slot[markers] >= 0)
+
+    def rows(self, marker: int) -> Array:
+        """Displacement and rotation of a marker, (d + n_rot, n_core + n_port), by core and ports of distributed fields."""
+        s = self.system
+        kin = self.ev.kin
+        n = s.motions.n_twist
+        out = np.zeros((kin.jac_frame.shape[1], s.n_core + s.n_port))
+        frame = s.markers.frame[marker]
+        if frame < s.n_frames:
+            out[:, frame * n : (frame + 1) * n] = kin.jac_frame[marker]
+        slot = self.slot[marker]
+        if slot < 0:
+            return out
+
+        # which part the surface belongs to is told by its ports
+        ports = s.markers.port[slot]
+        jac = kin.jac_port[slot]
+        k = next(k for k in range(len(s.parts)) if s.port_slice(k).start <= ports[0] < s.port_slice(k).stop)
+        part = s.parts[k]
+        if part.distributed:
+            out[:, s.n_core + ports] = jac
+        else:
+            matrix = part.port_matrix + self.ev.bent[k].matrix if k in self.ev.bent else part.port_matrix
+            out[:, s.slices[1][k]] += jac @ matrix[ports - s.port_slice(k).start]
+        return out
+
+
+class _Entries:
+    """Entries of the core's tangent, collected element by element."""
+
+    def __init__(self, ev: Evaluation) -> None:
+        self.ev, self.seen = ev, SurfaceMarkers(ev)
+        self.data: list[Array] = []
+        self.rows: list[np.ndarray] = []
+        self.cols: list[np.ndarray] = []
+        self.block: Array | None = None
+
+    def add_block(self, block: Array) -> None:
+        """A dense contribution, (n_core, n_core)."""
+        self.block = block if self.block is None else self.block + block
+
+    def add_frames(self, T: Array, marker_a: np.ndarray, marker_b: np.ndarray, which: np.ndarray) -> None:
+        """Elements between markers on frames, of those that ``which`` selects."""
+        if not which.any():
+            return
+        s = self.ev.system
+        kin = self.ev.kin
+        n = s.motions.n_twist
+        T, sides = T[which], (marker_a[which], marker_b[which])
+        jac = [kin.jac_frame[i] for i in sides]
+        size = kin.jac_frame.shape[1]
+        for i, a in enumerate(sides):
+            for j, b in enumerate(sides):
+                part = T[:, i * size : (i + 1) * size, j * size : (j + 1) * size]
+                fa, fb = s.markers.frame[a], s.markers.frame[b]
+                # the ground does not move
+                keep = (fa < s.n_frames) & (fb < s.n_frames)
+                self.data.append((jac[i].swapaxes(1, 2) @ part @ jac[j])[keep].ravel())
+
+                shape = (int(keep.sum()), n, n)
+                self.rows.append(np.broadcast_to(fa[keep, None, None] * n + np.arange(n)[None, :, None], shape).ravel())
+                self.cols.append(np.broadcast_to(fb[keep, None, None] * n + np.arange(n)[None, None, :], shape).ravel())
+
+    def matrix(self) -> Any:
+        """The sum of all, dense or sparse as G; None without any."""
+        s = self.ev.system
+        dense = isinstance(self.ev.jacobian.core, np.ndarray)
+        if not self.data and self.block is None:
+            return None
+        if not self.data:
+            return self.block if dense else sp.csr_matrix(self.block)
+
+        entries = (np.concatenate(self.data), (np.concatenate(self.rows), np.concatenate(self.cols)))
+        matrix = sp.csr_matrix(entries, shape=(s.n_core, s.n_core))
+        if self.block is not None:
+            matrix = matrix + sp.csr_matrix(self.block)
+        return matrix.toarray() if dense else matrix

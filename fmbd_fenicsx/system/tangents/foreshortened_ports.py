@@ -1,0 +1,67 @@
+"""Ports of second order in a system: what bent bodies add to the ports, their rates and accelerations.
+
+See ``mechanics.reduction.foreshortening``. A system without such parts has none of it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...mechanics.reduction.foreshortening import Bent
+from ...rotations import Array
+
+if TYPE_CHECKING:
+    from ..evaluation import Evaluation
+    from ..system import System
+
+
+def bend(system: System, q: Array) -> dict[int, Bent]:
+    """The second order of the ports in a configuration by part."""
+    return {k: p.shortening.at(system.local_q(q, k)) for k, p in system.curved}
+
+
+def port_forces(ev: Evaluation, port: Array) -> list[Array]:
+    """Forces on the local coordinates of each part, of forces on the ports (n_port,)."""
+    s = ev.system
+    forces = [p.port_force(port[s.port_slice(k)], ev.t) for k, p in enumerate(s.parts)]
+    for k, bent in ev.bent.items():
+        forces[k] = forces[k] + bent.force(port[s.port_slice(k)])
+    return forces
+
+
+def pulls(ev: Evaluation, lam: Array) -> dict[int, Array]:
+    """Forces of joints (multipliers lam) and of force elements on the surfaces of bent bodies, by part."""
+    s = ev.system
+    if not s.curved:
+        return {}
+    port = ev.on_ports(ev.wrenches())[1] if s.forces else np.zeros(s.n_port)
+    if s.n_lam:
+        port -= ev.jacobian.port.T @ lam
+    return {k: p.shortening.N.T @ port[s.port_slice(k)] for k, p in s.curved}
+
+
+def tangent_ports(part: Any, w: Array, t: float) -> Array:
+    """Rates of the ports for rates w of a field, with the columns that its tangent holds; collective."""
+    ports: Array = part.ports_of(w, t)
+    return ports if part.shown is None else ports + part.shown.along(w)
+
+
+def port_bias(ev: Evaluation) -> Array:
+    """Accelerations of the ports by the rates of the local coordinates alone, (n_port,); collective."""
+    assert ev.v is not None
+    s = ev.system
+    out = np.zeros(s.n_port)
+    for k, p in s.curved:
+        out[s.port_slice(k)] = p.shortening.bias(s.local_v(ev.v, k))
+    return out
+
+
+def port_acceleration(ev: Evaluation, a: Array) -> Array:
+    """Accelerations of the ports, (n_port,), for accelerations a like v; collective."""
+    s = ev.system
+    out = s.ports(a, ev.t, rates=True)
+    for k, bent in ev.bent.items():
+        out[s.port_slice(k)] += bent.along(s.local_v(a, k))
+    return out + port_bias(ev) if ev.bent else out

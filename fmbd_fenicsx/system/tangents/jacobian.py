@@ -1,0 +1,209 @@
+"""The constraint Jacobian of a configuration, and the tangent of applied forces: assembly into fixed patterns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ...rotations import Array
+
+if TYPE_CHECKING:
+    from ..evaluation import Evaluation
+    from ..system import System
+
+DENSE_LIMIT = 20_000  # entries of G up to which it is kept dense
+CORE_LIMIT = 150  # velocities of the core up to which a system with rods is kept dense
+PORT_LIMIT = 4_000_000  # the same for its part on the ports of elastic fields: ties of many multipliers make it sparse
+
+
+def dense_core(system: System) -> bool:
+    """Whether G of a system is kept dense on the core."""
+    few = not system.elements or bool(system.fields) or system.n_core <= CORE_LIMIT
+    return few and system.n_lam * system.n_core <= DENSE_LIMIT
+
+
+class Pattern:
+    """Where the entries of G's core part go: found at the first assembly, the same ever after."""
+
+    def __init__(self, system: System, rows: np.ndarray, markers: np.ndarray) -> None:
+        m, n = system.markers, system.motions.n_twist
+        self.rows, self.markers = rows, markers
+        self.shape = (system.n_lam, system.n_core)
+        self.dense = dense_core(system)
+
+        # entries on moving frames, and their places in G
+        frame = m.frame[markers]
+        self.keep = np.flatnonzero(frame < system.n_frames)
+        columns = (frame[self.keep, None] * n + np.arange(n)).ravel()
+        place = np.repeat(rows[self.keep], n) * self.shape[1] + columns
+        if self.dense:
+            self.slot = place
+        else:
+            self._compress(place)
+
+        # sides on surfaces of elastic bodies
+        surface = np.full(len(m.frame), -1)
+        surface[m.surface] = np.arange(len(m.surface))
+        self.on = np.flatnonzero(surface[markers] >= 0)
+        self.surface = surface[markers[self.on]]
+
+    def _compress(self, place: np.ndarray) -> None:
+        """The pattern of a sparse matrix from the places of all entries."""
+        unique, self.slot = np.unique(place, return_inverse=True)
+        self.indices = (unique % self.shape[1]).astype(np.int32)
+        counts = np.bincount(unique // self.shape[1], minlength=self.shape[0])
+        self.indptr = np.concatenate(([0], np.cumsum(counts))).astype(np.int32)
+
+    def core(self, entries: Array) -> Any:
+        """G's core part from the entries of all sides, (count, n_twist)."""
+        data = entries[self.keep].ravel()
+        if self.dense:
+            return (
+                np.bincount(self.slot, data, self.shape[0] * self.shape[1])
+                .astype(float, copy=False)
+                .reshape(self.shape)
+            )
+        values = np.bincount(self.slot, data, len(self.indices)).astype(float, copy=False)
+        return sp.csr_matrix((values, self.indices, self.indptr), shape=self.shape)
+
+
+class Jacobian:
+    """G in two pieces: ``core`` (n_lam, n_core) and ``port`` (n_lam, n_port) on the ports of the parts, dense or sparse each.
+
+    Ports of replicated parts are folded into ``core``; products take both pieces into account.
+    """
+
+    def __init__(self, ev: Evaluation) -> None:
+        s = self.system = ev.system
+        self.t, self.bent = ev.t, ev.bent
+        pattern, side = self._sides(ev)
+        self.core: Any = pattern.core((side[:, None, :] @ ev.kin.jac_frame[pattern.markers])[:, 0])
+
+        large = s.n_lam * s.n_port > PORT_LIMIT
+        self.port: Any = (sp.lil_matrix if large else np.zeros)((s.n_lam, s.n_port))
+        if not s.parts:
+            return
+
+        if pattern.on.size:
+            self._add_surfaces(ev, pattern, side)
+        for laws, span in s.port_constraints:
+            self.port[span, s.port_slice(laws.part)] += laws.jacobian(ev.port[s.port_slice(laws.part)], ev.t)
+        # conditions of frames are ports by themselves
+        for k, rows in enumerate(s.frame_rows):
+            start = s.port_slice(k).start
+            count = s.parts[k].n_frame_rows
+            self.port[rows, start : start + count] = np.eye(count)
+
+        if large:
+            self.port = self.port.tocsr()
+        for tie, span in s.traces:
+            self._add_tie(tie, span, ev)
+        self._fold()
+
+    @staticmethod
+    def _sides(ev: Evaluation) -> tuple[Pattern, Array]:
+        """The rows of all batches by marker, (count, d + n_rot), and where they go."""
+        s = ev.system
+        numbers, markers = [np.zeros(0, int)], [np.zeros(0, int)]
+        sides: list[Array] = [np.zeros((0, ev.kin.jac_frame.shape[1]))]
+        for (_, rows), of_batch in zip(s.batches, ev.sides, strict=True):
+            for number, marker, side in of_batch:
+                numbers.append(rows[number])
+                markers.append(marker)
+                sides.append(side)
+        # where entries go is the same in all configurations
+        if "pattern" not in s.cache:
+            s.cache["pattern"] = Pattern(s, np.concatenate(numbers), np.concatenate(markers))
+        return s.cache["pattern"], np.concatenate(sides)
+
+    def _add_surfaces(self, ev: Evaluation, pattern: Pattern, side: Array) -> None:
+        """Rows of markers on surfaces, on the ports of these."""
+        at = pattern.rows[pattern.on]
+        k = pattern.surface
+        ports = self.system.markers.port[k]
+        entries = (side[pattern.on, None, :] @ ev.kin.jac_port[k])[:, 0]
+        if isinstance(self.port, np.ndarray):
+            np.add.at(self.port, (at[:, None], ports), entries)
+        else:
+            index = (np.repeat(at, entries.shape[1]), ports.ravel())
+            self.port += sp.coo_matrix((entries.ravel(), index), shape=self.port.shape).tolil()
+
+    def active(self, span: slice) -> np.ndarray:
+        """Which of some ports a row acts on, (ports,)."""
+        return np.asarray(abs(self.port[:, span]).sum(axis=0)).ravel() > 0
+
+    def _add_tie(self, tie: Any, rows: slice, ev: Evaluation) -> None:
+        """Blocks of a tie by field multipliers."""
+        s = self.system
+        n = s.motions.n_twist
+        for kind, number, block in tie.jacobian(ev):
+            if kind == "port":
+                # an elastic side: columns of its ports
+                side = tie.sides[number]
+                first = s.port_slice(side.part).start
+                columns = slice(first + side.ports.start, first + side.ports.stop)
+
+                if isinstance(self.port, np.ndarray):
+                    self.port[rows, columns] += block.toarray()
+                else:
+                    self.port = self.port + _placed(block, rows.start, columns.start, self.port.shape)
+            # a rigid side: columns of its frame
+            elif isinstance(self.core, np.ndarray):
+                self.core[rows, number * n : (number + 1) * n] += block
+            else:
+                at = np.arange(rows.start, rows.stop)
+                i = np.repeat(at, n)
+                j = np.tile(number * n + np.arange(n), len(at))
+                self.core = (self.core + sp.csr_matrix((block.ravel(), (i, j)), shape=self.core.shape)).tocsr()
+
+    def _fold(self) -> None:
+        """Ports of replicated parts into the core."""
+        s = self.system
+        for k, p in s.core_parts:
+            matrix = p.port_matrix + self.bent[k].matrix if k in self.bent else p.port_matrix
+            if p.n_port and isinstance(self.core, np.ndarray):
+                if self.core.dtype.kind != "f":  # an empty pattern
+                    self.core = self.core.astype(float)
+                self.core[:, s.slices[1][k]] += self.port[:, s.port_slice(k)] @ matrix
+            elif p.n_port:
+                # columns of this part's coordinates alone
+                wide = sp.csr_matrix(self.port[:, s.port_slice(k)] @ matrix)
+                before = s.slices[1][k].start
+                after = s.n_core - s.slices[1][k].stop
+                left = sp.csr_matrix((s.n_lam, before))
+                right = sp.csr_matrix((s.n_lam, after))
+                self.core = (self.core + sp.hstack([left, wide, right])).tocsr()
+
+    def times(self, v: Array) -> Array:
+        """G v, (n_lam,); collective."""
+        s = self.system
+        out = np.asarray(self.core @ v[: s.n_core])
+        for k, p in s.fields:
+            out = out + self.port[:, s.port_slice(k)] @ self.ports_of(k, p, s.local_v(v, k))
+        return out
+
+    def ports_of(self, k: int, part: Any, w: Array) -> Array:
+        """Rates of the ports of part k for rates w of its coordinates; collective."""
+        ports = part.ports_of(w, self.t)
+        return ports + self.bent[k].along(w) if k in self.bent else ports
+
+    def transposed(self, lam: Array) -> Array:
+        """G^T lambda, like v."""
+        s = self.system
+        core = np.asarray(self.core.T @ lam)
+        if not s.fields:
+            return core
+        # nodal forces of each field; foreshortening adds its own
+        forces = [p.port_force(self.port[:, s.port_slice(k)].T @ lam, self.t) for k, p in s.fields]
+        for i, (k, _) in enumerate(s.fields):
+            if k in self.bent:
+                forces[i] = forces[i] + self.bent[k].force(self.port[:, s.port_slice(k)].T @ lam)
+        return np.concatenate((core, *forces))
+
+
+def _placed(block: sp.spmatrix, row: int, column: int, shape: tuple[int, int]) -> sp.csr_matrix:
+    """A matrix of the given shape with ``block`` at (row, column)."""
+    b = block.tocoo()
+    return sp.csr_matrix((b.data, (b.row + row, b.col + column)), shape=shape)
