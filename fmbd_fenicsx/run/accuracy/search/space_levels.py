@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
 
 from ....errors import InputError
 from ....log import log
@@ -107,7 +106,12 @@ def _rate(ratio: float, n: int, m: int, highest: float) -> float | None:
         return None
     if ratio >= differences(highest):
         return highest
-    return ratio if n == m == 1 else float(brentq(lambda r: differences(r) - ratio, FALLING, highest))
+    if n == m == 1:
+        return ratio
+
+    from scipy.optimize import brentq  # a run without a search does not load it
+
+    return float(brentq(lambda r: differences(r) - ratio, FALLING, highest))
 
 
 def finer_scene(scene: Scene) -> tuple[Scene, str, Built | None]:
