@@ -12,7 +12,6 @@ from ..schemes.declared import Declared, checked_scheme
 from ..schemes.newton import Newton
 from ..system.scene.scene import Scene
 from .accuracy.companion_runs import steps_beside
-from .accuracy.estimates import state_errors
 from .built import build
 from .recording.output import Output
 from .result import Run
@@ -90,5 +89,8 @@ def solve(
     )
     task = Task(scene, scheme, schedule, newton, linear, output, beside=beside)
     solved = run_once(task, build(scene), checkpoint=checkpoint, restart=restart)
-    state_errors(solved.run, solved.problem, solved.compared, output)
+    if output.estimates:
+        from .accuracy.estimates import state_errors
+
+        state_errors(solved.run, solved.problem, solved.compared, output)
     return solved.run

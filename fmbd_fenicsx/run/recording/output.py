@@ -102,9 +102,8 @@ class Output:
 
         for event in self.events:
             instance("Output: events", event, Event)
-        estimates = self.estimate_error or self.estimate_reduction or self.estimate_space
         require(
-            not estimates or all(e.then is not None for e in self.events),
+            not self.estimates or all(e.then is not None for e in self.events),
             "Output: a run that ends at an event states no errors: runs that are compared must end at the same time. Solve to "
             "the time of the event with estimates and without the event.",
         )
@@ -119,6 +118,11 @@ class Output:
             times.ndim == 1 and bool(np.isfinite(times).all() and (times >= 0).all() and (np.diff(times) > 0).all()),
             f"Output: snapshots = {self.snapshots!r} must be a number, fmbd.PerSecond(rate), or rising times (s) from 0 on.",
         )
+
+    @property
+    def estimates(self) -> bool:
+        """Whether an error is to be estimated."""
+        return self.estimate_error or self.estimate_reduction or self.estimate_space
 
     def count(self, t_end: float) -> float:
         """How many snapshots are wanted in a run that ends at ``t_end`` (s)."""
