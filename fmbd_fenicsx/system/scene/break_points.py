@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def tell_break_points(scene: Scene) -> None:
     """Every prescribed motion and every target of a motor is smooth between the break points of its scene only."""
     for motion in _given(scene):
-        if isinstance(motion, SmoothMotion) and scene.breakpoints:
+        if isinstance(motion, SmoothMotion):
             motion.steps.break_at(scene.breakpoints)
 
 

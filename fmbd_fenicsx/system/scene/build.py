@@ -73,7 +73,11 @@ class Builder:
         """The system, its state as given, and the marker of each sensor; collective."""
         scene = self.scene
         self._check()
-        tell_break_points(scene)
+        if scene.breakpoints:
+            tell_break_points(scene)
+        points = [b for b in scene.bodies.values() if not b.turns]
+        if points:
+            refuse_angles(scene)
         moving = [b for b in scene.bodies.values() if not b.locked]
         if not moving:
             raise InputError(f'Scene "{scene.name}": all bodies are locked, so nothing can move.')
@@ -84,7 +88,7 @@ class Builder:
         traces = self._surface_ties()
         batches, port_rows, blocks = self._constraints(traces)
         forces = build_loads(self)
-        if not all(b.turns for b in moving):
+        if points:
             refuse_turning([p.body for p in self.places], batches, blocks, forces)
         self._check_sensors({b.name for b in blocks})
         sensor_markers = {n: self.sensor_marker(s) for n, s in scene.sensors.items()}
@@ -182,7 +186,6 @@ class Builder:
     # -- checks -------------------------------------------------------------------------------------------------
     def _check(self) -> None:
         scene = self.scene
-        refuse_angles(scene)
         if scene.unilateral:
             from .contact import check_contacts
 
