@@ -21,8 +21,10 @@ FILES = (
     "compiled_means",
     "compiled_parts",
     "compiled_recording",
+    "field_means",
     "field_states",
     "stage_systems",
+    "steps_one_by_one",
     "checkpoint",
     "substructures",
 )
