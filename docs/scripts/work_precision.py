@@ -1,6 +1,6 @@
 """The work-precision figure of the README, made in the five lines printed there.
 
-Run:  ./with-dolfinx env PYTHONPATH=tests:tests/benchmarks:demos python3 docs/scripts/work_precision.py
+Run:  PYTHONPATH=tests:tests/benchmarks:demos ./with-dolfinx python3 docs/scripts/work_precision.py
 """
 
 from pathlib import Path

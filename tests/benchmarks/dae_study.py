@@ -1,6 +1,6 @@
 """All DAE forms, Radau and BDF, and tolerances on four constrained systems: error against work, failures listed.
 
-Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests python3 tests/benchmarks/dae_study.py [--fast] [--markdown FILE]
+Run:  PYTHONPATH=.:demos:tests ./with-dolfinx python3 tests/benchmarks/dae_study.py [--fast] [--markdown FILE]
       (--only pendulum "car axis": these problems)
 
 Pendulum (1 s), car axis (3 s), Andrews' mechanism (0.03 s) and the flexible slider crank (0.1 s; its elastic coordinates only, of

@@ -1,6 +1,6 @@
 """The observatory: error against CPU time of all schemes on problems with exact or independent references.
 
-Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests:tests/benchmarks python3 tests/benchmarks/observatory.py --write
+Run:  PYTHONPATH=.:demos:tests:tests/benchmarks ./with-dolfinx python3 tests/benchmarks/observatory.py --write
       (--fast: two values each; --write: docs/observatory.md and its figure;
       --only NAME ...: these problems, all other rows as docs/observatory.md has them;
       --json FILE: keep the runs there after each problem, and do not make again those that it holds;

@@ -1,6 +1,6 @@
 """CPU time to an error of 1e-6 and of 1e-9: schemes of this package beside IDA and Exudyn, in one run.
 
-Run:  ./with-dolfinx env PYTHONPATH=.:demos:tests:tests/benchmarks python3 tests/benchmarks/time_to_error.py [--write]
+Run:  PYTHONPATH=.:demos:tests:tests/benchmarks ./with-dolfinx python3 tests/benchmarks/time_to_error.py [--write]
       (--write: docs/time_to_error.md; --only NAME; --repeat 3; --longest 10)
 
 Tolerances fall by factors of the root of ten (steps of Exudyn by halves) until the error at the end, relative to the largest
