@@ -22,7 +22,7 @@ HEAD = """# Calls with a tolerance
 - *stated*: the certificate's total, *true*: the largest distance to the reference at 81 instants, both in the sensor's unit.
   References are formulas, integrations by SciPy, or runs in clearly finer spaces with other schemes or far smaller steps.
 - *cost*: CPU time of the whole call, estimates and all attempts, over that of one plain run with the steps and spaces at
-  which it ended, each from a scene that is there, on a busy machine; of short runs the median of five pairs made in turn. Marked
+  which it ended, each from a scene that is there; of short runs the median of five pairs made in turn. Marked
   with * where this plain run takes less than a tenth of a second: set-up then counts as much as steps.
 """
 COLUMNS = """
