@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from ..sensors.sensor import Sensor
 from ..system import RowBlock, State, System
 from .break_points import tell_break_points
 from .force_batches import build_loads
+from .gravity import gravity_of
 from .joints import JointRows, counted_angles
 from .point_masses import at_its_place, attitude_of, refuse_angles, refuse_turning
 from .rods import RodNodes
@@ -30,14 +31,6 @@ from .wires import slider_rows
 
 if TYPE_CHECKING:
     from .scene import Scene
-
-
-def smooth_step(t: float, duration: float) -> float:
-    """1 after ``duration``, 0 before 0, and 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 between: three continuous derivatives."""
-    if t >= duration:
-        return 1.0
-    s = max(t / duration, 0.0)
-    return s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
 
 
 class MarkerPlace(NamedTuple):
@@ -104,7 +97,7 @@ class Builder:
             batches=tuple(batches),
             port_constraints=tuple(port_rows),
             forces=forces,
-            gravity=self._gravity(),
+            gravity=gravity_of(scene, self.m.dim),
             blocks=tuple(blocks),
             length=self.length(),
             mass=self._mass(rigid),
@@ -288,14 +281,6 @@ class Builder:
             if isinstance(body, RigidBody) and body.turns and body.mass > 0.0:
                 radii.append(float(np.sqrt(np.abs(body.inertia).max() / body.mass)))
         return max(sizes) or max(radii) or 1.0  # 1 m where nothing has a size
-
-    def _gravity(self) -> Callable[[float], Array]:
-        d, ramp = self.m.dim, self.scene.gravity_ramp
-        what = f'Scene "{self.scene.name}": gravity'
-        g = np.zeros(d) if self.scene.gravity is None else vector(what, self.scene.gravity, size=d)
-        if ramp == 0:
-            return lambda t: g
-        return lambda t: g * smooth_step(t, ramp)
 
     # -- markers ------------------------------------------------------------------------------------------------
     def _marker(self, side: Any, point: Array | None) -> int:
