@@ -115,16 +115,19 @@ def _largest_aspect(msh: Any) -> float:
     d = msh.topology.dim
     if not len(cells) or cells.shape[1] != d + 1:
         return 0.0
+
     x = msh.geometry.x[cells]  # (cells, d + 1, 3)
     pairs = [(i, j) for i in range(d + 1) for j in range(i)]
     edge = np.max([np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in pairs], axis=0)
     if d == 1:
         return 1.0
+
     a = x[:, 1] - x[:, 0]
     b = x[:, 2] - x[:, 0]
     if d == 2:
         twice = np.linalg.norm(np.cross(a, b), axis=1)
         return float(np.max(edge**2 / twice))
+
     six = np.abs(np.einsum("ci,ci->c", np.cross(a, b), x[:, 3] - x[:, 0]))
     faces = [np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]) for i, j, k in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))]
     return float(np.max(edge * np.max([np.linalg.norm(f, axis=1) for f in faces], axis=0) / six))

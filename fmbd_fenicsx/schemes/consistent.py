@@ -124,16 +124,19 @@ def _does_not_fit(system: System, t: float, g: Array) -> ConstraintError:
     """The error of bodies too far from where their joints want them, with the constraints g as given."""
     worst = worst_block(system, g)
     driven = worst.endswith(("(drive)", "(coupling)"))
+
     found = (
         f"motion of {worst} begins {np.abs(g).max():.3g} m or rad away from its coordinate"
         if driven
         else f"{worst} is open by {np.abs(g).max():.3g} m"
     )
+
     remedy = (
         "A joint coordinate is zero where the bodies were defined, that of a segment its length: let the motion begin there"
         if driven
         else "Check the positions of the bodies and the center of the joint"
     )
+
     return ConstraintError(
         f"The bodies do not fit together at t = {t:g} s: {found}, and closing it would move bodies by more than {REFUSED:g} "
         f"of the model's length ({system.length:.3g} m). {remedy}."

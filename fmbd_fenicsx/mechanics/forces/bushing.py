@@ -202,18 +202,21 @@ def bushing(
     """
     d = dimension(a, b, name)
     n = 6 if d == 3 else 3
+
     E = np.eye(d) if axes is None else array(f'Bushing "{name}": axes', axes)
     require(
         E.shape == (d, d) and bool(np.isfinite(E).all()) and bool(np.abs(E @ E.T - np.eye(d)).max() < 1e-9)
         and bool(np.linalg.det(E) > 0),
         f'Bushing "{name}": axes must be {d} orthonormal right-handed rows, found {axes!r}.',
     )  # fmt: skip
+
     K = _matrix(name, "stiffness", stiffness, n)
     C = np.zeros((n, n)) if damping is None else _matrix(name, "damping", damping, n)
     require(
         bool(np.linalg.eigvalsh(C + C.T)[0] >= -1e-12 * np.abs(C).max(initial=1.0)),
         f'Bushing "{name}": the damping gives energy: its symmetric part has a negative eigenvalue.',
     )
+
     return Bushing(name, a, b, center, center, K, C, E)
 
 

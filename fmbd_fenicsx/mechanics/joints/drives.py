@@ -89,6 +89,7 @@ def _coupling(
             f'Joint "{name}": the length of joint "{s.joint.name}" (distance) is held by that joint itself. Give it as '
             "fmbd.distance(..., length=function of time), or take fmbd.segment, whose length is free.",
         )
+
     return Coupling(
         name,
         first.a,

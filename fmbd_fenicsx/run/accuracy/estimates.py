@@ -62,6 +62,7 @@ def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> Time
     """
     given, coarser = Compared(fine, schedule, problem.scheme), []
     orders = expected_orders(problem.scheme, problem.scene, problem.system)
+
     found: TimeError | None = None
     try:
         for parts in (2, 4):
@@ -73,6 +74,7 @@ def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> Time
         if found is None:
             log.warning("no error estimate: the run with twice the step did not end: %s", error)
             return TimeError({}, {}, given)
+
     if _irregular(problem.scheme.order, orders, fine, found):
         found = _by_smaller_steps(problem, given, coarser[:1], orders) or found
     return found if found.with_others is given else replace(found, with_others=coarser[0])

@@ -88,6 +88,7 @@ def kink(t: Array, x: Array, order: int, derivative: int) -> tuple[float, float]
     m = max(5 - derivative, 3)
     if len(t) < 4 * (m + 1) or np.ptp(np.diff(t)) > 1e-6 * (t[1] - t[0]):
         return 0.0, np.inf
+
     heights = np.abs(np.diff(x, m, axis=0)).max(axis=1)
     at, about = int(heights.argmax()), m + 2
     fine = _about(x, m, at, about)
@@ -95,9 +96,11 @@ def kink(t: Array, x: Array, order: int, derivative: int) -> tuple[float, float]
     left = float(np.log2(wide / fine)) + derivative - 1 if min(wide, fine) > 0 else np.inf
     if not LEAST_LEFT <= left < min(order - CLEARLY, MOST_LEFT):
         return 0.0, np.inf
+
     sharper = _about(x, m + 1, at, about)
     if at < m or np.median(heights) > ALONE * heights[at] or sharper < SHARPER * fine:
         return 0.0, np.inf
+
     span, step = float(np.ptp(x, axis=0).max()), float(np.quantile(np.abs(np.diff(x, axis=0)).max(axis=1), 0.9))
     lasts = min(0.5 * span / step, float(len(t))) if step > 0 else float(len(t))  # s / h
     error = fine * (0.6 * lasts, 0.25, 0.16 / lasts)[derivative]

@@ -80,12 +80,15 @@ class Watch(Remembering):
             parts = list(self.evaluation.energies().values())
         else:
             parts = list(energies)
+
         kinetic, elastic, weight, springs = parts
         energy = sum(parts)
         turnover = max(self.turnover, kinetic + elastic + abs(springs))
         gain, much = energy - self.highest, SHARE * (turnover + self.weight)
+
         if self.settling == 0 and gain > much and gain > much + self._roundoff(s):
             return float(gain)
+
         self.time = s.t
         self.settling = max(self.settling - 1, 0)
         self.turnover, self.highest = turnover, max(energy, self.highest)

@@ -36,10 +36,12 @@ def advise_on_ranks(system: System) -> None:
     ranks = world_size()
     if ranks == 1:
         return
+
     unknowns = [int(part.field.n_global) for _, part in system.fields]
     better = faster_ranks(unknowns, ranks)
     if better == ranks:
         return
+
     bodies = f"{len(unknowns)} elastic bodies" if len(unknowns) > 1 else "an elastic body"
     shared = (
         f"{sum(unknowns)} unknowns of {bodies}"

@@ -113,6 +113,7 @@ class Calls:
             "PART_ENERGIES": lambda number, t: tables.told[number].energies(t),
             "PART_TANGENTS": lambda number, t: tables.told[number].tangents(t),
         }
+
         return {value: said[name] for name, value in ASKED.items()}
 
     def raise_error(self) -> None:

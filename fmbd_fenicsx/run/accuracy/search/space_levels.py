@@ -84,6 +84,7 @@ def levels_compared(
         y, z = below.series[name], lowest.series[name]
         if not x.shape == y.shape == z.shape:
             return None
+
         near, far = x - y, float(np.abs(y - z).max(initial=0.0))
         size = float(np.abs(near).max(initial=0.0))
         if size <= ROUNDOFF * float(np.abs(x).max(initial=0.0)):

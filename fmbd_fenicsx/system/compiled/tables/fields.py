@@ -146,12 +146,15 @@ class FieldTable:
         part = self.part
         system = tables.system
         frame, d = part.frame, tables.dim
+
         width = int(tables.width[frame])
         i, j = np.tril_indices(width)
         unknown = tables.at_u[frame] + np.arange(width)
         address = tables.store.structure(self._field())
+
         stiffening = part.stiffening
         mean = np.zeros(0) if stiffening is None else stiffening.second.inverse
+
         return structure("Body", d)(
             modes=self.count, mean=tables.store.address(mean),
             at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,

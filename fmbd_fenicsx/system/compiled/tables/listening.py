@@ -133,6 +133,7 @@ class Listener:
         arrays, c = self.tables.arrays, self.tables.c
         if not self.links:
             return first
+
         slopes, acts = self._slopes(t), self.loads.controller.acts
         answers = [(r, self._answers(r, told)) for r, told in zip(self.loads.readings, self.told, strict=True)]
         for i, one in enumerate(self.acting):
