@@ -321,7 +321,10 @@ class KeptSteps:
 
     def break_at(self, times: Iterable[float]) -> None:
         """The function is not smooth at some more times, s."""
-        self.breaks = sorted({*self.breaks, *times})
+        breaks = sorted({*self.breaks, *times})
+        if breaks != self.breaks:
+            self.breaks = breaks
+            self.intervals.clear()
 
     def smooth_about(self, t: float) -> Span:
         """Between which times (s) it is smooth: at a break it is what it is behind it."""
