@@ -228,6 +228,49 @@ def test_a_tolerance_is_kept_where_a_force_jumps_within_a_step(jump: float, time
     assert np.abs(run["v"][:, 0] - speed).max() < 1e-3 * np.ptp(speed)
 
 
+@pytest.mark.parametrize("scheme", [fmbd.EnergyMomentum(), fmbd.GeneralizedAlpha()], ids=str)
+def test_a_jump_that_nobody_named_is_found_and_steps_end_there(scheme: Any) -> None:
+    """An error of first order would take some 20 000 steps."""
+    jump, omega = 0.237, np.sqrt(20.0)
+    scene = pushed_mass(lambda t: 3.0 if t < jump else -3.0)
+    run = fmbd.solve(scene, t_end=0.52, tol={"x": 1e-5}, scheme=scheme, output=fmbd.Output(progress=False))
+    late = np.clip(run.times - jump, 0.0, None)
+    place = 1.0 + 3.0 / 20.0 * (1.0 - np.cos(omega * run.times)) - 6.0 / 20.0 * (1.0 - np.cos(omega * late))
+    assert np.abs(run["x"][:, 0] - place).max() < 1e-5
+    assert f"{jump} s" in run.history[0].then and run.scene.breakpoints == pytest.approx((jump,), abs=1e-15)
+    assert run.counters["steps"] < 600 and not scene.breakpoints
+
+
+def hanging_chain(force: Callable[[float], float]) -> fmbd.Scene:
+    """Three links swing from the horizontal, a force on the last."""
+    scene, last = fmbd.Scene("chain", gravity=(0.0, -9.81)), fmbd.ground
+    for k in range(3):
+        link = fmbd.RigidBody(f"link {k}", 1.0, 1 / 12, (k + 0.5, 0.0))
+        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(float(k), 0.0)))
+        last = link
+    scene.add(fmbd.force("kick", last, lambda t: (0.0, force(t))))
+    scene.sensor("end", fmbd.position(last))
+    return scene
+
+
+@pytest.mark.parametrize("scheme", [fmbd.EnergyMomentum(), fmbd.GeneralizedAlpha()], ids=str)
+def test_a_jump_whose_kink_hides_in_fast_motion_is_found(scheme: Any) -> None:
+    """Steps of 0.01 s state 0.003 m, and the end is 0.036 m off."""
+    steps = {"t_end": 1.0, "output": fmbd.Output(times=tuple(np.linspace(0.0, 1.0, 41)), progress=False)}
+    scene = hanging_chain(lambda t: 40.0 if t > 0.337 else 0.0)
+    run = fmbd.solve(scene, tol={"end": 1e-2}, scheme=scheme, **steps)
+    exact = fmbd.solve(scene, scheme=fmbd.Radau(3, rtol=1e-10), **steps)
+    assert np.abs(run["end"] - exact["end"]).max() < 1e-2 and run.history[-1].then == "done"
+
+
+def test_a_steep_rise_is_no_jump() -> None:
+    """As steep as a step is long, or ten times as much."""
+    for lasts in (1e-3, 1e-2):
+        scene = pushed_mass(lambda t, T=lasts: 3.0 - 6.0 * min(max((t - 0.237) / T, 0.0), 1.0))
+        run = fmbd.solve(scene, t_end=0.52, tol={"x": 1e-3}, output=fmbd.Output(progress=False))
+        assert not run.scene.breakpoints and run.history[-1].then == "done"
+
+
 def vibrating_pair() -> fmbd.Scene:
     """Two masses on a soft and a stiff spring: 3.6 steps of 0.01 s a period, a smooth motion that steps hardly follow."""
     scene = fmbd.Scene("pair")

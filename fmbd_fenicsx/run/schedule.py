@@ -151,7 +151,7 @@ def step_schedule(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, 
     stops = _apart(stops_within(scene, t_end), t_end, TOGETHER * dt) if named else ()
     places = (0.0, *stops, t_end)
     counts = tuple(_count(b - a, dt, multiple) for a, b in zip(places[:-1], places[1:], strict=True))
-    return StepSchedule(t_end, sum(counts), stops, multiple * dt, counts=counts if stops else ())
+    return StepSchedule(t_end, sum(counts), stops, dt, counts=counts if stops else ())
 
 
 def _count(length: float, dt: float, multiple: int) -> int:
@@ -182,7 +182,7 @@ def _apart(stops: tuple[float, ...], t_end: float, least: float) -> tuple[float,
 def warn_of_dense_break_points(schedule: StepSchedule) -> None:
     """Break points so dense that equal steps between them are far more than without: each begins anew."""
     usual = schedule.t_end / schedule.largest
-    if schedule.stops and schedule.steps > MANY * usual:
+    if schedule.stops and schedule.steps > MANY * usual > 0.0:
         log.warning(
             "%d break points, most of them nearer to each other than a step, make %d steps where some %d were asked for: name "
             "only instants at which loads or drives are not smooth, or smooth them",

@@ -12,6 +12,7 @@ from ...errors import InputError, near
 from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.scene.refinement import meshed_bodies, modal_bodies
+from ...system.scene.scene import Scene
 from ..schedule import far_side
 from .deviation import together
 from .orders import expected_orders, irregular, kink
@@ -165,11 +166,14 @@ def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:
     ]
 
 
+def struck_or_sampled(scene: Scene) -> bool:
+    """Whether velocities jump, which schemes for impacts look for, or forces at ends of steps."""
+    return bool(scene.contacts or scene.limits) or any(f.period is not None for f in scene.forces.values())
+
+
 def left_by_kinks(run: Run, name: str) -> tuple[float, float]:
     """What a jump of a force within a step may leave in a sensor, and of which order, see :func:`.orders.kink`."""
-    sampled = any(force.period is not None for force in run.scene.forces.values())  # jumps at ends of steps
-    struck = run.scene.contacts or run.scene.limits  # jumps of velocities, which schemes for impacts look for
-    if Declared.by(run.scheme).adaptive or sampled or struck:
+    if Declared.by(run.scheme).adaptive or struck_or_sampled(run.scene):
         return 0.0, np.inf
     order = expected_orders(run.scheme, run.scene, run.system)[name]
     # what breaks at instants that the scene names breaks between two steps

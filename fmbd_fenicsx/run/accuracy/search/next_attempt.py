@@ -25,12 +25,13 @@ from ....system.scene.refinement import (
 from ....system.scene.scene import Scene
 from ...recording.output import Output
 from ...result import Run
-from ...schedule import StepSchedule
+from ...schedule import StepSchedule, step_schedule
 from ..certificate import KINDS
 from ..deviation import Deviation
 from ..estimates import FEWEST, usual_power
 from ..orders import expected_orders, resolved
 from ..shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
+from .jumps_in_time import with_break_points
 from .shared_runs import Orders, doubt
 from .shared_spaces import SharedSpaces
 from .space_levels import UNENDED
@@ -199,6 +200,16 @@ def next_plan(
     if not made.steps and made.scheme.rtol <= FINEST:
         return None, "the scheme's tolerance is at roundoff"
     return made, " and ".join([*done, "finer steps"])
+
+
+def ending_at(plan: AttemptPlan, jumps: tuple[float, ...], run: Run, shared: SharedSpaces) -> AttemptPlan:
+    """The plan with steps of about the same size that end at ``jumps`` (s), too; errors of the run by spaces and modes hold."""
+    scene, *below = (with_break_points(x, jumps) for x in (plan.scene, *plan.below))
+    schedule = step_schedule(scene, plan.scheme, plan.schedule.t_end, plan.step, multiple=4)
+    shared.grain = max(round(plan.grain * schedule.steps / plan.steps), 1)
+    known = Known({k: x for k, x in run.deviations.items() if k in ("space", "modes")}, run.space_unstated)
+    named = replace(plan, scene=scene, below=tuple(below), schedule=schedule, grain=shared.grain)
+    return replace(named, known=known, orders=Orders())
 
 
 def _still_known(

@@ -46,7 +46,8 @@ from ..shares import (
     share,
     worst,
 )
-from .next_attempt import AttemptPlan, Looked, beginning, finer_steps, next_plan, space_first, space_limit
+from .jumps_in_time import unnamed_jumps
+from .next_attempt import AttemptPlan, Looked, beginning, ending_at, finer_steps, next_plan, space_first, space_limit
 from .shared_runs import Allowed, Orders, doubt, known_orders
 from .shared_spaces import SharedSpaces
 
@@ -61,6 +62,7 @@ LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
 FAILURES = 1  # runs that may fail, each followed by one with a quarter of the step, beside one that came to its end
 OF_JUMPS = 1.0  # order that jumps of forces within steps leave
+SHOWN = 4  # jumps of loads in the table of attempts
 RECORDS = 200  # that runs make at least, so that they can be compared
 
 
@@ -211,6 +213,10 @@ def _after(
 ) -> tuple[AttemptPlan | None, str]:
     """The plan after an attempt and what it changes, or None and why there is none; collective."""
     ratio = worst(certificate, tol)
+    if jumps := unnamed_jumps(run, tried.schedule, tol, first=not found.history):
+        shown = ", ".join(f"{t:.6g} s" for t in jumps[:SHOWN]) + (", .." if len(jumps) > SHOWN else "")
+        found.best = np.inf, run  # what it states says nothing of the jumps
+        return ending_at(tried, jumps, run, shared), f"steps that end where loads jump: {shown}"
     if safe(certificate, tol):
         return None, "done"
     if why := found.stalled(tried, ratio):

@@ -1,0 +1,112 @@
+"""Instants at which loads and drives jump that no break point names: equal steps that end there keep their order.
+
+A jump within a step leaves an error of first order, so that a tolerance of 1e-4 takes thousands of steps. Where it depends on
+time alone it is found to roundoff: with a state held, forces and what drives prescribe are functions of time, and of the two
+halves of an interval with a jump one holds nearly all of the change, however often it is halved; of smooth change it holds half.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ....rotations import Array
+from ....system.scene.scene import Scene
+from ....system.system import State, System
+from ...result import Run
+from ...schedule import StepSchedule, far_side, near_side
+from ..certificate import left_by_kinks, struck_or_sampled
+
+MOST = 1000  # intervals of a run that are looked at
+HALVINGS = 60  # to roundoff of any time, from any interval
+JUMPS = 0.6  # share of the change in an interval that its half with a jump has
+SEEN = 1e-7  # change over the largest force, speed or acceleration below which it is none
+AT_ONCE = 2e6  # numbers of an evaluation at many instants
+
+
+@dataclass(frozen=True)
+class HeldState:
+    """Forces, and rates that drives prescribe, as functions of time alone: those of a system with a state held."""
+
+    system: System
+    state: State
+
+    def rows(self, times: Array) -> Array:
+        """All of them at given times (s) as forces, speeds and accelerations, (n,) -> (n, rows); collective."""
+        pieces = np.array_split(times, 1 + int(len(times) * len(self.state.v) / AT_ONCE))
+        return np.concatenate([self._rows(t) for t in pieces])
+
+    def _rows(self, times: Array) -> Array:
+        system = self.system
+        q, v = (np.tile(x, (len(times), 1)) for x in (self.state.q, self.state.v))
+        seen = system.batch(times, q, v)
+        drives = [system.row_units * x for x in (seen.opening(), seen.gamma())]
+        forces = seen.balance(np.zeros_like(v), np.zeros((len(times), system.n_lam)))
+        return np.concatenate((forces / system.units, *drives), axis=1)
+
+    def scale(self, rows: Array) -> Array:
+        """The largest force, speed and acceleration of all times and rows, for each of the rows; collective."""
+        n = self.system.n_v, self.system.n_lam, self.system.n_lam
+        kinds = np.split(np.abs(rows), np.cumsum(n)[:-1], axis=1)
+        most = self._of_all_ranks(np.array([x.max(initial=0.0) for x in kinds]))
+        return np.repeat(np.where(most > 0.0, most, 1.0), n)
+
+    def change(self, a: Array, b: Array, scale: Array) -> Array:
+        """The largest change of each of several rows, over their scale; collective."""
+        return self._of_all_ranks((np.abs(b - a) / scale).max(axis=1, initial=0.0))
+
+    def _of_all_ranks(self, x: Array) -> Array:
+        return np.max(self.system.comm.allgather(x), axis=0) if self.system.fields else x  # type: ignore[no-any-return]
+
+
+def jumps_in_time(held: HeldState, schedule: StepSchedule) -> tuple[float, ...]:
+    """Instants (s) at which forces or drives jump, between the break points that are known; collective."""
+    found: list[float] = []
+    for begin, end in schedule.stretches:
+        count = int(np.clip(schedule.reached(end) - schedule.reached(begin), 1, MOST))
+        found += _within(held, np.linspace(far_side(begin) if begin else 0.0, near_side(end), count + 1))
+    return tuple(found)
+
+
+def _within(held: HeldState, times: Array) -> list[float]:
+    """The same in the intervals between some times, one in each at most."""
+    rows = held.rows(times)
+    scale = held.scale(rows)
+    whole = held.change(rows[:-1], rows[1:], scale)
+    (at,) = np.nonzero(whole > SEEN)
+    whole, low, high, before, behind = whole[at], times[at], times[at + 1], rows[at], rows[at + 1]
+
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if not len(middle):
+            break
+        between = held.rows(middle)
+        first, second = held.change(before, between, scale), held.change(between, behind, scale)
+
+        # on into the half that changes more, where this is nearly all of the change
+        early = first > second
+        low, high = np.where(early, low, middle), np.where(early, middle, high)
+        before, behind = np.where(early[:, None], before, between), np.where(early[:, None], between, behind)
+        kept = np.maximum(first, second) > JUMPS * whole
+        whole, low, high, before, behind = whole[kept], low[kept], high[kept], before[kept], behind[kept]
+    return [float(t) for t in high]
+
+
+def unnamed_jumps(run: Run, schedule: StepSchedule, tol: Mapping[str, Any], *, first: bool) -> tuple[float, ...]:
+    """Jumps within the equal steps of a run, where they depend on time alone; collective.
+
+    They are looked for where a sensor with a tolerance has a kink, and in the ``first`` run, unless there are fields, of which
+    it costs as much as steps: kinks of slow motion in large steps are not seen.
+    """
+    cheap = first and not run.system.fields and not struck_or_sampled(run.scene)
+    if not schedule.steps or not (cheap or any(left_by_kinks(run, name)[0] > 0.0 for name in tol)):
+        return ()
+    return jumps_in_time(HeldState(run.system, run.state), schedule)
+
+
+def with_break_points(scene: Scene, more: tuple[float, ...]) -> Scene:
+    """The scene with further break points (s)."""
+    return replace(scene, breakpoints=tuple(sorted({*scene.breakpoints, *more})))
