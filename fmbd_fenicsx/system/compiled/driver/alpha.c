@@ -71,142 +71,250 @@ static int worth_tangents(const System *s, const double *p, double first, int do
     return s->renewable && (at_once || lingers(p, done, left));
 }
 
-/* q and v at the end of a step, where the increment xi leads. */
-static void end_of(const System *s, const double *p, const Block *now, const double *xi, Block *out)
-{
-    configuration(s, now->q, xi, out->q);
-    for (int i = 0; i < s->nv; i++) out->v[i] = now->v[i] + p[H] * ((1 - p[GAMMA]) * now->A[i] + p[GAMMA] * out->A[i]);
-}
-
 /* Whether a step leaves out the rates of motions: it holds places alone, and these cost less. */
 static int rates_wait(const System *s, const double *p) { return s->samples > 1 && p[STABILISED] == 0.0; }
 
-/* One step from past[0] to out; past: the newest first. */
-static int step(System *s, double *p, const Block *past, int known, Block out)
+/* A step as it is made: from ``now`` to ``out``, by increments of Newton's iteration. */
+typedef struct {
+    Block now, out;
+    int stable;                        /* whether the form is stabilised */
+    double t, hb, scale, damp;         /* of the end; h^2 beta; weights of the matrix */
+    double tolerance;                  /* of increments, m */
+    double *xi, *begun;                /* the increment of the step, and as predicted */
+    double *x, *closing, *y;           /* the newest of the iteration; closing: of joints, in the stabilised form */
+    double *lam, *none;                /* multipliers of the matrix; those of the closing, which nobody asks for */
+    double sizes[MOST], left;          /* of increments, and the error after the newest, over the tolerance */
+    double misfit;                     /* of the springs' pulls across in the matrix */
+    int done, far;                     /* increments; whether the matrix is far from the state */
+    int evaluated, renewals;           /* whether the end was evaluated already; new tangents of fields */
+    int afresh, begun_at;              /* whether the next solution gives multipliers themselves, and after how many one did */
+    Secants told;
+} AlphaStep;
+
+static void begin(System *s, const double *p, Block now, Block out, AlphaStep *k)
+{
+    const int n = s->nv, m = s->rows, width = 2 * n + m;
+    const double h = p[H], am = p[AM], af = p[AF];
+    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n;
+    double *room = s->work + s->again + n + m;
+
+    *k = (AlphaStep){.now = now, .out = out, .stable = p[STABILISED] != 0.0, .t = *now.t + h, .far = 1, .afresh = s->redundant};
+    k->hb = h * h * p[BETA];
+    k->scale = k->hb * (1 - af) / (1 - am);
+    k->damp = h * p[GAMMA] * (1 - af) / (1 - am);
+    k->xi = xi, k->begun = begun;
+    k->x = x, k->closing = closing, k->y = y;
+    k->lam = lam, k->none = closing + n;
+    k->told = (Secants){.last = room, .made = room + width, .pair = room + 2 * width};
+    s->share = h * p[BETA] / p[GAMMA];
+}
+
+/* Accelerations and multipliers as those of the last steps go on. */
+static void predict(System *s, const double *p, const Block *past, int known, AlphaStep *k)
 {
     const int n = s->nv, m = s->rows;
-    const double h = p[H], am = p[AM], af = p[AF], gamma = p[GAMMA], hb = h * h * p[BETA], t = *past[0].t + h;
-    const double scale = hb * (1 - af) / (1 - am), damp = h * gamma * (1 - af) / (1 - am);
-    const Block now = past[0];
-    double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n, *none = closing + n;
-    double w[3], sizes[MOST], left = 0.0;
-    double misfit = 0.0; /* of the springs' pulls across in the matrix */
-    int verdict, far = 1, converged = 0, done = 0, afresh = s->redundant, begun_at = 0; /* of the multipliers */
-    int evaluated = 0, renewals = 0;       /* whether the end was evaluated already; new tangents of fields */
-    const int stable = p[STABILISED] != 0.0, width = 2 * n + m;
-    double *room = s->work + s->again + n + m;
-    Secants told = {.last = room, .made = room + width, .pair = room + 2 * width};
-    s->share = h * p[BETA] / gamma;
+    const double h = p[H], am = p[AM], af = p[AF];
+    const Block now = k->now, out = k->out;
+    double w[3];
 
-    if (s->samples) {
-        s->calls++;
-        if (s->python(SAMPLE, rates_wait(s, p) ? PLACES : WHOLE_SAMPLE, t)) return FAILED;
-    }
-
-    predictor(past, known, t, w);
+    predictor(past, known, k->t, w);
     for (int i = 0; i < n; i++) {
         out.a[i] = 0.0;
         for (int j = 0; j <= known; j++) out.a[i] += w[j] * past[j].a[i];
         out.A[i] = ((1 - af) * out.a[i] + af * now.a[i] - am * now.A[i]) / (1 - am);
-        begun[i] = xi[i] = h * now.v[i] + h * h * (0.5 - p[BETA]) * now.A[i] + hb * out.A[i];
+        k->begun[i] = k->xi[i] = h * now.v[i] + h * h * (0.5 - p[BETA]) * now.A[i] + k->hb * out.A[i];
     }
     for (int i = 0; i < m; i++) {
         out.lam[i] = 0.0;
         for (int j = 0; j <= known; j++) out.lam[i] += w[j] * past[j].lam[i];
     }
 
-    double tolerance = fmax(p[TOL] * scale * typical(s, out.a), p[FLOOR]);
-    s->settled = tolerance;
+    k->tolerance = fmax(p[TOL] * k->scale * typical(s, out.a), p[FLOOR]);
+    s->settled = k->tolerance;
+}
 
-    while (done < (int)p[MAXIT] && done < MOST && !converged) {
-        end_of(s, p, &now, xi, &out);
+/* q and v at the end of a step, where its increment leads. */
+static void follow(const System *s, const double *p, const AlphaStep *k)
+{
+    const Block now = k->now, out = k->out;
+    configuration(s, now.q, k->xi, out.q);
+    for (int i = 0; i < s->nv; i++) out.v[i] = now.v[i] + p[H] * ((1 - p[GAMMA]) * now.A[i] + p[GAMMA] * out.A[i]);
+}
 
-        /* dependent rows: the first solution gives the multipliers themselves, of minimum norm, and not their increments */
-        memcpy(lam, out.lam, m * sizeof(double));
-        if (afresh) {
-            memset(out.lam, 0, m * sizeof(double));
-            begun_at = done;
-            afresh = 0;
-        }
-        if (!evaluated && (verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;
-        evaluated = 0;
-        /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
-           have other slopes there */
-        int slow = done > 0 && p[THETA] > SLOW_TURN;
-        s->renewed = slow && !told.poor;
-        int cheap = done == 1 && s->fields; /* beside a solution with the factor of a field */
-        int turning = s->stiff && done > 0 && (s->renewed || cheap || misfit > 0.0 || misled(s) || other_slopes(s, damp, scale));
-        /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
-        int impatient = done > (int)p[PATIENCE] && !s->fields && !told.poor; /* fields go on with one tangent while they converge */
-        int reactions = (done > 1 && slow) || impatient;
-        if (far || turning || impatient) {
-            if (!far) forget(&told);
-            s->led = done > 0;
-            verdict = prepare(s, out.q, damp, scale, lam, reactions, t);
-            s->led = 0;
-            if (verdict) return verdict;
-        }
+/* The system where the increment leads. */
+static int evaluate_end(System *s, const double *p, AlphaStep *k)
+{
+    const Block out = k->out;
+    follow(s, p, k);
 
-        double closed = 0.0, size;
-        if ((verdict = stable ? stabilised(s, scale, damp, x, closing, y, none, t) : increment(s, scale, x, y, t))) return verdict;
-        /* the best tangent that there is comes first; multipliers found anew are no increments */
-        if (s->redundant && done == begun_at) forget(&told);
-        else if (s->leaves_out && (!s->foretells || renewals)) improve(s, &told, x, stable ? closing : NULL, y);
-        if (stable) {
-            closed = largest_of(s->units, closing, n);
-            add(x, 1.0, closing, n);
-            misfit = s->stiff ? other_pulls(s, x) : 0.0;
-            add(x, -1.0, closing, n);
-            for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, closing + TWIST * b);
-            for (int i = 0; i < n; i++) xi[i] += closing[i];
-        } else misfit = s->stiff ? other_pulls(s, x) : 0.0;
-        size = largest_of(s->units, x, n);
-        if (!(closed <= size)) size = closed; /* nan stays */
-        far = size > p[FAR];
-        sizes[done++] = size / tolerance;
-        for (int i = 0; i < m; i++) out.lam[i] += y[i] / scale;
-        for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, x + TWIST * b);
-        for (int i = 0; i < n; i++) {
-            xi[i] += x[i];
-            out.A[i] += x[i] / hb;
-            out.a[i] += x[i] / scale;
-        }
-        converged = judge(p, sizes, done, &left);
-        if (converged > 0 && misfit * sizes[done - 1] > 1.0) converged = 0;
-        int soon = learning(&told) && !s->foretells; /* earlier increments may tell what the tangent leaves out */
-        if (size < INFINITY && renewals < RENEWALS && !soon && worth_tangents(s, p, sizes[0], done, left)) {
-            renewals++;
-            forget(&told);
-            if (s->foretells) {
-                end_of(s, p, &now, xi, &out);
-                if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, t))) return verdict;
-                evaluated = 1;
-            }
-            if ((verdict = take_tangents(s, x, t)) || (verdict = prepare(s, s->q, damp, scale, out.lam, 0, t))) return verdict;
-            p[THETA] = 0.1;
-            converged = 0;
-            continue;
-        }
-        if (s->redundant && done == begun_at + 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
-        if (s->redundant && converged > 0 && p[STABILISED] != 0.0 && !begun_at) { /* speeds of open rows contradict each other */
-            afresh = 1;
-            converged = 0;
-        }
-        if (converged < 0) return NEWTON;
+    /* dependent rows: the first solution gives the multipliers themselves, of minimum norm, and not their increments */
+    memcpy(k->lam, out.lam, s->rows * sizeof(double));
+    if (k->afresh) {
+        memset(out.lam, 0, s->rows * sizeof(double));
+        k->begun_at = k->done;
+        k->afresh = 0;
     }
-    if (!converged || (done > (int)p[PATIENCE] + 1 && !s->fields && strayed(s, p, xi, begun))) return NEWTON;
+    int known = k->evaluated;
+    k->evaluated = 0;
+    return known ? DONE : evaluate(s, out.q, out.v, out.a, out.lam, k->t);
+}
 
-    p[ITERATIONS] += done;
-    p[LEFT] += left;
-    s->renewals = renewals;
-    end_of(s, p, &now, xi, &out);
+/* A new matrix, where the one at hand is not that of the state evaluated. */
+static int linearise(System *s, const double *p, AlphaStep *k)
+{
+    int later = k->done > 0, slow = later && p[THETA] > SLOW_TURN;
+    int impatient = k->done > (int)p[PATIENCE] && !s->fields && !k->told.poor; /* fields go on with one tangent while they converge */
+
+    /* a stiff spring has its true tension, and with it its stiffness across, only after the first increment; a law may
+       have other slopes there */
+    s->renewed = slow && !k->told.poor;
+    int cheap = k->done == 1 && s->fields; /* beside a solution with the factor of a field */
+    int turning = s->stiff && later
+                  && (s->renewed || cheap || k->misfit > 0.0 || misled(s) || other_slopes(s, k->damp, k->scale));
+    if (!(k->far || turning || impatient)) return DONE;
+
+    /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
+    int reactions = (k->done > 1 && slow) || impatient;
+    if (!k->far) forget(&k->told);
+    s->led = later;
+    int verdict = prepare(s, k->out.q, k->damp, k->scale, k->lam, reactions, k->t);
+    s->led = 0;
+    return verdict;
+}
+
+/* The newest increment of the iteration. */
+static int solve(System *s, AlphaStep *k)
+{
+    int verdict = k->stable ? stabilised(s, k->scale, k->damp, k->x, k->closing, k->y, k->none, k->t)
+                            : increment(s, k->scale, k->x, k->y, k->t);
+    if (verdict) return verdict;
+
+    /* the best tangent that there is comes first; multipliers found anew are no increments */
+    if (s->redundant && k->done == k->begun_at) forget(&k->told);
+    else if (s->leaves_out && (!s->foretells || k->renewals)) improve(s, &k->told, k->x, k->stable ? k->closing : NULL, k->y);
+    return DONE;
+}
+
+/* The increment xi goes on by a change x, like v. */
+static void go_on(const System *s, double *xi, double *x)
+{
+    for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, x + TWIST * b);
+    for (int i = 0; i < s->nv; i++) xi[i] += x[i];
+}
+
+/* Take the newest increment. */
+static void take(System *s, const double *p, AlphaStep *k)
+{
+    const int n = s->nv;
+    const Block out = k->out;
+    double closed = 0.0;
+
+    if (k->stable) {
+        closed = largest_of(s->units, k->closing, n);
+        add(k->x, 1.0, k->closing, n);
+        k->misfit = s->stiff ? other_pulls(s, k->x) : 0.0;
+        add(k->x, -1.0, k->closing, n);
+        go_on(s, k->xi, k->closing);
+    } else k->misfit = s->stiff ? other_pulls(s, k->x) : 0.0;
+
+    double size = largest_of(s->units, k->x, n);
+    if (!(closed <= size)) size = closed; /* nan stays */
+    k->far = size > p[FAR];
+    k->sizes[k->done++] = size / k->tolerance;
+
+    for (int i = 0; i < s->rows; i++) out.lam[i] += k->y[i] / k->scale;
+    go_on(s, k->xi, k->x);
+    for (int i = 0; i < n; i++) {
+        out.A[i] += k->x[i] / k->hb;
+        out.a[i] += k->x[i] / k->scale;
+    }
+}
+
+/* Whether the tangents of fields should be taken anew: earlier increments may tell what they leave out. */
+static int outworn(const System *s, const double *p, const AlphaStep *k)
+{
+    int soon = learning(&k->told) && !s->foretells;
+    return k->sizes[k->done - 1] < INFINITY && k->renewals < RENEWALS && !soon
+           && worth_tangents(s, p, k->sizes[0], k->done, k->left);
+}
+
+/* New tangents of fields, where the newest increment led. */
+static int renew_tangents(System *s, double *p, AlphaStep *k)
+{
+    const Block out = k->out;
+    int verdict;
+
+    k->renewals++;
+    forget(&k->told);
+    if (s->foretells) {
+        follow(s, p, k);
+        if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, k->t))) return verdict;
+        k->evaluated = 1;
+    }
+    if ((verdict = take_tangents(s, k->x, k->t))) return verdict;
+    p[THETA] = 0.1;
+    return prepare(s, s->q, k->damp, k->scale, out.lam, 0, k->t);
+}
+
+/* Whether an iteration that is judged to be at its end is so. */
+static int at_its_end(const System *s, AlphaStep *k)
+{
+    if (k->misfit * k->sizes[k->done - 1] > 1.0) return 0;
+    if (!s->redundant) return 1;
+    if (k->done == k->begun_at + 1) return 0; /* the first solution leaves epsilon y open */
+
+    k->afresh = k->stable && !k->begun_at; /* speeds of open rows contradict each other */
+    return !k->afresh;
+}
+
+/* Newton's iteration for the end of the step. */
+static int iterate(System *s, double *p, AlphaStep *k)
+{
+    const int most = (int)fmin(p[MAXIT], MOST);
+    int verdict, converged = 0;
+
+    while (!converged) {
+        if (k->done == most) return NEWTON;
+        if ((verdict = evaluate_end(s, p, k))) return verdict;
+        if ((verdict = linearise(s, p, k))) return verdict;
+        if ((verdict = solve(s, k))) return verdict;
+        take(s, p, k);
+
+        converged = judge(p, k->sizes, k->done, &k->left);
+        if (outworn(s, p, k)) {
+            if ((verdict = renew_tangents(s, p, k))) return verdict;
+            converged = 0;
+        } else if (converged < 0) return NEWTON;
+        else if (converged) converged = at_its_end(s, k);
+    }
+    return k->done > (int)p[PATIENCE] + 1 && !s->fields && strayed(s, p, k->xi, k->begun) ? NEWTON : DONE;
+}
+
+/* One step from past[0] to out; past: the newest first. */
+static int step(System *s, double *p, const Block *past, int known, Block out)
+{
+    AlphaStep k;
+    int verdict;
+
+    begin(s, p, past[0], out, &k);
+    if (s->samples) {
+        s->calls++;
+        if (s->python(SAMPLE, rates_wait(s, p) ? PLACES : WHOLE_SAMPLE, k.t)) return FAILED;
+    }
+    predict(s, p, past, known, &k);
+    if ((verdict = iterate(s, p, &k))) return verdict;
+
+    p[ITERATIONS] += k.done;
+    p[LEFT] += k.left;
+    s->renewals = k.renewals;
+    follow(s, p, &k);
     if (turns_freely(s)) {
         if ((verdict = place(s, out.q, out.v))) return verdict;
         settle_angles(s, out.q);
     }
-    for (int i = 0; i < n; i++) x[i] = out.A[i] - now.A[i];
-    *out.t = t;
-    p[LOCAL] = fmax(p[LOCAL], h * h * fabs(p[BETA] - 1.0 / 6.0) * largest_of(s->units, x, n));
+    *out.t = k.t;
+    for (int i = 0; i < s->nv; i++) k.x[i] = out.A[i] - k.now.A[i];
+    p[LOCAL] = fmax(p[LOCAL], p[H] * p[H] * fabs(p[BETA] - 1.0 / 6.0) * largest_of(s->units, k.x, s->nv));
     return DONE;
 }
 
