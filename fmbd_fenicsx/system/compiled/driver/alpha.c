@@ -87,7 +87,6 @@ typedef struct {
     double misfit;                     /* of the springs' pulls across in the matrix */
     int done, far;                     /* increments; whether the matrix is far from the state */
     int evaluated, renewals;           /* whether the end was evaluated already; new tangents of fields */
-    int afresh, begun_at;              /* whether the next solution gives multipliers themselves, and after how many one did */
     Secants told;
 } AlphaStep;
 
@@ -98,7 +97,7 @@ static void begin(System *s, const double *p, Block now, Block out, AlphaStep *k
     double *xi = s->work, *x = xi + n, *y = x + n, *lam = y + m, *begun = lam + m, *closing = begun + n;
     double *room = s->work + s->again + n + m;
 
-    *k = (AlphaStep){.now = now, .out = out, .stable = p[STABILISED] != 0.0, .t = *now.t + h, .far = 1, .afresh = s->redundant};
+    *k = (AlphaStep){.now = now, .out = out, .stable = p[STABILISED] != 0.0, .t = *now.t + h, .far = 1};
     k->hb = h * h * p[BETA];
     k->scale = k->hb * (1 - af) / (1 - am);
     k->damp = h * p[GAMMA] * (1 - af) / (1 - am);
@@ -149,11 +148,7 @@ static int evaluate_end(System *s, const double *p, AlphaStep *k)
 
     /* dependent rows: the first solution gives the multipliers themselves, of minimum norm, and not their increments */
     memcpy(k->lam, out.lam, s->rows * sizeof(double));
-    if (k->afresh) {
-        memset(out.lam, 0, s->rows * sizeof(double));
-        k->begun_at = k->done;
-        k->afresh = 0;
-    }
+    if (s->redundant && !k->done) memset(out.lam, 0, s->rows * sizeof(double));
     int known = k->evaluated;
     k->evaluated = 0;
     return known ? DONE : evaluate(s, out.q, out.v, out.a, out.lam, k->t);
@@ -190,7 +185,7 @@ static int solve(System *s, AlphaStep *k)
     if (verdict) return verdict;
 
     /* the best tangent that there is comes first; multipliers found anew are no increments */
-    if (s->redundant && k->done == k->begun_at) forget(&k->told);
+    if (s->redundant && k->done == 0) forget(&k->told);
     else if (s->leaves_out && (!s->foretells || k->renewals)) improve(s, &k->told, k->x, k->stable ? k->closing : NULL, k->y);
     return DONE;
 }
@@ -256,17 +251,6 @@ static int renew_tangents(System *s, double *p, AlphaStep *k)
     return prepare(s, s->q, k->damp, k->scale, out.lam, 0, k->t);
 }
 
-/* Whether an iteration that is judged to be at its end is so. */
-static int at_its_end(const System *s, AlphaStep *k)
-{
-    if (k->misfit * k->sizes[k->done - 1] > 1.0) return 0;
-    if (!s->redundant) return 1;
-    if (k->done == k->begun_at + 1) return 0; /* the first solution leaves epsilon y open */
-
-    k->afresh = k->stable && !k->begun_at; /* speeds of open rows contradict each other */
-    return !k->afresh;
-}
-
 /* Newton's iteration for the end of the step. */
 static int iterate(System *s, double *p, AlphaStep *k)
 {
@@ -285,7 +269,7 @@ static int iterate(System *s, double *p, AlphaStep *k)
             if ((verdict = renew_tangents(s, p, k))) return verdict;
             converged = 0;
         } else if (converged < 0) return NEWTON;
-        else if (converged) converged = at_its_end(s, k);
+        else if (k->misfit * k->sizes[k->done - 1] > 1.0) converged = 0;
     }
     return k->done > (int)p[PATIENCE] + 1 && !s->fields && strayed(s, p, k->xi, k->begun) ? NEWTON : DONE;
 }

@@ -218,17 +218,6 @@ EXPORT int driver_rows(System *s, long count, const double *t, const double *q, 
     return DONE;
 }
 
-/* What the first solution of dependent rows leaves open, epsilon y / u^2, closed. */
-static void close_dependent(System *s, double *x, double *y)
-{
-    double *more = s->work, *left = more + s->nv;
-    memset(s->b, 0, s->nu * sizeof(double));
-    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -softness(s, i) * y[i];
-    solution(s, more, left);
-    add(x, 1.0, more, s->nv);
-    add(y, 1.0, left, s->rows);
-}
-
 /* A right-hand side on the nodes of fields, which stand behind the frames in b: whether there is any. */
 static int load_nodes(System *s, const double *b)
 {
@@ -254,8 +243,7 @@ EXPORT int driver_solve(System *s, long count, const double *q, const double *b,
         if (placed) verdict = placed;
         memcpy(s->b, s->velocity, s->nu * sizeof(double));
         memcpy(s->b + s->nu, c, s->rows * sizeof(double));
-        if ((failed = with_fields(s, load_nodes(s, b), x, y, 0.0))) return failed;
-        if (s->redundant) close_dependent(s, x, y);
+        if ((failed = with_all_rows(s, load_nodes(s, b), x, y, 0.0))) return failed;
     }
     return verdict;
 }

@@ -164,12 +164,35 @@ static int with_fields(System *s, double scale, double *x, double *y, double t)
     return DONE;
 }
 
+/* The solution for rows that are epsilon y / u^2 open, ``times`` that, added to x and y. */
+static void add_softness(System *s, double times, double *x, double *y)
+{
+    double *more = s->work + s->again, *left = more + s->nv;
+    memset(s->b, 0, s->nu * sizeof(double));
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = times * softness(s, i) * y[i];
+    solution(s, more, left);
+    add(x, 1.0, more, s->nv);
+    add(y, 1.0, left, s->rows);
+}
+
+/* The same where rows depend; b holds nothing of use then. Of a combination of rows with the singular value sigma one solution
+   closes the share k = sigma^2 / (sigma^2 + epsilon), and what rows contradict each other in (k = 0) goes to y over epsilon.
+   To ask for what it closed leaves nothing of that in y, to ask then for what is open twice closes k^2 (3 - 2 k). */
+static int with_all_rows(System *s, double scale, double *x, double *y, double t)
+{
+    int verdict = with_fields(s, scale, x, y, t);
+    if (verdict || !s->redundant) return verdict;
+    add_softness(s, 1.0, x, y);
+    add_softness(s, -2.0, x, y);
+    return DONE;
+}
+
 /* Newton's increment from -scale times the residuals evaluated last and the open constraints. */
 static int increment(System *s, double scale, double *x, double *y, double t)
 {
     for (int i = 0; i < s->nu; i++) s->b[i] = -scale * s->residual[i];
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i];
-    return with_fields(s, scale, x, y, t);
+    return with_all_rows(s, scale, x, y, t);
 }
 
 /* Rows of the constraints on the velocities as they stand, and the rates of what is prescribed where ``rates``, into slip. */
@@ -202,7 +225,7 @@ static int stabilised(System *s, double scale, double damp, double *x, double *c
     slips(s, 1);
     for (int i = 0; i < s->nu; i++) s->b[i] = -scale * s->residual[i];
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -scale / damp * s->slip[i];
-    if ((verdict = with_fields(s, scale, x, y, t))) return verdict;
+    if ((verdict = with_all_rows(s, scale, x, y, t))) return verdict;
 
     turn_velocity(s, x);
     slips(s, 0);
@@ -210,7 +233,7 @@ static int stabilised(System *s, double scale, double damp, double *x, double *c
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i] - s->slip[i];
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++) /* rows on velocities have no g: the correction rolls */
         for (long i = 0; k->role == ROW && k->flow && i < k->n; i++) s->b[s->nu + k->row[i]] = 0.0;
-    return with_fields(s, 0.0, closing, none, t);
+    return with_all_rows(s, 0.0, closing, none, t);
 }
 
 /* Efforts of springs where an increment x, like v, leads from the state evaluated last. */

@@ -303,9 +303,7 @@ static int mean_increment(System *s, const Step *o, const double *factored, cons
         memset(s->b + k->at_u + TWIST, 0, k->modes * sizeof(double)); /* all acts on the nodes */
         memcpy(k->field->force, o->core + k->at_v, k->field->n * sizeof(double));
     }
-    if ((verdict = with_fields(s, 1.0, x, y, o->t + 0.5 * o->h))) return verdict;
-    if (s->redundant) close_dependent(s, x, y);
-    return DONE;
+    return with_all_rows(s, 1.0, x, y, o->t + 0.5 * o->h);
 }
 
 /* The size of an increment; infinite where it has none. */
