@@ -83,14 +83,14 @@ class Product:
     def __init__(self, a: Pattern, b: Pattern, within: Pattern | None = None) -> None:
         # each entry of A meets all of a row of B
         counts = np.diff(b.start)[a.columns]
-        self._a = np.repeat(np.arange(len(a)), counts)
+        self.a = np.repeat(np.arange(len(a)), counts)
         first = np.cumsum(counts) - counts
-        self._b = np.arange(len(self._a)) - np.repeat(first - b.start[:-1][a.columns], counts)
+        self.b = np.arange(len(self.a)) - np.repeat(first - b.start[:-1][a.columns], counts)
 
-        rows, columns, shape = a.rows[self._a], b.columns[self._b], (a.shape[0], b.shape[1])
+        rows, columns, shape = a.rows[self.a], b.columns[self.b], (a.shape[0], b.shape[1])
         self.pattern = Pattern.of(shape, rows, columns) if within is None else within
-        self._to = self.pattern.places(rows, columns)
+        self.to = self.pattern.places(rows, columns)
 
     def data(self, a: Array, b: Array) -> Array:
         """Those of C."""
-        return np.bincount(self._to, a[self._a] * b[self._b], len(self.pattern)).astype(float, copy=False)
+        return np.bincount(self.to, a[self.a] * b[self.b], len(self.pattern)).astype(float, copy=False)

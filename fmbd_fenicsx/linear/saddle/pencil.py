@@ -15,7 +15,6 @@ stiffly damped mode, a free body and an index-3 constraint all have the same con
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +22,7 @@ import scipy.linalg as sl
 
 from ...errors import LinearSolveError
 from ...rotations import Array
+from ...system.tangents.step_tangent import StepTangent
 from ..residual import Judge
 
 REFINED = 1e-12  # relative residuals above this are refined once
@@ -32,23 +32,7 @@ SINGULAR_MATRIX = (
 )
 
 
-@dataclass(frozen=True)
-class PencilTangent:
-    """Coefficients of (1): J, M (n, n); G (m, n); U (n, m); R (p, n); derivatives of the lower rows by xi, v, a:
-    (n + k m + p, n) each.
-    """
-
-    J: Array
-    M: Array
-    G: Array
-    U: Array
-    by_q: Array
-    by_v: Array
-    by_a: Array
-    R: Array
-
-
-def stacked(tangents: list[PencilTangent]) -> PencilTangent:
+def stacked(tangents: list[StepTangent]) -> StepTangent:
     """The tangent of several stages together: variables and balances stage by stage, then each constraint level stage by
     stage.
     """
@@ -62,7 +46,7 @@ def stacked(tangents: list[PencilTangent]) -> PencilTangent:
     def diagonal(blocks: list[Array]) -> Array:
         return np.asarray(sl.block_diag(*blocks))
 
-    return PencilTangent(
+    return StepTangent(
         J=diagonal([t.J for t in tangents]),
         M=diagonal([t.M for t in tangents]),
         G=diagonal([t.G for t in tangents]),
@@ -86,7 +70,7 @@ class Pencil:
     ``redundant``: dependent constraints are solved with multipliers of least norm.
     """
 
-    def __init__(self, tangent: PencilTangent, s: Array, judge: Judge, redundant: bool = False) -> None:
+    def __init__(self, tangent: StepTangent, s: Array, judge: Judge, redundant: bool = False) -> None:
         self.s, self.judge, self.t, self.redundant = s, judge, tangent, redundant
         T = tangent
         n = tangent.M.shape[0]

@@ -6,7 +6,8 @@ import numpy as np
 
 from ...errors import LinearSolveError
 from ...rotations import Array
-from ...system.compiled.states.stages import SparseTangent, StageRoom
+from ...system.compiled.states.stages import StageRoom
+from ...system.tangents.step_tangent import StepTangent
 from ..residual import Judge
 from .pencil import OPEN_ROWS, SINGULAR_MATRIX
 
@@ -14,7 +15,7 @@ from .pencil import OPEN_ROWS, SINGULAR_MATRIX
 class SparsePencil:
     """As :class:`.Pencil` for frequencies s (p,); ``room``: of C, which the newest pencil has for itself."""
 
-    def __init__(self, tangent: SparseTangent, s: Array, judge: Judge, room: StageRoom) -> None:
+    def __init__(self, tangent: StepTangent, s: Array, judge: Judge, room: StageRoom) -> None:
         self.t, self.s, self.judge, self.room = tangent, s, judge, room
         if not room.factor(tangent, s):
             raise LinearSolveError(f"{judge.what}: {SINGULAR_MATRIX}")

@@ -20,11 +20,10 @@ from ...system.compiled.choice import use_driver
 from ...system.compiled.states.couplings import couplings_of
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.points import PointsTold
-from ...system.compiled.states.stages import StageStructure
+from ...system.compiled.states.stage_patterns import StageStructure
 from ...system.evaluation_batch import EvaluationBatch
 from ...system.serialisation import Memory, Remembering, plain, worker
 from ...system.system import State, System
-from ...system.tangents.linearise import at_once
 from ...system.tangents.stiff_ties import stiff_ties
 from ..dae import Form, Points
 from .step_tangents import DenseTangents, SparseTangents, dense
@@ -269,15 +268,13 @@ class StepEquations(Remembering):
         M and G are assembled. Stiffness and damping of the balance, with the geometric stiffness (G^T lambda)_q, and the
         derivatives of the velocity and acceleration rows are directional derivatives, all directions in one evaluation.
         """
-        s, n, a = self.system, self.system.n_v, state.a
         self.jacobians += 1
 
         def lower(at: EvaluationBatch) -> Array:
             k = len(at.q)
-            return self.lower(at, np.broadcast_to(a, (k, n)), np.broadcast_to(mult, (k, self.n_mult)))
+            return self.lower(at, np.repeat(state.a[None], k, axis=0), np.repeat(mult[None], k, axis=0))
 
-        ev = s.at(state.t, state.q, state.v)
-        return self.tangents.take(ev, a, self.solver.masses(ev), at_once(self.stiff.system, state.t, lower))
+        return self.tangents.take(state, mult, self.solver, lower)
 
     def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Any:
         """The tangent at a point of the local coordinates, for a full Newton iteration."""

@@ -11,22 +11,26 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...errors import LinearSolveError
+from ...linear.condensation import StepSolver
 from ...linear.residual import Judge
-from ...linear.saddle.pencil import Pencil, PencilTangent
+from ...linear.saddle.pencil import Pencil
 from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.compiled.states.points import Metric
-from ...system.compiled.states.stages import SparseTangent, StageRoom, StageStructure
-from ...system.evaluation import Evaluation
+from ...system.compiled.states.stage_patterns import StageStructure
+from ...system.compiled.states.stages import StageRoom
+from ...system.evaluation_batch import EvaluationBatch
 from ...system.serialisation import Remembering, plain
 from ...system.sparsity import Pattern
-from ...system.system import System
-from ...system.tangents.linearise import differences, sparse_differences
+from ...system.system import State, System
+from ...system.tangents.linearise import Sizes, at_once, difference_steps, differences
+from ...system.tangents.step_tangent import StepTangent
 from ...system.tangents.stiff_ties import StiffTies
 from ..dae import Form
 
 TURNED = 1e-6  # rad and m, of differences of rates
-Function = Callable[[Array, Array], Array]  # the lower rows of many (q, v)
+Lower = Callable[[EvaluationBatch], Array]  # the lower rows of many states
 
 
 def dense(A: Any) -> Array:
@@ -69,16 +73,18 @@ class DenseTangents(Remembering):
         """The same as a matrix."""
         return self.inverse_mass
 
-    def take(self, ev: Evaluation, a: Array, M: Any, function: Function) -> PencilTangent:
-        """The tangent at a state with the mass matrix M, whose lower rows are a function."""
-        form, n, m, v = self.form, self.system.n_v, self.system.n_lam, ev.v
-        assert v is not None
+    def take(self, state: State, mult: Array, solver: StepSolver, lower: Lower) -> StepTangent:
+        """The tangent at a state with multipliers (n_mult,), whose lower rows are a function; ``solver``: tells masses."""
+        form, n, m, v = self.form, self.system.n_v, self.system.n_lam, state.v
+        ev = self.system.at(state.t, state.q, v)
+        M = solver.masses(ev)
         self.weigh(M)
         G = dense(ev.jacobian.core)
         if not form.frozen:
             self.direct(G)
 
-        by_q, by_v = differences(self.system, function, (ev.q, v, a))
+        function = at_once(self.stiff.system, state.t, lower)
+        by_q, by_v = differences(self.system, function, (state.q, v, state.a))
         # known exactly: M, and G on the level of each row
         by_a = np.zeros_like(by_v)
         by_a[:n] = dense(M)
@@ -96,7 +102,7 @@ class DenseTangents(Remembering):
             R = dense(self.stiff.system.at(ev.t, ev.q, v).jacobian.core)[self.stiff.ties]
             self.U_ties = self.inverse_mass @ R.T
             by_q[-ties:], by_v[-ties:] = self.stiff.stiffness[:, None] * R, self.stiff.damping[:, None] * R
-        return PencilTangent(self._turning(np.zeros(n), v)[0], dense(M), G, self.U, by_q, by_v, by_a, R)
+        return StepTangent(self._turning(np.zeros(n), v)[0], dense(M), G, self.U, by_q, by_v, by_a, R)
 
     def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
         """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
@@ -108,20 +114,20 @@ class DenseTangents(Remembering):
         J = (s.rate(xi + TURNED * eye, v) - s.rate(xi - TURNED * eye, v)).T / (2 * TURNED)
         return J, np.asarray(np.linalg.inv(s.rate(xi, eye).T))
 
-    def at_increments(self, made: PencilTangent, xi: Array, v: Array) -> PencilTangent:
+    def at_increments(self, made: StepTangent, xi: Array, v: Array) -> StepTangent:
         """The tangent that was taken at q_0 o exp(xi), in the coordinates about q_0."""
         J, T = self._turning(xi, v)
         return replace(made, J=J, by_q=made.by_q @ T)
 
-    def filled(self, tangent: PencilTangent) -> PencilTangent:
+    def filled(self, tangent: StepTangent) -> StepTangent:
         """A tangent with dense matrices."""
         return tangent
 
-    def inertia(self, tangent: PencilTangent, a: Array) -> Array:
+    def inertia(self, tangent: StepTangent, a: Array) -> Array:
         """M a."""
         return tangent.M @ a
 
-    def pencil(self, tangent: PencilTangent, s: Array, judge: Judge, redundant: bool) -> Pencil:
+    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, redundant: bool) -> Pencil:
         """Solver of the stages for the frequencies s, (p,)."""
         return Pencil(tangent, s, judge, redundant)
 
@@ -135,11 +141,14 @@ class SparseTangents(Remembering):
         self.system, self.structure = system, structure
         self.U: Array = np.zeros(len(structure.normal.pattern))
         self.inverse_mass: Array = np.zeros(0)
+        self._masses: Array | None = None
+        self._sizes = Sizes(system)
         self._rooms: dict[tuple[int, int], StageRoom] = {}
 
     def weigh(self, M: Any) -> None:
         """Take a mass matrix."""
-        self.inverse_mass = self.structure.inverse_masses(self.structure.couplings.masses.taken(M))
+        self._masses = self.structure.couplings.masses.taken(M)
+        self.inverse_mass = self.structure.inverse_masses(self._masses)
 
     def normally(self, mult: Array) -> Array:
         """U times multipliers (k, n_lam), (k, n_v)."""
@@ -154,60 +163,35 @@ class SparseTangents(Remembering):
         pattern, data = self.metric()
         return dense(pattern.matrix(data))
 
-    def take(self, ev: Evaluation, a: Array, M: Any, function: Function) -> SparseTangent:
-        """The tangent at a state with the mass matrix M, whose lower rows are a function."""
-        structure, v = self.structure, ev.v
-        couplings = structure.couplings
-        assert v is not None
-        self.weigh(M)
-        G = couplings.rows.taken(ev.jacobian.core)
-        self.U = structure.normals(self.inverse_mass, G)
+    def take(self, state: State, mult: Array, solver: StepSolver, lower: Lower) -> StepTangent:
+        """The tangent at a state with multipliers (n_mult,), in one call; ``solver``: tells masses."""
+        system = self.system
+        if self._masses is None or system.parts:  # those of rigid bodies stay
+            self.weigh(solver.masses(system.at(state.t, state.q, state.v)))
+        moves = difference_steps(self._sizes, state.q, state.v, state.a)
+        lam = mult[: system.n_lam] if self.structure.levels else state.lam
+        made = self.structure.tangent(state, lam, moves, (self._masses, self.inverse_mass))
+        if made is None:
+            lower(system.batch(*(np.array([x]) for x in (state.t, state.q, state.v))))  # which may say what is wrong
+            raise LinearSolveError("the tangent of a step is not finite.")
+        self.U = made.U
+        return made
 
-        by_q, by_v = sparse_differences(self.system, function, (ev.q, v, a), couplings.together, structure.low)
-        # known exactly: M, and G on the level of each row
-        masses = couplings.masses.taken(M)
-        by_a = np.zeros_like(by_v)
-        by_a[structure.of_masses] = masses
-        for level, places in zip(structure.levels, structure.of_level, strict=True):
-            if level == 0:
-                by_q[places], by_v[places] = G, 0.0
-            else:
-                by_v[places] = G
-        return SparseTangent(self._turning(np.zeros(len(v)), v)[0], masses, G, self.U, by_q, by_v, by_a)
-
-    def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
-        """The data of J and T, as of dense matrices: frames do not turn each other, and are moved together."""
-        s, pattern = self.system, self.structure.couplings.turns
-        n, frames = s.motions.n_twist, s.n_frames
-        of_frames = pattern.columns < frames * n
-        J, T = np.zeros(len(pattern)), (pattern.rows == pattern.columns).astype(float)
-        if s.motions.dim == 2 or not frames:
-            return J, T
-        one = np.zeros((n, s.n_v))
-        one[:, : frames * n] = np.tile(np.eye(n), frames)
-        slopes = (s.rate(xi + TURNED * one, v) - s.rate(xi - TURNED * one, v)) / (2 * TURNED)
-        J[of_frames] = slopes[pattern.columns % n, pattern.rows][of_frames]
-
-        turned = s.rate(xi, one)[:, : frames * n].reshape(n, frames, n).transpose(1, 2, 0)
-        T[of_frames] = np.linalg.inv(turned).ravel()
-        return J, T
-
-    def at_increments(self, made: SparseTangent, xi: Array, v: Array) -> SparseTangent:
+    def at_increments(self, made: StepTangent, xi: Array, v: Array) -> StepTangent:
         """The tangent that was taken at q_0 o exp(xi), in the coordinates about q_0."""
-        J, T = self._turning(xi, v)
+        J, T = self.structure.turning(xi, v)
         return replace(made, J=J, by_q=self.structure.turned.data(made.by_q, T))
 
-    def filled(self, tangent: SparseTangent) -> PencilTangent:
+    def filled(self, tangent: StepTangent) -> StepTangent:
         """A tangent with dense matrices."""
         patterns = self.structure.patterns
-        matrices = {name: dense(patterns[name].matrix(data)) for name, data in vars(tangent).items()}
-        return PencilTangent(**matrices, R=np.zeros((0, self.system.n_v)))
+        return StepTangent(**{name: dense(patterns[name].matrix(data)) for name, data in vars(tangent).items()})
 
-    def inertia(self, tangent: SparseTangent, a: Array) -> Array:
+    def inertia(self, tangent: StepTangent, a: Array) -> Array:
         """M a."""
         return self.structure.couplings.masses.times(tangent.M, a[None])[0]
 
-    def pencil(self, tangent: SparseTangent, s: Array, judge: Judge, redundant: bool) -> SparsePencil:
+    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, redundant: bool) -> SparsePencil:
         """Solver of the stages for the frequencies s, (p,); rows do not depend on each other."""
         assert not redundant
         # a frequency of a complex pair belongs to two points

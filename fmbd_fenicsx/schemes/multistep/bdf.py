@@ -28,13 +28,12 @@ from ...errors import require
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
-from ...linear.saddle.pencil import PencilTangent
 from ...rotations import Array
-from ...system.compiled.states.stages import SparseTangent
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
+from ...system.tangents.step_tangent import StepTangent
 from ..consistent import accelerations, project
 from ..control import (
     StepControl,
@@ -144,10 +143,8 @@ class BDFStepper(Corrector):
 
     def remember(self, m: Memory) -> None:
         """With the tangent, whose factor is made again."""
-        self._tangent, self.judge = m("tangent", (self._tangent, self.judge), PencilTangent, SparseTangent, Judge)
-        factored = m(
-            "factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), PencilTangent, SparseTangent
-        )
+        self._tangent, self.judge = m("tangent", (self._tangent, self.judge), StepTangent, Judge)
+        factored = m("factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), StepTangent)
         if m.reading:
             self._pencil = None if factored is None else self.eq.pencil(factored[0], factored[1], self.judge)
         super().remember(m)

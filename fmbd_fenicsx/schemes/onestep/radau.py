@@ -27,12 +27,11 @@ from ...errors import require
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
-from ...linear.saddle.pencil import PencilTangent
 from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
-from ...system.compiled.states.stages import SparseTangent
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
+from ...system.tangents.step_tangent import StepTangent
 from ..consistent import accelerations, project
 from ..control import (
     StepControl,
@@ -117,7 +116,7 @@ class RadauStepper(StageNewton):
     def remember(self, m: Memory) -> None:
         """With the last collocation polynomial and the tangent, whose factors are made again."""
         if self.eq.dense:
-            self._last, self._tangent = m("last", (self._last, self._tangent), Points, PencilTangent, SparseTangent)
+            self._last, self._tangent = m("last", (self._last, self._tangent), Points, StepTangent)
         else:  # every step takes its own derivatives
             self._last = self.eq.remember_points(m.inside("last"), self._last)
         made = m("made", (self._pencil is not None, self._filter is not None))

@@ -20,7 +20,6 @@ import numpy as np
 
 from ...rotations import Array
 from ..evaluation_batch import EvaluationBatch
-from ..sparsity import Pattern
 from ..system import System
 
 LARGEST = 2_000_000  # entries of matrices that are evaluated at once
@@ -80,44 +79,25 @@ def differences(
 
     ``at``: q, v, and accelerations that tell which velocities matter.
     """
-    in_q, in_v, hq, hv = _moved(system, function, at, np.arange(system.n_core))
-    return (in_q / hq[:, None]).T, (in_v / hv[:, None]).T
-
-
-def sparse_differences(
-    system: System,
-    function: Callable[[Array, Array], Array],
-    at: tuple[Array, Array, Array],
-    together: np.ndarray,
-    pattern: Pattern,
-) -> tuple[Array, Array]:
-    """The same on the entries of a pattern, where coordinates of one number in ``together`` (n_core,) have no row in common."""
-    in_q, in_v, hq, hv = _moved(system, function, at, together)
-    rows, columns = pattern.rows, pattern.columns
-    found = together[columns], rows
-    return in_q[found] / hq[columns], in_v[found] / hv[columns]
-
-
-def _moved(
-    system: System, function: Callable[[Array, Array], Array], at: tuple[Array, Array, Array], together: np.ndarray
-) -> tuple[Array, Array, Array, Array]:
-    """Changes of a function by coordinates and by velocities that are moved together, one row for each number, and by how much
-    each coordinate, twice, and each velocity was moved.
-    """
     q, v, a = at
-    sizes, n = Sizes(system), system.n_core
-    count, every = int(together.max(initial=-1)) + 1, np.arange(n)
-    hq = _CENTRAL * sizes.positions(q)
-    hv = _STEP * sizes.velocities(v, a)
-    step = np.zeros((count, system.n_v))
-    step[together, every] = hq
+    n, count = system.n_v, system.n_core
+    every = np.arange(count)
+    hq, hv = difference_steps(Sizes(system), q, v, a)
+    step = np.zeros((count, n))
+    step[every, every] = hq
     moved = np.repeat(v[None], count, axis=0)
-    moved[together, every] += hv
-    hv = moved[together, every] - v[:n]
+    moved[every, every] += hv
+    hv = moved[every, every] - v[:count]
 
     qs = np.concatenate((system.compose(q, step), system.compose(q, -step), np.repeat(q[None], count + 1, axis=0)))
     f = function(qs, np.concatenate((np.repeat(v[None], 2 * count, axis=0), moved, v[None])))
-    return f[:count] - f[count : 2 * count], f[2 * count : 3 * count] - f[-1], 2 * hq, hv
+    in_q, in_v = f[:count] - f[count : 2 * count], f[2 * count : 3 * count] - f[-1]
+    return (in_q / (2 * hq)[:, None]).T, (in_v / hv[:, None]).T
+
+
+def difference_steps(sizes: Sizes, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """By how much coordinates and velocities are moved, (n_core,) each."""
+    return _CENTRAL * sizes.positions(q), _STEP * sizes.velocities(v, a)
 
 
 def at_once(system: System, t: float, function: Callable[[EvaluationBatch], Array]) -> Callable[[Array, Array], Array]:

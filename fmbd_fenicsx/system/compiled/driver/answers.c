@@ -174,23 +174,29 @@ static void add_row(const System *s, int body, const double *rates, int modes, d
     add(row + s->body[body].at_v, factor, rates + TWIST, modes);
 }
 
-/* Rows of the constraints of one batch, as its kernel left them, into G, rows x nv; with multipliers their sum G^T mu instead, nv. */
+/* ``factor`` times the row of one item, as its kernel left it, added to one like v. */
+static void item_row(System *s, const Batch *k, long i, double factor, double *row)
+{
+    const double *out = k->out + 1 + i * k->outputs;
+    double both[2 * TWIST] = {0.0};
+    for (int e = 0; e < k->outputs - 1; e++) both[k->component[e]] = out[e];
+
+    for (int side = 0; side < 2; side++) {
+        const double *map;
+        int frame = k->pair[2 * i + side], width = side_map(s, frame, &map);
+        if (!width) continue;
+        through(map, width, both + TWIST * side, s->big);
+        int body = map ? s->surface[frame - s->bodies - 1].body : frame;
+        add_row(s, body, s->big, width - TWIST, factor * k->factor[i], row);
+    }
+}
+
+/* Rows of the constraints of one batch into G, rows x nv; with multipliers their sum G^T mu instead, nv. */
 static void add_rows(System *s, const Batch *k, const double *mu, double *G)
 {
-    const double *out = k->out + 1;
-    for (long i = 0; i < k->n; i++, out += k->outputs) {
+    for (long i = 0; i < k->n; i++) {
         int number = k->row[i];
-        double both[2 * TWIST] = {0.0}, *row = mu ? G : G + (long)number * s->nv, factor = k->factor[i] * (mu ? mu[number] : 1.0);
-        for (int e = 0; e < k->outputs - 1; e++) both[k->component[e]] = out[e];
-
-        for (int side = 0; side < 2; side++) {
-            const double *map;
-            int frame = k->pair[2 * i + side], width = side_map(s, frame, &map);
-            if (!width) continue;
-            through(map, width, both + TWIST * side, s->big);
-            int body = map ? s->surface[frame - s->bodies - 1].body : frame;
-            add_row(s, body, s->big, width - TWIST, factor, row);
-        }
+        item_row(s, k, i, mu ? mu[number] : 1.0, mu ? G : G + (long)number * s->nv);
     }
 }
 

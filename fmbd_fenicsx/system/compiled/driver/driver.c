@@ -14,6 +14,7 @@
 #include "states.c"
 #include "record.c"
 #include "answers.c"
+#include "tangent.c"
 #include "stages.c"
 #include "explicit.c"
 #include "secants.c"

@@ -26,7 +26,8 @@ typedef struct {
     int n, m, size, levels, frequencies, points, first; /* size: unknowns; first: of the levels of rows */
     int *start, *row, *order;       /* K by columns; order of elimination */
     long entries, room;             /* room: for entries of L, and of U */
-    double *K0, *K1, *K2, *s, *A, *scales, *sizes;  /* A: frequencies x entries, scaled; sizes: entries */
+    double *K0, *K1, *K2, *s, *A, *scales, *sizes, *blocks; /* A: frequencies x entries, scaled; sizes: entries; */
+                                    /* blocks: of K, side by side */
     Lower *lower;
     double *x, *right, *mixed;      /* work: size; 4 size; 3 n + 2 size, all complex */
     int *stack, *mark, *found;
@@ -84,9 +85,11 @@ static void balance(const Stages *o, double *rows, double *columns)
 #define FREQUENCY(x) (*(const double complex *)(x))
 #include "lu.c"
 
-/* Factors of all frequencies. */
-EXPORT int driver_stage_factors(Stages *o)
+/* Factors of all frequencies, of a tangent with these data. */
+EXPORT int driver_stage_factors(Stages *o, const Patterns *patterns, const double *data)
 {
+    double *const K[3] = {o->K0, o->K1, o->K2};
+    powers(patterns, data, o->blocks, K);
     for (int f = 0; f < o->frequencies; f++) {
         double *A = o->A + f * 2 * o->entries, *rows = o->scales + (long)f * 2 * o->size, *s = o->s + 2 * f;
         int verdict = s[1] == 0.0 ? factorise_real(o, *s, A, rows, rows + o->size, o->lower + f)
@@ -174,7 +177,7 @@ static int stage_residuals(System *s, const Stages *o)
             kin[i] = o->rate[j * n + i] - kin[i];
             if (!(fabs(low[i]) < INFINITY)) return NEWTON;
         }
-        for (int k = 0; k < o->levels; k++) memcpy(low + n + k * m, o->first + k ? s->slip : s->gap, m * sizeof(double));
+        level_rows(s, n, m, o->levels, o->first, low);
     }
     return DONE;
 }

@@ -1,25 +1,18 @@
-"""The stage systems of implicit steps in the driver (stages.c): sparse derivatives, factors of all frequencies, increments.
-
-With frequencies s, K = K0 + s K1 + s^2 K2, symbols as in linear/saddle/pencil.py:
-
-    K0 = [by_q - by_v J, G^T, by_v U],     K1 = [by_v - by_a J, 0, by_a U],     K2 = [by_a, 0, 0]                    (1)
-"""
+"""The stage systems of implicit steps in the driver (stages.c): factors of all frequencies, increments."""
 
 from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ....rotations import Array
-from ...sparsity import Pattern, Product
+from ...sparsity import Pattern
+from ...tangents.step_tangent import StepTangent
 from ..tables.structures import address_of, enumeration, zeros_of
-from .couplings import Couplings
-
-if TYPE_CHECKING:
-    from .evaluation import DriverStates
+from .stage_patterns import DATA, StageStructure
 
 SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
 FILLED = 4  # entries of L, and of U, over those of K, that there is room for at first
@@ -39,7 +32,7 @@ class Lower(ctypes.Structure):
 
 
 NUMBERS = "n m size levels frequencies points first".split()
-MATRICES = "by_v by_a J U W".split()
+MATRICES = "by_v by_a J U".split()  # of a tangent, that C multiplies with
 POINTS = "t q0 xi rate v vd mult couple inverse vectors kin low dxi dv dmult push weigh moved judged local".split()
 
 
@@ -50,24 +43,14 @@ class Stages(ctypes.Structure):
         *((name, _INT) for name in NUMBERS),
         *((name, _POINTER) for name in "start row order".split()),
         *((name, _LONG) for name in "entries room".split()),
-        *((name, _POINTER) for name in "K0 K1 K2 s A scales sizes lower x right mixed stack mark found next".split()),
-        *((name, SparseRows) for name in MATRICES),
+        *(
+            (name, _POINTER)
+            for name in "K0 K1 K2 s A scales sizes blocks lower x right mixed stack mark found next".split()
+        ),
+        *((name, SparseRows) for name in (*MATRICES, "W")),
         *((name, _POINTER) for name in POINTS),
         ("relax", _REAL),
     )
-
-
-@dataclass(frozen=True)
-class SparseTangent:
-    """Data of the coefficients of (1) in the order of their patterns: J, M, G, U, and derivatives of the lower rows."""
-
-    J: Array
-    M: Array
-    G: Array
-    U: Array
-    by_q: Array
-    by_v: Array
-    by_a: Array
 
 
 @dataclass(frozen=True)
@@ -78,88 +61,6 @@ class Rule:
     inverse: Array
     vectors: Array
     relax: float = 1.0
-
-
-class StageStructure:
-    """Patterns of the equations of a step whose constraints hold on some levels, 0 and 1; and of (1), by columns."""
-
-    def __init__(self, couplings: Couplings, states: DriverStates, levels: tuple[int, ...]) -> None:
-        self.couplings, self.states, self.levels = couplings, states, levels
-        n, m, count = couplings.n, couplings.m, len(levels)
-        self.n, self.m, self.size = n, m, n + count * m
-        G, balance, offsets = couplings.rows, couplings.balance, n + m * np.arange(count)
-
-        rows, columns = (
-            [balance.rows, *(at + G.rows for at in offsets)],
-            [balance.columns, *(G.columns for _ in levels)],
-        )
-        self.low = Pattern.of((self.size, n), np.concatenate(rows), np.concatenate(columns))
-        self.of_level = [self.low.places(at + G.rows, G.columns) for at in offsets]
-        self.of_masses = self.low.places(couplings.masses.rows, couplings.masses.columns)
-
-        across, self._across = G.transposed()
-        self.normal = Product(couplings.masses, across)
-        self.turned = Product(self.low, couplings.turns, within=self.low)
-        self.crossed = Product(self.low, self.normal.pattern)
-        blocks = [self.low, across, self.crossed.pattern][: 1 + count]
-        self._lay_out(blocks, [0, n, n + m])
-
-        unknowns = [np.arange(n)[:, None], n + np.arange(m)[:, None] + m * np.arange(count)]
-        each = [*unknowns[0], *unknowns[1]]
-        self.order = np.concatenate([each[x] for x in couplings.order]).astype(np.int32)
-
-    def _lay_out(self, blocks: list[Pattern], offsets: list[int]) -> None:
-        """K of blocks side by side from these columns on: by columns, and where its entries stand among those of the blocks."""
-        rows = np.concatenate([block.rows for block in blocks])
-        columns = np.concatenate([block.columns + at for block, at in zip(blocks, offsets, strict=False)])
-        self.taken = np.lexsort((rows, columns))
-        self.row = rows[self.taken].astype(np.int32)
-        self.start = np.searchsorted(columns[self.taken], np.arange(self.size + 1)).astype(np.int32)
-
-    @property
-    def patterns(self) -> dict[str, Pattern]:
-        """Those of a tangent, by its names."""
-        c, low = self.couplings, self.low
-        return {
-            "J": c.turns, "M": c.masses, "G": c.rows, "U": self.normal.pattern, "by_q": low, "by_v": low, "by_a": low,
-        }  # fmt: skip
-
-    @property
-    def multiplied(self) -> dict[str, Pattern]:
-        """Those of matrices that C multiplies with."""
-        return {name: (self.patterns | {"W": self.couplings.masses})[name] for name in MATRICES}
-
-    def powers(self, T: SparseTangent) -> tuple[Array, Array, Array]:
-        """K0, K1 and K2."""
-        parts: tuple[list[Array], ...] = (
-            [T.by_q - self.turned.data(T.by_v, T.J)],
-            [T.by_v - self.turned.data(T.by_a, T.J)],
-            [T.by_a],
-        )
-        if self.levels:
-            across = T.G[self._across]
-            for part, data in zip(parts, (across, 0.0 * across, 0.0 * across), strict=True):
-                part.append(data)
-        if len(self.levels) > 1:
-            crossed = [self.crossed.data(x, T.U) for x in (T.by_v, T.by_a)]
-            for part, data in zip(parts, (*crossed, 0.0 * crossed[0]), strict=True):
-                part.append(data)
-        K0, K1, K2 = (np.concatenate(part)[self.taken] for part in parts)
-        return K0, K1, K2
-
-    def normals(self, inverse_mass: Array, G: Array) -> Array:
-        """The data of U = M^-1 G^T."""
-        return self.normal.data(inverse_mass, G[self._across])
-
-    def inverse_masses(self, M: Array) -> Array:
-        """The data of M^-1, body by body."""
-        of_body, out = self.couplings.of_body, np.empty(len(M))
-        start = self.couplings.masses.start
-        for width in {len(own) for own in of_body}:
-            rows = np.array([own for own in of_body if len(own) == width])
-            places = start[rows][..., None] + np.arange(width)
-            out[places] = np.linalg.inv(M[places])
-        return out
 
 
 def _by_rows(pattern: Pattern, data: int) -> SparseRows:
@@ -183,18 +84,23 @@ class StageRoom:
         )  # fmt: skip
         sizes: dict[str, int | tuple[int, ...]] = {
             "K0": entries, "K1": entries, "K2": entries, "s": (p, 2), "A": (p, 2 * entries), "scales": (p, 2, size),
-            "sizes": entries,
+            "sizes": entries, "blocks": entries, "data": structure.count, "W": len(structure.couplings.masses),
             "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,
             "t": k, "q0": states.tables.system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n),
             "mult": (k, max(multipliers, m)), "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n),
             "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)), "push": (k, n), "weigh": (3, n),
             "moved": 6, "judged": 2, "local": states.tables.system.n_q + n,
         }  # fmt: skip
-        sizes |= {name: len(pattern) for name, pattern in structure.multiplied.items()}
         made = zeros_of(sizes)
         self.arrays = {name: x for name, (x, _) in made.items()}
+        self.data, self._data_at = made.pop("data")
+        _, inverse = made.pop("W")
         for name, (_, address) in made.items():
-            setattr(c, name, address if name not in MATRICES else _by_rows(structure.multiplied[name], address))
+            setattr(c, name, address)
+        c.W = _by_rows(structure.couplings.masses, inverse)
+        for name in MATRICES:
+            first = structure.slices[DATA.index(name)].start
+            setattr(c, name, _by_rows(structure.patterns[name], self._data_at + 8 * first))
         self.moved, self.judged = self.arrays["moved"], self.arrays["judged"]
         for name in ("mult", "dmult"):
             self.arrays[name] = self.arrays[name].reshape(-1)[: k * multipliers].reshape(k, multipliers)
@@ -222,15 +128,13 @@ class StageRoom:
             one.L, one.U, one.pivot = (address_of(x) for x in self._numbers[3 * f : 3 * f + 3])
         self.c.room, self.c.lower = room, ctypes.addressof(self.lower)
 
-    def factor(self, tangent: SparseTangent, s: Array) -> bool:
+    def factor(self, tangent: StepTangent, s: Array) -> bool:
         """The factors of the frequencies s (p,); False where K is singular, or not finite."""
-        for name, data in zip(("K0", "K1", "K2"), self.structure.powers(tangent), strict=True):
-            self.arrays[name][:] = data
+        structure = self.structure
+        structure.data(tangent, self.data)
         self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
-        for name, data in (("by_v", tangent.by_v), ("by_a", tangent.by_a), ("J", tangent.J), ("U", tangent.U)):
-            self.arrays[name][:] = data
-
-        while (verdict := self.states.library.driver_stage_factors(self.address)) == SIZE:
+        factors = self.states.library.driver_stage_factors
+        while (verdict := factors(self.address, structure.address, self._data_at)) == SIZE:
             self._room *= 2
             self._make_room()
         return not verdict

@@ -1,0 +1,177 @@
+/* The tangent of the equations of an implicit step by patterns, and the matrices of its stage systems: see (1) of
+   system/compiled/states/stage_patterns.py, whose symbols these are. Coordinates that no row knows together are moved together, so
+   that the number of evaluations does not grow with the length of chains. */
+
+static const double TURNED = 1e-6; /* rad and m, of differences of rates */
+
+/* Pairs of entries of A and B, and to which entry of A B they add their product. */
+typedef struct {
+    long pairs, *a, *b, *to;
+} Product;
+
+/* Where data have their entries. What stands here has the same order in ``PATTERNS`` of stage_patterns.py. */
+typedef struct {
+    int n, m, size, levels, first, colours;
+    long low, crossings, columns;     /* entries of the lower rows, of their products with U, of K */
+    int *G_start, *G_on, *colour;     /* G by rows; by which number each coordinate is moved */
+    long *across;                     /* entries of G in the order of G^T */
+    long *coloured_start, *coloured;  /* entries of the lower rows by the number that moves them */
+    long *row, *column, masses, *of_masses, *of_level;
+    long *taken;                      /* entries of K among those of its blocks side by side */
+    Product normal, turned, crossed;
+    long J, M, G, U, by_q, by_v, by_a; /* where each matrix begins among the data of a tangent */
+} Patterns;
+
+static void multiply(const Product *p, double factor, const double *a, const double *b, double *c)
+{
+    for (long i = 0; i < p->pairs; i++) c[p->to[i]] += factor * a[p->a[i]] * b[p->b[i]];
+}
+
+/* The constraints of all levels behind the balance, as drift() left them. */
+static void level_rows(const System *s, int n, int m, int levels, int first, double *low)
+{
+    for (int k = 0; k < levels; k++) memcpy(low + n + k * m, first + k ? s->slip : s->gap, m * sizeof(double));
+}
+
+/* d rate(xi, v) / d xi, body by body, and T with v = T rate(xi, v); either may be NULL. */
+static int turning(const System *s, const double *xi, const double *v, double *J, double *T)
+{
+    for (int b = 0; b < s->bodies; b++, xi += TWIST, v += TWIST) {
+        double rates[TWIST * TWIST] = {0.0}, one[TWIST * TWIST] = {0.0}, both[2][TWIST], moved[TWIST];
+        for (int c = 0; J && c < TWIST; c++) {
+            for (int side = 0; side < 2; side++) {
+                memcpy(moved, xi, sizeof moved);
+                memcpy(both[side], v, sizeof moved);
+                moved[c] += side ? -TURNED : TURNED;
+                rate_of(moved, both[side]);
+            }
+            for (int r = 0; r < TWIST; r++) J[r * TWIST + c] = (both[0][r] - both[1][r]) / (2.0 * TURNED);
+        }
+        for (int c = 0; T && c < TWIST; c++) {
+            memset(moved, 0, sizeof moved);
+            moved[c] = one[c * TWIST + c] = 1.0;
+            rate_of(xi, moved);
+            for (int r = 0; r < TWIST; r++) rates[r * TWIST + c] = moved[r];
+        }
+        if (T && solve_dense(rates, TWIST, one, TWIST, TWIST, 0.0)) return SINGULAR;
+        if (J) J += TWIST * TWIST;
+        if (T) memcpy(T, one, sizeof one), T += TWIST * TWIST;
+    }
+    for (int i = TWIST * s->bodies; i < s->nv; i++) {
+        if (J) *J++ = 0.0;
+        if (T) *T++ = 1.0;
+    }
+    return DONE;
+}
+
+EXPORT int driver_stage_turning(System *s, const double *xi, const double *v, double *J, double *T)
+{
+    return turning(s, xi, v, J, T);
+}
+
+/* G by its pattern, where frames are placed. ``row``: room, nv. */
+static void pattern_rows(System *s, const Patterns *o, double *row, double *G)
+{
+    memset(G, 0, o->G_start[o->m] * sizeof(double));
+    memset(row, 0, s->nv * sizeof(double));
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != ROW) continue;
+        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        for (long i = 0; i < k->n; i++) {
+            int number = k->row[i];
+            item_row(s, k, i, 1.0, row);
+            for (int p = o->G_start[number]; p < o->G_start[number + 1]; p++) {
+                G[p] += row[o->G_on[p]];
+                row[o->G_on[p]] = 0.0;
+            }
+        }
+    }
+}
+
+/* The balance and the constraints of all levels at a state. */
+static int lower_rows(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
+                      double *low)
+{
+    int verdict = evaluate(s, q, v, a, lam, t);
+    if (verdict && verdict != LOOK) return verdict; /* bodies that NumPy warns of are evaluated like others */
+    like_v(s, s->residual, low);
+    drift(s);
+    level_rows(s, o->n, o->m, o->levels, o->first, low);
+    return DONE;
+}
+
+/* Derivatives of the lower rows: central differences by coordinates, moved by hq, forward ones by velocities, moved by hv.
+   ``room``: 2 n + nq + 3 size. */
+static int slopes(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
+                  const double *hq, const double *hv, double *by_q, double *by_v, double *room)
+{
+    double *moved = room, *faster = moved + o->n, *there = faster + o->n, *rest = there + s->nq, *ahead = rest + o->size;
+    double *back = ahead + o->size;
+    int verdict = lower_rows(s, o, t, q, v, a, lam, rest);
+    for (int c = 0; !verdict && c < o->colours; c++) {
+        for (int side = 1; side >= -1; side -= 2) {
+            for (int i = 0; i < o->n; i++) moved[i] = o->colour[i] == c ? side * hq[i] : 0.0;
+            configuration(s, q, moved, there);
+            if ((verdict = lower_rows(s, o, t, there, v, a, lam, side > 0 ? ahead : back))) return verdict;
+        }
+        for (long i = o->coloured_start[c]; i < o->coloured_start[c + 1]; i++) {
+            long p = o->coloured[i], row = o->row[p];
+            by_q[p] = (ahead[row] - back[row]) / (2.0 * hq[o->column[p]]);
+        }
+
+        for (int i = 0; i < o->n; i++) faster[i] = o->colour[i] == c ? v[i] + hv[i] : v[i];
+        if ((verdict = lower_rows(s, o, t, q, faster, a, lam, ahead))) return verdict;
+        for (long i = o->coloured_start[c]; i < o->coloured_start[c + 1]; i++) {
+            long p = o->coloured[i], row = o->row[p], at = o->column[p];
+            by_v[p] = (ahead[row] - rest[row]) / (faster[at] - v[at]);
+        }
+    }
+    return verdict;
+}
+
+/* The tangent at a state. ``M``, ``W``: data of the masses and of their inverse; ``room`` as above. */
+EXPORT int driver_stage_tangent(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a,
+                                const double *lam, const double *hq, const double *hv, const double *M, const double *W, double *room,
+                                double *data)
+{
+    double *G = data + o->G, *U = data + o->U, *by_q = data + o->by_q, *by_v = data + o->by_v, *by_a = data + o->by_a, last = NAN;
+    int verdict = sample(s, t, &last);
+    if (verdict || (verdict = slopes(s, o, t, q, v, a, lam, hq, hv, by_q, by_v, room))) return verdict;
+    if ((verdict = place(s, q, v))) return verdict;
+    memset(room, 0, s->nv * sizeof(double));
+    memset(room + s->nv, 0, s->nv * sizeof(double));
+    turning(s, room, v, data + o->J, NULL);
+
+    /* known exactly: M, and G on the level of each row */
+    pattern_rows(s, o, room, G);
+    memcpy(data + o->M, M, o->masses * sizeof(double));
+    memset(by_a, 0, o->low * sizeof(double));
+    for (long i = 0; i < o->masses; i++) by_a[o->of_masses[i]] = M[i];
+    long count = o->G_start[o->m];
+    for (int k = 0; k < o->levels; k++)
+        for (long i = 0; i < count; i++) {
+            long p = o->of_level[k * count + i];
+            by_v[p] = o->first + k ? G[i] : 0.0;
+            if (!(o->first + k)) by_q[p] = G[i];
+        }
+
+    memset(U, 0, (o->by_q - o->U) * sizeof(double));
+    for (long i = 0; i < o->normal.pairs; i++) U[o->normal.to[i]] += W[o->normal.a[i]] * G[o->across[o->normal.b[i]]];
+    return DONE;
+}
+
+/* K0, K1 and K2 of (1). ``room``: blocks of K side by side. */
+static void powers(const Patterns *o, const double *data, double *room, double *const K[3])
+{
+    const double *by[3] = {data + o->by_q, data + o->by_v, data + o->by_a}, *G = data + o->G;
+    long count = o->levels ? o->G_start[o->m] : 0;
+    for (int k = 0; k < 3; k++) {
+        double *across = room + o->low, *crossed = across + count;
+        memcpy(room, by[k], o->low * sizeof(double));
+        if (DIM == 3 && k < 2) multiply(&o->turned, -1.0, by[k + 1], data + o->J, room);
+        for (long i = 0; i < count; i++) across[i] = k ? 0.0 : G[o->across[i]];
+        if (o->levels > 1) memset(crossed, 0, o->crossings * sizeof(double));
+        if (o->levels > 1 && k < 2) multiply(&o->crossed, 1.0, by[k + 1], data + o->U, crossed);
+        for (long i = 0; i < o->columns; i++) K[k][i] = room[o->taken[i]];
+    }
+}

@@ -1,0 +1,169 @@
+"""Where the tangent of an implicit step and its stage matrices have their entries, as tangent.c reads it.
+
+With frequencies s, K = K0 + s K1 + s^2 K2, symbols as in linear/saddle/pencil.py:
+
+    K0 = [by_q - by_v J, G^T, by_v U],     K1 = [by_v - by_a J, 0, by_a U],     K2 = [by_a, 0, 0]                    (1)
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....rotations import Array
+from ...sparsity import Pattern, Product
+from ...tangents.step_tangent import StepTangent
+from ..tables.structures import address_of
+from .couplings import Couplings
+from .exchange import Exchange
+
+if TYPE_CHECKING:
+    from ...system import State
+    from .evaluation import DriverStates
+
+_INT, _LONG, _POINTER = ctypes.c_int, ctypes.c_long, ctypes.c_void_p
+DATA = "J M G U by_q by_v by_a".split()  # of a tangent, one behind the other
+
+
+class ProductPairs(ctypes.Structure):
+    """``Product`` of tangent.c."""
+
+    _fields_ = (("pairs", _LONG), *((name, _POINTER) for name in "a b to".split()))
+
+
+class Patterns(ctypes.Structure):
+    """``Patterns`` of tangent.c."""
+
+    _fields_ = (
+        *((name, _INT) for name in "n m size levels first colours".split()),
+        *((name, _LONG) for name in "low crossings columns".split()),
+        *((name, _POINTER) for name in "G_start G_on colour across coloured_start coloured row column".split()),
+        ("masses", _LONG),
+        *((name, _POINTER) for name in "of_masses of_level taken".split()),
+        *((name, ProductPairs) for name in "normal turned crossed".split()),
+        *((name, _LONG) for name in DATA),
+    )
+
+
+class StageStructure:
+    """Patterns of the equations of a step whose constraints hold on some levels, 0 and 1; and of (1), by columns."""
+
+    def __init__(self, couplings: Couplings, states: DriverStates, levels: tuple[int, ...]) -> None:
+        self.couplings, self.states, self.levels = couplings, states, levels
+        n, m, count = couplings.n, couplings.m, len(levels)
+        self.n, self.m, self.size = n, m, n + count * m
+        G, balance, offsets = couplings.rows, couplings.balance, n + m * np.arange(count)
+
+        rows = np.concatenate([balance.rows, *(at + G.rows for at in offsets)])
+        columns = np.concatenate([balance.columns, *(G.columns for _ in levels)])
+        self.low = Pattern.of((self.size, n), rows, columns)
+
+        across, self._across = G.transposed()
+        self.normal = Product(couplings.masses, across)
+        self.turned = Product(self.low, couplings.turns, within=self.low)
+        self.crossed = Product(self.low, self.normal.pattern)
+        blocks = [self.low, across, self.crossed.pattern][: 1 + count]
+        self._lay_out(blocks, [0, n, n + m])
+
+        unknowns = [np.arange(n)[:, None], n + np.arange(m)[:, None] + m * np.arange(count)]
+        each = [*unknowns[0], *unknowns[1]]
+        self.order = np.concatenate([each[x] for x in couplings.order]).astype(np.int32)
+        self._tell(offsets)
+
+    def _lay_out(self, blocks: list[Pattern], offsets: list[int]) -> None:
+        """K of blocks side by side from these columns on: by columns, and where its entries stand among those of the blocks."""
+        rows = np.concatenate([block.rows for block in blocks])
+        columns = np.concatenate([block.columns + at for block, at in zip(blocks, offsets, strict=False)])
+        self._taken = np.lexsort((rows, columns))
+        self.row = rows[self._taken].astype(np.int32)
+        self.start = np.searchsorted(columns[self._taken], np.arange(self.size + 1)).astype(np.int32)
+
+    def _tell(self, offsets: np.ndarray) -> None:
+        """All of it for C."""
+        couplings, low, G = self.couplings, self.low, self.couplings.rows
+        self._kept: list[Any] = []
+        colour = couplings.together
+        by_colour = colour[low.columns]
+        coloured = np.argsort(by_colour, kind="stable")
+        colours = int(colour.max(initial=-1)) + 1
+
+        # where each matrix begins among the data of a tangent
+        ends = np.cumsum([0, *(len(self.patterns[name]) for name in DATA)])
+        self.count = int(ends[-1])
+        self.slices = [slice(int(i), int(j)) for i, j in zip(ends[:-1], ends[1:], strict=True)]
+
+        levels = [low.places(at + G.rows, G.columns) for at in offsets]
+        self.c = Patterns(
+            n=self.n, m=self.m, size=self.size, levels=len(levels), first=self.levels[0] if levels else 0, colours=colours,
+            low=len(low), crossings=len(self.crossed.pattern), columns=len(self._taken), masses=len(couplings.masses),
+            G_start=address_of(G.start), G_on=address_of(G.on), colour=self._address(colour, np.int32),
+            across=self._address(self._across), coloured=self._address(coloured),
+            coloured_start=self._address(np.searchsorted(by_colour[coloured], np.arange(colours + 1))),
+            row=self._address(low.rows), column=self._address(low.columns), taken=self._address(self._taken),
+            of_masses=self._address(low.places(couplings.masses.rows, couplings.masses.columns)),
+            of_level=self._address(np.concatenate([np.zeros(0, int), *levels])),
+            normal=self._pairs(self.normal), turned=self._pairs(self.turned), crossed=self._pairs(self.crossed),
+            **{name: int(at) for name, at in zip(DATA, ends[:-1], strict=True)},
+        )  # fmt: skip
+        self.address = ctypes.addressof(self.c)
+        n, n_q = self.n, self.couplings.system.n_q
+        masses, room = len(couplings.masses), 2 * n + n_q + 3 * self.size
+        sizes = {"q": n_q, "v": n, "a": n, "lam": self.m, "hq": n, "hv": n, "M": masses, "W": masses}
+        self._given = Exchange(sizes | {"room": room, "data": self.count})
+
+    def _address(self, values: np.ndarray, kind: Any = np.int64) -> int:
+        """Where C finds integers."""
+        self._kept.append(np.ascontiguousarray(values, kind))
+        return address_of(self._kept[-1])
+
+    def _pairs(self, product: Product) -> ProductPairs:
+        places = (self._address(x) for x in (product.a, product.b, product.to))
+        return ProductPairs(len(product.to), *places)
+
+    @property
+    def patterns(self) -> dict[str, Pattern]:
+        """Those of a tangent, by its names; ties have none."""
+        c, low = self.couplings, self.low
+        return {
+            "J": c.turns, "M": c.masses, "G": c.rows, "U": self.normal.pattern, "by_q": low, "by_v": low, "by_a": low,
+            "R": Pattern.of((0, self.n), *np.zeros((2, 0), int)),
+        }  # fmt: skip
+
+    def tangent(
+        self, state: State, lam: Array, moves: tuple[Array, Array], masses: tuple[Array, Array]
+    ) -> StepTangent | None:
+        """The tangent at a state with multipliers lambda (m,); None where it cannot be found.
+
+        ``moves``: by how much coordinates and velocities are moved for differences; ``masses``: data of M and of its inverse.
+        """
+        given, states = self._given, self.states
+        at = given.put(state.q, state.v, state.a, lam, *moves, *masses)
+        states.anew = True
+        if not states.ask(states.library.driver_stage_tangent, self.address, state.t, *at, *given.at[8:]):
+            return None
+        data = given.arrays[9].copy()
+        return StepTangent(*[data[part] for part in self.slices], R=np.zeros(0))
+
+    def data(self, tangent: StepTangent, out: Array) -> None:
+        """Those of a tangent, in the order that C expects."""
+        T = tangent
+        np.concatenate((T.J, T.M, T.G, T.U, T.by_q, T.by_v, T.by_a), out=out)
+
+    def turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
+        """d rate(xi, v) / d xi, and T with v = T rate(xi, v): data of their pattern."""
+        J, T = np.empty((2, len(self.couplings.turns)))
+        places = [address_of(np.ascontiguousarray(x)) for x in (xi, v, J, T)]
+        self.states.library.driver_stage_turning(self.states.address, *places)
+        return J, T
+
+    def inverse_masses(self, M: Array) -> Array:
+        """The data of M^-1, body by body."""
+        of_body, out = self.couplings.of_body, np.empty(len(M))
+        start = self.couplings.masses.start
+        for width in {len(own) for own in of_body}:
+            rows = np.array([own for own in of_body if len(own) == width])
+            places = start[rows][..., None] + np.arange(width)
+            out[places] = np.linalg.inv(M[places])
+        return out

@@ -1,0 +1,23 @@
+"""The tangent of the equations of an implicit step: as dense matrices, or as data of sparse patterns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...rotations import Array
+
+
+@dataclass(frozen=True)
+class StepTangent:
+    """Coefficients of (1) in :mod:`~fmbd_fenicsx.linear.saddle.pencil`, with m rows of joints, k levels and p ties: J, M (n, n);
+    G (m, n); U (n, m); derivatives of the lower rows by xi, v, a, (n + k m + p, n) each; R (p, n). Or the data of their patterns.
+    """
+
+    J: Array
+    M: Array
+    G: Array
+    U: Array
+    by_q: Array
+    by_v: Array
+    by_a: Array
+    R: Array
