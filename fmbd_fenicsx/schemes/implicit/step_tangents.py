@@ -141,14 +141,14 @@ class SparseTangents(Remembering):
         self.system, self.structure = system, structure
         self.U: Array = np.zeros(len(structure.normal.pattern))
         self.inverse_mass: Array = np.zeros(0)
-        self._masses: Array | None = None
+        self.masses: Array = np.zeros(0)
         self._sizes = Sizes(system)
         self._rooms: dict[tuple[int, int], StageRoom] = {}
 
     def weigh(self, M: Any) -> None:
         """Take a mass matrix."""
-        self._masses = self.structure.couplings.masses.taken(M)
-        self.inverse_mass = self.structure.inverse_masses(self._masses)
+        self.masses = self.structure.couplings.masses.taken(M)
+        self.inverse_mass = self.structure.inverse_masses(self.masses)
 
     def normally(self, mult: Array) -> Array:
         """U times multipliers (k, n_lam), (k, n_v)."""
@@ -166,11 +166,11 @@ class SparseTangents(Remembering):
     def take(self, state: State, mult: Array, solver: StepSolver, lower: Lower) -> StepTangent:
         """The tangent at a state with multipliers (n_mult,), in one call; ``solver``: tells masses."""
         system = self.system
-        if self._masses is None or system.parts:  # those of rigid bodies stay
+        if not len(self.masses) or system.parts:  # those of rigid bodies stay
             self.weigh(solver.masses(system.at(state.t, state.q, state.v)))
         moves = difference_steps(self._sizes, state.q, state.v, state.a)
         lam = mult[: system.n_lam] if self.structure.levels else state.lam
-        made = self.structure.tangent(state, lam, moves, (self._masses, self.inverse_mass))
+        made = self.structure.tangent(state, lam, moves, (self.masses, self.inverse_mass))
         if made is None:
             lower(system.batch(*(np.array([x]) for x in (state.t, state.q, state.v))))  # which may say what is wrong
             raise LinearSolveError("the tangent of a step is not finite.")

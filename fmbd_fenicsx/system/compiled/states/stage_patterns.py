@@ -92,7 +92,7 @@ class StageStructure:
         # where each matrix begins among the data of a tangent
         ends = np.cumsum([0, *(len(self.patterns[name]) for name in DATA)])
         self.count = int(ends[-1])
-        self.slices = [slice(int(i), int(j)) for i, j in zip(ends[:-1], ends[1:], strict=True)]
+        self.parts = {name: slice(int(i), int(j)) for name, i, j in zip(DATA, ends[:-1], ends[1:], strict=True)}
 
         levels = [low.places(at + G.rows, G.columns) for at in offsets]
         self.c = Patterns(
@@ -105,7 +105,7 @@ class StageStructure:
             of_masses=self._address(low.places(couplings.masses.rows, couplings.masses.columns)),
             of_level=self._address(np.concatenate([np.zeros(0, int), *levels])),
             normal=self._pairs(self.normal), turned=self._pairs(self.turned), crossed=self._pairs(self.crossed),
-            **{name: int(at) for name, at in zip(DATA, ends[:-1], strict=True)},
+            **{name: part.start for name, part in self.parts.items()},
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
         n, n_q = self.n, self.couplings.system.n_q
@@ -144,7 +144,7 @@ class StageStructure:
         if not states.ask(states.library.driver_stage_tangent, self.address, state.t, *at, *given.at[8:]):
             return None
         data = given.arrays[9].copy()
-        return StepTangent(*[data[part] for part in self.slices], R=np.zeros(0))
+        return StepTangent(**{name: data[part] for name, part in self.parts.items()}, R=np.zeros(0))
 
     def data(self, tangent: StepTangent, out: Array) -> None:
         """Those of a tangent, in the order that C expects."""

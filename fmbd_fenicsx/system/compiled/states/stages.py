@@ -12,7 +12,7 @@ from ....rotations import Array
 from ...sparsity import Pattern
 from ...tangents.step_tangent import StepTangent
 from ..tables.structures import address_of, enumeration, zeros_of
-from .stage_patterns import DATA, StageStructure
+from .stage_patterns import StageStructure
 
 SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
 FILLED = 4  # entries of L, and of U, over those of K, that there is room for at first
@@ -99,7 +99,7 @@ class StageRoom:
             setattr(c, name, address)
         c.W = _by_rows(structure.couplings.masses, inverse)
         for name in MATRICES:
-            first = structure.slices[DATA.index(name)].start
+            first = structure.parts[name].start
             setattr(c, name, _by_rows(structure.patterns[name], self._data_at + 8 * first))
         self.moved, self.judged = self.arrays["moved"], self.arrays["judged"]
         for name in ("mult", "dmult"):
