@@ -83,10 +83,10 @@ class DriverSolver:
         usable, self.ready = self._usable_at(t, q, v), False
         return self.explicit.closed(t, q, v) if usable else None
 
-    def arrived(self, t: float, q: Array, v: Array) -> State | None:
-        """The state on the constraints next to q and v in one call; None as above. Fields take new factors on the way."""
+    def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
+        """The state on the constraints next to q and v in one call, as ExplicitStates; None as above. Fields take new factors."""
         usable, self.ready = self._usable_at(t, q, v), False
-        found = self.explicit.arrived(t, q, v) if usable and not self.states.system.fields else None
+        found = self.explicit.arrived(t, q, v, places=places) if usable and not self.states.system.fields else None
         self.ready, self._weights = found is not None, MASSES
         return found
 

@@ -393,11 +393,16 @@ def spin_of_acceleration(system: System, v: Array, a: Array) -> Array:
     return out
 
 
-def arrived(system: System, state: State, solver: StepSolver) -> State:
-    """The end of a step: the state moved on the constraints by :func:`project`, with a and lambda there; collective."""
+def arrived(system: System, state: State, solver: StepSolver, *, places: bool = True) -> State:
+    """The end of a step: the state moved on the constraints by :func:`project`, its velocities alone where not ``places``, with a
+    and lambda there; collective.
+    """
     driver = solver.driver if system.n_lam else None
-    found = None if driver is None else driver.arrived(state.t, state.q, state.v)
-    return found or accelerations(system, project(system, state, solver), solver)
+    found = None if driver is None else driver.arrived(state.t, state.q, state.v, places=places)
+    if found is not None:
+        return found
+    closed = project(system, state, solver) if places else replace(state, v=_closed_velocities(system, state, solver))
+    return accelerations(system, closed, solver)
 
 
 def project(system: System, state: State, solver: StepSolver) -> State:
@@ -421,7 +426,11 @@ def project(system: System, state: State, solver: StepSolver) -> State:
         if system.max_abs(dq) <= 1e-13 * system.length:
             break
 
-    ev = system.at(state.t, q, state.v)
+    return replace(state, q=q, v=_closed_velocities(system, replace(state, q=q), solver))
+
+
+def _closed_velocities(system: System, state: State, solver: StepSolver) -> Array:
+    """The nearest ones that constraints allow; collective."""
+    ev = system.at(state.t, state.q, state.v)
     solver.prepare(ev, MASS)
-    dv, _ = solver.solve(zero, -ev.opening())
-    return replace(state, q=q, v=state.v + dv)
+    return state.v + solver.solve(np.zeros(system.n_v), -ev.opening())[0]

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...linear.condensation import StepSolver, Weights
+from ...linear.condensation import StepSolver
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Pencil
 from ...linear.saddle.sparse_pencil import SparsePencil
@@ -25,6 +25,7 @@ from ...system.evaluation_batch import EvaluationBatch
 from ...system.serialisation import Memory, Remembering, plain, worker
 from ...system.system import State, System
 from ...system.tangents.stiff_ties import stiff_ties
+from ..consistent import arrived
 from ..dae import Form, Points
 from .step_tangents import DenseTangents, SparseTangents, dense
 
@@ -248,18 +249,10 @@ class StepEquations(Remembering):
         if self.form.index == 1 or not self.levels:
             return np.zeros(self.system.n_v), state.v, state.a
         if self._closed is not state:
-            s = self.system
-            zero = np.zeros(s.n_v)
-            ev = s.at(state.t, state.q, state.v)
-            self.solver.prepare(ev, Weights(1.0, 0.0, 0.0))
-            # positions, then velocities where these are closed, then accelerations: rows turn by dq
-            dq = self.solver.solve(zero, -ev.constraint())[0] if 0 in self.form.levels else zero
-            q = s.compose(state.q, dq)
-            v = state.v + self.solver.solve(zero, -s.at(state.t, q, state.v).opening())[0]
-            ev = s.at(state.t, q, v)
-            a = self.solver.solve(-ev.balance(zero), -ev.gamma())[0]
-            a = a - self.solver.solve(zero, ev.jacobian.times(a) + ev.gamma())[0]
-            self._start, self._closed = (dq, v, a), state
+            s, places = self.system, 0 in self.form.levels
+            made = arrived(s, state, self.solver, places=places)
+            dq = s.difference(state.q, made.q) if places else np.zeros(s.n_v)
+            self._start, self._closed = (dq, made.v, made.a), state
         return self._start
 
     def refresh(self, state: State, mult: Array) -> Any:

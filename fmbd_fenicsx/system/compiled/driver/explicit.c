@@ -98,15 +98,15 @@ static double closing_change(System *s, const double *open, double *x, double *y
     return largest_of(s->units, x, s->nv);
 }
 
-/* q, then v, moved onto the constraints in the mass metric, as project() of schemes/consistent.py. The factor of the first
-   configuration serves as long as each correction is a hundred times smaller than the one before. ``room``: nv + rows + nq. */
-EXPORT int driver_close(System *s, double t, double length, double *q, double *v, double *room)
+/* q (``places``), then v, moved onto the constraints in the mass metric, as project() of schemes/consistent.py. The factor of the
+   first configuration serves as long as each correction is a hundred times smaller than the one before. ``room``: nv + rows + nq. */
+EXPORT int driver_close(System *s, int places, double t, double length, double *q, double *v, double *room)
 {
     double *x = room, *y = x + s->nv, *moved = y + s->rows, asked = NAN, last = INFINITY, size;
     int verdict = sample(s, t, &asked), anew = 1;
     if (verdict) return verdict;
 
-    for (int k = 0; k < CLOSED; k++) {
+    for (int k = 0; places && k < CLOSED; k++) {
         if ((verdict = place(s, q, v))) return verdict;
         drift(s);
         if (anew && (verdict = prepare(s, q, 0.0, 0.0, y, 0, t))) return verdict;
@@ -136,10 +136,10 @@ EXPORT int driver_close(System *s, double t, double length, double *q, double *v
 }
 
 /* The end of a step: q and v moved onto the constraints, then a and lambda there; ``room`` as of both. */
-EXPORT int driver_arrive(System *s, double t, double length, const double *bias, double *q, double *v, double *a, double *lam,
-                         double *room)
+EXPORT int driver_arrive(System *s, int places, double t, double length, const double *bias, double *q, double *v, double *a,
+                         double *lam, double *room)
 {
-    int verdict = driver_close(s, t, length, q, v, room);
+    int verdict = driver_close(s, places, t, length, q, v, room);
     return verdict ? verdict : accelerate(s, t, length, q, v, bias, a, lam, room, 0);
 }
 

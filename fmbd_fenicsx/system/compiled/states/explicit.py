@@ -83,16 +83,16 @@ class ExplicitStates:
         """q, then v, moved onto the constraints by the smallest change in the mass metric."""
         twin = self.states.twin
         q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
-        made = self._ask(self.states.library.driver_close, (t, self.system.length), (q, v))
+        made = self._ask(self.states.library.driver_close, (True, t, self.system.length), (q, v))
         return (twin.places(q), twin.forces(v)) if made else None
 
-    def arrived(self, t: float, q: Array, v: Array) -> State | None:
-        """:meth:`closed`, and a and lambda there."""
+    def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
+        """:meth:`closed`, v alone where not ``places``, and a and lambda there."""
         twin = self.states.twin
         q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
         a, lam = np.empty_like(v), np.empty(self.system.n_lam)
         arrays = self._bias(np.array([t])), q, v, a, lam
-        if not self._ask(self.states.library.driver_arrive, (t, self.system.length), arrays):
+        if not self._ask(self.states.library.driver_arrive, (places, t, self.system.length), arrays):
             return None
         end = State(t, twin.places(q), twin.forces(v), twin.forces(a), lam)
         self.states.hold(t, end.q, end.v)
