@@ -20,7 +20,7 @@ from ..judges.acceptance import Closed
 from .between import state_between
 from .ledger import Books
 from .output import MOST, ROUNDING, Output
-from .rows import Rows
+from .rows import Rows, StepNumbers
 from .straight import Straight
 
 
@@ -51,8 +51,9 @@ class Recorder:
     warned: Gathered | None = None  # the warnings of this run
 
     def __post_init__(self) -> None:
-        # (k,) of numbers of steps, times and energies, (k, size) of sensors
-        self.steps, self.moments = Rows(), Rows()
+        self.steps = StepNumbers(np.zeros(0, dtype=int))
+        # (k,) of times and energies, (k, size) of sensors
+        self.moments = Rows()
         self.energies: dict[str, Rows] = {}
         self.values: dict[str, Rows] = {n: Rows() for n in self.scene.sensors}
         times = self.output.times
@@ -88,7 +89,7 @@ class Recorder:
         every = self.output.every
         start = (first // every + 1) * every
         self.newest = start + every * (len(seen) - 1)
-        self.steps.append(np.arange(start, self.newest + 1, every, dtype=float))
+        self.steps.append(range(start, self.newest + 1, every))
         there = self.straight.shapes if seen.straight else {}
         if there:
             self.straight.take(len(seen))
@@ -116,7 +117,7 @@ class Recorder:
             for name, values in seen.energies().items():
                 if ("energy", name) not in there:
                     self.energies.setdefault(name, Rows()).append(values)
-        for rows in (self.steps, self.moments, *self.energies.values(), *self.values.values()):
+        for rows in (self.moments, *self.energies.values(), *self.values.values()):
             rows.joined(self.expected)  # the tape is written anew
 
         self.seconds += clock.perf_counter() - begin
@@ -199,7 +200,7 @@ class Recorder:
         begin = clock.perf_counter()
         ev = self.system.at(state.t, state.q, state.v) if seen is None else seen
         self.newest = n
-        self.steps.append(np.array([n]))
+        self.steps.append(range(n, n + 1))
         self.moments.append(np.array([state.t]))
         for name, sensor in self.scene.sensors.items():
             self.values[name].append(np.asarray(sensor.read(ev, state, self.markers[name]))[None])
@@ -253,7 +254,7 @@ class Recorder:
         """All that was recorded so far."""
         steps, times = m("steps", (self.indices, self.times))
         self.newest = int(steps[-1]) if len(steps) else -1
-        self.steps, self.moments = Rows([np.asarray(steps)]), Rows([np.asarray(times, dtype=float)])
+        self.steps, self.moments = StepNumbers(np.asarray(steps, dtype=int)), Rows([np.asarray(times, dtype=float)])
 
         sensors = self.scene.sensors
         self.values = {n: Rows([sensors[n].remember(m, f"sensor {n}", x)]) for n, x in self.series.items()}
@@ -285,7 +286,7 @@ class Recorder:
     @property
     def indices(self) -> np.ndarray:
         """Numbers of the recorded steps, (n,)."""
-        return self.steps.joined().astype(int)
+        return self.steps.joined()
 
     @property
     def series(self) -> dict[str, Array]:

@@ -40,8 +40,8 @@ BYTES = 1_000_000  # that they may take, so that they stay in the cache
 class Look:
     """What a sensor needs of each record beside the state: the motion of a ``marker``, a ``relative`` coordinate with its rate,
     the ``element`` with this name, the wrench of the ``joint`` with this name on its first body; ``rows``: all multipliers,
-    ``accelerated``: the acceleration of the marker too, ``side``: the wrench of the element on its first (0) or second (1) body.
-    ``states``: the states themselves. What is told of contacts is recorded at any rate.
+    ``accelerated``, ``angled``: the acceleration of the marker too, in the plane its angle; ``side``: the wrench of the element
+    on its first (0) or second (1) body; ``states``: the states themselves. What is told of contacts is recorded at any rate.
     """
 
     marker: int = -1
@@ -50,6 +50,7 @@ class Look:
     joint: str = ""
     rows: bool = False
     accelerated: bool = False
+    angled: bool = False
     side: int = -1
     states: bool = False
 
@@ -76,6 +77,14 @@ def readable(system: System, look: Look) -> bool:
     return all(pair in known for pair in zip(look.relative.a, look.relative.b, strict=True))
 
 
+def first_alike(system: System, markers: set[int]) -> dict[int, int]:
+    """Of each marker the first among these that is in the same place, turned alike."""
+    m, first = system.markers, dict[Any, int]()
+    ports = {k: port.tobytes() for k, port in zip(m.surface, m.port, strict=True)}
+    where = {k: (m.frame[k], ports.get(k), m.position[k].tobytes(), m.rotation[k].tobytes()) for k in sorted(markers)}
+    return {k: first.setdefault(place, k) for k, place in where.items()}
+
+
 class Looks:
     """What all sensors of a system look at, with the places of their numbers in a record."""
 
@@ -88,14 +97,15 @@ class Looks:
                 self.of[id(sensor)] = look
 
         self.complete = len(self.of) == len(system.sensed) and self.energies_known  # no state is read on its own
-        # who reads a state on its own may look at any marker
-        seen = (
-            {x.marker for x in self.of.values() if x.marker >= 0} if self.complete else range(len(system.markers.frame))
-        )
-        self.markers = sorted(seen)
+        # markers in the same place are seen once; who reads a state on its own may look at any
+        every = range(len(system.markers.frame))
+        asked = {x.marker for x in self.of.values() if x.marker >= 0}
+        self.alike = first_alike(system, asked) if self.complete else dict(zip(every, every, strict=True))
+        self.markers = sorted(set(self.alike.values()))
         self.rows = any(x.rows for x in self.of.values())
         self.whole = not self.complete or any(x.states for x in self.of.values())
         self.accelerated = any(x.accelerated for x in self.of.values())
+        self.angled = {self.alike[x.marker] for x in self.of.values() if x.angled}
         self.wrenches = sorted({x.wrench for x in self.of.values() if x.wrench is not None})
         self.relatives = [(key, x.relative) for key, x in self.of.items() if x.relative is not None]
         self.elements = {x.element for x in self.of.values() if x.element}
@@ -189,7 +199,7 @@ class Tape:
         self._sizes: dict[str, tuple[int, ...]] = {
             "block": (size if looks.whole else 1,),
             "lam": (s.n_lam if looks.rows else 0,),
-            "sight": (len(looks.markers), FRAME[tables.dim] + tables.dim),
+            "sight": (len(looks.markers), FRAME[tables.dim] + tables.dim + (tables.dim == 2)),
             "energy": (len(KINDS),),
             "reading": (looks.count, 3),
             "reaction": (len(looks.wrenches), tables.twist),
@@ -375,7 +385,7 @@ class Recorded:
     # -- markers ------------------------------------------------------------------------------------------------------------
     def _sight(self, marker: int, first: int, count: int) -> Array:
         """Some of a marker's numbers in all records: x, R by rows, v, w .. x'', world axes."""
-        return self.arrays["sight"][:, self.looks.markers.index(marker), first : first + count]
+        return self.arrays["sight"][:, self.looks.markers.index(self.looks.alike[marker]), first : first + count]
 
     def place(self, marker: int) -> Array:
         """x, (k, d) m."""
@@ -393,6 +403,10 @@ class Recorded:
     def acceleration(self, marker: int) -> Array:
         """x'' of a marker, (k, d) m/s^2."""
         return self._sight(marker, FRAME[self.tables.dim], self.tables.dim)
+
+    def angle(self, marker: int) -> Array:
+        """That of a marker in the plane since the start, (k, 1) in (-pi, pi]."""
+        return self._sight(marker, FRAME[self.tables.dim] + self.tables.dim, 1)
 
     # -- coordinates, elements, joints ------------------------------------------------------------------------------------------
     def reading(self, key: Any) -> Array:

@@ -120,12 +120,11 @@ class Rotation(Sensor):
 
     def looks_at(self, system: System, marker: int) -> Look:
         """The marker."""
-        return Look(marker)
+        return Look(marker, angled=True)
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """Angle or rotation matrix."""
-        R = seen.rotation(marker)
-        return np.arctan2(R[:, 2:3], R[:, :1]) if R.shape[1] == 4 else R
+        return seen.angle(marker) if seen.tables.dim == 2 else seen.rotation(marker)
 
 
 @dataclass(frozen=True, eq=False)

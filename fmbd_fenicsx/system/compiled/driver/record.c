@@ -31,7 +31,7 @@ static int readings(System *s, double t, double *found)
     return DONE;
 }
 
-/* Frames of the markers that sensors look at, and their accelerations where one asks for them. */
+/* Frames of the markers that sensors look at, and their angles and accelerations where one asks for them. */
 static void sights(System *s, const Block *now, double *out)
 {
     double arm[D], way[D];
@@ -45,6 +45,7 @@ static void sights(System *s, const Block *now, double *out)
         add(one, 1.0, arm, D);
         add(one + SPEED, 1.0, way, D);
         product(frame + TURN, p + D, one + TURN);
+        if (D == 2 && s->seen_angle[i]) one[ANGLE] = atan2(one[TURN + D], one[TURN]);
     }
     if (!s->accelerated) return;
 

@@ -14,7 +14,7 @@ enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
 #endif
 enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
 enum { WORST = 4 };                                      /* what of records only the largest is kept of */
-enum { SIGHT = FRAME + D };                              /* of a marker in records: its own frame, x'' */
+enum { ANGLE = FRAME + D, SIGHT = ANGLE + (D == 2) };     /* of a marker in records: its own frame, x'', in the plane its angle */
 
 enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE }; /* roles of items: a term of a constraint; an effort that is linear, */
                                                           /* given for the whole step, or from a law in Python; READ: only */
@@ -194,7 +194,7 @@ typedef struct {
     long evaluations, factors, calls;
     int remembers;                     /* whether some formula has a memory; 2: a controller in Python has one */
     int seen, readings, reactions;     /* of records: frames, items that are read, joints whose reaction is */
-    int *seen_frame, accelerated;      /* accelerated: whether accelerations of what is seen are recorded */
+    int *seen_frame, *seen_angle, accelerated; /* whether angles (plane), and accelerations, of what is seen are recorded */
     double *seen_place;                /* seen x (D + D x D): places of the markers in their frames, and how they are turned */
     Reaction *reaction;
     double *motion_rate, *rest_gravity, *slip;

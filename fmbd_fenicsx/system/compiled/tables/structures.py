@@ -103,7 +103,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields("q work big", _POINTER),
         *_fields("evaluations factors calls", _LONG),
         *_fields("remembers seen readings reactions", _INT),
-        ("seen_frame", _POINTER),
+        *_fields("seen_frame seen_angle", _POINTER),
         ("accelerated", _INT),
         *_fields("seen_place reaction motion_rate rest_gravity slip", _POINTER),
         ("settled", _REAL),

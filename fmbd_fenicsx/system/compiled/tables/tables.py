@@ -336,6 +336,7 @@ class Tables:
             remembers=max([0, *(x.remembers for x in self.items), *(x.remembers for x in self.listeners)]),
             storage=self.fronts.storage, seen=len(looks.markers), seen_frame=self.store.integers(self.frame[looks.markers]),
             seen_place=seen_places(self), accelerated=int(looks.accelerated),
+            seen_angle=self.store.integers(np.isin(looks.markers, list(looks.angled))),
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
             foretells=int(any(part.foretells for part in parts)), indefinite=int(any(field.indefinite for field in self.fields)),
             leaves_out=int(s.leaves_out), **self._links(),
