@@ -102,3 +102,22 @@ def test_runs_that_tell_the_error_know_of_dependent_rows(scheme: Any) -> None:
     assert run.certificate is not None
     stated = run.certificate["place"]
     assert 0.0 < stated.total < 1e-5
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("modes", "locked"), [(0, False), (2, True), (12, False)])
+def test_modes_that_joints_lock_are_told(modes: int, locked: bool) -> None:
+    """Four bars in space with equal axes hold three rows more than rigid bars need; two bending modes give way to none of them."""
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.05, 0.05), counts=(12, 1, 1), origin=(0.0, 0.5, 0.0))
+    law = fmbd.materials.linear_elastic(2e9, 0.3)
+    rod = fmbd.FloatingBody("rod", mesh, degree=2, density=1000.0, elastic=law).reduced(modes=modes)
+    cranks = [fmbd.RigidBody(f"crank {x}", 0.5, (0.01, 0.01, 0.01), (x, 0.2625, 0.025)) for x in (0, 1)]
+    scene = fmbd.Scene("four bars", gravity=(0.0, -9.81, 0.0))
+    scene.add(rod, *cranks)
+    for x, crank, end in zip((0, 1), cranks, ("left", "right"), strict=True):
+        scene.add(fmbd.revolute(f"foot {x}", fmbd.ground, crank, center=(x, 0.0, 0.025), axis=(0, 0, 1)))
+        scene.add(fmbd.revolute(f"pin {x}", crank, rod.surface(end), center=(x, 0.525, 0.025), axis=(0, 0, 1)))
+
+    run = fmbd.solve(scene, t_end=2e-3, dt=1e-3)
+    assert ('modes of body "rod" are locked' in " ".join(run.warnings)) == locked
+    assert ('modes of body "rod" are locked' in " ".join(scene.check().notes)) == locked

@@ -19,8 +19,9 @@ import numpy as np
 from ..linear.condensation import StepSolver
 from ..log import log
 from ..rotations import Array
+from ..system.mobility import locked_modes
 from ..system.scene.scene import Scene
-from ..system.system import System
+from ..system.system import State, System
 from .judges.energy_check import closed, strain_energy
 from .recording.recorder import Recorder
 
@@ -35,7 +36,9 @@ SETTLING = 10  # records, of the first steps
 CHATTER = 0.1  # of the impacts may be short: a body that comes to rest
 
 
-def warn_of_doubts(scene: Scene, solver: StepSolver, recorder: Recorder, counters: Mapping[str, float]) -> None:
+def warn_of_doubts(
+    scene: Scene, solver: StepSolver, recorder: Recorder, counters: Mapping[str, float], start: State
+) -> None:
     """Say what is doubtful in a run; collective."""
     system = solver.system
     if recorder.energies and closed(scene, system):
@@ -45,6 +48,7 @@ def warn_of_doubts(scene: Scene, solver: StepSolver, recorder: Recorder, counter
     _open_velocities(recorder, counters)
     _open_joints(recorder)
     _immovable(solver)
+    _locked_modes(system, start)
 
 
 def _growth(system: System, energy: dict[str, Array], times: Array) -> None:
@@ -150,3 +154,10 @@ def _immovable(solver: StepSolver) -> None:
             "the scene has 0 degrees of freedom (%d velocities, %d independent constraints) and no drive: nothing can move. A "
             "joint holds more than is meant; see scene.check()", system.n_v, rank,
         )  # fmt: skip
+
+
+def _locked_modes(system: System, start: State) -> None:
+    """Reduced bodies whose modes joints lock: what their reactions are is chance."""
+    found = locked_modes(system.at(start.t, start.q))
+    if found:
+        log.warning("%s", found)

@@ -139,7 +139,7 @@ def _finished(
 
     counters = _counters(marched, task.newton, solver)
     undetermined = not_unique(solver, marched.state)
-    warn_of_doubts(task.scene, solver, marched.recorder, counters)
+    warn_of_doubts(task.scene, solver, marched.recorder, counters, start.state)
     warn_of_late_samples(task.scene, task.schedule)
     warn_of_dense_break_points(task.schedule)
     warn_of_turning_rows(solver, task.scheme, (start.state, marched.state), task.schedule.next(0.0))

@@ -23,6 +23,7 @@ from ..energies import MixedEnergy
 from ..mechanics.bodies.coordinates import CoordinatePart
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.joints import ground
+from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation
 from .system import System
@@ -32,6 +33,8 @@ NEAR_SINGULAR = 1e-6
 LEAST_SHARE = 0.005  # of a row, that is listed
 CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
 INVERSE_ITERATIONS = 4
+LOCKED = 1e-2  # part of modes in rows, over that of what moves them most, below which they are not meant to give way
+LOCKED_LOOK = 300  # constraint rows up to which modes are looked at
 
 
 @dataclass(frozen=True)
@@ -224,6 +227,42 @@ def nearly_dependent(ev: Evaluation, rank: int) -> tuple[float, str]:
     return float(s[k] / s[0]), max(part, key=lambda name: part[name])
 
 
+def locked_modes(ev: Evaluation) -> str:
+    """Whose modes joints hold although they hardly take part in them, as a sentence; "" where none are.
+
+    With the scaled rows G_s = [F, E], E the columns of the modes of reduced bodies, and N^T F = 0, the rows N^T E = 0 are what
+    joints hold beyond what rigid bodies need. Modes that a row moves by far less than others do, by the asymmetry of a mesh, are
+    locked, and the forces that lock them are as much too large.
+    """
+    s = ev.system
+    reduced = [(s.slices[1][k], part) for k, part in s.core_parts if isinstance(part, ReducedPart) and part.n]
+    if not reduced or not 0 < s.n_lam <= LOCKED_LOOK or independent(ev, LOCKED):
+        return ""
+
+    modes = np.concatenate([np.arange(span.start, span.stop) for span, _ in reduced])
+    G = scaled_jacobian(ev)
+    U, size, _ = np.linalg.svd(np.delete(G, modes, axis=1))
+    N = U[:, int((size > RANK_TOLERANCE * size[0]).sum()) :]
+    rows, share, motions = np.linalg.svd(N.T @ G[:, modes], full_matrices=False)
+    share /= size[0]
+    locked = np.flatnonzero((share > RANK_TOLERANCE) & (share < LOCKED))
+    if not len(locked):
+        return ""
+
+    # the one that gives way least
+    k = int(locked[-1])
+    motion = np.zeros(s.n_core)
+    motion[modes] = motions[k] ** 2
+    body = max(reduced, key=lambda item: motion[item[0]].sum())[1].name
+    parts = (N @ rows[:, k]) ** 2
+    joints = ", ".join(f'"{b.name}"' for b in s.blocks if parts[b.rows].sum() > 0.1)
+    return (
+        f'the modes of body "{body}" are locked: joints {joints} hold more than rigid bodies need, and its modes give way to that '
+        f"by {share[k]:.1e} of what moves other rows, so that forces there are far too large. Take more modes, "
+        "reduced(basis=fmbd.CraigBampton(...)) with the surfaces of these joints, or joints that hold less"
+    )
+
+
 def loose_bodies(scene: Any) -> list[str]:
     """Bodies that no joint and no force attaches to anything and no contact can hold, where there are joints or forces at all."""
     bodies = scene.bodies
@@ -255,7 +294,8 @@ def check(scene: Any, deep: bool = False) -> Mobility:
     ``deep``: also the inf-sup constants of the surface ties, here and on halved meshes, and of displacement and pressure.
     """
     system, state, _ = scene.build()
-    found = mobility(system.at(state.t, state.q))
+    ev = system.at(state.t, state.q)
+    found = mobility(ev)
 
     notes = [f'body "{n}" is attached to nothing' for n in loose_bodies(scene)]
     notes += _units(system)
@@ -268,6 +308,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
         notes.append(
             "the configuration is near-singular: constraints almost depend on each other, or a motion branches here"
         )
+    notes += [locked] if (locked := locked_modes(ev)) else []
     if found.open > 1e-6 * system.length:
         notes.append(f"the constraints are open by {found.open:.2g} m; the start will close them")
 
