@@ -107,7 +107,7 @@ def test_runs_that_tell_the_error_know_of_dependent_rows(scheme: Any) -> None:
 @pytest.mark.serial
 @pytest.mark.parametrize(("modes", "locked"), [(0, False), (2, True), (12, False)])
 def test_modes_that_joints_lock_are_told(modes: int, locked: bool) -> None:
-    """Four bars in space with equal axes hold three rows more than rigid bars need; two bending modes give way to none of them."""
+    """Four bars in space with equal axes hold three rows more than rigid bars need; two bending modes give way to none."""
     mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.05, 0.05), counts=(12, 1, 1), origin=(0.0, 0.5, 0.0))
     law = fmbd.materials.linear_elastic(2e9, 0.3)
     rod = fmbd.FloatingBody("rod", mesh, degree=2, density=1000.0, elastic=law).reduced(modes=modes)

@@ -257,8 +257,8 @@ def locked_modes(ev: Evaluation) -> str:
     parts = (N @ rows[:, k]) ** 2
     joints = ", ".join(f'"{b.name}"' for b in s.blocks if parts[b.rows].sum() > 0.1)
     return (
-        f'the modes of body "{body}" are locked: joints {joints} hold more than rigid bodies need, and its modes give way to that '
-        f"by {share[k]:.1e} of what moves other rows, so that forces there are far too large. Take more modes, "
+        f'the modes of body "{body}" are locked: joints {joints} hold more than rigid bodies need, and its modes give way to '
+        f"that by {share[k]:.1e} of what moves other rows, so that forces there are far too large. Take more modes, "
         "reduced(basis=fmbd.CraigBampton(...)) with the surfaces of these joints, or joints that hold less"
     )
 
