@@ -85,8 +85,8 @@ def test_exact_factors_leave_nothing_where_nothing_turns(rod_mesh: Callable[...,
     equations.trusted = False
     iterated = equations.pencil(tangent, frequencies, judge).solve(kin, low)
     assert equations.krylov <= 4
-    for x, y in zip(direct, iterated, strict=True):
-        assert np.abs(x - y).max() < 2e-2 * np.abs(y).max()
+    for x, y in zip(direct, iterated, strict=True):  # each frequency by itself: one has smaller answers
+        assert (np.abs(x - y).max(axis=1) < 2e-2 * np.abs(y).max(axis=1)).all()
 
 
 def test_frequencies_get_factors_when_they_come_back(rod_mesh: Callable[..., Any]) -> None:

@@ -325,8 +325,10 @@ class StepSolver:
 
     def closing(self, C: Array) -> Array:
         """Motions (n_v, k) that open the constraints by the columns C (n_lam, k) and are least in the metric of the matrix."""
-        driven = self.driver is not None and self.driver.ready
-        if driven or self.whole or self.iterated is not None or not self.system.fields:
+        driver = self.driver
+        if driver is not None and driver.ready:
+            return driver.closing(C)
+        if self.whole or self.iterated is not None or not self.system.fields:
             nothing = np.zeros(self.system.n_v)
             return np.stack([self.solve(nothing, c)[0] for c in C.T], axis=1)
         return self._solve_direct(None, C)[0]

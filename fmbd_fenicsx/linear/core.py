@@ -235,7 +235,7 @@ class CoreSolver:
         rhs = self.scale[:, None] * np.concatenate((b, c))
         z = self._solve(rhs)
         x, y, left = self._residual(z, b, c)
-        residual, given, found = (np.sqrt((a * a).sum(axis=0)) for a in (left, rhs, z))
+        residual, given, found = (np.sqrt((abs(a) ** 2).sum(axis=0)) for a in (left, rhs, z))
         sizes = given + found
         if (residual <= self.judge.tolerance * sizes).all() and (found <= LARGEST_GROWTH * given).all():
             for k, size in enumerate(sizes):

@@ -138,6 +138,10 @@ class DriverSolver:
         """Increment like v and multipliers (n_lam,) for right-hand sides b and c."""
         return self.states.solve(b, c)
 
+    def closing(self, C: Array) -> Array:
+        """Motions (n_v, k) that open the rows by the columns C (n_lam, k)."""
+        return self.states.closing(C)
+
 
 class FieldDriverSolver(DriverSolver):
     """The same with elastic fields: tables with the factors of a size of step, which the runs of a system share.

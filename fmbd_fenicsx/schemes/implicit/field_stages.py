@@ -27,6 +27,8 @@ from ...linear.condensation import StepSolver, Weights
 from ...linear.frequency_solvers import DECADE, FrequencySolvers
 from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.compiled.states.evaluation import DriverStates
+from ...system.compiled.states.points import PointsTold
 from ...system.evaluation import Evaluation
 from ...system.evaluation_batch import EvaluationBatch
 from ...system.serialisation import Memory, Remembering, plain, worker
@@ -52,18 +54,21 @@ class FieldTangent:
     low: Array
 
     def along(self, dq: Array, dv: Array, da: Array) -> Array:
-        """Derivative of balance and rows along (dq, dv, da), complex directions by their two parts; collective."""
+        """Derivative of balance and rows along (dq, dv, da), one direction or many in one evaluation, complex ones by their two
+        parts; collective.
+        """
         system, s = self.ev.system, self.state
         direction = np.array((dq, dv, da))
-        parts = (direction.real, direction.imag) if direction.dtype.kind == "c" else (direction,)
-        sizes = system.each_max_abs(np.array(parts))
-        eps = [self._shift(float(place), float(speed), float(push)) for place, speed, push in sizes]
+        count, wide = direction[0].size // system.n_v, direction.dtype.kind == "c"
+        parts = direction.reshape(3, count, -1)
+        parts = np.concatenate((parts.real, parts.imag), axis=1) if wide else parts
+        eps = np.array([[self._shift(*map(float, each))] for each in system.each_max_abs(parts).T])
 
-        moved = np.array([x * part for x, part in zip(eps, parts, strict=True)])
-        ev = system.batch(s.t, system.compose(s.q, moved[:, 0]), s.v + moved[:, 1])
-        lam = np.array([s.lam] * len(parts))
-        change = lower(self.form, self.levels, ev, s.a + moved[:, 2], lam) - self.low
-        return change[0] / eps[0] if len(parts) == 1 else change[0] / eps[0] + 1j * (change[1] / eps[1])
+        ev = system.batch(s.t, system.compose(s.q, eps * parts[0]), s.v + eps * parts[1])
+        lam = np.array([s.lam] * len(eps))
+        change = (lower(self.form, self.levels, ev, s.a + eps * parts[2], lam) - self.low) / eps
+        change = change[:count] + 1j * change[count:] if wide else change
+        return change if direction.ndim == 3 else change[0]
 
     def _shift(self, place: float, speed: float, push: float) -> float:
         """The length of a difference along a direction with parts of these sizes; collective."""
@@ -85,13 +90,13 @@ class FieldTangent:
         return np.asarray(slopes[:, :k].reshape(count, frames, count).transpose(1, 2, 0))
 
     def turning(self, d: Array) -> Array | float:
-        """Derivative of rate(xi, v) along d at xi = 0; not collective."""
+        """Derivative of rate(xi, v) along d (.., n_v) at xi = 0; not collective."""
         system, k = self.ev.system, self.ev.system.n_frames * self.ev.system.motions.n_twist
         if system.motions.dim == 2 or not k:
             return 0.0
         found = np.zeros_like(d)
-        if k:
-            found[:k] = (self._turnings @ d[:k].reshape(system.n_frames, -1, 1)).ravel()
+        turned = self._turnings @ d[..., :k].reshape(*d.shape[:-1], system.n_frames, -1, 1)
+        found[..., :k] = turned.reshape(*d.shape[:-1], k)
         return found
 
 
@@ -181,15 +186,28 @@ class FieldEquations(Remembering):
         """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) at the times t (k,)."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
-        pulls = self.corrections(p.mult, 2)
-        ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
-        low = lower(self.form, self.levels, ev, p.vd + pulls, p.mult[:, :m])
+        told = self._told(t, p)
+        if told is not None:
+            low = np.concatenate((told.sums, *self.form.rows(told, p.vd)), axis=1) if self.levels else told.sums
+            rates = told.rates
+        else:
+            ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
+            low = lower(self.form, self.levels, ev, self.accelerations(p), p.mult[:, :m])
+            rates = s.rate(p.xi, p.v)
         self.left = low[-1, s.n_v : s.n_v + m]
-        return self._lacking(p), low
+        return self._lacking(p, rates), low
+
+    def _told(self, t: Array, p: Points) -> PointsTold | None:
+        """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
+        states, m = self.system.evaluator, self.system.n_lam
+        if not isinstance(states, DriverStates) or (self.levels and 2 in self.form.levels):
+            return None
+        lam = p.mult[:, :m] if self.levels else np.zeros((len(t), m))
+        return states.points(t, self.origin, (p.xi, p.v, p.vd), (lam, None, None))
 
     def aligned(self, t: Array, W: Array, p: Points) -> Points:
         """Foretold stages at the times t (k,) with velocities and multipliers that go with their places; d rate = W dxi."""
-        v, mult = p.v + self._lacking(p), p.mult
+        v, mult = p.v + self._lacking(p, self.system.rate(p.xi, p.v)), p.mult
         if self.levels > 1:  # what rows of velocities ask for where places do not close
             m = self.system.n_lam
             ev = self.system.batch(t, self.system.compose(self.origin, p.xi), v)
@@ -198,18 +216,22 @@ class FieldEquations(Remembering):
             mult[:, m : 2 * m] += slips
         return replace(p, v=v, vd=p.vd + W @ (v - p.v), mult=mult)
 
-    def _lacking(self, p: Points) -> Array:
-        """What velocities (k, n_v) lack to be those of the places: r_kin, without roundoff."""
-        left = p.rate - self.system.rate(p.xi, p.v - self.corrections(p.mult, 1))
+    def _lacking(self, p: Points, rates: Array) -> Array:
+        """What velocities (k, n_v), whose rates of xi are given, lack to be those of the places: r_kin, without roundoff."""
+        slips = self._slips(p.mult, 1)
+        left = p.rate - rates if slips is None else p.rate - rates + self.system.rate(p.xi, self.closing(slips))
         return np.where(np.abs(left) > ROUNDOFF * np.abs(p.rate).max(initial=0.0), left, 0.0)
+
+    def _slips(self, mult: Array, level: int) -> Array | None:
+        """The slips (k, n_lam) of one level among multipliers (k, levels n_lam); None without any."""
+        m = self.system.n_lam
+        slips = mult[:, level * m : (level + 1) * m]
+        return slips if self.levels > level and slips.any() else None
 
     def corrections(self, mult: Array, level: int) -> Array:
         """N c of the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
-        m = self.system.n_lam
-        slips = mult[:, level * m : (level + 1) * m]
-        if self.levels <= level or not slips.any():
-            return np.zeros((len(mult), self.system.n_v))
-        return self.closing(slips)
+        slips = self._slips(mult, level)
+        return np.zeros((len(mult), self.system.n_v)) if slips is None else self.closing(slips)
 
     def closing(self, slips: Array) -> Array:
         """N c of slips (k, n_lam), (k, n_v); complex ones by their parts."""
@@ -240,7 +262,8 @@ class FieldEquations(Remembering):
 
     def accelerations(self, p: Points) -> Array:
         """a = v' + N e, (k, n_v)."""
-        return p.vd + self.corrections(p.mult, 2)
+        slips = self._slips(p.mult, 2)
+        return p.vd if slips is None else p.vd + self.closing(slips)
 
     def pushes(self, mult: Array) -> Array | None:
         """Accelerations that multipliers cause: without an inverse of the mass they stay out of error norms."""

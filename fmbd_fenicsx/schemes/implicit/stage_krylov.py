@@ -25,7 +25,7 @@ of complex symmetric systems: Axelsson and Kucherov, doi:10.1002/1099-1506(20000
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,79 +137,107 @@ class FieldStages:
         equations.metric = next((by.weights for by in self.by if by.weights.real), equations.metric)
         self.square = _shares(equations.system) ** 2
         self.known = [Directions(self._dot, judge.what) for _ in self.s]
-        self.before = [0.0] * len(s)  # sizes of the last increments
+        self.before: Array = np.zeros(len(s))  # sizes of the last increments
+        self.frequency, self.square_of_s = np.abs(s), np.array(self.s)[:, None] ** 2
+        self.wide = [np.iscomplexobj(x) for x in self.s]
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
         """Increments dxi, dv side by side (p, 2 n_v) and multipliers (p, levels n_lam), for residuals r_kin (p, n_v) and r_low
         (p, n_v + levels n_lam).
         """
-        made = [self._one(i, np.asarray(kin[i]), np.asarray(low[i])) for i in range(len(self.s))]
-        return np.array([x for x, _ in made]), np.array([y for _, y in made])
-
-    def _one(self, i: int, kin: Array, low: Array) -> tuple[Array, Array]:
-        """dxi, dv side by side, and the multipliers, of one frequency."""
-        s = self.s[i]
-        if not np.iscomplexobj(s):
-            kin, low = kin.real, low.real
         eq, n, m, L = self.eq, self.eq.system.n_v, self.eq.system.n_lam, self.eq.levels
+        s, kin, low = np.array(self.s)[:, None], np.asarray(kin), np.asarray(low)
+        if not any(self.wide):
+            kin, low = kin.real, low.real
+        at = [low[:, n + level * m : n + (level + 1) * m] for level in range(L)]
 
         # slips that follow from the rows alone: their motion acts on the balance
-        rate = kin
+        rate: Array = kin
+        slip: Array = np.zeros(0)
+        pull: Array = np.zeros(0)
         if L > 1:
-            slip = s * low[n : n + m] - low[n + m : n + 2 * m]
-            slip = slip - self._rows(kin) if self.known[i].norm(kin) > 0.0 else slip
-            rate = kin + eq.closing(slip[None])[0]
+            slip = s * at[0] - at[1]
+            slip = slip - self._rows(kin) if self._sizes(kin).any() else slip
+            rate = kin + eq.closing(slip)
         push = s * rate
         if L > 2:
-            pull = s * low[n + m : n + 2 * m] - low[n + 2 * m :]
-            push = push + eq.closing(pull[None])[0]
+            pull = s * at[1] - at[2]
+            push = push + eq.closing(pull)
 
-        self.by[i].prepare(self.t.ev)
-        dxi, dv, dlam, left = self._motion(i, (rate, push), low)
-        mult = [dlam]
+        dxi, dlam, left = self._motions(rate, push, low)
+        dv = self._lift(s, dxi) + rate
+        mult = [dlam] if L else []
         if L > 1:  # what the motion itself adds
-            mult.append(slip + left[:m])
-            dv = dv + eq.closing(left[None, :m])[0] if left.any() else dv
+            mult.append(slip + left[:, :m])
+            dv = dv + eq.closing(left[:, :m]) if left.any() else dv
         if L > 2:
-            mult.append(pull + left[m:] - s * left[:m])
-        return np.concatenate((dxi, dv)), np.concatenate(mult) if L else np.zeros(0)
+            mult.append(pull + left[:, m:] - s * left[:, :m])
+        return np.concatenate((dxi, dv), axis=1), np.concatenate(mult, axis=1) if L else np.zeros((len(s), 0))
 
     def _rows(self, x: Array) -> Array:
-        """G x at the tangent's motion."""
+        """G x (p, n_lam) at the tangent's motion."""
         times = self.t.ev.jacobian.times
-        return times(x.real) + 1j * times(x.imag) if np.iscomplexobj(x) else times(x)
+        return np.array([times(y.real) + 1j * times(y.imag) if np.iscomplexobj(y) else times(y) for y in x])
 
-    def _motion(self, i: int, known: tuple[Array, Array], low: Array) -> tuple[Array, Array, Array, Array]:
-        """dxi, dv and dlambda of one frequency for known parts of dv and da, and what the further rows leave open."""
-        s, directions, (rate, push) = self.s[i], self.known[i], known
-        further = self.eq.system.n_v + self.eq.system.n_lam
+    def _motions(self, rate: Array, push: Array, low: Array) -> tuple[Array, Array, Array]:
+        """dxi and dlambda of each frequency for known parts of dv and da, and what the further rows leave open."""
+        further, p, trusted = self.eq.system.n_v + self.eq.system.n_lam, len(self.s), self._trusted
+        of_rate, of_push = self._sizes(np.concatenate((rate, push))).reshape(2, p)
+        acts = (of_rate + of_push / self.frequency) / self.frequency
 
-        x, y = self._precondition(i, -low)
-        size = directions.norm(x)
-        acts = (directions.norm(rate) + directions.norm(push) / abs(s)) / abs(s)
-        seen = SMALL * max(size, self.before[i]) if self._trusted(i) else 0.0
-        if acts > seen:
-            low = low + self.t.along(np.zeros_like(rate), rate, push)
-            x, y = self._precondition(i, -low)
-            size = directions.norm(x)
-        if not size < np.inf:
+        # known parts of any size; those that are small against the increment before, or where it is the first against itself
+        seen = acts > SMALL * self.before * trusted
+        first = seen & trusted & (self.before == 0.0)
+        low = self._with_known(low, rate, push, seen & ~first)
+        x, y = self._solutions(low, range(p))
+        sizes = self._sizes(x)
+        seen = first & (acts > SMALL * sizes)
+        if seen.any():
+            low = self._with_known(low, rate, push, seen)
+            x[seen], y[seen] = self._solutions(low, np.flatnonzero(seen))
+            sizes = self._sizes(x)
+        if not (sizes < np.inf).all():
             raise LinearSolveError(f"{self.judge.what}: the first increment is not finite.")
 
-        slow, self.before[i] = 0.0 < SLOW * self.before[i] < size, size
-        if self._trusted(i) and not slow:
-            return x, self._lift(s, x) + rate, s**2 * y, np.zeros(len(low) - further)
+        slow = (self.before > 0.0) & (SLOW * self.before < sizes)
+        self.before = sizes
+        left = np.zeros((p, low.shape[1] - further), x.dtype)
+        for i in np.flatnonzero(slow | ~trusted):
+            x[i], y[i], left[i] = self._iterated(i, (x[i], y[i], low[i, further:]))
+        return x, self.square_of_s * y, left
 
+    def _solutions(self, low: Array, which: Iterable[int]) -> tuple[Array, Array]:
+        """P^-1 of (1) for residuals of the balance and the first rows, of some of the frequencies."""
+        found = [self._precondition(i, -low[i] if self.wide[i] else -low[i].real) for i in which]
+        kind = complex if any(self.wide) else float
+        return np.array([x for x, _ in found], kind), np.array([y for _, y in found], kind)
+
+    def _with_known(self, low: Array, rate: Array, push: Array, seen: np.ndarray) -> Array:
+        """Residuals with what known parts of dv and da add to them, of the frequencies where that is seen."""
+        if not seen.any():
+            return low
+        low = low.copy()
+        low[seen] += self.t.along(np.zeros_like(rate[seen]), rate[seen], push[seen])
+        return low
+
+    def _iterated(self, i: int, first: Images) -> tuple[Array, Array, Array]:
+        """dxi and dlambda / s^2 of one frequency from a first solution, and what the further rows leave open."""
+        directions = self.known[i]
+        if not self.wide[i]:
+            x, y, z = first
+            first = x.real, y.real, z.real
         before = directions.iterations
-        dxi, dlam, rows = directions.solve((x, y, low[further:]), lambda d: self._image(i, d))
+        dxi, dlam, rows = directions.solve(first, lambda d: self._image(i, d))
         used = directions.iterations - before
         self.eq.krylov += used
         if self.by[i].exact:
             self.eq.trusted = used <= FEW
-        return dxi, self._lift(s, dxi) + rate, s**2 * dlam, -rows
+        return dxi, dlam, -rows
 
-    def _trusted(self, i: int) -> bool:
-        """Whether a solution with the matrix of a frequency needs no iteration: nothing but turning and bending is missing."""
-        return self.by[i].exact and self.eq.trusted
+    @property
+    def _trusted(self) -> np.ndarray:
+        """Whether solutions with the matrix of a frequency need no iteration: nothing but turning and bending is missing."""
+        return np.array([by.exact and self.eq.trusted for by in self.by])
 
     def _parts(self, s: Any, r: Array) -> tuple[Array, Array]:
         """The balance and the first rows, as P sees them."""
@@ -232,7 +260,17 @@ class FieldStages:
     def _precondition(self, i: int, r: Array) -> tuple[Array, Array]:
         """P^-1 of (1) for the balance and the first rows, with the matrix of a frequency."""
         self.judge.solves += 1
+        self.by[i].prepare(self.t.ev)
         return self.by[i].solver.solve(*self._parts(self.s[i], r))
+
+    def _sizes(self, x: Array) -> Array:
+        """Sizes of motions (k, n_v), (k,); collective."""
+        system, n = self.eq.system, self.eq.system.n_core
+        squares = x.real**2 + x.imag**2
+        if system.comm.size == 1:
+            return np.sqrt(squares @ self.square)
+        fields = rank_sum(system.comm, squares[:, n:] @ self.square[n:])
+        return np.sqrt(squares[:, :n] @ self.square[:n] + fields)
 
     def _dot(self, V: Array, w: Array) -> Array:
         """Inner products of vectors (k, n_v) with one: mean squares of each field, sums of the core; collective."""

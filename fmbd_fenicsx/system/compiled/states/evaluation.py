@@ -60,6 +60,7 @@ class DriverStates(CompiledGeometry):
         # what C reads and writes for a solution: two right-hand sides are those of a complex one
         self._given = Exchange({"q": self.tables.system.n_q, "b": (2, n), "c": (2, m)})
         self._found = Exchange({"x": (2, n), "y": (2, m)})
+        self._columns: tuple[int, Exchange] | None = None  # the same for several, with nothing but rows on the right
         self._kept_room: Room | None = None
         self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
         self._last: DriverEvaluation | None = None  # made by :meth:`at`
@@ -151,7 +152,7 @@ class DriverStates(CompiledGeometry):
         if not self.ask(self.library.driver_batch, *room.at, *places, *room.constraints_at):
             return None
         sums, rows = room.sums[: room.count], room.constraints[:, : room.count]
-        return self.twin.forces(sums).copy(), self._with_motions(at[0], rows).copy()
+        return self.twin.forces(sums).copy(), rows.copy()
 
     def _loaded_room(self, at: Configurations, a: Array, lam: Array | None) -> tuple[Room, list[int | None]]:
         """Room with configurations, accelerations and multipliers in it, and where the last two and the balance are."""
@@ -162,18 +163,19 @@ class DriverStates(CompiledGeometry):
         return room, [room.places["a"], None if lam is None else room.places["lam"], room.places["sums"]]
 
     def constraints(self, at: Configurations) -> Array | None:
-        """g, G v + g_t, g_t and gamma, (4, k, n_lam). None as above."""
+        """g, G v + g_t, g_t and gamma without :meth:`second_rates`, (4, k, n_lam). None as above."""
         found = self._constraints(at)
-        return None if found is None else self._with_motions(at[0], found).copy()
+        return None if found is None else found.copy()
 
-    def _with_motions(self, times: Array, found: Array) -> Array:
-        """Answers (4, k, n_lam) of the driver with the second rates of prescribed motions at the times (k,) written in."""
+    def second_rates(self, times: Array) -> Array:
+        """Those of prescribed motions at the times (k,), by rows, (k, n_lam): gamma has to lose them."""
+        out = np.zeros((len(times), self.system.n_lam))
         for rows, motions in self.calls.moving:
-            found[3][:, rows] -= [[motion(float(t))[2] for motion in motions] for t in times]
-        return found
+            out[:, rows] += [[motion(float(t))[2] for motion in motions] for t in times]
+        return out
 
     def _constraints(self, at: Configurations) -> Array | None:
-        """The same without the second rates of prescribed motions, a view."""
+        """The same, a view."""
         room = self._room(at)
         asked = self.ask(self.library.driver_constraints, *room.at, *room.constraints_at)
         return room.constraints[:, : room.count] if asked else None
@@ -277,6 +279,19 @@ class DriverStates(CompiledGeometry):
         x = twin.forces(x)
         return (x[0] + 1j * x[1], y[0] + 1j * y[1]) if parts else (x[0].copy(), y[0].copy())
 
+    def closing(self, C: Array) -> Array:
+        """x (n_v, k) that open the rows by the columns C (n_lam, k), in one call."""
+        assert self._held is not None
+        n, (m, count) = self.tables.system.n_v, C.shape
+        if self._columns is None or self._columns[0] != count:
+            sizes: dict[str, int | tuple[int, ...]] = {"q": self.tables.system.n_q, "b": (count, n), "c": (count, m)}
+            sizes |= {"x": (count, n), "y": (count, m)}
+            self._columns = count, Exchange(sizes)
+        room = self._columns[1]
+        room.put(self.twin.configurations(self._held[1]), None, C.T)
+        self.library.driver_solve(self.address, count, *room.at)
+        return self.twin.forces(room.arrays[3]).T.copy()
+
     def independent(self) -> bool:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
         :func:`~fmbd_fenicsx.system.mobility.independent`, with the true inertia.
@@ -300,6 +315,8 @@ class _Constraints:
     Answers are the caller's own.
     """
 
+    states: DriverStates
+    times: Array
     _told: Array | None  # in the order of :meth:`DriverStates.constraints`
 
     def constraint(self) -> Array:
@@ -315,7 +332,9 @@ class _Constraints:
     def gamma(self) -> Array:
         """g'' - G a, likewise."""
         told = self._told
-        return super().gamma() if told is None else told[3].copy()  # type: ignore[misc]
+        if told is None:
+            return super().gamma()  # type: ignore[misc]
+        return told[3] - self.states.second_rates(self.times).reshape(told[3].shape)
 
 
 class DriverEvaluation(_Constraints, Evaluation):
@@ -326,6 +345,7 @@ class DriverEvaluation(_Constraints, Evaluation):
         self.states = states
         rest = np.zeros(self.system.n_v) if v is None else v
         self.alone = np.array([t]), q[None], rest[None]  # the configuration as one of many
+        self.times = self.alone[0]
 
     def is_at(self, t: float, q: Array, v: Array | None) -> bool:
         """Whether this is the same state."""
@@ -426,7 +446,7 @@ class DriverBatch(_Constraints, EvaluationBatch):
 
     def __init__(self, states: DriverStates, t: Array, q: Array, v: Array) -> None:
         super().__init__(states.system, t, q, v)
-        self.states, self.all = states, (t, q, v)
+        self.states, self.all, self.times = states, (t, q, v), t
 
     @cached_property
     def _told(self) -> Array | None:  # type: ignore[override]
