@@ -71,6 +71,22 @@ def test_runs_are_those_of_numpy(name: str, form: Any) -> None:
 
 
 @compiled
+def test_a_line_that_large_steps_press_stays_in_compiled_steps() -> None:
+    """The tangent of its own is indefinite there: each such step went to NumPy, at ten times the time."""
+    runs = []
+    for by in (True, False):
+        beam = line(cells=2, mass_damping=2.0)
+        scene = fmbd.Scene("pushed")
+        scene.add(beam, fmbd.fixed("clamp", fmbd.ground, beam.surface("start")))
+        scene.add(fmbd.force("load", beam.surface("end"), lambda t: (0.0, 20.0 * min(t / 0.5, 1.0) ** 3)))
+        scene.sensor("tip", fmbd.position(beam.surface("end")))
+        runs.append(fmbd.solve(scene, t_end=1.0, dt=1 / 12, scheme=fmbd.GeneralizedAlpha(compiled=by)))
+    fast, slow = runs
+    assert fast.counters["compiled_steps"] == fast.counters["steps"] == 12
+    np.testing.assert_allclose(fast["tip"], slow["tip"], rtol=0, atol=1e-5 * np.ptp(slow["tip"]))
+
+
+@compiled
 def test_beside_a_field(rod_mesh: Any) -> None:
     """Two frames at rest."""
     compare(partial(beside_a_field, rod_mesh(h=0.1)), fmbd.Index3())

@@ -326,3 +326,12 @@ def test_zeros_of_the_error_of_a_vibration_let_no_steps_grow(rod_mesh: Callable[
     run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-3), output=output)
     assert np.abs(run["tip"] - exact["tip"]).max() < 1e-3
     assert run.counters["steps"] < 400
+
+
+def test_a_step_in_which_weight_moves_the_model_by_its_length_is_not_tried(rod_mesh: Callable[..., Any]) -> None:
+    """Weight comes within 0.4 s of 2 s: Newton's iteration failed for 2 s and 1 s, after two dozen tangents."""
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.1), E=1e6)
+    scene.gravity, scene.gravity_ramp = (0.0, -9.81), 0.4
+    run = fmbd.solve(scene, t_end=2.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-4))
+    assert "rejected: Newton's iteration" not in run.counters
+    assert run.counters["rejected: a load within the step"] == 2 and run.counters["newton_iterations"] < 900

@@ -11,6 +11,11 @@ about half of what it misses of this:
     e  =  1/2 (g(q, t + h) - g(q, t) - h g_t - h^2 / 2 g_tt)                                                              (2)
 
 of order h^3, as the errors of steps are. It needs no factor, which a step that is tried and refused has made in vain.
+
+What the ends of a step differ by is seen by its error. Where that alone moves bodies by more than the length of the model, or
+turns them by a radian, the step is not tried: Newton's iteration for a weight that comes within it fails after many tangents.
+
+    (M + s K) d + G^T mu = h^2 / 2 (f(t + h) - f(t)),     G d = 0                                                        (3)
 """
 
 from __future__ import annotations
@@ -66,28 +71,38 @@ class LookAhead:
         return max(SAFETY * foretold, float(ways[followed - 1]) if followed else 0.0)
 
     def loads(self, s: State, h: float) -> float:
-        """The norm of (1) for a step of size h (s)."""
+        """The norm of (1) for a step of size h (s), or the way of (3) over the length of the model where that is above one."""
         # all at once, with the state held
         shares = np.array([0.0, *LOOKS, 1.0])
         q, v, a, lam = (np.tile(x, (len(shares), 1)) for x in (s.q, s.v, s.a, s.lam))
         first, *inner, last = self.system.batch(s.t + h * shares, q, v).balance(a, lam)
+
+        way = self._at_most(s, h, 0.5 * h * h * (last - first), self._way)
+        if way > 1.0:
+            return way
 
         between = [f - (1.0 - k) * first - k * last for k, f in zip(LOOKS, inner, strict=True)]
         # what the ends of the step differ by is seen by the error of the step
         unseen = [np.sign(f) * np.maximum(np.abs(f) - np.abs(last - first), 0.0) for f in between]
         worst = h * h / 6.0 * max(unseen, key=lambda f: float(np.abs(f).max(initial=0.0)))
         self.norm.update(s, h)
+        return self._at_most(s, h, worst, lambda e: self.norm(h, e, np.zeros_like(e)))
 
+    def _way(self, d: Array) -> float:
+        """The largest way of (3) over the length of the model."""
+        return self.system.max_abs(d) / self.system.length
+
+    def _at_most(self, s: State, h: float, force: Array, size: Callable[[Array], float]) -> float:
+        """The size of what a force moves in a step of h (s), or more where that is below one."""
         # a softer matrix that is at hand tells more than the error, and costs no factor
         softer, own = self.solver.weights, self.weights(h)
         at_hand = (softer.cm, softer.ck < own.ck) == (own.cm, True)
-        error = self._moved(s, h, worst, softer if at_hand else own)
-        return self._moved(s, h, worst, own) if at_hand and not error <= 1.0 else error
+        found = size(self._moved(s, force, softer if at_hand else own))
+        return size(self._moved(s, force, own)) if at_hand and not found <= 1.0 else found
 
-    def _moved(self, s: State, h: float, force: Array, weights: Weights) -> float:
-        """The norm of (1) with the matrix of given weights."""
+    def _moved(self, s: State, force: Array, weights: Weights) -> Array:
+        """What a force moves, by the matrix of given weights."""
         ev = self.system.at(s.t, s.q, s.v)
         ev.forces = s.a, s.lam
         self.solver.prepare(ev, weights)
-        e, _ = self.solver.solve(force, np.zeros(self.system.n_lam))
-        return self.norm(h, e, np.zeros_like(e))
+        return self.solver.solve(force, np.zeros(self.system.n_lam))[0]

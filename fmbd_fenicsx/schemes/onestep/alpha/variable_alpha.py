@@ -250,8 +250,8 @@ class VariableAlpha(TimeStepper):
         self.inner.state, self.inner.A, self.inner._past = state, kept, past
 
     def _ahead(self, h: float) -> float:
-        """What a load that comes and goes within a step moves, in the norm of errors; 0 without a look, where much happens and no
-        step was as large before.
+        """What a load within a step moves, in the norm of errors; 0 without a look, where much happens and no step was as large
+        before.
         """
         if self._is_looked_at(h):
             return 0.0

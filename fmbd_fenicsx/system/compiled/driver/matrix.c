@@ -110,11 +110,18 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
 }
 
 /* The factor at the state evaluated last; without geometric stiffness where that makes the bodies' part indefinite (a large pull
-   on a small inertia). */
+   on a small inertia). That of parts which Python tells is theirs: lines that are pressed in large steps. */
 int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t)
 {
-    int verdict = assemble(s, q, cd, ck, ck, lam, reactions, t);
-    return verdict == SINGULAR ? assemble(s, q, cd, ck, 0.0, lam, 0, t) : verdict;
+    int verdict = assemble(s, q, cd, ck, ck, lam, reactions, t), told = 0;
+    if (verdict == SINGULAR) verdict = assemble(s, q, cd, ck, 0.0, lam, 0, t);
+    for (int b = 0; b < s->bodies; b++) told |= s->body[b].told != NULL;
+    if (verdict != SINGULAR || !told || s->indefinite) return verdict;
+
+    s->indefinite = 1;
+    verdict = assemble(s, q, cd, ck, 0.0, lam, 0, t);
+    s->indefinite = 0;
+    return verdict;
 }
 
 /* The solution x (like v, body axes) and y for the right-hand side in b, which holds it in world axes then. */
