@@ -190,7 +190,13 @@ def test_calls_of_python_for_one_call_of_c() -> None:
 @compiled
 @pytest.mark.parametrize(
     ("scheme", "most"),
-    [(fmbd.Rattle(), 50), (fmbd.HalfExplicit(rtol=None), 55), (fmbd.EnergyMomentum(), 100)],
+    [
+        (fmbd.Rattle(), 50),
+        (fmbd.HalfExplicit(rtol=None), 55),
+        (fmbd.EnergyMomentum(), 100),
+        (fmbd.BDF(order=2, rtol=None), 115),
+        (fmbd.Radau(rtol=None), 100),
+    ],
     ids=lambda x: str(x)[:4],
 )
 def test_a_step_enters_few_functions_of_python(scheme: Any, most: int) -> None:

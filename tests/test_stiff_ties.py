@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,13 @@ from test_checkpoint import at_every_step
 from test_foretold_efforts import ANGLE, DIRECTION, END, G, chain, error
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.system.tangents.stiff_ties import stiff_ties
+
+sys.path[:0] = [str(Path(__file__).parents[1] / "demos"), str(Path(__file__).parent / "benchmarks")]
+from andrews_model import REFERENCE  # noqa: E402
+from mechanisms_of_bodies import andrews, andrews_coordinates  # noqa: E402
 
 CHAINS = [(1.0, 1e-3), (1e-3, 1.0), (1e-3, 1.0, 1e-3, 1.0)]
 SCHEMES = [fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4)]
@@ -141,6 +148,31 @@ def test_which_springs_are_ties() -> None:
     ends = {"point_a": (2.0, 0.0), "point_b": (3.0, 0.0)}
     scene.add(above, below, fmbd.Spring("soft", above, below, **ends, stiffness=1e3))
     system, _, _ = scene.build()
-    found = stiff_ties(system)
+    found = stiff_ties(system, 0.0)
     assert len(found) == 2 and found.system.n_lam == system.n_lam + 2
     assert sum(len(loads.forces) for loads in found.system.forces) == 1
+
+
+def thrown(speed: float) -> fmbd.Scene:
+    """Two bodies on a spring without gravity."""
+    scene = fmbd.Scene("thrown")
+    one = fmbd.RigidBody("one", 1.0, 0.1, position=(0.0, 0.0), velocity=(0.0, speed))
+    other = fmbd.RigidBody("other", 1.0, 0.1, position=(1.0, 0.0))
+    ends = {"point_a": (0.0, 0.0), "point_b": (1.0, 0.0)}
+    scene.add(one, other, fmbd.Spring("spring", one, other, **ends, stiffness=1e3))
+    return scene
+
+
+@pytest.mark.parametrize(("speed", "ties"), [(0.0, 1), (1e-3, 1), (1.0, 0)])
+def test_without_gravity_the_start_tells_which_springs_are_ties(speed: float, ties: int) -> None:
+    """Where accelerations ask as much of a spring as gravity would it stays a force, and so for all steppers of the system."""
+    system, start, _ = thrown(speed).build()
+    steps = fmbd.Radau(rtol=None).stepper(system, StepSolver(system), Newton(), start)
+    assert len(steps.eq.stiff) == ties and stiff_ties(system, 0.0) is steps.eq.stiff
+
+
+def test_andrews_mechanism_at_a_tight_tolerance() -> None:
+    """Its spring is no tie: as one, closed to roundoff after every step, it held steps of BDF down to nothing."""
+    run = fmbd.solve(andrews(), t_end=0.03, scheme=fmbd.BDF(rtol=1e-8))
+    found = andrews_coordinates(np.asarray(run.state.q))
+    assert np.abs(found - REFERENCE).max() <= 2e-5

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -53,13 +54,14 @@ class ImplicitStepper(TimeStepper):
 
     def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
-        self.eq = step_equations(system, scheme.form, solver)
+        acceleration = max(system.max_abs(state.v) ** 2 / system.length, system.max_abs(state.a))
+        self.eq = step_equations(system, scheme.form, solver, acceleration)
         self.adaptive = scheme.rtol is not None
         self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
         self.stats = Statistics()
         self.judge = Judge(self.what)
         self.proposed: float | None = None
-        self._allowed: tuple[State, float, float] | None = None  # start and size of a step, what increments may move
+        self._allowed = 0.0  # m, what an increment of a constant step may move
 
         # the tangent is kept from step to step while Newton's iteration converges fast with it
         self._tangent: Any = None  # of the equations' own kind
@@ -72,15 +74,13 @@ class ImplicitStepper(TimeStepper):
             False  # whether the last increment moved nothing beyond roundoff: multipliers may go on changing by theirs
         )
         if not self.eq.dense:
-            self._warn_of_roundoff()
+            self._warn_of_roundoff(acceleration)
 
-    def _warn_of_roundoff(self) -> None:
+    def _warn_of_roundoff(self, acceleration: float) -> None:
         """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""
         name, lost = foretold_efforts(self.system).lost(self.state.q)
-        system, state = self.system, self.state
-        gravity = float(np.linalg.norm(system.gravity(np.inf)))
-        centripetal = system.max_abs(state.v) ** 2 / system.length
-        weight = system.mass * max(gravity, system.max_abs(state.a), centripetal)
+        system = self.system
+        weight = system.mass * max(float(np.linalg.norm(system.gravity(np.inf))), acceleration)
         if lost > self.lost * weight > 0:  # at rest without loads nothing can be lost
             log.warning(
                 'the effort of spring "%s" is known to %.1e N only, by roundoff of places times its stiffness, where forces are '
@@ -141,6 +141,7 @@ class ImplicitStepper(TimeStepper):
             + "Take a smaller dt."
         )
 
+    @cached_property
     def _newton_tolerance(self) -> float:
         """Bound of the norm of the error left, in units of the error norm."""
         if not self.adaptive:
@@ -158,49 +159,42 @@ class ImplicitStepper(TimeStepper):
 
     def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
         """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
-        push = self.eq.pushes(dmult)
-        moved = self._way(h, self.system.max_abs(dxi), self.system.max_abs(dv))
+        push, size = self.eq.pushes(dmult), 0.0
+        # pushes also where accelerations tell multipliers: those of several levels may change while places and velocities do not
+        lengths = [0.0 if x is None else self.system.max_abs(x) for x in (dxi, dv, push)]
         if self.adaptive:
             # joints and ties apart, though they may cancel: what is left of either is noise of the next steps
             pulls = self.eq.pulls(dmult)
             size = self.norm(h, dxi, dv, push)
             if push is not None and self.scheme.form.index == 1:  # no part of an error, but of what is recorded
                 size = max(size, self.norm.mean(push * (h / self.norm.wv)))
-            return size if pulls is None else max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))
-        if push is not None:
-            # also where accelerations tell multipliers: those of several levels may change while places and velocities do not
-            moved = max(moved, h * h * self.system.max_abs(push))
-        return moved / self._enough(h)
+            if pulls is not None:
+                size = max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))
+        return self._size_told(h, lengths, size)
 
-    def _size_told(self, h: float, moved: Array) -> float:
-        """The same of what compiled code tells of an increment: lengths of its three parts, and their weighted mean squares."""
-        way = self._way(h, float(moved[0]), float(moved[1]))
-        if self.adaptive:
-            return float(np.sqrt(np.maximum.reduce(moved[3:])))
-        pushes = float(moved[2])
-        return (max(way, h * h * pushes) if self.eq.levels else way) / self._enough(h)
-
-    def _way(self, h: float, places: float, speeds: float) -> float:
-        """The length (m) that an increment moves, which is noted where it is roundoff."""
+    def _size_told(self, h: float, lengths: list[float], size: float) -> float:
+        """The same from the largest lengths of its three parts, and from its weighted ``size``, that of error control."""
+        places, speeds, pushes = lengths
         moved = max(places, h * speeds)
         self._still = moved <= STILL * EPS * self.system.length
-        return moved
+        return size if self.adaptive else max(moved, h * h * pushes) / self._allowed
 
     def _iteration(self, h: float, t: Array, points: Points, rule: Rule) -> StageIteration:
         """Newton's iteration for the points of a step of size h (s)."""
+        self._allow(h)
         weights = self.norm.weights(h) if self.adaptive else self._unweighted
         return StageIteration(self.eq, t, points, rule, weights)
+
+    def _allow(self, h: float) -> None:
+        """Find what increments of a constant step of size h (s) may move."""
+        if not self.adaptive:
+            self._allowed = self.norm.constant(h, self.state)
 
     def _increment(self, h: float, iteration: StageIteration) -> float:
         """One more increment; its norm."""
         self.newton.iterations += 1
         self.stats.newton_iterations += 1
         found = iteration.increment(self._pencil)
-        return self._size(h, *found) if isinstance(found, tuple) else self._size_told(h, found)
-
-    def _enough(self, h: float) -> float:
-        """What an increment of a constant step may move, m; found once a step."""
-        known = self._allowed
-        if known is None or known[0] is not self.state or known[1] != h:
-            self._allowed = known = self.state, h, self.norm.constant(h, self.state)
-        return known[2]
+        if isinstance(found, tuple):
+            return self._size(h, *found)
+        return self._size_told(h, found[:3].tolist(), float(np.sqrt(np.maximum.reduce(found[3:]))))

@@ -45,10 +45,11 @@ class StepEquations(Remembering):
     dense = True
     counters: ClassVar[dict[str, float]] = {}
 
-    def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
+    def __init__(self, system: System, form: Form, solver: StepSolver, acceleration: float = 0.0) -> None:
+        """``acceleration``: of the start, see :func:`.stiff_ties`."""
         self.system, self.form, self.solver = system, form, solver
         self.levels = len(form.levels) if system.n_lam else 0
-        self.stiff = stiff_ties(system)
+        self.stiff = stiff_ties(system, acceleration)
         if "driver looked for" in system.cache:
             use_driver(self.stiff.system)
         self.n_mult = self.levels * system.n_lam + len(self.stiff)
@@ -288,10 +289,12 @@ class StepEquations(Remembering):
         self._weighed = state
 
 
-def step_equations(system: System, form: Form, solver: StepSolver) -> Any:
-    """The equations of a step: with dense tangents, or by their action where there are elastic fields."""
+def step_equations(system: System, form: Form, solver: StepSolver, acceleration: float) -> Any:
+    """The equations of a step: with dense tangents, or by their action where there are elastic fields; ``acceleration``: of the
+    start (m/s^2).
+    """
     if not system.fields:
-        return StepEquations(system, form, solver)
+        return StepEquations(system, form, solver, acceleration)
     from .field_stages import FieldEquations
 
     return FieldEquations(system, form, solver)

@@ -62,7 +62,7 @@ class Corrector(ImplicitStepper):
         self.eq.begin(self.state)
         relax = self._prepare(t, p, c[0])
 
-        tolerance = self._newton_tolerance()
+        tolerance = self._newton_tolerance
         iteration = self._iteration(h, np.array([t]), p, Rule(c[:1, None], ALONE, ALONE, relax))
         last = 0.0
         for i in range(self.newton.max_iterations):
@@ -109,7 +109,7 @@ class Corrector(ImplicitStepper):
         if stalled if self.adaptive else stagnates:
             return 0.0, None
         patient = self.adaptive or i > 3
-        diverged = theta >= 0.95 and size > self._newton_tolerance() and patient
+        diverged = theta >= 0.95 and size > self._newton_tolerance and patient
         return size, "Newton diverged" if diverged else None
 
     def _prepare(self, t: float, p: Points, s: float) -> float:

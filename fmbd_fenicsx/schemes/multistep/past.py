@@ -52,17 +52,15 @@ def local(system: System, q0: Array, past: list[Past]) -> tuple[Array, Array, Ar
 
 def weights(nodes: Array, t: float) -> Array:
     """l_j(t) of (1), (k,)."""
-    return np.array([_product(nodes, t, (j,)) for j in range(len(nodes))])
-
-
-def _product(nodes: Array, t: float, without: tuple[int, ...]) -> float:
-    """l_j(t) less the factors of some nodes, of which j is the last."""
     every = [float(x) for x in nodes]  # a few numbers: Python is faster than arrays
-    node, made = every[without[-1]], 1.0
-    for i, other in enumerate(every):
-        if i not in without:
-            made *= (t - other) / (node - other)
-    return made
+    found = []
+    for node in every:
+        made = 1.0
+        for other in every:
+            if other != node:
+                made *= (t - other) / (node - other)
+        found.append(made)
+    return np.array(found)
 
 
 def slopes(nodes: Array, t: float) -> Array:
@@ -75,9 +73,7 @@ def slopes(nodes: Array, t: float) -> Array:
 
 def slopes_at_first(nodes: Array) -> Array:
     """l_j'(t) of (1) at the first of the nodes, 1/s, (k,)."""
-    t = float(nodes[0])
-    out = np.zeros(len(nodes))
-    for j in range(1, len(nodes)):
-        out[j] = _product(nodes, t, (0, j)) / (nodes[j] - t)
-    out[0] = -out[1:].sum()
-    return out
+    # l_j of the others there, over the way to it
+    t, others = float(nodes[0]), nodes[1:]
+    found = weights(others, t) / (others - t)
+    return np.concatenate(([-np.add.reduce(found)], found))

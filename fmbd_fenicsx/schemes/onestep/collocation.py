@@ -23,6 +23,7 @@ class Tableau:
     error: Array  # e_i, with error ~ y'_n + sum_i e_i (y_i - y_n) / h
     basis: Array  # (s + 1, s + 1): powers of t / h to Lagrange polynomials of 0, c
     stage_basis: Array  # (s, s): the same of c
+    middle: Array  # (s,): Lagrange polynomials of 0, c in the middle of a step, that of 0 left out
 
 
 @lru_cache
@@ -51,7 +52,8 @@ def tableau(stages: int) -> Tableau:
     nodes = np.append(0.0, c)
     bases = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
     double = np.where(values[keep].imag == 0, 1.0, 2.0)
-    return Tableau(c, W, values[keep].astype(complex), vectors[:, keep] * double, inverse, gamma, error, *bases)
+    middle = lagrange(nodes, np.array([0.5]))[0, 1:]
+    return Tableau(c, W, values[keep].astype(complex), vectors[:, keep] * double, inverse, gamma, error, *bases, middle)
 
 
 def lagrange(nodes: Array, x: Array) -> Array:

@@ -124,7 +124,7 @@ class RadauStepper(StageNewton):
         if m.reading:
             self._pencil = self._filter = None
             if self._tangent is not None and made[0]:
-                self._prepare(self._h_factor)
+                self._factor(self._h_factor)
                 self._filter = self._error_filter(self._h_factor) if made[1] else None
         super().remember(m)
 

@@ -21,8 +21,9 @@ from ...system.system import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
 from ..implicit.implicit_stepper import ImplicitStepper
-from .collocation import Tableau, lagrange
+from .collocation import Tableau
 
+Stages = tuple[Array, Array, Array]  # xi, v and multipliers of each
 LONGER = 1.2  # steps so much longer than that of a rate do not rely on it
 CAUTIOUS = 0.05  # with constant steps no rate below this is believed
 KEPT = 0.05  # rate up to which stages go on with the tangents that each has
@@ -39,22 +40,26 @@ class StageNewton(ImplicitStepper):
     _h_rate: float  # size of the step in which that was seen, s
     _filter: object  # of the error estimate, of the same tangent
 
-    def _refresh(self, h: float) -> None:
+    def _refresh(self, h: float, predicted: Stages) -> None:
         """Tangent in the middle of the step as predicted, where it serves all stages best."""
-        s, W = self.state, self.tab.W
-        xi, v, mult = self._predict(h)
-        weights = lagrange(np.concatenate(([0.0], self.tab.c)), np.array([0.5]))[0, 1:]
-        vd = (W @ (v - s.v) / h).mean(axis=0)
-        q = self.system.compose(s.q, weights @ xi)
-        self._tangent = self.eq.refresh(
-            State(s.t + 0.5 * h, q, s.v + weights @ (v - s.v), vd, s.lam), mult.mean(axis=0)
-        )
+        s, tab = self.state, self.tab
+        xi, v, mult = predicted
+        change, count = v - s.v, len(tab.c)
+        vd = np.add.reduce(tab.W @ change, axis=0) / (h * count)
+        q = self.system.compose(s.q, tab.middle @ xi)
+        at = State(s.t + 0.5 * h, q, s.v + tab.middle @ change, vd, s.lam)
+        self._tangent = self.eq.refresh(at, np.add.reduce(mult, axis=0) / count)
         self._fresh = True
         self._pencil = None
 
-    def _prepare(self, h: float) -> None:
+    def _prepare(self, h: float, predicted: Stages) -> None:
+        """Tangent and factors for a step of size h (s) with these stages."""
         if self._tangent is None:
-            self._refresh(h)
+            self._refresh(h, predicted)
+        self._factor(h)
+
+    def _factor(self, h: float) -> None:
+        """Factors for a step of size h (s)."""
         if self._pencil is not None and self._h_factor == h:
             return
         assert self._tangent is not None
@@ -67,19 +72,20 @@ class StageNewton(ImplicitStepper):
         """The stages of a step of size h, or the cause of failure."""
 
         def iterate() -> Points | str:
-            self._prepare(h)
-            return self._iterate(h)
+            predicted = self._predict(h)
+            self._prepare(h, predicted)
+            return self._iterate(h, predicted)
 
         return self._found(iterate)
 
-    def _iterate(self, h: float) -> Points | str:
+    def _iterate(self, h: float, predicted: Stages) -> Points | str:
         """With one tangent for all stages, as long as it converges."""
         tab = self.tab
         rule = Rule(tab.W / h, tab.inverse, tab.vectors)
         times = self.state.t + h * tab.c
-        stages = self.eq.aligned(times, rule.couple, self._stages(h, *self._predict(h)))
+        stages = self.eq.aligned(times, rule.couple, self._stages(h, *predicted))
         iteration = self._iteration(h, times, stages, rule)
-        tolerance = self._newton_tolerance()
+        tolerance = self._newton_tolerance
         last = 0.0
 
         for k in range(self.newton.max_iterations):
@@ -120,7 +126,7 @@ class StageNewton(ImplicitStepper):
         stalled = stalled or (stagnates and self._still)
         if stalled if self.adaptive else stagnates:
             size = 0.0
-        elif self._theta >= 0.99 and size > self._newton_tolerance() and (self.adaptive or k > 3):
+        elif self._theta >= 0.99 and size > self._newton_tolerance and (self.adaptive or k > 3):
             return size, "Newton diverged"
         return size, "Newton too slow" if self._hopeless(k, h, size) else None
 
@@ -137,10 +143,10 @@ class StageNewton(ImplicitStepper):
 
     def _hopeless(self, k: int, h: float, size: float) -> bool:
         """Whether error control had better take a smaller step than wait for the last iteration."""
-        if not self.adaptive or k <= 1 or size <= self._newton_tolerance():
+        if not self.adaptive or k <= 1 or size <= self._newton_tolerance:
             return False
         left = self.newton.max_iterations - 1 - k
-        return bool(self._share_left(k, h) * size * self._theta**left > self._newton_tolerance())
+        return bool(self._share_left(k, h) * size * self._theta**left > self._newton_tolerance)
 
     def _finished(self, h: float, found: Points) -> Points:
         points = self._stages(h, found.xi, found.v, found.mult)
@@ -152,7 +158,7 @@ class StageNewton(ImplicitStepper):
         a singular configuration directions of constraint forces turn within any step, however small.
         """
         try:
-            self._prepare(h)  # the error estimate needs a tangent in the middle
+            self._prepare(h, self._predict(h))  # the error estimate needs a tangent in the middle
             return self._full_newton(h)
         except (LinearSolveError, CallbackError, ConvergenceError, np.linalg.LinAlgError):
             return "linear solve failed"
@@ -167,6 +173,7 @@ class StageNewton(ImplicitStepper):
         if not self.eq.dense:
             return "Newton too slow"
         xi, v, mult = self._predict(h)
+        self._allow(h)
 
         # what is small enough, and what is as small as roundoff permits, after so many iterations
         enough, floor, calm = 1.0, STAGNATION, 1
@@ -222,7 +229,7 @@ class StageNewton(ImplicitStepper):
         W = self.tab.W / h
         return Points(xi, W @ xi, v, W @ (v - self.state.v), mult)
 
-    def _predict(self, h: float) -> tuple[Array, Array, Array]:
+    def _predict(self, h: float) -> Stages:
         """Stages on the polynomial of the last step, or on the parabola at the start."""
         s, c = self.state, self.tab.c
         if self._last is None:

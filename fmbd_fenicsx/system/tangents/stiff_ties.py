@@ -24,7 +24,7 @@ from ...rotations import Array
 from ..evaluation import Evaluation
 from ..system import System
 
-STIFF = 1e6  # a spring is a tie where its weight stretches it by a smaller share of the model's length
+STIFF = 1e6  # a spring is a tie where the lightest body's weight stretches it by a smaller share of the model's length
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +61,20 @@ class StiffTies:
         return np.asarray(self.stiffness * gap[:, self.ties] + self.damping * rate[:, self.ties] - efforts)
 
 
-def stiff_ties(system: System) -> StiffTies:
-    """Those of a system; the system itself where it has none."""
+def stiff_ties(system: System, acceleration: float) -> StiffTies:
+    """Those of a system, chosen once; the system itself where it has none. ``acceleration`` (m/s^2): of its start, for scenes
+    without gravity.
+    """
+    if "stiff ties" not in system.cache:
+        system.cache["stiff ties"] = _stiff_ties(system, acceleration)
+    made: StiffTies = system.cache["stiff ties"]
+    return made
+
+
+def _stiff_ties(system: System, acceleration: float) -> StiffTies:
+    weight = _lightest(system) * (float(np.linalg.norm(system.gravity(np.inf))) or acceleration)
     linear = (loads for loads in system.forces if type(loads) is ScalarLoads)
-    springs = tuple((loads, which) for loads in linear if len(which := _stiff(system, loads)))
+    springs = tuple((loads, which) for loads in linear if len(which := _stiff(system, loads, weight)))
     if not springs:
         none = np.zeros(0)
         return StiffTies(system, np.arange(system.n_lam), np.zeros(0, dtype=int), none, none, ())
@@ -101,12 +111,16 @@ def _standing(s: float) -> Motion:
     return lambda t: (s, 0.0, 0.0)
 
 
-def _stiff(system: System, loads: ScalarLoads) -> np.ndarray:
-    """Which of some loads are linear springs along lines that turn, much stiffer than what gravity asks of them."""
+def _lightest(system: System) -> float:
+    """The smallest mass of a rigid body, kg."""
+    masses = [system.mass] if system.rigid is None else [*system.rigid.mass, system.mass]
+    return float(np.min(masses))
+
+
+def _stiff(system: System, loads: ScalarLoads, weight: float) -> np.ndarray:
+    """Which of some loads are linear springs along lines that turn, much stiffer than what a weight (N) asks of them."""
     if not isinstance(loads.relative, Separation | Slide):
         return np.zeros(0, dtype=int)
-    masses = [system.mass] if system.rigid is None else [*system.rigid.mass, system.mass]
-    weight = float(np.min(masses)) * float(np.linalg.norm(system.gravity(np.inf)))
     linear = np.array([force.law is None for force in loads.forces])
     return np.flatnonzero(linear & (loads.k * system.length > STIFF * weight))
 

@@ -162,7 +162,7 @@ class StageRoom:
 
     def points(self) -> tuple[Array, ...]:
         """xi, its rate, v, its rate and multipliers of the points, the caller's own."""
-        return tuple(self.arrays[name].copy() for name in ("xi", "rate", "v", "vd", "mult"))
+        return tuple([self.arrays[name].copy() for name in ("xi", "rate", "v", "vd", "mult")])
 
     @property
     def left(self) -> Array:
