@@ -35,7 +35,8 @@ class SparsePencil:
     def increment(self) -> bool:
         """One increment of the points in the room; False where NumPy has something to say."""
         room, judge = self.room, self.judge
-        if not room.increment():
+        room.states.anew = True
+        if not room.states.ask(room.states.library.driver_stage_increment, room.address):
             return False
         judge.check(float(room.judged[0]), float(room.judged[1]), OPEN_ROWS)
         judge.solves += len(self.s) - 1

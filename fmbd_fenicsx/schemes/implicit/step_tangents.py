@@ -195,7 +195,7 @@ class SparseTangents(Remembering):
         """Solver of the stages for the frequencies s, (p,); rows do not depend on each other."""
         assert not redundant
         # a frequency of a complex pair belongs to two points
-        key = len(s), len(s) + int(np.count_nonzero(s.imag))
+        key = len(s), len(s) + int(np.add.reduce(s.imag != 0.0))
         if key not in self._rooms:
             self._rooms[key] = StageRoom(self.structure, *key)
         return SparsePencil(tangent, s, judge, self._rooms[key])

@@ -306,4 +306,4 @@ class RadauStepper(StageNewton):
         e_q, e_v = errors.reshape(2, -1)
         # joints and ties that hold the same body cancel
         pushed = [x[0] for x in (self.eq.pushes(e_m), self.eq.pulls(e_m)) if x is not None]
-        return self._error_size(h, e_q, e_v, np.sum(pushed, axis=0) if pushed else None)
+        return self._error_size(h, e_q, e_v, np.add.reduce(pushed) if pushed else None)

@@ -40,12 +40,16 @@ class Sizes:
         numbers = np.arange(n * m.n_twist).reshape(n, m.n_twist)
         return numbers[:, : m.dim].ravel(), numbers[:, m.dim :].ravel()
 
+    @cached_property
+    def _ones(self) -> Array:
+        return np.ones(self.system.n_core)
+
     def positions(self, q: Array) -> Array:
         """Size of each replicated coordinate, (n_core,): the model's length, one radian, or a coordinate's own size, which is a
         thousandth of the largest of its body at least, and what moves it by a millionth of the model's length.
         """
         s = self.system
-        out = np.ones(s.n_core)
+        out = self._ones.copy()
         out[self.blocks[0]] = s.length
         for k, _ in s.core_parts:
             unit = s.units[s.slices[1][k]]
@@ -61,7 +65,7 @@ class Sizes:
         s = self.system
         fastest = float(np.abs(s.units[: s.n_core] * a[: s.n_core]).max(initial=0.0))
         least = 0.1 * np.sqrt(fastest * s.length) or 1e-2  # m/s
-        out = np.ones(s.n_core)
+        out = self._ones.copy()
         for block, arm in zip(self.blocks, (1.0, s.length), strict=True):
             out[block] = max(float(np.abs(v[block]).max(initial=0.0)), least / arm)
         for k, _ in s.core_parts:

@@ -15,7 +15,7 @@ import numpy as np
 from ....rotations import Array
 from ...sparsity import Pattern, Product
 from ...tangents.step_tangent import StepTangent
-from ..tables.structures import address_of
+from ..tables.structures import address_of, addresses_of
 from .couplings import Couplings
 from .exchange import Exchange
 
@@ -154,8 +154,8 @@ class StageStructure:
     def turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
         """d rate(xi, v) / d xi, and T with v = T rate(xi, v): data of their pattern."""
         J, T = np.empty((2, len(self.couplings.turns)))
-        places = [address_of(np.ascontiguousarray(x)) for x in (xi, v, J, T)]
-        self.states.library.driver_stage_turning(self.states.address, *places)
+        given = [np.ascontiguousarray(x) for x in (xi, v)]  # alive until C is done
+        self.states.library.driver_stage_turning(self.states.address, *addresses_of((*given, J, T)))
         return J, T
 
     def inverse_masses(self, M: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from ....rotations import Array
 from ...sparsity import Pattern
 from ...tangents.step_tangent import StepTangent
-from ..tables.structures import address_of, enumeration, zeros_of
+from ..tables.structures import address_of, addresses_of, enumeration, zeros_of
 from .stage_patterns import StageStructure
 
 SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
@@ -144,8 +144,7 @@ class StageRoom:
         p, n, multipliers = len(kin), self.structure.n, self.structure.size - self.structure.n
         given = [np.ascontiguousarray(x, dtype=complex) for x in (kin, low)]
         change, mult, judged = np.empty((p, 2 * n), complex), np.empty((p, multipliers), complex), np.empty((p, 2))
-        places = [address_of(x) for x in (*given, change, mult, judged)]
-        self.states.library.driver_stage_solve(self.address, p, *places)
+        self.states.library.driver_stage_solve(self.address, p, *addresses_of((*given, change, mult, judged)))
         return change, mult, judged
 
     def put(self, t: Array, q0: Array, points: Any, inverse_mass: Array, given: tuple[Rule, Array]) -> None:
@@ -169,8 +168,3 @@ class StageRoom:
         """What the last point left of the first rows, (m,)."""
         n, m = self.structure.n, self.structure.m
         return self.arrays["low"][-1, n : n + m] if self.structure.levels else np.zeros(m)
-
-    def increment(self) -> bool:
-        """One increment of the points that stand in the arrays; False where NumPy has something to say."""
-        self.states.anew = True
-        return self.states.ask(self.states.library.driver_stage_increment, self.address)
