@@ -53,7 +53,9 @@ def tableau(stages: int) -> Tableau:
     bases = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
     double = np.where(values[keep].imag == 0, 1.0, 2.0)
     middle = lagrange(nodes, np.array([0.5]))[0, 1:]
-    return Tableau(c, W, values[keep].astype(complex), vectors[:, keep] * double, inverse, gamma, error, *bases, middle)
+    return Tableau(
+        c, W, values[keep].astype(complex), vectors[:, keep] * double, inverse, gamma, error, *bases, middle=middle
+    )
 
 
 def lagrange(nodes: Array, x: Array) -> Array:
