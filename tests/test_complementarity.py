@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.linear.complementarity import coulomb
 from fmbd_fenicsx.linear.complementarity.active_set import ContactCounts
 from fmbd_fenicsx.linear.complementarity.coulomb import _lemke, solve_friction
 from fmbd_fenicsx.linear.complementarity.normal import solve_normal
@@ -149,3 +151,38 @@ def test_corners_that_cannot_all_touch(seed: int) -> None:
     x = solve_friction(W, q, np.full(4, mu), np.zeros((4, 3)), counts)
     check_coulomb((W, q, mu), x, counts)
     assert counts.iterations < 100
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_heaps_that_do_not_touch_are_problems_of_their_own(d: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each point's group is solved with its own rows of W alone; the forces solve the whole."""
+    W = np.zeros((6 * d, 6 * d))
+    groups = ([0, 2, 5], [1, 4], [3])
+    for k, group in enumerate(groups):
+        rows = np.array([d * i + a for i in group for a in range(d)])
+        W[np.ix_(rows, rows)] = matrix(k, len(rows))
+    q = -np.random.default_rng(3).uniform(0.1, 1.0, (6, d))
+    assert [list(x) for x in coulomb.independent(W, d)] == [list(x) for x in sorted(groups)]
+
+    sizes, solved = [], coulomb.solved
+    monkeypatch.setattr(coulomb, "solved", lambda p, *args: (sizes.append(len(p.q)), solved(p, *args))[1])
+    counts = ContactCounts()
+    check_coulomb((W, q, 0.4), solve_friction(W, q, np.full(6, 0.4), np.zeros((6, d)), counts), counts)
+    assert sizes == [3, 2, 1]
+
+
+def test_what_compiled_code_has_tried_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a problem that it refused: pivoting before proximal points from the forces given."""
+    tried = []
+
+    def failed(problem: coulomb.Coulomb, x: np.ndarray, rho: float, counts: ContactCounts) -> tuple[float, np.ndarray]:
+        tried.append((bool(x.any()), rho))
+        return 1.0, x
+
+    monkeypatch.setattr(coulomb, "_proximal_points", failed)
+    W, q = matrix(1, 6), -np.ones((2, 3))
+    for kind, order in ((coulomb.Coulomb, [0, 1, 2, 2]), (coulomb.Refused, [0, 2, 2, 1])):
+        tried.clear()
+        with pytest.raises(ConvergenceError):
+            solve_friction(W, q, np.full(2, 0.3), np.zeros((2, 3)), ContactCounts(), kind)
+        assert tried == [[(False, 0.0), (False, 1e-4), (True, 1e-4)][k] for k in order]

@@ -1,6 +1,6 @@
 """Scenes of rigid contact: CPU time of a step by the difference of two runs, and the share of steps that compiled code made.
 
-Run:  ./with-dolfinx python3 tests/benchmarks/contact_cost.py [--repeat 3]
+Run:  ./with-dolfinx python3 tests/benchmarks/contact_cost.py [--repeat 3] [--scene WORD]
 """
 
 import argparse
@@ -70,6 +70,28 @@ def board():
     return on_floor(body, fmbd.corners(body, [(x, -0.05) for x in np.linspace(-0.5, 0.5, 280)]), friction=0.3)
 
 
+def hopper():
+    """Twelve balls that fall into a hopper, where they lie on each other with friction."""
+    r, n, half = 0.05, 12, 0.15
+    places = [(0.13 * (i % 2) - 0.06, 0.13 * (i // 2 % 2) - 0.07, 0.3 + 0.13 * (i // 4)) for i in range(n)]
+    balls = [fmbd.RigidBody(f"ball {i}", 1.0, (0.4 * r * r,) * 3, place) for i, place in enumerate(places)]
+    walls = [fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1)))]
+    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        steep = np.array((-x, -y, 0.8)) / np.hypot(1.0, 0.8)
+        walls.append(fmbd.Obstacle(f"wall {x} {y}", fmbd.HalfSpace((half * x, half * y, 0.8 * half), tuple(steep))))
+
+    scene = fmbd.Scene("hopper", gravity=(0, 0, -G))
+    scene.add(*balls)
+    law = {"friction": 0.3, "restitution": 0.2}
+    for i, one in enumerate(balls):
+        for other in walls:
+            scene.add(fmbd.contact(f"{i} on {other.name}", fmbd.ball(one, r), other, **law))
+        for j in range(i):
+            other = fmbd.Obstacle(f"{j} for {i}", fmbd.Sphere(r), on=balls[j])
+            scene.add(fmbd.contact(f"{i} on {j}", fmbd.ball(one, r), other, **law))
+    return scene
+
+
 SCENES = {
     "ball": (ball, 1e-3),
     "rolling cylinder": (cylinder, 1e-3),
@@ -77,6 +99,7 @@ SCENES = {
     "cam": (cam, 1e-3),
     "belt": (belt, 1e-3),
     "board": (board, 1e-3),
+    "hopper": (hopper, 1e-3),
 }
 
 
@@ -93,8 +116,9 @@ def main():
     """One line a scene."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--scene", default="")
     given = parser.parse_args()
-    for name, (make, h) in SCENES.items():
+    for name, (make, h) in ((name, x) for name, x in SCENES.items() if given.scene in name):
         seconds(make, h, 20)
         rows = []
         for _ in range(given.repeat):

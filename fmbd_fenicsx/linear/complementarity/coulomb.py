@@ -22,7 +22,7 @@ from ...errors import ConvergenceError
 from ...rotations import Array
 from .active_set import ContactCounts, solve_least
 
-ATTEMPTS = ((0, 0.0), (0, 1e-4), (16, 1e-4))
+ATTEMPTS = ((0, 0.0), (0, 1e-4), (8, 1e-4), (16, 1e-4))
 """Tried in turn: facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""
 FOUND = 1e-12  # residual of a solution, of the largest force
 ACCEPTED = 1e-10  # the same where roundoff in W (an elastic step of many wave transits) allows no better
@@ -33,21 +33,40 @@ PAINLEVE = (
 SHORTEST = 1e-2  # share of a Newton step below which the line search takes it
 
 
-def solve_friction(W: Array, q: Array, mu: Array, start: Array, counts: ContactCounts) -> Array:
+def solve_friction(
+    W: Array, q: Array, mu: Array, start: Array, counts: ContactCounts, kind: type[Coulomb] | None = None
+) -> Array:
     """Forces (m, d): normal, then tangential, of (1) and (2). W (m d, m d) and q (m, d) in blocks of
-    components by point.
+    components by point. ``kind``: :class:`Refused` for a problem that compiled code has not solved.
 
-    Newton's method from ``start``; where it fails, because contacts depend on each other, proximal points (3); where
-    friction and normal forces are strongly coupled, the same from the forces of pivoting.
+    Contacts that share no body, nor bodies joined to each other, are problems of their own: what is hard in one heap is not
+    asked of all. Newton's method from ``start``; where it fails, because contacts depend on each other, proximal points (3);
+    where friction and normal forces are strongly coupled, the same from the forces of pivoting.
 
     Raises:
         ConvergenceError: no solution found; with large friction none may exist (Painleve) and an impact law
         is needed.
     """
     m, d = q.shape
+    parts = independent(W, d)
+    if len(parts) > 1:
+        out = np.zeros((m, d))
+        for part in parts:
+            rows = (part[:, None] * d + np.arange(d)).ravel()
+            out[part] = solve_friction(W[np.ix_(rows, rows)], q[part], mu[part], start[part], counts, kind)
+        return out
     c = np.stack([1.0 / np.maximum(np.diag(W)[k::d], 1e-300) for k in range(d)], axis=1)
     c[:, 1:] = c[:, 1:].min(axis=1)[:, None]
-    return solved(Coulomb(W, q, mu, c), start, counts)
+    return solved((kind or Coulomb)(W, q, mu, c), start, counts)
+
+
+def independent(W: Array, d: int) -> list[np.ndarray]:
+    """Groups of points between which W (m d, m d) is zero, each ascending, in the order of their first ones."""
+    from scipy.sparse.csgraph import connected_components
+
+    m = len(W) // d
+    count, label = connected_components((W.reshape(m, d, m, d) != 0.0).any(axis=(1, 3)), directed=False)
+    return [np.flatnonzero(label == k) for k in range(count)]
 
 
 def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
@@ -204,6 +223,15 @@ class Coulomb:
         """Newton's step of the forces."""
         W = self.W + np.diag(np.broadcast_to(self.shift, it.x.shape).ravel())
         return solve_least(_blocks(it.dx) + _blocks(it.du) @ W, -it.F.ravel()).reshape(it.x.shape)
+
+
+class Refused(Coulomb):
+    """A problem whose first attempts compiled code has made (driver/friction.c) without a solution.
+
+    Least steps by singular values may still find one; proximal points, which fail after many iterations, come behind pivoting.
+    """
+
+    attempts: ClassVar[tuple[tuple[int, float], ...]] = (ATTEMPTS[0], *ATTEMPTS[2:], ATTEMPTS[1])
 
 
 def _proximal_points(problem: Coulomb, x: Array, rho: float, counts: ContactCounts) -> tuple[float, Array]:

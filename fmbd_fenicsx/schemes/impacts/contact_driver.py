@@ -64,6 +64,12 @@ class Tally(ctypes.Structure):
     _fields_ = [*_fields("solves iterations changes cycles steps newton impacts", LONG), ("residual", REAL)]
 
 
+class Problem(ctypes.Structure):
+    """The structure Problem."""
+
+    _fields_ = _fields("W q f mu", POINTER)
+
+
 class Contacts(ctypes.Structure):
     """The structure Contacts."""
 
@@ -76,9 +82,9 @@ class Contacts(ctypes.Structure):
         *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
         *_fields("energy springs time last", REAL),
         ("loaded", INT),
-        *_fields(
-            "rows drift rate before rebound W q f mu Y work least ahead xi kept saved was rested path own", POINTER
-        ),
+        *_fields("rows drift rate before rebound W q f mu Y work least", POINTER),
+        ("part", Problem),
+        *_fields("group ahead xi kept saved was rested path own", POINTER),
         *_fields("size most done total parts", INT),
         ("system", POINTER),
         ("tally", Tally),
@@ -122,6 +128,11 @@ def known(contacts: ContactSet, pair: Any) -> bool:
     if type(pair) is LimitPair:
         return not isinstance(pair.relative, ExpressedCoordinate)
     return type(pair) is ObstaclePair and pair.slave.trace not in contacts.on_fields
+
+
+def numbers(address: int, size: int) -> Array:
+    """So many numbers at an address, as C sees them."""
+    return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(REAL)), (size,))
 
 
 class ContactDriver:
@@ -171,16 +182,19 @@ class ContactDriver:
             "kept": self.m + 1, "own": m * (1 + 2 * d),
             "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.impacts + 2) * block_size(s),
         }  # fmt: skip
-        counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m}
+        counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m, "group": 2 * room}
+        sizes |= {f"part {name}": sizes[name] for name in ("W", "q", "f", "mu")}
         self.arrays.update({name: np.zeros(size) for name, size in sizes.items()})
         places = {name: self.arrays[name].ctypes.data for name in sizes}
+        part = {name: places.pop(f"part {name}") for name in ("W", "q", "f", "mu")}
         return Contacts(
             pairs=len(contacts.pairs), points=m, components=k, known=0, room=room, pair=ctypes.addressof(self.pairs),
             stops=len(self.stops), wide=wide, on=self._array("on", on, np.int32),
             of=self._array("of", contacts.pair, np.int32), place=self._array("place", place),
             **{name: self._array(name, np.zeros(size), np.int32) for name, size in counts.items()},
             now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
-            loaded=int(bool(s.forces)), size=self.n, most=2 * self.impacts, system=ctypes.addressof(self.tables.c), **places,
+            loaded=int(bool(s.forces)), size=self.n, most=2 * self.impacts, system=ctypes.addressof(self.tables.c),
+            part=Problem(**part), **places,
         )  # fmt: skip
 
     def _touch(self, name: str, m: int, d: int) -> TouchStructure:
@@ -291,18 +305,19 @@ class ContactDriver:
         distances[mine], gradients.reshape(m, d)[mine] = shape.evaluate(places.reshape(m, d)[mine].copy())
 
     def _forces(self, m: int) -> None:
-        """Forces of m contacts with the matrix W and the openings q without force."""
-        x, d = self.arrays, self.c.components
+        """Forces of a group of m contacts with the matrix W and the openings q without force."""
+        c, d = self.c, self.c.components
         n = m * d
-        W = x["W"][: n * n].reshape(n, n)
-        q = x["q"][:n]
-        f = x["f"][:n].copy()
+        W = numbers(c.W, n * n).reshape(n, n)
+        q = numbers(c.q, n)
+        f = numbers(c.f, n).copy()
         opening, counts = q + W @ f, ContactCounts()
         if d > 1:
-            found = frictional_forces(W, opening, x["mu"][:m], f.reshape(m, d), counts)
+            tried = m <= CLOSED
+            found = frictional_forces(W, opening, numbers(c.mu, m), f.reshape(m, d), counts, refused=tried)
         else:
             found = normal_forces(W, opening, f, counts)
-        x["f"][:n] = found.ravel()
+        numbers(c.f, n)[:] = found.ravel()
 
         tally = self.c.tally
         tally.solves += counts.solves
@@ -346,11 +361,9 @@ class ContactDriver:
         m = self.c.points
         d = self.system.motions.dim
 
-        def read(address: int, size: int) -> Array:
-            return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(REAL)), (size,)).copy()
-
         now = self.c.now
-        return read(now.gap, m), read(now.x, m * d).reshape(m, d), read(now.normal, m * d).reshape(m, d)
+        places, normals = (numbers(at, m * d).reshape(m, d).copy() for at in (now.x, now.normal))
+        return numbers(now.gap, m).copy(), places, normals
 
 
 def contact_driver(system: System, *, redundant: bool, impacts: int) -> ContactDriver | None:

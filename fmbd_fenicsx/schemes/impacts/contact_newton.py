@@ -82,13 +82,17 @@ def normal_forces(W: Any, gap: Array, force: Array, counts: ContactCounts) -> Ar
     return np.asarray(W.complementary(gap, force, counts))
 
 
-def frictional_forces(W: Any, gap: Array, mu: Array, force: Array, counts: ContactCounts) -> Array:
-    """Forces (m, d) of Coulomb's law for gaps and slips gap + W (f - force); frictionless scenes import none of this."""
+def frictional_forces(
+    W: Any, gap: Array, mu: Array, force: Array, counts: ContactCounts, *, refused: bool = False
+) -> Array:
+    """Forces (m, d) of Coulomb's law for gaps and slips gap + W (f - force); frictionless scenes import none of this.
+    ``refused``: compiled code has not found them.
+    """
     q = (gap - W @ force.ravel()).reshape(force.shape)
     if isinstance(W, np.ndarray):
-        from ...linear.complementarity.coulomb import solve_friction
+        from ...linear.complementarity.coulomb import Coulomb, Refused, solve_friction
 
-        return solve_friction(W, q, mu, force, counts)
+        return solve_friction(W, q, mu, force, counts, Refused if refused else Coulomb)
     from ...linear.complementarity.coulomb_matrix_free import solve_many
 
     return solve_many(W, q, mu, force, counts)

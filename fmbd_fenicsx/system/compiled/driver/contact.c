@@ -34,6 +34,11 @@ typedef struct {
     double residual;
 } Tally;
 
+/* The small problem of closed contacts: openings q + W f, friction mu. */
+typedef struct {
+    double *W, *q, *f, *mu;
+} Problem;
+
 typedef struct {
     int pairs, points, components, known;     /* known: whether ``now`` is that of the newest state */
     int room;                                 /* contacts that may be closed at once */
@@ -52,6 +57,8 @@ typedef struct {
     double *before, *rebound;                 /* of closed contacts: rates before a part; what normals that bounce come back with */
     double *W, *q, *f, *mu, *Y, *work;        /* the small problem; A^-1 L^T; see moreau.c */
     double *least;                            /* room for friction.c */
+    Problem part;                             /* that of a group of contacts which move each other; */
+    int *group;                               /* these, and room for as many */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
     double *saved;                            /* held, impulse and works at the start of a step */
     int *was;                                 /* carrying then */

@@ -28,11 +28,68 @@ static void compliance(System *s, Contacts *c, const int *closed, int m)
         for (int k = 0; k < r; k++) c->W[r * n + k] = c->W[k * n + r] = 0.5 * (c->W[r * n + k] + c->W[k * n + r]);
 }
 
-/* Impulses of the m closed contacts for the openings c->q without any, from ``start``; 1 where they are not found. */
+/* Whether the forces of one closed contact move another: they share a body, or bodies that are joined. */
+static int coupled(const Contacts *c, int n, int i, int k)
+{
+    const int d = c->components;
+    for (int a = 0; a < d; a++)
+        for (int b = 0; b < d; b++)
+            if (c->W[(i * d + a) * n + k * d + b] != 0.0) return 1;
+    return 0;
+}
+
+/* Contacts of the group that ``first`` belongs to into c->group, ascending: how many; they are taken off those that are ``left``. */
+static int group_of(Contacts *c, int m, int first, int *left)
+{
+    const int n = m * c->components;
+    int count = 1, found = 0, *group = c->group;
+    group[0] = first;
+    left[first] = 0;
+    for (int done = 0; done < count; done++)
+        for (int k = first + 1; k < m; k++)
+            if (left[k] && coupled(c, n, group[done], k)) group[count++] = k, left[k] = 0;
+    if (count == 1) return 1;
+
+    for (int k = 0; k < count; k++) left[group[k]] = -1;
+    for (int k = first; k < m; k++)
+        if (left[k] < 0) group[found++] = k, left[k] = 0;
+    return count;
+}
+
+/* Forces of m contacts that move each other; 1 where they are not found. */
+static int forces_of_group(Contacts *c, int m, double t)
+{
+    return contact_forces(c, m) && frictional_forces(c, m) && c->python(COMPLEMENTARITY, m, t);
+}
+
+/* Impulses of the m closed contacts for the openings c->q without any, from ``start``; 1 where they are not found. Groups that do not
+   move each other are problems of their own where there is friction: what is hard in one heap is not asked of all. */
 static int impulses(Contacts *c, int m, const double *start, double t)
 {
-    memcpy(c->f, start, m * c->components * sizeof(double));
-    return contact_forces(c, m) && frictional_forces(c, m) && c->python(COMPLEMENTARITY, m, t);
+    const int d = c->components, n = m * d;
+    const Problem whole = {c->W, c->q, c->f, c->mu}, part = c->part;
+    int refused = 0, *group = c->group, *left = group + m;
+    for (int k = 0; k < m; k++) left[k] = 1;
+    for (int first = 0; first < m && !refused; first++) {
+        if (!left[first]) continue;
+        int count = d > 1 ? group_of(c, m, first, left) : m;
+        if (count == m) {
+            memcpy(c->f, start, n * sizeof(double));
+            return forces_of_group(c, m, t);
+        }
+        for (int i = 0; i < count * d; i++) {
+            int row = group[i / d] * d + i % d;
+            part.q[i] = whole.q[row];
+            part.f[i] = start[row];
+            for (int k = 0; k < count; k++) memcpy(part.W + (i * count + k) * d, whole.W + row * n + group[k] * d, d * sizeof(double));
+        }
+        for (int k = 0; k < count; k++) part.mu[k] = whole.mu[group[k]];
+        c->W = part.W, c->q = part.q, c->f = part.f, c->mu = part.mu;
+        refused = forces_of_group(c, count, t);
+        c->W = whole.W, c->q = whole.q, c->f = whole.f, c->mu = whole.mu;
+        for (int i = 0; i < count * d; i++) c->f[group[i / d] * d + i % d] = part.f[i];
+    }
+    return refused;
 }
 
 /* The rebound of the closed contact k with a share of those that approach. */
