@@ -14,9 +14,10 @@ from tolerance_scenes import fe_crank
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import LinearSolveError
+from fmbd_fenicsx.linear import frequency_solvers
 from fmbd_fenicsx.linear.blocks.complex_factor import ComplexFactor
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.linear.frequency_solvers import DECADE, SETTLED, FrequencySolvers
+from fmbd_fenicsx.linear.frequency_solvers import DECADE, KEPT, LARGE_KEPT, SETTLED, FrequencySolvers
 from fmbd_fenicsx.linear.residual import Judge
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.schemes.implicit.field_stages import ROUNDED_UP, FieldEquations
@@ -103,6 +104,26 @@ def test_frequencies_get_factors_when_they_come_back(rod_mesh: Callable[..., Any
     assert found[-1].weights == found[-2].weights
     assert found[-1].weights.ck == pytest.approx(S**-2)
     assert found[0].weights.ck == pytest.approx(500.0**-2)
+
+
+def test_large_bodies_have_no_complex_factors(rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their memory has a bound: real factors and an iteration serve every frequency, with the same motion."""
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.2))
+    system = scene.build()[0]
+    entries = system.fields[0][1].field.K.getInfo()["nz_used"]
+    runs = []
+    for most in (entries, entries - 1):
+        monkeypatch.setattr(frequency_solvers, "ENTRIES", most)
+        solvers = FrequencySolvers(system, StepSolver(system))
+        solvers.settles = True
+        found = [solvers.of(S) for _ in range(SETTLED + 3)]
+        assert found[-1].exact == (most == entries)
+        assert solvers.real.elastic.kept == (KEPT if most == entries else LARGE_KEPT)
+        runs.append(fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=fmbd.Radau(3, rtol=None)))
+
+    few, many = (run.counters["stage_iterations"] for run in runs)
+    assert many > 2 * few
+    np.testing.assert_allclose(runs[1]["tip"], runs[0]["tip"], atol=1e-8)
 
 
 def test_steps_keep_to_a_grid(rod_mesh: Callable[..., Any]) -> None:

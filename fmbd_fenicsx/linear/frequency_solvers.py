@@ -1,8 +1,8 @@
 """Solvers of a constrained system for motions exp(s t): with M + C / s + K / s^2 for real and complex frequencies s (1/s).
 
 Implicit schemes of several stages ask for a few frequencies, over the size of the step. Those that come back step after step get
-elastic factors of their own, complex ones too, so that no vibration is left to an iteration, however stiff it is. Others take the
-real factor whose frequency is next to |s|, of a geometric grid of three for a decade.
+elastic factors of their own, complex ones too, so that no vibration is left to an iteration, however stiff it is. Others, and all
+of large bodies, take the real factor whose frequency is next to |s|, of a geometric grid of three for a decade.
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ SAME = 1e-8  # relative difference below which frequencies are the same: steps o
 SETTLED = 4  # times that a frequency is asked for before it gets factors of its own
 MANY = 32  # frequencies that are remembered
 KEPT = 12  # sets of elastic factors, that of the mass included
+LARGE_KEPT = 5  # the same of large bodies: those of a decade, one more and the mass
+# of the matrices of all fields, up to which there are complex factors: measured, these have four entries for each of them in the
+# plane and six in space (450 000 entries, 39 MB), and more in larger bodies
+ENTRIES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class FrequencySolvers(Remembering):
 
     def __init__(self, system: System, solver: StepSolver) -> None:
         self.real = solver
-        solver.elastic.kept = KEPT
+        solver.elastic.kept = KEPT if _entries(system) <= ENTRIES else LARGE_KEPT
         self.settles = False
         self.asked: list[tuple[complex, int]] = []  # the last frequencies, and how often
         self.anchor: float | None = None  # first frequency of the grid, 1/s
@@ -91,7 +95,12 @@ class FrequencySolvers(Remembering):
 
 
 def _sparse_blocks(system: System) -> bool:
-    """Whether all elastic blocks are sparse matrices of displacements on one rank."""
+    """Whether all elastic blocks are sparse matrices of displacements on one rank, with few entries."""
     parts = [part for _, part in system.fields]
     sparse = all(p.slack is None and p.heavier is None and not (p.field.mixed or p.field.carried) for p in parts)
-    return sparse and system.comm.size == 1 and not system.elements
+    return sparse and system.comm.size == 1 and not system.elements and _entries(system) <= ENTRIES
+
+
+def _entries(system: System) -> float:
+    """Of the matrices of all fields, on all ranks."""
+    return float(sum(p.field.M.getInfo()["nz_used"] * p.field.dim**2 for _, p in system.fields))
