@@ -190,7 +190,7 @@ class ScalarLoads(Loads):
         """The laws of the user's own of some forces, (m,): N at their elongations and rates (.., m)."""
         key = which.tobytes()
         if key not in self._together:
-            self._together[key] = LawsTogether([self.laws[i] for i in which])
+            self._together[key] = LawsTogether([self.laws[i] for i in which], self.relative.size(self.length))
         return self._together[key]
 
     def slopes(self, which: np.ndarray, s: Array, rate: Array, t: float) -> tuple[Array, Array]:

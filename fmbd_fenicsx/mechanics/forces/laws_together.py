@@ -26,7 +26,7 @@ from ...rotations import Array
 from .user_laws import Repeatable
 
 FEW = 8  # numbers: below it Python is faster with each of them
-STEP, LEAST = 1e-6, 1e-3  # of differences, relative to s and s'; the least size of these (m or rad, and a second)
+STEP, LEAST = 1e-6, 1e-3  # of differences, relative to s and s'; the least size of these (of the model, and that a second)
 SAME = 1e-9  # relative, of arrays against numbers: their functions may round in other ways
 GAUSS = (0.5 - 0.15**0.5, 5 / 18), (0.5, 4 / 9), (0.5 + 0.15**0.5, 5 / 18)  # points and weights, of means over a step
 _content = attrgetter("cell_contents")
@@ -42,10 +42,10 @@ def mean_effort(law: Callable[[Array, Array], Array], begun: Array, rate: Array,
 
 
 class LawsTogether:
-    """The laws of n elements."""
+    """The laws of n elements; ``size``: what elongations may be, m or rad."""
 
-    def __init__(self, laws: Sequence[Repeatable]) -> None:
-        self.laws = laws
+    def __init__(self, laws: Sequence[Repeatable], size: float = 1.0) -> None:
+        self.laws, self.least = laws, LEAST * size
         kinds: dict[Hashable, list[int]] = {}
         for i, law in enumerate(laws):
             kinds.setdefault(_kind(law.function), []).append(i)
@@ -66,9 +66,9 @@ class LawsTogether:
         """dN/ds and dN/ds', (n,), by central differences in steps of the size of s and s'."""
         if 2 * len(self.laws) < FEW:
             at = zip(self.laws, map(float, s), map(float, rate), strict=True)
-            each = [_slopes(law.number, x, v, t) for law, x, v in at]
+            each = [_slopes(law.number, (x, v, t), self.least) for law, x, v in at]
             return tuple(np.array(each).T)  # type: ignore[return-value]
-        hs, hv = STEP * np.maximum(np.abs(s), LEAST), STEP * np.maximum(np.abs(rate), LEAST)
+        hs, hv = STEP * np.maximum(np.abs(s), self.least), STEP * np.maximum(np.abs(rate), self.least)
         asked = np.array((s + hs, s - hs, s, s)), np.array((rate, rate, rate + hv, rate - hv))
         longer, shorter, faster, slower = self(*asked, t)
         return (longer - shorter) / (2 * hs), (faster - slower) / (2 * hv)
@@ -133,9 +133,12 @@ def _alone(laws: Sequence[Repeatable], s: Array, rate: Array, t: float) -> Array
     return np.array([law.number(x, v, t) for law, x, v in numbers]).reshape(s.shape)
 
 
-def _slopes(law: Callable[[float, float, float], float], s: float, rate: float, t: float) -> tuple[float, float]:
-    """The slopes of one law."""
-    hs, hv = STEP * max(abs(s), LEAST), STEP * max(abs(rate), LEAST)
+def _slopes(
+    law: Callable[[float, float, float], float], at: tuple[float, float, float], least: float
+) -> tuple[float, float]:
+    """The slopes of one law at (s, s', t)."""
+    s, rate, t = at
+    hs, hv = STEP * max(abs(s), least), STEP * max(abs(rate), least)
     along = (law(s + hs, rate, t) - law(s - hs, rate, t)) / (2 * hs)
     return along, (law(s, rate + hv, t) - law(s, rate - hv, t)) / (2 * hv)
 

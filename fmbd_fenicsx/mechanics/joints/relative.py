@@ -33,7 +33,7 @@ from ..kinds.own import OwnTerm
 # coordinates of second order in x and R, whose rows at the mean are exact; distances: that of the mean points over the mean one;
 # others: by their difference (POINT, of efforts: taken at the mean)
 POINT, SQUARE, DISTANCE, QUOTIENT = range(4)
-NOTHING = 1e-6  # m or rad, of a step: rows of shorter ones are as exact as a quotient
+UNMOVED = 1e-6  # of the change that a motion by the model's length makes: rows of smaller ones are as exact as a quotient
 
 
 def nearest(angle: Array, wanted: Array) -> Array:
@@ -61,6 +61,10 @@ class Relative:
         self.e: Array = np.asarray(e, dtype=float).reshape(len(self.a), motions.dim)
         self.items = KindItems(motions, kind or kinds(motions.dim)[self.kind], self.a, self.b, self.constants())
 
+    def size(self, length: float) -> float:
+        """What s may be in a model of this length, m: that, or a radian."""
+        return 1.0 if self.angular else length
+
     def constants(self) -> dict[str, Array]:
         """Constants of the kind, in the axes of the markers."""
         return {"e": self.e}
@@ -87,16 +91,18 @@ class Relative:
         ra, rb = self.rows(kin)
         return dot(ra, kin.twist[self.a]) + dot(rb, kin.twist[self.b])
 
-    def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array) -> Array:
+    def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array, length: float) -> Array:
         """Factor of the rows at the mean of two configurations with which s_1 - s_0 is their product with the motion between,
-        ``linear`` without it.
+        ``linear`` without it; ``length``: of the model, m.
         """
         if self.quotient == SQUARE:
             return np.ones(len(linear))
         if self.quotient == DISTANCE:
             return np.asarray(2 * self.values(mean) / (ends[0] + ends[1]))
-        # a quotient of two roundoffs says nothing
-        far = np.abs(linear) > NOTHING
+        # a quotient of two roundoffs says nothing; s may have any unit
+        lengths = np.where(np.arange(mean.twist.shape[1]) < self.motions.dim, length, 1.0)
+        whole = np.max([np.abs(rows * lengths).max(axis=1) for rows in self.rows(mean)], axis=0)
+        far = np.abs(linear) > UNMOVED * whole
         return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
 
 

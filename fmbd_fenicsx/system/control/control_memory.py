@@ -68,7 +68,7 @@ def implicit(
         if size <= 1e-14 * (_largest(z) + _largest(half * rate)):
             return u, z, rate
         if size > SLOW * before:
-            slopes = np.eye(len(z)) - half * differences(z, law)[1]
+            slopes = np.eye(len(z)) - half * differences(z, np.abs(half * rate), law)[1]
         elif count == 1:
             left = 1.0 - float(miss @ past) / float(past @ past)  # of a miss once z has moved by it
         z, before, past = z - (miss / left if slopes is None else np.linalg.solve(slopes, miss)), size, miss

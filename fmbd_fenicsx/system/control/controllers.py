@@ -62,6 +62,12 @@ class Reading:
         """The joint coordinate that it is, or is the rate of; None at a marker."""
         return self.sensor.coordinate if isinstance(self.sensor, JointReading) else None
 
+    def size(self, length: float) -> float:
+        """What its numbers may be in a model of this length (m): that, or a radian; rates, in a second."""
+        if self.relative is not None:
+            return self.relative.size(length)
+        return length if isinstance(self.sensor, Position | Velocity) else 1.0
+
     def at(self, kin: Kinematics) -> Array:
         """The value in a configuration, (size,)."""
         if self.relative is not None:
@@ -147,9 +153,9 @@ class ControlLoads(Loads):
             last = self._found = Found(self.kept, t, {name: x.copy() for name, x in y.items()}, *found)
         return last.u, last.z, last.rate
 
-    def _by_memory(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
-        """du/dz (acts, m) and dg/dz (m, m)."""
-        return differences(z, partial(self.ask_law, t, y))
+    def _by_memory(self, t: float, y: Mapping[str, Array], z: Array, moved: Array) -> tuple[Array, Array]:
+        """du/dz (acts, m) and dg/dz (m, m); ``moved`` (m,): by which z moves in a step."""
+        return differences(z, np.abs(moved), partial(self.ask_law, t, y))
 
     def read(self, kin: Kinematics) -> dict[str, Array]:
         """Values of what the law reads in a configuration, by name."""
@@ -203,15 +209,17 @@ class ControlLoads(Loads):
 
     def slopes(self, t: float, y: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
         """du/dy of some readings, (acts, size) each, the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy."""
-        z, half = self.with_memory(t, y)[1], 0.5 * (t - self.kept.t)
+        (_, z, rate), half = self.with_memory(t, y), 0.5 * (t - self.kept.t)
         by_memory: Array = np.zeros((len(self.acts), len(z)))
         if len(z) and half:
-            effort, rate = self._by_memory(t, y, z)
+            effort, rate = self._by_memory(t, y, z, half * rate)
             by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
 
         out: dict[str, Array] = {}
+        sizes = {r.name: r.size(self.length) for r in self.readings}
         for name in names:
-            effort, rate = differences(y[name], partial(self._with, t, y, z, name))
+            size = np.full(len(y[name]), sizes[name])
+            effort, rate = differences(y[name], size, partial(self._with, t, y, z, name))
             out[name] = effort + by_memory @ rate
         return out
 

@@ -114,7 +114,7 @@ class Mean(Evaluation):
         # rows that give all of s_1 - s_0
         ra, rb = loads.relative.rows(self.kin)
         linear = self.h * (ra * twist[loads.a] + rb * twist[loads.b]).sum(1)
-        share = loads.relative.share(self.kin, (s0, s1), linear)
+        share = loads.relative.share(self.kin, (s0, s1), linear, self.system.length)
 
         mean = mean_effort(lambda s, rate: loads.effort(s, rate, self.t), s0 - loads.free, moved / self.h, self.h)
         N = (share * mean)[:, None]

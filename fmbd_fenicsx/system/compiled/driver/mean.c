@@ -6,7 +6,8 @@ static const double GAUSS[3] = {0.5 - 0.3872983346207417, 0.5, 0.5 + 0.387298334
 enum { MATRICES = 2 };                  /* of a step at most */
 enum { PATIENT = 8 };                   /* increments of a scene with fields that are cheaper than new tangents */
 static const double ASTRAY = 10.0, FAR_AWAY = 0.2; /* accelerations, of their size, and ways, of the length, that lead to other solutions */
-static const double UNMOVED = 1e-6, KEPT = 1e-13; /* of coordinates over a step; of the length, that rows may leave of g_1 - g_0 */
+static const double UNMOVED = 1e-6; /* as in mechanics/joints/relative.py */
+static const double KEPT = 1e-13;   /* of the length, that rows may leave of g_1 - g_0 */
 
 /* One step of size h from q0, v0 at t: what is there at both ends, and where the newest accelerations lead. */
 typedef struct {
@@ -125,11 +126,15 @@ static int mean_efforts(System *s, Batch *k, const Step *o, long first, double t
     const int *at = k->at;
     double *share = o->share + first, *sum = o->effort + first;
     for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
-        double linear = 0.0;
-        for (int e = 0; e < k->live; e++) linear += o->h * out[k->entry[e]] * s->velocity[at[e]];
+        double linear = 0.0, whole = 0.0;
+        for (int e = 0; e < k->live; e++) {
+            double row = out[k->entry[e]], unit = k->component[k->entry[e] - 1] % TWIST < D ? o->length : 1.0;
+            linear += o->h * row * s->velocity[at[e]];
+            whole = fmax(whole, fabs(unit * row));
+        }
         share[i] = 1.0;
         if (k->quotient == DISTANCE) share[i] = 2.0 * out[0] / (from[i] + to[i]);
-        if (k->quotient == QUOTIENT && fabs(linear) > UNMOVED) share[i] = fmax(-10.0, fmin((to[i] - from[i]) / linear, 10.0));
+        if (k->quotient == QUOTIENT && fabs(linear) > UNMOVED * whole) share[i] = fmax(-10.0, fmin((to[i] - from[i]) / linear, 10.0));
         k->rate[i] = (to[i] - from[i]) / o->h;
         sum[i] = 0.0;
     }
