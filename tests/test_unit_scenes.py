@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import unit_laws as laws
 import unit_scenes as scenes
 from unit_scenes import Drawn, Units
 
@@ -19,6 +20,7 @@ import fmbd_fenicsx as fmbd
 
 TWELVE = tuple(product((1.0, 1e3, 1e-3), (1.0, 1e6), (1.0, 1e-3)))  # of a metre, a kilogram, a second
 TWO = ((1e3, 1e6, 1e-3), (1e-3, 1.0, 1e-3))
+ATOMS = ((1e-10, 1e-26, 1e-13),)
 STEPS = 8
 
 DIGITS = 1e-10
@@ -69,6 +71,8 @@ SCENES: dict[str, tuple[Build, dict[str, Any], tuple[str, ...], float]] = {
     "carriage": (scenes.carriage, RIGID, ("alpha", "half-explicit"), 5e-3),
     "driven": (scenes.driven, RIGID, ("alpha", "Radau", "energy-momentum"), 5e-3),
     "own coordinates": (scenes.own_coordinates, RIGID, ("alpha, GGL",), 5e-3),
+    "atoms": (laws.atoms, RIGID, ("alpha", "alpha, its own steps", "energy-momentum"), 5e-3),
+    "own law": (laws.own_law, RIGID, ("alpha", "alpha in NumPy", "energy-momentum"), 5e-3),
     "rolling": (
         scenes.rolling,
         IMPLICIT | only(EXPLICIT, "half-explicit") | MEAN | ON_VELOCITIES,
@@ -167,6 +171,12 @@ def agree(name: str, scheme: str, systems: Any) -> None:
 @pytest.mark.parametrize("name, scheme", CASES)
 def test_far_units(name: str, scheme: str) -> None:
     agree(name, scheme, TWO)
+
+
+@pytest.mark.parametrize("name, scheme", [c for c in CASES if c.values[0] in ("atoms", "own law")])
+def test_the_size_of_atoms(name: str, scheme: str) -> None:
+    """Guards and steps of differences measure with the model, not with a metre."""
+    agree(name, scheme, ATOMS)
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ from ..vibration.basis import free_motions
 from ..vibration.perturbation import Perturbation
 from ..vibration.rotors import BodySpin, body_spin, check_steady
 from .arc_length import ArcLength, Path
+from .descent import descend, descends
 from .load_steps import LoadSteps
 from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps, relax
 from .steady import Residual, Spin, steady_rates
@@ -260,7 +261,7 @@ def find(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
         # too far away: from the rest of a motion with much damping it may be near
         except NoEquilibriumError as error:
             try:
-                return by_load_steps(newton, _nearer(newton, start, t), t)
+                return _downhill(newton, start, t)
             except (ConvergenceError, LinearSolveError):
                 raise ConvergenceError(_why(newton, start, t, error)) from None
         except LinearSolveError:
@@ -271,14 +272,16 @@ def find(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
             newton.__post_init__()
 
 
-def _nearer(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
-    """A better start by descent; with contact, whose increments descend anyway, the same with a shorter step."""
+def _downhill(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
+    """The equilibrium by descent; with contact, whose increments descend anyway, from the same start with a shorter step."""
     slow = _slow(newton.residual.system, t)
+    if descends(newton):
+        return descend(newton, start, t)
     if newton.residual.system.contacts is None:
-        return relax(newton, start, t, slow)
+        return by_load_steps(newton, relax(newton, start, t, slow), t)
     newton.tau = min(newton.tau, slow)
     newton.__post_init__()
-    return start
+    return by_load_steps(newton, start, t)
 
 
 def _stable(newton: StaticNewton, start: StaticPoint, found: StaticPoint, t: float) -> StaticPoint:
@@ -302,7 +305,7 @@ def _stable(newton: StaticNewton, start: StaticPoint, found: StaticPoint, t: flo
         return found
 
     try:
-        return by_load_steps(newton, relax(newton, start, t, _slow(system, t)), t)
+        return _downhill(newton, start, t)
     except (ConvergenceError, LinearSolveError):
         return found
 

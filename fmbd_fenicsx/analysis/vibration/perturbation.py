@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from .closed_contacts import ClosedContacts
 
 SHIFT = 1e-4  # of a difference, over the model's length
+SEEN, FASTER = 1e-4, 2.0**30  # inertia forces, over all others, that are as exact as these; factor of smaller ones
 SIDES = ((1.0, 8.0), (-1.0, -8.0), (2.0, -1.0), (-2.0, 1.0))  # weights over 12 h
 
 
@@ -63,9 +64,18 @@ class Perturbation:
         return self._difference(rate, (None, rate, self.acceleration(zero, rate, zero)))
 
     def mass(self, accel: Array) -> Array:
-        """M y'', like v."""
-        s = self.state
-        return self._here.balance(s.a + accel, s.lam) - self._balance
+        """M y'', like v; of accelerations so large that other forces leave no roundoff in it."""
+        s, factor = self.state, 1.0
+        while True:
+            found: Array = self._here.balance(s.a + factor * accel, s.lam) - self._balance
+            if factor > FASTER**4 or self._force(found) >= SEEN * self._force(self._balance):
+                return found / factor
+            factor *= FASTER
+
+    def _force(self, balance: Array) -> float:
+        """The largest force in an array like v, torques over lengths; collective."""
+        system = self.system
+        return system.max_abs(balance / system.units**2)
 
     def rows(self, y: Array) -> Array:
         """G y, (row_count,)."""

@@ -33,7 +33,9 @@ from ..kinds.own import OwnTerm
 # coordinates of second order in x and R, whose rows at the mean are exact; distances: that of the mean points over the mean one;
 # others: by their difference (POINT, of efforts: taken at the mean)
 POINT, SQUARE, DISTANCE, QUOTIENT = range(4)
-UNMOVED = 1e-6  # of the change that a motion by the model's length makes: rows of smaller ones are as exact as a quotient
+UNMOVED = (
+    1e-6  # of the change that a motion by the model's length makes: rows of smaller ones are as exact as a quotient
+)
 
 
 def nearest(angle: Array, wanted: Array) -> Array:
@@ -100,7 +102,7 @@ class Relative:
         if self.quotient == DISTANCE:
             return np.asarray(2 * self.values(mean) / (ends[0] + ends[1]))
         # a quotient of two roundoffs says nothing; s may have any unit
-        lengths = np.where(np.arange(mean.twist.shape[1]) < self.motions.dim, length, 1.0)
+        lengths = np.where(np.arange(self.motions.n_twist) < self.motions.dim, length, 1.0)
         whole = np.max([np.abs(rows * lengths).max(axis=1) for rows in self.rows(mean)], axis=0)
         far = np.abs(linear) > UNMOVED * whole
         return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)

@@ -1,0 +1,187 @@
+"""Descent to a stable equilibrium from far away, for scenes of few replicated coordinates.
+
+With z increments of the configuration as lengths, V an orthonormal basis of those that the constraints leave, and the
+multipliers that leave least of the balance f,
+
+    g = V^T (f + G^T lambda),     H = V^T d(f + G^T lambda)/dz V = Q diag(h) Q^T,     d = -V Q |h|^-1 Q^T g          (1)
+
+is Newton's increment where H is definite, and goes down where it is not, away from saddles. H holds the stress of reactions, and
+masses do not enter: a string whose masses differ by 1e9, of which a gradient in the metric of inertia sees the light ones only,
+takes the iterations of one with equal masses. An increment is taken when it does no work against the forces, by the trapezoidal
+rule, and is at most as long as the last ones that did not.
+
+Source: Dauphin et al., Identifying and attacking the saddle point problem, doi:10.48550/arXiv.1406.2572, on |h|.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...errors import ConvergenceError
+from ...rotations import Array
+from ...system.evaluation import Evaluation
+from ...system.speed_rows import speed_rows
+from ...system.system import State, System
+from ..vibration.basis import RANK
+from ..vibration.perturbation import Perturbation
+from ..vibration.rotors import BodySpin
+from .static_newton import StaticNewton, StaticPoint
+from .steady import Spin, steady_rates
+
+MOST = 300  # coordinates up to which matrices are dense
+TRIES, CLOSING = 200, 12  # increments, and iterations that close the constraints after each
+FIRST, SHORTEST = 0.2, 1e-6  # length of increments, over the model's length
+CLOSED = 1e-12  # lengths of the model by which constraints may stay open
+FLAT = 1e-13  # stiffness of a motion, over the largest, that is roundoff
+
+
+def descends(newton: StaticNewton) -> bool:
+    """Whether (1) is for this scene: no fields, no contact, nothing that rolls."""
+    system, spin = newton.residual.system, newton.residual.spin
+    plain = not system.fields and system.contacts is None and not speed_rows(system).size
+    return plain and system.n_core <= MOST and not isinstance(spin, BodySpin)
+
+
+def descend(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
+    """A stable equilibrium at time t, downhill from a start.
+
+    Raises ConvergenceError where there is none within reach.
+    """
+    system, spin = newton.residual.system, newton.residual.spin
+    assert not isinstance(spin, BodySpin)
+    place = _Place(system, t, _closed(system, t, start.q, np.ones(system.n_v)), spin)
+    radius, last = FIRST * system.length, np.inf
+
+    for _ in range(TRIES):
+        newton.iterations += 1
+        d = place.increment(radius)
+        size = system.max_abs(d)
+        if size <= newton.tolerance * system.length or (size > 0.5 * last and size <= 1e-9 * system.length):
+            return StaticPoint(place.q, place.lam)
+
+        # short enough to close the constraints after it, and to go down
+        while radius > SHORTEST * system.length:
+            try:
+                q = _closed(system, t, system.compose(place.q, d), place.yielding)
+                there = _Place(system, t, q, spin)
+            except ConvergenceError:
+                there = None
+            small = size <= SHORTEST * system.length
+            if there is not None and (small or place.work(d) + there.work(d) <= 0.0):
+                break
+            radius = 0.25 * min(size, radius)
+            d *= 0.25
+            size *= 0.25
+        else:
+            break
+        assert there is not None
+        place, last, radius = there, size, min(2.0 * radius, FIRST * system.length)
+    raise ConvergenceError(f"increments of {last:.1e} m after {TRIES} iterations of descent")
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A configuration on the constraints, and (1) there."""
+
+    system: System
+    t: float
+    q: Array
+    spin: Spin | None
+
+    @cached_property
+    def lam(self) -> Array:
+        """The multipliers that leave least."""
+        system, ev = self.system, self._here
+        units = system.multiplier_units
+        if not system.n_lam:
+            return np.zeros(0)
+        G = _rows(ev) * units[:, None]
+        forces = ev.balance(self._rates[1]) / system.units
+        return np.asarray(units * np.linalg.lstsq(G.T, -forces, rcond=RANK)[0])
+
+    def work(self, d: Array) -> float:
+        """Minus the power of all forces along an increment."""
+        return float(d @ self._balance)
+
+    def increment(self, radius: float) -> Array:
+        """d of (1), like v, no displacement above ``radius`` (m)."""
+        system, V = self.system, self._free
+        if not len(V):
+            return np.zeros(system.n_v)
+        H = V @ self._stiffness @ V.T
+        h, Q = np.linalg.eigh(0.5 * (H + H.T))
+        g = Q.T @ (V @ (self._balance / system.units))
+
+        flat = FLAT * float(np.abs(h).max())
+        along = -np.clip(g / np.maximum(np.abs(h), flat or 1.0), -radius, radius)
+        # on a saddle no force leads away from it
+        along[(h < -1e-9 * np.abs(h).max()) & (np.abs(along) < SHORTEST * radius)] = radius
+        d: Array = (Q @ along) @ V / system.units
+        return d * min(1.0, radius / max(system.max_abs(d), 1e-300))
+
+    @cached_property
+    def yielding(self) -> Array:
+        """How easily coordinates move, the root of 1 over their stiffness, like v."""
+        stiff = np.abs(np.diag(self._stiffness))
+        return np.asarray(1.0 / np.sqrt(np.maximum(stiff, FLAT * stiff.max(initial=0.0) or 1.0)))
+
+    @cached_property
+    def _stiffness(self) -> Array:
+        """By increments as lengths, (n_v, n_v)."""
+        about = Perturbation(self.system, State(self.t, self.q, *self._rates, self.lam), self.spin)
+        units = self.system.units
+        return np.array([about.stiffness(e) / units for e in np.diag(1.0 / units)]).T
+
+    @cached_property
+    def _rates(self) -> tuple[Array, Array]:
+        return steady_rates(self.system, self.q, self.spin)
+
+    @cached_property
+    def _here(self) -> Evaluation:
+        return self.system.at(self.t, self.q, self._rates[0])
+
+    @cached_property
+    def _balance(self) -> Array:
+        balance: Array = self._here.balance(self._rates[1], self.lam)
+        return balance
+
+    @cached_property
+    def _free(self) -> Array:
+        """V, (k, n_v)."""
+        system = self.system
+        if not system.n_lam:
+            return np.eye(system.n_v)
+        _, s, Vt = np.linalg.svd(_of_unit_size(_rows(self._here))[0])
+        return np.asarray(Vt[int((s > RANK * s[0]).sum()) :])
+
+
+def _rows(ev: Evaluation) -> Array:
+    """G by increments as lengths, (n_lam, n_v)."""
+    core = ev.jacobian.core
+    return np.asarray((core if isinstance(core, np.ndarray) else core.toarray()) / ev.system.units)
+
+
+def _of_unit_size(G: Array) -> tuple[Array, Array]:
+    """Rows divided by their sizes, and these (m, 1)."""
+    sizes = np.linalg.norm(G, axis=1, keepdims=True)
+    sizes[sizes == 0.0] = 1.0
+    return G / sizes, sizes
+
+
+def _closed(system: System, t: float, q: Array, yielding: Array) -> Array:
+    """The configuration with its constraints closed where it costs least: what is heavy would take more than light things bring."""
+    at_rest = np.zeros(system.n_v)
+    for _ in range(CLOSING):
+        ev = system.at(t, q, at_rest)
+        gap = ev.constraint()
+        if float(np.abs(system.row_units * gap).max(initial=0.0)) <= CLOSED * system.length:
+            return q
+        G, sizes = _of_unit_size(_rows(ev) * yielding)
+        dq = yielding * np.linalg.lstsq(G, -gap / sizes[:, 0], rcond=RANK)[0] / system.units
+        if not system.max_abs(dq) <= system.length:
+            break
+        q = system.compose(q, dq)
+    raise ConvergenceError("constraints do not close")

@@ -1,0 +1,81 @@
+"""Equilibria far from the start, of strings and chains whose masses differ by up to 1e9."""
+
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+
+import fmbd_fenicsx as fmbd
+
+SPAN = 0.8  # between the anchors of a string of length 1, m
+
+
+def zigzag(count: int, seed: int) -> np.ndarray:
+    """Places (count + 1, 2) of the ends of so many links of equal length, from the origin."""
+    angles = 0.6 * np.random.default_rng(seed).uniform(-1.0, 1.0, count)
+    return np.concatenate(
+        (np.zeros((1, 2)), np.cumsum(np.column_stack((np.cos(angles), np.sin(angles))), axis=0) / count)
+    )
+
+
+def string(masses: np.ndarray) -> fmbd.Scene:
+    """Beads between two anchors on links of equal length, which together are 1 m long."""
+    count = len(masses) + 1
+    half = np.arccos(SPAN)
+    up = np.minimum(np.arange(count + 1), count - np.arange(count + 1)) / count
+    places = np.column_stack((np.linspace(0.0, SPAN, count + 1), up * np.sin(half)))  # an arch, upside down
+    scene = fmbd.Scene("string", gravity=(0.0, -9.81))
+    beads = [fmbd.PointMass(f"bead {i}", m, x) for i, (m, x) in enumerate(zip(masses, places[1:-1], strict=True))]
+    scene.add(*beads, fmbd.distance("first", fmbd.ground, beads[0], point_a=(0.0, 0.0)))
+    for i, (one, two) in enumerate(zip(beads, beads[1:], strict=False)):
+        scene.add(fmbd.distance(f"link {i}", one, two))
+    scene.add(fmbd.distance("last", beads[-1], fmbd.ground, point_b=(SPAN, 0.0)))
+    for bead in beads:
+        scene.sensor(bead.name, fmbd.position(bead))
+    return scene
+
+
+def hanging(masses: np.ndarray) -> np.ndarray:
+    """Places of the beads: links along their tensions (T, V_i), two unknowns."""
+    weights = 9.81 * np.concatenate(([0.0], np.cumsum(masses)))
+
+    def links(x: np.ndarray) -> np.ndarray:
+        tension = np.column_stack((np.full(len(weights), np.exp(x[0])), weights - weights[-1] * x[1]))
+        return tension / np.linalg.norm(tension, axis=1)[:, None] / len(weights)
+
+    scale = np.log(weights[-1])
+    found = fsolve(lambda x: links(x).sum(0) - (SPAN, 0.0), (scale, 0.5), xtol=1e-13)
+    assert np.abs(links(found).sum(0) - (SPAN, 0.0)).max() < 1e-10
+    return np.cumsum(links(found), axis=0)[:-1]
+
+
+@pytest.mark.parametrize("lowest, highest, count", [(0, 0, 5), (-2, 2, 7), (-6, 3, 5), (-6, 3, 11)])
+def test_strings_of_light_and_heavy_beads(lowest: int, highest: int, count: int) -> None:
+    """An arch of beads falls and hangs as its force polygon says."""
+    masses = 10.0 ** np.random.default_rng(count).uniform(lowest, highest, count)
+    found = fmbd.equilibrium(string(masses))
+    places = np.array([found[f"bead {i}"] for i in range(count)])
+    assert np.abs(places - hanging(masses)).max() < 1e-8
+    assert found.counters["newton_iterations"] < 120
+
+
+@pytest.mark.parametrize("kind", ["links", "beads"])
+@pytest.mark.parametrize("lowest, count", [(0, 6), (-3, 12), (-6, 12)])
+def test_chains_hang_straight_down(kind: str, lowest: int, count: int) -> None:
+    """Whatever their masses: 1 m below the pin, which carries their weight."""
+    masses = 10.0 ** np.random.default_rng(count).uniform(lowest, 3, count)
+    scene, ends = fmbd.Scene("chain", gravity=(0.0, -9.81)), zigzag(count, count)
+    before = fmbd.ground
+    for i, m in enumerate(masses):
+        if kind == "beads":
+            body = fmbd.PointMass(f"{i}", m, ends[i + 1])
+            start = {"point_a": (0.0, 0.0)} if i == 0 else {}
+            scene.add(body, fmbd.distance(f"joint {i}", before, body, **start))
+        else:
+            body = fmbd.RigidBody(f"{i}", m, m / count**2 / 12, 0.5 * (ends[i] + ends[i + 1]))
+            scene.add(body, fmbd.revolute(f"joint {i}", before, body, center=ends[i]))
+        before = body
+    scene.sensor("end", fmbd.position(before))
+    scene.sensor("pin", fmbd.reaction_force("joint 0"))
+    found = fmbd.equilibrium(scene)
+    assert found["end"] == pytest.approx((0.0, -1.0 if kind == "beads" else -1.0 + 0.5 / count), abs=1e-8)
+    assert found["pin"] == pytest.approx((0.0, -9.81 * masses.sum()), rel=1e-8, abs=1e-5 * masses.sum())
