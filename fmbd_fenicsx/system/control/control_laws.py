@@ -32,7 +32,7 @@ def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> A
 
 
 def differences(x: Array, size: Array, asked: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Derivatives (.., n) of two answers of the law by the numbers x (n,); ``size`` (n,): what they may be where they are zero."""
+    """Derivatives (.., n) of two answers of the law by the numbers x (n,); ``size`` (n,): what they may be."""
     found = []
     for k in range(len(x)):
         step = np.zeros(len(x))
