@@ -172,7 +172,7 @@ def _of_unit_size(G: Array) -> tuple[Array, Array]:
 
 
 def _closed(system: System, t: float, q: Array, yielding: Array) -> Array:
-    """The configuration with its constraints closed where that costs least: heavy things would take more than light ones bring."""
+    """The configuration with its constraints closed where that costs least: heavy things would take more than light ones."""
     at_rest = np.zeros(system.n_v)
     for _ in range(CLOSING):
         ev = system.at(t, q, at_rest)
