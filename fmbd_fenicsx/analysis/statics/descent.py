@@ -15,7 +15,7 @@ Source: Dauphin et al., Identifying and attacking the saddle point problem, doi:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -62,24 +62,28 @@ def descend(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
         if size <= newton.tolerance * system.length or (size > 0.5 * last and size <= 1e-9 * system.length):
             return StaticPoint(place.q, place.lam)
 
-        # short enough to close the constraints after it, and to go down
-        while radius > SHORTEST * system.length:
-            try:
-                q = _closed(system, t, system.compose(place.q, d), place.yielding)
-                there = _Place(system, t, q, spin)
-            except ConvergenceError:
-                there = None
-            small = size <= SHORTEST * system.length
-            if there is not None and (small or place.work(d) + there.work(d) <= 0.0):
-                break
-            radius = 0.25 * min(size, radius)
-            d *= 0.25
-            size *= 0.25
-        else:
+        share, there = _below(place, d)
+        if there is None:
             break
-        assert there is not None
-        place, last, radius = there, size, min(2.0 * radius, FIRST * system.length)
-    raise ConvergenceError(f"increments of {last:.1e} m after {TRIES} iterations of descent")
+        # after a shorter one the next is no longer than that
+        radius = min(2.0 * radius if share == 1.0 else share * size, FIRST * system.length)
+        place, last = there, share * size
+    raise ConvergenceError(f"increments of {last:.1e} m, the last of a descent")
+
+
+def _below(place: _Place, d: Array) -> tuple[float, _Place | None]:
+    """The share of an increment that leads down and after which the constraints can be closed, and where it leads."""
+    system, share = place.system, 1.0
+    while share * system.max_abs(d) > SHORTEST * system.length or share == 1.0:
+        try:
+            there = replace(place, q=_closed(system, place.t, system.compose(place.q, share * d), place.yielding))
+            small = share * system.max_abs(d) <= SHORTEST * system.length
+            if small or place.work(d) + there.work(d) <= 0.0:
+                return share, there
+        except ConvergenceError:
+            pass
+        share *= 0.25
+    return share, None
 
 
 @dataclass(frozen=True, eq=False)
