@@ -31,14 +31,23 @@ def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> A
     return found
 
 
-def differences(x: Array, size: Array, asked: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Derivatives (.., n) of two answers of the law by the numbers x (n,); ``size`` (n,): what they may be."""
+Answers = tuple[Array, Array]
+
+
+def differences(
+    x: Array, size: Array, asked: Callable[[Array], Answers], known: Answers | None = None
+) -> tuple[Array, Array]:
+    """Derivatives (.., n) of two answers of the law by the numbers x (n,); ``size`` (n,): what they may be.
+
+    With the answers that are ``known`` at x each takes one call, and is exact to 1e-6 of the law's curvature; else two.
+    """
     found = []
     for k in range(len(x)):
         step = np.zeros(len(x))
         step[k] = 1e-6 * (max(float(size[k]), abs(float(x[k]))) or 1.0)
-        ahead, behind = asked(x + step), asked(x - step)
-        found.append([(p - q) / (2 * step[k]) for p, q in zip(ahead, behind, strict=True)])
+        ahead, behind = asked(x + step), known or asked(x - step)
+        apart = step[k] if known else 2 * step[k]
+        found.append([(p - q) / apart for p, q in zip(ahead, behind, strict=True)])
     return np.array([one for one, _ in found]).T, np.array([other for _, other in found]).T
 
 

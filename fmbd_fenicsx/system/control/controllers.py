@@ -153,10 +153,6 @@ class ControlLoads(Loads):
             last = self._found = Found(self.kept, t, {name: x.copy() for name, x in y.items()}, *found)
         return last.u, last.z, last.rate
 
-    def _by_memory(self, t: float, y: Mapping[str, Array], z: Array, moved: Array) -> tuple[Array, Array]:
-        """du/dz (acts, m) and dg/dz (m, m); ``moved`` (m,): by which z moves in a step."""
-        return differences(z, np.abs(moved), partial(self.ask_law, t, y))
-
     def read(self, kin: Kinematics) -> dict[str, Array]:
         """Values of what the law reads in a configuration, by name."""
         return {r.name: r.at(kin) for r in self.readings}
@@ -207,19 +203,23 @@ class ControlLoads(Loads):
             (D if fast else K)[i, :n, n:] = block
         return MarkerTangent(np.array([e[0] for e in entries]), np.array([e[1] for e in entries]), K, D)
 
-    def slopes(self, t: float, y: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
-        """du/dy of some readings, (acts, size) each, the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy."""
-        (_, z, rate), half = self.with_memory(t, y), 0.5 * (t - self.kept.t)
+    def slopes(self, t: float, y: dict[str, Array], names: Sequence[str], *, quick: bool = False) -> dict[str, Array]:
+        """du/dy of some readings, (acts, size) each, the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy.
+
+        ``quick``: by differences to one side, enough for a step's matrix, with half the calls of the law.
+        """
+        (u, z, rate), half = self.with_memory(t, y), 0.5 * (t - self.kept.t)
+        known = (u, rate) if quick else None
         by_memory: Array = np.zeros((len(self.acts), len(z)))
         if len(z) and half:
-            effort, rate = self._by_memory(t, y, z, half * rate)
+            effort, rate = differences(z, np.abs(half * rate), partial(self.ask_law, t, y), known)
             by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
 
         out: dict[str, Array] = {}
         sizes = {r.name: r.size(self.length) for r in self.readings}
         for name in names:
             size = np.full(len(y[name]), sizes[name])
-            effort, rate = differences(y[name], size, partial(self._with, t, y, z, name))
+            effort, rate = differences(y[name], size, partial(self._with, t, y, z, name), known)
             out[name] = effort + by_memory @ rate
         return out
 

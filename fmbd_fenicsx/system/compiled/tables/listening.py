@@ -98,7 +98,8 @@ class Listener:
         y = self._read()
         key = _key(t, y)
         if self._known is None or self._known[0] != key:
-            slopes = self.loads.slopes(t, y, [name for name in y if self.links or self._own(name)])
+            names = [name for name in y if self.links or self._own(name)]
+            slopes = self.loads.slopes(t, y, names, quick=True)
             self._known = key, y, self._efforts(t, y), slopes
         return self._known[3]
 
