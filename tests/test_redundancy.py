@@ -121,3 +121,27 @@ def test_modes_that_joints_lock_are_told(modes: int, locked: bool) -> None:
     run = fmbd.solve(scene, t_end=2e-3, dt=1e-3)
     assert ('modes of body "rod" are locked' in " ".join(run.warnings)) == locked
     assert ('modes of body "rod" are locked' in " ".join(scene.check().notes)) == locked
+
+
+@pytest.mark.parametrize("make", [fmbd.FloatingBody, fmbd.AbsoluteBody])
+@pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=str)
+def test_elastic_fields_beside_dependent_rows_are_compiled(make: Any, form: Any, rod_mesh: Any) -> None:
+    """An elastic rod on an arm with two equal hinges: the increments and reactions that NumPy finds."""
+
+    def scene() -> fmbd.Scene:
+        law = fmbd.materials.linear_elastic(5e6, 0.3)
+        rod = make("rod", rod_mesh(h=0.2), degree=2, density=1000.0, elastic=law)
+        arm = fmbd.RigidBody("arm", 5.0, 0.5, (-0.5, 0.0))
+        made = fmbd.Scene("twice", gravity=(0.0, -9.81))
+        made.add(arm, rod, fmbd.revolute("pin", arm, rod.surface("pin"), center=(0.0, 0.0)))
+        for name in ("hinge", "again"):
+            made.add(fmbd.revolute(name, fmbd.ground, arm, center=(-1.0, 0.0)))
+        return made
+
+    fast, slow = (
+        fmbd.solve(scene(), t_end=0.05, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled, form))
+        for compiled in (True, False)
+    )
+    assert fast.counters["compiled_steps"] >= 49  # the start is NumPy's
+    assert abs(fast.counters["newton_iterations"] - slow.counters["newton_iterations"]) <= 1
+    np.testing.assert_allclose(fast.state.lam, slow.state.lam, rtol=0, atol=1e-7 * np.abs(slow.state.lam).max())

@@ -133,9 +133,6 @@ class GeneralizedAlpha:
         redundant = solver.core.redundant
 
         if system.fields:
-            # NumPy shares reactions among dependent rows to the last digits
-            if redundant:
-                return None
             from .alpha_driver import drivable
             from .field_stepper import FieldStepper
 

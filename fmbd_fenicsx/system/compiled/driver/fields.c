@@ -299,14 +299,21 @@ void field_increment(const Body *o, const double *p, double *dU, double *lam)
     turn_nodes(e, dU, e->n, 0);
 }
 
+/* A solution with no right-hand side on the nodes comes next. */
+void field_without_load(const Body *o)
+{
+    const Field *e = o->field;
+    memset(e->z, 0, e->n * sizeof(double));
+    memset(e->h, 0, e->frames * sizeof(double));
+    memset(e->pz, 0, e->solved * sizeof(double));
+}
+
 /* The moments -sum M U x dU on the frame into f (world axes), for a solution with no other right-hand side. */
 void field_sway(const Body *o, const double *R, const double *dU, double *f)
 {
     const Field *e = o->field;
     double local[ROT] = {0.0}, one[ROT], turned[ROT];
-    memset(e->z, 0, e->n * sizeof(double));
-    memset(e->h, 0, e->frames * sizeof(double));
-    memset(e->pz, 0, e->solved * sizeof(double));
+    field_without_load(o);
     if (!e->sways) return;
 
     for (long i = 0; i < e->nodes; i++) {

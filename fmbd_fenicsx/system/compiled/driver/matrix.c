@@ -177,6 +177,11 @@ static void add_softness(System *s, double times, double *x, double *y)
     double *more = s->work + s->again, *left = more + s->nv;
     memset(s->b, 0, s->nu * sizeof(double));
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = times * softness(s, i) * y[i];
+    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++) {
+        if (!o->field) continue;
+        memset(s->b + s->nu + o->field->row, 0, o->field->frames * sizeof(double)); /* conditions of frames are not softened */
+        field_without_load(o);
+    }
     solution(s, more, left);
     add(x, 1.0, more, s->nv);
     add(y, 1.0, left, s->rows);
