@@ -11,7 +11,8 @@ from typing import Any, TypeGuard
 
 from ..rotations import Array
 from ..system.compiled.choice import solves
-from ..system.compiled.states.evaluation import DriverEvaluation, DriverStates
+from ..system.compiled.states.driver_evaluation import DriverEvaluation
+from ..system.compiled.states.evaluation import DriverStates
 from ..system.compiled.states.explicit import ExplicitStates, Found, RattleStep, Stage, Stages, Tableau
 from ..system.compiled.states.field_states import FactoredFieldStates, FieldStates
 from ..system.compiled.states.means import MeanStates
