@@ -86,7 +86,7 @@ def test_steps_are_those_of_numpy(h: float) -> None:
             use_driver(system)
         stepper = stepper_of(system, state)
         found.append([stepper.advance(h) for _ in range(6)][-1])
-        assert (stepper._means is not None) == driven
+        assert (stepper._used is not None) == driven
     for name in ("q", "v", "a", "lam"):
         one, other = (getattr(s, name) for s in found)
         assert other == pytest.approx(one, rel=1e-7, abs=1e-8 * np.abs(one).max()), name

@@ -13,7 +13,7 @@ from ..rotations import Array
 from ..system.compiled.choice import solves
 from ..system.compiled.states.driver_evaluation import DriverEvaluation
 from ..system.compiled.states.evaluation import DriverStates
-from ..system.compiled.states.explicit import ExplicitStates, Found, RattleStep, Stage, Stages, Tableau
+from ..system.compiled.states.explicit import ExplicitStates, Found, Stage, Stages, Tableau
 from ..system.compiled.states.field_states import FactoredFieldStates, FieldStates
 from ..system.compiled.states.means import MeanStates
 from ..system.evaluation import Evaluation
@@ -35,7 +35,7 @@ class DriverSolver:
         self.explicit = ExplicitStates(states)
         self.ready = False
         self.usable: bool | None = None  # None: nothing was looked at so far
-        self._counted = 0
+        self._counted = self._before = 0
         self._weights = MASSES  # of the matrix prepared last
 
     def prepare(self, ev: Evaluation, weights: Weights) -> bool:
@@ -103,13 +103,29 @@ class DriverSolver:
         self.ready, self._weights = found is not None and not stage.damping, MASSES
         return found
 
-    def rattle(self, state: State, *given: Any) -> RattleStep | None:
-        """A step of RATTLE from a state in one call, see ExplicitStates; None as above. Fields take new factors on the way."""
-        usable, self.ready = self._usable_at(state.t, state.q, state.v), False
-        plain = usable and self.states.same_rows and not self.states.system.fields
-        found = self.explicit.rattle(state, *given) if plain else None
-        self.ready, self._weights = found is not None, MASSES
-        return found
+    def whole_steps(self, state: State) -> DriverStates | None:
+        """With whose tables whole steps are made from a state on; None as above. Fields take new factors on the way."""
+        states = self.states
+        if states.taken or not states.same_rows or states.system.fields:
+            return None
+        return states if self._usable_at(state.t, state.q, state.v) else None
+
+    def begin_steps(self, state: State) -> bool:
+        """Steps from a state begin, which take the factor; whether it is that of the masses there."""
+        states, self.ready = self.states, False
+        known = states.holds_masses(state.t, state.q)
+        states.hold(None)
+        if states.recalls:
+            states.tables.recall()
+        self._before = int(states.tables.c.factors)
+        return known
+
+    def end_steps(self, state: State | None) -> None:
+        """They have ended in a state, with the factor of the masses there; None: of something else."""
+        self.states.factors += int(self.states.tables.c.factors) - self._before
+        self.ready, self._weights = state is not None, MASSES
+        if state is not None:
+            self.states.hold(state.t, state.q, state.v, new=False)
 
     def half_stages(self, state: State, h: float, *given: Any) -> tuple[Stages, Found] | None:
         """All stages of a half-explicit method from a state in one call, likewise. Nothing is prepared then."""

@@ -114,18 +114,28 @@ class ConstantSteps(Around):
         found = self.stepper.counters
         return {k: found.get(k, 0.0) + self._past.get(k, 0.0) for k in {**self._past, **found}}
 
-    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
+    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None, closed: Any = None) -> int:
         """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""
-        remembering = bool(self.system.keepers) and not self.stepper.keeps_memories
-        if self.whole or self._size not in (None, h) or remembering:
+        if self._size not in (None, h) or not self.stride(h):
             return 0
         steps = int(
             min(steps, whole_steps(self.system, self.stepper.state.t, h))
         )  # samples are taken by :meth:`advance`
-        made = self.stepper.march(h, steps, self.watch, tape) if steps > 0 else 0
+        judges = self.judges
+        closed = None if judges is None else judges.closed
+        made = self.stepper.march(h, steps, self.watch, tape, closed) if steps > 0 else 0
         if made:
             self._size, self.local_error = h, max(self.local_error, self.stepper.local_error)
+            if self.watch is not None:
+                self.watch.time = self.stepper.state.t
+            if judges is not None:
+                judges.forecast.note(self.stepper.state, made)
         return made
+
+    def stride(self, h: float) -> float:
+        """That of the stepper; 0 where :meth:`advance` has to make all steps."""
+        remembering = bool(self.system.keepers) and not self.stepper.keeps_memories
+        return 0.0 if self.whole or remembering else self.stepper.stride(h)
 
     def advance(self, h: float) -> State:
         """One step of size h (s), whole or in parts; collective.

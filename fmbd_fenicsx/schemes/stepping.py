@@ -72,8 +72,11 @@ class TimeStepper(Remembering):
         """
         return False
 
-    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
-        """Up to so many steps in one call, recorded on the ``tape``; how many were made. None here: they are made one by one."""
+    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None, closed: Any = None) -> int:
+        """Up to so many steps in one call, recorded on the ``tape``; how many were made. None here: they are made one by one.
+
+        ``watch``: judges the energy of every state, ``closed`` its joints where the scheme does not see to them.
+        """
         return 0
 
     def stride(self, h: float) -> float:

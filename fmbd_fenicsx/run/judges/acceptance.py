@@ -24,6 +24,7 @@ from ...errors import ConvergenceError
 from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...schemes.declared import Declared
+from ...system.compiled.march import JointLimits
 from ...system.compiled.recording import Openness
 from ...system.compiled.states.glance import Seen
 from ...system.evaluation import Evaluation
@@ -140,6 +141,19 @@ class Closed(Remembering):
         """By what the compiled loop tells states that are to be looked at."""
         nothing = 0 not in self.levels
         return Openness(self.units, np.inf if nothing else self.share * self.system.length, ROUNDOFF)
+
+    def limits(self, h: float) -> JointLimits:
+        """By what every state of compiled steps of size h (s) is judged, (2) without rates in time: who passes needs no look."""
+        if 1 not in self.levels:
+            return JointLimits(self.openness, np.inf, 0.0, 0.0)
+        still = (IN_A_STEP * self.share + ROUNDOFF) * self.system.length / h
+        return JointLimits(self.openness, still, SLIP + self.share, self.fastest)
+
+    def passed(self, t: float, fastest: float) -> None:
+        """Compiled steps up to time t (s) have passed, with this largest speed (m/s)."""
+        if self.judging:
+            self.last = t
+            self.fastest = max(self.fastest, fastest) if 1 in self.levels else self.fastest
 
     @cached_property
     def judging(self) -> bool:

@@ -155,7 +155,7 @@ class Guarded(Around):
         """That of the stepper; none while steps have to be smaller than it likes."""
         return self.stepper.stride(h) if h <= self.largest else 0.0
 
-    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
+    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None, closed: Any = None) -> int:
         """Steps of the stepper that gain no energy."""
         made = self.stepper.march(h, steps, self.watch, tape) if h <= self.largest else 0
         if made:

@@ -8,11 +8,11 @@ import numpy as np
 
 from ...linear.condensation import StepSolver
 from ...rotations import Array
+from ...system.compiled import march as slots
 from ...system.sensors.contact import ContactForces, ContactState
 from ...system.serialisation import Memory
 from ...system.system import State, System
 from ..newton import Newton
-from ..onestep.alpha import alpha_driver as slots
 from .contact_driver import ContactDriver, Tally
 from .moreau_stepper import MoreauStepper
 
@@ -53,7 +53,7 @@ class CompiledMoreauStepper(MoreauStepper):
         """One step of size h (s), as :meth:`Stepper.advance`."""
         return self.state if self._march(h, 1) else super().advance(h)  # who called moves memories on
 
-    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None) -> int:
+    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None, closed: Any = None) -> int:
         """Up to so many steps of size h (s) in one call, recorded on the ``tape``; how many were made: fewer where one is given
         back. Elements with a memory have that of the last step.
         """

@@ -19,6 +19,7 @@ from ...mechanics.contact.rows import ContactSet
 from ...mechanics.contact.shapes import KNOWN, Shape
 from ...mechanics.joints.relative import ExpressedCoordinate
 from ...rotations import Array, Motions
+from ...system.compiled import march as slots
 from ...system.compiled.blocks import Ring, block_size, state_of
 from ...system.compiled.calls import Calls
 from ...system.compiled.library import CONTACT, driver_library, units_of
@@ -28,7 +29,7 @@ from ...system.compiled.tables.structures import PYTHON
 from ...system.compiled.tables.tables import Tables
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
-from ..onestep.alpha import alpha_driver as slots
+from ..onestep.alpha.alpha_driver import settings
 from .contact_detection import tell_rest
 from .contact_newton import frictional_forces, normal_forces
 from .contact_tape import ContactTape
@@ -146,7 +147,7 @@ class ContactDriver:
         self.calls = Calls(self.tables)
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
         self.ring = Ring(system, 3)
-        self.parameters = np.zeros(25)
+        self.parameters = np.zeros(slots.PARAMETERS)
         self.parameters[BOUNDED] = float(np.isfinite(self.contacts.thickness).any())
 
         self.arrays: dict[str, np.ndarray] = {}
@@ -342,7 +343,7 @@ class ContactDriver:
     def march(self, h: float, steps: int, newton: Newton, tape: Tape | None = None) -> int:
         """Make up to so many steps, recorded on the ``tape``; the number made."""
         p = self.parameters
-        slots.settings(p, self.system, newton)
+        settings(p, self.system, newton)
         p[slots.H], p[slots.THETA], p[slots.COUNTED] = h, newton.theta, 0.0
         made = self.library.moreau_march(
             ctypes.addressof(self.tables.c), ctypes.addressof(self.c), p.ctypes.data, steps, self.ring.address,

@@ -32,6 +32,7 @@ SMALL = 1e-7  # displacements, of the model's length
 ITERATIONS = 24
 SETTLED = 1e-4  # relative change of omega^2 that ends the iteration
 EVERY = 50  # steps between two looks: stiffness changes along a motion
+AT_MOST = 8.0  # times as many where steps could be so much longer: stiffness would have to grow by the square of that
 FASTER = 4.0  # so much, and it is looked at once more
 GROWTH = 1.0 + 1e-6  # in a step, that counts as none
 
@@ -197,8 +198,8 @@ class StepLimit:
         self.scheme, self.system, self.solver, self.matrix = scheme, system, solver, matrix
         self.left, self.looked, self.speed = 0, 0.0, 0.0
 
-    def look(self, state: State, h: float) -> None:
-        """Before a step of size h (s) from a state; collective.
+    def free(self, state: State, h: float) -> tuple[int, float]:
+        """How many steps of size h (s) may be made from a state on, and up to which speed (m/s); collective.
 
         Raises:
             StabilityError: it is longer than the scheme can take, with the largest that it can.
@@ -206,17 +207,29 @@ class StepLimit:
         speed = self.system.max_abs(state.v)
         # looked at every so many steps, and where bodies have become faster or steps longer
         if self.left > 0 and abs(h) <= self.looked and speed <= FASTER * self.speed:
-            self.left -= 1
-            return
-        self.left, self.looked = EVERY, abs(h)
+            return self.left, FASTER * self.speed
+        self.left, self.looked = 0, abs(h)
         self.speed = max(speed, SMALL * self.system.length / abs(h))
-        self.refuse(state, h)
+        self.left = 1 + int(EVERY * self.refuse(state, h))
+        return self.left, FASTER * self.speed
 
-    def refuse(self, state: State, h: float) -> None:
-        """Raise StabilityError where a step of size h (s) is not stable; collective."""
+    def count(self, steps: int) -> None:
+        """So many steps were tried."""
+        self.left -= steps
+
+    def look(self, state: State, h: float) -> None:
+        """Before one step, likewise."""
+        self.free(state, h)
+        self.count(1)
+
+    def refuse(self, state: State, h: float) -> float:
+        """Raise StabilityError where a step of size h (s) is not stable; how much longer it could be, AT_MOST; collective."""
         found = fastest_vibration(self.system, state, self.solver)
-        if found is None or abs(h) <= (limit := largest_step(found, self.matrix, enough=1.1 * abs(h))):
-            return
+        if found is None:
+            return 1.0
+        limit = largest_step(found, self.matrix, enough=1.1 * AT_MOST * abs(h))
+        if abs(h) <= limit:
+            return min(limit / abs(h), AT_MOST)
         raise StabilityError(
             f"{self.scheme} is explicit and cannot take steps of {abs(h):.3g} s at t = {state.t:.6g} s: the fastest vibration, "
             f'of body "{found.body}" ({found.omega:.3g} rad/s), grows in steps above {limit:.3g} s. Take dt <= {0.9 * limit:.2g} '

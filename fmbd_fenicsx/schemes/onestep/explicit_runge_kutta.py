@@ -22,6 +22,8 @@ from scipy.integrate import DOP853
 
 from ...linear.condensation import StepSolver
 from ...rotations import Array
+from ...system.compiled.march import March
+from ...system.compiled.states.explicit import Tableau
 from ...system.system import State, System
 from ..consistent import accelerations
 from ..newton import Newton
@@ -61,7 +63,21 @@ class RungeKuttaStepper(ExplicitStepper):
     what = "The explicit Runge-Kutta scheme"
     _slopes: tuple[Array, Array] | None = None  # rates and accelerations of the stages of the last step
 
+    maker = "RUNGE_KUTTA"
     amplification = staticmethod(amplification)
+
+    def _tableau(self) -> tuple[Tableau, float]:
+        return coefficients(), 0.0
+
+    def _own(self, *, factored: bool) -> Array:
+        return np.zeros((1, 2 * STAGES * self.system.n_v))
+
+    def _take_march(self, march: March, made: int) -> None:
+        super()._take_march(march, made)
+        self.stats.residuals += made * (STAGES - 1)
+        self.stats.factorisations += made * (STAGES - 1)
+        rates, pushes = march.ring.own().reshape(2, STAGES, -1).copy()
+        self._slopes = rates, pushes
 
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
         """(1), (2): the new state before projection, and the slopes of all stages."""

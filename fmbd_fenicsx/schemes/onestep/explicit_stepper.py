@@ -16,12 +16,15 @@ from ...checks import check_fields
 from ...errors import BalanceError, CallbackError, ConvergenceError, LawError, LinearSolveError
 from ...linear.condensation import StepSolver
 from ...rotations import Array
+from ...system.compiled.march import March
+from ...system.compiled.states.evaluation import DriverStates
+from ...system.compiled.states.explicit import Tableau
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import accelerations, arrived
 from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands, turn_limit, turns_too_far
+from ..marching import MarchingStepper
 from ..newton import Newton
-from ..stepping import TimeStepper
 from .explicit_limit import StepLimit
 
 
@@ -43,7 +46,7 @@ class ExplicitScheme:
         check_tolerance(self.rtol, self.atol, type(self).__name__)
 
 
-class ExplicitStepper(TimeStepper):
+class ExplicitStepper(MarchingStepper):
     """Advances a consistent state. A method says how a step is made (:meth:`_step`), and how it amplifies vibrations."""
 
     what = "The scheme"  # in messages
@@ -64,7 +67,7 @@ class ExplicitStepper(TimeStepper):
         self.proposed: float | None = None
         self.local_error = 0.0
         self.before: State | None = None  # at the start of the last step
-        self.limit = StepLimit(self.what, system, solver, self.amplification)
+        self.limit: StepLimit = StepLimit(self.what, system, solver, self.amplification)
 
     @property
     def counters(self) -> dict[str, float]:
@@ -78,11 +81,31 @@ class ExplicitStepper(TimeStepper):
 
     def advance(self, h: float) -> State:
         """One accepted step: of size h, or with error control of at most h (s); collective."""
-        return self._accept(self._constant(h) if self.scheme.rtol is None else self._controlled(h))
+        if self.scheme.rtol is not None:
+            return self._accept(self._controlled(h))
+        self.limit.look(self.state, h)
+        return self.state if self._step_in_one_call(h) else self._accept(self._constant(h))
+
+    def stride(self, h: float) -> float:
+        """Steps with error control are made one by one."""
+        return super().stride(h) if self.scheme.rtol is None else 0.0
+
+    def _prepare_room(self, room: Array, *, alone: bool) -> None:
+        (c, A), nothing = self._tableau()
+        head = np.concatenate(([A.shape[1], nothing], c, A.ravel()))
+        room[: len(head)] = head
+
+    def _room(self, states: DriverStates) -> int:
+        (c, A), s = self._tableau()[0], states.system
+        stages = A.shape[1]
+        return 2 + len(c) + A.size + 3 * s.n_q + (2 * stages + 6) * s.n_v + 5 * s.n_lam + states.tables.nu
+
+    def _take_march(self, march: March, made: int) -> None:
+        self.before = march.state(1)
+        self.stats.steps += made
 
     def _constant(self, h: float) -> State:
         """The state after a step of size h (s), before projection."""
-        self.limit.look(self.state, h)
         try:
             return self._step(h)[0]
         except (CallbackError, LawError) as fault:
@@ -147,6 +170,10 @@ class ExplicitStepper(TimeStepper):
         return self.state
 
     # -- what a method says -------------------------------------------------------------------------------------------
+    def _tableau(self) -> tuple[Tableau, float]:
+        """Nodes c and rows A (stages + 1, stages), and the way (m) that counts as none."""
+        raise NotImplementedError
+
     @staticmethod
     def amplification(z: float, damping: float) -> Array:
         """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""

@@ -23,7 +23,8 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...rotations import Array
-from ...system.compiled.states.explicit import Found, Stages
+from ...system.compiled.march import ITERATIONS, March
+from ...system.compiled.states.explicit import Found, Stages, Tableau
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
 from ..consistent import accelerations
@@ -31,6 +32,7 @@ from ..newton import Newton
 from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
 
 MASS = Weights(1.0, 0.0, 0.0)
+STAGES = 5
 MOVES_NOTHING = 1e-14  # of the model's length in a step
 
 
@@ -74,6 +76,7 @@ class HalfExplicitStepper(ExplicitStepper):
 
     what = "The half-explicit scheme"
 
+    maker = "HALF_EXPLICIT"
     amplification = staticmethod(amplification)
 
     def between(self, t: float) -> State | None:
@@ -95,13 +98,25 @@ class HalfExplicitStepper(ExplicitStepper):
         v = begin.v + _cubic(x, end.v - begin.v, (h * begin.a, h * end.a))
         return accelerations(system, State(t, system.compose(begin.q, xi), v, begin.a, begin.lam), self.solver)
 
+    def _tableau(self) -> tuple[Tableau, float]:
+        return coefficients()[:2], MOVES_NOTHING * self.system.length
+
+    def _own(self, *, factored: bool) -> Array:
+        return np.zeros((1, 0))
+
+    def _take_march(self, march: March, made: int) -> None:
+        super()._take_march(march, made)
+        self.stats.residuals += made * STAGES
+        self.stats.factorisations += made * STAGES
+        self.stats.solves += int(march.parameters[ITERATIONS])
+
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
         """(1), (2): the new state before projection, and the errors of xi and v."""
         system, s = self.system, self.state
         c, A, difference = coefficients()
         nothing = MOVES_NOTHING * system.length / (h * h)  # a body that is held has roundoff only
-        self.stats.residuals += len(difference)
-        self.stats.factorisations += len(difference)
+        self.stats.residuals += STAGES
+        self.stats.factorisations += STAGES
 
         driver = self.solver.driver
         found = None if driver is None else driver.half_stages(s, h, ((c, A), nothing))

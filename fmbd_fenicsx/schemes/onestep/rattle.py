@@ -24,6 +24,8 @@ from ...errors import BalanceError, ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...rotations import Array
+from ...system.compiled.march import LEFT, MAXIT, NEW_TANGENT, PARAMETERS, SLOW, THETA, TOL, March
+from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.explicit import Stage
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
@@ -31,9 +33,8 @@ from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ..control import EPS
 from ..dae import positions_refused
+from ..marching import MarchingStepper
 from ..newton import Newton
-from ..stepping import TimeStepper
-from .alpha.alpha_driver import LEFT, MAXIT, NEW_TANGENT, PARAMETERS, SLOW, THETA, TOL
 from .explicit_limit import StepLimit
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -67,13 +68,14 @@ def amplification(z: float, damping: float) -> Array:
     return np.array([new, middle - 0.5 * (z * z * new + damping * middle)])
 
 
-class RattleStepper(TimeStepper):
+class RattleStepper(MarchingStepper):
     """Advances a consistent state; ``half`` holds the multipliers of the last second half step.
 
     ``ahead``: by how much accelerations and multipliers of the last first half step differed from those at its beginning, a
     second of step: where the next one starts. ``damped``: forces depend on velocities so much that the matrix has to know them.
     """
 
+    maker = "RATTLE"
     keeps: ClassVar = {"state": Memory.state, "half": plain(), "ahead": plain(), "damped": plain()}
 
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
@@ -81,8 +83,8 @@ class RattleStepper(TimeStepper):
         self.half = state.lam
         self.ahead: tuple[Array, Array] = np.zeros_like(state.a), np.zeros_like(state.lam)
         self.damped = False
-        self.parameters = np.zeros(PARAMETERS)  # of Newton's iteration in compiled code
-        self.limit = StepLimit("RATTLE", system, solver, amplification)
+        self.parameters = np.zeros(PARAMETERS)  # of Newton's iteration of a stage in compiled code
+        self.limit: StepLimit = StepLimit("RATTLE", system, solver, amplification)
 
     def _prepare(self, ev: Evaluation, weights: Weights = MASS) -> None:
         """The matrix at ev.q: that of the masses serves the end of a step, its accelerations, and the beginning of the next."""
@@ -93,13 +95,27 @@ class RattleStepper(TimeStepper):
         """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails, or h is too long."""
         self.limit.look(self.state, h)
         try:
-            return self._step(h)
+            return self.state if self._step_in_one_call(h) else self._step_in_parts(h)
         except BalanceError as error:
             raise self.limit.blame(self.state, h, error) from error
 
-    def _step(self, h: float) -> State:
-        system = self.system
-        s = self.state
+    def _room(self, states: DriverStates) -> int:
+        s = states.system
+        return s.n_q + 6 * s.n_v + 4 * s.n_lam + states.tables.nu
+
+    def _own(self, *, factored: bool) -> Array:
+        a, lam = self.ahead
+        return np.concatenate((self.half, a, lam, (self.damped, factored)))[None]
+
+    def _take_march(self, march: March, made: int) -> None:
+        n, m, own = self.system.n_v, self.system.n_lam, march.ring.own().copy()
+        self.half, self.ahead = own[:m], (own[m : m + n], own[m + n : 2 * m + n])
+        self.damped = bool(own[2 * m + n])
+        self._count_increments(march.parameters, made)
+
+    def _beginning(self, h: float) -> tuple[tuple[Array, Array], float]:
+        """Where the iteration for (1) begins, and its tolerance (m), in parts."""
+        system, s = self.system, self.state
         guess = s.a + h * self.ahead[0], s.lam
         if (
             not self.solver.core.redundant
@@ -107,23 +123,11 @@ class RattleStepper(TimeStepper):
             guess = guess[0], s.lam + h * self.ahead[1]
         # increments move positions by h^2 a / 2: no less than roundoff
         floor = 64 * EPS * system.length
-        tolerance = max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
+        return guess, max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
 
-        driver = self.solver.driver
-        if driver is not None:
-            both = np.array((guess[0], s.a)), np.array((guess[1], self.half))
-            parameters = self._of_newton(tolerance / (0.5 * h * h))
-            step = driver.rattle(s, h, both, parameters, 0.5 * h * self.damped)
-            if step is not None:
-                self._count(step.solves)
-                self._look_ahead(h, step.first, step.solves)
-                self.half, self.state = step.half, step.end
-                return step.end
-        return self._step_in_parts(h, guess, tolerance)
-
-    def _step_in_parts(self, h: float, guess: tuple[Array, Array], tolerance: float) -> State:
-        """The same, where it is no one call of C; ``guess`` and ``tolerance`` (m) are those of (1)."""
-        system = self.system
+    def _step_in_parts(self, h: float) -> State:
+        """The same, where it is no one call of C."""
+        system, (guess, tolerance) = self.system, self._beginning(h)
         s = self.state
         t = s.t + h
         # first half, which closes the positions at the end

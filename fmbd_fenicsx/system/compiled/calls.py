@@ -17,7 +17,7 @@ from ...mechanics.joints.couplings import SmoothMotion
 from ...mechanics.kinds.asked import AskedKind
 from .tables.items import GIVEN, Items
 from .tables.structures import PYTHON, address_of, enumeration
-from .tables.tables import Tables
+from .tables.tables import MOTIONS, Tables
 
 ASKED = enumeration("SAMPLE")  # what C asks for
 OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer
@@ -35,7 +35,7 @@ class Calls:
         self.error: Exception | None = None
         self.sampled, self.trusted = np.nan, False  # s, the time of what depends on time only; whether it is so still
         self.moving = _motions(self.system)
-        # motions with places (3,) for their s, s' and s'': of rows, whose arrays take the first two, and of drives
+        # motions with places (3,) for their s, s' and s'': of rows and of drives
         self.of_rows = [np.zeros((len(rows), 3)) for rows, _ in self.moving]
         self.prescribed: list[tuple[Any, Any]] = []
         for values, (_, motions) in zip(self.of_rows, self.moving, strict=True):
@@ -67,7 +67,7 @@ class Calls:
     def _list_timed(self) -> None:
         """Tell C which arrays a sample writes."""
         tables = self.tables
-        written = [tables.arrays[name] for name in ("motion", "motion_rate") if self.moving]
+        written = [tables.arrays[name] for name in MOTIONS if self.moving]
         written += [x.table for x in tables.sources if x.drive or x.load is not None]
         written += [x.arrays["effort"] for x in self.given]
         written += [constants for constants, _ in self.targets]
@@ -124,6 +124,12 @@ class Calls:
         if error is not None:
             raise error
 
+    def forget_error(self) -> None:
+        """Of a call that is made once more, by someone who says more about it."""
+        self.error = None
+        for function in self.asked:
+            function.error = None
+
     def sample(self, t: float, part: int = WHOLE_SAMPLE) -> None:
         """Everything that depends on time only, or a part of it as ``driver/tables.h`` has them."""
         if self.trusted and t == self.sampled:
@@ -150,7 +156,8 @@ class Calls:
 
         arrays = self.tables.arrays
         for (rows, _), values in zip(self.moving, self.of_rows, strict=True):
-            arrays["motion"][rows], arrays["motion_rate"][rows] = values[:, 0], values[:, 1]
+            for name, given in zip(MOTIONS, values.T, strict=True):
+                arrays[name][rows] = given
 
     def _ask_laws_of_time(self, t: float) -> None:
         """Loads, given efforts, targets and gravity at a time, into the tables."""

@@ -6,7 +6,6 @@ once a step where something depends on time, and at evaluations where a law is g
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
@@ -14,17 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....rotations import Array
-from ....system.compiled.blocks import Block as StateBlock
-from ....system.compiled.blocks import Ring
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import STORAGE_LIMIT, solves
 from ....system.compiled.library import driver_library, units_of
-from ....system.compiled.recording import Openness, Tape
+from ....system.compiled.march import FLOOR, LENGTH, MAXIT, NEW_TANGENT, SLOW, TOL, March
+from ....system.compiled.recording import Tape
 from ....system.compiled.tables.bodies import covers_bodies
 from ....system.compiled.tables.fields import Block
 from ....system.compiled.tables.items import covers, other_loads
 from ....system.compiled.tables.resting import twin_of
-from ....system.compiled.tables.structures import address_of, enumeration
+from ....system.compiled.tables.structures import address_of
 from ....system.compiled.tables.tables import Tables
 from ....system.system import State, System
 
@@ -33,45 +31,18 @@ if TYPE_CHECKING:
     from ...newton import Newton
     from .compiled_control import CompiledControl
 
-# fmt: off
-(H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
- GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED) = range(PARAMETERS := 25)
-# fmt: on
-COUNTED = [ITERATIONS, LOCAL, LEFT]  # by a march, from zero
-DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE = enumeration("DONE").values()
 
-
-class AlphaDriver:
+class AlphaDriver(March):
     """The driver for one system: its tables, its calls into Python, and a ring of four states."""
 
     def __init__(self, library: Any, tables: Tables, calls: Calls) -> None:
+        super().__init__(library, tables, calls, "ALPHA")
         self.evaluator: DriverStates | None = None  # whose the tables are
-        system = tables.system
-        self.system, self.library = system, library
-        self.tables, self.calls = tables, calls
-        self.address = ctypes.addressof(self.tables.c)
-        self.ring = Ring(system, 4)
-        self.parameters = np.zeros(PARAMETERS)
-        self._verdict = ctypes.c_int(0)
-        self._tape: Tape | None = None
 
     def idle(self) -> AbstractContextManager[None]:
         """Between steps: who evaluates the system may have its tables back, where they are its own."""
         evaluator = self.evaluator
         return nullcontext() if evaluator is None or evaluator.tables is not self.tables else evaluator.back()
-
-    def load(self, states: Sequence[StateBlock]) -> None:
-        """Take the last states, the newest first, at most three."""
-        self.ring.load([self.tables.twin.widened(x) for x in states])
-        self.parameters[HISTORY] = len(states) - 1
-
-    def block(self, i: int) -> StateBlock:
-        """The i-th newest state, with its algorithmic acceleration."""
-        return self.tables.twin.narrowed(self.ring.block(i))
-
-    def state(self) -> State:
-        """The newest state."""
-        return self.tables.twin.state(self.ring.state())
 
     @property
     def slopes(self) -> Array | None:
@@ -95,26 +66,11 @@ class AlphaDriver:
             x.recall(kept[at : at + len(x.memory)])
             at += len(x.memory)
 
-    def tape(self, judged: Openness) -> Tape:
-        """Room for records; ``judged``: how open joints are told. Made once."""
-        if self._tape is None:
-            self._tape = Tape(self.tables, judged)
-        return self._tape
-
     def march(self, steps: int, tape: Tape | None = None, control: CompiledControl | None = None) -> tuple[int, int]:
-        """Make up to so many steps; the number made, and the verdict of the one that stopped them. ``control``: judges errors."""
-        self.parameters[COUNTED] = 0.0
-        made = self.library.march(
-            self.address,
-            address_of(self.parameters),
-            steps,
-            self.ring.address,
-            ctypes.byref(self._verdict),
-            None if tape is None else tape.address,
-            None if control is None else control.address,
-        )
+        """As :meth:`steps`; raises what a call into Python has raised."""
+        found = self.steps(steps, tape, control)
         self.calls.raise_error()
-        return int(made), int(self._verdict.value)
+        return found
 
     def error(self, scale: float, span: float, arrays: Sequence[Array], t: float, missed: Array) -> Array | None:
         """``driver_error`` of alpha.c for q, v, a and lambda; None where NumPy has to do."""

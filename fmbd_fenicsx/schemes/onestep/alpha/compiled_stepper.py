@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....rotations import Array
+from ....system.compiled import march as slots
 from ....system.system import State
 from ...dae import GGL
-from . import alpha_driver as slots
 from .alpha_driver import AlphaDriver, settings
 from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
 from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
@@ -175,7 +175,9 @@ class CompiledAlphaStepper(AlphaStepper):
         self.driver.parameters[slots.HISTORY] = 1
         return 0 if self.fresh else 1
 
-    def march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+    def march(
+        self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None, closed: Any = None
+    ) -> int:
         """Up to so many steps of size h (s) in one call; how many were made.
 
         ``watch``: stop before one that gains energy. ``tape``: takes records on the way, one of :meth:`tape`. Elements with a

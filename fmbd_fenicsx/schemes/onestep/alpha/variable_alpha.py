@@ -286,7 +286,9 @@ class VariableAlpha(TimeStepper):
         remembered = self.inner.keeps_memories or not self.system.keepers
         return remembered and len(self.norm.deforming) == len(self.system.parts)
 
-    def march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+    def march(
+        self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None, closed: Any = None
+    ) -> int:
         """Up to so many accepted steps of one size, at most h (s), in one call of compiled code, as :meth:`advance` makes one;
         fewer where the size may change or a step is refused.
         """

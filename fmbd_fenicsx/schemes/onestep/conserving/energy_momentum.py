@@ -45,6 +45,8 @@ from ....linear.redundancy import least
 from ....log import log
 from ....mechanics.bodies.bodies import AbsoluteBody
 from ....rotations import Array
+from ....system.compiled.march import HISTORY, H, March
+from ....system.compiled.states.evaluation import DriverStates
 from ....system.compiled.states.means import Ends
 from ....system.scene.contents import Contents
 from ....system.serialisation import Memory, plain, worker
@@ -52,7 +54,7 @@ from ....system.system import State, System
 from ...consistent import accelerations, consistent
 from ...newton import Newton
 from .past_means import PastMeans
-from .steps_in_parts import StepsInParts
+from .steps_in_parts import NEAR, NOTHING, ROUNDOFF, StepsInParts
 from .tangent_age import TangentAge
 
 POOR = 0.1  # error of a prediction, of the size of accelerations, above which bodies that move on rigidly may be nearer
@@ -105,6 +107,7 @@ def _refused(body: Any) -> str:
 class EnergyMomentumStepper(StepsInParts):
     """Advances a consistent state. The unknowns of a step: mean accelerations of the core, ports of fields in use, lambda."""
 
+    maker = "MEANS"
     keeps: ClassVar = {
         "state": Memory.state,
         **dict.fromkeys(("_kept", "counters"), plain()),
@@ -135,6 +138,8 @@ class EnergyMomentumStepper(StepsInParts):
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton's iteration fails."""
+        if self._step_in_one_call(h):
+            return self.state
         s, driver = self.state, self.solver.driver
         self._old = None
         self._means = means = None if driver is None else driver.means(s, h)
@@ -164,6 +169,33 @@ class EnergyMomentumStepper(StepsInParts):
         self.age.pass_by()
         return self._take(h, *self._in_parts(h, guess, ends, differences=tried))
 
+    def _in_one_call(self, h: float) -> bool:
+        """Without fields and dependent rows, and where no tangent of steps in parts serves better."""
+        kept = self._kept is not None and self._kept[0] == h
+        return not (kept or self.solver.core.redundant)
+
+    def _room(self, states: DriverStates) -> int:
+        s, most = states.system, self.newton.max_iterations + NEAR
+        step = states.library.driver_mean_room(states.address)
+        return 12 + most + s.n_v + max(int(step), 2 * s.n_v + 3 * s.n_lam + states.tables.nu)
+
+    def _prepare_room(self, room: Array, *, alone: bool) -> None:
+        ends = Ends(0.0, NOTHING, ROUNDOFF, self.newton.max_iterations + NEAR)
+        room[:12] = ends.most, np.inf if alone or self._warned else LARGE, *ends.numbers
+
+    def _own(self, *, factored: bool) -> Array:
+        return np.array([np.concatenate(((t, self.past.through), a, lam)) for t, a, lam in self.past.known])
+
+    def _take_march(self, march: March, made: int) -> None:
+        self._count_increments(march.parameters, made)
+        self.solver.core.factorisations += self.solver.driver.new_factors() if self.solver.driver else 0
+        count, n = 1 + int(march.parameters[HISTORY]), self.system.n_v
+        kept = [march.ring.own(i).copy() for i in range(count)]
+        self.past.known = [(float(x[0]), x[2 : 2 + n], x[2 + n :]) for x in kept]
+        self.past.through = int(kept[0][1])
+        self._kept = None
+        self._warn_of_turns(float(march.parameters[H]), self.past.known[0][1], march.state(1).v)
+
     def _guess(self, h: float, ends: Ends) -> tuple[Array, Array]:
         """Mean accelerations and multipliers of the next step; collective."""
         s, past = self.state, self.past
@@ -180,7 +212,7 @@ class EnergyMomentumStepper(StepsInParts):
     def _take(self, h: float, means: tuple[Array, Array], end: tuple[Array, Array]) -> State:
         """The state at the end of the step, its accelerations and multipliers solved for."""
         (a, lam), (q, v), s = means, end, self.state
-        self._warn_of_turns(h, s.v[: self.n] + 0.5 * h * a[: self.n])
+        self._warn_of_turns(h, a, s.v)
         self.state = accelerations(self.system, State(s.t + h, q, v, s.a, lam), self.solver)
         # of multipliers with the same forces the smallest
         if self.solver.core.redundant:
@@ -188,9 +220,9 @@ class EnergyMomentumStepper(StepsInParts):
         self.past.take((s.t + 0.5 * h, a, lam), self.system.each_typical, self._rigid)
         return self.state
 
-    def _warn_of_turns(self, h: float, w: Array) -> None:
+    def _warn_of_turns(self, h: float, a: Array, v: Array) -> None:
         """Say once that a body turns so far in a step that the Cayley map lags: by 2 atan(x / 2) in place of x = h |w|, rad."""
-        m, n = self.system.motions, self.system.n_frames
+        m, n, w = self.system.motions, self.system.n_frames, v[: self.n] + 0.5 * h * a[: self.n]
         if self._warned or not n:
             return
         turns = h * np.linalg.norm(w[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :], axis=1)

@@ -17,8 +17,8 @@ from ....system.compiled.states.means import Ends, MeanStates, rate_of
 from ....system.configurations import count
 from ....system.speed_rows import speed_rows
 from ....system.system import State, System
+from ...marching import MarchingStepper
 from ...newton import Newton
-from ...stepping import TimeStepper
 from .discrete_gradient import GradientEnd, Mean
 
 DIFFERENCE = 1e-7
@@ -28,7 +28,7 @@ ROUNDOFF = 1e-12  # an increment that moves positions by this share of the model
 WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps turn bodies far
 
 
-class StepsInParts(TimeStepper):
+class StepsInParts(MarchingStepper):
     """A stepper that makes one step at a time of mean accelerations of the core, ports of fields in use, and lambda."""
 
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State) -> None:

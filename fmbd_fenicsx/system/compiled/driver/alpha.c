@@ -274,11 +274,12 @@ static int iterate(System *s, double *p, AlphaStep *k)
     return k->done > (int)p[PATIENCE] + 1 && !s->fields && strayed(s, p, k->xi, k->begun) ? NEWTON : DONE;
 }
 
-/* One step from past[0] to out; past: the newest first. */
-static int step(System *s, double *p, const Block *past, int known, Block out)
+/* One step, as a Maker of march.c. */
+static int alpha_step(System *s, double *p, double *free_room, const Block *past, int known, Block out)
 {
     AlphaStep k;
     int verdict;
+    (void)free_room; /* it works in the tables' */
 
     begin(s, p, past[0], out, &k);
     if (s->samples) {

@@ -83,12 +83,11 @@ static void biases(const System *s, const Batch *k, double *second)
         }
 }
 
-/* What of the rates of the constraints depends on time only, and their second derivatives at constant twists; what a prescribed
-   motion adds to these is left to Python. */
+/* What of the rates of the constraints depends on time only, and their second derivatives at constant twists. */
 static void derivatives_in_time(System *s, double *partial, double *second)
 {
     for (int i = 0; i < s->rows; i++) partial[i] = -s->motion_rate[i];
-    memset(second, 0, s->rows * sizeof(double));
+    for (int i = 0; i < s->rows; i++) second[i] = -s->motion_second[i];
     for (int i = 0; i < s->surfaces; i++) surface_bias(s, i);
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;

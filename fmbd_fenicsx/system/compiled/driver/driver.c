@@ -20,6 +20,9 @@
 #include "secants.c"
 #include "mean.c"
 #include "alpha.c"
+#include "rattle.c"
+#include "runge_kutta.c"
+#include "mean_steps.c"
 #include "control.c"
 #include "march.c"
 

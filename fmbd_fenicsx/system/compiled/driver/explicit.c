@@ -35,11 +35,11 @@ static double alone(const System *s)
     return largest;
 }
 
-/* a and lambda at (t, q, v), the third of (1) in schemes/consistent.py, by iterations down to roundoff; ``bias``: what prescribed
-   motions add to g'' - G a. ``room``: 2 nv + 3 rows + nu. ``factored``: whether the matrix of the masses is, at this q. Dependent
-   rows need a second solution, see soften(), and are looked at: NEWTON where they contradict each other. */
-static int accelerate(System *s, double t, double length, const double *q, const double *v, const double *bias, double *a,
-                      double *lam, double *room, int factored)
+/* a and lambda at (t, q, v), the third of (1) in schemes/consistent.py, by iterations down to roundoff. ``room``: 2 nv + 3 rows + nu.
+   ``factored``: whether the matrix of the masses is, at this q. Dependent rows need a second solution, see soften(), and are looked
+   at: NEWTON where they contradict each other. */
+static int accelerate(System *s, double t, double length, const double *q, const double *v, double *a, double *lam, double *room,
+                      int factored)
 {
     double *x = room, *y = x + s->nv, *second = y + s->rows, *partial = second + s->rows, *world = partial + s->rows;
     double fastest = largest_of(s->units, v, s->nv), forces = 0.0, typical = 0.0, last = INFINITY;
@@ -63,7 +63,7 @@ static int accelerate(System *s, double t, double length, const double *q, const
         else memcpy(s->velocity, world, s->nu * sizeof(double));
         slips(s, 0);
         for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
-        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -(s->slip[i] + second[i] + bias[i]);
+        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -(s->slip[i] + second[i]);
         if (k == 0 && s->redundant) typical = fmax(alone(s), fastest * fastest / length);
         if (k > 1 && s->redundant && !(largest_of(s->row_units, s->b + s->nu, s->rows) <= CONTRADICTS * typical)) return NEWTON;
         if (settled) return DONE;
@@ -81,12 +81,12 @@ static int accelerate(System *s, double t, double length, const double *q, const
     return NEWTON;
 }
 
-EXPORT int driver_accelerate(System *s, int factored, double t, double length, const double *q, const double *v, const double *bias,
-                             double *a, double *lam, double *room)
+EXPORT int driver_accelerate(System *s, int factored, double t, double length, const double *q, const double *v, double *a,
+                             double *lam, double *room)
 {
     double last = NAN;
     int verdict = sample(s, t, &last);
-    return verdict ? verdict : accelerate(s, t, length, q, v, bias, a, lam, room, factored);
+    return verdict ? verdict : accelerate(s, t, length, q, v, a, lam, room, factored);
 }
 
 /* The smallest change of twists, in the mass metric, that closes the rows by ``open``: with the factor as it is. */
@@ -136,19 +136,16 @@ EXPORT int driver_close(System *s, int places, double t, double length, double *
 }
 
 /* The end of a step: q and v moved onto the constraints, then a and lambda there; ``room`` as of both. */
-EXPORT int driver_arrive(System *s, int places, double t, double length, const double *bias, double *q, double *v, double *a,
-                         double *lam, double *room)
+EXPORT int driver_arrive(System *s, int places, double t, double length, double *q, double *v, double *a, double *lam, double *room)
 {
     int verdict = driver_close(s, places, t, length, q, v, room);
-    return verdict ? verdict : accelerate(s, t, length, q, v, bias, a, lam, room, 0);
+    return verdict ? verdict : accelerate(s, t, length, q, v, a, lam, room, 0);
 }
 
 /* The stages of an explicit Runge-Kutta method in local coordinates xi about q0, whose rates and accelerations (stages x nv) are
-   known for the first; xi and v: the end of the step, by the last row of A, (stages + 1) x stages. ``bias``: stages x rows;
-   ``room``: nq + 2 nv + 4 rows + nu. */
+   known for the first; xi and v: the end of the step, by the last row of A, (stages + 1) x stages. ``room``: nq + 2 nv + 4 rows + nu. */
 EXPORT int driver_stages(System *s, int stages, double t, double h, double length, const double *c, const double *A,
-                         const double *bias, const double *q0, const double *v0, double *rates, double *pushes, double *xi,
-                         double *v, double *room)
+                         const double *q0, const double *v0, double *rates, double *pushes, double *xi, double *v, double *room)
 {
     double *q = room, *lam = q + s->nq, *rest = lam + s->rows, last = NAN;
     int verdict;
@@ -166,8 +163,7 @@ EXPORT int driver_stages(System *s, int stages, double t, double h, double lengt
 
         configuration(s, q0, xi, q);
         if ((verdict = sample(s, t + c[i] * h, &last))) return verdict;
-        verdict = accelerate(s, t + c[i] * h, length, q, v, bias + (long)i * s->rows, pushes + (long)i * s->nv, lam, rest, 0);
-        if (verdict) return verdict;
+        if ((verdict = accelerate(s, t + c[i] * h, length, q, v, pushes + (long)i * s->nv, lam, rest, 0))) return verdict;
         double *rate = rates + (long)i * s->nv;
         memcpy(rate, v, s->nv * sizeof(double));
         for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, rate + TWIST * b);
@@ -183,6 +179,7 @@ typedef struct {
     const double *times, *q, *v, *after, *known;
     double b, c;
     double damp, nothing;    /* weight of damping in the matrix; below which an increment counts as none */
+    double tolerance;        /* of accelerations, where the iteration is not to end in roundoff */
     int on_places, factored; /* the second of (2); whether the matrix is factored already */
 } Stage;
 
@@ -207,7 +204,7 @@ static int open_rows(System *s, const Stage *o, const double *a, double *change,
     return DONE;
 }
 
-/* a and lambda, which begin as a guess, by Newton's iteration with the matrix at q: to the tolerance of the parameters p of a
+/* a and lambda, which begin as a guess, by Newton's iteration with the matrix at q: to the tolerance by the parameters p of a
    march, or (NULL) to roundoff. ``solves`` counts. ``room``: 2 nv + 2 rows + nq. */
 static int solve_stage(System *s, const Stage *o, double *p, double *a, double *lam, long *solves, double *room)
 {
@@ -233,7 +230,7 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
         double size = largest_of(s->units, x, s->nv);
         int ended;
         if (p) {
-            sizes[k] = size / p[TOL];
+            sizes[k] = size / o->tolerance;
             ended = judge(p, sizes, k + 1, &left);
             if (s->fields && lingers(p, k + 1, left)) return NEWTON; /* new tangents are Python's */
         } else ended = at_roundoff(size, last, fmax(largest_of(s->units, a, s->nv), 1e-300), o->nothing);
@@ -252,7 +249,7 @@ EXPORT int driver_stage(System *s, int on_places, int factored, const double *si
                         const double *v, const double *after, const double *known, double *a, double *lam, long *solves,
                         double *newton, double *room)
 {
-    Stage one = {times, q, v, after, known, sizes[0], sizes[1], sizes[2], sizes[3], on_places, factored};
+    Stage one = {times, q, v, after, known, sizes[0], sizes[1], sizes[2], sizes[3], newton ? newton[TOL] : 0.0, on_places, factored};
     return solve_stage(s, &one, newton, a, lam, solves, room);
 }
 
@@ -282,39 +279,11 @@ EXPORT int driver_half_stages(System *s, int stages, double t, double h, double 
         for (int j = 0; j < i; j++) add(known, h * share[j], pushes + (long)j * s->nv, s->nv);
         configuration(s, q0, xi, after);
 
-        Stage one = {times, q, v, after, known, 0.0, h * share[i], 0.0, nothing, 0, 0};
+        Stage one = {times, q, v, after, known, 0.0, h * share[i], 0.0, nothing, 0.0, 0, 0};
         if ((verdict = solve_stage(s, &one, NULL, a, lam, solves, rest))) return verdict;
         memcpy(pushes + (long)i * s->nv, a, s->nv * sizeof(double));
         memcpy(v, known, s->nv * sizeof(double));
         add(v, h * share[i], a, s->nv);
     }
     return DONE;
-}
-
-/* A step of RATTLE, schemes/onestep/rattle.py, to t + h. ``push`` (2 x nv) and ``force`` (2 x rows): a and lambda of (1) and of (2),
-   which begin as guesses; q1, v1, a and lam: the state at the end. ``factored``, ``damp``, ``newton`` and ``solves`` are those of the
-   stage (1), ``bias`` is that of accelerations; ``room``: nv, and that of a stage or of accelerations. */
-EXPORT int driver_rattle(System *s, int factored, double t, double h, double length, double damp, const double *q, const double *v,
-                         const double *bias, double *newton, double *push, double *force, double *q1, double *v1, double *a,
-                         double *lam, long *solves, double *room)
-{
-    double start[2] = {t, t + h}, end[2] = {t + h, t + h}, *xi = room, *rest = xi + s->nv, last = NAN;
-    int verdict;
-
-    /* v at the middle, q at the end */
-    for (int i = 0; i < s->nv; i++) xi[i] = h * v[i];
-    Stage half = {start, q, v, q, xi, 0.5 * h, 0.5 * h * h, damp, 0.0, 1, factored};
-    if ((verdict = solve_stage(s, &half, newton, push, force, solves, rest))) return verdict;
-    memcpy(v1, v, s->nv * sizeof(double));
-    add(v1, 0.5 * h, push, s->nv);
-    for (int i = 0; i < s->nv; i++) xi[i] = h * v1[i];
-    configuration(s, q, xi, q1);
-
-    /* v at the end */
-    long more = 0;
-    Stage other = {end, q1, v1, q1, v1, 0.0, 0.5 * h, 0.0, 0.0, 0, 0};
-    if ((verdict = solve_stage(s, &other, NULL, push + s->nv, force + s->rows, &more, rest))) return verdict;
-    add(v1, 0.5 * h, push + s->nv, s->nv);
-    if ((verdict = sample(s, t + h, &last))) return verdict;
-    return accelerate(s, t + h, length, q1, v1, bias, a, lam, rest, 1);
 }

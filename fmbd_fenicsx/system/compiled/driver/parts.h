@@ -74,12 +74,12 @@ int lingers(const double *p, int done, double left);
 /* Parameters of a march; increments of a step at most. */
 enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,           /* in */
        ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */
-       STABILISED };                                                                                                   /* in: the GGL form */
+       STABILISED, PARAMETERS };                                                                                       /* in: the GGL form */
 enum { MOST = 64 };
 
-/* A state as one block of numbers: t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
+/* A state as one block of numbers: t, q (nq), v (nv), a (nv), A (nv), lambda (rows), and what a scheme keeps of its own. */
 typedef struct {
-    double *t, *q, *v, *a, *A, *lam;
+    double *t, *q, *v, *a, *A, *lam, *own;
 } Block;
 
 static inline Block block_at(const System *s, double *x)
@@ -91,6 +91,7 @@ static inline Block block_at(const System *s, double *x)
     b.a = b.v + s->nv;
     b.A = b.a + s->nv;
     b.lam = b.A + s->nv;
+    b.own = b.lam + s->rows;
     return b;
 }
 

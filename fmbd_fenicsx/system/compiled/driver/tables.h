@@ -22,9 +22,11 @@ enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE }; /* roles of items
                                                           /* WHOLE: wrenches on two markers from Python */
 enum { POINT, SQUARE, DISTANCE, QUOTIENT };               /* of an effort over a step that keeps energy: at its mean point; else by */
                                                           /* differences of s, see mechanics/joints/relative.py */
-enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE }; /* verdicts; LOOK: the NumPy path has something to say; FAILED: a */
-                                                          /* law in Python raised; GAIN: energy from nothing; SIZE: the next */
-                                                          /* step may have another size */
+enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE, DOUBT }; /* verdicts; LOOK: the NumPy path has something to say; */
+                                                          /* FAILED: a law in Python raised; GAIN: energy from nothing; SIZE: */
+                                                          /* the next step may have another size; DOUBT: whether the state */
+                                                          /* counts is to be looked at closely */
+enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS }; /* schemes that make many steps in one call, see march.c */
 
 typedef void kernel(long n, const int *pair, const double *frames, const double *P, const double *W, double *out);
 
@@ -197,7 +199,7 @@ typedef struct {
     int *seen_frame, *seen_angle, accelerated; /* whether angles (plane), and accelerations, of what is seen are recorded */
     double *seen_place;                /* seen x (D + D x D): places of the markers in their frames, and how they are turned */
     Reaction *reaction;
-    double *motion_rate, *rest_gravity, *slip;
+    double *motion_rate, *motion_second, *rest_gravity, *slip;
     double settled;                    /* Newton's tolerance of a step */
     int again;                         /* where in ``work`` a second solution has its own, see sway() */
     int renewed;                       /* whether forces as a whole get new slopes at any rate */
@@ -249,6 +251,14 @@ typedef struct {
                                        /* speed, speed */
     double *contact;                   /* where there are contacts: see moreau.c */
 } Tape;
+
+/* By what the joints of every state of a march are judged, see run/judges/acceptance.py: units of the rows as lengths; the gap (m) that
+   is allowed, and its share of the distance from the origin; the speed (m/s) at which they may open, infinite where rates do not
+   count, and its share of the ``fastest`` speed so far. The march ends with a state whose ``speed`` is above ``most``. */
+typedef struct {
+    const double *units;
+    double allowed, roundoff, length, opening, share, fastest, speed, most;
+} Closed;
 
 /* Deformations of one body in the norm of errors (control.c). */
 typedef struct {

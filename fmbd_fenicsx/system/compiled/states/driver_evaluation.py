@@ -22,8 +22,6 @@ class _Constraints:
     Answers are the caller's own.
     """
 
-    states: DriverStates
-    times: Array
     _told: Array | None  # in the order of :meth:`DriverStates.constraints`
 
     def constraint(self) -> Array:
@@ -39,9 +37,7 @@ class _Constraints:
     def gamma(self) -> Array:
         """g'' - G a, likewise."""
         told = self._told
-        if told is None:
-            return super().gamma()  # type: ignore[misc]
-        return told[3] - self.states.second_rates(self.times).reshape(told[3].shape)
+        return super().gamma() if told is None else told[3].copy()  # type: ignore[misc]
 
 
 class DriverEvaluation(_Constraints, Evaluation):
@@ -52,7 +48,6 @@ class DriverEvaluation(_Constraints, Evaluation):
         self.states = states
         rest = np.zeros(self.system.n_v) if v is None else v
         self.alone = np.array([t]), q[None], rest[None]  # the configuration as one of many
-        self.times = self.alone[0]
 
     def is_at(self, t: float, q: Array, v: Array | None) -> bool:
         """Whether this is the same state."""
@@ -153,7 +148,7 @@ class DriverBatch(_Constraints, EvaluationBatch):
 
     def __init__(self, states: DriverStates, t: Array, q: Array, v: Array) -> None:
         super().__init__(states.system, t, q, v)
-        self.states, self.all, self.times = states, (t, q, v), t
+        self.states, self.all = states, (t, q, v)
 
     @cached_property
     def _told(self) -> Array | None:  # type: ignore[override]

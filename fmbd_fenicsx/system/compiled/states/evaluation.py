@@ -161,16 +161,9 @@ class DriverStates(CompiledGeometry):
         return room, [room.places["a"], None if lam is None else room.places["lam"], room.places["sums"]]
 
     def constraints(self, at: Configurations) -> Array | None:
-        """g, G v + g_t, g_t and gamma without :meth:`second_rates`, (4, k, n_lam). None as above."""
+        """g, G v + g_t, g_t and gamma, (4, k, n_lam). None as above."""
         found = self._constraints(at)
         return None if found is None else found.copy()
-
-    def second_rates(self, times: Array) -> Array:
-        """Those of prescribed motions at the times (k,), by rows, (k, n_lam): gamma has to lose them."""
-        out = np.zeros((len(times), self.system.n_lam))
-        for rows, motions in self.calls.moving:
-            out[:, rows] += [[motion(float(t))[2] for motion in motions] for t in times]
-        return out
 
     def _constraints(self, at: Configurations) -> Array | None:
         """The same, a view."""

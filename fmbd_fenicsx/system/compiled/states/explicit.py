@@ -45,18 +45,6 @@ class Stage:
     on_places: bool = False
 
 
-@dataclass(frozen=True)
-class RattleStep:
-    """The state at the end of a step of RATTLE, a and lambda of the first half step, lambda of the second, and how many solutions
-    the first took.
-    """
-
-    end: State
-    first: tuple[Array, Array]
-    half: Array
-    solves: int
-
-
 class ExplicitStates:
     """The answers for one system; ``states``: whose driver it is."""
 
@@ -72,7 +60,7 @@ class ExplicitStates:
         twin = self.states.twin
         a = np.empty(twin.system.n_v)
         lam = np.empty(self.system.n_lam)
-        arrays = twin.configurations(q), twin.velocities(v), self._bias(np.array([t])), a, lam
+        arrays = twin.configurations(q), twin.velocities(v), a, lam
         known = self.states.holds_masses(t, q)
         if not self._ask(self.states.library.driver_accelerate, (int(known), t, self.system.length), arrays):
             return None
@@ -91,7 +79,7 @@ class ExplicitStates:
         twin = self.states.twin
         q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
         a, lam = np.empty_like(v), np.empty(self.system.n_lam)
-        arrays = self._bias(np.array([t])), q, v, a, lam
+        arrays = q, v, a, lam
         if not self._ask(self.states.library.driver_arrive, (places, t, self.system.length), arrays):
             return None
         end = State(t, twin.places(q), twin.forces(v), twin.forces(a), lam)
@@ -109,7 +97,7 @@ class ExplicitStates:
         rates[0], pushes[0] = v, twin.velocities(start[2])
         xi, after = np.empty((2, len(v)))
 
-        arrays = c, A, self._bias(t + h * c), q, v, rates, pushes, xi, after
+        arrays = c, A, q, v, rates, pushes, xi, after
         made = self._ask(self.states.library.driver_stages, (len(c), t, h, self.system.length), arrays)
         return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(after)) if made else None
 
@@ -132,31 +120,6 @@ class ExplicitStates:
         if not o.damping:
             states.hold(o.times[0], o.q, o.v, new=not factored)
         return twin.forces(a), lam, int(solves[0])
-
-    def rattle(
-        self, state: State, h: float, guess: tuple[Array, Array], newton: Array, damping: float
-    ) -> RattleStep | None:
-        """A step of RATTLE of size h (s). ``guess``: a (2, n_v) and lambda (2, n_lam) of both half steps. Of the first,
-        ``newton`` are the parameters of a march, ``damping`` is its weight in the matrix (s).
-        """
-        states, twin = self.states, self.states.twin
-        push, force = twin.velocities(guess[0]), guess[1]
-        q, v = twin.configurations(state.q), twin.velocities(state.v)
-        q1, (v1, a), lam = np.empty_like(q), np.empty((2, len(v))), np.empty(self.system.n_lam)
-        solves = np.zeros(1, dtype=np.int64)
-        t = state.t + h
-        factored = not damping and states.holds_masses(state.t, state.q)
-
-        numbers = int(factored), state.t, h, self.system.length, damping
-        bias = self._bias(np.array([t]))
-        arrays: tuple[Any, ...] = (q, v, bias, newton, push, force, q1, v1, a, lam, solves)
-        if not self._ask(states.library.driver_rattle, numbers, arrays):
-            return None
-        end = State(t, twin.places(q1), twin.forces(v1), twin.forces(a), lam)
-        states.factors += not damping and not factored
-        states.hold(t, end.q, end.v)
-        push = twin.forces(push)
-        return RattleStep(end, (push[0], force[0]), force[1], int(solves[0]))
 
     def half_stages(
         self,
@@ -182,13 +145,6 @@ class ExplicitStates:
             return None
         last = twin.forces(a), lam, int(solves[0])
         return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(v)), last
-
-    def _bias(self, times: Array) -> Array:
-        """What prescribed motions add to gamma at several times, (k, n_lam)."""
-        bias = np.zeros((len(times), self.system.n_lam))
-        for rows, motions in self.states.calls.moving:
-            bias[:, rows] -= [[motion(float(t))[2] for motion in motions] for t in times]
-        return bias
 
     def _ask(
         self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array | None, ...], *, factors: bool = True

@@ -105,7 +105,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields("remembers seen readings reactions", _INT),
         *_fields("seen_frame seen_angle", _POINTER),
         ("accelerated", _INT),
-        *_fields("seen_place reaction motion_rate rest_gravity slip", _POINTER),
+        *_fields("seen_place reaction motion_rate motion_second rest_gravity slip", _POINTER),
         ("settled", _REAL),
         *_fields("again renewed led renewable foretells renewals linkable links", _INT),
         *_fields("push pull answer mutual", _POINTER),

@@ -47,6 +47,7 @@ DIRECTIONS = {  # constants that are directions in the axes of a marker: of whic
     "follower_couple": {"load": 1},
 }
 OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
+MOTIONS = "motion", "motion_rate", "motion_second"  # of rows: s, s' and s'' of what is prescribed
 LINKS_LIMIT = 1_000_000  # entries of the rows of efforts that answer to more than their own coordinate
 ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
 
@@ -383,7 +384,7 @@ class Tables:
             "velocity": self.nothing + 1, "residual": self.nothing + 1,
             "L": self.fronts.storage + 8, "diagonal": size, "inverse": size, "b": size, "local": size + 8,
             "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows), "big": (2 * self.twist + 1) * 2 * widest + size,
-            **dict.fromkeys(("gap", "slip", "weight", "motion", "motion_rate"), self.rows),
+            **dict.fromkeys(("gap", "slip", "weight", *MOTIONS), self.rows),
             "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},
         })  # fmt: skip
         self.arrays = {name: x for name, (x, _) in arrays.items()}

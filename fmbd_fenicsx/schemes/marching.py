@@ -1,0 +1,162 @@
+"""Steppers whose steps are calls of compiled code: one step in a call, or many between two records (driver/march.c).
+
+A step that compiled code does not find is made in parts, by the scheme in Python, from the same beginning, which says what is
+wrong with it; one whose end does not pass is made once more by itself, for those who judge steps.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from ..errors import StabilityError
+from ..linear.condensation import StepSolver
+from ..rotations import Array
+from ..system.compiled import march as slots
+from ..system.compiled.march import March
+from ..system.system import State, System
+from .newton import Newton
+from .onestep.alpha.alpha_driver import settings
+from .stepping import TimeStepper
+
+if TYPE_CHECKING:
+    from ..run.judges.acceptance import Closed
+    from ..run.judges.energy_check import Watch
+    from ..system.compiled.recording import Openness, Tape
+    from ..system.compiled.states.evaluation import DriverStates
+    from .onestep.explicit_limit import StepLimit
+
+AGAIN = (slots.GAIN, slots.DOUBT)  # after these the same step is found once more, by itself
+
+
+class MarchingStepper(TimeStepper):
+    """A scheme says how it is called (``maker``) and what it keeps with a state beside the state itself."""
+
+    maker: ClassVar[str]
+
+    system: System
+    solver: StepSolver
+    newton: Newton
+
+    limit: StepLimit | None = None  # of explicit schemes
+    _used: March | None = None
+    _refused: tuple[State, float] | None = None  # where compiled code found no step of this size
+
+    # -- what a scheme says -------------------------------------------------------------------------------------------------
+    def _room(self, states: DriverStates) -> int:
+        """How many numbers its steps need to work in."""
+        raise NotImplementedError
+
+    def _prepare_room(self, room: Array, *, alone: bool) -> None:
+        """Write into it what its steps are made by; ``alone``: one step, of which the scheme says by itself what is doubtful."""
+
+    def _own(self, *, factored: bool) -> Array:
+        """What it keeps with the last states, (k, numbers), the newest first; ``factored``: whether the masses are, there."""
+        raise NotImplementedError
+
+    def _in_one_call(self, h: float) -> bool:
+        """Whether steps of size h (s) may be calls now."""
+        return True
+
+    def _take_march(self, march: March, made: int) -> None:
+        """Take from the newest states what it keeps, after so many steps."""
+        raise NotImplementedError
+
+    def _count_increments(self, p: Array, steps: int) -> None:
+        """Take note of Newton's iterations in so many steps."""
+        self.newton.iterations += int(p[slots.ITERATIONS])
+        self.newton.note(float(p[slots.LEFT]), steps)
+        self.newton.theta = float(p[slots.THETA])
+
+    # -- steps --------------------------------------------------------------------------------------------------------------
+    def stride(self, h: float) -> float:
+        """As :meth:`TimeStepper.stride`."""
+        march = self._march_of() if self._in_one_call(h) else None
+        looks = None if march is None else march.tables.looks
+        return h if looks is not None and looks.energies_known and not looks.stores else 0.0
+
+    def tape(self, judged: Openness) -> Tape | None:
+        """As :meth:`TimeStepper.tape`."""
+        march = self._march_of()
+        return None if march is None else march.tape(judged)
+
+    @property
+    def origin(self) -> State:
+        """As :meth:`TimeStepper.origin`."""
+        assert self._used is not None
+        return self._used.state(1)
+
+    def march(
+        self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None, closed: Closed | None = None
+    ) -> int:
+        """As :meth:`TimeStepper.march`; steps that fail are left to :meth:`advance`."""
+        made, limit = 0, self.limit
+        while made < steps:
+            try:
+                free, most = (np.inf, np.inf) if limit is None else limit.free(self.state, h)
+            except StabilityError:  # whoever makes that step says so
+                break
+            now = self._made(h, int(min(steps - made, free)), most, (watch, tape, closed))
+            made += now
+            if limit is not None:
+                limit.count(now)
+            if not now or self._stopped or (tape is not None and tape.c.crossed):
+                break
+        return made
+
+    def _step_in_one_call(self, h: float) -> bool:
+        """A step of size h (s) by compiled code; whether it was found."""
+        return bool(self._made(h, 1, np.inf, (None, None, None)))
+
+    def _march_of(self) -> March | None:
+        """The march of the tables in use; None where steps are made in parts."""
+        driver = self.solver.driver
+        states = None if driver is None else driver.whole_steps(self.state)
+        if states is None:
+            return None
+        if self._used is None or self._used.tables is not states.tables:
+            size = self._own(factored=False).shape[1]
+            room = self._room(states)
+            self._used = March(states.library, states.tables, states.calls, self.maker, own=size, room=room)
+            settings(self._used.parameters, self.system, self.newton)
+        return self._used
+
+    def _made(self, h: float, count: int, most: float, judges: tuple[Watch | None, Tape | None, Closed | None]) -> int:
+        """Up to so many steps in one call, up to a state faster than ``most`` (m/s); how many were made."""
+        s, self._stopped = self.state, True
+        refused = self._refused is not None and self._refused[0] is s and self._refused[1] == h
+        march = None if refused or not self._in_one_call(h) else self._march_of()
+        driver = self.solver.driver
+        if march is None or driver is None:
+            return 0
+
+        watch, tape, closed = judges
+        p = march.parameters
+        p[slots.H], p[slots.THETA], p[slots.GUARDED] = h, self.newton.theta, watch is not None
+        if watch is not None:
+            p[slots.HIGHEST : slots.SETTLING + 1] = watch.limits
+        if closed is not None:
+            march.judge(closed.limits(h), most)
+        self._prepare_room(march.room, alone=closed is None)
+        kept = self._own(factored=driver.begin_steps(s))
+        march.load([(s.t, s.q, s.v, s.a, np.zeros_like(s.a), s.lam)] * len(kept))
+        for i, one in enumerate(kept):
+            march.ring.own(i)[:] = one
+
+        made, verdict = march.steps(count, tape, judged=closed is not None)
+        self._stopped = bool(verdict)
+        driver.end_steps(march.state() if made and not verdict else None)
+        if made:
+            self.state = march.state()
+            self._take_march(march, made)
+            if watch is not None:
+                watch.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
+            if closed is not None:
+                closed.passed(self.state.t, float(march.closed.fastest))
+        march.calls.forget_error()  # parts of the step meet it again
+        if verdict == slots.LOOK:
+            march.tables.look()
+        if verdict and verdict not in AGAIN:
+            self._refused = self.state, h
+        return made

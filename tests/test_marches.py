@@ -1,0 +1,206 @@
+"""Many steps in one call of C: those that are made in turn, to the last bit, with the same counts and the same words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from test_driver import compiled, joint_springs, suspended
+from test_steps_one_by_one import driven_rod, named
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import FmbdError
+from fmbd_fenicsx.schemes.marching import MarchingStepper
+from fmbd_fenicsx.schemes.onestep import explicit_limit
+from fmbd_fenicsx.system.compiled.march import March
+
+SCHEMES = [fmbd.Rattle(), fmbd.EnergyMomentum(), fmbd.ExplicitRungeKutta(rtol=None), fmbd.HalfExplicit(rtol=None)]
+STATE = ("t", "q", "v", "a", "lam")
+
+
+def in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No steps are made by marches from now on; each by itself, as Python makes them."""
+    monkeypatch.setattr(MarchingStepper, "stride", lambda self, h: 0.0)
+
+
+def both(monkeypatch: pytest.MonkeyPatch, run: Any) -> list[Any]:
+    """What a run gives by marches, and with steps made in turn."""
+    found = [run()]
+    with monkeypatch.context() as patch:
+        in_turn(patch)
+        found.append(run())
+    return found
+
+
+def hanging(law: Any, *, mass: float = 1.0) -> fmbd.Scene:
+    """An arm on a hinge with a law of the angle."""
+    scene = fmbd.Scene("arm", gravity=(0.0, -9.81))
+    arm = fmbd.RigidBody("arm", mass, 0.1, (0.5, 0.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, arm, center=(0, 0))
+    scene.add(arm, hinge, fmbd.joint_spring("law", fmbd.angle(hinge), law=law))
+    return scene
+
+
+def redundant() -> fmbd.Scene:
+    """A door on two hinges."""
+    scene = fmbd.Scene("door", gravity=(0, -9.81, 1.0))
+    door = fmbd.RigidBody("door", 2.0, (0.1, 0.2, 0.3), (0.4, 0.0, 1.0))
+    scene.add(door)
+    for k in (0.0, 2.0):
+        scene.add(fmbd.revolute(f"hinge {k:g}", fmbd.ground, door, center=(0, 0, k), axis=(0, 0, 1)))
+    return scene
+
+
+MAKERS = {
+    "plane": lambda: joint_springs(2),
+    "space": lambda: joint_springs(3),
+    "no joints": lambda: suspended(3),
+    "driven": lambda: driven_rod(2),
+    "law": lambda: hanging(lambda s, rate, t: 3.0 * s**3 + 0.1 * rate + np.sin(t)),
+    "damped": lambda: hanging(lambda s, rate, t: 40.0 * rate, mass=0.2),
+    "redundant": redundant,
+}
+
+
+@compiled
+@pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.parametrize("scheme", SCHEMES, ids=named)
+def test_marches_are_steps_made_in_turn(scheme: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """120 steps, between which explicit schemes look at stability twice."""
+    monkeypatch.setattr(explicit_limit, "AT_MOST", 1.0)
+    marches: list[int] = []
+    steps = March.steps
+    noted = lambda self, *x, **y: (made := steps(self, *x, **y), marches.append(made[0]))[0]  # noqa: E731
+    monkeypatch.setattr(March, "steps", noted)
+    output = fmbd.Output(every=120, progress=False)
+    once, turn = both(
+        monkeypatch, lambda: fmbd.solve(MAKERS[name](), t_end=0.12, dt=1e-3, scheme=scheme, output=output)
+    )
+    in_parts = name == "redundant" and isinstance(scheme, fmbd.EnergyMomentum)  # the smallest multipliers are NumPy's
+    assert in_parts or max(marches) > 30
+    for x in STATE:
+        assert np.array_equal(getattr(once.state, x), getattr(turn.state, x)), x
+    assert once.counters == turn.counters
+    assert once.drift == turn.drift and once.newton_accuracy == pytest.approx(turn.newton_accuracy, rel=1e-9)
+
+
+@compiled
+@pytest.mark.parametrize("name", ["plane", "space", "law", "driven"])
+def test_marches_of_energy_momentum_foretell_as_python_does(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where an iteration begins and ends: as many increments as steps that Python prepares, and the same states to roundoff."""
+    run = lambda: fmbd.solve(MAKERS[name](), t_end=0.06, dt=1e-3, scheme=fmbd.EnergyMomentum())  # noqa: E731
+    once = run()
+    monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+    turn = run()
+    assert once.counters["newton_iterations"] == turn.counters["newton_iterations"]
+    for x in ("q", "v", "a", "lam"):
+        wanted = getattr(turn.state, x)
+        assert getattr(once.state, x) == pytest.approx(wanted, rel=1e-8, abs=1e-9 * max(1.0, np.abs(wanted).max())), x
+
+
+@compiled
+def test_large_turns_are_warned_of_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the step that turns a body so far, in the middle of a march."""
+
+    def run() -> list[str]:
+        scene = fmbd.Scene("wheel")
+        wheel = fmbd.RigidBody("wheel", 1.0, 0.1, (0.0, 0.0))
+        hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0))
+        scene.add(wheel, hinge, fmbd.effort("motor", fmbd.angle(hinge), lambda t: 800.0))
+        done = fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=fmbd.EnergyMomentum(), output=fmbd.Output(every=100))
+        return [str(x) for x in done.warnings]
+
+    once, turn = both(monkeypatch, run)
+    assert once == turn and sum("rad a step" in x for x in once) == 1
+
+
+@compiled
+@pytest.mark.parametrize("scheme", SCHEMES, ids=named)
+def test_records_on_the_way_are_those_of_states(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run() -> fmbd.Run:
+        scene = joint_springs(2)
+        scene.sensor("place", fmbd.sensors.position(scene.bodies[next(iter(scene.bodies))]))
+        return fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=scheme, output=fmbd.Output(progress=False))
+
+    once, turn = both(monkeypatch, run)
+    assert np.array_equal(once.times, turn.times) and len(once.times) == 101
+    assert once["place"] == pytest.approx(turn["place"], rel=1e-13, abs=1e-14)
+    for kind in turn.energy:
+        assert once.energy[kind] == pytest.approx(turn.energy[kind], rel=1e-11, abs=1e-11)
+
+
+def said(run: Any) -> str:
+    """The words of the error that ends a run."""
+    with pytest.raises(FmbdError) as error:
+        run()
+    return str(error.value)
+
+
+def breaking(s: float, rate: float, t: float) -> float:
+    """A law without a value from 0.0735 s on."""
+    return float("nan") if t > 0.0735 else -1.0
+
+
+def raising(s: float, rate: float, t: float) -> float:
+    """One that raises there."""
+    if t > 0.0735:
+        raise RuntimeError("no value")
+    return -1.0
+
+
+@compiled
+@pytest.mark.parametrize("law", [breaking, raising], ids=lambda x: x.__name__)
+@pytest.mark.parametrize("scheme", SCHEMES, ids=named)
+def test_failures_are_told_in_the_same_words(scheme: Any, law: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the middle of a march, with the number of the step."""
+    output = fmbd.Output(every=200, progress=False)
+    once, turn = both(
+        monkeypatch, lambda: said(lambda: fmbd.solve(hanging(law), t_end=0.2, dt=1e-3, scheme=scheme, output=output))
+    )
+    assert once == turn
+
+
+@compiled
+@pytest.mark.parametrize("scheme", SCHEMES, ids=named)
+def test_a_state_that_is_refused_on_the_way_is_refused_in_turn(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Joints that are allowed to be open by nothing at all, and no energy: the same words, or the same parts of steps."""
+    from fmbd_fenicsx.run.judges import acceptance, energy_check
+
+    output = fmbd.Output(every=100, progress=False)
+
+    def run() -> Any:
+        return fmbd.solve(joint_springs(2), t_end=0.1, dt=1e-3, scheme=scheme, output=output)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(energy_check, "SHARE", 1e-12)
+        patch.setattr(energy_check, "ROUNDOFF", 0.0)
+        once, turn = both(patch, run)
+    assert once.counters == turn.counters and np.array_equal(once.state.q, turn.state.q)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(acceptance.Closed, "_wide", 1e-30)
+        patch.setattr(acceptance, "ROUNDOFF", 0.0)
+        patch.setattr(
+            acceptance.Closed,
+            "openness",
+            property(lambda self: fmbd.system.compiled.recording.Openness(self.units, 1e-30, 0.0)),
+        )
+        words = both(patch, lambda: said(run))
+    assert words[0] == words[1] and "is open by" in words[0]
+
+
+@compiled
+@pytest.mark.parametrize("scheme", SCHEMES, ids=named)
+def test_an_event_ends_a_march(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run() -> fmbd.Run:
+        scene = hanging(lambda s, rate, t: 0.1 * rate)
+        scene.sensor("turn", fmbd.angle(scene.joints["hinge"]))
+        stop = fmbd.Event("turn", -0.4, direction=-1)
+        output = fmbd.Output(every=50, progress=False, events=[stop])
+        return fmbd.solve(scene, t_end=1.0, dt=1e-3, scheme=scheme, output=output)
+
+    once, turn = both(monkeypatch, run)
+    assert once.status == turn.status == "ended by an event"
+    assert once.state.t == pytest.approx(turn.state.t, rel=1e-12)
+    assert once.state.q == pytest.approx(turn.state.q, rel=1e-11)
