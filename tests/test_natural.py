@@ -40,3 +40,18 @@ def test_bad_input() -> None:
         rod().frequencies(0)
     with pytest.raises(InputError, match="1000 modes asked for"):
         rod().frequencies(1000)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-5, 1e3])
+def test_the_rotation_of_small_surfaces_is_held(size: float) -> None:
+    """A strip clamped at an end of half a micrometre bends as one of metres, by itself and reduced with that end as interface."""
+    height = HEIGHT * size
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, HEIGHT), origin=(0.0, -HEIGHT / 2), counts=(12, 1), scale=size)
+    body = fmbd.FloatingBody("rod", mesh, density=DENSITY, elastic=fmbd.materials.plane_stress(MODULUS, 0.3))
+    beam = 1.875104**2 / size**2 * np.sqrt(MODULUS * height**2 / 12 / DENSITY) / (2.0 * np.pi)
+    assert body.frequencies(1, held="left")[0] == pytest.approx(beam, rel=0.02)
+
+    few = body.reduced(basis=fmbd.CraigBampton(("left",), 3))
+    scene = fmbd.Scene("rod")
+    scene.add(few, fmbd.fixed("clamp", fmbd.ground, few.surface("left")))
+    assert fmbd.modes(scene, 1).frequencies[0] == pytest.approx(beam, rel=0.02)

@@ -11,6 +11,7 @@ A body with geometric stiffening keeps the static displacements under its inerti
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -77,7 +78,7 @@ class CraigBampton:
         """Nodal fields that span the basis, (n d, m)."""
         from .modes import ConditionedBody
 
-        C = independent(field, np.concatenate([moment_columns(field, s) for s in self.interfaces], axis=1))
+        C = independent(field, [moment_columns(field, s) for s in self.interfaces])
         body = ConditionedBody(field, C)
         try:
             fixed = _vibrations(body, self)
@@ -108,7 +109,7 @@ class RefinedBasis:
         given = self.basis.columns(field, frame) if given is None else given
         C = frame
         if self.surfaces:
-            C = independent(field, np.concatenate([moment_columns(field, s) for s in self.surfaces], axis=1))
+            C = independent(field, [moment_columns(field, s) for s in self.surfaces])
         room = field.n_global - C.shape[1]
         body = ConditionedBody(field, C)
         static = [body.solve_static(f) for f in (*_inertia_patterns(field), *_load_patterns(field))]
@@ -135,8 +136,12 @@ def _load_patterns(field: Field) -> list[Array]:
     return found
 
 
-def independent(field: Field, C: Array) -> Array:
-    """Orthonormal columns that span C: on a plane surface the moment along its normal is zero."""
+def independent(field: Field, groups: Sequence[Array]) -> Array:
+    """Orthonormal columns that span those of some surfaces, each of means and then of moments (m): on a plane surface the moment
+    along its normal is zero.
+    """
+    d = field.dim
+    C = np.concatenate([x for one in groups for x in (one[:, :d], one[:, d:] / field.size)], axis=1)
     s, U = np.linalg.eigh(field.total(C.T @ C))
     keep = s > 1e-12 * s.max()
     return np.asarray(C @ (U[:, keep] / np.sqrt(s[keep])) * field.mass_total)

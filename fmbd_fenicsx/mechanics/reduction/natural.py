@@ -38,7 +38,7 @@ def natural_frequencies(body: Any, count: int, held: Sequence[str]) -> Array:
     try:
         # mean axes: no rigid motion is left
         columns = [attachment(field, name) for name in names] or [field.Q.reshape(field.n * field.dim, -1)]
-        conditioned = ConditionedBody(field, independent(field, np.concatenate(columns, axis=1)))
+        conditioned = ConditionedBody(field, independent(field, columns))
         try:
             return np.asarray(conditioned.vibration_modes(count)[0] / (2.0 * np.pi))
         finally:
