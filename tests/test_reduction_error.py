@@ -13,6 +13,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import CraigBampton
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
+from fmbd_fenicsx.mechanics.reduction import craig_bampton, modes
 from fmbd_fenicsx.mechanics.reduction.craig_bampton import FrameModes
 from fmbd_fenicsx.run.accuracy.estimates import SATURATION
 
@@ -176,3 +177,29 @@ def test_stopped_runs_of_the_estimates_give_none(rod_mesh: Callable[..., Any], c
     assert run.status == "finished" and len(done) == 3
     assert run.error_estimate == {} == run.reduction_error
     assert "stopped at t = 0.002 s" in caplog.text and "more modes did not end: stopped at t = 0.001 s" in caplog.text
+
+
+def test_a_refined_basis_takes_the_field_and_the_factor_of_its_own(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One field and one factor of K + s M serve the basis and the one that its error is measured against."""
+    made: list[str] = []
+    for place, name in ((craig_bampton, "make_field"), (modes, "Factor")):
+        real = getattr(place, name)
+
+        def counted(*given: Any, real: Any = real, name: str = name) -> Any:
+            made.append(name)
+            return real(*given)
+
+        monkeypatch.setattr(place, name, counted)
+    rod = fmbd.FloatingBody("rod", rod_mesh(dim=2, h=0.5, height=0.1), density=1e3, elastic=linear_elastic(1e6, 0.3))
+    body = rod.reduced(modes=2)
+    assert body.constants.n_modes == 2
+    finer = body.with_refined_basis(("pin", "tip"))
+    finest = finer.with_refined_basis(("pin", "tip"))
+    assert 2 < finer.constants.n_modes < finest.constants.n_modes
+    assert made == ["make_field", "Factor"]
+
+    # the same modes as with a field of their own
+    alone = craig_bampton.reduce_body(rod, craig_bampton.RefinedBasis(body.basis, ("pin", "tip")))
+    np.testing.assert_allclose(finer.reduction.omega, alone.omega, rtol=1e-6)

@@ -74,6 +74,7 @@ class Field:
     carried = False  # whether that pressure is an unknown of its own
     keeps_volume: bool = False  # whether that pressure keeps J = 1
     loads: AppliedLoads
+    kept_factors: dict[float, Any] | None = None  # of K + s M by s, where several bases are computed with one field
 
     def __init__(self, name: str, mesh: Any, forms: ElasticForms) -> None:
         import dolfinx.fem.petsc as fp
@@ -437,6 +438,8 @@ class Field:
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
+        for factor in (self.kept_factors or {}).values():
+            factor.destroy()
         own = (A for A in (self._with_extra, self.rest_damping, self._unstressed, self.D) if A is not None)
         for x in (self.M, self.K, *self._work, *self._big, *own):
             x.destroy()

@@ -67,6 +67,12 @@ class Factor:
         """E^-1 b on owned displacements."""
         return self._solve(b)[: self._n]
 
+    def solve_all(self, B: Array) -> Array:
+        """The same for columns (n d, k), all at once."""
+        if self._E is None and B.shape[1]:
+            return self.factor.solve(B)  # type: ignore[no-any-return]
+        return np.stack([self.solve(b) for b in B.T], axis=1) if B.shape[1] else B.copy()
+
     def solve_with_residual(self, b: Array) -> tuple[Array, Array]:
         """E^-1 b and the true residual E x - b, with the rows of the pressure where there are some."""
         x = self._solve(b)

@@ -30,6 +30,7 @@ from ..bodies.floating_start import framed_start
 from .reduced import ReducedConstants, SurfaceData, constants_of, placed_modes
 from .stiffening import Stiffening
 
+SMALL = 10_000  # unknowns of a field up to which its matrices and factors, some megabytes, are kept beside its modes
 LEFT_OUT = 1e-4  # share of the mean square of an initial displacement above which modes that miss it are warned of
 
 
@@ -84,7 +85,7 @@ class CraigBampton:
             fixed = _vibrations(body, self)
             static = [body.static_modes()]
             if self.inertia:
-                static.append(np.stack([body.solve_static(f) for f in field.Q.T], axis=1))
+                static.append(body.solve_static(field.Q))
         finally:
             body.destroy()
         return np.concatenate((*static, fixed), axis=1)
@@ -112,11 +113,11 @@ class RefinedBasis:
             C = independent(field, [moment_columns(field, s) for s in self.surfaces])
         room = field.n_global - C.shape[1]
         body = ConditionedBody(field, C)
-        static = [body.solve_static(f) for f in (*_inertia_patterns(field), *_load_patterns(field))]
+        static = body.solve_static(np.stack((*_inertia_patterns(field), *_load_patterns(field)), axis=1))
         added = [body.static_modes()] if self.surfaces else []
         added.append(body.vibration_modes(min(max(given.shape[1], 8), room))[1])
         body.destroy()
-        return np.concatenate((given, *added, np.stack(static, axis=1)), axis=1)
+        return np.concatenate((given, *added, static), axis=1)
 
 
 def _inertia_patterns(field: Field) -> list[Array]:
@@ -281,7 +282,7 @@ class Reduction:
     """Constants, frequencies omega (rad/s) of the modes, and the modes phi (n d, m) on this rank's nodes of ``space``.
 
     ``start``: amplitudes (m,) of the initial displacement and of its rate; ``frame``: pose and twist of the frame with them;
-    ``moments``: those of the surfaces.
+    ``moments``: those of the surfaces. ``field``: with its factors, where these are small.
     """
 
     constants: ReducedConstants
@@ -291,6 +292,7 @@ class Reduction:
     start: tuple[Array, Array]
     frame: tuple[Array, Array]
     moments: dict[str, Any]
+    field: Field | None = None
 
 
 def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any, Array]]:
@@ -315,7 +317,7 @@ def reduce_body(
 
     if body.elastic is None:
         raise InputError(f'Body "{body.name}": modes need the linear form elastic(u, v, dx), not an energy.')
-    f = make_field(body.name, body.mesh, body.forms())
+    f = known.field if known is not None and known.field is not None else _new_field(body)
     if known is not None:
         f.known_moments.update(known.moments)
 
@@ -337,9 +339,18 @@ def reduce_body(
     start = framed_start(body, f, frame)
     local = _amplitudes(f, start.U, phi), _amplitudes(f, start.Ud, phi)
     # modes live on nodes of the space: it outlives the field's matrices
-    space = f.space
-    f.destroy()
-    return Reduction(constants, omega, phi, space, local, (start.pose, start.twist), f.known_moments)
+    kept = f if f.kept_factors is not None else None
+    if kept is None:
+        f.destroy()
+    return Reduction(constants, omega, phi, f.space, local, (start.pose, start.twist), f.known_moments, kept)
+
+
+def _new_field(body: Any) -> Field:
+    """The field of a body; with factors that are kept where it is small, so that its refined basis finds both there."""
+    f = make_field(body.name, body.mesh, body.forms())
+    if f.n_global <= SMALL and f.comm.size == 1 and not body.held_at:
+        f.kept_factors = {}
+    return f
 
 
 def _constants(body: Any, f: Field, omega: Array, phi: Array, stress: Stiffening | None) -> ReducedConstants:

@@ -91,13 +91,17 @@ class ConditionedBody:
     def __init__(self, field: Field, conditions: Array) -> None:
         self.field, self.C = field, conditions
         self.shift = SHIFT * first_eigenvalue_bound(field)
-        self.factor = Factor(field, self.shift, 1.0)
-        self.Y = np.stack([self.factor.solve(c) for c in conditions.T], axis=1) if conditions.shape[1] else conditions
+        kept = field.kept_factors
+        known = None if kept is None else kept.get(self.shift)
+        self.factor = Factor(field, self.shift, 1.0) if known is None else known
+        if kept is not None:
+            kept[self.shift] = self.factor
+        self.Y = self.factor.solve_all(conditions)
         self.W = field.total(conditions.T @ self.Y)
 
     def _bordered(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """u and mu with (K + s M) u + C mu = b and C^T u = c."""
-        z = self.factor.solve(b)
+        """u and mu with (K + s M) u + C mu = b and C^T u = c; of several, columns of both."""
+        z = self.factor.solve(b) if b.ndim == 1 else self.factor.solve_all(b)
         mu = np.linalg.solve(self.W, self.field.total(self.C.T @ z) - c)
         return z - self.Y @ mu, np.asarray(mu, dtype=float)
 
@@ -105,28 +109,33 @@ class ConditionedBody:
         """u with (K + s M) u + C mu = b and C^T u = 0."""
         return self._bordered(b, np.zeros(self.C.shape[1]))[0]
 
-    def solve_static(self, b: Array, c: Array | None = None) -> Array:
-        """u with K u + C mu = b and C^T u = c, by refinement; the conditions must hold the body."""
+    def solve_static(self, B: Array, C: Array | None = None) -> Array:
+        """U (n d, k) with K U + C_0 mu = B and C_0^T U = C, C_0 the conditions, by refinement of all columns together; the
+        conditions must hold the body.
+        """
         f = self.field
-        c = np.zeros(self.C.shape[1]) if c is None else c
-        u, mu = self._bordered(b, c)
+        C = np.zeros((self.C.shape[1], B.shape[1])) if C is None else C
+        U, mu = self._bordered(B, C)
         # the factor is that of K + s M: corrections of the residual of K
-        before = np.inf
+        before, left = np.full(B.shape[1], np.inf), np.arange(B.shape[1])
         for _ in range(100):
-            du, dmu = self._bordered(b - f.stiffness(u) - self.C @ mu, c - f.total(self.C.T @ u))
-            u, mu = u + du, mu + dmu
+            if not len(left):
+                return U  # to roundoff: corrections do not fall any more
+            u = U[:, left]
+            forces = np.stack([f.stiffness(x) for x in np.ascontiguousarray(u.T)], axis=1)
+            du, dmu = self._bordered(B[:, left] - forces - self.C @ mu[:, left], C[:, left] - f.total(self.C.T @ u))
+            U[:, left] = u = u + du
+            mu[:, left] += dmu
 
-            size, change = f.total(np.array([u @ u, du @ du]))
-            if change <= 1e-24 * size or (change >= 0.25 * before and change <= 1e-12 * size):
-                return u  # to roundoff: corrections do not fall any more
-            before = change
+            size, change = f.total(np.stack(((u * u).sum(axis=0), (du * du).sum(axis=0))))
+            stays = (change >= 0.25 * before[left]) & (change <= 1e-12 * size)
+            before[left] = change
+            left = left[~((change <= 1e-24 * size) | stays)]
         raise FmbdError(f'Body "{f.name}": static modes did not converge; the conditions do not hold the body.')
 
     def static_modes(self) -> Array:
         """The modes (2), (n d, c)."""
-        c = self.C.shape[1]
-        zero = np.zeros(len(self.C))
-        return np.stack([self.solve_static(zero, np.eye(c)[p]) for p in range(c)], axis=1)
+        return self.solve_static(np.zeros_like(self.C), np.eye(self.C.shape[1]))
 
     def vibration_modes(self, count: int) -> tuple[Array, Array]:
         """The first ``count`` modes (1): omega (rad/s) ascending, and phi (n d, count)."""
@@ -190,8 +199,9 @@ class ConditionedBody:
         return eps
 
     def destroy(self) -> None:
-        """Free the factor; collective."""
-        self.factor.destroy()
+        """Free the factor, where nobody else uses it; collective."""
+        if self.field.kept_factors is None:
+            self.factor.destroy()
 
 
 class _Stiffness:

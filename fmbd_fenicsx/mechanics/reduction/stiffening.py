@@ -103,11 +103,11 @@ class Stiffening:
 
         def static(loads: Any) -> Array:
             """u_0 (n d, k) of nodal forces; those that are zero cost nothing."""
-            found = [f.ravel() for f in loads]
-            size = [field.total(np.array(np.abs(f).sum())) for f in found]
-            return np.stack(
-                [body.solve_static(f) if s > 0 else np.zeros(len(f)) for f, s in zip(found, size, strict=True)], axis=1
-            )
+            found = np.stack([f.ravel() for f in loads], axis=1)
+            acts = field.total(np.abs(found).sum(axis=0)) > 0
+            out = np.zeros_like(found)
+            out[:, acts] = body.solve_static(found[:, acts])
+            return out
 
         # inertia forces of a rigid motion: unit accelerations e_c, and e_i x_j for each entry of L
         pairs = [(i, j) for i in range(d) for j in range(d)]
