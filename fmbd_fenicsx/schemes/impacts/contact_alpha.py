@@ -22,20 +22,18 @@ import numpy as np
 from ...errors import ConvergenceError, LinearSolveError
 from ...linear.blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from ...linear.condensation import StepSolver, Weights
-from ...mechanics.contact.rows import Rows
 from ...rotations import Array
-from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.speed_rows import gaps
 from ...system.system import State, System
 from ..consistent import Correction
-from ..newton import Newton, not_converged
+from ..newton import Newton
 from ..onestep.alpha.generalized_alpha import GeneralizedAlpha
 from .contact_detection import candidates
 from .contact_ledger import StepForces
 from .contact_midpoint import elastic_refusal, elastic_start
-from .contact_newton import UnilateralForces, normal_forces, openings
+from .contact_newton import ContactStep, normal_forces, openings
 from .contact_stepper import ContactStepper
 
 
@@ -122,9 +120,7 @@ class ContactAlphaStepper(ContactStepper):
 
         for _ in range(4):
             step = _Step(self, h, near)
-            converged, history = self.newton.solve(step.increment, step.renew)
-            if not converged:
-                raise not_converged(s.t + h, h, history)
+            iterations = step.solve()
             q = system.compose(s.q, step.xi)
             # points that the step brings through a surface join in, and the step is made again
             missed = (self.contacts.touch(system, s.t + h, q).gap < -1e-9 * system.length) & ~near
@@ -140,7 +136,7 @@ class ContactAlphaStepper(ContactStepper):
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + h)
         lam = self._reactions(s.t + h, q, step.lam)
         self.state = self.ledger.write(State(s.t + h, q, v, step.a, lam), forces, (step.ev, step.xi, step.lam), h)
-        self.ledger.count(len(history))
+        self.ledger.count(iterations)
         return self.state
 
     def _persist(self, step: _Step, v: Array) -> Array:
@@ -160,21 +156,21 @@ class ContactAlphaStepper(ContactStepper):
         return v + dv
 
 
-class _Step:
+class _Step(ContactStep):
     """The Newton iteration of one step."""
 
+    p: ContactAlphaStepper
+
     def __init__(self, stepper: ContactAlphaStepper, h: float, near: np.ndarray) -> None:
-        self.p, self.h, self.near = stepper, h, near
+        super().__init__(stepper, h, stepper.ledger.force[near])
+        self.near = near
         s = stepper.state
         self.am, self.af, self.gamma, self.beta = stepper.scheme.parameters
-        self.a, self.lam = s.a.copy(), s.lam.copy()
+        self.a = s.a.copy()
         self.A = self._algorithmic()
         self.fixed = h * s.v + h * h * (0.5 - self.beta) * stepper.A
         self.xi = self.fixed + h * h * self.beta * self.A
         self.scale = self.beta * h * h * (1 - self.af) / (1 - self.am)
-        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.ledger.force[near])
-        self.prepared = False
-        self.ev: Evaluation = None  # type: ignore[assignment]
 
     def _algorithmic(self) -> Array:
         s = self.p.state
@@ -185,10 +181,6 @@ class _Step:
         """Velocity at the end."""
         return self.p.state.v + self.h * ((1 - self.gamma) * self.p.A + self.gamma * self.A)
 
-    def renew(self) -> bool:
-        """A new tangent where the last increment began; whether there is one."""
-        return self.p.solver.refresh(self.ev)
-
     def increment(self) -> float:
         """One Newton step; returns its size over the tolerance."""
         p = self.p
@@ -196,21 +188,18 @@ class _Step:
         s = p.state
         system, solver = p.system, p.solver
         q = system.compose(s.q, self.xi)
-        ev = self.ev = system.at(s.t + h, q, self.v)
-        balance = ev.balance(self.a, self.lam)
-        solver.prepare(ev, Weights(1.0, h * self.gamma * (1 - self.af) / (1 - self.am), self.scale), keep=self.prepared)
-        self.prepared = True
-        volumes = volume_gaps(ev)
+        weights = Weights(1.0, h * self.gamma * (1 - self.af) / (1 - self.am), self.scale)
+        balance = self.balance((s.t + h, q, self.v), self.a, weights)
+        volumes = volume_gaps(self.ev)
         if volumes:
             balance = balance + volume_push(solver, volumes) / self.scale
-        residuals = balance, gaps(ev, h * self.beta / self.gamma)
+        residuals = balance, gaps(self.ev, h * self.beta / self.gamma)
 
+        touching = None
         if self.near.any():
-            rows: Rows = p.contacts.rows(system, s.t + h, q, since=(s.t, h)).take(self.near)
-            u = openings(p.contacts, system, rows, rows.gap, self.xi)
-            dq, dlam = self.contact.increment(rows, u, residuals, self.scale)
-        else:
-            dq, dlam = solver.solve(-self.scale * residuals[0], -residuals[1])
+            rows = p.contacts.rows(system, s.t + h, q, since=(s.t, h)).take(self.near)
+            touching = rows, openings(p.contacts, system, rows, rows.gap, self.xi)
+        dq, dlam = self.changes(touching, residuals, self.scale)
         move_pressures(solver, dq, volumes)
 
         d_xi = system.rate(self.xi, dq)

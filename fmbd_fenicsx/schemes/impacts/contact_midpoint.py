@@ -29,16 +29,15 @@ from ...errors import require
 from ...linear.condensation import StepSolver, Weights
 from ...log import log
 from ...rotations import Array
-from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State, System
 from ..consistent import Correction, consistent, widest
 from ..dense_output import state_within
-from ..newton import Newton, not_converged
+from ..newton import Newton
 from .contact_detection import candidates, refuse_penetration
 from .contact_ledger import StepForces
-from .contact_newton import UnilateralForces, openings
+from .contact_newton import ContactStep, openings
 from .contact_stepper import ContactStepper
 
 
@@ -130,9 +129,7 @@ class ContactMidpointStepper(ContactStepper):
 
         for _ in range(4):
             step = _Step(self, h, near)
-            converged, history = self.newton.solve(step.increment, step.renew)
-            if not converged:
-                raise not_converged(s.t + h, h, history, f"{widest(system, step.g)}. Try a smaller dt.")
+            iterations = step.solve()
             # points that the step brings through a surface join in, and the step is made again
             missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
             if not missed.any():
@@ -150,7 +147,7 @@ class ContactMidpointStepper(ContactStepper):
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
         lam = self._reactions(s.t + h, step.q, step.lam)
         self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.ev, step.xi, step.lam), h)
-        self.ledger.count(len(history))
+        self.ledger.count(iterations)
         return self.state
 
     def between(self, t: float) -> State | None:
@@ -173,26 +170,24 @@ class ContactMidpointStepper(ContactStepper):
         return v + dv
 
 
-class _Step:
+class _Step(ContactStep):
     """The Newton iteration of one step."""
 
     def __init__(self, stepper: ContactMidpointStepper, h: float, near: np.ndarray) -> None:
-        self.p, self.h, self.near = stepper, h, near
+        super().__init__(stepper, h, stepper.ledger.force[near])
+        self.near = near
         system, s = stepper.system, stepper.state
         self.xi = h * s.v
-        self.lam = s.lam.copy()
-        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.ledger.force[near])
-        self.prepared = False
         self.theta = stepper.theta
         self.scale = self.theta * h * h
         self.q = s.q
         self.g: Array = np.zeros(0)
-        self.ev: Evaluation = None  # type: ignore[assignment]
         self.floor = 100 * np.finfo(float).eps * system.length
 
-    def renew(self) -> bool:
-        """A new tangent where the last increment began; whether there is one."""
-        return self.p.solver.refresh(self.ev)
+    @property
+    def advice(self) -> str:
+        """With the joint that is open widest."""
+        return f"{widest(self.p.system, self.g)}. Try a smaller dt."
 
     def increment(self) -> float:
         """One Newton step: predictor, complementarity problem, correction; returns its size over the
@@ -201,28 +196,25 @@ class _Step:
         p = self.p
         h = self.h
         s = p.state
-        system, solver = p.system, p.solver
+        system = p.system
 
         # balance in the middle, constraints at the end
         self.q = system.compose(s.q, self.xi)
         middle = system.compose(s.q, self.theta * self.xi)
         vm = self.xi / h
-        ev = self.ev = system.at(s.t + self.theta * h, middle, vm)
-        r = ev.balance((vm - s.v) / (self.theta * h), self.lam)
-        solver.prepare(ev, Weights(1.0, self.theta * h, (self.theta * h) ** 2), keep=self.prepared)
-        self.prepared = True
+        weights = Weights(1.0, self.theta * h, (self.theta * h) ** 2)
+        r = self.balance((s.t + self.theta * h, middle, vm), (vm - s.v) / (self.theta * h), weights)
 
         self.g = system.at(s.t + h, self.q).constraint() if system.n_lam else np.zeros(0)
         if speed_rows(system).size:  # no slip at the middle of the step
-            self.g[speed_rows(system)] = gaps(ev, h)[speed_rows(system)]
+            self.g[speed_rows(system)] = gaps(self.ev, h)[speed_rows(system)]
 
+        touching = None
         if self.near.any():
             rows = p.contacts.rows(system, s.t + self.theta * h, middle, since=(s.t, h)).take(self.near)
             gap = p.contacts.touch(system, s.t + h, self.q).gap[self.near]
-            u = openings(p.contacts, system, rows, gap, self.xi)
-            dxi, dlam = self.contact.increment(rows, u, (r, self.g), self.scale)
-        else:
-            dxi, dlam = solver.solve(-self.scale * r, -self.g)
+            touching = rows, openings(p.contacts, system, rows, gap, self.xi)
+        dxi, dlam = self.changes(touching, (r, self.g), self.scale)
 
         self.lam = self.lam + dlam / self.scale
         self.xi = self.xi + system.rate(self.xi, dxi)

@@ -11,17 +11,23 @@ step.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...linear.complementarity.active_set import ContactCounts
 from ...linear.complementarity.delassus import Compliance
 from ...linear.complementarity.normal import solve_normal
+from ...linear.condensation import Weights
 from ...mechanics.contact.rows import ContactSet, Rows
 from ...rotations import Array
+from ...system.evaluation import Evaluation
+from ..newton import ADVICE, not_converged
 from .contact_detection import components
 from .restitution import Impact
+
+if TYPE_CHECKING:
+    from .contact_stepper import ContactStepper
 
 
 class UnilateralForces:
@@ -73,6 +79,57 @@ class UnilateralForces:
         if not change.any():
             return z, dl
         return solver.solve(-scale * (r - contacts.transposed(system, L, change.ravel())), -residuals[1])
+
+
+class ContactStep:
+    """One step of length h (s) from the state of a stepper, with the multipliers ``lam`` of joints: what Newton's iterations of
+    all schemes with contact share. ``force`` (m, 1 or d): of the contacts that take part, to begin with.
+    """
+
+    p: ContactStepper
+
+    def __init__(self, stepper: ContactStepper, h: float, force: Array) -> None:
+        self.p, self.h = stepper, h
+        self.lam = stepper.state.lam.copy()
+        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, force)
+        self.ev: Evaluation = None  # type: ignore[assignment]
+        self._prepared = False
+
+    def solve(self) -> int:
+        """Iterate; how many increments that took. Raises ConvergenceError; collective."""
+        converged, history = self.p.newton.solve(self.increment, self.renew)
+        if not converged:
+            raise not_converged(self.p.state.t + self.h, self.h, history, self.advice)
+        return len(history)
+
+    @property
+    def advice(self) -> str:
+        """What is said of an iteration that does not converge."""
+        return ADVICE
+
+    def increment(self) -> float:
+        """One Newton step; returns its size over the tolerance."""
+        raise NotImplementedError
+
+    def renew(self) -> bool:
+        """A new tangent where the last increment began; whether there is one."""
+        return self.p.solver.refresh(self.ev)
+
+    def balance(self, at: tuple[float, Array, Array], a: Array, weights: Weights) -> Array:
+        """Forces out of balance at (t, q, v) under accelerations a; with the first of a step its matrix is prepared there."""
+        ev = self.ev = self.p.system.at(*at)
+        forces = ev.balance(a, self.lam)
+        self.p.solver.prepare(ev, weights, keep=self._prepared)
+        self._prepared = True
+        return forces
+
+    def changes(
+        self, touching: tuple[Rows, Array] | None, residuals: tuple[Array, Array], scale: float
+    ) -> tuple[Array, Array]:
+        """Of the unknowns, and of the multipliers (scaled); ``touching``: rows and openings of the contacts that take part."""
+        if touching is None:
+            return self.p.solver.solve(-scale * residuals[0], -residuals[1])
+        return self.contact.increment(*touching, residuals, scale)
 
 
 def normal_forces(W: Any, gap: Array, force: Array, counts: ContactCounts) -> Array:

@@ -11,17 +11,16 @@ import numpy as np
 
 from ...errors import FmbdError
 from ...linear.condensation import StepSolver, Weights
-from ...mechanics.contact.rows import tangents_of
+from ...mechanics.contact.rows import Rows, tangents_of
 from ...rotations import Array
-from ...system.evaluation import Evaluation
 from ...system.sensors.contact import forces_of
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ..dense_output import place_within, state_within
-from ..newton import Newton, not_converged
+from ..newton import Newton
 from .contact_detection import candidates, tell_rest
 from .contact_ledger import StepForces
-from .contact_newton import UnilateralForces, openings
+from .contact_newton import ContactStep, openings
 from .contact_stepper import ContactStepper
 from .restitution import Impact
 
@@ -289,12 +288,14 @@ class MoreauStepper(ContactStepper):
         return v + dv
 
 
-class _Step:
+class _Step(ContactStep):
     """One solved step of length h from the stepper's state: v_1 ``v``, lambda ``lam``, P in ``contact.force``.
 
     ``closed`` (m,) contacts take part, those in ``bounce`` with restitution, or back at the speed they leave with; None: a
     flight, in which they stay closed by (4). ``span``: length over which obstacles' motion is measured.
     """
+
+    p: MoreauStepper
 
     def __init__(
         self,
@@ -305,17 +306,17 @@ class _Step:
         bounce: np.ndarray | bool | None = None,
         span: float = 0.0,
     ) -> None:
-        self.p, self.h, self.span, self.closed = stepper, h, span or h, closed
+        super().__init__(stepper, h, stepper.impulse[closed])
+        self.span, self.closed = span or h, closed
         s, contacts = stepper.state, stepper.contacts
 
-        self.v, self.lam = s.v.copy(), s.lam.copy()
+        self.v = s.v.copy()
         self.impact: Impact | None = None
         flight = bounce is None
         self.bouncing = np.broadcast_to(bool(bounce) if isinstance(bounce, bool | None) else bounce, closed.shape)
 
-        self.prepared, self.rows = False, None
+        self.rows: Rows | None = None
         self.turn: Array | float = 0.0  # of slips with the rows, in half a flight, m/s
-        self.ev: Evaluation = None  # type: ignore[assignment]
 
         # rows at the middle; what comes in before an impact rebounds by its share, and what leaves may come back
         if closed.any():
@@ -331,13 +332,8 @@ class _Step:
                 start[start[:, 0] > STILL * stepper.system.length / h, 0] = 0.0
                 rebound, self.turn = (before - start)[:, 0], (before - start)[:, 1:]
             self.impact = Impact(before, rebound)
-        bound = None if flight else self.impact
-        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, stepper.impulse[closed], bound)
-
-        converged, history = stepper.newton.solve(self.increment, self.renew)
-        if not converged:
-            raise not_converged(s.t + h, h, history)
-        self.iterations = len(history)
+        self.contact.impact = None if flight else self.impact
+        self.iterations = self.solve()
 
     def _openings(self, v: Array) -> Array:
         """Rates of gaps, and slips (m/s), of the closed contacts at velocities v: (m, 1 or d)."""
@@ -348,31 +344,26 @@ class _Step:
         u[:, 1:] /= self.span  # slips over the step become velocities
         return u
 
-    def renew(self) -> bool:
-        """A new tangent where the last increment began; whether there is one."""
-        return self.p.solver.refresh(self.ev)
-
     def increment(self) -> float:
         """One Newton step; returns its size over the tolerance."""
         p = self.p
         h = self.h
         s = p.state
-        system, solver = p.system, p.solver
+        system = p.system
         vm = 0.5 * (s.v + self.v)
-        ev = self.ev = system.at(s.t + h / 2, system.compose(s.q, 0.5 * h * vm), vm)
-        r = h * ev.balance((self.v - s.v) / h, self.lam)
-        solver.prepare(ev, Weights(1.0, h / 2, h * h / 4), keep=self.prepared)
-        self.prepared = True
+        at = s.t + h / 2, system.compose(s.q, 0.5 * h * vm), vm
+        r = h * self.balance(at, (self.v - s.v) / h, Weights(1.0, h / 2, h * h / 4))
+        ev = self.ev
 
         slip = 2 * (ev.jacobian.times(vm) + ev.constraint_rate()) if system.n_lam else np.zeros(0)
 
+        touching = None
         if self.rows is not None and self.impact is not None:
             u = self._openings(self.v)
             u[:, 0] += self.impact.rebound
             u[:, 1:] += self.turn
-            dv, dlam = self.contact.increment(self.rows, u, (r, slip), 1.0)
-        else:
-            dv, dlam = solver.solve(-r, -slip)
+            touching = self.rows, u
+        dv, dlam = self.changes(touching, (r, slip), 1.0)
 
         self.lam = self.lam + dlam / h
         self.v = self.v + dv
