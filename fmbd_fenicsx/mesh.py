@@ -227,7 +227,10 @@ def distributed(load: Loader, label: str, comm: Any = None) -> Mesh:
             gmsh.option.setNumber("General.Terminal", 0)
             found = load(gmsh)
         except Exception as exc:  # sent to all ranks
-            error = exc if isinstance(exc, InputError) else MeshError(f"{label}: {type(exc).__name__}: {exc}")
+            told = f"{label}: {type(exc).__name__}: {exc}"
+            if "OpenCASCADE" in told:
+                told += ". Its shapes have no edges below 1e-7: draw smaller ones in larger units, and read them with scale="
+            error = exc if isinstance(exc, InputError) else MeshError(told)
     try:
         # gmsh gives its model to the ranks; the others need a session for that
         together(comm, error)

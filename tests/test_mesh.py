@@ -269,3 +269,10 @@ def test_reader_asks_for_usable_libraries(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(dolfinx, "__version__", "0.8.1")
     with pytest.raises(FmbdError, match="0.8.1 is too old"):
         read_gmsh("meshes/rod.py", h=0.5)
+
+
+def test_shapes_too_small_for_the_kernel_say_so() -> None:
+    """Nanometres are drawn in larger units."""
+    with pytest.raises(MeshError, match=r"block\.py: .*OpenCASCADE.*below 1e-7.*scale="):
+        fmbd.read_gmsh("meshes/block.py", size=(1e-10, 1e-11), counts=(4, 1))
+    assert fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.1), counts=(4, 1), scale=1e-10).surface_names
