@@ -50,12 +50,10 @@ def tableau(stages: int) -> Tableau:
     weights = np.linalg.solve((c[:, None] ** (powers - 1)).T, moments)
     error = gamma * (weights - A[-1]) @ W
     nodes = np.append(0.0, c)
-    bases = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
-    double = np.where(values[keep].imag == 0, 1.0, 2.0)
+    basis, stage_basis = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
     middle = lagrange(nodes, np.array([0.5]))[0, 1:]
-    return Tableau(
-        c, W, values[keep].astype(complex), vectors[:, keep] * double, inverse, gamma, error, *bases, middle=middle
-    )
+    vectors = vectors[:, keep] * np.where(values[keep].imag == 0, 1.0, 2.0)
+    return Tableau(c, W, values[keep].astype(complex), vectors, inverse, gamma, error, basis, stage_basis, middle)
 
 
 def lagrange(nodes: Array, x: Array) -> Array:
