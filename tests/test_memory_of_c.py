@@ -23,6 +23,7 @@ FILES = (
     "compiled_recording",
     "field_means",
     "field_states",
+    "marches",
     "stage_systems",
     "steps_one_by_one",
     "checkpoint",
