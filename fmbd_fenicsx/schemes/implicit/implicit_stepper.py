@@ -197,4 +197,4 @@ class ImplicitStepper(TimeStepper):
         found = iteration.increment(self._pencil)
         if isinstance(found, tuple):
             return self._size(h, *found)
-        return self._size_told(h, found[:3].tolist(), float(np.sqrt(np.maximum.reduce(found[3:]))))
+        return self._size_told(h, [float(x) for x in found[:3]], float(np.sqrt(np.maximum.reduce(found[3:]))))
