@@ -39,55 +39,80 @@ static int passes(System *s, Closed *o, const Block *now, double h)
     return 1;
 }
 
+/* Who looks at the steps of a march, each may be NULL: takes records, judges errors, judges every state. */
+typedef struct {
+    Tape *tape;
+    Control *control;
+    Closed *closed;
+} Watch;
+
+/* What a new state is worth, DONE where it counts; it is taken down where ``recorded``. */
+static int judge_state(System *s, const Watch *w, double *p, const Block *past, Block *out, int recorded)
+{
+    int verdict = DONE, guarded = p[GUARDED] != 0.0;
+    double e[4];
+    if (w->control && (verdict = judged(s, p, w->control, past, out))) return verdict;
+    if (w->control) arrive(w->control, out);
+
+    if (!(guarded || recorded || w->closed || s->remembers)) return DONE;
+    int placed = !place(s, out->q, out->v);
+    if (w->closed && !(placed && passes(s, w->closed, out, p[H]))) return DOUBT;
+    if (guarded && placed && gained(s, p, out, e)) return GAIN;
+    if ((s->remembers || recorded) && !placed) return LOOK;
+    if (recorded) verdict = record(s, w->tape, out, guarded ? e : 0);
+    if (!verdict && s->remembers) verdict = keep(s, *out->t);
+    return verdict;
+}
+
+/* The block that was free is the newest state. */
+static void turn_ring(double **ring, double *p)
+{
+    double *newest = ring[3];
+    for (int i = 3; i > 0; i--) ring[i] = ring[i - 1];
+    ring[0] = newest;
+    if (p[HISTORY] < 2.0) p[HISTORY] += 1.0;
+}
+
+/* One step of a march from the newest state; where it does not count all is as it was but what steps have in common with Python. */
+static int one_step(System *s, int scheme, double *p, double *room, double **ring, const Watch *w, int recorded)
+{
+    Block past[3], out = block_at(s, ring[3]);
+    const int known = (int)p[HISTORY];
+    double before[PARAMETERS], fastest = w->closed ? w->closed->fastest : 0.0;
+    memcpy(before, p, sizeof(before));
+    for (int i = 0; i <= known; i++) past[i] = block_at(s, ring[i]);
+
+    int verdict = MAKERS[scheme](s, p, room, past, known, out), made = !verdict;
+    int rates = scheme == ALPHA && (w->control || recorded) && rates_wait(s, p);
+    if (made && rates && s->python(SAMPLE, RATES, *out.t)) return FAILED;
+    if (made) verdict = judge_state(s, w, p, past, &out, recorded);
+
+    /* who judges every state tells why, from the same beginning */
+    if (verdict && (!made || w->closed)) memcpy(p, before, sizeof(before));
+    if (verdict && made && w->closed) w->closed->fastest = fastest;
+    return verdict;
+}
+
 /* Up to ``steps`` steps in a ring of four blocks: ring[0] is the newest, ring[3] free. Returns how many were made; the reason to
-   stop earlier is in ``verdict``, the state is then that of the last good step. ``tape`` (may be NULL) takes records,
-   ``control`` (may be NULL) judges errors, ``closed`` (may be NULL) every state. */
+   stop earlier is in ``verdict``, the state is then that of the last good step. ``tape``, ``control``, ``closed``: see Watch. */
 EXPORT long march(System *s, int scheme, double *p, double *room, long steps, double **ring, int *verdict, Tape *tape,
                   Control *control, Closed *closed)
 {
-    long made = 0;
-    double before[PARAMETERS];
+    const Watch watch = {tape, control, closed};
     *verdict = DONE;
-    while (made < steps) {
-        Block past[3], out = block_at(s, ring[3]);
-        int known = (int)p[HISTORY];
-        double e[4], fastest = closed ? closed->fastest : 0.0;
-        memcpy(before, p, sizeof(before));
-        for (int i = 0; i <= known; i++) past[i] = block_at(s, ring[i]);
-        if ((*verdict = MAKERS[scheme](s, p, room, past, known, out))) {
-            memcpy(p, before, sizeof(before));
-            break;
-        }
+    for (long made = 0; made < steps;) {
         int due = tape && tape->left == 1, recorded = due || (tape && tape->crossings);
-        if (scheme == ALPHA && (control || recorded) && rates_wait(s, p) && s->python(SAMPLE, RATES, *out.t)) {
-            *verdict = FAILED;
-            break;
-        }
-        if (control && (*verdict = judged(s, p, control, past, &out))) break;
-        if (control) arrive(control, &out);
-        int guarded = p[GUARDED] != 0.0, looked_at = guarded || recorded || closed || s->remembers;
-        int placed = looked_at && !place(s, out.q, out.v);
-        if (closed && !(placed && passes(s, closed, &out, p[H]))) *verdict = DOUBT;
-        else if (guarded && placed && gained(s, p, &out, e)) *verdict = GAIN;
-        else if (s->remembers && !placed) *verdict = LOOK;
-        else if (recorded) *verdict = placed ? record(s, tape, &out, guarded ? e : 0) : LOOK;
-        if (!*verdict && s->remembers) *verdict = keep(s, *out.t);
-        if (*verdict) { /* who judges every state tells why, from the same beginning */
-            if (closed) memcpy(p, before, sizeof(before)), closed->fastest = fastest;
-            break;
-        }
+        if ((*verdict = one_step(s, scheme, p, room, ring, &watch, recorded))) return made;
         if (tape) tape->left = due ? tape->every : tape->left - 1;
-        double *newest = ring[3];
-        for (int i = 3; i > 0; i--) ring[i] = ring[i - 1];
-        ring[0] = newest;
-        if (known < 2) p[HISTORY] = known + 1;
+        turn_ring(ring, p);
         made++;
-        if (control && !stays(p, control, &out)) {
+
+        const Block now = block_at(s, ring[0]);
+        if (control && !stays(p, control, &now)) {
             *verdict = SIZE;
-            break;
+            return made;
         }
-        if (recorded && tape->crossed) break;
-        if (closed && closed->speed > closed->most) break;
+        if ((recorded && tape->crossed) || (closed && closed->speed > closed->most)) return made;
     }
-    return made;
+    return steps;
 }
