@@ -6,10 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_compiled_evaluation import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.redundancy import least, null_space
+from fmbd_fenicsx.linear.saddle.pencil import Pencil
+from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
+from fmbd_fenicsx.schemes.implicit.step_tangents import DenseTangents
 
 MASS, WIDTH, HEIGHT, LEVELS = 20.0, 0.8, 2.0, (0.2, 1.8)
 
@@ -61,6 +65,31 @@ def test_a_door_on_two_hinges(scheme: Any, dt: float | None) -> None:
     assert found == pytest.approx(smallest(rate, run.system.length / np.sqrt(2.0)), rel=1e-4)
     assert run.not_unique == ["low", "high"]
     assert "reactions of low, high" in run.report().replace("\n", " ")
+
+
+@compiled
+@pytest.mark.parametrize(
+    "scheme",
+    [fmbd.Radau(3), fmbd.Radau(2, fmbd.Index2()), fmbd.BDF(rtol=1e-5), fmbd.BDF(form=fmbd.Index3())],
+    ids=lambda x: f"{x.name}",
+)
+def test_stages_beside_dependent_rows_are_compiled(scheme: Any, monkeypatch: Any) -> None:
+    """No matrix is dense; steps, iterations and the smallest reactions are those of NumPy."""
+
+    def run() -> Any:
+        return fmbd.solve(door(2.0), t_end=0.5, scheme=scheme)
+
+    with monkeypatch.context() as here:
+        here.setattr(StepEquations, "_structure", lambda eq: None)
+        slow = run()
+    with monkeypatch.context() as here:
+        here.setattr(DenseTangents, "take", None)
+        here.setattr(Pencil, "_factor", None)
+        fast = run()
+    for name in ("steps", "newton_iterations", "jacobians"):
+        assert fast.counters[name] == slow.counters[name]
+    for name in ("low", "high"):
+        np.testing.assert_allclose(fast[name], slow[name], rtol=0, atol=1e-7 * np.abs(slow[name]).max())
 
 
 def test_a_stress_between_the_hinges_is_taken_away_and_nothing_else() -> None:

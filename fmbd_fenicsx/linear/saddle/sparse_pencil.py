@@ -15,9 +15,9 @@ from .pencil import OPEN_ROWS, SINGULAR_MATRIX
 class SparsePencil:
     """As :class:`.Pencil` for frequencies s (p,); ``room``: of C, which the newest pencil has for itself."""
 
-    def __init__(self, tangent: StepTangent, s: Array, judge: Judge, room: StageRoom) -> None:
+    def __init__(self, tangent: StepTangent, s: Array, judge: Judge, room: StageRoom, redundant: bool) -> None:
         self.t, self.s, self.judge, self.room = tangent, s, judge, room
-        if not room.factor(tangent, s):
+        if not room.factor(tangent, s, redundant=redundant):
             raise LinearSolveError(f"{judge.what}: {SINGULAR_MATRIX}")
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:

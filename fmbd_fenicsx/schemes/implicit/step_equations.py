@@ -75,21 +75,18 @@ class StepEquations(Remembering):
     def _structure(self) -> StageStructure | None:
         """Patterns of the equations where compiled code knows them, and solves sparse stage systems; else None."""
         states, levels = self.system.evaluator, self.form.levels[: self.levels]
-        if not isinstance(states, DriverStates) or len(self.stiff) or 2 in levels or self.solver.core.redundant:
+        if not isinstance(states, DriverStates) or len(self.stiff) or 2 in levels:
             return None
         couplings = couplings_of(states)
         return None if couplings is None else StageStructure(couplings, states, levels)
 
     def _choose(self) -> None:
         """Take notice of who evaluates the system by now, and of a state whose masses are to be taken."""
-        sparse = isinstance(self.tangents, SparseTangents)
-        if not sparse and self._chosen is not self.system.evaluator:
+        if not isinstance(self.tangents, SparseTangents) and self._chosen is not self.system.evaluator:
             structure = self._structure()
             if structure is not None:
                 self.tangents = SparseTangents(self.system, structure)
             self._chosen = self.system.evaluator
-        elif sparse and self.solver.core.redundant:
-            self.tangents = DenseTangents(self.system, self.form, self.levels, self.stiff)
         if self._weighed is not None:
             state, self._weighed = self._weighed, None
             self.tangents.weigh(self.solver.masses(self.system.at(state.t, state.q, state.v)))

@@ -192,10 +192,9 @@ class SparseTangents(Remembering):
         return self.structure.couplings.masses.times(tangent.M, a[None])[0]
 
     def pencil(self, tangent: StepTangent, s: Array, judge: Judge, redundant: bool) -> SparsePencil:
-        """Solver of the stages for the frequencies s, (p,); rows do not depend on each other."""
-        assert not redundant
+        """Solver of the stages for the frequencies s, (p,)."""
         # a frequency of a complex pair belongs to two points
         key = len(s), len(s) + int(np.add.reduce(s.imag != 0.0))
         if key not in self._rooms:
             self._rooms[key] = StageRoom(self.structure, *key)
-        return SparsePencil(tangent, s, judge, self._rooms[key])
+        return SparsePencil(tangent, s, judge, self._rooms[key], redundant)

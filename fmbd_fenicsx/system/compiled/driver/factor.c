@@ -7,6 +7,8 @@
 typedef double lanes __attribute__((vector_size(32), aligned(8), may_alias));
 enum { LANES = 4 };
 
+static const double SOFT = 1e-9; /* epsilon of dependent rows, of the largest compliance of one */
+
 static void clear(System *s)
 {
     memset(s->L, 0, (size_t)s->storage * sizeof(double));
@@ -40,7 +42,7 @@ static void soften(System *s)
 {
     double largest = 0.0;
     for (int i = 0; i < s->rows; i++) largest = fmax(largest, s->weight[i] * s->multiplier_units[i] * s->multiplier_units[i]);
-    s->epsilon = s->redundant ? 1e-9 * largest : 0.0;
+    s->epsilon = s->redundant ? SOFT * largest : 0.0;
     for (int i = 0; i < s->rows; i++) s->L[s->row_dest[i]] -= softness(s, i);
 }
 

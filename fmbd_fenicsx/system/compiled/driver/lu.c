@@ -99,18 +99,34 @@ static void NAME(substitute)(const Stages *o, const Lower *f, const NUMBER *b, N
     }
 }
 
-/* A at one frequency s, its rows and columns scaled by powers of two, and its factors. */
-static int NAME(factorise)(const Stages *o, NUMBER s, NUMBER *A, double *rows, double *columns, Lower *f)
+/* Dependent rows get a softness on the diagonal, see soften() of factor.c. That of lambda has the phase of their compliance by the
+   masses, G M^-1 G^T s^(level - 2), so that the two never cancel; what mu moves rows by, G U, has no frequency. */
+static void NAME(soften)(const Stages *o, NUMBER s, NUMBER *A, NUMBER *soft)
 {
+    NUMBER pulled = o->first ? -1.0 / s : -1.0 / (s * s);
+    for (int j = o->n; j < o->size; j++) {
+        int lambda = j < o->n + o->m;
+        soft[j] = (lambda ? pulled : 1.0) * o->softness[(j - o->n) % o->m];
+        for (int p = o->start[j]; p < o->start[j + 1]; p++)
+            if (o->row[p] == j) A[p] += soft[j];
+    }
+}
+
+/* A at one frequency s, its rows and columns scaled by powers of two, and its factors. */
+static int NAME(factorise)(const Stages *o, int f, NUMBER s, NUMBER *A, double *rows, double *columns)
+{
+    NUMBER *soft = (NUMBER *)(o->soft + (long)f * 2 * o->size);
     for (long p = 0; p < o->entries; p++) {
         A[p] = o->K0[p] + s * (o->K1[p] + s * o->K2[p]);
         if (!(MAGNITUDE(A[p]) < INFINITY)) return NEWTON;
-        o->sizes[p] = ABSOLUTE(A[p]);
     }
+    if (o->units) NAME(soften)(o, s, A, soft);
+    for (long p = 0; p < o->entries; p++) o->sizes[p] = ABSOLUTE(A[p]);
     balance(o, rows, columns);
     for (int j = 0; j < o->size; j++)
         for (int p = o->start[j]; p < o->start[j + 1]; p++) A[p] *= rows[o->row[p]] * columns[j];
-    return NAME(decompose)(o, A, f);
+    for (int j = o->n; o->units && j < o->size; j++) soft[j] *= rows[j] * columns[j];
+    return NAME(decompose)(o, A, o->lower + f);
 }
 
 /* y += A x of a matrix by rows. */
@@ -123,8 +139,9 @@ static void NAME(apply)(const Sparse *A, double sign, const NUMBER *x, NUMBER *y
     }
 }
 
-/* What y leaves of the scaled equations, into ``left``: its largest entry, and its scale. */
-static double NAME(remainder)(const Stages *o, const NUMBER *A, const NUMBER *right, const NUMBER *y, NUMBER *left, double *scale)
+/* What y leaves of the scaled equations, into ``left``: the largest entry of the first ``rows``, and its scale. */
+static double NAME(remainder)(const Stages *o, const NUMBER *A, const NUMBER *right, const NUMBER *y, NUMBER *left, int rows,
+                              double *scale)
 {
     double most = 0.0, given = 0.0, found = 0.0;
     for (int i = 0; i < o->size; i++) left[i] = right[i];
@@ -132,12 +149,21 @@ static double NAME(remainder)(const Stages *o, const NUMBER *A, const NUMBER *ri
         for (int p = o->start[j]; p < o->start[j + 1]; p++) left[o->row[p]] -= A[p] * y[j];
     for (int i = 0; i < o->size; i++) {
         double size = ABSOLUTE(left[i]);
-        if (!(size <= most)) most = size; /* nan stays */
+        if (i < rows && !(size <= most)) most = size; /* nan stays */
         given = fmax(given, ABSOLUTE(right[i]));
         found = fmax(found, ABSOLUTE(y[i]));
     }
     *scale = given + found;
     return most;
+}
+
+/* The solution for rows that are softness times y open, ``times`` that, added to y: see with_all_rows() of matrix.c. */
+static void NAME(without_softness)(const Stages *o, int f, double times, NUMBER *y, NUMBER *open, NUMBER *more)
+{
+    const NUMBER *soft = (const NUMBER *)(o->soft + (long)f * 2 * o->size);
+    for (int i = 0; i < o->size; i++) open[i] = i < o->n ? 0.0 : -times * soft[i] * y[i];
+    NAME(substitute)(o, o->lower + f, open, more);
+    for (int i = 0; i < o->size; i++) y[i] += more[i];
 }
 
 /* Increments dxi, dv behind each other and multipliers for the residuals of one frequency; ``judged``: as of the remainder. */
@@ -148,6 +174,7 @@ static void NAME(resolve)(const Stages *o, int f, const NUMBER *kin, const NUMBE
     const NUMBER *A = (NUMBER *)(o->A + f * 2 * o->entries), s = FREQUENCY(o->s + 2 * f);
     const double *rows = o->scales + (long)f * 2 * o->size, *columns = rows + o->size;
     NUMBER *right = (NUMBER *)o->right, *y = (NUMBER *)(o->right + N * o->size), *left = (NUMBER *)(o->right + 2 * N * o->size);
+    NUMBER *more = (NUMBER *)(o->right + 3 * N * o->size);
 
     for (int i = 0; i < o->size; i++) right[i] = 0.0;
     NAME(apply)(&o->by_a, 1.0, kin, right);
@@ -156,12 +183,16 @@ static void NAME(resolve)(const Stages *o, int f, const NUMBER *kin, const NUMBE
     for (int i = 0; i < o->size; i++) right[i] *= -rows[i];
 
     NAME(substitute)(o, o->lower + f, right, y);
-    judged[0] = NAME(remainder)(o, A, right, y, left, judged + 1);
+    judged[0] = NAME(remainder)(o, A, right, y, left, o->size, judged + 1);
     if (judged[0] > REFINE * judged[1]) {
-        NUMBER *more = (NUMBER *)(o->right + 3 * N * o->size);
         NAME(substitute)(o, o->lower + f, left, more);
         for (int i = 0; i < o->size; i++) y[i] += more[i];
-        judged[0] = NAME(remainder)(o, A, right, y, left, judged + 1);
+        judged[0] = NAME(remainder)(o, A, right, y, left, o->size, judged + 1);
+    }
+    if (o->units) { /* rows that contradict each other stay open */
+        NAME(without_softness)(o, f, 1.0, y, left, more);
+        NAME(without_softness)(o, f, -2.0, y, left, more);
+        judged[0] = NAME(remainder)(o, A, right, y, left, o->n, judged + 1);
     }
 
     for (int i = 0; i < o->size; i++) y[i] *= columns[i];

@@ -28,6 +28,7 @@ typedef struct {
     long entries, room;             /* room: for entries of L, and of U */
     double *K0, *K1, *K2, *s, *A, *scales, *sizes, *blocks; /* A: frequencies x entries, scaled; sizes: entries; */
                                     /* blocks: of K, side by side */
+    double *units, *softness, *soft; /* units of multipliers, NULL: rows do not depend; m; frequencies x size, complex */
     Lower *lower;
     double *x, *right, *mixed;      /* work: size; 4 size; 3 n + 2 size, all complex */
     int *stack, *mark, *found;
@@ -63,6 +64,22 @@ static void balance(const Stages *o, double *rows, double *columns)
     }
 }
 
+/* How soft dependent rows are at a frequency of one, by the masses. */
+static void soften_rows(const Stages *o)
+{
+    double *mass = o->x, largest = 0.0;
+    for (int j = 0; j < o->n; j++)
+        for (int p = o->start[j]; p < o->start[j + 1]; p++)
+            if (o->row[p] == j) mass[j] = o->K2[p];
+    for (int i = 0; i < o->m; i++) {
+        double weight = 0.0;
+        for (int p = o->start[o->n + i]; p < o->start[o->n + i + 1]; p++)
+            if (o->row[p] < o->n && mass[o->row[p]] > 0.0) weight += o->K0[p] * o->K0[p] / mass[o->row[p]];
+        largest = fmax(largest, weight * o->units[i] * o->units[i]);
+    }
+    for (int i = 0; i < o->m; i++) o->softness[i] = SOFT * largest / (o->units[i] * o->units[i]);
+}
+
 #define NUMBER double
 #define NAME(x) x##_real
 #define MAGNITUDE(x) fabs(x)
@@ -90,10 +107,11 @@ EXPORT int driver_stage_factors(Stages *o, const Patterns *patterns, const doubl
 {
     double *const K[3] = {o->K0, o->K1, o->K2};
     powers(patterns, data, o->blocks, K);
+    if (o->units) soften_rows(o);
     for (int f = 0; f < o->frequencies; f++) {
         double *A = o->A + f * 2 * o->entries, *rows = o->scales + (long)f * 2 * o->size, *s = o->s + 2 * f;
-        int verdict = s[1] == 0.0 ? factorise_real(o, *s, A, rows, rows + o->size, o->lower + f)
-                                  : factorise_complex(o, *(double complex *)s, (double complex *)A, rows, rows + o->size, o->lower + f);
+        int verdict = s[1] == 0.0 ? factorise_real(o, f, *s, A, rows, rows + o->size)
+                                  : factorise_complex(o, f, *(double complex *)s, (double complex *)A, rows, rows + o->size);
         if (verdict) return verdict;
     }
     return DONE;

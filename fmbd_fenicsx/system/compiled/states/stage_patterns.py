@@ -64,8 +64,11 @@ class StageStructure:
         self.normal = Product(couplings.masses, across)
         self.turned = Product(self.low, couplings.turns, within=self.low)
         self.crossed = Product(self.low, self.normal.pattern)
+        # rows that depend on each other are softened on the diagonal, where those of mu have entries
+        own = n + np.arange(m if count else 0)
+        diagonal = Pattern.of((self.size, m), own, own - n)
         blocks = [self.low, across, self.crossed.pattern][: 1 + count]
-        self._lay_out(blocks, [0, n, n + m])
+        self._lay_out([*blocks, diagonal], [0, n, n + m][: 1 + count] + [n])
 
         unknowns = [np.arange(n)[:, None], n + np.arange(m)[:, None] + m * np.arange(count)]
         each = [*unknowns[0], *unknowns[1]]
@@ -75,7 +78,7 @@ class StageStructure:
     def _lay_out(self, blocks: list[Pattern], offsets: list[int]) -> None:
         """K of blocks side by side from these columns on: by columns, and where its entries stand among those of the blocks."""
         rows = np.concatenate([block.rows for block in blocks])
-        columns = np.concatenate([block.columns + at for block, at in zip(blocks, offsets, strict=False)])
+        columns = np.concatenate([block.columns + at for block, at in zip(blocks, offsets, strict=True)])
         self._taken = np.lexsort((rows, columns))
         self.row = rows[self._taken].astype(np.int32)
         self.start = np.searchsorted(columns[self._taken], np.arange(self.size + 1)).astype(np.int32)

@@ -45,7 +45,7 @@ class Stages(ctypes.Structure):
         *((name, _LONG) for name in "entries room".split()),
         *(
             (name, _POINTER)
-            for name in "K0 K1 K2 s A scales sizes blocks lower x right mixed stack mark found next".split()
+            for name in "K0 K1 K2 s A scales sizes blocks units softness soft lower x right mixed stack mark found next".split()
         ),
         *((name, SparseRows) for name in (*MATRICES, "W")),
         *((name, _POINTER) for name in POINTS),
@@ -77,6 +77,7 @@ class StageRoom:
         n, m, size, entries = structure.n, structure.m, structure.size, len(structure.row)
         p, k, multipliers = frequencies, points, size - structure.n
         self.kept: list[Any] = [structure]
+        self._units = structure.couplings.system.multiplier_units
         c = self.c = Stages(
             n=n, m=m, size=size, levels=len(structure.levels), frequencies=p, points=k, entries=entries,
             first=structure.levels[0] if structure.levels else 0,
@@ -85,7 +86,7 @@ class StageRoom:
         sizes: dict[str, int | tuple[int, ...]] = {
             "K0": entries, "K1": entries, "K2": entries, "s": (p, 2), "A": (p, 2 * entries), "scales": (p, 2, size),
             "sizes": entries, "blocks": entries, "data": structure.count, "W": len(structure.couplings.masses),
-            "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,
+            "softness": m, "soft": (p, 2 * size), "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,
             "t": k, "q0": states.tables.system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n),
             "mult": (k, max(multipliers, m)), "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n),
             "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)), "push": (k, n), "weigh": (3, n),
@@ -128,8 +129,9 @@ class StageRoom:
             one.L, one.U, one.pivot = (address_of(x) for x in self._numbers[3 * f : 3 * f + 3])
         self.c.room, self.c.lower = room, ctypes.addressof(self.lower)
 
-    def factor(self, tangent: StepTangent, s: Array) -> bool:
-        """The factors of the frequencies s (p,); False where K is singular, or not finite."""
+    def factor(self, tangent: StepTangent, s: Array, *, redundant: bool) -> bool:
+        """The factors of the frequencies s (p,); False where K is singular, or not finite. ``redundant``: rows depend."""
+        self.c.units = address_of(self._units) if redundant else None
         structure = self.structure
         structure.data(tangent, self.data)
         self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
