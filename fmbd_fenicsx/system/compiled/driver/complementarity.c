@@ -45,7 +45,7 @@ static int coulomb(const double *x, const double *u, double cn, double ct, doubl
 static int contact_forces(Contacts *c, int m)
 {
     const int d = c->components, n = m * d;
-    double *x = c->work, *u = x + n, *F = u + n, *A = F + 2 * n, dx[9], du[9], free = 0.0;
+    double *x = c->work, *u = x + n, *F = u + n, *A = F + n, dx[9], du[9], free = 0.0;
     int before[CLOSED];
     const int many = m > CLOSED;
     memcpy(x, c->f, n * sizeof(double));

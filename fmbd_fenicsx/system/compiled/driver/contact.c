@@ -56,6 +56,7 @@ typedef struct {
     double *rows, *drift, *rate;              /* of closed contacts: components x 2 wide, body axes; tangential; of gaps */
     double *before, *rebound;                 /* of closed contacts: rates before a part; what normals that bounce come back with */
     double *W, *q, *f, *mu, *Y, *work;        /* the small problem; A^-1 L^T; see moreau.c */
+    double *old;                              /* impulses before an iteration */
     double *least;                            /* room for friction.c */
     Problem part;                             /* that of a group of contacts which move each other; */
     int *group;                               /* these, and room for as many */

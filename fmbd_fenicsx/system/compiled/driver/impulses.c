@@ -201,7 +201,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         }
         for (int k = 0; k < n; k++) c->q[k] -= dot(c->W + k * n, c->f, n);
 
-        double *old = c->work + 3 * n;
+        double *old = c->old;
         memcpy(old, c->f, n * sizeof(double));
         if (m && lawful_impulses(c, m, old, middle)) return LOOK;
         for (int k = 0; k < n; k++) {
