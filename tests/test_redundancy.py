@@ -9,11 +9,13 @@ import pytest
 from test_compiled_evaluation import compiled
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear import redundancy
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.redundancy import least, null_space
 from fmbd_fenicsx.linear.saddle.pencil import Pencil
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.schemes.implicit.step_tangents import DenseTangents
+from fmbd_fenicsx.system.compiled.choice import use_driver
 
 MASS, WIDTH, HEIGHT, LEVELS = 20.0, 0.8, 2.0, (0.2, 1.8)
 
@@ -92,9 +94,12 @@ def test_stages_beside_dependent_rows_are_compiled(scheme: Any, monkeypatch: Any
         np.testing.assert_allclose(fast[name], slow[name], rtol=0, atol=1e-7 * np.abs(slow[name]).max())
 
 
-def test_a_stress_between_the_hinges_is_taken_away_and_nothing_else() -> None:
+@pytest.mark.parametrize("driven", [False, pytest.param(True, marks=compiled)], ids=["NumPy", "driver"])
+def test_a_stress_between_the_hinges_is_taken_away_and_nothing_else(driven: bool, monkeypatch: Any) -> None:
     """The forces on the bodies stay; what is left is orthogonal to every state of stress."""
     system, state, _ = door(1.0).build()
+    if driven:
+        use_driver(system)
     solver = StepSolver(system)
     ev = system.at(state.t, state.q, state.v)
     from fmbd_fenicsx.linear.condensation import Weights
@@ -103,7 +108,10 @@ def test_a_stress_between_the_hinges_is_taken_away_and_nothing_else() -> None:
     N = null_space(ev)
     assert N.shape == (10, 5)
     lam = np.random.default_rng(0).normal(size=10)
+    if driven:
+        monkeypatch.setattr(redundancy, "null_space", None)
     small = least(solver, ev, lam + system.multiplier_units * (N @ np.full(5, 1e6)))
+    assert least(solver, ev, np.stack((small, lam))) == pytest.approx(np.stack((small, small)), abs=1e-8)
     assert np.abs(N.T @ (small / system.multiplier_units)).max() < 1e-8
     assert np.abs(ev.jacobian.transposed(small - lam)).max() < 1e-8
     solver.destroy()

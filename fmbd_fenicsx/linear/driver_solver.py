@@ -79,6 +79,17 @@ class DriverSolver:
         self.ready, self._weights = found is not None, MASSES
         return found
 
+    def least(self, t: float, q: Array, lam: Array) -> Array | None:
+        """Of multipliers (k, n_lam) of rows that depend the smallest with the same forces, in one call; None as above.
+
+        Nothing is prepared then.
+        """
+        self.ready = False
+        if self.states.system.fields:
+            return None
+        self.states.let_depend()
+        return self.explicit.least(t, q, lam)
+
     def closed(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """q and v on the constraints in one call; None as above. Nothing is prepared then."""
         usable, self.ready = self._usable_at(t, q, v), False

@@ -45,12 +45,19 @@ def null_space(ev: Evaluation) -> Array:
 
 
 def least(solver: StepSolver, ev: Evaluation, lam: Array) -> Array:
-    """The smallest multiplier with the forces of ``lam`` in a configuration; ``lam`` itself where it is unique. Collective."""
-    if not solver.core.redundant or not len(lam):
+    """The smallest multipliers with the forces of ``lam``, (n_lam,) or (k, n_lam), in a configuration; ``lam`` itself where it is
+    unique. Collective.
+    """
+    driver = solver.driver
+    if not solver.core.redundant or not lam.size:
         return lam
-    N, u = null_space(ev), ev.system.multiplier_units
+    found = None if driver is None else driver.least(ev.t, ev.q, np.atleast_2d(lam))
+    if found is not None:
+        return found.reshape(lam.shape)
+
     # what changes no force is taken out
-    return lam - u * (N @ (N.T @ (lam / u)))
+    N, u = null_space(ev), ev.system.multiplier_units
+    return np.asarray(lam - u * ((lam / u) @ N @ N.T))
 
 
 def not_unique(solver: StepSolver, state: State) -> list[str]:

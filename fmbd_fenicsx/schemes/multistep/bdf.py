@@ -265,8 +265,8 @@ class BDFStepper(Corrector):
         if not self.solver.core.redundant or not self.eq.levels:
             return mult
         every = self.eq.levels * self.system.n_lam
-        levels = [least(self.solver, ev, x) for x in mult[:every].reshape(self.eq.levels, -1)]
-        return np.concatenate([*levels, mult[every:]])
+        levels = least(self.solver, ev, mult[:every].reshape(self.eq.levels, -1))
+        return np.concatenate((levels.ravel(), mult[every:]))
 
     def _remember(self, state: State, mult: Array) -> None:
         self.past = [Past(state.t, state.q, state.v, mult), *self.past][:LONGEST]

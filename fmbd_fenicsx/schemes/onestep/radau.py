@@ -266,13 +266,10 @@ class RadauStepper(StageNewton):
     def _least(self, h: float, points: Points) -> Points:
         """The stages with multipliers that are the smallest with their forces, so that predictions of them stay small."""
         s = self.state
-        m = self.system.n_lam
-        mult = points.mult.copy()
-        for i, share in enumerate(self.tab.c):
-            ev = self.system.at(float(s.t + share * h), self.system.compose(s.q, points.xi[i]))
-            for level in range(self.eq.levels):
-                rows = slice(level * m, (level + 1) * m)
-                mult[i, rows] = least(self.solver, ev, mult[i, rows])
+        mult, every = points.mult.copy(), self.eq.levels * self.system.n_lam
+        for share, xi, one in zip(self.tab.c, points.xi, mult, strict=True):
+            ev = self.system.at(float(s.t + share * h), self.system.compose(s.q, xi))
+            one[:every] = least(self.solver, ev, one[:every].reshape(self.eq.levels, -1)).ravel()
         return replace(points, mult=mult)
 
     # -- error --------------------------------------------------------------------------------------------------

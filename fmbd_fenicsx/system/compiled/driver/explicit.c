@@ -2,6 +2,7 @@
    of a Runge-Kutta method in one call, and those of a half-explicit one. */
 
 enum { REFINED = 12, CLOSED = 12, HALF = 50 }; /* iterations */
+static const double SAME_FORCES = 1e-8; /* share that the smallest multipliers may lack of the forces of others */
 static const double AT_REST = 1e-13; /* of the forces, that the balance may lack */
 static const double CONTRADICTS = 1e-8; /* of the accelerations, that rows may ask for otherwise than those they depend on */
 
@@ -87,6 +88,33 @@ EXPORT int driver_accelerate(System *s, int factored, double t, double length, c
     double last = NAN;
     int verdict = sample(s, t, &last);
     return verdict ? verdict : accelerate(s, t, length, q, v, a, lam, room, factored);
+}
+
+/* Of multipliers with the same forces in a configuration the smallest, in place, count x rows: those by which the masses bear these
+   forces at rest. NEWTON where the forces are not the same, since rows nearly depend. ``room``: 2 nv + rows. */
+EXPORT int driver_least(System *s, int factored, double t, long count, const double *q, double *lam, double *room)
+{
+    double *push = room, *x = push + s->nv, *y = x + s->nv, last = NAN;
+    int verdict = sample(s, t, &last);
+    memset(x, 0, s->nv * sizeof(double));
+    if (verdict || (verdict = place(s, q, x))) return verdict;
+    drift(s);
+    if (!factored && (verdict = prepare(s, q, 0.0, 0.0, lam, 0, t))) return verdict;
+
+    for (long i = 0; i < count; i++, lam += s->rows) {
+        all_rows(s, lam, push);
+        double forces = greatest(push, s->nv);
+        turn_velocity(s, push);
+        memcpy(s->b, s->velocity, s->nu * sizeof(double));
+        memset(s->b + s->nu, 0, s->rows * sizeof(double));
+        if ((verdict = with_all_rows(s, 0.0, x, y, t))) return verdict;
+
+        add(lam, -1.0, y, s->rows);
+        all_rows(s, lam, push);
+        if (!(greatest(push, s->nv) <= SAME_FORCES * forces)) return NEWTON;
+        memcpy(lam, y, s->rows * sizeof(double));
+    }
+    return DONE;
 }
 
 /* The smallest change of twists, in the mass metric, that closes the rows by ``open``: with the factor as it is. */

@@ -67,6 +67,16 @@ class ExplicitStates:
         self.states.hold(t, q, v, new=not known)
         return twin.forces(a), lam
 
+    def least(self, t: float, q: Array, lam: Array) -> Array | None:
+        """Of multipliers (k, n_lam) with the same forces in a configuration the smallest; the masses are factored then."""
+        states, lam = self.states, lam.copy()
+        known = states.holds_masses(t, q)
+        numbers = (int(known), t, len(lam))
+        if not self._ask(states.library.driver_least, numbers, (states.twin.configurations(q), lam)):
+            return None
+        states.hold(t, q, np.zeros(states.system.n_v), new=not known)
+        return lam
+
     def closed(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """q, then v, moved onto the constraints by the smallest change in the mass metric."""
         twin = self.states.twin
