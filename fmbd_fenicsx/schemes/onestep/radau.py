@@ -267,9 +267,9 @@ class RadauStepper(StageNewton):
         """The stages with multipliers that are the smallest with their forces, so that predictions of them stay small."""
         s = self.state
         mult, every = points.mult.copy(), self.eq.levels * self.system.n_lam
-        for share, xi, one in zip(self.tab.c, points.xi, mult, strict=True):
-            ev = self.system.at(float(s.t + share * h), self.system.compose(s.q, xi))
-            one[:every] = least(self.solver, ev, one[:every].reshape(self.eq.levels, -1)).ravel()
+        for i, share in enumerate(self.tab.c):
+            ev = self.system.at(float(s.t + share * h), self.system.compose(s.q, points.xi[i]))
+            mult[i, :every] = least(self.solver, ev, mult[i, :every].reshape(self.eq.levels, -1)).ravel()
         return replace(points, mult=mult)
 
     # -- error --------------------------------------------------------------------------------------------------
