@@ -118,9 +118,9 @@ class ConstantSteps(Around):
         """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""
         if self._size not in (None, h) or not self.stride(h):
             return 0
-        steps = int(
-            min(steps, whole_steps(self.system, self.stepper.state.t, h))
-        )  # samples are taken by :meth:`advance`
+
+        # samples are taken by :meth:`advance`
+        steps = int(min(steps, whole_steps(self.system, self.stepper.state.t, h)))
         judges = self.judges
         closed = None if judges is None else judges.closed
         made = self.stepper.march(h, steps, self.watch, tape, closed) if steps > 0 else 0

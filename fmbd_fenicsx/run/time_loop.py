@@ -225,6 +225,7 @@ class Loop:
                 self.turns.look(self.state)
                 if self._ends_by_event():
                     break
+
                 self._record(made, seen)
                 self._pass_kink()
                 if stop.asked if keeper is None else keeper.after_step(self.progress, stop):

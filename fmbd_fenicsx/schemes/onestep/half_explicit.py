@@ -142,9 +142,11 @@ class HalfExplicitStepper(ExplicitStepper):
         system, s = self.system, self.state
         c, A, _ = coefficients()
         xi, v, a, lam = np.zeros_like(s.v), s.v, s.a, s.lam
+
         rates: list[Array] = []
         pushes: list[Array] = []
         solves = 0
+
         for i in range(len(c) - 1):
             rates.append(system.rate(xi, v))
             q = system.compose(s.q, xi)
@@ -155,6 +157,7 @@ class HalfExplicitStepper(ExplicitStepper):
             solves += took
             pushes.append(a)
             v = known + h * A[i + 1, i] * a
+
         return (np.array(rates), np.array(pushes), xi, v), (a, lam, solves)
 
     def _stage(

@@ -78,11 +78,13 @@ class StageRoom:
         p, k, multipliers = frequencies, points, size - structure.n
         self.kept: list[Any] = [structure]
         self._units = structure.couplings.system.multiplier_units
+
         c = self.c = Stages(
             n=n, m=m, size=size, levels=len(structure.levels), frequencies=p, points=k, entries=entries,
             first=structure.levels[0] if structure.levels else 0,
             start=address_of(structure.start), row=address_of(structure.row), order=address_of(structure.order), relax=1.0,
         )  # fmt: skip
+
         sizes: dict[str, int | tuple[int, ...]] = {
             "K0": entries, "K1": entries, "K2": entries, "s": (p, 2), "A": (p, 2 * entries), "scales": (p, 2, size),
             "sizes": entries, "blocks": entries, "data": structure.count, "W": len(structure.couplings.masses),
@@ -92,19 +94,23 @@ class StageRoom:
             "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)), "push": (k, n), "weigh": (3, n),
             "moved": 6, "judged": 2, "local": states.tables.system.n_q + n,
         }  # fmt: skip
+
         made = zeros_of(sizes)
         self.arrays = {name: x for name, (x, _) in made.items()}
         self.data, self._data_at = made.pop("data")
         _, inverse = made.pop("W")
         for name, (_, address) in made.items():
             setattr(c, name, address)
+
         c.W = _by_rows(structure.couplings.masses, inverse)
         for name in MATRICES:
             first = structure.parts[name].start
             setattr(c, name, _by_rows(structure.patterns[name], self._data_at + 8 * first))
+
         self.moved, self.judged = self.arrays["moved"], self.arrays["judged"]
         for name in ("mult", "dmult"):
             self.arrays[name] = self.arrays[name].reshape(-1)[: k * multipliers].reshape(k, multipliers)
+
         for name in ("stack", "mark", "found"):
             setattr(c, name, self._integers(size, np.int32))
         c.next = self._integers(size, np.int64)
