@@ -68,7 +68,7 @@ class Tally(ctypes.Structure):
 class Problem(ctypes.Structure):
     """The structure Problem."""
 
-    _fields_ = _fields("W q f mu", POINTER)
+    _fields_ = [*_fields("m", INT), *_fields("W q f mu", POINTER)]
 
 
 class Contacts(ctypes.Structure):
@@ -83,8 +83,9 @@ class Contacts(ctypes.Structure):
         *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
         *_fields("energy springs time last", REAL),
         ("loaded", INT),
-        *_fields("rows drift rate before rebound W q f mu Y work old least", POINTER),
-        ("part", Problem),
+        *_fields("rows drift rate before rebound", POINTER),
+        *_fields("all part asked", Problem),
+        *_fields("Y work old least", POINTER),
         *_fields("group ahead xi kept saved was rested path own", POINTER),
         *_fields("size most done total parts", INT),
         ("system", POINTER),
@@ -187,7 +188,7 @@ class ContactDriver:
         sizes |= {f"part {name}": sizes[name] for name in ("W", "q", "f", "mu")}
         self.arrays.update({name: np.zeros(size) for name, size in sizes.items()})
         places = {name: self.arrays[name].ctypes.data for name in sizes}
-        part = {name: places.pop(f"part {name}") for name in ("W", "q", "f", "mu")}
+        whole, part = ({name: places.pop(kind + name) for name in ("W", "q", "f", "mu")} for kind in ("", "part "))
         return Contacts(
             pairs=len(contacts.pairs), points=m, components=k, known=0, room=room, pair=ctypes.addressof(self.pairs),
             stops=len(self.stops), wide=wide, on=self._array("on", on, np.int32),
@@ -195,7 +196,7 @@ class ContactDriver:
             **{name: self._array(name, np.zeros(size), np.int32) for name, size in counts.items()},
             now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
             loaded=int(bool(s.forces)), size=self.n, most=2 * self.impacts, system=ctypes.addressof(self.tables.c),
-            part=Problem(**part), **places,
+            all=Problem(**whole), part=Problem(**part), **places,
         )  # fmt: skip
 
     def _touch(self, name: str, m: int, d: int) -> TouchStructure:
@@ -307,18 +308,18 @@ class ContactDriver:
 
     def _forces(self, m: int) -> None:
         """Forces of a group of m contacts with the matrix W and the openings q without force."""
-        c, d = self.c, self.c.components
+        problem, d = self.c.asked, self.c.components
         n = m * d
-        W = numbers(c.W, n * n).reshape(n, n)
-        q = numbers(c.q, n)
-        f = numbers(c.f, n).copy()
+        W = numbers(problem.W, n * n).reshape(n, n)
+        q = numbers(problem.q, n)
+        f = numbers(problem.f, n).copy()
         opening, counts = q + W @ f, ContactCounts()
         if d > 1:
             tried = m <= CLOSED
-            found = frictional_forces(W, opening, numbers(c.mu, m), f.reshape(m, d), counts, refused=tried)
+            found = frictional_forces(W, opening, numbers(problem.mu, m), f.reshape(m, d), counts, refused=tried)
         else:
             found = normal_forces(W, opening, f, counts)
-        numbers(c.f, n)[:] = found.ravel()
+        numbers(problem.f, n)[:] = found.ravel()
 
         tally = self.c.tally
         tally.solves += counts.solves

@@ -40,25 +40,25 @@ static int coulomb(const double *x, const double *u, double cn, double ct, doubl
     return 2;
 }
 
-/* Newton's iteration for m points from the forces f, as linear/complementarity/coulomb.py does at first; without friction it is
+/* Newton's iteration from the forces of a problem, as linear/complementarity/coulomb.py does at first; without friction it is
    that of active sets. 1 where it does not find the forces. Of many contacts it only sees whether they have them already. */
-static int contact_forces(Contacts *c, int m)
+static int contact_forces(Contacts *c, const Problem *o)
 {
-    const int d = c->components, n = m * d;
+    const int m = o->m, d = c->components, n = m * d;
     double *x = c->work, *u = x + n, *F = u + n, *A = F + n, dx[9], du[9], free = 0.0;
     int before[CLOSED];
     const int many = m > CLOSED;
-    memcpy(x, c->f, n * sizeof(double));
+    memcpy(x, o->f, n * sizeof(double));
 
     for (int round = 0; round < ROUNDS; round++) {
-        double residual = 0.0, largest = 0.0;
+        double residual, force;
         if (!many) memset(A, 0, n * n * sizeof(double));
-        for (int i = 0; i < n; i++) u[i] = c->q[i] + dot(c->W + i * n, x, n);
+        for (int i = 0; i < n; i++) u[i] = o->q[i] + dot(o->W + i * n, x, n);
         for (int i = 0; i < m; i++) {
-            double cn = 1.0 / fmax(c->W[i * d * (n + 1)], 1e-300), ct = INFINITY;
-            for (int k = 1; k < d; k++) ct = fmin(ct, 1.0 / fmax(c->W[(i * d + k) * (n + 1)], 1e-300));
-            int status = coulomb(x + i * d, u + i * d, cn, ct, c->mu[i], d, F + i * d, dx, du);
-            free = fmax(free, fabs(cn * c->q[i * d]));
+            double cn = 1.0 / fmax(o->W[i * d * (n + 1)], 1e-300), ct = INFINITY;
+            for (int k = 1; k < d; k++) ct = fmin(ct, 1.0 / fmax(o->W[(i * d + k) * (n + 1)], 1e-300));
+            int status = coulomb(x + i * d, u + i * d, cn, ct, o->mu[i], d, F + i * d, dx, du);
+            free = fmax(free, fabs(cn * o->q[i * d]));
             if (many) continue;
             c->tally.changes += round && status != before[i];
             before[i] = status;
@@ -66,17 +66,15 @@ static int contact_forces(Contacts *c, int m)
                 double *row = A + (i * d + a) * n;
                 for (int b = 0; b < d; b++) {
                     row[i * d + b] += dx[a * d + b];
-                    if (du[a * d + b] != 0.0) add(row, du[a * d + b], c->W + (i * d + b) * n, n);
+                    if (du[a * d + b] != 0.0) add(row, du[a * d + b], o->W + (i * d + b) * n, n);
                 }
             }
         }
-        for (int i = 0; i < n; i++) {
-            residual = fmax(residual, fabs(F[i]));
-            largest = fmax(largest, fabs(x[i]));
-        }
-        residual /= fmax(free + fmin(largest, 1e3 * free), 1e-300);
+        residual = largest(F, n);
+        force = largest(x, n);
+        residual /= fmax(free + fmin(force, 1e3 * free), 1e-300);
         if (residual <= (many ? 1e-12 : 1e-13)) { /* sums of many terms are known to less */
-            memcpy(c->f, x, n * sizeof(double));
+            memcpy(o->f, x, n * sizeof(double));
             c->tally.residual = fmax(c->tally.residual, residual);
             c->tally.solves++;
             return 0;

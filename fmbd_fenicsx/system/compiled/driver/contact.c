@@ -34,8 +34,9 @@ typedef struct {
     double residual;
 } Tally;
 
-/* The small problem of closed contacts: openings q + W f, friction mu. */
+/* The small problem of m closed contacts: openings q + W f, friction mu. */
 typedef struct {
+    int m;
     double *W, *q, *f, *mu;
 } Problem;
 
@@ -55,11 +56,11 @@ typedef struct {
     int loaded;                               /* whether there are force elements */
     double *rows, *drift, *rate;              /* of closed contacts: components x 2 wide, body axes; tangential; of gaps */
     double *before, *rebound;                 /* of closed contacts: rates before a part; what normals that bounce come back with */
-    double *W, *q, *f, *mu, *Y, *work;        /* the small problem; A^-1 L^T; see moreau.c */
+    Problem all, part, asked;                 /* that of all closed contacts; of a group which move each other; what Python is asked */
+    double *Y, *work;                         /* A^-1 L^T; see moreau.c */
     double *old;                              /* impulses before an iteration */
     double *least;                            /* room for friction.c */
-    Problem part;                             /* that of a group of contacts which move each other; */
-    int *group;                               /* these, and room for as many */
+    int *group;                               /* contacts of a part, and room for as many */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
     double *saved;                            /* held, impulse and works at the start of a step */
     int *was;                                 /* carrying then */

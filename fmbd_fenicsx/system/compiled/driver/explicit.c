@@ -6,20 +6,12 @@ static const double SAME_FORCES = 1e-8; /* share that the smallest multipliers m
 static const double AT_REST = 1e-13; /* of the forces, that the balance may lack */
 static const double CONTRADICTS = 1e-8; /* of the accelerations, that rows may ask for otherwise than those they depend on */
 
-static double greatest(const double *x, int n)
-{
-    double found = 0.0;
-    for (int i = 0; i < n; i++)
-        if (found == found && !(fabs(x[i]) <= found)) found = fabs(x[i]); /* nan stays */
-    return found;
-}
-
 /* The largest force that the balance evaluated last lacks; on the nodes of fields too. ``x``: room, like v. */
 static double missing(const System *s, double *x)
 {
-    if (!s->fields) return greatest(s->residual, s->nu);
+    if (!s->fields) return largest(s->residual, s->nu);
     like_v(s, s->residual, x);
-    return greatest(x, s->nv);
+    return largest(x, s->nv);
 }
 
 /* The largest acceleration that the forces evaluated last would give to an unknown by itself; the matrix is assembled. */
@@ -103,7 +95,7 @@ EXPORT int driver_least(System *s, int factored, double t, long count, const dou
 
     for (long i = 0; i < count; i++, lam += s->rows) {
         all_rows(s, lam, push);
-        double forces = greatest(push, s->nv);
+        double forces = largest(push, s->nv);
         turn_velocity(s, push);
         memcpy(s->b, s->velocity, s->nu * sizeof(double));
         memset(s->b + s->nu, 0, s->rows * sizeof(double));
@@ -111,7 +103,7 @@ EXPORT int driver_least(System *s, int factored, double t, long count, const dou
 
         add(lam, -1.0, y, s->rows);
         all_rows(s, lam, push);
-        if (!(greatest(push, s->nv) <= SAME_FORCES * forces)) return NEWTON;
+        if (!(largest(push, s->nv) <= SAME_FORCES * forces)) return NEWTON;
         memcpy(lam, y, s->rows * sizeof(double));
     }
     return DONE;

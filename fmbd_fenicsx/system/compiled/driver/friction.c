@@ -5,33 +5,27 @@
 static const double FOUND = 1e-12, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
 enum { PLAIN = 40, POINTS = 40, AHEAD = 5 }; /* iterations, proximal points at most; whole steps before one is made shorter */
 
-/* A problem (3) and the iterate that was evaluated last. */
+/* A problem (3) with the compliance and the friction of ``of``, and the iterate that was evaluated last. */
 typedef struct {
+    const Problem *of;
     int m, n;
     double *q, *shift, *x, *u, *F, *dx, *du; /* n; dx, du: blocks d x d by point */
     int state[CLOSED];
 } Friction;
 
-static double largest(const double *x, int n)
-{
-    double most = 0.0;
-    for (int i = 0; i < n; i++) most = x[i] == x[i] ? fmax(most, fabs(x[i])) : INFINITY;
-    return most;
-}
-
 /* What makes gaps, and slips, of point i comparable with forces. */
-static void scales(const Contacts *c, int i, int n, double *cn, double *ct)
+static void scales(const Problem *o, int i, int d, double *cn, double *ct)
 {
-    const int d = c->components;
-    *cn = 1.0 / fmax(c->W[i * d * (n + 1)], 1e-300);
+    const int n = o->m * d;
+    *cn = 1.0 / fmax(o->W[i * d * (n + 1)], 1e-300);
     *ct = INFINITY;
-    for (int k = 1; k < d; k++) *ct = fmin(*ct, 1.0 / fmax(c->W[(i * d + k) * (n + 1)], 1e-300));
+    for (int k = 1; k < d; k++) *ct = fmin(*ct, 1.0 / fmax(o->W[(i * d + k) * (n + 1)], 1e-300));
 }
 
 /* Gaps and slips under forces x. */
-static void gaps_under(const Contacts *c, const Friction *o, const double *x, double *u)
+static void gaps_under(const Friction *o, const double *x, double *u)
 {
-    for (int i = 0; i < o->n; i++) u[i] = o->q[i] + dot(c->W + i * o->n, x, o->n) + o->shift[i] * x[i];
+    for (int i = 0; i < o->n; i++) u[i] = o->q[i] + dot(o->of->W + i * o->n, x, o->n) + o->shift[i] * x[i];
 }
 
 /* The function at x, u, and the status of its points. */
@@ -40,18 +34,18 @@ static void evaluated(const Contacts *c, Friction *o)
     const int d = c->components;
     for (int i = 0; i < o->m; i++) {
         double cn, ct;
-        scales(c, i, o->n, &cn, &ct);
+        scales(o->of, i, d, &cn, &ct);
         double *dx = o->dx + i * d * d, *du = o->du + i * d * d;
-        o->state[i] = coulomb(o->x + i * d, o->u + i * d, cn, ct, c->mu[i], d, o->F + i * d, dx, du);
+        o->state[i] = coulomb(o->x + i * d, o->u + i * d, cn, ct, o->of->mu[i], d, o->F + i * d, dx, du);
     }
 }
 
 /* Largest residual over the largest force; large forces that cancel each other do not count. */
-static double residual_of(const Contacts *c, const Friction *o)
+static double residual_of(const Friction *o, int d)
 {
     double free = 0.0, cn, ct;
     for (int i = 0; i < o->n; i++) {
-        scales(c, i / c->components, o->n, &cn, &ct);
+        scales(o->of, i / d, d, &cn, &ct);
         free = fmax(free, fabs(cn * o->q[i]));
     }
     return largest(o->F, o->n) / fmax(free + fmin(largest(o->x, o->n), 1e3 * free), 1e-300);
@@ -141,7 +135,7 @@ static void force_step(const Contacts *c, const Friction *o, double *A, double *
         for (int k = 0; k < d; k++) {
             double slope = o->du[(i * d + a) * d + k];
             A[r * n + i * d + k] += o->dx[(i * d + a) * d + k] + slope * o->shift[i * d + k];
-            if (slope != 0.0) add(A + r * n, slope, c->W + (i * d + k) * n, n);
+            if (slope != 0.0) add(A + r * n, slope, o->of->W + (i * d + k) * n, n);
         }
         s[r] = -o->F[r];
     }
@@ -161,7 +155,7 @@ static void force_step(const Contacts *c, const Friction *o, double *A, double *
 /* The iterate at forces o->x, whose squared residual is returned. */
 static double arrived(const Contacts *c, Friction *o)
 {
-    gaps_under(c, o, o->x, o->u);
+    gaps_under(o, o->x, o->u);
     evaluated(c, o);
     return dot(o->F, o->F, o->n);
 }
@@ -170,11 +164,11 @@ static double arrived(const Contacts *c, Friction *o)
    matrices. */
 static int searched(Contacts *c, Friction *o, double *work)
 {
-    const int n = o->n;
+    const int n = o->n, d = c->components;
     double *s = work, *x = s + n, *u = x + n, *full = u + n, *rest = full + n, *A = rest + 3 * n, best = INFINITY, size;
     arrived(c, o);
     for (int k = 0; k < PLAIN; k++) {
-        size = residual_of(c, o);
+        size = residual_of(o, d);
         if (size <= ENOUGH || !isfinite(size) || (k > 8 && size > 0.5 * best)) break;
         best = fmin(best, size);
 
@@ -207,39 +201,39 @@ static int searched(Contacts *c, Friction *o, double *work)
         c->tally.iterations++;
         c->tally.changes += changes;
     }
-    return residual_of(c, o) <= FOUND;
+    return residual_of(o, d) <= FOUND;
 }
 
-/* Proximal points from the forces in c->f: the smallest residual, with its forces in ``best`` where it is smaller than ``least``.
+/* Proximal points from the forces of a problem: the smallest residual, with its forces in ``best`` where it is smaller than ``least``.
    ``rho``: the first, 0 for none. */
-static double attempt(Contacts *c, int m, double rho, double *best, double least)
+static double attempt(Contacts *c, const Problem *problem, double rho, double *best, double least)
 {
-    const int d = c->components, n = m * d;
+    const int m = problem->m, d = c->components, n = m * d;
     const double restart = rho;
     double *none = best + n, *work = none + n;
-    Friction o = {.m = m, .n = n}, whole;
+    Friction o = {.of = problem, .m = m, .n = n}, whole;
     double **places[] = {&o.q, &o.shift, &o.x, &o.u, &o.F};
     for (int k = 0; k < 5; k++, work += n) *places[k] = work;
     o.dx = work;
     o.du = o.dx + n * d;
     work = o.du + n * d;
-    memcpy(o.x, c->f, n * sizeof(double));
+    memcpy(o.x, problem->f, n * sizeof(double));
     memset(none, 0, n * sizeof(double));
     whole = o;
-    whole.q = c->q;
+    whole.q = problem->q;
     whole.shift = none;
 
     for (int k = 0; k < (rho > 0.0 ? POINTS : 1); k++) {
         for (int i = 0; i < n; i++) {
             double cn, ct;
-            scales(c, i / d, n, &cn, &ct);
+            scales(problem, i / d, d, &cn, &ct);
             o.shift[i] = rho / (i % d ? ct : cn);
-            o.q[i] = c->q[i] - o.shift[i] * o.x[i];
+            o.q[i] = problem->q[i] - o.shift[i] * o.x[i];
         }
         int found = searched(c, &o, work);
-        gaps_under(c, &whole, o.x, o.u);
+        gaps_under(&whole, o.x, o.u);
         evaluated(c, &whole);
-        double size = residual_of(c, &whole);
+        double size = residual_of(&whole, d);
         if (size < least) {
             least = size;
             memcpy(best, o.x, n * sizeof(double));
@@ -251,21 +245,21 @@ static double attempt(Contacts *c, int m, double rho, double *best, double least
     return least;
 }
 
-/* Forces of m contacts with friction; 1 where two attempts do not find them, with nothing counted. */
-static int frictional_forces(Contacts *c, int m)
+/* Forces of a problem with friction; 1 where two attempts do not find them, with nothing counted. */
+static int frictional_forces(Contacts *c, const Problem *o)
 {
-    if (m > CLOSED) return 1;
+    if (o->m > CLOSED) return 1;
     Tally before = c->tally;
-    double *best = c->least, size = attempt(c, m, 0.0, best, INFINITY);
+    double *best = c->least, size = attempt(c, o, 0.0, best, INFINITY);
     if (!(size <= FOUND)) {
         c->tally.cycles++;
-        size = attempt(c, m, 1e-4, best, size);
+        size = attempt(c, o, 1e-4, best, size);
     }
     if (!(size <= FOUND)) {
         c->tally = before;
         return 1;
     }
-    memcpy(c->f, best, m * c->components * sizeof(double));
+    memcpy(o->f, best, o->m * c->components * sizeof(double));
     c->tally.residual = fmax(c->tally.residual, size);
     c->tally.solves++;
     return 0;

@@ -23,9 +23,9 @@ static void compliance(System *s, Contacts *c, const int *closed, int m)
         solution(s, c->Y + (long)size * r, c->Y + (long)size * r + s->nv);
     }
     for (int r = 0; r < n; r++)
-        for (int k = 0; k < n; k++) c->W[r * n + k] = along(c, closed[r / d], c->rows + 2 * c->wide * r, c->Y + (long)size * k);
+        for (int k = 0; k < n; k++) c->all.W[r * n + k] = along(c, closed[r / d], c->rows + 2 * c->wide * r, c->Y + (long)size * k);
     for (int r = 0; r < n; r++)
-        for (int k = 0; k < r; k++) c->W[r * n + k] = c->W[k * n + r] = 0.5 * (c->W[r * n + k] + c->W[k * n + r]);
+        for (int k = 0; k < r; k++) c->all.W[r * n + k] = c->all.W[k * n + r] = 0.5 * (c->all.W[r * n + k] + c->all.W[k * n + r]);
 }
 
 /* Whether the forces of one closed contact move another: they share a body, or bodies that are joined. */
@@ -34,7 +34,7 @@ static int coupled(const Contacts *c, int n, int i, int k)
     const int d = c->components;
     for (int a = 0; a < d; a++)
         for (int b = 0; b < d; b++)
-            if (c->W[(i * d + a) * n + k * d + b] != 0.0) return 1;
+            if (c->all.W[(i * d + a) * n + k * d + b] != 0.0) return 1;
     return 0;
 }
 
@@ -56,40 +56,51 @@ static int group_of(Contacts *c, int m, int first, int *left)
     return count;
 }
 
-/* Forces of m contacts that move each other; 1 where they are not found. */
-static int forces_of_group(Contacts *c, int m, double t)
+/* Forces of contacts that move each other, from those in the problem; 1 where they are not found. */
+static int forces_of_group(Contacts *c, const Problem *problem, double t)
 {
-    return contact_forces(c, m) && frictional_forces(c, m) && c->python(COMPLEMENTARITY, m, t);
+    if (!contact_forces(c, problem) || !frictional_forces(c, problem)) return 0;
+    c->asked = *problem;
+    return c->python(COMPLEMENTARITY, problem->m, t);
 }
 
-/* Impulses of the m closed contacts for the openings c->q without any, from ``start``; 1 where they are not found. Groups that do not
-   move each other are problems of their own where there is friction: what is hard in one heap is not asked of all. */
-static int impulses(Contacts *c, int m, const double *start, double t)
+/* The contacts of a group as a problem of their own, with the forces in ``start``. */
+static Problem part_of(const Contacts *c, int count, const double *start)
 {
-    const int d = c->components, n = m * d;
-    const Problem whole = {c->W, c->q, c->f, c->mu}, part = c->part;
-    int refused = 0, *group = c->group, *left = group + m;
+    const Problem *all = &c->all;
+    const int d = c->components, n = all->m * d, *group = c->group;
+    Problem part = c->part;
+    part.m = count;
+    for (int i = 0; i < count * d; i++) {
+        int row = group[i / d] * d + i % d;
+        part.q[i] = all->q[row];
+        part.f[i] = start[row];
+        for (int k = 0; k < count; k++) memcpy(part.W + (i * count + k) * d, all->W + row * n + group[k] * d, d * sizeof(double));
+    }
+    for (int k = 0; k < count; k++) part.mu[k] = all->mu[group[k]];
+    return part;
+}
+
+/* Impulses of all closed contacts from ``start``; 1 where they are not found. Groups that do not move each other are problems of
+   their own where there is friction: what is hard in one heap is not asked of all. */
+static int impulses(Contacts *c, const double *start, double t)
+{
+    const Problem *all = &c->all;
+    const int d = c->components, m = all->m, *group = c->group;
+    int *left = c->group + m;
     for (int k = 0; k < m; k++) left[k] = 1;
-    for (int first = 0; first < m && !refused; first++) {
+    for (int first = 0; first < m; first++) {
         if (!left[first]) continue;
         int count = d > 1 ? group_of(c, m, first, left) : m;
         if (count == m) {
-            memcpy(c->f, start, n * sizeof(double));
-            return forces_of_group(c, m, t);
+            memcpy(all->f, start, m * d * sizeof(double));
+            return forces_of_group(c, all, t);
         }
-        for (int i = 0; i < count * d; i++) {
-            int row = group[i / d] * d + i % d;
-            part.q[i] = whole.q[row];
-            part.f[i] = start[row];
-            for (int k = 0; k < count; k++) memcpy(part.W + (i * count + k) * d, whole.W + row * n + group[k] * d, d * sizeof(double));
-        }
-        for (int k = 0; k < count; k++) part.mu[k] = whole.mu[group[k]];
-        c->W = part.W, c->q = part.q, c->f = part.f, c->mu = part.mu;
-        refused = forces_of_group(c, count, t);
-        c->W = whole.W, c->q = whole.q, c->f = whole.f, c->mu = whole.mu;
-        for (int i = 0; i < count * d; i++) c->f[group[i / d] * d + i % d] = part.f[i];
+        Problem part = part_of(c, count, start);
+        if (forces_of_group(c, &part, t)) return 1;
+        for (int i = 0; i < count * d; i++) all->f[group[i / d] * d + i % d] = part.f[i];
     }
-    return refused;
+    return 0;
 }
 
 /* The rebound of the closed contact k with a share of those that approach. */
@@ -98,41 +109,41 @@ static double shared(const Contacts *c, int k, double share)
     return c->rebound[k] < 0.0 ? share * c->rebound[k] : c->rebound[k];
 }
 
-/* The work that the impulses c->f do on the contacts in an impact with a share of the rebound, and in ``size`` that of their sizes. */
-static double work_of_impact(const Contacts *c, int m, double share, double *size)
+/* The work that the impulses c->all.f do on the contacts in an impact with a share of the rebound, and in ``size`` that of their sizes. */
+static double work_of_impact(const Contacts *c, double share, double *size)
 {
-    const int d = c->components, n = m * d;
+    const int d = c->components, n = c->all.m * d;
     double work = 0.0;
     *size = 0.0;
     for (int k = 0; k < n; k++) {
-        double after = c->q[k] + dot(c->W + k * n, c->f, n) - (k % d ? 0.0 : shared(c, k / d, share));
-        work += 0.5 * c->f[k] * (c->before[k] + after);
-        *size += 0.5 * fabs(c->f[k]) * (fabs(c->before[k]) + fabs(after));
+        double after = c->all.q[k] + dot(c->all.W + k * n, c->all.f, n) - (k % d ? 0.0 : shared(c, k / d, share));
+        work += 0.5 * c->all.f[k] * (c->before[k] + after);
+        *size += 0.5 * fabs(c->all.f[k]) * (fabs(c->before[k]) + fabs(after));
     }
     return work;
 }
 
 /* Impulses with the largest share of the rebound by which an impact adds no energy, as schemes/impacts/restitution.py finds it; the
    rebound is what is left of it. 1 where they are not found. */
-static int lawful_impulses(Contacts *c, int m, const double *start, double t)
+static int lawful_impulses(Contacts *c, const double *start, double t)
 {
-    const int d = c->components;
+    const int d = c->components, m = c->all.m;
     double lower = 0.0, upper = 1.0, share = 1.0, least = 0.0, most, size, work;
     int bounces = 0, side = 0;
-    if (impulses(c, m, start, t)) return 1;
+    if (impulses(c, start, t)) return 1;
     for (int k = 0; k < m; k++) bounces |= c->bouncing[c->closed[k]] && c->rebound[k] < 0.0;
     if (!bounces) return 0;
-    most = work_of_impact(c, m, 1.0, &size);
+    most = work_of_impact(c, 1.0, &size);
     if (!(most > ADDED * size)) return 0;
 
     /* without a rebound energy is lost; then secants that halve the work of an end which stays */
     for (int round = 0; round <= TRIED && upper - lower > NARROW; round++) {
         double next = round ? upper - most * (upper - lower) / (most - least) : 0.0;
         if (round && !(next > lower && next < upper)) next = 0.5 * (lower + upper);
-        for (int k = 0; k < m; k++) c->q[k * d] += shared(c, k, next) - shared(c, k, share);
+        for (int k = 0; k < m; k++) c->all.q[k * d] += shared(c, k, next) - shared(c, k, share);
         share = next;
-        if (impulses(c, m, start, t)) return 1;
-        work = work_of_impact(c, m, share, &size);
+        if (impulses(c, start, t)) return 1;
+        work = work_of_impact(c, share, &size);
         if (!round) {
             least = work;
             if (work > -CLOSE * size) break;
@@ -148,8 +159,8 @@ static int lawful_impulses(Contacts *c, int m, const double *start, double t)
         }
     }
     if (share != lower) {
-        for (int k = 0; k < m; k++) c->q[k * d] += shared(c, k, lower) - shared(c, k, share);
-        if (impulses(c, m, start, t)) return 1;
+        for (int k = 0; k < m; k++) c->all.q[k * d] += shared(c, k, lower) - shared(c, k, share);
+        if (impulses(c, start, t)) return 1;
     }
     for (int k = 0; k < m; k++) {
         c->rate[c->closed[k]] -= c->rebound[k] - shared(c, k, lower);
@@ -158,12 +169,13 @@ static int lawful_impulses(Contacts *c, int m, const double *start, double t)
     return 0;
 }
 
-/* The step of length h with the closed contacts: velocities in out.v, multipliers in out.lam, impulses in c->f. */
+/* The step of length h with the closed contacts: velocities in out.v, multipliers in out.lam, impulses in c->all.f. */
 static int velocities(System *s, Contacts *c, double *p, Block now, Block out, int m, double h, double span)
 {
     const int n = m * c->components, size = s->nv + s->rows, d = c->components, *closed = c->closed;
     double *kept = c->kept;
     const double middle = *now.t + 0.5 * h;
+    c->all.m = m;
     double *vm = s->work, *xi = vm + s->nv, *x = xi + s->nv, *y = x + s->nv, sizes[MOST], left = 0.0;
     int done = 0, verdict, converged = 0;
 
@@ -191,22 +203,22 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 * s->slip[i];
         solution(s, x, y);
         for (int k = 0; k < n; k++)
-            for (int i = 0; i < s->nv; i++) x[i] += c->f[k] * c->Y[(long)size * k + i];
+            for (int i = 0; i < s->nv; i++) x[i] += c->all.f[k] * c->Y[(long)size * k + i];
         for (int k = 0; k < n; k++)
-            for (int i = 0; i < s->rows; i++) y[i] += c->f[k] * c->Y[(long)size * k + s->nv + i];
+            for (int i = 0; i < s->rows; i++) y[i] += c->all.f[k] * c->Y[(long)size * k + s->nv + i];
         for (int k = 0; k < n; k++) {
             int i = closed[k / d];
             const double *row = c->rows + 2 * c->wide * k;
-            c->q[k] = along(c, i, row, out.v) + along(c, i, row, x) - c->drift[k] / span + (k % d ? 0.0 : c->rate[i]);
+            c->all.q[k] = along(c, i, row, out.v) + along(c, i, row, x) - c->drift[k] / span + (k % d ? 0.0 : c->rate[i]);
         }
-        for (int k = 0; k < n; k++) c->q[k] -= dot(c->W + k * n, c->f, n);
+        for (int k = 0; k < n; k++) c->all.q[k] -= dot(c->all.W + k * n, c->all.f, n);
 
         double *old = c->old;
-        memcpy(old, c->f, n * sizeof(double));
-        if (m && lawful_impulses(c, m, old, middle)) return LOOK;
+        memcpy(old, c->all.f, n * sizeof(double));
+        if (m && lawful_impulses(c, old, middle)) return LOOK;
         for (int k = 0; k < n; k++) {
-            add(x, c->f[k] - old[k], c->Y + (long)size * k, s->nv);
-            add(y, c->f[k] - old[k], c->Y + (long)size * k + s->nv, s->rows);
+            add(x, c->all.f[k] - old[k], c->Y + (long)size * k, s->nv);
+            add(y, c->all.f[k] - old[k], c->Y + (long)size * k + s->nv, s->rows);
         }
 
         add(out.v, 1.0, x, s->nv);
@@ -266,7 +278,7 @@ static void add_works(System *s, Contacts *c, Block now, Block out, const double
 {
     const int d = c->components;
     double work[4] = {0.0, 0.0, 0.0, 0.0}, total, own;
-    for (int k = 0; k < m * d; k++) work[k % d > 0] += c->f[k] / h * along(c, closed[k / d], c->rows + 2 * c->wide * k, xi);
+    for (int k = 0; k < m * d; k++) work[k % d > 0] += c->all.f[k] / h * along(c, closed[k / d], c->rows + 2 * c->wide * k, xi);
 
     /* of loads: what is left of the balance without inertia and reactions, at the mean velocity, which rods with damping see */
     double *vm = s->work;

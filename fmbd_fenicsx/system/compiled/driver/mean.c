@@ -223,7 +223,7 @@ static int give_back(System *s, const Step *o, const double *a, const double *la
 {
     double work = 0.0;
     int verdict;
-    if (greatest(o->missing, s->rows) <= KEPT * o->length) return DONE;
+    if (largest(o->missing, s->rows) <= KEPT * o->length) return DONE;
     memcpy(o->xi, a, s->nv * sizeof(double));
     add(o->xi, 1.0, o->w, s->nv);
     if ((verdict = mean_bodies(s, o, o->xi, t, o->along))) return verdict;

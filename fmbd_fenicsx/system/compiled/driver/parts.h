@@ -67,6 +67,7 @@ void slips(System *s, int rates);
 void configuration(const System *s, const double *q0, const double *xi, double *q);
 void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out);
 int keep(System *s, double t);
+double largest(const double *x, int n);
 double largest_of(const double *units, const double *x, int n);
 int judge(double *p, const double *sizes, int done, double *error);
 int lingers(const double *p, int done, double left);

@@ -103,6 +103,14 @@ static double far_from_origin(const System *s, const double *q, double length)
     return place + length * (angle + counted);
 }
 
+double largest(const double *x, int n)
+{
+    double found = 0.0;
+    for (int i = 0; i < n; i++)
+        if (found == found && !(fabs(x[i]) <= found)) found = fabs(x[i]); /* nan stays */
+    return found;
+}
+
 double largest_of(const double *units, const double *x, int n)
 {
     double found = 0.0;
