@@ -47,13 +47,13 @@ def equations(system: Any, form: Any, at: tuple[Any, ...]) -> tuple[StepEquation
     eq.solver.look_for_dependent_rows(system.at(state.t, q, v))
     eq.weigh(state)
     eq.begin(state)
-    mult = np.concatenate([lam, 1e-2 * lam][: eq.levels]) if eq.levels else np.zeros(0)
+    mult = np.concatenate([lam, 1e-2 * lam])[: eq.n_mult]
     return eq, state, mult
 
 
 def with_dense_matrices(eq: StepEquations) -> DenseTangents:
     """Dense tangents of the same system, evaluated by the same code."""
-    return DenseTangents(eq.system, eq.form, eq.levels, eq.stiff)
+    return DenseTangents(eq.system, eq.form, eq.stiff)
 
 
 def right_hand_sides(eq: StepEquations, count: int) -> tuple[np.ndarray, np.ndarray]:

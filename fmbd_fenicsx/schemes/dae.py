@@ -71,6 +71,10 @@ class Form:
                 found.append(ev.opening() if level else ev.constraint())
         return found
 
+    def lower(self, balance: Array, ev: Any, a: Array) -> Array:
+        """The balance of configurations (.., n_v), and the rows of all levels behind it; collective."""
+        return np.concatenate((balance, *self.rows(ev, a)), axis=-1)
+
     def rows_scale(self, s: Any) -> Any:
         """What a motion exp(s t) multiplies g by in the first of the rows, for a frequency s (1/s)."""
         return s ** self.levels[0]
@@ -99,6 +103,14 @@ class OfForm:
     def refusal(self, held: Contents) -> str:
         """Why it does not take what a scene holds."""
         return positions_refused(held, f"form={self.form.name}", self.form.levels)
+
+
+@dataclass(frozen=True)
+class Unconstrained(Form):
+    """M a = f, what any form is of a system without constraints."""
+
+    levels = ()
+    index = 1
 
 
 @dataclass(frozen=True)

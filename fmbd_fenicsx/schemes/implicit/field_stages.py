@@ -30,10 +30,9 @@ from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.points import PointsTold
 from ...system.evaluation import Evaluation
-from ...system.evaluation_batch import EvaluationBatch
 from ...system.serialisation import Memory, Remembering, plain, worker
 from ...system.system import State, System
-from ..dae import Form, Points
+from ..dae import Form, Points, Unconstrained
 from .stage_krylov import FieldStages
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -48,7 +47,6 @@ class FieldTangent:
     """The motion at which derivatives are taken, and the balance and rows there, (n_v + levels n_lam,)."""
 
     form: Form
-    levels: int
     state: State
     ev: Evaluation
     low: Array
@@ -66,7 +64,8 @@ class FieldTangent:
 
         ev = system.batch(s.t, system.compose(s.q, eps * parts[0]), s.v + eps * parts[1])
         lam = np.array([s.lam] * len(eps))
-        change = (lower(self.form, self.levels, ev, s.a + eps * parts[2], lam) - self.low) / eps
+        a = s.a + eps * parts[2]
+        change = (self.form.lower(ev.balance(a, lam), ev, a) - self.low) / eps
         change = change[:count] + 1j * change[count:] if wide else change
         return change if direction.ndim == 3 else change[0]
 
@@ -100,12 +99,6 @@ class FieldTangent:
         return found
 
 
-def lower(form: Form, levels: int, ev: Evaluation | EvaluationBatch, a: Array, lam: Array) -> Array:
-    """Balance and constraint rows, (n_v + levels n_lam,), of one configuration or, (k, ..), of many; collective."""
-    balance = ev.balance(a, lam if levels else None)
-    return np.concatenate((balance, *form.rows(ev, a)), axis=-1) if levels else balance
-
-
 class FieldEquations(Remembering):
     """What :class:`.StepEquations` is for small systems, for those with elastic fields; the same names. Collective.
 
@@ -120,8 +113,9 @@ class FieldEquations(Remembering):
     dense = False
 
     def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
-        self.system, self.form, self.solver = system, form, solver
-        self.levels = len(form.levels) if system.n_lam else 0
+        self.system, self.solver = system, solver
+        self.form = form if system.n_lam else Unconstrained()
+        self.levels = len(self.form.levels)
         self.n_mult = self.levels * system.n_lam
         self.left: Array = np.zeros(system.n_lam)  # the first rows of the form at the last point
         self.residuals = self.jacobians = self.krylov = 0
@@ -188,22 +182,21 @@ class FieldEquations(Remembering):
         self.residuals += len(t)
         told = self._told(t, p)
         if told is not None:
-            low = np.concatenate((told.sums, *self.form.rows(told, p.vd)), axis=1) if self.levels else told.sums
-            rates = told.rates
+            low, rates = self.form.lower(told.sums, told, p.vd), told.rates
         else:
             ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
-            low = lower(self.form, self.levels, ev, self.accelerations(p), p.mult[:, :m])
+            a = self.accelerations(p)
+            low = self.form.lower(ev.balance(a, p.mult[:, :m]), ev, a)
             rates = s.rate(p.xi, p.v)
         self.left = low[-1, s.n_v : s.n_v + m]
         return self._lacking(p, rates), low
 
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
-        states, m = self.system.evaluator, self.system.n_lam
-        if not isinstance(states, DriverStates) or (self.levels and 2 in self.form.levels):
+        states = self.system.evaluator
+        if not isinstance(states, DriverStates) or 2 in self.form.levels:
             return None
-        lam = p.mult[:, :m] if self.levels else np.zeros((len(t), m))
-        return states.points(t, self.origin, (p.xi, p.v, p.vd), (lam, None, None))
+        return states.points(t, self.origin, (p.xi, p.v, p.vd), (p.mult[:, : self.system.n_lam], None, None))
 
     def aligned(self, t: Array, W: Array, p: Points) -> Points:
         """Foretold stages at the times t (k,) with velocities and multipliers that go with their places; d rate = W dxi."""
@@ -284,7 +277,7 @@ class FieldEquations(Remembering):
     def multipliers(self, state: State) -> Array:
         """Those that a state begins with, (n_mult,)."""
         mult = np.zeros(self.n_mult)
-        mult[: self.system.n_lam if self.levels else 0] = state.lam
+        mult[: self.system.n_lam] = state.lam
         return mult
 
     def weigh(self, state: State) -> None:
@@ -292,7 +285,7 @@ class FieldEquations(Remembering):
 
     def consistent_start(self, state: State) -> tuple[Array, Array, Array]:
         """What closes the constraints of a step's start, as :meth:`.StepEquations.consistent_start`."""
-        if self.form.index == 1 or not self.levels:
+        if self.form.index == 1:
             return np.zeros(self.system.n_v), state.v, state.a
         self._estimates = True
         if self._closed is state:
@@ -318,10 +311,9 @@ class FieldEquations(Remembering):
         """Derivatives at a state with multipliers (n_mult,) from now on."""
         self.jacobians += 1
         ev = self._basis = self.system.at(state.t, state.q, state.v)
-        if self.levels:
-            state = replace(state, lam=mult[: self.system.n_lam])
-        low = lower(self.form, self.levels, ev, state.a, state.lam)
-        return FieldTangent(self.form, self.levels, state, ev, low)
+        state = replace(state, lam=mult[: self.system.n_lam])
+        low = self.form.lower(ev.balance(state.a, state.lam), ev, state.a)
+        return FieldTangent(self.form, state, ev, low)
 
     def inertia(self, tangent: FieldTangent, a: Array) -> Array:
         """M a at the tangent's motion."""

@@ -26,7 +26,7 @@ from ...system.serialisation import Memory, Remembering, plain, worker
 from ...system.system import State, System
 from ...system.tangents.stiff_ties import stiff_ties
 from ..consistent import arrived
-from ..dae import Form, Points
+from ..dae import Form, Points, Unconstrained
 from .step_tangents import DenseTangents, SparseTangents, dense
 
 CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
@@ -47,15 +47,16 @@ class StepEquations(Remembering):
 
     def __init__(self, system: System, form: Form, solver: StepSolver, acceleration: float = 0.0) -> None:
         """``acceleration``: of the start, see :func:`.stiff_ties`."""
-        self.system, self.form, self.solver = system, form, solver
-        self.levels = len(form.levels) if system.n_lam else 0
+        self.system, self.solver = system, solver
+        self.form = form if system.n_lam else Unconstrained()
+        self.levels = len(self.form.levels)
         self.stiff = stiff_ties(system, acceleration)
         if "driver looked for" in system.cache:
             use_driver(self.stiff.system)
         self.n_mult = self.levels * system.n_lam + len(self.stiff)
         self.residuals = self.jacobians = 0
 
-        self.tangents: DenseTangents | SparseTangents = DenseTangents(system, form, self.levels, self.stiff)
+        self.tangents: DenseTangents | SparseTangents = DenseTangents(system, self.form, self.stiff)
         self._chosen: Any = None  # who evaluated the system when these were chosen
         self._weighed: State | None = None  # whose masses are to be taken
 
@@ -74,7 +75,7 @@ class StepEquations(Remembering):
 
     def _structure(self) -> StageStructure | None:
         """Patterns of the equations where compiled code knows them, and solves sparse stage systems; else None."""
-        states, levels = self.system.evaluator, self.form.levels[: self.levels]
+        states, levels = self.system.evaluator, self.form.levels
         if not isinstance(states, DriverStates) or len(self.stiff) or 2 in levels:
             return None
         couplings = couplings_of(states)
@@ -95,7 +96,7 @@ class StepEquations(Remembering):
         """Local coordinates about the state."""
         self._choose()
         self.origin = state.q
-        if self.form.frozen and self.levels:
+        if self.form.frozen:
             assert isinstance(self.tangents, DenseTangents)
             self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
 
@@ -116,7 +117,7 @@ class StepEquations(Remembering):
         self.residuals += len(t)
         told = self._told(t, p)
         if told is not None:
-            low = np.concatenate((told.sums, *self.form.rows(told, p.vd)), axis=1) if self.levels else told.sums
+            low = self.form.lower(told.sums, told, p.vd)
             self.left = low[-1, s.n_v : s.n_v + m]
             return p.rate - told.rates, low
 
@@ -139,31 +140,27 @@ class StepEquations(Remembering):
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
         m, states = self.system.n_lam, self.system.evaluator
-        if not isinstance(states, DriverStates) or len(self.stiff) or (self.levels and 2 in self.form.levels):
+        if not isinstance(states, DriverStates) or len(self.stiff) or 2 in self.form.levels:
             return None
-        lam = p.mult[:, :m] if self.levels else np.zeros((len(t), m))
         mu, metric = (p.mult[:, m:], self.tangents.metric()) if self.levels > 1 else (None, None)
-        return states.points(t, self.origin, (p.xi, p.v, p.vd), (lam, mu, metric))
+        return states.points(t, self.origin, (p.xi, p.v, p.vd), (p.mult[:, :m], mu, metric))
 
     def lower(self, ev: EvaluationBatch, a: Array, mult: Array) -> Array:
         """The balance, the constraints of all levels, and the efforts of ties: (k, n_v + n_mult)."""
         m, ties = self.system.n_lam, self.stiff
         lam, efforts = mult[:, :m], mult[:, self.levels * m :]
         if not len(ties):
-            balance = ev.balance(a, lam if self.levels else None)
-            return np.concatenate((balance, *self.form.rows(ev, a)), axis=1) if self.levels else balance
+            return self.form.lower(ev.balance(a, lam), ev, a)
 
-        rows = [ev.balance(a, ties.forces(lam, efforts))]
-        if self.levels:
-            rows += [every[:, ties.joints] for every in self.form.rows(ev, a)]
-        rows.append(ties.residual(ev.constraint(), ev.opening(), efforts))
-        return np.concatenate(rows, axis=1)
+        balance = ev.balance(a, ties.forces(lam, efforts))
+        joints = [rows[:, ties.joints] for rows in self.form.rows(ev, a)]
+        return np.concatenate((balance, *joints, ties.residual(ev.constraint(), ev.opening(), efforts)), axis=1)
 
     def multipliers(self, state: State) -> Array:
         """Those that a state begins with, (n_mult,)."""
         efforts = self.stiff.efforts(self.system.at(state.t, state.q, state.v)) if len(self.stiff) else np.zeros(0)
         mult = np.zeros(self.n_mult)
-        mult[: self.system.n_lam if self.levels else 0] = state.lam
+        mult[: self.system.n_lam] = state.lam
         mult[self.n_mult - len(efforts) :] = efforts
         return mult
 
@@ -244,7 +241,7 @@ class StepEquations(Remembering):
         tolerance permits in all of them. The next step forgets these; an error estimate must not take them for its own: they do
         not fall with the step.
         """
-        if self.form.index == 1 or not self.levels:
+        if self.form.index == 1:
             return np.zeros(self.system.n_v), state.v, state.a
         if self._closed is not state:
             s, places = self.system, 0 in self.form.levels

@@ -43,8 +43,8 @@ class DenseTangents(Remembering):
 
     keeps: ClassVar = dict.fromkeys(("U", "U_ties", "inverse_mass"), plain())
 
-    def __init__(self, system: System, form: Form, levels: int, stiff: StiffTies) -> None:
-        self.system, self.form, self.levels, self.stiff = system, form, levels, stiff
+    def __init__(self, system: System, form: Form, stiff: StiffTies) -> None:
+        self.system, self.form, self.stiff = system, form, stiff
         self.U: Array = np.zeros((system.n_v, system.n_lam))
         self.U_ties: Array = np.zeros((system.n_v, len(stiff)))
         self.inverse_mass: Array = np.zeros((0, 0))
@@ -88,7 +88,7 @@ class DenseTangents(Remembering):
         # known exactly: M, and G on the level of each row
         by_a = np.zeros_like(by_v)
         by_a[:n] = dense(M)
-        for i, level in enumerate(form.levels[: self.levels]):
+        for i, level in enumerate(form.levels):
             rows = slice(n + i * m, n + (i + 1) * m)
             if level == 0:
                 by_q[rows], by_v[rows] = G, 0.0
@@ -169,8 +169,7 @@ class SparseTangents(Remembering):
         if not len(self.masses) or system.parts:  # those of rigid bodies stay
             self.weigh(solver.masses(system.at(state.t, state.q, state.v)))
         moves = difference_steps(self._sizes, state.q, state.v, state.a)
-        lam = mult[: system.n_lam] if self.structure.levels else state.lam
-        made = self.structure.tangent(state, lam, moves, (self.masses, self.inverse_mass))
+        made = self.structure.tangent(state, mult[: system.n_lam], moves, (self.masses, self.inverse_mass))
         if made is None:
             lower(system.batch(*(np.array([x]) for x in (state.t, state.q, state.v))))  # which may say what is wrong
             raise LinearSolveError("the tangent of a step is not finite.")

@@ -158,8 +158,7 @@ class BDFStepper(Corrector):
         w = weights(times, t)
         m, s = self.system.n_lam, self.state
         mult = w @ np.array([p.mult for p in self.past[:count]])
-        lam = mult[:m] if self.eq.levels else s.lam
-        return self._held(State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, t) @ vs, lam))
+        return self._held(State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, t) @ vs, mult[:m]))
 
     # -- steps --------------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
@@ -245,7 +244,7 @@ class BDFStepper(Corrector):
         s, t = self.state, self.state.t + h
         q = self.system.compose(s.q, p.xi[0])
         mult = self._least(self.system.at(t, q), p.mult[0])
-        lam = mult[: self.system.n_lam] if self.eq.levels else s.lam
+        lam = mult[: self.system.n_lam]
         a = self.eq.accelerations(p)[0]
         self.state = self.eq.close_ties(h, State(t, q, p.v[0], a, lam), mult)
         if self.scheme.form.projected:

@@ -227,9 +227,7 @@ class RadauStepper(StageNewton):
         rates = (slopes @ self.tab.basis)[1:]
 
         change = points.v - v0
-        lam = self.state.lam
-        if self.eq.levels:
-            lam = (powers[:-1] @ self.tab.stage_basis @ points.mult)[:m]
+        lam = (powers[:-1] @ self.tab.stage_basis @ points.mult)[:m]
         return self._held(
             State(t, self.system.compose(q0, values @ points.xi), v0 + values @ change, rates @ change, lam)
         )
@@ -243,14 +241,13 @@ class RadauStepper(StageNewton):
     def _accept(self, h: float, points: Points) -> State:
         s, m = self.state, self.system.n_lam
         t = s.t + h
-        if m and self.eq.levels and self.solver.core.redundant:
+        if self.eq.levels and self.solver.core.redundant:
             points = self._least(h, points)
 
         # stiffly accurate: the last stage is the new state
         self._last = (h, s.q, s.v, points)
         self.mult = points.mult[-1]
-        lam = self.mult[:m] if self.eq.levels else s.lam
-        end = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self._acceleration, lam)
+        end = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self._acceleration, self.mult[:m])
         self.state = self.eq.close_ties(h, end, self.mult)
         if self.scheme.form.projected:
             self.state = project(self.system, self.state, self.solver)
