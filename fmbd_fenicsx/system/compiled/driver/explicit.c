@@ -29,8 +29,7 @@ static double alone(const System *s)
 }
 
 /* a and lambda at (t, q, v), the third of (1) in schemes/consistent.py, by iterations down to roundoff. ``room``: 2 nv + 3 rows + nu.
-   ``factored``: whether the matrix of the masses is, at this q. Dependent rows need a second solution, see soften(), and are looked
-   at: NEWTON where they contradict each other. */
+   ``factored``: whether the matrix of the masses is, at this q. NEWTON where dependent rows contradict each other. */
 static int accelerate(System *s, double t, double length, const double *q, const double *v, double *a, double *lam, double *room,
                       int factored)
 {

@@ -32,7 +32,14 @@ static inline void eliminate(double *F, int ld, int rows, int k, double inverse)
 /* Dependent rows get -epsilon / u^2 on the diagonal: G x - epsilon y / u^2 = c instead of G x = c, with y / u in forces where y is
    a moment. Solving again for what is left open, with the multipliers found so far in the residual, closes the rows; started
    from no multipliers it leads to those with the smallest forces y / u (method of multipliers, a proximal point method;
-   Rockafellar, doi:10.1287/moor.1.2.97). */
+   Rockafellar, doi:10.1287/moor.1.2.97).
+
+   Of a combination of rows with the singular value sigma one solution closes the share k = sigma^2 / (sigma^2 + epsilon), and what
+   rows contradict each other in (k = 0) goes to y over epsilon. To ask for what it closed leaves nothing of that in y, to ask then
+   for what is open twice closes k^2 (3 - 2 k): further right-hand sides are the softness times y, CORRECTED times. */
+static const double CORRECTED[] = {1.0, -2.0};
+enum { CORRECTIONS = sizeof CORRECTED / sizeof *CORRECTED };
+
 static double softness(const System *s, int row)
 {
     return s->epsilon / (s->multiplier_units[row] * s->multiplier_units[row]);

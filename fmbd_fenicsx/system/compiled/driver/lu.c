@@ -157,8 +157,8 @@ static double NAME(remainder)(const Stages *o, const NUMBER *A, const NUMBER *ri
     return most;
 }
 
-/* The solution for rows that are softness times y open, ``times`` that, added to y: see with_all_rows() of matrix.c. */
-static void NAME(without_softness)(const Stages *o, int f, double times, NUMBER *y, NUMBER *open, NUMBER *more)
+/* The solution for rows that are softness times y open, ``times`` that, added to y. */
+static void NAME(add_softness)(const Stages *o, int f, double times, NUMBER *y, NUMBER *open, NUMBER *more)
 {
     const NUMBER *soft = (const NUMBER *)(o->soft + (long)f * 2 * o->size);
     for (int i = 0; i < o->size; i++) open[i] = i < o->n ? 0.0 : -times * soft[i] * y[i];
@@ -190,8 +190,7 @@ static void NAME(resolve)(const Stages *o, int f, const NUMBER *kin, const NUMBE
         judged[0] = NAME(remainder)(o, A, right, y, left, o->size, judged + 1);
     }
     if (o->units) { /* rows that contradict each other stay open */
-        NAME(without_softness)(o, f, 1.0, y, left, more);
-        NAME(without_softness)(o, f, -2.0, y, left, more);
+        for (int k = 0; k < CORRECTIONS; k++) NAME(add_softness)(o, f, CORRECTED[k], y, left, more);
         judged[0] = NAME(remainder)(o, A, right, y, left, o->n, judged + 1);
     }
 

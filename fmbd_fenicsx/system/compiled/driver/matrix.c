@@ -187,15 +187,12 @@ static void add_softness(System *s, double times, double *x, double *y)
     add(y, 1.0, left, s->rows);
 }
 
-/* The same where rows depend; b holds nothing of use then. Of a combination of rows with the singular value sigma one solution
-   closes the share k = sigma^2 / (sigma^2 + epsilon), and what rows contradict each other in (k = 0) goes to y over epsilon.
-   To ask for what it closed leaves nothing of that in y, to ask then for what is open twice closes k^2 (3 - 2 k). */
+/* The same where rows depend, with the corrections of soften(); b holds nothing of use then. */
 static int with_all_rows(System *s, double scale, double *x, double *y, double t)
 {
     int verdict = with_fields(s, scale, x, y, t);
     if (verdict || !s->redundant) return verdict;
-    add_softness(s, 1.0, x, y);
-    add_softness(s, -2.0, x, y);
+    for (int k = 0; k < CORRECTIONS; k++) add_softness(s, CORRECTED[k], x, y);
     return DONE;
 }
 
