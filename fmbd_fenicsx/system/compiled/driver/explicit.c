@@ -46,20 +46,20 @@ static int accelerate(System *s, double t, double length, const double *q, const
         if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
         double left = missing(s, x);
         if (k == 0) forces = left;
-        int settled = k > s->redundant && left <= AT_REST * forces;
+        int settled = k > 0 && left <= AT_REST * forces;
         if (settled && !s->redundant) return DONE;
         if (k == 0 && !factored && (verdict = prepare(s, q, 0.0, 0.0, lam, 0, t))) return verdict;
 
         /* what is open: the balance, and G a + g'' - G a of the accelerations found so far */
-        if (s->surfaces) turn_velocity(s, a);
+        if (s->surfaces || s->redundant) turn_velocity(s, a);
         else memcpy(s->velocity, world, s->nu * sizeof(double));
         slips(s, 0);
         for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -(s->slip[i] + second[i]);
         if (k == 0 && s->redundant) typical = fmax(alone(s), fastest * fastest / length);
-        if (k > 1 && s->redundant && !(largest_of(s->row_units, s->b + s->nu, s->rows) <= CONTRADICTS * typical)) return NEWTON;
+        if (k > 0 && s->redundant && !(largest_of(s->row_units, s->b + s->nu, s->rows) <= CONTRADICTS * typical)) return NEWTON;
         if (settled) return DONE;
-        if ((verdict = with_fields(s, 1.0, x, y, t))) return verdict;
+        if ((verdict = with_all_rows(s, 1.0, x, y, t))) return verdict;
 
         add(world, 1.0, s->b, s->nu);
         add(a, 1.0, x, s->nv);
@@ -67,7 +67,7 @@ static int accelerate(System *s, double t, double length, const double *q, const
         double size = largest_of(s->units, x, s->nv), largest = largest_of(s->units, a, s->nv);
         if (!(size < INFINITY)) return NEWTON;
         int stalled = size > 0.5 * last && last <= 1e-8 * fmax(largest, fastest * fastest / length);
-        if ((stalled || size <= 1e-11 * largest) && (!s->redundant || k > 1)) return DONE;
+        if ((stalled || size <= 1e-11 * largest) && (!s->redundant || k > 0)) return DONE;
         last = size;
     }
     return NEWTON;
@@ -241,7 +241,7 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
 
         for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -open[i] / o->c;
-        if ((verdict = with_fields(s, 1.0, x, y, o->times[0]))) return verdict;
+        if ((verdict = with_all_rows(s, 1.0, x, y, o->times[0]))) return verdict;
         add(a, 1.0, x, s->nv);
         add(lam, 1.0, y, s->rows);
         (*solves)++;
@@ -254,7 +254,7 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
             if (s->fields && lingers(p, k + 1, left)) return NEWTON; /* new tangents are Python's */
         } else ended = at_roundoff(size, last, fmax(largest_of(s->units, a, s->nv), 1e-300), o->nothing);
         if (ended < 0) return NEWTON;
-        if (ended && (!p || !s->redundant || k > 0)) { /* the first solution of dependent rows leaves them open */
+        if (ended) {
             if (p) p[LEFT] += left;
             return DONE;
         }
