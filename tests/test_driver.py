@@ -13,6 +13,9 @@ from test_kernel import flexible
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, LawError
+from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.driver_solver import DriverSolver
+from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.compiled.library import driver_library
@@ -473,3 +476,27 @@ def test_first_steps_behind_samples_of_a_field_are_compiled(rod_mesh: Any) -> No
     # steps that did not fail leave tangents and columns that serve on: five samples, each with its first step
     more = fast.counters["back_solves"] - run(True, every=1.0).counters["back_solves"]
     assert 0 < more <= 50
+
+
+@compiled
+def test_a_step_goes_on_where_the_driver_refuses_a_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Later increments of a step keep its matrix: where that was the driver's, which makes no second one, NumPy makes it."""
+    whole = fmbd.solve(links(4, 2), t_end=0.05, dt=5e-3).state
+    of_solver, of_driver = StepSolver.prepare, DriverSolver.prepare
+    kept: list[bool] = []
+
+    def told(solver: StepSolver, *given: Any, keep: bool = False) -> None:
+        kept.append(keep)
+        of_solver(solver, *given, keep=keep)
+
+    def once_a_step(solver: DriverSolver, *given: Any) -> bool:
+        solver.ready = False
+        return not kept[-1] and of_driver(solver, *given)
+
+    monkeypatch.setattr(StepSolver, "prepare", told)
+    monkeypatch.setattr(DriverSolver, "prepare", once_a_step)
+    monkeypatch.setattr(CompiledAlphaStepper, "march", lambda *_: 0)
+    monkeypatch.setattr(CompiledAlphaStepper, "advance", AlphaStepper.advance)
+    parts = fmbd.solve(links(4, 2), t_end=0.05, dt=5e-3).state
+    assert sum(kept) >= 10
+    assert np.abs(parts.q - whole.q).max() < 1e-9

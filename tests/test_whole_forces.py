@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from combinations import BODIES
 from test_checkpoint import at_every_step
 from test_compiled import pair, stepper_of
 from test_driver import bushings, joint_springs, links
@@ -93,6 +94,31 @@ def test_slopes_are_new_where_a_law_sets_in() -> None:
     scene, law = landing(1e4)
     run = fmbd.solve(scene, t_end=0.08, dt=1e-3)
     assert law.calls <= 1.4 * run.counters["newton_iterations"]
+
+
+def on_tip(body: str, stiffness: float, skew: float) -> fmbd.Scene:
+    """An elastic rod in a hinge, its tip on a spring, a damper and a force across its displacement."""
+    rod = BODIES[body]()
+    scene = fmbd.Scene("tip", gravity=rod.at(0, -9.81))
+    scene.add(rod.body, fmbd.revolute("hinge", fmbd.ground, rod.left, center=rod.at(0, 0)))
+
+    def law(t: float, a: Any) -> Any:
+        x, y = a.x - rod.at(1, 0)
+        return (skew * y - stiffness * x, -skew * x - stiffness * y) - 0.01 * stiffness * a.v, 0.0
+
+    scene.add(fmbd.own_force("law", rod.tip, None, law))
+    return scene
+
+
+@compiled
+@pytest.mark.parametrize("body", ["floating", "absolute"])
+@pytest.mark.parametrize("stiffness, skew", [(1e3, 0.0), (1e6, 0.0), (1e4, 1e4)])
+def test_laws_on_surfaces_of_fields_are_compiled(body: str, stiffness: float, skew: float) -> None:
+    """Through the compliance of the surface, by the symmetric half of their slopes: steps and motion of the NumPy path."""
+    fast, slow = pair(lambda: on_tip(body, stiffness, skew), t_end=0.03, dt=1e-3)
+    assert fast.counters["compiled_steps"] == 30
+    assert fast.counters["newton_iterations"] <= 1.1 * slow.counters["newton_iterations"]
+    assert np.abs(fast.state.q - slow.state.q).max() < 1e-9
 
 
 @compiled

@@ -128,7 +128,8 @@ class StepSolver:
     def prepare(self, ev: Evaluation, weights: Weights, *, keep: bool = False) -> None:
         """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
 
-        ``keep``: the matrix stays as it is, until :meth:`refresh` takes a new one.
+        ``keep``: the matrix stays as it is, until :meth:`refresh` takes a new one. The driver's, which it may refuse to
+        make again, is none to stay with.
         """
         s = self.system
         driver = self.driver
@@ -138,7 +139,7 @@ class StepSolver:
             self.core.factorisations += driver.new_factors()
             return
         masses_alone = not s.fields and not (weights.cd or weights.ck)
-        if keep or (masses_alone and self.holds(ev, weights)):
+        if (keep and self._held is not None) or (masses_alone and self.holds(ev, weights)):
             return
         self.weights, self._held = weights, None
 

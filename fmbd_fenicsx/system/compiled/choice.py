@@ -10,7 +10,7 @@ from .library import driver_library, units_of
 from .states.evaluation import DriverStates
 from .states.field_states import FieldStates
 from .tables.bodies import covers_bodies
-from .tables.items import covers, other_loads
+from .tables.items import covers
 from .tables.resting import twin_of
 
 STORAGE_LIMIT = 20_000_000  # numbers in the factor
@@ -29,7 +29,7 @@ def use_driver(system: System) -> None:
 def driver_states(system: System) -> DriverStates | None:
     """The driver for states of a system, None where NumPy has to evaluate it."""
     known = twin_of(system).system
-    if not covers_bodies(known) or not covers(known) or (known.fields and not _covers_fields(known)):
+    if not covers_bodies(known) or not covers(known):
         return None
     library = driver_library(system.motions.dim, units_of(known))
     if library is None:
@@ -38,11 +38,6 @@ def driver_states(system: System) -> DriverStates | None:
     made = FieldStates if system.fields else DriverStates
     states = made(system, library)
     return states if states.tables.fronts.storage <= STORAGE_LIMIT else None
-
-
-def _covers_fields(system: System) -> bool:
-    """Whether nothing acts on fields that Python gives as a whole."""
-    return not other_loads(system)
 
 
 def solves(evaluator: Evaluator) -> TypeGuard[DriverStates]:

@@ -20,7 +20,7 @@ from ....system.compiled.march import FLOOR, LENGTH, MAXIT, NEW_TANGENT, SLOW, T
 from ....system.compiled.recording import Tape
 from ....system.compiled.tables.bodies import covers_bodies
 from ....system.compiled.tables.fields import Block
-from ....system.compiled.tables.items import covers, other_loads
+from ....system.compiled.tables.items import covers
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.structures import address_of
 from ....system.compiled.tables.tables import Tables
@@ -105,14 +105,9 @@ def settings(p: Array, system: System, newton: Newton) -> None:
 
 
 def drivable(system: System) -> Any:
-    """The library of the driver where it knows all of a system, else None.
-
-    It takes the symmetric half of the tangents of forces that Python gives as a whole: cheap iterations may make up for that,
-    those with the factor of a field do not.
-    """
+    """The library of the driver where it knows all of a system, else None."""
     twin = twin_of(system).system
-    plain = system.contacts is None and not (twin.fields and other_loads(twin))
-    known = plain and covers_bodies(twin) and covers(twin)
+    known = system.contacts is None and covers_bodies(twin) and covers(twin)
     return driver_library(twin.motions.dim, units_of(twin)) if known else None
 
 
