@@ -195,8 +195,8 @@ def test_calls_of_python_for_one_call_of_c() -> None:
         (fmbd.HalfExplicit(rtol=None), 1),
         (fmbd.ExplicitRungeKutta(rtol=None), 1),
         (fmbd.EnergyMomentum(), 1),
-        (fmbd.BDF(order=2, rtol=None), 105),
-        (fmbd.Radau(rtol=None), 90),
+        (fmbd.BDF(order=2, rtol=None), 85),
+        (fmbd.Radau(rtol=None), 79),
     ],
     ids=lambda x: str(x)[:4],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import replace
 from typing import Any
 
@@ -14,12 +15,17 @@ from fmbd_fenicsx.errors import LinearSolveError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.redundancy import null_space
 from fmbd_fenicsx.linear.residual import Judge
+from fmbd_fenicsx.schemes.control import ROUNDOFF, STAGNATION
 from fmbd_fenicsx.schemes.dae import Points
+from fmbd_fenicsx.schemes.implicit.convergence import Rates, judge_increment
 from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.schemes.implicit.step_tangents import DenseTangents, SparseTangents
+from fmbd_fenicsx.schemes.multistep import corrector as bdf
+from fmbd_fenicsx.schemes.onestep import stage_newton as radau
 from fmbd_fenicsx.schemes.onestep.collocation import tableau
 from fmbd_fenicsx.system.compiled.choice import use_driver
+from fmbd_fenicsx.system.compiled.states.convergence import CONVERGED, DIVERGED, GOES_ON, TOO_SLOW, Convergence
 from fmbd_fenicsx.system.compiled.states.couplings import couplings_of
 from fmbd_fenicsx.system.compiled.states.stages import Rule
 from fmbd_fenicsx.system.system import State
@@ -148,32 +154,56 @@ def test_increments_of_compiled_code(name: str, form: Any, stages: int) -> None:
     points = Points(*(x[:stages] for x in (0.01 * v, v - a, v, a)), np.repeat(mult[None], stages, axis=0))
     weights = np.random.default_rng(6).uniform(1.0, 2.0, (3, system.n_v))
 
-    seen: list[Any] = []
-
-    def note(made: Any) -> None:
-        if not isinstance(made, tuple):
-            seen.append(made.copy())
-            return
-        dxi, dv, dmult = made
-        push = eq.pushes(dmult) if eq.levels else np.zeros_like(dxi)
-        parts = (dxi, dv, push)
-        squares = [((w * x) ** 2).mean(axis=1).max() for w, x in zip(weights, parts, strict=True)]
-        seen.append(np.array([*map(system.max_abs, parts), *squares]))
-
     pencil, found = eq.pencil(tangent, s, JUDGE), []
     for w in (None, weights):
         iteration, before = StageIteration(eq, t[:stages], points, rule, w), eq.residuals
-        note(iteration.increment(pencil))
-        made: list[Any] = []
-        calls = calls_of(lambda i=iteration, made=made: made.append(i.increment(pencil)))
-        note(made[0])
-        found.append((*vars(iteration.points).values(), np.array(eq.residuals - before), eq.left.copy()))
+        convergence = Convergence(most=2, adaptive=True, tolerance=1e-300, limit=0.99, largest=np.inf, first=1.0)
+        follow = lambda i=iteration, c=convergence: i.follow(pencil, c, 2)  # noqa: E731
+        calls = calls_of(follow)
+        while convergence.outcome == GOES_ON:
+            assert w is None or name.startswith("reduced")  # which NumPy looks at, bent as much
+            judge_increment(convergence, weighted(eq, weights, iteration.increment(pencil)), still=False)
+        told = [getattr(convergence, name) for name in ("done", "outcome", "size", "theta", "share")]
+        found.append((*vars(iteration.points).values(), told, np.array(eq.residuals - before), eq.left.copy()))
 
-    assert len(seen) == 4
-    for x, y in zip([*seen[2:], *found[1]], [*seen[:2], *found[0]], strict=True):
+    for x, y in zip(found[1], found[0], strict=True):
         assert x == pytest.approx(y, rel=1e-8, abs=1e-10 * np.abs(y).max(initial=1e-300))
-    if name == "rod":  # laws of time are Python's in the plane, and NumPy looks at reduced bodies that bend as much
-        assert calls <= 5
+    if name == "rod":  # laws of time are Python's in the plane
+        assert calls <= 8
+
+
+def weighted(eq: StepEquations, weights: np.ndarray, increments: Any) -> float:
+    """The norm of increments, by NumPy."""
+    dxi, dv, dmult = increments
+    push = eq.pushes(dmult) if eq.levels else np.zeros_like(dxi)
+    return float(np.sqrt(max(((w * x) ** 2).mean(axis=1).max() for w, x in zip(weights, (dxi, dv, push), strict=True))))
+
+
+@compiled
+@pytest.mark.parametrize("rates", [*radau.RATES.values(), bdf.RATES], ids=["Radau", "Radau, constant", "BDF"])
+@pytest.mark.parametrize("adaptive", [True, False])
+def test_iterations_end_where_python_says(rates: Rates, adaptive: bool) -> None:
+    """Increments that fall, stay and grow, by roundoff or not: all numbers of the two judges."""
+    _, system, _ = pair_of(MAKERS["plane"])
+    judge = system.evaluator.library.judge_increment
+    rng, outcomes = np.random.default_rng(7), set()
+    for _ in range(400):
+        size, falls = 10.0 ** rng.uniform(-3, 4), rng.uniform(-2.5, 0.3)
+        given = {name: getattr(rates, name) for name in vars(rates)}
+        given |= {"most": int(rng.integers(2, 11)), "adaptive": adaptive, "tolerance": 0.03}
+        given |= {"calm": ROUNDOFF, "stagnation": STAGNATION}
+        pair = [Convergence(**given, first=0.5, theta=0.3) for _ in range(2)]
+        while pair[0].outcome == GOES_ON:
+            still = bool(rng.uniform() < 0.1)
+            judge_increment(pair[0], size, still=still)
+            judge(ctypes.byref(pair[1]), ctypes.c_double(size), still)
+            for name, _ in Convergence._fields_:
+                assert getattr(pair[1], name) == pytest.approx(getattr(pair[0], name), rel=1e-14, nan_ok=True), name
+            size *= 10.0 ** (falls + rng.normal(scale=0.3))
+            if rng.uniform() < 0.02:
+                size = np.nan
+        outcomes.add(pair[0].outcome)
+    assert outcomes == {CONVERGED, DIVERGED, TOO_SLOW}
 
 
 @compiled

@@ -21,11 +21,12 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ...system.tangents.foretold_efforts import foretold_efforts
 from ..consistent import project, worst_block
-from ..control import EPS, ErrorNorm, Statistics, StepControl
+from ..control import EPS, ROUNDOFF, STAGNATION, ErrorNorm, Statistics, StepControl
 from ..dae import Points
 from ..declared import Declared
 from ..newton import Newton
 from ..stepping import TimeStepper
+from .convergence import CAUSES, GOES_ON, Convergence, Rates, judge_increment
 from .stage_iteration import StageIteration
 from .step_equations import step_equations
 
@@ -70,6 +71,7 @@ class ImplicitStepper(TimeStepper):
         self._full = False  # whether each iteration takes its own
         self._theta = 1e-3  # rate of convergence
         self._unweighted = np.ones((3, system.n_v))
+        self._roundoff = STILL * EPS * system.length  # m
         self._still = (
             False  # whether the last increment moved nothing beyond roundoff: multipliers may go on changing by theirs
         )
@@ -170,13 +172,9 @@ class ImplicitStepper(TimeStepper):
                 size = max(size, self.norm.mean(push * (h / self.norm.wv)))
             if pulls is not None:
                 size = max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))
-        return self._size_told(h, lengths, size)
-
-    def _size_told(self, h: float, lengths: list[float], size: float) -> float:
-        """The same from the largest lengths of its three parts, and from its weighted ``size``, that of error control."""
         places, speeds, pushes = lengths
         moved = max(places, h * speeds)
-        self._still = moved <= STILL * EPS * self.system.length
+        self._still = moved <= self._roundoff
         return size if self.adaptive else max(moved, h * h * pushes) / self._allowed
 
     def _iteration(self, h: float, t: Array, points: Points, rule: Rule) -> StageIteration:
@@ -190,11 +188,29 @@ class ImplicitStepper(TimeStepper):
         if not self.adaptive:
             self._allowed = self.norm.constant(h, self.state)
 
-    def _increment(self, h: float, iteration: StageIteration) -> float:
-        """One more increment; its norm."""
-        self.newton.iterations += 1
-        self.stats.newton_iterations += 1
-        found = iteration.increment(self._pencil)
-        if isinstance(found, tuple):
-            return self._size(h, *found)
-        return self._size_told(h, [float(x) for x in found[:3]], float(np.sqrt(np.maximum.reduce(found[3:]))))
+    def _convergence(self, h: float, rates: Rates, first: float) -> Convergence:
+        """Of an iteration in a step of h (s) of which nothing is done so far; ``first``: share that one increment leaves."""
+        return Convergence(
+            most=self.newton.max_iterations, adaptive=self.adaptive, h=h, allowed=self._allowed, still=self._roundoff,
+            tolerance=self._newton_tolerance, limit=rates.limit, largest=rates.largest, before=rates.before,
+            least=rates.least, averaged=rates.averaged, foresees=rates.foresees, calm=ROUNDOFF, stagnation=STAGNATION,
+            first=first, theta=self._theta,
+        )  # fmt: skip
+
+    def _iterated(self, h: float, iteration: StageIteration, convergence: Convergence, until: int) -> str:
+        """Increments up to number ``until`` of the iteration, or to its end; why it has failed, "" where it has not."""
+        before = convergence.done
+        try:
+            iteration.follow(self._pencil, convergence, until)
+            while convergence.outcome == GOES_ON and convergence.done < until:
+                size = self._size(h, *iteration.increment(self._pencil))
+                judge_increment(convergence, size, still=self._still)
+        finally:
+            self._count(convergence.done - before)
+        self._theta = convergence.theta
+        return CAUSES.get(convergence.outcome, "")
+
+    def _count(self, increments: int) -> None:
+        """So many increments more."""
+        self.newton.iterations += increments
+        self.stats.newton_iterations += increments

@@ -15,6 +15,7 @@ from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.compiled.states.stages import Rule
 from ..dae import Points
+from .convergence import Convergence
 
 Increments = tuple[Array, Array, Array]  # of xi, v and of multipliers
 
@@ -34,17 +35,21 @@ class StageIteration:
             self._points, self._told = Points(*self._told.room.points()), None
         return self._points
 
-    def increment(self, pencil: Any) -> Array | Increments:
-        """Add one increment; what compiled code tells of its size (stages.c), or the increment itself."""
-        if isinstance(pencil, SparsePencil) and self._weights is not None:
-            room, eq = pencil.room, self.eq
-            if self._told is not pencil:
-                room.put(self.t, eq.origin, self.points, eq.tangents.inverse_mass, (self.rule, self._weights))
-                self._told, eq.left = pencil, room.left
-            if pencil.increment():
-                eq.residuals += len(self.t)
-                return room.moved
+    def follow(self, pencil: Any, convergence: Convergence, until: int) -> None:
+        """Add increments in compiled code, up to number ``until`` of the iteration, as far as it can."""
+        if not isinstance(pencil, SparsePencil) or self._weights is None:
+            return
+        room, eq, before = pencil.room, self.eq, convergence.done
+        if self._told is not pencil:
+            room.put(self.t, eq.origin, self.points, eq.tangents.inverse_mass, (self.rule, self._weights))
+            self._told, eq.left = pencil, room.left
+        try:
+            pencil.iterate(convergence, until)
+        finally:
+            eq.residuals += len(self.t) * (convergence.done - before)
 
+    def increment(self, pencil: Any) -> Increments:
+        """Add one increment, in NumPy."""
         p, n = self.points, self._points.xi.shape[1]
         kin, low = self.eq.residual(self.t, p)
         change, mult = self._solved(pencil, kin, low)

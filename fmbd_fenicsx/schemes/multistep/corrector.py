@@ -14,13 +14,14 @@ import numpy as np
 from ...rotations import Array
 from ...system.compiled.states.stages import Rule
 from ...system.system import State
-from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
+from ..implicit.convergence import CONVERGED, Rates
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import strayed
 from .past import Past, local, slopes_at_first, weights
 
 ALONE = np.eye(1)  # one point is coupled with none
+RATES = Rates(limit=0.95, largest=2.0)
 
 
 class Corrector(ImplicitStepper):
@@ -62,55 +63,27 @@ class Corrector(ImplicitStepper):
         self.eq.begin(self.state)
         relax = self._prepare(t, p, c[0])
 
-        tolerance = self._newton_tolerance
         iteration = self._iteration(h, np.array([t]), p, Rule(c[:1, None], ALONE, ALONE, relax))
-        last = 0.0
-        for i in range(self.newton.max_iterations):
-            if self._full and self.eq.dense and i > 0:
+        convergence, most = self._convergence(h, RATES, 1.0), self.newton.max_iterations
+        for until in range(1, most + 1) if self._full and self.eq.dense else (most,):
+            if convergence.done:
                 self._own_tangent(t, iteration.points, c[0])
-            size = self._increment(h, iteration)
+            if failed := self._iterated(h, iteration, convergence, until):
+                return failed
+            if convergence.outcome == CONVERGED:
+                break
 
-            theta = 0.5 if i == 0 else min(size / last if last > 0 else 0.0, 2.0)
-            size, why = self._judged(i, theta, size, last)
-            if why is not None:
-                return why
-
-            # what is left, by the rate of convergence
-            last = size
-            left = theta / (1 - min(theta, 0.95)) * size
-            if left <= tolerance or size <= 1e-2 * tolerance:
-                self.newton.note(left)
-                p = iteration.points
-                if self._full and strayed(self.system, p.xi[0], foretold):
-                    return "Newton found another solution, far from the predicted one"
-                return p
-        return "Newton too slow"
+        self.newton.note(convergence.share * convergence.size)
+        p = iteration.points
+        if self._full and strayed(self.system, p.xi[0], foretold):
+            return "Newton found another solution, far from the predicted one"
+        return p
 
     def _own_tangent(self, t: float, p: Points, frequency: float) -> None:
         """Tangent and factor of this very iterate."""
         tangent = self.eq.tangent_at(t, p.xi[0], p.v[0], p.vd[0], p.mult[0])
         self._pencil = self.eq.pencil(tangent, np.array([frequency]), self.judge)
         self.stats.factorisations += 1
-
-    def _judged(self, i: int, theta: float, size: float, last: float) -> tuple[float, str | None]:
-        """The size of increment i, 0 where it is roundoff, and why the iteration has failed, if it has; the rate is kept.
-
-        ``theta``: this increment over the ``last``. Increments that no longer fall are roundoff, or divergence.
-        """
-        if not np.isfinite(size):
-            return size, "Newton diverged"
-        if i == 0:
-            return size, None
-        self._theta = theta
-
-        stalled = theta > 0.5 and max(size, last) <= ROUNDOFF
-        stagnates = i > 2 and theta > 0.3 and (size <= STAGNATION or self._still)
-        stalled = stalled or (stagnates and self._still)
-        if stalled if self.adaptive else stagnates:
-            return 0.0, None
-        patient = self.adaptive or i > 3
-        diverged = theta >= 0.95 and size > self._newton_tolerance and patient
-        return size, "Newton diverged" if diverged else None
 
     def _prepare(self, t: float, p: Points, s: float) -> float:
         """Tangent and factor for the frequency s; returns the correction of increments for an old factor."""

@@ -20,12 +20,17 @@ from ...system.compiled.states.stages import Rule
 from ...system.system import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
+from ..implicit.convergence import Rates
 from ..implicit.implicit_stepper import ImplicitStepper
 from .collocation import Tableau
 
 Stages = tuple[Array, Array, Array]  # xi, v and multipliers of each
 LONGER = 1.2  # steps so much longer than that of a rate do not rely on it
-CAUTIOUS = 0.05  # with constant steps no rate below this is believed
+RATES = {
+    True: Rates(limit=0.99, before=10.0, averaged=True, foresees=True),
+    # with constant steps the first rate flatters: fast components go first
+    False: Rates(limit=0.99, before=10.0, averaged=True, least=0.05),
+}  # with error control, and with constant steps
 KEPT = 0.05  # rate up to which stages go on with the tangents that each has
 
 
@@ -85,68 +90,21 @@ class StageNewton(ImplicitStepper):
         times = self.state.t + h * tab.c
         stages = self.eq.aligned(times, rule.couple, self._stages(h, *predicted))
         iteration = self._iteration(h, times, stages, rule)
-        tolerance = self._newton_tolerance
-        last = 0.0
+        convergence = self._convergence(h, RATES[self.adaptive], self._first_share(h))
+        if failed := self._iterated(h, iteration, convergence, convergence.most):
+            return failed
 
-        for k in range(self.newton.max_iterations):
-            size, why = self._judged(k, h, self._increment(h, iteration), last)
-            if why is not None:
-                return why
+        self._eta, self._iterations = convergence.share, convergence.done
+        self._h_rate = h if convergence.done > 1 else max(h, self._h_rate)
+        self.newton.note(convergence.share * convergence.size)
+        return self._finished(h, iteration.points)
 
-            # what is left, by the rate of convergence
-            last = size
-            share = self._share_left(k, h)
-            if share * size <= tolerance or size <= 1e-2 * tolerance:
-                self._eta, self._iterations = share, k + 1
-                self._h_rate = h if k else max(h, self._h_rate)
-                self.newton.note(share * size)
-                return self._finished(h, iteration.points)
-        return "Newton too slow"
-
-    def _counted(self, h: float, increment: tuple[Array, Array, Array]) -> float:
-        """The norm of one more increment."""
-        self.newton.iterations += 1
-        self.stats.newton_iterations += 1
-        return self._size(h, *increment)
-
-    def _judged(self, k: int, h: float, size: float, last: float) -> tuple[float, str | None]:
-        """The size of increment k (step h), 0 where it is roundoff, and why the iteration has failed, if so; the rate is kept.
-
-        Increments that no longer fall are roundoff, harmless against the tolerance, or divergence.
-        """
-        if not np.isfinite(size):
-            return size, "Newton diverged"
-        if k == 0:
-            return size, None
-        ratio = size / last if last > 0 else 0.0
-        self._theta = ratio if k == 1 else float(np.sqrt(ratio * max(self._theta, 1e-10)))
-
-        stalled = ratio > 0.5 and size <= ROUNDOFF and max(size, last) <= 10 * ROUNDOFF
-        stagnates = k > 2 and ratio > 0.3 and (size <= STAGNATION or self._still)
-        stalled = stalled or (stagnates and self._still)
-        if stalled if self.adaptive else stagnates:
-            size = 0.0
-        elif self._theta >= 0.99 and size > self._newton_tolerance and (self.adaptive or k > 3):
-            return size, "Newton diverged"
-        return size, "Newton too slow" if self._hopeless(k, h, size) else None
-
-    def _share_left(self, k: int, h: float) -> float:
-        """What is left of the error, over the size of increment k: by the rate of this step, or of the one before.
+    def _first_share(self, h: float) -> float:
+        """What one increment leaves of the error, over its size, by the rate of the step before.
 
         Rates grow with the step, by any power of it where motions turn far: those of shorter steps promise nothing.
         """
-        if k == 0:
-            return float(max(self._eta, 1e-16) ** 0.8) if h <= LONGER * self._h_rate else 1.0  # a little worse
-        share = self._theta / (1 - min(self._theta, 0.99))
-        # with constant steps the first rate flatters: fast components go first
-        return share if self.adaptive else max(share, CAUTIOUS)
-
-    def _hopeless(self, k: int, h: float, size: float) -> bool:
-        """Whether error control had better take a smaller step than wait for the last iteration."""
-        if not self.adaptive or k <= 1 or size <= self._newton_tolerance:
-            return False
-        left = self.newton.max_iterations - 1 - k
-        return bool(self._share_left(k, h) * size * self._theta**left > self._newton_tolerance)
+        return float(max(self._eta, 1e-16) ** 0.8) if h <= LONGER * self._h_rate else 1.0  # a little worse
 
     def _finished(self, h: float, found: Points) -> Points:
         points = self._stages(h, found.xi, found.v, found.mult)
@@ -190,7 +148,8 @@ class StageNewton(ImplicitStepper):
             pencil = pencil or self._own_pencil(h, points)
             increment = self._solve_with_own_tangents(pencil, *residual)
             xi, v, mult = xi + increment[0], v + increment[1], mult + increment[2]
-            size = self._counted(h, increment)
+            size = self._size(h, *increment)
+            self._count(1)
 
             if not np.isfinite(size):
                 return "Newton diverged"

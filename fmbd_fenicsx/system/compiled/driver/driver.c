@@ -15,6 +15,7 @@
 #include "record.c"
 #include "answers.c"
 #include "tangent.c"
+#include "convergence.c"
 #include "stages.c"
 #include "explicit.c"
 #include "secants.c"

@@ -1,5 +1,4 @@
-/* The stages of an implicit step in local coordinates: one increment of Newton's iteration is one call, and so are the factors of all
-   frequencies. With K = K0 + s K1 + s^2 K2 for a frequency s, real or one of a complex pair (linear/saddle/pencil.py, whose symbols
+/* The stages of an implicit step in local coordinates: Newton's iteration is one call, and so are the factors of all frequencies. With K = K0 + s K1 + s^2 K2 for a frequency s, real or one of a complex pair (linear/saddle/pencil.py, whose symbols
    these are), the work is proportional to the entries of the factors: to the length of chains and trees. */
 
 #include <complex.h>
@@ -37,7 +36,7 @@ typedef struct {
     /* the points */
     double *t, *q0, *xi, *rate, *v, *vd, *mult, *couple, *inverse, *vectors;  /* couple: points x points, d rate / d xi */
     double *kin, *low, *dxi, *dv, *dmult, *push;
-    double *weigh, *moved, *judged; /* weigh: 3 x n, of dxi, dv and U dlambda; moved: 6; judged: 2 */
+    double *weigh, *moved, *judged; /* weigh: 3 x n, of dxi, dv and U dlambda; moved: 6; judged: 2, of an iteration */
     double *local, relax;           /* local: nq + n */
 } Stages;
 
@@ -223,12 +222,19 @@ static double largest_length(const System *s, const Stages *o, const double *x)
     return worst;
 }
 
+/* The linear residual of a solution, and its scale, into ``most`` where they are farther apart than those. */
+static void farthest_apart(const double *judged, double *most)
+{
+    double share = judged[0] / (judged[1] > 0.0 ? judged[1] : 1.0);
+    if (!(share <= most[0] / (most[1] > 0.0 ? most[1] : 1.0))) memcpy(most, judged, 2 * sizeof *most);
+}
+
 /* One increment of all points: residuals, solutions, what they move. ``moved``: the largest lengths of dxi, dv and U dlambda, and the
-   mean squares of the three by their weights; ``judged``: the linear residual, and its scale, where the two are farthest apart. */
-EXPORT int driver_stage_increment(System *s, Stages *o)
+   mean squares of the three by their weights; ``judged``: as of farthest_apart(). */
+static int stage_increment(System *s, Stages *o)
 {
     const int n = o->n, size = o->size, k = o->points, multipliers = size - n;
-    double judged[2], worst = -1.0;
+    double judged[2];
     int verdict = stage_residuals(s, o);
     if (verdict) return verdict;
 
@@ -238,8 +244,7 @@ EXPORT int driver_stage_increment(System *s, Stages *o)
     for (int f = 0; f < o->frequencies; f++) {
         if (o->s[2 * f + 1] == 0.0) contribute_real(o, f, judged);
         else contribute_complex(o, f, judged);
-        double share = judged[0] / (judged[1] > 0.0 ? judged[1] : 1.0);
-        if (!(share <= worst)) worst = share, memcpy(o->judged, judged, sizeof judged);
+        farthest_apart(judged, o->judged);
     }
 
     for (int i = 0; i < k * n; i++) o->dxi[i] *= o->relax, o->dv[i] *= o->relax;
@@ -260,5 +265,27 @@ EXPORT int driver_stage_increment(System *s, Stages *o)
             add(o->rate + j * n, o->couple[j * k + i], o->dxi + i * n, n);
             add(o->vd + j * n, o->couple[j * k + i], o->dv + i * n, n);
         }
+    return DONE;
+}
+
+/* The size of an increment, over the tolerance. */
+static double size_moved(const Stages *o, const Convergence *c)
+{
+    const double *moved = o->moved;
+    for (int i = 0; i < 6; i++)
+        if (!(moved[i] < INFINITY)) return INFINITY;
+    if (c->adaptive) return sqrt(fmax(moved[3], fmax(moved[4], moved[5])));
+    return fmax(fmax(moved[0], c->h * moved[1]), c->h * c->h * moved[2]) / c->allowed;
+}
+
+/* Newton's iteration up to increment number ``until``, as far as solutions are accurate. */
+EXPORT int driver_stage_iterate(System *s, Stages *o, Convergence *c, int until)
+{
+    o->judged[0] = o->judged[1] = 0.0;
+    while (c->outcome == GOES_ON && c->done < until && o->judged[0] <= c->accurate * o->judged[1]) {
+        int verdict = stage_increment(s, o);
+        if (verdict) return verdict;
+        judge_increment(c, size_moved(o, c), fmax(o->moved[0], c->h * o->moved[1]) <= c->still);
+    }
     return DONE;
 }

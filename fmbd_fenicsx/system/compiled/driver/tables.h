@@ -26,6 +26,7 @@ enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE, DOUBT }; /* verdicts; L
                                                           /* FAILED: a law in Python raised; GAIN: energy from nothing; SIZE: */
                                                           /* the next step may have another size; DOUBT: whether the state */
                                                           /* counts is to be looked at closely */
+enum { GOES_ON, CONVERGED, DIVERGED, TOO_SLOW };           /* outcomes of Newton's iteration of an implicit step */
 enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS }; /* schemes that make many steps in one call, see march.c */
 
 typedef void kernel(long n, const int *pair, const double *frames, const double *P, const double *W, double *out);
