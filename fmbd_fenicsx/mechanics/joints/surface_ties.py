@@ -240,7 +240,7 @@ class TraceRows:
                 blocks.append(("frame", side.frame, sign * G.reshape(-1, m.n_twist)))
             if side.part is not None:
                 row = R if nu is None else (nu @ R)[None]
-                blocks.append(("port", number, sp.kron(sp.identity(n), sign * row, format="csr")))
+                blocks.append(("port", number, _repeated(sign * row, n)))
 
         # the normal turns with its frame
         if nu is not None and self.normal is not None and self.sides[1].frame < ev.system.n_frames:
@@ -276,6 +276,15 @@ class TraceRows:
         n1 = m.spin(w, n0)
         n2 = m.spin(w, n1)
         return np.asarray(total @ (R @ n0[0]) + 2 * speed @ (R @ n1[0]) + self._difference(ev) @ (R @ n2[0]))
+
+
+def _repeated(block: Array, n: int) -> sp.csr_matrix:
+    """The block-diagonal matrix of n equal blocks."""
+    rows, columns = block.shape
+    indices = columns * np.arange(n)[:, None, None] + np.arange(columns)
+    indices = np.broadcast_to(indices, (n, rows, columns)).ravel()
+    starts = columns * np.arange(n * rows + 1)
+    return sp.csr_matrix((np.tile(block.ravel(), n), indices, starts), shape=(n * rows, n * columns))
 
 
 def _motion_in_words(motion: Array, d: int) -> str:
