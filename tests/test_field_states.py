@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,12 @@ import pytest
 from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.fem.factors import factor
 from fmbd_fenicsx.linear import condensation
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
+from fmbd_fenicsx.system.compiled.tables.fields import FieldTable
 from fmbd_fenicsx.system.evaluator import NumPyEvaluator
 
 SMALL = {"elastic": linear_elastic(5e6, 0.3)}
@@ -224,3 +227,36 @@ def test_new_tangents(rod_mesh: Callable[..., Any], body: str) -> None:
     expected = wanted.constraint(), wanted.gamma(), wanted.balance(v, start.lam + 1.0)
     for one, other in zip((*found, *told), (*solved(plain, wanted, weights), *expected), strict=True):
         assert one == pytest.approx(other, rel=1e-6, abs=1e-6 * np.abs(other).max())
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_factors_of_linear_fields_are_solved_with_in_c(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, dim: int
+) -> None:
+    """No step of generalized-alpha asks Python to solve, solves count as before, and one that its judge refuses is Python's."""
+    asked: list[int] = []
+    solve = FieldTable.solve
+    monkeypatch.setattr(FieldTable, "solve", lambda table: (asked.append(table.number), solve(table)))
+
+    def run() -> tuple[Any, int]:
+        asked.clear()
+        scene = swinging(rod_mesh(dim=dim), "attached")
+        scene.sensor("bob", fmbd.position(scene.bodies["bob"]))
+        return fmbd.solve(scene, t_end=0.1, dt=0.01), len(asked)
+
+    here, none = run()
+    monkeypatch.setattr(factor, "address_of_solve", lambda: None)
+    there, every = run()
+    monkeypatch.undo()
+    monkeypatch.setattr(FieldTable, "solve", lambda table: (asked.append(table.number), solve(table)))
+    in_c = factor.Factor.in_c
+    monkeypatch.setattr(factor.Factor, "in_c", lambda self: replace(in_c(self), mass=1.001 * self.cm))
+    doubted, refused = run()
+
+    assert none == 0 and refused == every > 10
+    for name in ("back_solves", "newton_iterations"):
+        assert here.counters[name] == there.counters[name] == doubted.counters[name]
+    assert here.counters["worst_linear_residual"] == pytest.approx(there.counters["worst_linear_residual"], rel=10.0)
+    for other in (there, doubted):
+        assert here["bob"] == pytest.approx(other["bob"], abs=1e-9)

@@ -244,6 +244,11 @@ class Field:
         """The matrix at cd of :meth:`combination` times U, (n d,) -> (n d,)."""
         return sum((c * self._times(A, U) for c, A in self._dampings()), np.zeros_like(U))
 
+    @property
+    def extended(self) -> bool:
+        """Whether the stiffness of :meth:`combination` is more than K, by :meth:`linearise`, or changes with the motion."""
+        return bool(self.nonlinear or self._extra)
+
     def tangent(self, U: Array) -> Array:
         """K U with the extra form of :meth:`linearise`: the matrix that :meth:`combination` holds."""
         return self._times(self._with_extra if self._extra else self.K, U)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
 from ..errors import LinearSolveError
+from ..rotations import Array
 
 ROUNDOFF = 1e-15
 """Backward error |A x - b| / (|A| |x| + |b|) that a stable factorisation stays below, |A| the largest row sum;
@@ -18,7 +21,7 @@ LARGEST_GROWTH = 1e11
 singular to roundoff gives 1e15 or more. With ROUNDOFF: no solve passes with a residual above 1e-4 |b|."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Judge:
     """Accepts or refuses linear solves; keeps the worst relative residual seen.
 
@@ -29,14 +32,32 @@ class Judge:
 
     x then solves a system that differs from the given one by roundoff (Rigal and Gaches, doi:10.1145/321406.321416).
     Callers that give no |A| |x| get the first criterion alone. ``what`` names the system in messages; ``by_roundoff``
-    counts the solves that passed by (1) only. ``worst`` is of |A x - b| / |b| in either case.
+    counts the solves that passed by (1) only. ``worst`` is of |A x - b| / |b| in either case. Compiled code that judges by the
+    first criterion writes ``told``: the number of solves, and the worst.
     """
 
     what: str
     tolerance: float = 1e-8
-    worst: float = 0.0
-    solves: int = 0
     by_roundoff: int = 0
+    told: Array = field(default_factory=lambda: np.zeros(2))
+
+    @property
+    def solves(self) -> int:
+        """Solves so far."""
+        return int(self.told[0])
+
+    @solves.setter
+    def solves(self, count: int) -> None:
+        self.told[0] = count
+
+    @property
+    def worst(self) -> float:
+        """The largest relative residual."""
+        return float(self.told[1])
+
+    @worst.setter
+    def worst(self, relative: float) -> None:
+        self.told[1] = relative
 
     def check(self, residual: float, scale: float, advice: str = "", *, grown: float = 0.0) -> None:
         """Raise :class:`LinearSolveError` when |A x - b| = ``residual`` is too large against |b| = ``scale``.

@@ -8,6 +8,9 @@ displacements.
 
 from __future__ import annotations
 
+import ctypes
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,6 +19,18 @@ from ...errors import LinearSolveError
 from ...rotations import Array
 from .partial_factor import IndefiniteError
 from .substructures import substructured
+
+
+@dataclass(frozen=True, eq=False)
+class InC:
+    """How C solves with a factor of ``mass`` M + ``stiffness`` K by itself: the address of PETSc's MatSolve, and that of its
+    ``matrix``, (1,), zero once the factor is freed.
+    """
+
+    solve: int
+    matrix: np.ndarray
+    mass: float
+    stiffness: float
 
 
 class Factor:
@@ -101,6 +116,15 @@ class Factor:
         X = self.factor.solve(self._with_pressure(B))
         return X[: self._n], [self._residual(X[:, j], B[:, j]) for j in range(B.shape[1])]
 
+    def in_c(self) -> InC | None:
+        """How C solves, on one rank and where the matrix is that of linear elasticity; None where it cannot."""
+        f, solve = self.field, address_of_solve()
+        if solve is None or not isinstance(self.factor, PetscFactor) or f.comm.size > 1:
+            return None
+        if f.mixed or f.extended or self.cd:
+            return None
+        return InC(solve, self.factor.address, self.cm, self.ck)
+
     def destroy(self) -> None:
         """Free the factor; collective."""
         for obj in (self.factor, *([] if self._E is None else [self._E, self._x, self._b])):
@@ -123,6 +147,17 @@ def direct(E: Any, dim: int, definite: bool) -> Any:
     return PetscFactor(E, definite, f"MUMPS, as {why}") if made is None else made
 
 
+@cache
+def address_of_solve() -> int | None:
+    """Of PETSc's MatSolve; None where it cannot be had."""
+    from petsc4py import PETSc
+
+    try:
+        return ctypes.cast(ctypes.CDLL(PETSc.__file__).MatSolve, ctypes.c_void_p).value
+    except (OSError, AttributeError):
+        return None
+
+
 class PetscFactor:
     """A factor of E by PETSc; collective to build, to solve and to destroy. ``how``: in words."""
 
@@ -136,6 +171,7 @@ class PetscFactor:
             raise IndefiniteError(f"PETSc error {error.ierr}") from error
         self.matrix = ksp.getPC().getFactorMatrix()
         self.matrix.incRef()
+        self.address = np.array([self.matrix.handle], dtype=np.uint64)
         self._x, self._b = E.createVecs()
         ksp.destroy()
 
@@ -165,6 +201,7 @@ class PetscFactor:
 
     def destroy(self) -> None:
         """Free the factor; collective."""
+        self.address[0] = 0
         for obj in (self.matrix, self._x, self._b):
             obj.destroy()
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import require
-from ...fem.factors.factor import Factor, factored
+from ...fem.factors.factor import Factor, InC, factored
 from ...fem.fields import Field, rank_sum
 from ...rotations import Array
 from ..residual import Judge
@@ -58,6 +58,10 @@ class FieldFactor:
         """The solution (n,) for loads on this rank's entries."""
         raise NotImplementedError
 
+    def in_c(self) -> InC | None:
+        """How compiled code solves by itself; None where it has to ask."""
+        return None
+
     def solve_columns(self, B: Array) -> Array:
         """The same for columns (n, k)."""
         if not B.shape[1]:
@@ -103,6 +107,10 @@ class CholeskyFactor(FieldFactor):
         x, r = self.factor.solve_with_residual(b)
         self._judge(r, b, x)
         return x
+
+    def in_c(self) -> InC | None:
+        """As above; it judges likewise."""
+        return self.factor.in_c()
 
     def solve_columns(self, B: Array) -> Array:
         """E^-1 B for dense columns (n, k), all at once; every column is judged."""

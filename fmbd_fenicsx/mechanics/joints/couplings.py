@@ -64,11 +64,13 @@ class SmoothMotion:
 
     def place(self, t: float) -> float:
         """s alone."""
+        if self.complete:
+            return self(t)[0]
         value = self.function(t)
-        if not self.complete and self._usable(value):
-            return value
+        if self._usable(value):
+            return value  # type: ignore[no-any-return]
         s = self._checked(value, t)
-        self._require(len(s) == (3 if self.complete else 1), s, t)
+        self._require(len(s) == 1, s, t)
         return float(s[0])
 
     def _usable(self, *value: Any) -> bool:

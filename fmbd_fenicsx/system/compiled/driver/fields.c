@@ -238,6 +238,30 @@ int field_block(System *s, const Body *o, const double *R, const double *q)
     return 0;
 }
 
+/* z = E^-1 b by the factor itself, judged as linear/residual.py does; 0 where Python has to solve, and to judge. */
+static int solved_here(const Field *e)
+{
+    double residual = 0.0, scale = 0.0;
+    if (!e->direct || !*e->factor || e->direct(*e->factor, e->rhs, e->solution)) return 0;
+    for (long i = 0; i < e->nodes; i++) {
+        double r[D];
+        for (int j = 0; j < D; j++) r[j] = -e->b[D * i + j];
+        for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++) add(r, e->of_mass * e->M[k], e->z + D * e->M_column[k], D);
+        for (int k = e->K_start[i]; k < e->K_start[i + 1]; k++)
+            for (int c = 0; c < D; c++) {
+                double x = e->of_stiffness * e->z[D * e->K_column[k] + c];
+                for (int j = 0; j < D; j++) r[j] += e->K[D * D * k + D * j + c] * x;
+            }
+        residual += dot(r, r, D);
+        scale += dot(e->b + D * i, e->b + D * i, D);
+    }
+    residual = sqrt(scale > 0.0 ? residual / scale : residual);
+    if (!(residual <= e->tolerance)) return 0;
+    e->told[0] += 1.0;
+    e->told[1] = fmax(e->told[1], residual);
+    return 1;
+}
+
 /* z of the field's own forces times -scale, through its factor. */
 static int field_alone(System *s, const Body *o, double scale, double t)
 {
@@ -250,6 +274,7 @@ static int field_alone(System *s, const Body *o, double scale, double t)
     add_columns(o, b, e->b);
     memset(b, 0, o->modes * sizeof(double));
     turn_nodes(e, e->b, e->n, 1);
+    if (solved_here(e)) return DONE;
     s->calls++;
     int told = s->python(FIELD, e->number, t);
     return told == OUTSIDE ? NEWTON : told ? FAILED : DONE;

@@ -112,6 +112,10 @@ typedef struct {
     double *bias, *pull;               /* modes; work: bends */
     double *held, *second;             /* of the tangent: bends x n, G_r U; TWIST x TWIST of the frame, NULL without stiffening */
     double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */
+    int (*direct)(void *factor, void *rhs, void *solution); /* PETSc's MatSolve, NULL where Python solves: with */
+    void **factor, *rhs, *solution;    /* its matrix, NULL when it is freed; vectors on b and z */
+    double *told;                      /* solves, and the worst of their relative residuals */
+    double of_mass, of_stiffness, tolerance; /* E = of_mass M + of_stiffness K; a relative residual that is small */
 } Field;
 
 /* A part that Python tells, see told.c. */

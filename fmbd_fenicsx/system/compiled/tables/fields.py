@@ -13,7 +13,7 @@ from ....mechanics.bodies.floating import FloatingField
 from ....mechanics.validity import TOO_LARGE
 from ....rotations import Array
 from .resting import RestingField
-from .structures import structure
+from .structures import address_of, structure
 from .told import ToldMotion
 
 if TYPE_CHECKING:
@@ -64,6 +64,8 @@ class FieldTable:
         nothing: Array = np.zeros(0)
         self.b = self.z = self.force = self.sums = nothing  # those of the structure
         self.motion = ToldMotion(tables, self.part.n)
+        self.c: Any = None  # the structure
+        self.vectors: list[Any] = []  # PETSc's, on b and z
         self.indefinite = False
         self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
         # of the factors in use, which sizes of steps come back to
@@ -91,6 +93,22 @@ class FieldTable:
         self.block = block
         for name, values in self._of_tangent().items():
             self.of_tangent[name][...] = values
+        self._lend()
+
+    def _lend(self) -> None:
+        """Let C solve with the factor by itself, where it can."""
+        factor = self.block.factor
+        solved = None if factor is None or self.changes else factor.in_c()
+        self.c.direct = None if solved is None else solved.solve
+        if solved is None:
+            return
+        if not self.vectors:
+            from petsc4py import PETSc
+
+            self.vectors = [PETSc.Vec().createWithArray(x, comm=PETSc.COMM_SELF) for x in (self.b, self.z)]
+            self.c.rhs, self.c.solution = (x.handle for x in self.vectors)
+        self.c.factor, self.c.told = address_of(solved.matrix), address_of(factor.judge.told)
+        self.c.of_mass, self.c.of_stiffness, self.c.tolerance = solved.mass, solved.stiffness, factor.judge.tolerance
 
     def _of_tangent(self) -> dict[str, Array]:
         """What changes with the tangent."""
@@ -184,7 +202,7 @@ class FieldTable:
         self.force, force = store.array(np.zeros(n))
         self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
 
-        return structure("Field", d)(
+        self.c = structure("Field", d)(
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
             sways=int(part.shared_columns), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
             own=int(not linear_field(part)), force=force, sums=sums, state=self.motion.address,
@@ -193,6 +211,8 @@ class FieldTable:
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
             **self._stiffening(),
         )  # fmt: skip
+        self._lend()
+        return self.c
 
     def _matrices(self) -> dict[str, np.ndarray]:
         """M and K by rows of nodes, and the columns of ports."""

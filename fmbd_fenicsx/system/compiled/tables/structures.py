@@ -67,6 +67,8 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         ),
         *_fields("stresses bends", _INT),
         *_fields("stress_start stress_column stress N bent form bias pull held second one first", _POINTER),
+        *_fields("direct factor rhs solution told", _POINTER),
+        *_fields("of_mass of_stiffness tolerance", _REAL),
     ],
     "Front": [
         *_fields("pivots rows ld next", _INT),
