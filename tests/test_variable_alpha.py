@@ -22,7 +22,8 @@ from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.run.single_run import Task, run_once
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
-from fmbd_fenicsx.schemes.onestep.alpha.variable_alpha import VariableAlpha, parts
+from fmbd_fenicsx.schemes.onestep.alpha.stretch import parts
+from fmbd_fenicsx.schemes.onestep.alpha.variable_alpha import VariableAlpha
 from fmbd_fenicsx.system.compiled.tables.tables import Tables
 
 PATTERN = (1.0, 0.5, 0.5, 1.5, 0.75, 0.25, 1.5, 2.0)  # sizes of steps over their mean

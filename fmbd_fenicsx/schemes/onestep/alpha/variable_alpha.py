@@ -1,22 +1,14 @@
 """Generalized-alpha with steps of its own choice: nested parts of the stretch to the next point that must be hit.
 
-A stretch of length R is divided into 1, 2, 6, 12, 36, ... parts, and every step is one of these, begun at a multiple of its own
-size. So the end of the stretch is hit without a step of another size, and there are fewer than three sizes, and with them elastic
-factors, in a decade; factors stay for the sizes in use.
-
-Two quantities of the scheme belong to a step size. With r = h_new / h_old
+Two quantities of the scheme belong to a step size, and the order falls to one unless they change with it: velocities of the
+index-3 form (:mod:`.size_change`), and, with r = h_new / h_old,
 
     A  <-  a + r (A - a),                     as  A_n = a(t_n + (alpha_m - alpha_f) h) + O(h^2)                        (1)
-    v  <-  v + dv,   (M + S K) dv + G^T mu = 0,   G dv = (r^2 - 1) (G v + g_t)                                         (2)
-
-at a change of size: velocities of the index-3 form miss their constraints by a multiple of h^2. Without (1) and (2) the order
-falls to one. S is that of a step over the whole stretch, so that (2) moves elastic bodies as if they were rigid: with M alone it
-bends them, and they vibrate from then on, by ten times the error of equal steps.
 
 The error of a step is that of the positions, filtered by the matrix of the step, so that vibrations which the step damps do not
 count:
 
-    (M + s K) e + G^T mu = M h^2 (beta - 1/6) (A_n+1 - A_n),     G e = h/2 (G v + g_t)                                 (3)
+    (M + s K) e + G^T mu = M h^2 (beta - 1/6) (A_n+1 - A_n),     G e = h/2 (G v + g_t)                                 (2)
 
 Positions meet their constraints; what velocities miss them by, of order h^2, tells how far the motion within a step is from the
 one that they prescribe. Without it a mechanism without freedom, all of whose places its drives give, took one step for three
@@ -37,11 +29,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from ....errors import ConvergenceError, LinearSolveError
-from ....linear.condensation import StepSolver
+from ....linear.condensation import StepSolver, Weights
 from ....rotations import Array
 from ....system.element_memory import whole_steps
 from ....system.evaluation import Evaluation
-from ....system.serialisation import Memory, plain, worker
+from ....system.serialisation import plain, worker
 from ....system.system import State, System
 from ...consistent import consistent
 from ...control import FADING, NormOfWays, Statistics, StepControl, first_step, moves, turn_limit
@@ -49,6 +41,8 @@ from ...dae import GGL
 from ...newton import Newton
 from ...stepping import TimeStepper
 from .look_ahead import LookAhead
+from .size_change import SizeChange
+from .stretch import Stretch, parts
 
 if TYPE_CHECKING:
     from ....run.judges.energy_check import Watch
@@ -57,24 +51,9 @@ if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
 
 KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
-DEEPEST = 48  # levels of parts; the finest are below roundoff
 CALM = 0.01  # errors of late over what is allowed, below which nothing happens
 # share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
 KEEPS = 0.93
-FARTHEST = 10.0  # times the least motion that closes constraints: one that bends bodies less may be as large
-SAME = 1e-9  # lengths of a stretch that differ by this share are equal
-HELD = 10.0  # times its length that a step is held for too long in which M is lost beside s K
-
-
-def parts(level: int) -> int:
-    """Number of parts of a stretch: 1, 2, 6, 12, 36, ..."""
-    return int(6 ** (level // 2) * (2 if level % 2 else 1))
-
-
-def _keep_share(m: Memory, name: str, share: Fraction) -> Fraction:
-    """An exact share."""
-    above, below = m(name, (share.numerator, share.denominator))
-    return Fraction(int(above), int(below))
 
 
 class VariableAlpha(TimeStepper):
@@ -85,10 +64,8 @@ class VariableAlpha(TimeStepper):
         "norm": worker,
         "control": plain(StepControl),
         "stats": plain(Statistics),
-        **dict.fromkeys(
-            ("proposed", "size", "largest", "lost", "local_error", "error", "peak", "stretch", "end"), plain()
-        ),
-        "place": _keep_share,
+        "stretch": worker,
+        **dict.fromkeys(("proposed", "size", "largest", "local_error", "error", "peak"), plain()),
     }
 
     def __init__(
@@ -100,7 +77,10 @@ class VariableAlpha(TimeStepper):
         self.inner: Any = self._steps(state)
 
         self.norm = NormOfWays(system, scheme.rtol, scheme.atol, 3)
-        self.look = LookAhead(system, solver, self.norm, lambda h: scheme.rule(h).weights)
+        self.stretch = Stretch()
+        self.look = LookAhead(system, solver, self.norm, self._weights)
+        bends = bool(self.norm.deforming or system.elements)
+        self.change = SizeChange(system, solver, self.stretch, self._weights, bends)
         self.control = StepControl(3.0)
         self.stats = Statistics()
         self.local_error = self.error = 0.0  # the largest since :meth:`advance`, and that of the newest step
@@ -111,11 +91,13 @@ class VariableAlpha(TimeStepper):
         self.size: float | None = None  # of the last step, s
         self._seen: tuple[State, Evaluation] | None = None
         self.largest = 0.0  # step in which loads were looked at, s
-        self.lost: tuple[float, float] | None = None  # size of a step in which M is lost beside s K, and until when, s
 
-        self.stretch, self.place, self.end = 0.0, Fraction(0), 0.0  # length, share of it that is done, its end
         # sizes come back: factors of the last few are kept
         solver.elastic.kept = max(solver.elastic.kept, KEPT)
+
+    def _weights(self, h: float) -> Weights:
+        """Those of a step of size h (s)."""
+        return self.scheme.rule(h).weights
 
     def _steps(self, start: State) -> Any:
         """The stepper of one size from a consistent state; errors are solved for between its steps."""
@@ -152,7 +134,7 @@ class VariableAlpha(TimeStepper):
         start, _ = consistent(self.system, replace(self.state, t=t), self.solver, h=self.size or 0.0)
         self.inner = self._steps(start)
         self.size = self.proposed = None
-        self.stretch, self.place = 0.0, Fraction(0)
+        self.stretch.forget()
         self.control.h_old = self.peak = 0.0
 
     def between(self, t: float) -> State | None:
@@ -166,7 +148,7 @@ class VariableAlpha(TimeStepper):
         Raises ConvergenceError when steps would have to be too small.
         """
         s = self.state
-        self._follow(s.t, h)
+        self.stretch.follow(s.t, h)
         self.control.span = max(self.control.span, h)
         if self.proposed is None:
             self.norm.look_ahead(s, h)
@@ -175,8 +157,8 @@ class VariableAlpha(TimeStepper):
 
         farthest = turn_limit(self.system, s)
         while True:
-            level = self._level(min(self.proposed, farthest))
-            h = self.stretch / parts(level)
+            level = self.stretch.coarsest(min(self.proposed, farthest), s.t)
+            h = self.stretch.size(level)
             moves(s.t, h)
             if not self._is_looked_at(h):
                 farthest = min(farthest, self.look.farthest(s, h))
@@ -208,38 +190,17 @@ class VariableAlpha(TimeStepper):
             self.proposed = max(h, min(self.proposed, self.control.largest(h, self.peak)))
         if KEEPS * h <= self.proposed < h:  # the next smaller size is a half or a third
             self.proposed = h
-        self.place += way
-
-    def _follow(self, t: float, left: float) -> None:
-        """Begin a new stretch where the last one has ended, or where an earlier end is asked for. So steps with a limit, for
-        which what is left is always the same, are parts of one stretch after another.
-        """
-        if self.place < 1 and self.stretch > 0 and self.end - t <= left + SAME * self.stretch:
-            return
-        if abs(self.stretch - left) > SAME * left:  # else its factors serve again
-            self.stretch = left
-        self.place, self.end = Fraction(0), t + left
-
-    def _level(self, wanted: float) -> int:
-        """The coarsest parts that are no larger than a step wanted, and of which one begins here."""
-        for level in range(DEEPEST):
-            size = self.stretch / parts(level)
-            if size <= wanted and not self._loses(size) and (self.place * parts(level)).denominator == 1:
-                return level
-        return DEEPEST
-
-    def _loses(self, h: float) -> bool:
-        """Whether M is known to be lost beside s K in a step of size h (s); its factor need not be tried."""
-        return self.lost is not None and h >= self.lost[0] * (1 - SAME) and self.state.t < self.lost[1]
+        self.stretch.done += way
 
     def _losing(self, h: float, failure: LinearSolveError) -> str:
         """A step of size h (s) in which M is lost beside s K, and with it the motion of a free body: how that is counted."""
-        self.control.fault, self.lost = str(failure), (h, self.state.t + HELD * h)
+        self.control.fault = str(failure)
+        self.stretch.lose(h, self.state.t)
         return "linear solve failed"
 
-    def _arrive(self, place: Fraction) -> None:
+    def _arrive(self, done: Fraction) -> None:
         """Give the state at the end of a step the time that the parts tell."""
-        t = self.end if place == 1 else self.end - self.stretch * float(1 - place)
+        t = self.stretch.time(done)
         if self.state.t != t:
             self._move(replace(self.state, t=t))
 
@@ -268,16 +229,16 @@ class VariableAlpha(TimeStepper):
     def stride(self, h: float) -> float:
         """Size (s) of the steps that :meth:`march` makes next, where h is the most; 0 where :meth:`advance` has to."""
         level = self._next_level(h)
-        return 0.0 if level is None else self.stretch / parts(level)
+        return 0.0 if level is None else self.stretch.size(level)
 
     def _next_level(self, h: float) -> int | None:
         """The parts of the stretch that these steps are; None where there are none."""
         s = self.state
-        self._follow(s.t, h)
+        self.stretch.follow(s.t, h)
         if self.proposed is None or self.size is None or not self._marches:
             return None
-        level = self._level(min(self.proposed, turn_limit(self.system, s)))
-        size = self.stretch / parts(level)
+        level = self.stretch.coarsest(min(self.proposed, turn_limit(self.system, s)), s.t)
+        size = self.stretch.size(level)
         return level if size == self.size and self._is_looked_at(size) else None
 
     @property
@@ -295,8 +256,8 @@ class VariableAlpha(TimeStepper):
         level = self._next_level(h)
         if level is None:
             return 0
-        count = parts(level)
-        size, place = self.stretch / count, int(self.place * count)
+        count, size = parts(level), self.stretch.size(level)
+        place = int(self.stretch.done * count)
         steps = int(min(steps, count - place, whole_steps(self.system, self.state.t, size)))
         if steps <= 0:
             return 0
@@ -309,7 +270,7 @@ class VariableAlpha(TimeStepper):
             self.peak = control.c.peak
             self.local_error = max(self.local_error, control.c.largest)
             self._count(size, control.c.error, Fraction(made, count), made)
-            self._arrive(self.place)
+            self._arrive(self.stretch.done)
         return made
 
     def _control(self) -> CompiledControl:
@@ -324,12 +285,12 @@ class VariableAlpha(TimeStepper):
         """Up to when steps keep the present size, that of the parts of a level, of which ``place`` are behind."""
         from .compiled_control import Stay
 
-        count = parts(level)
-        ratio = count // parts(level - 1) if level else 0
-        lost = bool(ratio) and self._loses(ratio * self.stretch / count)
-        assert not lost or self.lost is not None
-        until = self.lost[1] if lost and self.lost is not None else np.inf
-        return Stay(place, count, self.stretch, self.end, 0 if lost else ratio, KEEPS, CALM, until, self.peak)
+        stretch, count = self.stretch, parts(level)
+        ratio, until = count // parts(level - 1) if level else 0, np.inf
+        if ratio and stretch.loses(stretch.size(level - 1), self.state.t):
+            assert stretch.lost is not None
+            ratio, until = 0, stretch.lost[1]
+        return Stay(place, count, stretch.length, stretch.end, ratio, KEEPS, CALM, until, self.peak)
 
     @property
     def path(self) -> str:  # type: ignore[override]
@@ -356,7 +317,7 @@ class VariableAlpha(TimeStepper):
             self.step(h)
             error, cause = self._error(h), "error estimate"
             if level is not None:
-                self._arrive(self.place + Fraction(1, parts(level)))
+                self._arrive(self.stretch.done + Fraction(1, parts(level)))
         except LinearSolveError as failure:
             error, cause = np.inf, self._losing(h, failure)
         except ConvergenceError as failure:
@@ -380,49 +341,18 @@ class VariableAlpha(TimeStepper):
         return self.state
 
     def _resize(self, h: float) -> None:
-        """Equations (1) and (2), where the size changes."""
+        """What belongs to a size, where that changes."""
         inner, s = self.inner, self.state
         if inner.fresh or self.size is None or self.size == h:
             return
         r = h / self.size
         v = s.v
         if self.system.n_lam and not isinstance(self.scheme.form, GGL):
-            v = v + self._opened(h, r * r - 1.0)
+            v = v + self.change.opened(s, h, r * r - 1.0)
         self._move(replace(s, v=v), s.a + r * (inner.A - s.a))
 
-    def _opened(self, h: float, share: float) -> Array:
-        """dv of (2), (n_v,), and the matrix for steps of size h (s); ``share``: r^2 - 1."""
-        s = self.state
-        ev = self.system.at(s.t, s.q, s.v)
-        ev.forces = s.a, s.lam
-        opening, still = share * ev.opening(), np.zeros_like(s.v)
-
-        stiff = self._opened_stiffly(ev, opening, h) if self.norm.deforming or self.system.elements else None
-        self.solver.prepare(ev, self.scheme.rule(h).weights)
-        soft, _ = self.solver.solve(still, opening)
-
-        # forces may have a negative stiffness, and S K then no least motion
-        if stiff is not None and self.system.max_abs(stiff) <= FARTHEST * self.system.max_abs(soft):
-            return stiff
-        return soft
-
-    def _opened_stiffly(self, ev: Evaluation, opening: Array, h: float) -> Array | None:
-        """dv of (2) with S of the whole stretch, or of the largest part of it in which M is not lost; None where that is h."""
-        for level in range(DEEPEST):
-            span = self.stretch / parts(level)
-            if self._loses(span):
-                continue
-            if span <= h:
-                break
-            try:
-                self.solver.prepare(ev, self.scheme.rule(span).weights)
-                return self.solver.solve(np.zeros_like(ev.v), opening)[0]
-            except LinearSolveError:
-                self.lost = span, ev.t + HELD * span
-        return None
-
     def _error(self, h: float) -> float:
-        """The norm of (3)."""
+        """The norm of (2)."""
         e = self.inner.error(h)
         self.norm.update(self.state, h)  # the way of this step counts
         return self.norm(h, e, np.zeros_like(e))

@@ -1,0 +1,64 @@
+"""A change of the size of steps: velocities miss their constraints by a multiple of h^2, by another one with another size,
+
+    v  <-  v + dv,   (M + S K) dv + G^T mu = 0,   G dv = (r^2 - 1) (G v + g_t),     r = h_new / h_old                  (1)
+
+S is that of a step over the whole stretch, so that (1) moves elastic bodies as if they were rigid: with M alone it bends them,
+and they vibrate from then on, by ten times the error of equal steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....errors import LinearSolveError
+from ....linear.condensation import StepSolver, Weights
+from ....rotations import Array
+from ....system.evaluation import Evaluation
+from ....system.system import State, System
+from .stretch import DEEPEST, Stretch
+
+FARTHEST = 10.0  # times the least motion that closes constraints: one that bends bodies less may be as large
+
+
+@dataclass(frozen=True)
+class SizeChange:
+    """Of one system. ``weights``: those of a step of a size (s); ``bends``: whether anything in it does."""
+
+    system: System
+    solver: StepSolver
+    stretch: Stretch
+    weights: Callable[[float], Weights]
+    bends: bool
+
+    def opened(self, s: State, h: float, share: float) -> Array:
+        """dv of (1), (n_v,), and the matrix for steps of size h (s); ``share``: r^2 - 1."""
+        ev = self.system.at(s.t, s.q, s.v)
+        ev.forces = s.a, s.lam
+        opening, still = share * ev.opening(), np.zeros_like(s.v)
+
+        stiff = self._stiffly(ev, opening, h) if self.bends else None
+        self.solver.prepare(ev, self.weights(h))
+        soft, _ = self.solver.solve(still, opening)
+
+        # forces may have a negative stiffness, and S K then no least motion
+        if stiff is not None and self.system.max_abs(stiff) <= FARTHEST * self.system.max_abs(soft):
+            return stiff
+        return soft
+
+    def _stiffly(self, ev: Evaluation, opening: Array, h: float) -> Array | None:
+        """dv of (1) with S of the whole stretch, or of the largest part of it in which M is not lost; None where that is h."""
+        for level in range(DEEPEST):
+            span = self.stretch.size(level)
+            if self.stretch.loses(span, ev.t):
+                continue
+            if span <= h:
+                break
+            try:
+                self.solver.prepare(ev, self.weights(span))
+                return self.solver.solve(np.zeros_like(ev.v), opening)[0]
+            except LinearSolveError:
+                self.stretch.lose(span, ev.t)
+        return None
