@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
@@ -16,6 +15,7 @@ from ..system.element_memory import accept, reset
 from ..system.evaluation import Evaluation
 from ..system.system import State
 from .checkpoints.progress import RunProgress
+from .compiled_calls import CHUNK, CompiledCalls
 from .judges.acceptance import Closed, attempt_in_balance
 from .judges.energy_check import closed
 from .judges.force_balance import Balanced
@@ -61,76 +61,6 @@ def _look(balanced: Balanced | None, stepper: TimeStepper, h: float) -> None:
 
 MOST = 10_000_000  # steps in one call
 LOOK = 64  # steps made one by one, after which forces are looked at, as at the end of a call of many
-CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
-
-
-def quietly(
-    stepper: TimeStepper,
-    schedule: StepSchedule,
-    recorder: Recorder,
-    done: int,
-    *,
-    most: int,
-    refused: Callable[[float], bool] | None = None,
-    events: EventWatch | None = None,
-) -> int:
-    """How many steps, at most so many, were made in one call, where the stepper can: recorded on the way or up to a record.
-
-    ``refused``: looks at the newest of steps with error control, which is taken back where it says so. ``events``: who looks for
-    those of the run; compiled steps that can tell them end where one is met.
-    """
-    t, equal = stepper.state.t, bool(schedule.steps)
-    watched = recorder.output.on_step is not None or events is not None
-    if watched and not equal:
-        return 0
-    h = stepper.stride(schedule.next(t))
-    if not h:
-        return 0
-    tape = stepper.tape(recorder.openness) if recorder.on_tape else None
-    rider = None
-    if events is not None and recorder.output.on_step is None and tape is not None and events.rides(tape):
-        rider = events
-    watched = watched and rider is None
-    if watched:  # every step, and records are what is seen then
-        most = 1
-    quiet = recorder.quiet(done, t, h, through=not equal) if tape is None else recorder.free(t, h)
-    steps = min(quiet, schedule.left(done) if equal else quiet, most)
-    if steps == 1 and tape is None and equal and not watched:
-        return 0
-
-    begin, made, chunk = clock.perf_counter(), 0, 64
-    # the first call is short: nobody knows how long steps take
-    every = recorder.output.every
-    while made < steps and clock.perf_counter() - begin < CHUNK:
-        now = min(chunk, steps - made)
-        if tape is not None:
-            many = now > tape.capacity * every and not watched
-            tape.begin(*(1, 1) if watched else (every, every - (done + made) % every))
-            if many:
-                recorder.straight.lead(tape, now // every + 1)
-            now = min(now, tape.room * every)
-        now = stepper.march(schedule.next(stepper.state.t), now, tape=tape)
-        back = bool(now) and refused is not None and refused(h)
-        if back:
-            now -= 1
-            stepper.step_back()
-            if tape is not None:
-                tape.step_back()
-        if tape is not None and now:
-            if watched:  # recorded only after who looks has seen it
-                recorder.newest_told = tape.recorded().copied()
-            else:
-                recorder.take_tape(tape.recorded(), done + made)
-                if rider is not None:
-                    recorder.newest_told = tape.looked_at()
-                    rider.passed(stepper, recorder.newest_told)
-        made += now
-        # steps with error control have their own: up to break points
-        over = not equal and (schedule.broken(stepper.state.t) is not None or schedule.ended(stepper.state.t, 0))
-        if not now or back or over or (rider is not None and recorder.newest_told is not None):
-            break
-        chunk *= 4
-    return made
 
 
 def _events(problem: Problem, schedule: StepSchedule, output: Output, state: State) -> EventWatch | None:
@@ -194,6 +124,8 @@ class Loop:
         self.turns = SmallTurns(system, silent=problem.warned is None)
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
+        refused = None if schedule.steps else self._unbalanced
+        self.calls = CompiledCalls(self.stepper, schedule, self.recorder, refused=refused, events=self.events)
         # whether somebody looks at every step, or ranks have to agree on how many they make
         self._shown = output.on_step is not None or self.events is not None
         self._shown = self._shown or (system.comm is not None and system.comm.size > 1)
@@ -244,9 +176,7 @@ class Loop:
         most = self.turns.most(self.schedule.steps) if self.keeper is None else 1
         made, compiled = 0, bool(self.stepper.stride(h))
         if compiled:
-            made = quietly(
-                self.stepper, self.schedule, self.recorder, self.progress.done, most=most, events=self.events
-            )
+            made = self.calls.make(self.progress.done, most)
         done = self.progress.done + made
         due = made > 1 or self.keeper is not None or done % LOOK == 0 or done == self.schedule.steps
         if made and due:
@@ -279,10 +209,7 @@ class Loop:
         """
         system = self.problem.system
         if self.keeper is None:
-            made = quietly(
-                self.stepper, self.schedule, self.recorder, self.progress.done,
-                most=MOST, refused=self._unbalanced, events=self.events,
-            )  # fmt: skip
+            made = self.calls.make(self.progress.done, MOST)
             if made:
                 self.state = self.stepper.state
                 if self.motions is not None:

@@ -1,0 +1,119 @@
+"""Many steps in one call of compiled code, recorded on the way or made up to the next record."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ..schemes.stepping import TimeStepper
+from .recording.recorder import Recorder
+from .schedule import StepSchedule
+
+if TYPE_CHECKING:
+    from ..system.compiled.recording import Tape
+    from .recording.events import EventWatch
+
+CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
+FIRST = 64  # steps of the first call: nobody knows how long they take
+
+
+class CompiledCalls:
+    """The calls of one march.
+
+    ``refused``: looks at the newest of steps with error control, which is taken back where it says so. ``events``: who looks for
+    those of the run; compiled steps that can tell them end where one is met.
+    """
+
+    def __init__(
+        self,
+        stepper: TimeStepper,
+        schedule: StepSchedule,
+        recorder: Recorder,
+        *,
+        refused: Callable[[float], bool] | None = None,
+        events: EventWatch | None = None,
+    ) -> None:
+        self.stepper, self.schedule, self.recorder = stepper, schedule, recorder
+        self.refused, self.events = refused, events
+        self.equal = bool(schedule.steps)
+        self.shown = recorder.output.on_step is not None
+
+    def make(self, done: int, most: int) -> int:
+        """How many steps, at most so many, were made behind those that are done; 0 where they have to be made one by one."""
+        watched = self.shown or self.events is not None
+        if watched and not self.equal:
+            return 0
+        h = self.stepper.stride(self.schedule.next(self.stepper.state.t))
+        if not h:
+            return 0
+
+        tape = self.stepper.tape(self.recorder.openness) if self.recorder.on_tape else None
+        alone = watched and not self._told_of_events(tape)  # each is looked at
+        steps = min(self._unseen(done, h, tape), 1 if alone else most)
+        if steps == 1 and tape is None and self.equal and not alone:
+            return 0
+
+        begin, made, chunk, more = clock.perf_counter(), 0, FIRST, True
+        while more and made < steps and clock.perf_counter() - begin < CHUNK:
+            now = min(chunk, steps - made)
+            if tape is not None:
+                now = self._begin(tape, done + made, now, alone)
+            now, more = self._march(h, now, tape)
+            if now and tape is not None:
+                more = self._take(tape, done + made, alone) and more
+            made += now
+            chunk *= 4
+        return made
+
+    def _told_of_events(self, tape: Tape | None) -> bool:
+        """Whether records tell all that is to be looked at in a step."""
+        return not self.shown and tape is not None and self.events is not None and self.events.rides(tape)
+
+    def _unseen(self, done: int, h: float, tape: Tape | None) -> int:
+        """Steps of size h (s) up to one that ends a call."""
+        t = self.stepper.state.t
+        if tape is None:
+            steps = self.recorder.quiet(done, t, h, through=not self.equal)
+        else:
+            steps = self.recorder.free(t, h)
+        return min(steps, self.schedule.left(done)) if self.equal else steps
+
+    def _begin(self, tape: Tape, done: int, steps: int, alone: bool) -> int:
+        """Make room for the records of so many steps behind those that are done; of how many there is."""
+        every = self.recorder.output.every
+        if alone:
+            tape.begin(1, 1)
+        else:
+            many = steps > tape.capacity * every
+            tape.begin(every, every - done % every)
+            if many:
+                self.recorder.straight.lead(tape, steps // every + 1)
+        return min(steps, tape.room * every)
+
+    def _march(self, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:
+        """One call of at most so many steps of size h (s): how many count, and whether more may follow."""
+        stepper, schedule = self.stepper, self.schedule
+        made = stepper.march(schedule.next(stepper.state.t), steps, tape=tape)
+        if made and self.refused is not None and self.refused(h):
+            stepper.step_back()
+            if tape is not None:
+                tape.step_back()
+            return made - 1, False
+
+        # steps with error control have their own: up to break points
+        t = stepper.state.t
+        over = not self.equal and (schedule.broken(t) is not None or schedule.ended(t, 0))
+        return made, bool(made) and not over
+
+    def _take(self, tape: Tape, done: int, alone: bool) -> bool:
+        """Record a call behind the steps that were done; whether more may follow, without an event."""
+        if alone:  # recorded only after who looks has seen it
+            self.recorder.newest_told = tape.recorded().copied()
+            return True
+        self.recorder.take_tape(tape.recorded(), done)
+        if self.events is None:
+            return True
+        self.recorder.newest_told = tape.looked_at()
+        self.events.passed(self.stepper, self.recorder.newest_told)
+        return self.recorder.newest_told is None
