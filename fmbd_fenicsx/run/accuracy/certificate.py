@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -96,7 +96,13 @@ class Certificate:
 
 
 def certificate_of(run: Run) -> Certificate:
-    """The certificate of a run from the estimates that it was asked for.
+    """The certificate of a run from the estimates that it was asked for, with what makes them uncertain."""
+    stated = stated_of(run, run.scene.sensors)
+    return replace(stated, uncertain=uncertain_of(run, stated))
+
+
+def stated_of(run: Run, sensors: Iterable[str]) -> Certificate:
+    """What a run states of some sensors, but for what makes it uncertain, which takes a look at all of its records.
 
     The error of algebra is that of Newton's iteration: what it left on average, relative to accelerations and reactions, as a
     share of the range of each sensor, or as it was measured (:mod:`.algebra`). The total adds errors of known signs, see
@@ -119,7 +125,7 @@ def certificate_of(run: Run) -> Certificate:
         unstated["modes"] = "not asked for: Output(estimate_reduction=True)"
 
     made = []
-    for name, sensor in run.scene.sensors.items():
+    for name in sensors:
         span = float(np.ptp(run.series[name], axis=0).max(initial=0.0)) if len(run.series[name]) else 0.0
         space = run.space_error.get(name) if meshed else 0.0
         modes = run.reduction_error.get(name) if reduced else 0.0
@@ -129,16 +135,21 @@ def certificate_of(run: Run) -> Certificate:
         left, more = (bound, bound) if measured is None else (measured.size, 0.0)
         found = [kind[name] for kind in run.deviations.values() if name in kind]
         time = run.error_estimate.get(name)
-        made.append(Statement(name, sensor.unit, space, time, modes, left, together(found) + more, span))
+        unit = run.scene.sensors[name].unit
+        made.append(Statement(name, unit, space, time, modes, left, together(found) + more, span))
+    return Certificate(tuple(made), run.seconds["total"], unstated)
+
+
+def uncertain_of(run: Run, stated: Certificate) -> dict[str, str]:
+    """Why what is stated may be far from the errors of a sensor: sensor -> reason."""
     spans = moving(run.series, run.scene.sensors)
     in_time = _uncertain_in_time, _uncertain_by_kinks, _uncertain_by_damping
     reasons = {
         s.sensor: [why for tell in in_time for why in tell(run, s)] + _uncertain_in_space(s)
-        for s in made
+        for s in stated.statements
         if s.sensor in spans
     }
-    uncertain = {name: ". ".join(why) for name, why in reasons.items() if why}
-    return Certificate(tuple(made), run.seconds["total"], unstated, uncertain)
+    return {name: ". ".join(why) for name, why in reasons.items() if why}
 
 
 def moving(series: Mapping[str, Array], sensors: Mapping[str, Any]) -> dict[str, float]:

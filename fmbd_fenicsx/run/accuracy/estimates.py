@@ -23,7 +23,7 @@ from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March
 from .algebra import algebra_error, tighter_run
-from .certificate import HIDDEN, moving
+from .certificate import HIDDEN, moving, stated_of, uncertain_of
 from .companion_runs import UNFIT, Compared, StoppedError, again, as_recorded, companion
 from .damped import damped_vibrations
 from .deviation import Deviation, scaled
@@ -358,7 +358,6 @@ def warn_of_uncertain(run: Run, sensors: Iterable[str]) -> None:
     """Errors of some sensors that may be far from what is stated, where a user sees it."""
     if not run.deviations:  # which tell
         return
-    found = run.certificate.uncertain
-    for why in (found[name] for name in sensors if name in found):
+    for why in uncertain_of(run, stated_of(run, sensors)).values():
         log.warning("%s.", why)
         run.warnings.append(f"{why}.")

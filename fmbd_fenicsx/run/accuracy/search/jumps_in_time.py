@@ -16,6 +16,7 @@ import numpy as np
 from ....rotations import Array
 from ....system.scene.scene import Scene
 from ....system.system import State, System
+from ...judges.energy_check import closed
 from ...result import Run
 from ...schedule import StepSchedule, far_side, near_side
 from ..certificate import left_by_kinks, struck_or_sampled
@@ -24,6 +25,8 @@ MOST = 1000  # intervals of a run that are looked at
 HALVINGS = 60  # to roundoff of any time, from any interval
 JUMPS = 0.6  # share of the change in an interval that its half with a jump has
 SEEN = 1e-7  # change over the largest force, speed or acceleration below which it is none
+UNEVEN = 0.3  # share of the change in an interval that its neighbours do not tell, from which on it may hold a jump
+SAMPLED = 8  # one in so many of the others is looked at, too
 AT_ONCE = 2e6  # numbers of an evaluation at many instants
 
 
@@ -72,35 +75,82 @@ def jumps_in_time(held: HeldState, schedule: StepSchedule) -> tuple[float, ...]:
 
 
 def _within(held: HeldState, times: Array) -> list[float]:
-    """The same in the intervals between some times, one in each at most."""
+    """The same in the intervals between some times, one in each at most.
+
+    Those that change as their neighbours do are looked at one in :data:`SAMPLED` only, and all where that shows a jump: steps of
+    a staircase look even, one in each interval.
+    """
     rows = held.rows(times)
     scale = held.scale(rows)
     whole = held.change(rows[:-1], rows[1:], scale)
-    (at,) = np.nonzero(whole > SEEN)
-    whole, low, high, before, behind = whole[at], times[at], times[at + 1], rows[at], rows[at + 1]
+    uneven = held.change(_as_neighbours_do(rows), np.diff(rows, axis=0), scale) > UNEVEN * whole
+    wanted = uneven | (np.arange(len(whole)) % SAMPLED == 0)
 
+    found = _halved(held, Intervals.of(times, rows, (whole > SEEN) & wanted), scale)
+    if any(not uneven[k] for k in found):
+        found |= _halved(held, Intervals.of(times, rows, (whole > SEEN) & ~wanted), scale)
+    return [found[k] for k in sorted(found)]
+
+
+def _as_neighbours_do(rows: Array) -> Array:
+    """The change in each of several intervals that the cubic through those of its two neighbours on each side has in it, of the
+    first and last two intervals none: (n + 1, rows) -> (n, rows).
+    """
+    change = np.diff(rows, axis=0)
+    expected = np.zeros_like(change)
+    if len(change) > 4:
+        expected[2:-2] = (4.0 * (change[1:-3] + change[3:-1]) - change[:-4] - change[4:]) / 6.0
+    return expected
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Their numbers, ends (s), and the rows there."""
+
+    at: Array
+    low: Array
+    high: Array
+    before: Array
+    behind: Array
+
+    @classmethod
+    def of(cls, times: Array, rows: Array, wanted: Array) -> Intervals:
+        """Those wanted (n,) between some times (n + 1,)."""
+        (at,) = np.nonzero(wanted)
+        return cls(at, times[at], times[at + 1], rows[at], rows[at + 1])
+
+    def only(self, kept: Array) -> Intervals:
+        """Some of them."""
+        return Intervals(*(x[kept] for x in (self.at, self.low, self.high, self.before, self.behind)))
+
+
+def _halved(held: HeldState, x: Intervals, scale: Array) -> dict[int, float]:
+    """Number of an interval with a jump -> when (s)."""
+    whole = held.change(x.before, x.behind, scale)
     for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if not len(middle):
+        if not len(x.at):
             break
+        middle = 0.5 * (x.low + x.high)
         between = held.rows(middle)
-        first, second = held.change(before, between, scale), held.change(between, behind, scale)
+        first, second = held.change(x.before, between, scale), held.change(between, x.behind, scale)
 
         # on into the half that changes more, where this is nearly all of the change
         early = first > second
-        low, high = np.where(early, low, middle), np.where(early, middle, high)
-        before, behind = np.where(early[:, None], before, between), np.where(early[:, None], between, behind)
+        ends = np.where(early, (x.low, middle), (middle, x.high))
+        rows = np.where(early[:, None], (x.before, between), (between, x.behind))
         kept = np.maximum(first, second) > JUMPS * whole
-        whole, low, high, before, behind = whole[kept], low[kept], high[kept], before[kept], behind[kept]
-    return [float(t) for t in high]
+        whole, x = whole[kept], Intervals(x.at, *ends, *rows).only(kept)
+    return {int(k): float(t) for k, t in zip(x.at, x.high, strict=True)}
 
 
 def unnamed_jumps(run: Run, schedule: StepSchedule, tol: Mapping[str, Any], *, first: bool) -> tuple[float, ...]:
     """Jumps within the equal steps of a run, where they depend on time alone; collective.
 
     They are looked for where a sensor with a tolerance has a kink, and in the ``first`` run, unless there are fields, of which
-    it costs as much as steps: kinks of slow motion in large steps are not seen.
+    it costs as much as steps: kinks of slow motion in large steps are not seen. What gets no energy knows no time.
     """
+    if closed(run.scene, run.system):
+        return ()
     cheap = first and not run.system.fields and not struck_or_sampled(run.scene)
     if not schedule.steps or not (cheap or any(left_by_kinks(run, name)[0] > 0.0 for name in tol)):
         return ()

@@ -26,7 +26,7 @@ from ....system.scene.scene import Scene
 from ...recording.output import Output
 from ...result import Run
 from ...schedule import StepSchedule, step_schedule
-from ..certificate import KINDS
+from ..certificate import KINDS, Certificate
 from ..deviation import Deviation
 from ..estimates import FEWEST, usual_power
 from ..orders import expected_orders, resolved
@@ -145,14 +145,19 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted:
 
 
 def next_plan(
-    plan: AttemptPlan, run: Run, tol: Tolerance, *, shared: SharedSpaces, history: Sequence[Attempt]
+    plan: AttemptPlan,
+    run: Run,
+    tol: Tolerance,
+    *,
+    certificate: Certificate,
+    shared: SharedSpaces,
+    history: Sequence[Attempt],
 ) -> tuple[AttemptPlan | None, str]:
     """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
     if run.space_unstated.startswith(UNENDED):  # finer spaces may need smaller steps
         tried = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes) and np.isinf(a.worst)]
         return (None, run.space_unstated) if tried else (finer_steps(plan, NEAR), "finer steps")
 
-    certificate = run.certificate
     over = {kind: max(share(certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
     made, done = plan, []
     if over["algebra"] > AIM:

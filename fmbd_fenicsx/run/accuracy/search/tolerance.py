@@ -28,7 +28,7 @@ from ...result import Run
 from ...schedule import StepSchedule, step_schedule
 from ...settings import check_tangent, default_scheme
 from ...single_run import Solved
-from ..certificate import HIDDEN, Certificate, left_by_kinks
+from ..certificate import HIDDEN, Certificate, left_by_kinks, stated_of
 from ..companion_runs import UNFIT, Compared
 from ..damped import damped_vibrations
 from ..deviation import Deviation, scaled
@@ -190,7 +190,7 @@ def _one_more(
         return looked.plan
 
     run, orders = _attempt(plan, tol, shared, wanted)
-    certificate = run.certificate
+    certificate = stated_of(run, tol)
     ratio = worst(certificate, tol)
     found.take(run, ratio, plan)
     made, then = _after(replace(plan, orders=orders), run, certificate, tol=tol, shared=shared, found=found)
@@ -222,7 +222,7 @@ def _after(
     if why := found.stalled(tried, ratio):
         return None, why
 
-    made, then = next_plan(tried, run, tol, shared=shared, history=found.history)
+    made, then = next_plan(tried, run, tol, certificate=certificate, shared=shared, history=found.history)
     nothing_has_to = made is None and ratio <= 1.0
     return made, "done" if nothing_has_to else then
 
@@ -279,7 +279,7 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Ou
 
 def _doubtful(run: Run, tol: Tolerance) -> bool:
     """Whether a run keeps its tolerance if errors go with the usual power of that of its scheme, but not with the least one."""
-    certificate = run.certificate
+    certificate = stated_of(run, tol)
     time = max(share(certificate, n, x, "time") for n, x in tol.items())
     likely = worst(certificate, tol)
     return likely <= SAFE < likely + time * (1.0 / doubt(run.scheme.order) - 1.0)
