@@ -107,19 +107,19 @@ def _as_neighbours_do(rows: Array) -> Array:
 class Intervals:
     """Their numbers, ends (s), and the rows there."""
 
-    at: Array
+    at: np.ndarray
     low: Array
     high: Array
     before: Array
     behind: Array
 
     @classmethod
-    def of(cls, times: Array, rows: Array, wanted: Array) -> Intervals:
+    def of(cls, times: Array, rows: Array, wanted: np.ndarray) -> Intervals:
         """Those wanted (n,) between some times (n + 1,)."""
         (at,) = np.nonzero(wanted)
         return cls(at, times[at], times[at + 1], rows[at], rows[at + 1])
 
-    def only(self, kept: Array) -> Intervals:
+    def only(self, kept: np.ndarray) -> Intervals:
         """Some of them."""
         return Intervals(*(x[kept] for x in (self.at, self.low, self.high, self.before, self.behind)))
 
