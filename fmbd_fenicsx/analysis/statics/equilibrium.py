@@ -22,6 +22,7 @@ from ...log import log
 from ...mechanics.forces.effort_laws import Friction
 from ...mechanics.forces.forces import CoordinateForce
 from ...mechanics.reduction.modes import first_eigenvalue_bound
+from ...mechanics.reduction.reduced import ReducedPart
 from ...ranks import OneAnswer
 from ...rotations import Array
 from ...schemes.consistent import worst_block
@@ -228,7 +229,9 @@ def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | Bod
         for _, p in system.fields
         if isinstance(p.field, Field)
     ]
-    tau = min(taus, default=10.0)
+    # without either, what reduced bodies tell of the scene's unit of time
+    reduced = [PERIODS / p.first_frequency for _, p in system.core_parts if isinstance(p, ReducedPart) and p.n]
+    tau = min(taus or reduced, default=10.0)
     if system.contacts is None:
         return StaticNewton(Residual(system, spin), solver, tau)
 

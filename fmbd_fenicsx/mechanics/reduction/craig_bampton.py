@@ -138,11 +138,10 @@ def _load_patterns(field: Field) -> list[Array]:
 
 
 def independent(field: Field, groups: Sequence[Array]) -> Array:
-    """Orthonormal columns that span those of some surfaces, each of means and then of moments (m): on a plane surface the moment
-    along its normal is zero.
+    """Orthonormal columns that span those of some surfaces, all of one unit: on a plane surface the moment along its normal is
+    zero.
     """
-    d = field.dim
-    C = np.concatenate([x for one in groups for x in (one[:, :d], one[:, d:] / field.size)], axis=1)
+    C = np.concatenate(groups, axis=1)
     s, U = np.linalg.eigh(field.total(C.T @ C))
     keep = s > 1e-12 * s.max()
     return np.asarray(C @ (U[:, keep] / np.sqrt(s[keep])) * field.mass_total)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...checks import whole
 from ...errors import require
+from ...fem.fields import Field
 from ...fem.mixed import make_field
 from ...rotations import Array
 from ..bodies.floating import attachment
@@ -38,10 +39,17 @@ def natural_frequencies(body: Any, count: int, held: Sequence[str]) -> Array:
     try:
         # mean axes: no rigid motion is left
         columns = [attachment(field, name) for name in names] or [field.Q.reshape(field.n * field.dim, -1)]
-        conditioned = ConditionedBody(field, independent(field, columns))
+        conditioned = ConditionedBody(field, independent(field, [_as_lengths(field, x) for x in columns]))
         try:
             return np.asarray(conditioned.vibration_modes(count)[0] / (2.0 * np.pi))
         finally:
             conditioned.destroy()
     finally:
         field.destroy()
+
+
+def _as_lengths(field: Field, conditions: Array) -> Array:
+    """Conditions on a mean displacement and a mean rotation, as displacements both."""
+    unit = np.ones(conditions.shape[1])
+    unit[field.dim :] = field.size
+    return conditions / unit
