@@ -15,6 +15,7 @@ from ..linear.condensation import StepSolver
 from ..rotations import Array
 from ..system.compiled import march as slots
 from ..system.compiled.march import March
+from ..system.compiled.recording import on_the_way
 from ..system.system import State, System
 from .newton import Newton
 from .onestep.alpha.alpha_driver import settings
@@ -34,6 +35,7 @@ class MarchingStepper(TimeStepper):
     """A scheme says how it is called (``maker``) and what it keeps with a state beside the state itself."""
 
     maker: ClassVar[str]
+    keeps_memories = True
 
     system: System
     solver: StepSolver
@@ -79,7 +81,7 @@ class MarchingStepper(TimeStepper):
     def tape(self, judged: Openness) -> Tape | None:
         """As :meth:`TimeStepper.tape`."""
         march = self._march_of()
-        return None if march is None else march.tape(judged)
+        return None if march is None or not on_the_way(march.tables) else march.tape(judged)
 
     @property
     def origin(self) -> State:
@@ -101,6 +103,8 @@ class MarchingStepper(TimeStepper):
             made += now
             if limit is not None:
                 limit.count(now)
+            if now and self._used is not None:
+                self._used.tables.remember()
             if not now or self._stopped or (tape is not None and tape.c.crossed):
                 break
         return made

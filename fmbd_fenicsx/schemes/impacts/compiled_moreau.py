@@ -9,6 +9,7 @@ import numpy as np
 from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled import march as slots
+from ...system.compiled.recording import on_the_way
 from ...system.sensors.contact import ContactForces, ContactState
 from ...system.serialisation import Memory
 from ...system.system import State, System
@@ -77,13 +78,8 @@ class CompiledMoreauStepper(MoreauStepper):
         return made
 
     def tape(self, judged: Openness) -> Tape | None:
-        """Room for records of :meth:`march`; None where states would be read one by one that depend on a memory, which later
-        steps change.
-        """
-        tables = self.driver.tables
-        if (tables.c.remembers or tables.sampled) and not tables.looks.complete:
-            return None
-        return self.driver.tape(judged)
+        """Room for records of :meth:`march`."""
+        return self.driver.tape(judged) if on_the_way(self.driver.tables) else None
 
     def _load(self) -> None:
         """State, impulses and books into the driver."""

@@ -326,6 +326,13 @@ class Tape:
         return Recorded(self.tables, {name: x[which] for name, x in self.arrays.items()}, doubt)
 
 
+def on_the_way(tables: Tables) -> bool:
+    """Whether steps can be recorded as they are made: not where states would be read one by one, afterwards, that depend on a
+    memory, which later steps have changed.
+    """
+    return tables.looks.complete or not (tables.c.remembers or tables.sampled)
+
+
 class Recorded:
     """Records of one march, k of them: arrays with the record as their first axis. ``doubt``: the first state whose joints are
     open by more than is allowed, None where there is none. ``straight``: whether C has written series itself; ``worst``: of all

@@ -10,6 +10,7 @@ import numpy as np
 
 from ....rotations import Array
 from ....system.compiled import march as slots
+from ....system.compiled.recording import on_the_way
 from ....system.system import State
 from ...dae import GGL
 from .alpha_driver import AlphaDriver, settings
@@ -268,13 +269,8 @@ class CompiledAlphaStepper(AlphaStepper):
         return made
 
     def tape(self, judged: Openness) -> Tape | None:
-        """Room for records of :meth:`march`; ``judged``: how open joints are told. None where states would be read one by one
-        that depend on a memory, which later steps change.
-        """
-        tables = self.driver.tables
-        if (tables.c.remembers or tables.sampled) and not tables.looks.complete:
-            return None
-        return self.driver.tape(judged)
+        """Room for records of :meth:`march`; ``judged``: how open joints are told."""
+        return self.driver.tape(judged) if on_the_way(self.driver.tables) else None
 
     def _take(self, made: int) -> None:
         """The newest state, and what the steps counted."""

@@ -56,7 +56,7 @@ class FieldStates(DriverStates):
     def factored(self, blocks: Sequence[Block]) -> FactoredFieldStates:
         """The same system with factors of its fields; the last one that was asked for goes on with these."""
         made = self._factored
-        if made is None or self.remembers:
+        if made is None:
             self._factored = made = FactoredFieldStates(self, blocks)
         elif made.blocks is not blocks or made.tangents != self.newest_tangents:
             made.take(blocks)  # masses have no tangents, but turn with the body since the newest ones
