@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from functools import partial
 from typing import Any
@@ -150,8 +151,10 @@ def test_points_of_implicit_steps(name: str, form: Any) -> None:
 
 
 def calls_of(what: Any) -> int:
-    """Python functions that a call of ``what`` enters, itself left out."""
+    """Python functions that a call of ``what`` enters, itself left out, and what other tests left to be cleared away."""
     count = [-1]
+    gc.collect()
+    gc.disable()
 
     def entered(frame: Any, event: str, arg: Any) -> None:
         count[0] += event == "call"
@@ -161,6 +164,7 @@ def calls_of(what: Any) -> int:
         what()
     finally:
         sys.setprofile(None)
+        gc.enable()
     return count[0]
 
 
@@ -195,8 +199,8 @@ def test_calls_of_python_for_one_call_of_c() -> None:
         (fmbd.HalfExplicit(rtol=None), 1),
         (fmbd.ExplicitRungeKutta(rtol=None), 1),
         (fmbd.EnergyMomentum(), 1),
-        (fmbd.BDF(order=2, rtol=None), 85),
-        (fmbd.Radau(rtol=None), 79),
+        (fmbd.BDF(order=2, rtol=None), 1),
+        (fmbd.Radau(rtol=None), 1),
     ],
     ids=lambda x: str(x)[:4],
 )

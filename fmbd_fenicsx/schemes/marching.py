@@ -42,6 +42,7 @@ class MarchingStepper(TimeStepper):
     newton: Newton
 
     limit: StepLimit | None = None  # of explicit schemes
+    leaves_masses: ClassVar[bool] = True  # whether the factor at the end of a step is that of the masses there
     _used: March | None = None
     _refused: tuple[State, float] | None = None  # where compiled code found no step of this size
 
@@ -150,7 +151,7 @@ class MarchingStepper(TimeStepper):
 
         made, verdict = march.steps(count, tape, judged=closed is not None)
         self._stopped = bool(verdict)
-        driver.end_steps(march.state() if made and not verdict else None)
+        driver.end_steps(march.state() if made and not verdict and self.leaves_masses else None)
         if made:
             self.state = march.state()
             self._take_march(march, made)
@@ -162,5 +163,9 @@ class MarchingStepper(TimeStepper):
         if verdict == slots.LOOK:
             march.tables.look()
         if verdict and verdict not in AGAIN:
-            self._refused = self.state, h
+            self._refuse(h)
         return made
+
+    def _refuse(self, h: float) -> None:
+        """Take note that compiled code has found no step of this size from the state on."""
+        self._refused = self.state, h

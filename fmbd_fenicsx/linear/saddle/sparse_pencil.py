@@ -18,10 +18,18 @@ from .pencil import OPEN_ROWS, SINGULAR_MATRIX
 class SparsePencil:
     """As :class:`.Pencil` for frequencies s (p,); ``room``: of C, which the newest pencil has for itself."""
 
-    def __init__(self, tangent: StepTangent, s: Array, judge: Judge, room: StageRoom, redundant: bool) -> None:
+    def __init__(self, tangent: StepTangent, s: Array, judge: Judge, room: StageRoom) -> None:
+        """``room``: with the factors."""
         self.t, self.s, self.judge, self.room = tangent, s, judge, room
+
+    @classmethod
+    def factored(
+        cls, tangent: StepTangent, s: Array, judge: Judge, room: StageRoom, *, redundant: bool
+    ) -> SparsePencil:
+        """With factors of a tangent; ``redundant``: rows depend on each other."""
         if not room.factor(tangent, s, redundant=redundant):
             raise LinearSolveError(f"{judge.what}: {SINGULAR_MATRIX}")
+        return cls(tangent, s, judge, room)
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
         """Increments dxi, dv side by side (p, 2 n) and multipliers (p, levels m), for residuals r_kin (p, n) and r_low

@@ -110,7 +110,7 @@ class FieldEquations(Remembering):
         "solvers": worker,
         "metric": plain(Weights),
     }
-    dense = False
+    dense = compiled = False
 
     def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
         self.system, self.solver = system, solver

@@ -25,8 +25,8 @@ from ..control import EPS, ROUNDOFF, STAGNATION, ErrorNorm, Statistics, StepCont
 from ..dae import Points
 from ..declared import Declared
 from ..newton import Newton
-from ..stepping import TimeStepper
 from .convergence import CAUSES, GOES_ON, Convergence, Rates, judge_increment
+from .implicit_march import ImplicitMarch
 from .stage_iteration import StageIteration
 from .step_equations import step_equations
 
@@ -34,7 +34,7 @@ OPEN = 1e-6  # of the model's length
 STILL = 16.0  # roundings of the model's length
 
 
-class ImplicitStepper(TimeStepper):
+class ImplicitStepper(ImplicitMarch):
     """Advances a consistent state by stages that Newton's iteration finds; :class:`.Radau` and :class:`.BDF` derive from it.
 
     ``what``: what is solved, for messages. ``lost``: measured, where motions begin to differ from those of rigid links.
@@ -122,6 +122,14 @@ class ImplicitStepper(TimeStepper):
                 raise
             self.control.fault = str(error)
             return "forces not finite, or a motion out of range"
+
+    def _with_new_tangent(self, find: Callable[[], Points | str]) -> Points | str:
+        """What is found, once more with a tangent of this step where an older one has failed."""
+        found = find()
+        if isinstance(found, str) and not self._fresh:
+            self._tangent = None
+            found = find()
+        return found
 
     def _note_open(self) -> None:
         """Where an iteration has failed: the joint that it left open by more than a rounding of steps, for messages."""

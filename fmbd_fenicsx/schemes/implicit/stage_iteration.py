@@ -41,7 +41,7 @@ class StageIteration:
             return
         room, eq, before = pencil.room, self.eq, convergence.done
         if self._told is not pencil:
-            room.put(self.t, eq.origin, self.points, eq.tangents.inverse_mass, (self.rule, self._weights))
+            room.put(self.t, eq.origin, self.points, self.rule, self._weights)
             self._told, eq.left = pencil, room.left
         try:
             pencil.iterate(convergence, until)

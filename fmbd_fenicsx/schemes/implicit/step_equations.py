@@ -92,6 +92,12 @@ class StepEquations(Remembering):
             state, self._weighed = self._weighed, None
             self.tangents.weigh(self.solver.masses(self.system.at(state.t, state.q, state.v)))
 
+    @property
+    def compiled(self) -> bool:
+        """Whether whole steps of constant size are compiled."""
+        self._choose()
+        return isinstance(self.tangents, SparseTangents) and not self.tangents.told
+
     def begin(self, state: State) -> None:
         """Local coordinates about the state."""
         self._choose()

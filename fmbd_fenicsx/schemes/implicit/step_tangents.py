@@ -20,11 +20,12 @@ from ...rotations import Array
 from ...system.compiled.states.points import Metric
 from ...system.compiled.states.stage_patterns import StageStructure
 from ...system.compiled.states.stages import StageRoom
+from ...system.compiled.tables.told import is_told
 from ...system.evaluation_batch import EvaluationBatch
 from ...system.serialisation import Remembering, plain
 from ...system.sparsity import Pattern
 from ...system.system import State, System
-from ...system.tangents.linearise import Sizes, at_once, difference_steps, differences
+from ...system.tangents.linearise import at_once, differences
 from ...system.tangents.step_tangent import StepTangent
 from ...system.tangents.stiff_ties import StiffTies
 from ..dae import Form
@@ -135,20 +136,42 @@ class DenseTangents(Remembering):
 class SparseTangents(Remembering):
     """By the patterns of a structure, solved in compiled code: derivatives and factors take work in proportion to its entries."""
 
-    keeps: ClassVar = dict.fromkeys(("U", "inverse_mass"), plain())
+    keeps: ClassVar = dict.fromkeys(("U", "weighed", "masses", "inverse_mass"), plain())
 
     def __init__(self, system: System, structure: StageStructure) -> None:
         self.system, self.structure = system, structure
         self.U: Array = np.zeros(len(structure.normal.pattern))
-        self.inverse_mass: Array = np.zeros(0)
-        self.masses: Array = np.zeros(0)
-        self._sizes = Sizes(system)
+        self.weighed = False
+        self.told = any(map(is_told, system.parts))  # whether Python tells masses that change
         self._rooms: dict[tuple[int, int], StageRoom] = {}
+
+    @property
+    def masses(self) -> Array:
+        """Data of M where derivatives were taken last."""
+        return self.structure.masses
+
+    @masses.setter
+    def masses(self, data: Array) -> None:
+        self.structure.masses[:] = data
+
+    @property
+    def inverse_mass(self) -> Array:
+        """Data of its inverse."""
+        return self.structure.inverse
+
+    @inverse_mass.setter
+    def inverse_mass(self, data: Array) -> None:
+        self.structure.inverse[:] = data
 
     def weigh(self, M: Any) -> None:
         """Take a mass matrix."""
-        self.masses = self.structure.couplings.masses.taken(M)
-        self.inverse_mass = self.structure.inverse_masses(self.masses)
+        self.structure.weigh(self.structure.couplings.masses.taken(M))
+        self.weighed = True
+
+    def weigh_once(self, solver: StepSolver, state: State) -> None:
+        """Take the masses of a state, unless compiled code has them: those of rigid bodies stay, and it finds those of modes."""
+        if not self.weighed or self.told:
+            self.weigh(solver.masses(self.system.at(state.t, state.q, state.v)))
 
     def normally(self, mult: Array) -> Array:
         """U times multipliers (k, n_lam), (k, n_v)."""
@@ -166,10 +189,8 @@ class SparseTangents(Remembering):
     def take(self, state: State, mult: Array, solver: StepSolver, lower: Lower) -> StepTangent:
         """The tangent at a state with multipliers (n_mult,), in one call; ``solver``: tells masses."""
         system = self.system
-        if not len(self.masses) or system.parts:  # those of rigid bodies stay
-            self.weigh(solver.masses(system.at(state.t, state.q, state.v)))
-        moves = difference_steps(self._sizes, state.q, state.v, state.a)
-        made = self.structure.tangent(state, mult[: system.n_lam], moves, (self.masses, self.inverse_mass))
+        self.weigh_once(solver, state)
+        made = self.structure.tangent(state, mult[: system.n_lam])
         if made is None:
             lower(system.batch(*(np.array([x]) for x in (state.t, state.q, state.v))))  # which may say what is wrong
             raise LinearSolveError("the tangent of a step is not finite.")
@@ -193,7 +214,12 @@ class SparseTangents(Remembering):
     def pencil(self, tangent: StepTangent, s: Array, judge: Judge, redundant: bool) -> SparsePencil:
         """Solver of the stages for the frequencies s, (p,)."""
         # a frequency of a complex pair belongs to two points
-        key = len(s), len(s) + int(np.add.reduce(s.imag != 0.0))
+        room = self.room(len(s), len(s) + int(np.add.reduce(s.imag != 0.0)))
+        return SparsePencil.factored(tangent, s, judge, room, redundant=redundant)
+
+    def room(self, frequencies: int, points: int) -> StageRoom:
+        """Where so many points are solved for."""
+        key = frequencies, points
         if key not in self._rooms:
             self._rooms[key] = StageRoom(self.structure, *key)
-        return SparsePencil(tangent, s, judge, self._rooms[key], redundant)
+        return self._rooms[key]

@@ -29,6 +29,7 @@ from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.compiled.implicit import ImplicitRoom
 from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
@@ -52,10 +53,7 @@ from .amplification import Amplification
 from .corrector import Corrector
 from .past import LONGEST, Past, before, local, slopes, weights
 
-SLOW = {
-    True: 0.2,
-    False: 0.05,
-}  # rate above which the next step takes a tangent: with error control, and with constant steps
+SLOW = 0.2  # rate above which the next step takes a tangent, with error control
 STABLE = 2  # the highest order that damps undamped vibrations at any step
 
 
@@ -160,6 +158,36 @@ class BDFStepper(Corrector):
         mult = w @ np.array([p.mult for p in self.past[:count]])
         return self._held(State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, t) @ vs, mult[:m]))
 
+    @property
+    def _starting(self) -> bool:
+        """Whether a Radau method makes the next constant step."""
+        return self._starter is not None and len(self.past) < self.scheme.order
+
+    # -- steps in compiled code ---------------------------------------------------------------------------------
+    def stride(self, h: float) -> float:
+        """As :meth:`TimeStepper.stride`."""
+        return float(self._starter.stride(h)) if self._starting else super().stride(h)
+
+    def _in_one_call(self, h: float) -> bool:
+        return not self._starting and len(self.past) > 1 and super()._in_one_call(h)
+
+    def _lend(self) -> ImplicitRoom:
+        return ImplicitRoom(self.eq.tangents.room(1, 1), {}, self.scheme.order)
+
+    def _memory(self) -> Array:
+        newest, *older = self.past[: self.scheme.order + 1]
+        values = np.zeros((self.scheme.order, 1 + sum(map(len, (newest.q, newest.v, newest.mult)))))
+        for row, x in zip(values, older, strict=False):
+            np.concatenate(([x.t], x.q, x.v, x.mult), out=row)
+        return np.concatenate((newest.mult, [len(older)], values.ravel()))
+
+    def _recall(self, kept: Array, factored: float) -> None:
+        s, width = self.state, self.eq.n_mult
+        values = kept[width + 1 :].reshape(self.scheme.order, -1)[: int(kept[width])]
+        parts = (np.split(x, np.cumsum([1, len(s.q), len(s.v)])) for x in values)
+        older = [Past(float(t[0]), q, v, mult) for t, q, v, mult in parts]
+        self.past = [Past(s.t, s.q, s.v, kept[:width]), *older]
+
     # -- steps --------------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
         """One accepted step. Constant steps: of size h. Error control: of at most h (s), hit exactly at the end."""
@@ -224,14 +252,15 @@ class BDFStepper(Corrector):
 
     def _constant(self, h: float) -> State:
         """A step of size h; the first ones by a Radau method, until the past is long enough."""
-        if len(self.past) < self.scheme.order and self._starter is not None:
+        if self._starting:
             self.state = self._starter.advance(h)
             self._remember(self.state, self._starter.mult)
             self.eq.weigh(self.state)
             return self.state
 
-        self.norm.update(self.state, h)
-        found = self._newton(h, self.scheme.order)
+        if self._step_in_one_call(h):
+            return self.state
+        found = self._with_new_tangent(lambda: self._newton(h, self.scheme.order))
         if isinstance(found, str):
             self._tangent = None
             self._full = True  # Newton's own tangent in each iteration: stiff springs that turn
@@ -254,7 +283,7 @@ class BDFStepper(Corrector):
         self.stats.steps += 1
         self.control.fault = ""
         self._fresh = False
-        if self._theta > SLOW[self.adaptive] or self._full or not self.eq.dense:
+        if self._theta > (SLOW if self.adaptive else self.slow) or self._full or not self.eq.dense:
             self._tangent = None
         self._full = self._full and not self.adaptive
         return self.state

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...rotations import Array
+from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
 from ...system.system import State
 from ..dae import Points
@@ -27,7 +28,15 @@ RATES = Rates(limit=0.95, largest=2.0)
 class Corrector(ImplicitStepper):
     """Newton's iteration of :class:`.BDF`; the tangent is kept from step to step while it converges fast."""
 
+    maker = "BDF"
+    slow = 0.05
     past: list[Past]  # newest first
+
+    def _settings(self) -> tuple[Convergence, Rule]:
+        return self._convergence(0.0, RATES, 1.0), Rule(ALONE, ALONE, ALONE)
+
+    def _factored_for(self) -> float:
+        return float(self._pencil.s[0])
 
     def _newton(self, h: float, k: int) -> Points | str:
         """The new values of a step of size h, or the cause of failure."""

@@ -138,9 +138,10 @@ class RadauStepper(StageNewton):
 
     def _constant(self, h: float) -> State:
         """A step of size h; where the tangent of the step fails, and ever after, with one for each stage."""
-        self.norm.update(self.state, h)
+        if self._step_in_one_call(h):
+            return self.state
         self.eq.begin(self.state)
-        point = "full" if self._full else self._newton(h)
+        point = "full" if self._full else self._with_new_tangent(lambda: self._newton(h))
         if isinstance(point, str):
             self._tangent, self._full = None, True
             point = self._full_newton(h)
@@ -256,7 +257,7 @@ class RadauStepper(StageNewton):
         self.control.fault = ""
         self._trouble = max(self._trouble - 1, 0)
         self._fresh = False
-        if self._theta > 1e-2 or not self.eq.dense:
+        if self._theta > self.slow or not self.eq.dense:
             self._tangent = None
         return self.state
 

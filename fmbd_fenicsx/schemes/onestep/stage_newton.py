@@ -16,6 +16,8 @@ import numpy as np
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.saddle.pencil import Pencil, cuts_of, stacked
 from ...rotations import Array
+from ...system.compiled.implicit import ImplicitRoom
+from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
 from ...system.system import State
 from ..control import ROUNDOFF, STAGNATION
@@ -36,6 +38,9 @@ KEPT = 0.05  # rate up to which stages go on with the tangents that each has
 
 class StageNewton(ImplicitStepper):
     """Newton's iteration of :class:`.Radau`."""
+
+    maker = "RADAU"
+    slow, longer = 1e-2, LONGER
 
     tab: Tableau
     mult: Array  # at the end of the last step, (levels n_lam,)
@@ -187,6 +192,34 @@ class StageNewton(ImplicitStepper):
     def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
         W = self.tab.W / h
         return Points(xi, W @ xi, v, W @ (v - self.state.v), mult)
+
+    # -- steps in compiled code -------------------------------------------------------------------------------------
+    def _lend(self) -> ImplicitRoom:
+        tab = self.tab
+        coefficients = {name: getattr(tab, name) for name in ("c", "W", "values", "middle", "basis", "stage_basis")}
+        return ImplicitRoom(self.eq.tangents.room(len(tab.values), len(tab.c)), coefficients)
+
+    def _settings(self) -> tuple[Convergence, Rule]:
+        tab = self.tab
+        return self._convergence(0.0, RATES[False], 1.0), Rule(tab.W, tab.inverse, tab.vectors)
+
+    def _memory(self) -> Array:
+        s, k = self.state, len(self.tab.c)
+        h, q, v, points = self._last or (0.0, s.q, s.v, None)
+        none = np.zeros(k * len(v))
+        xi, vs, mult = (none, none, np.tile(self.mult, k)) if points is None else (points.xi, points.v, points.mult)
+        return np.concatenate(((self._eta, self._h_rate, h), q, v, xi.ravel(), vs.ravel(), mult.ravel()))
+
+    def _recall(self, kept: Array, factored: float) -> None:
+        n, n_q, k = self.system.n_v, self.system.n_q, len(self.tab.c)
+        (self._eta, self._h_rate, h), q, v, *stages = np.split(kept, np.cumsum([3, n_q, n, k * n, k * n]))
+        xi, vs, mult = (x.reshape(k, -1) for x in stages)
+        W = self.tab.W / h
+        self._last = float(h), q, v, Points(xi, W @ xi, vs, W @ (vs - v), mult)
+        self.mult, self._h_factor, self._filter = mult[-1], factored, None
+
+    def _factored_for(self) -> float:
+        return self._h_factor
 
     def _predict(self, h: float) -> Stages:
         """Stages on the polynomial of the last step, or on the parabola at the start."""

@@ -24,6 +24,7 @@
 #include "rattle.c"
 #include "runge_kutta.c"
 #include "mean_steps.c"
+#include "implicit.c"
 #include "control.c"
 #include "march.c"
 

@@ -22,7 +22,8 @@ EXPORT int driver_shut(System *s, double t, double allowed, long most, double *q
 /* A step from past[0] to out, the newest of ``known`` + 1 blocks first; ``room``: what the scheme asks for. A step that fails leaves all
    of past as it was. In order of the schemes: */
 typedef int Maker(System *s, double *p, double *room, const Block *past, int known, Block out);
-static Maker *const MAKERS[] = {alpha_step, rattle_step, runge_kutta_step, half_explicit_step, mean_march_step};
+static Maker *const MAKERS[] = {alpha_step, rattle_step, runge_kutta_step, half_explicit_step, mean_march_step, radau_step,
+                               bdf_step};
 
 /* Whether the joints of a new state after a step of size h are closed, and all its numbers finite; frames are placed. */
 static int passes(System *s, Closed *o, const Block *now, double h)

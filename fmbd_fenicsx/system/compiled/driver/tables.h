@@ -27,7 +27,7 @@ enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE, DOUBT }; /* verdicts; L
                                                           /* the next step may have another size; DOUBT: whether the state */
                                                           /* counts is to be looked at closely */
 enum { GOES_ON, CONVERGED, DIVERGED, TOO_SLOW };           /* outcomes of Newton's iteration of an implicit step */
-enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS }; /* schemes that make many steps in one call, see march.c */
+enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF }; /* schemes that make many steps in one call, see march.c */
 
 typedef void kernel(long n, const int *pair, const double *frames, const double *P, const double *W, double *out);
 

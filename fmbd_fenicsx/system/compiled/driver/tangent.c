@@ -3,6 +3,7 @@
    that the number of evaluations does not grow with the length of chains. */
 
 static const double TURNED = 1e-6; /* rad and m, of differences of rates */
+static const double CENTRAL = 0x1.965fea53d6e3dp-18, FORWARD = 0x1p-26; /* cube and square root of the roundoff: shares of sizes */
 
 /* Pairs of entries of A and B, and to which entry of A B they add their product. */
 typedef struct {
@@ -13,7 +14,7 @@ typedef struct {
 typedef struct {
     int n, m, size, levels, first, colours;
     long low, crossings, columns;     /* entries of the lower rows, of their products with U, of K */
-    int *G_start, *G_on, *colour;     /* G by rows; by which number each coordinate is moved */
+    int *G_start, *G_on, *M_start, *colour; /* G, M by rows; by which number each coordinate is moved */
     long *across;                     /* entries of G in the order of G^T */
     long *coloured_start, *coloured;  /* entries of the lower rows by the number that moves them */
     long *row, *column, masses, *of_masses, *of_level;
@@ -100,6 +101,67 @@ static int lower_rows(System *s, const Patterns *o, double t, const double *q, c
     return DONE;
 }
 
+/* By how much n coordinates of one kind are moved, ``least`` of which all are at least; ``unit``: what makes them lengths. */
+static void own_sizes(int n, const double *unit, const double *x, double share, double least, double factor, double *h)
+{
+    least = share * fmax(largest_of(unit, x, n), least);
+    for (int i = 0; i < n; i++) h[i] = factor * fmax(unit[i] * fabs(x[i]), least) / (unit[i] > 0.0 ? unit[i] : 1.0);
+}
+
+/* By how much coordinates and velocities are moved: as difference_steps() of system/tangents/linearise.py. */
+static void difference_steps(const System *s, double length, const double *q, const double *v, const double *a, double *hq, double *hv)
+{
+    double slow = 0.1 * sqrt(largest_of(s->units, a, s->nv) * length), fastest[2] = {0.0, 0.0}; /* m/s; of places and of turns */
+    if (slow == 0.0) slow = 1e-2;
+    for (int b = 0; b < s->bodies; b++)
+        for (int i = 0; i < TWIST; i++) fastest[i >= D] = fmax(fastest[i >= D], fabs(v[TWIST * b + i]));
+    for (int b = 0; b < s->bodies; b++) {
+        const Body *o = s->body + b;
+        for (int i = 0; i < TWIST; i++) {
+            hq[TWIST * b + i] = CENTRAL * (i < D ? length : 1.0);
+            hv[TWIST * b + i] = FORWARD * fmax(fastest[i >= D], slow / (i < D ? 1.0 : length));
+        }
+        if (!o->modes) continue;
+        own_sizes(o->modes, s->units + o->at_v, q + o->at_q, 1e-3, 1e-3 * length, CENTRAL, hq + o->at_v);
+        own_sizes(o->modes, s->units + o->at_v, v + o->at_v, 1e-2, slow, FORWARD, hv + o->at_v);
+    }
+}
+
+/* M of bodies with modes by its pattern, and its inverse W; frames are placed. ``room``: twice the square of a body's coordinates. Rigid
+   bodies keep theirs. */
+static int modal_masses(System *s, const Patterns *o, const double *q, double *M, double *W, double *room)
+{
+    for (int b = 0; b < s->bodies; b++) {
+        const Body *body = s->body + b;
+        const int n = TWIST + body->modes;
+        const double *R = s->frames + FRAME * b + TURN;
+        double *A = room, *B = A + n * n;
+        if (!body->T) continue;
+
+        reduced_block(s, body, R, q + body->at_q, 0.0, 0.0);
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++) A[n * i + j] = body->block[i < j ? n * j + i : n * i + j];
+#if DIM == 3 /* turns about axes of the body */
+        for (int side = 0; side < 2; side++)
+            for (int i = 0; i < n; i++) {
+                int at = side ? n * i + D : n * D + i, step = side ? 1 : n;
+                double world[3] = {A[at], A[at + step], A[at + 2 * step]}, local[3];
+                to_body(R, world, local);
+                for (int j = 0; j < 3; j++) A[at + j * step] = local[j];
+            }
+#endif
+        memset(B, 0, (size_t)n * n * sizeof(double));
+        for (int i = 0; i < n; i++) {
+            B[(n + 1) * i] = 1.0;
+            memcpy(M + o->M_start[i < TWIST ? TWIST * b + i : body->at_v + i - TWIST], A + n * i, n * sizeof(double));
+        }
+        if (solve_dense(A, n, B, n, n, 0.0)) return SINGULAR;
+        for (int i = 0; i < n; i++)
+            memcpy(W + o->M_start[i < TWIST ? TWIST * b + i : body->at_v + i - TWIST], B + n * i, n * sizeof(double));
+    }
+    return DONE;
+}
+
 /* Derivatives of the lower rows: central differences by coordinates, moved by hq, forward ones by velocities, moved by hv.
    ``room``: 2 n + nq + 3 size. */
 static int slopes(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
@@ -129,15 +191,17 @@ static int slopes(System *s, const Patterns *o, double t, const double *q, const
     return verdict;
 }
 
-/* The tangent at a state. ``M``, ``W``: data of the masses and of their inverse; ``room`` as above. */
-EXPORT int driver_stage_tangent(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a,
-                                const double *lam, const double *hq, const double *hv, const double *M, const double *W, double *room,
-                                double *data)
+/* The tangent at a state of a model of this length. ``M``, ``W``: data of the masses and of their inverse, where those of rigid bodies
+   are; ``room``: 2 n more than above, and that of the masses. */
+EXPORT int driver_stage_tangent(System *s, const Patterns *o, double length, double t, const double *q, const double *v, const double *a,
+                                const double *lam, double *M, double *W, double *room, double *data)
 {
+    double *hq = room, *hv = hq + o->n, *rest = hv + o->n;
     double *G = data + o->G, *U = data + o->U, *by_q = data + o->by_q, *by_v = data + o->by_v, *by_a = data + o->by_a, last = NAN;
     int verdict = sample(s, t, &last);
-    if (verdict || (verdict = slopes(s, o, t, q, v, a, lam, hq, hv, by_q, by_v, room))) return verdict;
-    if ((verdict = place(s, q, v))) return verdict;
+    difference_steps(s, length, q, v, a, hq, hv);
+    if (verdict || (verdict = slopes(s, o, t, q, v, a, lam, hq, hv, by_q, by_v, rest))) return verdict;
+    if ((verdict = place(s, q, v)) || (verdict = modal_masses(s, o, q, M, W, rest))) return verdict;
     memset(room, 0, s->nv * sizeof(double));
     memset(room + s->nv, 0, s->nv * sizeof(double));
     turning(s, room, v, data + o->J, NULL);

@@ -39,7 +39,7 @@ class Patterns(ctypes.Structure):
     _fields_ = (
         *((name, _INT) for name in "n m size levels first colours".split()),
         *((name, _LONG) for name in "low crossings columns".split()),
-        *((name, _POINTER) for name in "G_start G_on colour across coloured_start coloured row column".split()),
+        *((name, _POINTER) for name in "G_start G_on M_start colour across coloured_start coloured row column".split()),
         ("masses", _LONG),
         *((name, _POINTER) for name in "of_masses of_level taken".split()),
         *((name, ProductPairs) for name in "normal turned crossed".split()),
@@ -101,7 +101,8 @@ class StageStructure:
         self.c = Patterns(
             n=self.n, m=self.m, size=self.size, levels=len(levels), first=self.levels[0] if levels else 0, colours=colours,
             low=len(low), crossings=len(self.crossed.pattern), columns=len(self._taken), masses=len(couplings.masses),
-            G_start=address_of(G.start), G_on=address_of(G.on), colour=self._address(colour, np.int32),
+            G_start=address_of(G.start), G_on=address_of(G.on), M_start=address_of(couplings.masses.start),
+            colour=self._address(colour, np.int32),
             across=self._address(self._across), coloured=self._address(coloured),
             coloured_start=self._address(np.searchsorted(by_colour[coloured], np.arange(colours + 1))),
             row=self._address(low.rows), column=self._address(low.columns), taken=self._address(self._taken),
@@ -112,9 +113,12 @@ class StageStructure:
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
         n, n_q = self.n, self.couplings.system.n_q
-        masses, room = len(couplings.masses), 2 * n + n_q + 3 * self.size
-        sizes = {"q": n_q, "v": n, "a": n, "lam": self.m, "hq": n, "hv": n, "M": masses, "W": masses}
-        self._given = Exchange(sizes | {"room": room, "data": self.count})
+        masses, widest = len(couplings.masses), max(map(len, couplings.of_body), default=0)
+        sizes = {"q": n_q, "v": n, "a": n, "lam": self.m, "M": masses, "W": masses}
+        sizes["room"] = 4 * n + n_q + 3 * self.size + 2 * widest**2
+        self._given = Exchange(sizes | {"data": self.count})
+        self.masses, self.inverse = self._given.arrays[4:6]  # data of M and of its inverse, of the last tangent
+        self.room_address = self._given.at[6]
 
     def _address(self, values: np.ndarray, kind: Any = np.int64) -> int:
         """Where C finds integers."""
@@ -134,19 +138,18 @@ class StageStructure:
             "R": Pattern.of((0, self.n), *np.zeros((2, 0), int)),
         }  # fmt: skip
 
-    def tangent(
-        self, state: State, lam: Array, moves: tuple[Array, Array], masses: tuple[Array, Array]
-    ) -> StepTangent | None:
-        """The tangent at a state with multipliers lambda (m,); None where it cannot be found.
-
-        ``moves``: by how much coordinates and velocities are moved for differences; ``masses``: data of M and of its inverse.
-        """
+    def tangent(self, state: State, lam: Array) -> StepTangent | None:
+        """The tangent at a state with multipliers lambda (m,); None where it cannot be found."""
         given, states = self._given, self.states
-        at = given.put(state.q, state.v, state.a, lam, *moves, *masses)
+        given.put(state.q, state.v, state.a, lam)
         states.anew = True
-        if not states.ask(states.library.driver_stage_tangent, self.address, state.t, *at, *given.at[8:]):
+        length = self.couplings.system.length
+        if not states.ask(states.library.driver_stage_tangent, self.address, length, state.t, *given.at):
             return None
-        data = given.arrays[9].copy()
+        return self.parted(given.arrays[-1].copy())
+
+    def parted(self, data: Array) -> StepTangent:
+        """A tangent whose matrices are views of its data."""
         return StepTangent(**{name: data[part] for name, part in self.parts.items()}, R=np.zeros(0))
 
     def data(self, tangent: StepTangent, out: Array) -> None:
@@ -161,12 +164,12 @@ class StageStructure:
         self.states.library.driver_stage_turning(self.states.address, *addresses_of((*given, J, T)))
         return J, T
 
-    def inverse_masses(self, M: Array) -> Array:
-        """The data of M^-1, body by body."""
-        of_body, out = self.couplings.of_body, np.empty(len(M))
+    def weigh(self, M: Array) -> None:
+        """Take the data of M, and of M^-1, body by body."""
+        self.masses[:] = M
+        of_body, out = self.couplings.of_body, self.inverse
         start = self.couplings.masses.start
         for width in {len(own) for own in of_body}:
             rows = np.array([own for own in of_body if len(own) == width])
             places = start[rows][..., None] + np.arange(width)
             out[places] = np.linalg.inv(M[places])
-        return out

@@ -87,7 +87,7 @@ class StageRoom:
 
         sizes: dict[str, int | tuple[int, ...]] = {
             "K0": entries, "K1": entries, "K2": entries, "s": (p, 2), "A": (p, 2 * entries), "scales": (p, 2, size),
-            "sizes": entries, "blocks": entries, "data": structure.count, "W": len(structure.couplings.masses),
+            "sizes": entries, "blocks": entries, "data": structure.count,
             "softness": m, "soft": (p, 2 * size), "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,
             "t": k, "q0": states.tables.system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n),
             "mult": (k, max(multipliers, m)), "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n),
@@ -98,16 +98,16 @@ class StageRoom:
         made = zeros_of(sizes)
         self.arrays = {name: x for name, (x, _) in made.items()}
         self.data, self._data_at = made.pop("data")
-        _, inverse = made.pop("W")
         for name, (_, address) in made.items():
             setattr(c, name, address)
 
-        c.W = _by_rows(structure.couplings.masses, inverse)
+        c.W = _by_rows(structure.couplings.masses, address_of(structure.inverse))
         for name in MATRICES:
             first = structure.parts[name].start
             setattr(c, name, _by_rows(structure.patterns[name], self._data_at + 8 * first))
 
-        self.moved, self.judged = self.arrays["moved"], self.arrays["judged"]
+        self.tangent = structure.parted(self.data)  # of the factors
+        self.judged = self.arrays["judged"]
         for name in ("mult", "dmult"):
             self.arrays[name] = self.arrays[name].reshape(-1)[: k * multipliers].reshape(k, multipliers)
 
@@ -135,9 +135,19 @@ class StageRoom:
             one.L, one.U, one.pivot = (address_of(x) for x in self._numbers[3 * f : 3 * f + 3])
         self.c.room, self.c.lower = room, ctypes.addressof(self.lower)
 
+    def _let_depend(self, *, redundant: bool) -> None:
+        """Say whether rows depend on each other."""
+        self.c.units = address_of(self._units) if redundant else None
+
+    @property
+    def frequencies(self) -> Array:
+        """Those of the factors, complex where one is."""
+        s = self.arrays["s"]
+        return s[:, 0] + 1j * s[:, 1] if s[:, 1].any() else s[:, 0].copy()
+
     def factor(self, tangent: StepTangent, s: Array, *, redundant: bool) -> bool:
         """The factors of the frequencies s (p,); False where K is singular, or not finite. ``redundant``: rows depend."""
-        self.c.units = address_of(self._units) if redundant else None
+        self._let_depend(redundant=redundant)
         structure = self.structure
         structure.data(tangent, self.data)
         self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
@@ -155,17 +165,23 @@ class StageRoom:
         self.states.library.driver_stage_solve(self.address, p, *addresses_of((*given, change, mult, judged)))
         return change, mult, judged
 
-    def put(self, t: Array, q0: Array, points: Any, inverse_mass: Array, given: tuple[Rule, Array]) -> None:
-        """Points about q0 at the times t (k,), data of W, the rule, and weights of increments (3, n)."""
-        rule, weights = given
+    def put(self, t: Array, q0: Array, points: Any, rule: Rule, weights: Array) -> None:
+        """Points about q0 at the times t (k,), the rule, and weights of increments (3, n)."""
         x = self.arrays
-        x["t"][:], x["q0"][:], x["weigh"][:] = t, q0, weights
+        x["t"][:], x["q0"][:] = t, q0
         x["xi"][:], x["rate"][:], x["v"][:], x["vd"][:] = points.xi, points.rate, points.v, points.vd
-        x["mult"][:], x["couple"][:] = points.mult, rule.couple
+        x["mult"][:] = points.mult
+        self.lend(rule, weights)
+
+    def lend(self, rule: Rule, weights: Array, *, redundant: bool | None = None) -> None:
+        """The rule, weights of increments (3, n), and whether rows depend on each other, where factors are made in C."""
+        if redundant is not None:
+            self._let_depend(redundant=redundant)
+        x = self.arrays
+        x["couple"][:], x["weigh"][:] = rule.couple, weights
         for name, mixing in (("inverse", rule.inverse), ("vectors", rule.vectors)):
             x[name][..., 0], x[name][..., 1] = mixing.real, mixing.imag
         self.c.relax = rule.relax
-        x["W"][:] = inverse_mass
 
     def points(self) -> tuple[Array, ...]:
         """xi, its rate, v, its rate and multipliers of the points, the caller's own."""
