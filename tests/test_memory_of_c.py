@@ -16,6 +16,7 @@ FILES = (
     "compiled",
     "compiled_absolute",
     "compiled_contact",
+    "contact_candidates",
     "compiled_control",
     "compiled_evaluation",
     "compiled_means",

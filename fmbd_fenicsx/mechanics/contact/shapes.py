@@ -44,6 +44,10 @@ class Shape:
         """What :meth:`distance` reads, in the order in which the compiled driver reads it."""
         raise NotImplementedError
 
+    def held(self, dim: int) -> tuple[Array, float, float] | None:
+        """A place, how far what turns about it is from it, and the radius of a sphere there that holds all; None: no end."""
+        return None
+
     @staticmethod
     def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:
         """As :meth:`evaluate`, from the :meth:`numbers` of one shape, or of one for each point: arrays with n in front."""
@@ -99,6 +103,10 @@ class Sphere(Shape):
         """Centre, radius, 1 or -1 for a hollow."""
         return np.asarray(self.center, dtype=float)[:dim], self.radius, -1.0 if self.inside else 1.0
 
+    def held(self, dim: int) -> tuple[Array, float, float] | None:
+        """Itself, which turns in itself."""
+        return None if self.inside else (self.numbers(dim)[0], 0.0, self.radius)
+
     @staticmethod
     def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:
         """Distance from the circle or sphere and its radial normal; see :class:`Shape`."""
@@ -137,6 +145,11 @@ class Cylinder(Shape):
         """Unit vector along the axis, centre, radius, length."""
         require(dim == 3, "Cylinder is a shape of space; use Sphere for a disk in the plane.")
         return _unit(self.axis, "Cylinder: axis"), np.asarray(self.center, dtype=float), self.radius, self.length
+
+    def held(self, dim: int) -> tuple[Array, float, float] | None:
+        """About its middle, through its rims."""
+        far = float(np.hypot(self.radius, 0.5 * self.length))
+        return (np.asarray(self.center, dtype=float), far, far) if np.isfinite(far) else None
 
     @staticmethod
     def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:
@@ -202,6 +215,12 @@ class Box(Shape):
             f"Box: size {self.size!r} must be {dim} positive lengths.",
         )
         return half, np.asarray(self.center, dtype=float)[:dim], self.axes.T
+
+    def held(self, dim: int) -> tuple[Array, float, float] | None:
+        """About its middle, through its corners."""
+        half, middle, _ = self.numbers(dim)
+        far = float(np.linalg.norm(half))
+        return middle, far, far
 
     @staticmethod
     def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:

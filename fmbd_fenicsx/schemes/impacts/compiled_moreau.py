@@ -14,7 +14,8 @@ from ...system.sensors.contact import ContactForces, ContactState
 from ...system.serialisation import Memory
 from ...system.system import State, System
 from ..newton import Newton
-from .contact_driver import ContactDriver, Tally
+from .contact_driver import ContactDriver
+from .contact_structures import Tally
 from .moreau_stepper import MoreauStepper
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import ContactSet
 from ...mechanics.contact.shapes import KNOWN, Shape
 from ...mechanics.joints.relative import ExpressedCoordinate
-from ...rotations import Array, Motions
+from ...rotations import Array
 from ...system.compiled import march as slots
 from ...system.compiled.blocks import Ring, block_size, state_of
 from ...system.compiled.calls import Calls
@@ -32,6 +32,8 @@ from ...system.system import State, System
 from ..onestep.alpha.alpha_driver import settings
 from .contact_detection import tell_rest
 from .contact_newton import frictional_forces, normal_forces
+from .contact_spheres import Spheres
+from .contact_structures import REAL, TOLD, Contacts, Problem, TouchStructure, mover_structure, pair_structure
 from .contact_tape import ContactTape
 
 if TYPE_CHECKING:
@@ -41,81 +43,8 @@ if TYPE_CHECKING:
 POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = range(4)
 LIMIT, OWN = 4, 5  # behind the shapes that the driver knows; OWN: Python tells the distances
 BOUNDED = slots.AM
-CLOSED, TOLD = 128, 8  # as in driver/contact.c
+CLOSED = 128  # as in driver/contact.c
 MOST = 1024  # contacts closed at once: a step with more is NumPy's
-POINTER = ctypes.c_void_p
-INT = ctypes.c_int
-REAL = ctypes.c_double
-LONG = ctypes.c_long
-
-
-def _fields(text: str, kind: Any) -> list[tuple[str, Any]]:
-    return [(name, kind) for name in text.split()]
-
-
-class TouchStructure(ctypes.Structure):
-    """The structure Touch of ``driver/contact.c``."""
-
-    _fields_ = _fields("gap x normal relative", POINTER)
-
-
-class Tally(ctypes.Structure):
-    """The structure Tally."""
-
-    _fields_ = [*_fields("solves iterations changes cycles steps newton impacts", LONG), ("residual", REAL)]
-
-
-class Problem(ctypes.Structure):
-    """The structure Problem."""
-
-    _fields_ = [*_fields("m", INT), *_fields("W q f mu", POINTER)]
-
-
-class Contacts(ctypes.Structure):
-    """The structure Contacts."""
-
-    _fields_ = [
-        *_fields("pairs points components known room", INT),
-        ("pair", POINTER),
-        *_fields("stops wide", INT),
-        *_fields("on of place still", POINTER),
-        *_fields("now end aside", TouchStructure),
-        *_fields("carrying closed bouncing hits held force normal impulse works", POINTER),
-        *_fields("energy springs time last", REAL),
-        ("loaded", INT),
-        *_fields("rows drift rate before rebound", POINTER),
-        *_fields("all part asked", Problem),
-        *_fields("Y work old least", POINTER),
-        *_fields("group ahead xi kept saved was rested path own", POINTER),
-        *_fields("size most done total parts", INT),
-        ("system", POINTER),
-        ("tally", Tally),
-        ("python", PYTHON),
-    ]
-
-
-def pair_structure(motions: Motions) -> type[ctypes.Structure]:
-    """The structure Pair, in the plane or in space."""
-    poses, dim = motions.n_pose, motions.dim
-
-    # in the order of C
-    fields = [
-        *_fields("shape first count carrier moving", INT),
-        *_fields("radius friction restitution thickness", REAL),
-        ("data", REAL * 16),
-        ("pose", REAL * poses),
-        ("told", REAL * (TOLD * poses)),
-        ("asked", REAL * TOLD),
-        ("oldest", LONG),
-        *_fields("modes batch", POINTER),
-        ("item", LONG),
-        *_fields("pushes marked", INT),
-        ("mark", REAL * dim),
-        ("lever", REAL),
-        *_fields("bound side", REAL * 2),
-    ]
-
-    return type("Pair", (ctypes.Structure,), {"_fields_": fields})
 
 
 def shape_data(shape: Shape, dim: int) -> tuple[int, Array]:
@@ -174,6 +103,9 @@ class ContactDriver:
         wide = s.motions.n_twist + int(self.tables.modes.max(initial=0))
         self._pairs()
         on, place = self._points()
+        spheres = Spheres(contacts.pairs, [one.carrier for one in self.pairs], d)
+        for one, first in zip(self.pairs, spheres.first, strict=True):
+            one.mover = int(first)
 
         sizes = {
             "held": m * k, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
@@ -184,12 +116,16 @@ class ContactDriver:
             "kept": self.m + 1, "own": m * (1 + 2 * d),
             "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.impacts + 2) * block_size(s),
         }  # fmt: skip
-        counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m, "group": 2 * room}
+        counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m, "group": 2 * room, "candidate": m}
+        counts |= {"near": len(contacts.pairs), "listed": len(contacts.pairs)}
+        sizes |= {"lower": len(spheres.spheres), "stood": len(spheres.spheres) * (d + d * d)}
         sizes |= {f"part {name}": sizes[name] for name in ("W", "q", "f", "mu")}
         self.arrays.update({name: np.zeros(size) for name, size in sizes.items()})
         places = {name: self.arrays[name].ctypes.data for name in sizes}
         whole, part = ({name: places.pop(kind + name) for name in ("W", "q", "f", "mu")} for kind in ("", "part "))
         return Contacts(
+            **self._spheres(spheres),
+            moving=int(any(pair.moving for pair in contacts.pairs)),
             pairs=len(contacts.pairs), points=m, components=k, known=0, room=room, pair=ctypes.addressof(self.pairs),
             stops=len(self.stops), wide=wide, on=self._array("on", on, np.int32),
             of=self._array("of", contacts.pair, np.int32), place=self._array("place", place),
@@ -198,6 +134,16 @@ class ContactDriver:
             loaded=int(bool(s.forces)), size=self.n, most=2 * self.impacts, system=ctypes.addressof(self.tables.c),
             all=Problem(**whole), part=Problem(**part), **places,
         )  # fmt: skip
+
+    def _spheres(self, found: Spheres) -> dict[str, int]:
+        """What the driver reads of spheres."""
+        kind = mover_structure(self.tables.dim)
+        made = [kind(x.body, (REAL * self.tables.dim)(*x.place), x.extent, x.reach) for x in found.spheres]
+        self.movers = (kind * len(made))(*made)
+        order = np.arange(len(made))
+        tables = {"single": found.single, "start": found.start, "partner": found.partner, "order": order}
+        addresses = {name: self._array(name, x, np.int32) for name, x in tables.items()}
+        return {"movers": len(made), "singles": len(found.single), "mover": ctypes.addressof(self.movers), **addresses}
 
     def _touch(self, name: str, m: int, d: int) -> TouchStructure:
         """Room for where all points stand."""

@@ -19,9 +19,16 @@ typedef struct {
     double *modes;                            /* count x D x modes: of nodes of a reduced body, NULL for points fixed in a body */
     Batch *batch;                             /* LIMIT: of the coordinate, which is its item; */
     long item;
+    int mover;                                /* the sphere of its points; -1: may be anywhere */
     int pushes, marked;                       /* whether it acts along a direction; the frame of its point, */
     double mark[D], lever, bound[2], side[2]; /* where that is; m or 1; stops; +1 below, -1 above */
 } Pair;
+
+/* A sphere at a place of a body, around points or a shape: how far they are from its middle, and how far it reaches. */
+typedef struct {
+    int body;
+    double place[D], extent, reach;
+} Mover;
 
 /* Where all points stand: gaps, places and normals in world axes, places in the axes of the obstacle. */
 typedef struct {
@@ -42,12 +49,20 @@ typedef struct {
 
 typedef struct {
     int pairs, points, components, known;     /* known: whether ``now`` is that of the newest state */
-    int room;                                 /* contacts that may be closed at once */
+    int room, moving;                         /* contacts that may be closed at once; whether obstacles move as prescribed */
     Pair *pair;
     int stops, wide;                          /* whether there are stops; TWIST and the most modes of a body */
     int *on, *of;                             /* points x 2: bodies, -1 for none; points: pair */
     double *place, *still;                    /* points x D: in the body; velocities of a system at rest */
     Touch now, end, aside;
+    int movers, singles;                      /* spheres; pairs without two of them: */
+    Mover *mover;
+    int *single, *start, *partner;            /* movers + 1; of each sphere with higher ones: these and the pairs, by twos */
+    int *order;                               /* spheres, see sweep(); */
+    double *lower, *stood, skin;              /* their lower ends; where they were when the list was made, with what is between */
+    int nears, candidates, *near, *listed;    /* pairs near, ascending; all pairs: 1, 2 with its books; */
+    int *candidate;                           /* points of these */
+    Block here;                               /* where the part of a step begins */
     int *carrying, *closed, *bouncing, *hits; /* points; hits: impacts in a step */
     double *held, *force, *normal;            /* points x components: impulses; points x D: mean forces of a step, world axes; */
                                               /* points: their normal parts */
@@ -62,7 +77,7 @@ typedef struct {
     double *least;                            /* room for friction.c */
     int *group;                               /* contacts of a part, and room for as many */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
-    double *saved;                            /* held, impulse and works at the start of a step */
+    double *saved;                            /* held, impulse, works and energies at the start of a step, of what is near */
     int *was;                                 /* carrying then */
     double *rested;                           /* points: when one whose impacts accumulate in a step came to rest */
     double *path;                             /* most + 2 states: the start of a step and the ends of its parts */
@@ -213,204 +228,31 @@ static double distance_of(const Contacts *c, const Pair *o, int i, const double 
     return told[i];
 }
 
-/* All points at a configuration. */
-static int touch(const Contacts *c, const double *q, double t, Touch *out)
+/* The points of one pair at a configuration; those of stops at the frames placed last. 1 where Python failed. */
+static int touch_pair(const Contacts *c, Pair *o, const double *q, double t, Touch *out)
 {
-    if (placed(c, q)) return 1;
-    for (Pair *o = c->pair; o < c->pair + c->pairs; o++) {
-        double r[D], R[D * D];
-        if (o->shape == LIMIT) {
-            stand(c, o, out);
-            continue;
-        }
-        if (obstacle(c, o, q, t, r, R)) return 1;
-        for (int i = o->first; i < o->first + o->count; i++) {
-            const double *pose = q + POSE * c->on[2 * i];
-            double *x = out->x + D * i, P[D], Rb[D * D], way[D];
-            rotation(pose, Rb);
-            local_place(c, o, i, q, P);
-            times(Rb, P, x);
-            for (int j = 0; j < D; j++) x[j] += pose[j], way[j] = x[j] - r[j];
-            transposed(R, way, out->relative + D * i);
-        }
-        if (o->shape == OWN && own_distances(c, o, out, t)) return 1;
+    double r[D], R[D * D];
+    if (o->shape == LIMIT) {
+        stand(c, o, out);
+        return 0;
+    }
+    if (obstacle(c, o, q, t, r, R)) return 1;
+    for (int i = o->first; i < o->first + o->count; i++) {
+        const double *pose = q + POSE * c->on[2 * i];
+        double *x = out->x + D * i, P[D], Rb[D * D], way[D];
+        rotation(pose, Rb);
+        local_place(c, o, i, q, P);
+        times(Rb, P, x);
+        for (int j = 0; j < D; j++) x[j] += pose[j], way[j] = x[j] - r[j];
+        transposed(R, way, out->relative + D * i);
+    }
+    if (o->shape == OWN && own_distances(c, o, out, t)) return 1;
 
-        for (int i = o->first; i < o->first + o->count; i++) {
-            double *x = out->x + D * i, n[D];
-            out->gap[i] = distance_of(c, o, i, out->relative + D * i, n) - o->radius;
-            times(R, n, out->normal + D * i);
-            for (int j = 0; j < D; j++) x[j] -= o->radius * out->normal[D * i + j];
-        }
+    for (int i = o->first; i < o->first + o->count; i++) {
+        double *x = out->x + D * i, n[D];
+        out->gap[i] = distance_of(c, o, i, out->relative + D * i, n) - o->radius;
+        times(R, n, out->normal + D * i);
+        for (int j = 0; j < D; j++) x[j] -= o->radius * out->normal[D * i + j];
     }
     return 0;
-}
-
-/* D - 1 unit vectors across a normal. */
-static void across(const double *n, double *e)
-{
-#if DIM == 2
-    e[0] = -n[1];
-    e[1] = n[0];
-#else
-    double pick[3] = {0.0, 0.0, 0.0};
-    int least = 0;
-    for (int i = 1; i < 3; i++)
-        if (fabs(n[i]) < fabs(n[least])) least = i;
-    pick[least] = 1.0;
-    moment(n, pick, e);
-    double size = length_of(e);
-    for (int i = 0; i < 3; i++) e[i] /= size;
-    moment(n, e, e + 3);
-#endif
-}
-
-/* The row of a point's velocity along e on the twist of a frame, in its body axes. */
-static void frame_row(const double *pose, const double *x, const double *e, double sign, double *row)
-{
-    double R[D * D], arm[D], turning[ROT];
-    rotation(pose, R);
-    for (int j = 0; j < D; j++) arm[j] = x[j] - pose[j], row[j] = sign * e[j];
-    moment(arm, e, turning);
-    to_body(R, turning, row + D);
-    for (int j = 0; j < ROT; j++) row[D + j] *= sign;
-}
-
-/* The row of a stop on both bodies, at the frames that its gap was found at. */
-static void stop_row(const Contacts *c, int i, const Pair *o, double *row)
-{
-    System *s = c->system;
-    const Batch *k = o->batch;
-    double y[2 * TWIST], factor = o->lever * o->side[i - o->first], *rates = s->big;
-    twist_row(k, o->item, y);
-    memset(row, 0, 2 * c->wide * sizeof(double));
-    for (int side = 0; side < 2; side++, row += c->wide) {
-        const double *map;
-        int body = c->on[2 * i + side], width = side_map(s, k->pair[2 * o->item + side], &map);
-        if (!width) continue;
-        through(map, width, y + TWIST * side, rates);
-        to_body(s->frames + FRAME * body + TURN, rates + D, row + D);
-        memcpy(row, rates, D * sizeof(double));
-        memcpy(row + TWIST, rates + TWIST, (width - TWIST) * sizeof(double));
-        for (int j = 0; j < width; j++) row[j] *= factor;
-    }
-}
-
-/* What the modes of a reduced body do to the velocity of its node i along e. */
-static void modal_row(const Contacts *c, int i, const Pair *o, const double *q, const double *e, double *row)
-{
-    const Body *body = c->system->body + c->on[2 * i];
-    const double *modes = o->modes + (long)D * body->modes * (i - o->first);
-    double R[D * D], local[D];
-    rotation(q + POSE * c->on[2 * i], R);
-    transposed(R, e, local);
-    for (int j = 0; j < D; j++) add(row + TWIST, local[j], modes + j * body->modes, body->modes);
-}
-
-/* Rows of contact i on both bodies: normal, then across where there is friction; those of a stop, which has none, are alike. */
-static void contact_rows(const Contacts *c, int i, const double *q, const Touch *at, double *rows)
-{
-    const Pair *o = c->pair + c->of[i];
-    double e[D * D], *row = rows;
-    memcpy(e, at->normal + D * i, D * sizeof(double));
-    if (c->components > 1 && o->shape != LIMIT) across(e, e + D);
-    for (int k = 0; k < c->components; k++, row += 2 * c->wide) {
-        if (o->shape == LIMIT) {
-            stop_row(c, i, o, row);
-            continue;
-        }
-        memset(row, 0, 2 * c->wide * sizeof(double));
-        frame_row(q + POSE * c->on[2 * i], at->x + D * i, e + D * k, 1.0, row);
-        if (o->modes) modal_row(c, i, o, q, e + D * k, row);
-        if (o->carrier >= 0) frame_row(q + POSE * o->carrier, at->x + D * i, e + D * k, -1.0, row + c->wide);
-    }
-}
-
-/* A row of contact i times an array like v. */
-static double along(const Contacts *c, int i, const double *row, const double *v)
-{
-    double sum = 0.0;
-    for (int side = 0; side < 2; side++, row += c->wide) {
-        int b = c->on[2 * i + side];
-        if (b < 0) continue;
-        const Body *body = c->system->body + b;
-        sum += dot(row, v + TWIST * b, TWIST);
-        if (body->modes) sum += dot(row + TWIST, v + body->at_v, body->modes);
-    }
-    return sum;
-}
-
-/* Rates of all gaps that come from prescribed motion, by central differences over the span. */
-static int gap_rates(const Contacts *c, const double *q, double t, double span, double *rate)
-{
-    int moving = 0;
-    memset(rate, 0, c->points * sizeof(double));
-    for (int i = 0; i < c->pairs; i++) moving |= c->pair[i].moving;
-    if (!moving) return 0;
-
-    double e = 1e-3 * span;
-    Touch aside = c->aside;
-    if (touch(c, q, t + e, &aside)) return 1;
-    memcpy(rate, aside.gap, c->points * sizeof(double));
-    if (touch(c, q, t - e, &aside)) return 1;
-    for (int i = 0; i < c->points; i++) rate[i] = (rate[i] - aside.gap[i]) / (2 * e);
-    return 0;
-}
-
-/* How far the obstacle of contact i moves across its normal from t to t + span, along the directions across; the contact is that
-   in the middle of a step of a length. */
-static int drifts(const Contacts *c, int i, const double *q, double t, double length, double span, const Touch *at, double *drift)
-{
-    Pair *o = c->pair + c->of[i];
-    double r[D], R[D * D], ra[D], Ra[D * D], rb[D], Rb[D * D], way[D], y[D], ya[D], yb[D], e[D * D];
-    memset(drift, 0, c->components * sizeof(double));
-    if (!o->moving || c->components == 1) return 0;
-    if (obstacle(c, o, q, t + 0.5 * length, r, R) || obstacle(c, o, q, t, ra, Ra) || obstacle(c, o, q, t + span, rb, Rb)) return 1;
-    for (int j = 0; j < D; j++) way[j] = at->x[D * i + j] - r[j];
-    transposed(R, way, y);
-    times(Ra, y, ya);
-    times(Rb, y, yb);
-    across(at->normal + D * i, e + D);
-    for (int k = 1; k < c->components; k++)
-        for (int j = 0; j < D; j++) drift[k] += e[D * k + j] * (rb[j] - ra[j] + yb[j] - ya[j]);
-    return 0;
-}
-
-/* Rates of the gaps of m closed contacts at the start of a flight of a length, into c->rebound, and slips, along the axes there, into
-   c->before; of gaps of moving obstacles by their places
-   at its start, middle and end, which are asked for anyway. 1 where Python failed. */
-static int start_rates(Contacts *c, Block now, int m, double length)
-{
-    int moving = 0;
-    for (int i = 0; i < c->pairs; i++) moving |= c->pair[i].moving;
-    if (c->stops && touch(c, now.q, *now.t, &c->now)) return 1;
-    for (int k = 0; k < m; k++) {
-        contact_rows(c, c->closed[k], now.q, &c->now, c->rows);
-        c->rebound[k] = along(c, c->closed[k], c->rows, now.v);
-        if (c->components == 1) continue;
-        if (drifts(c, c->closed[k], now.q, *now.t, length, length, &c->now, c->drift)) return 1;
-        for (int a = 1; a < c->components; a++)
-            c->before[c->components * k + a] = along(c, c->closed[k], c->rows + 2 * c->wide * a, now.v) - c->drift[a] / length;
-    }
-    for (int part = 0; moving && part < 3; part++) {
-        const double weight[] = {-3.0, 4.0, -1.0};
-        if (touch(c, now.q, *now.t + (part == 1 ? 0.5 * length : part ? length : 0.0), &c->aside)) return 1;
-        for (int k = 0; k < m; k++) c->rebound[k] += weight[part] * c->aside.gap[c->closed[k]] / length;
-    }
-    return 0;
-}
-
-/* The slips of contact i at the start of a flight of a length, which start_rates() left in ``before``, along the axes of its middle: what
-   they change by, in half of it, goes into its drift. */
-static void turn_slips(const Contacts *c, int i, double length, const double *rows, Block now, const double *before, double *drift)
-{
-    double e[D * D], to[D * D];
-    if (c->components == 1 || c->pair[c->of[i]].shape == LIMIT) return;
-    across(c->now.normal + D * i, e);
-    across(c->end.normal + D * i, to);
-    for (int a = 0; a < D - 1; a++) {
-        double start = 0.0;
-        for (int b = 0; b < D - 1; b++) start += before[b + 1] * dot(e + D * b, to + D * a, D);
-        double rate = along(c, i, rows + 2 * c->wide * (a + 1), now.v) - drift[a + 1] / length;
-        drift[a + 1] -= length * (rate - start);
-    }
 }

@@ -1,14 +1,16 @@
 /* Flights of the Moreau scheme: a solved part of a step, where on its parabola the next contact closes, and the state it leads to. */
 
-static const double TOUCHING = 1e-9, DRIFTING = 1e-5, STILL = 1e-13; /* as in moreau.py */
+static const double TOUCHING = 1e-9, STILL = 1e-13; /* as in moreau.py */
 enum { LOCATING = 6, SHARES = 13 };
 
 /* Impulses of the m contacts of a part, as forces over the whole step h, and for the books. */
 static void take_forces(Contacts *c, int m, double h)
 {
     const int d = c->components;
-    memset(c->held, 0, c->points * d * sizeof(double));
-    memset(c->carrying, 0, c->points * sizeof(int));
+    for (int k = 0; k < c->candidates; k++) {
+        memset(c->held + d * c->candidate[k], 0, d * sizeof(double));
+        c->carrying[c->candidate[k]] = 0;
+    }
     for (int k = 0; k < m; k++) {
         int i = c->closed[k];
         const double *f = c->all.f + d * k, *n = c->end.normal + D * i;
@@ -103,9 +105,9 @@ static int next_touch(
 {
     int any = 0, left = 0, *open = c->hits + c->points; /* -1: not closing; 0: not yet seen open; else which share it is open at */
     if (along_parabola(s, c, now, out, length, 1.0)) return LOOK;
-    for (int i = 0; i < c->points; i++) open[i] = c->aside.gap[i] < 0.0 ? 0 : -1;
+    for (int k = 0; k < c->candidates; k++) open[c->candidate[k]] = c->aside.gap[c->candidate[k]] < 0.0 ? 0 : -1;
     for (int k = 0; k < m; k++) open[c->closed[k]] = -1;
-    for (int i = 0; i < c->points; i++) any |= open[i] == 0;
+    for (int k = 0; k < c->candidates; k++) any |= open[c->candidate[k]] == 0;
     *share = 1.0;
     *held = 0;
     if (!any) return DONE;
@@ -113,7 +115,8 @@ static int next_touch(
     for (int k = 1; k < SHARES; k++) {
         if (along_parabola(s, c, now, out, length, ldexp(1.0, -k))) return LOOK;
         left = 0;
-        for (int i = 0; i < c->points; i++) {
+        for (int n = 0; n < c->candidates; n++) {
+            const int i = c->candidate[n];
             if (open[i] == 0 && c->aside.gap[i] > 0.0) open[i] = k;
             left += open[i] == 0;
         }
@@ -121,8 +124,10 @@ static int next_touch(
     }
     if ((*held = left)) return DONE;
     *which = -1;
-    for (int i = 0; i < c->points; i++)
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
         if (open[i] > 0 && (*which < 0 || open[i] > open[*which])) *which = i;
+    }
 
     return closing_share(s, c, now, out, *which, length, ldexp(1.0, -open[*which]), share);
 }

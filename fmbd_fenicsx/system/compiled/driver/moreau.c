@@ -1,10 +1,14 @@
 /* Steps of the Moreau-Jean scheme: the algorithm of schemes/impacts/moreau.py, many steps in one call. Steps in which points could
    pass through an obstacle, or more contacts close at once than there is room for, are given back with the verdict LOOK. */
 
+#include <stdlib.h>
+
 #include "tables.h"
 #include "rotations.c"
 #include "parts.h"
 #include "contact.c"
+#include "candidates.c"
+#include "contact_rows.c"
 #include "complementarity.c"
 #include "friction.c"
 #include "impulses.c"
@@ -27,12 +31,15 @@ static int taking_part(Contacts *c, const double *p, Block now, double h, int *h
 {
     int m = 0, fresh = 0;
     const double slow = APPROACH * p[LENGTH] / h;
-    for (int i = 0; i < c->points; i++)
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
         fresh |= !c->carrying[i] && c->now.gap[i] <= TOUCHING * p[LENGTH];
+    }
     if (fresh && rates_known(c, now, h)) return -1;
 
     *hit = 0;
-    for (int i = 0; i < c->points; i++) {
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
         double rate = 0.0;
         c->bouncing[i] = 0;
         if (c->now.gap[i] > (c->carrying[i] ? DRIFTING : TOUCHING) * p[LENGTH]) continue;
@@ -60,7 +67,8 @@ static int passes(Contacts *c, Block now, double h)
     for (int i = 0; i < c->size; i++) c->xi[i] = h * now.v[i];
     configuration(c->system, now.q, c->xi, c->ahead);
     if (touch(c, c->ahead, *now.t + h, &c->end)) return 1;
-    for (int i = 0; i < c->points; i++) {
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
         double way[D], thick = c->pair[c->of[i]].thickness;
         for (int j = 0; j < D; j++) way[j] = c->end.relative[D * i + j] - c->now.relative[D * i + j];
         if (length_of(way) > 0.5 * thick && c->now.gap[i] > -0.1 * thick) return 1;
@@ -71,7 +79,8 @@ static int passes(Contacts *c, Block now, double h)
 /* A part of almost no length through the impacts of those that bounce; m contacts take part. One that hits too often comes to rest. */
 static int impact(System *s, Contacts *c, double *p, Block now, Block out, int m, double h)
 {
-    for (int i = 0; i < c->points; i++) {
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
         if (!c->bouncing[i]) continue;
         c->tally.impacts++;
         if (++c->hits[i] == REPEATS + 1) c->rested[i] = *now.t;
@@ -90,14 +99,17 @@ static int holding(System *s, Contacts *c, double *p, Block now, int m, double h
     const double fast = s->rows ? APPROACH * p[LENGTH] / h : DEEP * p[LENGTH] / h;
     if (rates_known(c, now, h)) return -1;
     *hit = 0;
-    for (int i = 0; i < c->points; i++) {
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
         if (open[i] != 0) continue;
         contact_rows(c, i, now.q, &c->now, c->rows);
         c->bouncing[i] = along(c, i, c->rows, now.v) + c->rate[i] < -fast;
         *hit |= c->bouncing[i];
     }
-    for (int i = 0; i < c->points; i++)
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
         if (open[i] == 0 && (!*hit || c->bouncing[i])) c->closed[m++] = i;
+    }
     return m;
 }
 
@@ -109,20 +121,23 @@ static int classical(System *s, Contacts *c, double *p, Block now, Block out, do
     for (int i = 0; i < s->nv; i++) c->xi[i] = 0.5 * left * now.v[i];
     configuration(s, now.q, c->xi, c->ahead);
     if (touch(c, c->ahead, *now.t + 0.5 * left, &c->aside)) return LOOK;
-    for (int i = 0; i < c->points; i++) {
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
         c->bouncing[i] = 1;
         closed[i] = c->aside.gap[i] <= 0.0;
     }
 
     for (int through = 1; through;) {
         m = through = 0;
-        for (int i = 0; i < c->points; i++)
-            if (closed[i]) c->closed[m++] = i;
+        for (int k = 0; k < c->candidates; k++)
+            if (closed[c->candidate[k]] > 0) c->closed[m++] = c->candidate[k];
         if ((verdict = solved(s, c, p, now, out, m, left, left))) return verdict;
         if (!c->most) break;
         if (along_parabola(s, c, now, out, left, 1.0)) return LOOK;
-        for (int i = 0; i < c->points; i++)
-            if (!closed[i] && c->aside.gap[i] < -DRIFTING * p[LENGTH]) through = closed[i] = 1;
+        for (int k = 0; k < c->candidates; k++) {
+            const int i = c->candidate[k];
+            if (closed[i] <= 0 && c->aside.gap[i] < -DRIFTING * p[LENGTH]) through = closed[i] = c->bouncing[i] = 1;
+        }
     }
     return taken(s, c, p, now, out, m, left, h);
 }
@@ -132,6 +147,7 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
 {
     int hit, which, verdict, held;
     double length = left, share;
+    c->here = now;
     if (!c->known && touch(c, now.q, *now.t, &c->now)) return LOOK;
     c->known = 1;
     if (p[BOUNDED] != 0.0 && passes(c, now, left)) return LOOK;
@@ -154,15 +170,22 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
 /* What a step changes beside the state: kept, or put back. */
 static void keep_books(Contacts *c, int back)
 {
-    size_t held = c->points * c->components, impulse = c->pairs * D;
-    double *places[] = {c->held, c->impulse, c->works, &c->energy, &c->springs}, *at = c->saved;
-    size_t sizes[] = {held, impulse, 5, 1, 1};
-    for (int k = 0; k < 5; at += sizes[k++]) {
+    double *places[] = {c->works, &c->energy, &c->springs}, *held = c->saved, *impulse = held + c->points * c->components;
+    double *at = impulse + c->pairs * D;
+    size_t sizes[] = {5, 1, 1};
+    for (int k = 0; k < 3; at += sizes[k++]) {
         if (back) memcpy(places[k], at, sizes[k] * sizeof(double));
         else memcpy(at, places[k], sizes[k] * sizeof(double));
     }
-    if (back) memcpy(c->carrying, c->was, c->points * sizeof(int));
-    else memcpy(c->was, c->carrying, c->points * sizeof(int));
+
+    /* those of pairs are kept when they come near */
+    for (int k = 0; back && k < c->nears; k++) {
+        const Pair *o = c->pair + c->near[k];
+        const int d = c->components;
+        memcpy(c->held + o->first * d, held + o->first * d, o->count * d * sizeof(double));
+        memcpy(c->impulse + c->near[k] * D, impulse + c->near[k] * D, D * sizeof(double));
+        memcpy(c->carrying + o->first, c->was + o->first, o->count * sizeof(int));
+    }
 }
 
 /* The state after so many parts of a step. */
@@ -179,9 +202,8 @@ static int whole_step(System *s, Contacts *c, double *p, double **ring, int *new
     const double h = p[H], end = *block_at(s, ring[0]).t + h;
     int from = 0, to = 1, verdict, acts = 0;
     c->total = 0;
-    memset(c->hits, 0, c->points * sizeof(int));
-    memset(c->force, 0, c->points * D * sizeof(double));
-    memset(c->normal, 0, c->points * sizeof(double));
+    c->here = block_at(s, ring[0]);
+    if (begin_list(c, h, p[LENGTH])) return LOOK;
     note_part(s, c, 0, ring[0]);
     for (int done = 0; end - *block_at(s, ring[from]).t > 2 * INSTANT * h; done++) {
         Block now = block_at(s, ring[from]);
@@ -192,7 +214,8 @@ static int whole_step(System *s, Contacts *c, double *p, double **ring, int *new
         note_part(s, c, done + 1, ring[from]);
     }
     *block_at(s, ring[from]).t = end;
-    for (int i = 0; i < c->points; i++) {
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
         acts |= c->normal[i] != 0.0;
         if (c->hits[i] > REPEATS) c->python(RESTED, i, c->rested[i]);
     }
@@ -212,7 +235,7 @@ static void record_contacts(const Contacts *c, double *to)
 }
 
 /* The newest state, whose step is accepted: elements remember it, and it is recorded where that is due. */
-static int accepted(System *s, const Contacts *c, Block now, Tape *tape)
+static int accepted(System *s, Contacts *c, Block now, Tape *tape)
 {
     int recorded = tape && tape->left == 1, verdict;
     if (recorded || s->remembers) {
@@ -220,6 +243,7 @@ static int accepted(System *s, const Contacts *c, Block now, Tape *tape)
         if (recorded && s->samples && s->python(SAMPLE, 0, *now.t)) return FAILED;
     }
     if (recorded) {
+        if (touch_others(c, now.q, *now.t)) return LOOK;
         const long size = c->points * (2 + 3 * D) + c->pairs * D + 6;
         record_contacts(c, tape->contact + size * place_on(tape));
         if ((verdict = record(s, tape, &now, 0))) return verdict;
@@ -253,5 +277,6 @@ EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double *
         made++;
         if ((*verdict = accepted(s, c, block_at(s, last), tape))) break;
     }
+    if (made && touch_others(c, block_at(s, ring[0]).q, *block_at(s, ring[0]).t)) *verdict = LOOK;
     return made;
 }
