@@ -260,3 +260,12 @@ def test_factors_of_linear_fields_are_solved_with_in_c(
     assert here.counters["worst_linear_residual"] == pytest.approx(there.counters["worst_linear_residual"], rel=10.0)
     for other in (there, doubted):
         assert here["bob"] == pytest.approx(other["bob"], abs=1e-9)
+
+
+@compiled
+def test_tables_share_the_matrices_of_a_field(rod_mesh: Callable[..., Any]) -> None:
+    """Steps and states have tables of their own, with the same M and K."""
+    system = swinging(rod_mesh(dim=2), "attached").build()[0]
+    use_driver(system)
+    one, other = (system.evaluator.tables_of().fields[0].c for _ in range(2))
+    assert (one.M, one.K, one.K_column) == (other.M, other.K, other.K_column) and one.z != other.z

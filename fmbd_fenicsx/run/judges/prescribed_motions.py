@@ -41,6 +41,7 @@ JUMP = 1e-3  # of the model's length, or rad: a jump that is refused
 SEEN = 1e-12  # of the same: what moves less in three steps is looked at later; it may be a motion that begins slowly
 WRONG = 1e-3  # relative difference of a rate from the slope
 HALVINGS = 20
+SMOOTH = 8  # halvings from which on an interval is given up, in which slopes change by less than any kink
 LOOKS = 40  # close looks at one motion that found nothing; afterwards only worse steps are looked at
 KINKS = 100  # of one motion, after which no more are looked for
 MOST = 5000  # places in a run with constant steps
@@ -119,7 +120,10 @@ class Follower:
     def find_sharp(self, a: float, b: float) -> bool:
         """Whether there is a kink or a jump between two times (s): warns of it, or refuses it."""
         try:
-            a, b, steepest = self._sharpest(a, b)
+            found = self._sharpest(a, b)
+            if found is None:
+                return False
+            a, b, steepest = found
             d, s = b - a, self.motion.place
             values = [s(a - d), s(a), s(b), s(b + d)]
             wide = [s(b + w * d) - s(b) - (s(a) - s(a - w * d)) for w in WIDER]
@@ -141,20 +145,24 @@ class Follower:
             return True
         return False
 
-    def _sharpest(self, a: float, b: float) -> tuple[float, float, float]:
+    def _sharpest(self, a: float, b: float) -> tuple[float, float, float] | None:
         """The part of an interval, 2^-20 of it or some thousand roundings of time, in which the motion bends most; and the
-        steepest slope on the way there.
+        steepest slope on the way there. None where a part bends by less than half of the least kink: of smooth motions slopes
+        change in proportion to the width, at a kink they do not.
         """
         place, steepest = self.motion.place, 0.0
         known: list[float] = []  # the last part's places at its ends and in its middle
-        for _ in range(HALVINGS):
+        for halving in range(HALVINGS):
             quarter = 0.25 * (b - a)
             if quarter < 1e3 * EPS * max(abs(a), abs(b)):
                 break
             begin, middle, end = known or [place(a), place(a + 2 * quarter), place(b)]
             v = [begin, place(a + quarter), middle, place(a + 3 * quarter), end]
             steepest = max(steepest, *(abs(x - y) / quarter for x, y in pairwise(v)))
-            k = max(range(3), key=lambda k: abs(v[k] - 2 * v[k + 1] + v[k + 2]))
+            bends = [abs(x - 2 * y + z) for x, y, z in zip(v, v[1:], v[2:], strict=False)]
+            if halving >= SMOOTH and sum(bends) <= 0.05 * SHARP * quarter * max(self.fastest, steepest):
+                return None
+            k = bends.index(max(bends))
             a, b, known = a + k * quarter, a + (k + 2) * quarter, v[k : k + 3]
         return a, b, steepest
 

@@ -190,7 +190,7 @@ class FieldTable:
         store = tables.store
         n = self.part.n
         arrays = {
-            **self._matrices(), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
+            **self._columns_of_ports(), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
             **{name: np.zeros(self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
             **{name: np.zeros(n) for name in ("accel", "MU")},
         }  # fmt: skip
@@ -209,24 +209,34 @@ class FieldTable:
             inertial=self.inertial, turns=int(self.turns), frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
+            **{name: store.shared(x) for name, x in self._rows_of_nodes().items()},
             **self._stiffening(),
         )  # fmt: skip
         self._lend()
         return self.c
 
-    def _matrices(self) -> dict[str, np.ndarray]:
-        """M and K by rows of nodes, and the columns of ports."""
-        part = self.part
-        field = part.field
-        d = self.tables.dim
-        start, columns, values = field.M.getValuesCSR()
-        K = sp.csr_matrix(field.K.getValuesCSR()[::-1], shape=(part.n, part.n)).tobsr((d, d))
-        ports = sp.csc_matrix(FieldPart.port_columns(part, self.ports, 0.0))  # of the body that is not bent
+    def _rows_of_nodes(self) -> dict[str, np.ndarray]:
+        """M and K by rows of nodes, which all tables of the system share: C only reads them."""
+        cache, key = self.tables.system.cache, ("rows of nodes", self.k)
+        if key not in cache:
+            field, n, d = self.part.field, self.part.n, self.tables.dim
+            start, columns, values = field.M.getValuesCSR()
+            K = sp.csr_matrix(field.K.getValuesCSR()[::-1], shape=(n, n)).tobsr((d, d))
+            cache[key] = {
+                "M_start": start.astype(np.int32), "M_column": columns.astype(np.int32), "M": values,
+                "K_start": K.indptr.astype(np.int32), "K_column": K.indices.astype(np.int32), "K": K.data,
+            }  # fmt: skip
+        found: dict[str, np.ndarray] = cache[key]
+        return found
+
+    def _columns_of_ports(self) -> dict[str, np.ndarray]:
+        """The columns of ports, of the body that is not bent."""
+        ports = sp.csc_matrix(FieldPart.port_columns(self.part, self.ports, 0.0))
         return {
-            "M_start": start.astype(np.int32), "M_column": columns.astype(np.int32), "M": values,
-            "K_start": K.indptr.astype(np.int32), "K_column": K.indices.astype(np.int32), "K": K.data,
-            "port": ports.data, "port_start": ports.indptr.astype(np.int32), "port_on": ports.indices.astype(np.int32),
-        }  # fmt: skip
+            "port": ports.data,
+            "port_start": ports.indptr.astype(np.int32),
+            "port_on": ports.indices.astype(np.int32),
+        }
 
     def _stiffening(self) -> dict[str, int]:
         """What a field with stiffening has beside, see ``driver/stiffened.c``."""
