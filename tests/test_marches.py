@@ -116,8 +116,8 @@ def test_marches_are_steps_made_in_turn(scheme: Any, name: str, monkeypatch: pyt
     once, turn = both(
         monkeypatch, lambda: fmbd.solve(MAKERS[name](), t_end=0.12, dt=1e-3, scheme=scheme, output=output)
     )
-    in_parts = name == "redundant" and isinstance(scheme, fmbd.EnergyMomentum)  # the smallest multipliers are NumPy's
-    assert in_parts or max(marches) > (10 if name == "sampled" else 30)
+
+    assert max(marches) > (10 if name == "sampled" else 30)
     roundoff = 1e-12 if name in REMEMBERING else 0.0  # the memory of steps that are made in turn is NumPy's
     for x in STATE:
         found, wanted = getattr(once.state, x), getattr(turn.state, x)

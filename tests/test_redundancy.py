@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from combinations import BODIES
 from test_compiled_evaluation import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import redundancy
 from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.driver_solver import FieldDriverSolver
 from fmbd_fenicsx.linear.redundancy import least, null_space
 from fmbd_fenicsx.linear.saddle.pencil import Pencil
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
@@ -182,3 +184,45 @@ def test_elastic_fields_beside_dependent_rows_are_compiled(make: Any, form: Any,
     assert fast.counters["compiled_steps"] >= 49  # the start is NumPy's
     assert abs(fast.counters["newton_iterations"] - slow.counters["newton_iterations"]) <= 1
     np.testing.assert_allclose(fast.state.lam, slow.state.lam, rtol=0, atol=1e-7 * np.abs(slow.state.lam).max())
+
+
+def twice_hinged(body: str) -> fmbd.Scene:
+    """An elastic rod on two hinges in one place."""
+    rod = BODIES[body]()
+    scene = fmbd.Scene("twice", gravity=rod.at(0, -9.81))
+    hinges = [fmbd.revolute(name, fmbd.ground, rod.left, center=rod.at(0, 0)) for name in ("one", "two")]
+    scene.add(rod.body, *hinges)
+    return scene
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("scheme", "dt", "body"),
+    [
+        (fmbd.Rattle(), 2e-5, "floating"),
+        (fmbd.Rattle(), 2e-5, "absolute"),
+        (fmbd.HalfExplicit(rtol=None), 2e-5, "floating"),
+        (fmbd.HalfExplicit(rtol=None), 2e-5, "absolute"),
+        (fmbd.EnergyMomentum(), 1e-3, "absolute"),
+    ],
+    ids=lambda x: getattr(x, "name", None),
+)
+def test_dependent_rows_on_fields_are_solved_in_compiled_code(
+    scheme: Any, dt: float, body: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """States and smallest multipliers of NumPy, which makes some matrices at the start."""
+    made: list[int] = []
+    assemble = StepSolver._assemble
+    monkeypatch.setattr(StepSolver, "_assemble", lambda *given: (made.append(1), assemble(*given))[1])
+    run = lambda: fmbd.solve(twice_hinged(body), t_end=30 * dt, dt=dt, scheme=scheme).state  # noqa: E731
+
+    fast = run()
+    assert len(made) <= 10
+    monkeypatch.setattr(FieldDriverSolver, "_usable_at", lambda *given: False)
+    monkeypatch.setattr(FieldDriverSolver, "means", lambda *given: None)
+    slow = run()
+    assert len(made) > 30
+    for name, bar in (("q", 1e-11), ("v", 1e-10), ("a", 1e-8), ("lam", 1e-8)):
+        x, y = getattr(fast, name), getattr(slow, name)
+        assert np.abs(x - y).max() <= bar * np.abs(y).max(), name
+    assert fast.lam[:2] == pytest.approx(fast.lam[2:4], rel=1e-8)

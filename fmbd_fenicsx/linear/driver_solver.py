@@ -1,7 +1,7 @@
 """Solutions by the driver: the matrix of a state that it evaluated is factored and solved there, and not in NumPy.
 
 Only where the rows certainly do not depend on each other, which the first factor tells. Where NumPy finds that they do, the
-driver makes what explicit schemes ask for in one call, with the smallest multipliers; all else is NumPy's.
+driver makes what explicit schemes and energy-momentum ask for in one call, with the smallest multipliers; all else is NumPy's.
 """
 
 from __future__ import annotations
@@ -172,10 +172,7 @@ class DriverSolver:
 
 
 class FieldDriverSolver(DriverSolver):
-    """The same with elastic fields: tables with the factors of a size of step, which the runs of a system share.
-
-    Rows that depend on each other are NumPy's.
-    """
+    """The same with elastic fields: tables with the factors of a size of step, which the runs of a system share."""
 
     def __init__(self, states: FieldStates, core: CoreSolver, elastic: FieldBlocks) -> None:
         """``states``: those that are asked for; ``elastic``: the factors of fields."""
@@ -203,21 +200,21 @@ class FieldDriverSolver(DriverSolver):
             self.states, self.explicit = found, ExplicitStates(found)
 
     def _usable_at(self, t: float, q: Array, v: Array) -> bool:
-        if self.usable is False:
-            return False
-        ev = self.told.at(t, q, v)
-        self._choose(ev, MASSES)
-        return self._looked(ev)
+        if self.usable is not False or self.core.redundant:
+            self._choose(self.told.at(t, q, v), MASSES)
+        return super()._usable_at(t, q, v)
 
     def means(self, state: State, h: float) -> MeanStates | None:
         """As above, with the factors of a step of size h (s), whose matrix is M + h D / 2 + h^2 K / 4."""
         self.ready = False
         if self.usable is None:
             self._usable_at(state.t, state.q, state.v)
-        if not self.usable:
+        if not self.usable and not self.core.redundant:
             return None
         ev, weights = self.told.at(state.t, state.q, state.v), Weights(1.0, 0.5 * h, 0.25 * h * h)
         states = self.told.of_steps(self.elastic.beside(ev.jacobian, weights))
+        if not self.usable:
+            states.let_depend()
         states.tables.renewed = lambda *_: self._renewed(states, ev, weights)
         if self._made is None or self._made.states is not states:
             self._made = MeanStates(states)

@@ -170,9 +170,8 @@ class EnergyMomentumStepper(StepsInParts):
         return self._take(h, *self._in_parts(h, guess, ends, differences=tried))
 
     def _in_one_call(self, h: float) -> bool:
-        """Without fields and dependent rows, and where no tangent of steps in parts serves better."""
-        kept = self._kept is not None and self._kept[0] == h
-        return not (kept or self.solver.core.redundant)
+        """Without fields, and where no tangent of steps in parts serves better."""
+        return self._kept is None or self._kept[0] != h
 
     def _room(self, states: DriverStates) -> int:
         s, most = states.system, self.newton.max_iterations + NEAR

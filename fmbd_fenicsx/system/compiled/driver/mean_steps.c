@@ -89,6 +89,7 @@ static int mean_march_step(System *s, double *p, double *room, const Block *past
     if (largest_turn(s, h, now.v, made.a) > room[TURNS]) return DOUBT; /* Python warns of it */
     if ((verdict = sample(s, t, &last))) return verdict;
     if ((verdict = accelerate(s, t, p[LENGTH], out.q, out.v, out.a, out.lam, rest, 0))) return verdict;
+    if (s->redundant && (verdict = driver_least(s, 1, t, 1, out.q, made.lam, rest))) return verdict;
     *made.through = best_through(s, past, known, &made, x);
     *out.t = t;
 

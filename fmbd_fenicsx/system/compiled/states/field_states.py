@@ -100,4 +100,4 @@ class FactoredFieldStates(FieldStates):
 
     def tables_of(self) -> Tables:
         """Tables with these factors."""
-        return Tables(self.system, redundant=False, blocks=self.blocks)
+        return Tables(self.system, redundant=self.dependent, blocks=self.blocks)
