@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from tolerance_more import bar
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.materials import plane_stress
+from fmbd_fenicsx.run import single_run, time_loop
+from fmbd_fenicsx.run.accuracy import companion_runs
 from fmbd_fenicsx.run.accuracy.search import jumps_in_time as looks
 from fmbd_fenicsx.run.schedule import StepSchedule
 
@@ -40,7 +45,7 @@ JUMPING = {
 def test_jumps_are_found_to_roundoff(name: str) -> None:
     """Alone, beside each other, and where each interval has one, so that all change alike."""
     force, when = JUMPING[name]
-    found = looks.jumps_in_time(under(force), StepSchedule(1.0, STEPS))
+    found = looks.jumps_in_time(under(force), looks.all_along(StepSchedule(1.0, STEPS)))
     assert len(found) == len(when)
     np.testing.assert_allclose(found, when, rtol=0, atol=1e-14)
 
@@ -50,7 +55,7 @@ def test_little_is_asked_of_even_loads(force: Callable[[float], float], monkeypa
     """Beside the ends of steps one interval in eight, and those whose neighbours do not tell them."""
     asked, rows = [], looks.HeldState.rows
     monkeypatch.setattr(looks.HeldState, "rows", lambda held, t: (asked.append(len(t)), rows(held, t))[1])
-    assert not looks.jumps_in_time(under(force), StepSchedule(1.0, STEPS))
+    assert not looks.jumps_in_time(under(force), looks.all_along(StepSchedule(1.0, STEPS)))
     assert asked[0] == STEPS + 1 and sum(asked[1:]) < STEPS // 2
 
 
@@ -63,3 +68,40 @@ def test_nothing_is_asked_where_nothing_depends_on_time(monkeypatch: pytest.Monk
     scene.sensor("x", fmbd.position(mass))
     run = fmbd.solve(scene, t_end=0.5, tol={"x": 1e-2}, output=fmbd.Output(progress=False))
     assert run.history[-1].then == "done"
+
+
+def test_a_run_whose_loads_jump_is_not_compared_with_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What they tell says nothing of the jump: the next run ends steps there, and no run with larger steps comes before it."""
+    steps, march = [], time_loop.march
+
+    def noted(problem: Any, solver: Any, schedule: StepSchedule, *rest: Any) -> Any:
+        steps.append(schedule.steps)
+        return march(problem, solver, schedule, *rest)
+
+    for module in (companion_runs, single_run):
+        monkeypatch.setattr(module, "march", noted)
+    scene = fmbd.Scene("mass", gravity=(0.0, 0.0))
+    mass = fmbd.RigidBody("mass", 1.0, 0.1, (1.0, 0.0))
+    scene.add(mass, fmbd.Spring("spring", fmbd.ground, mass, stiffness=20.0, length=0.7))
+    scene.add(fmbd.force("push", mass, lambda t: (3.0 * (t > 0.237), 0.0)))
+    scene.sensor("x", fmbd.position(mass))
+    run = fmbd.solve(scene, t_end=0.52, tol={"x": 1e-4}, output=fmbd.Output(progress=False))
+    assert run.scene.breakpoints == pytest.approx((0.237,), abs=1e-15) and run.history[-1].then == "done"
+    assert not run.history[0].errors and "no errors stated" in str(run.history[0])
+    assert steps[0] == 100 and 100 <= steps[1] <= 110
+
+
+def test_jumps_in_elastic_bodies_are_looked_for_about_the_kinks_that_they_leave(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each instant of a field costs as much as a step: some before and behind the kink, and those that halve the interval."""
+    asked, rows = [], looks.HeldState.rows
+    monkeypatch.setattr(looks.HeldState, "rows", lambda held, t: (asked.append(len(t)), rows(held, t))[1])
+    arm = bar("arm", h=0.25, height=0.08, law=plane_stress(3e8, 0.3), density=1000.0, stiffness_damping=2e-3)
+    scene = fmbd.Scene("arm")
+    scene.add(arm, fmbd.revolute("pin", fmbd.ground, arm.surface("pin"), center=(0, 0)))
+    scene.add(fmbd.force("push", arm.surface("tip"), lambda t: (0.0, 25.0 if t < 0.1713 else -10.0)))
+    scene.sensor("tip", fmbd.position(arm.surface("tip")))
+    run = fmbd.solve(scene, t_end=0.4, tol={"tip": 3e-4}, output=fmbd.Output(progress=False))
+    assert run.scene.breakpoints == pytest.approx((0.1713,), abs=1e-15) and run.history[-1].then == "done"
+    assert sum(asked) < 100 < run.counters["steps"]

@@ -290,12 +290,11 @@ def plot_history(run: Run, file: str | Path) -> None:
     mpl, fig = _figure(6.0, 4.0)
     with mpl.rc_context(STYLE):
         axes = fig.add_subplot()
-        seconds = [a.seconds for a in run.history]
-        worst = [a.worst for a in run.history]
-        axes.loglog(seconds, worst, "o-", color="C0")
+        stated = [a for a in run.history if np.isfinite(a.worst)]
+        axes.loglog([a.seconds for a in stated], [a.worst for a in stated], "o-", color="C0")
         axes.axhline(1.0, color="0.6", linestyle="--")
         # each attempt by its step
-        for a in run.history:
+        for a in stated:
             axes.annotate(f"  {a.step:.1g}", (a.seconds, a.worst), fontsize=8)
         axes.set(xlabel="seconds, estimates included (s)", ylabel="stated error over tolerance", title=run.scene.name)
         _saved(fig, file, 150)

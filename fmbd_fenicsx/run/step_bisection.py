@@ -32,6 +32,7 @@ from .judges.force_balance import Balanced
 from .judges.forecast import Forecast
 
 DEPTH = 6  # times that a step that fails may be halved
+AT_FIRST = 4  # halvings that may be any time, where only so many may be in all: others as steps go on
 
 
 @dataclass(frozen=True)
@@ -250,7 +251,7 @@ class ConstantSteps(Around):
     def _halves(self, h: float, depth: int, before: State | None = None) -> None:
         """A part of size h in halves, from the state ``before`` where it failed."""
         self.parted += 1
-        if self.parted > self.most:
+        if self.parted > self._allowed():
             t, whole = (before or self.stepper.state).t, h * 2**depth
             raise PartsError(
                 f"t = {t:g} s: steps of {whole:g} s were halved {self.parted} times; smaller ones cost less."
@@ -259,6 +260,13 @@ class ConstantSteps(Around):
             self._begin(before)
         self._advance(0.5 * h, depth + 1)
         self._advance(0.5 * h, depth + 1)
+
+    def _allowed(self) -> float:
+        """How many halvings there may be up to now: a run whose steps fail from the start on does not make all of them."""
+        if self.judges is None or not np.isfinite(self.most):
+            return self.most
+        forecast = self.judges.forecast
+        return min(self.most, AT_FIRST + self.most * forecast.taken / max(forecast.planned, 1))
 
     def restart(self, t: float) -> None:
         """Go on at t, behind a jump of forces."""

@@ -15,7 +15,7 @@ from ...system.scene.refinement import meshed_bodies, modal_bodies
 from ...system.scene.scene import Scene
 from ..schedule import far_side
 from .deviation import together
-from .orders import expected_orders, irregular, kink
+from .orders import expected_orders, irregular, kink, rough
 
 if TYPE_CHECKING:
     from ..solve import Run
@@ -187,11 +187,23 @@ def left_by_kinks(run: Run, name: str) -> tuple[float, float]:
     if Declared.by(run.scheme).adaptive or struck_or_sampled(run.scene):
         return 0.0, np.inf
     order = expected_orders(run.scheme, run.scene, run.system)[name]
+    return max(kink(t, x, order, run.scene.sensors[name].derivative) for t, x in _pieces(run, name))
+
+
+def about_kinks(run: Run, name: str) -> list[Array]:
+    """The times (s) about the kinks of a sensor that say as much, in stretches; empty where it is smooth."""
+    if not left_by_kinks(run, name)[0]:
+        return []
+    derivative = run.scene.sensors[name].derivative
+    return [times for t, x in _pieces(run, name) for times in rough(t, x, derivative)]
+
+
+def _pieces(run: Run, name: str) -> list[tuple[Array, Array]]:
+    """Times (s) and values of a sensor at ends of steps, apart at the break points of the scene."""
     # what breaks at instants that the scene names breaks between two steps
     times, series = (run.times, run.series) if run.at_steps is None else run.at_steps
     parts = np.searchsorted(times, [far_side(x) for x in sorted(run.scene.breakpoints)])
-    pieces = zip(np.split(times, parts), np.split(series[name], parts), strict=True)
-    return max(kink(t, x, order, run.scene.sensors[name].derivative) for t, x in pieces)
+    return list(zip(np.split(times, parts), np.split(series[name], parts), strict=True))
 
 
 def _uncertain_by_kinks(run: Run, stated: Statement) -> list[str]:

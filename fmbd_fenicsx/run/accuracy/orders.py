@@ -24,6 +24,7 @@ LEAST_LEFT, MOST_LEFT = 0.5, 2.5
 CLEARLY = 0.05  # lower than the order of the scheme: what is left counts
 ALONE = 0.05  # of the largest difference, that half of all stay below beside a kink: those of vibrations do not
 SHARPER = 1.3  # growth of differences with each one more about a kink, at least; of motion that steps follow they fall
+AS_ROUGH = 0.2  # of the largest difference: other kinks
 SEEN_KINK = 1e-6  # error by a kink over the range of a sensor below which differences tell of Newton's iteration, too
 FALLING = 0.5  # order below which differences do not fall with the step: a tenth of such an error matters
 
@@ -85,7 +86,7 @@ def kink(t: Array, x: Array, order: int, derivative: int) -> tuple[float, float]
     accelerations that is about 0.6 s D / h, D / 4, 0.16 h D / s, with D = |D_h^m x| in this sense: by the scheme,
     half of the most that may be left, or a little more than all of it.
     """
-    m = max(5 - derivative, 3)
+    m = _differences(derivative)
     if len(t) < 4 * (m + 1) or np.ptp(np.diff(t)) > 1e-6 * (t[1] - t[0]):
         return 0.0, np.inf
 
@@ -105,6 +106,26 @@ def kink(t: Array, x: Array, order: int, derivative: int) -> tuple[float, float]
     lasts = min(0.5 * span / step, float(len(t))) if step > 0 else float(len(t))  # s / h
     error = fine * (0.6 * lasts, 0.25, 0.16 / lasts)[derivative]
     return (error, left) if error > SEEN_KINK * span else (0.0, np.inf)
+
+
+def rough(t: Array, x: Array, derivative: int) -> list[Array]:
+    """The times about all that differences of a series, as :func:`kink` takes them, show as much as its largest kink."""
+    m = _differences(derivative)
+    if len(t) < m + 1:
+        return []
+    heights = np.abs(np.diff(x, m, axis=0)).max(axis=1)
+
+    # each difference is made of m + 1 values, and what jumps after the last of them moves it little
+    about = np.zeros(len(t), dtype=bool)
+    for k in np.flatnonzero(heights > AS_ROUGH * heights.max()):
+        about[max(k - 1, 0) : k + m + 2] = True
+    ends = np.flatnonzero(np.diff(about)) + 1
+    return [times for times, kept in zip(np.split(t, ends), np.split(about, ends), strict=True) if kept[0]]
+
+
+def _differences(derivative: int) -> int:
+    """How many differences are taken of a series: 0 of places, 1 of velocities, 2 of accelerations."""
+    return max(5 - derivative, 3)
 
 
 def _about(x: Array, m: int, at: int, wide: int) -> float:

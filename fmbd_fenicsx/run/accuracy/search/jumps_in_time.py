@@ -7,7 +7,7 @@ halves of an interval with a jump one holds nearly all of the change, however of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from ....system.system import State, System
 from ...judges.energy_check import closed
 from ...result import Run
 from ...schedule import StepSchedule, far_side, near_side
-from ..certificate import left_by_kinks, struck_or_sampled
+from ..certificate import about_kinks, struck_or_sampled
 
 MOST = 1000  # intervals of a run that are looked at
 HALVINGS = 60  # to roundoff of any time, from any interval
@@ -46,9 +46,16 @@ class HeldState:
         system = self.system
         q, v = (np.tile(x, (len(times), 1)) for x in (self.state.q, self.state.v))
         seen = system.batch(times, q, v)
-        drives = [system.row_units * x for x in (seen.opening(), seen.gamma())]
-        forces = seen.balance(np.zeros_like(v), np.zeros((len(times), system.n_lam)))
-        return np.concatenate((forces / system.units, *drives), axis=1)
+        forces = seen.balance(np.zeros_like(v), np.zeros((len(times), system.n_lam))) / system.units
+        if not self._driven:  # to make rows of joints costs as much again
+            return np.concatenate((forces, np.zeros((len(times), 2 * system.n_lam))), axis=1)
+        return np.concatenate((forces, *(system.row_units * x for x in (seen.opening(), seen.gamma()))), axis=1)
+
+    @property
+    def _driven(self) -> bool:
+        """Whether what joints, ties or equations of the user's own prescribe may depend on time."""
+        system = self.system
+        return bool(any(batch.driven for batch, _ in system.batches) or system.traces or system.port_constraints)
 
     def scale(self, rows: Array) -> Array:
         """The largest force, speed and acceleration of all times and rows, for each of the rows; collective."""
@@ -65,13 +72,18 @@ class HeldState:
         return np.max(self.system.comm.allgather(x), axis=0) if self.system.fields else x  # type: ignore[no-any-return]
 
 
-def jumps_in_time(held: HeldState, schedule: StepSchedule) -> tuple[float, ...]:
-    """Instants (s) at which forces or drives jump, between the break points that are known; collective."""
-    found: list[float] = []
+def jumps_in_time(held: HeldState, stretches: Iterable[Array]) -> tuple[float, ...]:
+    """Instants (s) at which forces or drives jump, between the times of each of some stretches, ascending (n,); collective."""
+    return tuple(t for times in stretches for t in _within(held, times))
+
+
+def all_along(schedule: StepSchedule) -> list[Array]:
+    """Ends of steps, between the break points that are known, s."""
+    found = []
     for begin, end in schedule.stretches:
         count = int(np.clip(schedule.reached(end) - schedule.reached(begin), 1, MOST))
-        found += _within(held, np.linspace(far_side(begin) if begin else 0.0, near_side(end), count + 1))
-    return tuple(found)
+        found.append(np.linspace(far_side(begin) if begin else 0.0, near_side(end), count + 1))
+    return found
 
 
 def _within(held: HeldState, times: Array) -> list[float]:
@@ -128,9 +140,9 @@ def _halved(held: HeldState, x: Intervals, scale: Array) -> dict[int, float]:
     """Number of an interval with a jump -> when (s)."""
     whole = held.change(x.before, x.behind, scale)
     for _ in range(HALVINGS):
-        if not len(x.at):
-            break
         middle = 0.5 * (x.low + x.high)
+        if not ((x.low < middle) & (middle < x.high)).any():
+            break
         between = held.rows(middle)
         first, second = held.change(x.before, between, scale), held.change(between, x.behind, scale)
 
@@ -146,15 +158,16 @@ def _halved(held: HeldState, x: Intervals, scale: Array) -> dict[int, float]:
 def unnamed_jumps(run: Run, schedule: StepSchedule, tol: Mapping[str, Any], *, first: bool) -> tuple[float, ...]:
     """Jumps within the equal steps of a run, where they depend on time alone; collective.
 
-    They are looked for where a sensor with a tolerance has a kink, and in the ``first`` run, unless there are fields, of which
-    it costs as much as steps: kinks of slow motion in large steps are not seen. What gets no energy knows no time.
+    They are looked for about the kinks of sensors with a tolerance, and all along the ``first`` run, unless there are fields, of
+    which it costs as much as steps: kinks of slow motion in large steps are not seen. What gets no energy knows no time.
     """
-    if closed(run.scene, run.system):
+    if not schedule.steps or closed(run.scene, run.system):
         return ()
-    cheap = first and not run.system.fields and not struck_or_sampled(run.scene)
-    if not schedule.steps or not (cheap or any(left_by_kinks(run, name)[0] > 0.0 for name in tol)):
-        return ()
-    return jumps_in_time(HeldState(run.system, run.state), schedule)
+    if first and not run.system.fields and not struck_or_sampled(run.scene):
+        stretches = all_along(schedule)
+    else:
+        stretches = [times for name in tol for times in about_kinks(run, name)]
+    return tuple(sorted({*jumps_in_time(HeldState(run.system, run.state), stretches)}))
 
 
 def with_break_points(scene: Scene, more: tuple[float, ...]) -> Scene:

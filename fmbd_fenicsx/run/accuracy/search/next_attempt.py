@@ -155,7 +155,9 @@ def next_plan(
 ) -> tuple[AttemptPlan | None, str]:
     """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
     if run.space_unstated.startswith(UNENDED):  # finer spaces may need smaller steps
-        tried = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes) and np.isinf(a.worst)]
+        tried = [
+            a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes) and a.errors and np.isinf(a.worst)
+        ]
         return (None, run.space_unstated) if tried else (finer_steps(plan, NEAR), "finer steps")
 
     over = {kind: max(share(certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
@@ -207,14 +209,12 @@ def next_plan(
     return made, " and ".join([*done, "finer steps"])
 
 
-def ending_at(plan: AttemptPlan, jumps: tuple[float, ...], run: Run, shared: SharedSpaces) -> AttemptPlan:
-    """The plan with steps of about the same size that end at ``jumps`` (s), too; errors of the run by spaces and modes hold."""
+def ending_at(plan: AttemptPlan, jumps: tuple[float, ...], shared: SharedSpaces) -> AttemptPlan:
+    """The plan with steps of about the same size that end at ``jumps`` (s), too; what is known of spaces and modes holds."""
     scene, *below = (with_break_points(x, jumps) for x in (plan.scene, *plan.below))
     schedule = step_schedule(scene, plan.scheme, plan.schedule.t_end, plan.step, multiple=4)
     shared.grain = max(round(plan.grain * schedule.steps / plan.steps), 1)
-    known = Known({k: x for k, x in run.deviations.items() if k in ("space", "modes")}, run.space_unstated)
-    named = replace(plan, scene=scene, below=tuple(below), schedule=schedule, grain=shared.grain)
-    return replace(named, known=known, orders=Orders())
+    return replace(plan, scene=scene, below=tuple(below), schedule=schedule, grain=shared.grain, orders=Orders())
 
 
 def _still_known(

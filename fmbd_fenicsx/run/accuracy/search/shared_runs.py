@@ -211,8 +211,9 @@ class SharedRuns:
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
         if steps < TWICE * coarser[0].schedule.steps and not resolved(known_orders(found), orders):
             # irregular motion is not judged by steps of nearly the same size
-            half = self._with(solved, steps // 2)
-            found = compare_steps(orders, given, [half, coarser[0]], before=seen)
+            half = steps // 2
+            farther = max((n for n in have if n <= half / NEAREST), default=max(half // 2, 1))
+            found = compare_steps(orders, given, [self._with(solved, n) for n in (half, farther)], before=seen)
         return found
 
     def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:

@@ -9,7 +9,7 @@ with the step, so they are estimated again only when bodies have changed; runs w
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -70,7 +70,8 @@ RECORDS = 200  # that runs make at least, so that they can be compared
 class Attempt:
     """One run on the way to a tolerance: its steps (s, or rtol), its level of refinement, stated errors, seconds with estimates.
 
-    One that only looked at the error in space, with the fewest steps that follow the motion, states this error alone.
+    One that only looked at the error in space, with the fewest steps that follow the motion, states this error alone, one whose
+    loads were found to jump none.
     ``worst`` is the largest stated error over its tolerance; ``errors``: sensor -> sum of errors. ``then``: what was done next.
     """
 
@@ -85,9 +86,10 @@ class Attempt:
     def __str__(self) -> str:
         """A line of a table."""
         errors = ", ".join(f"{n} {x:.1e}" for n, x in self.errors.items())
+        said = f"error / tol {self.worst:8.2g} ({errors})" if errors else "no errors stated"
         return (
-            f"step {self.step:<9.3g} mesh level {self.meshes}, modes level {self.modes}: error / tol {self.worst:8.2g} "
-            f"({errors}), {self.seconds:.2f} s: {self.then}"
+            f"step {self.step:<9.3g} mesh level {self.meshes}, modes level {self.modes}: {said}, {self.seconds:.2f} s: "
+            f"{self.then}"
         )
 
 
@@ -189,7 +191,19 @@ def _one_more(
         found.history.append(_of_space(plan, looked, clock.perf_counter() - begun))
         return looked.plan
 
-    run, orders = _attempt(plan, tol, shared, wanted)
+    output = replace(wanted, every=_often(wanted, plan.schedule), estimate_error=False)
+    solved = shared.solve(plan.scene, plan.scheme, plan.schedule, output)
+    run = solved.run
+    jumps = unnamed_jumps(run, plan.schedule, tol, first=not found.history)
+    if not jumps:  # errors that others tell say nothing of these
+        orders = _state_errors(plan, tol, shared, solved)
+    if output.every != wanted.every and wanted.times is None:
+        _thin_out(run, solved.compared.recorder.indices, wanted.every)
+    if jumps:
+        found.best = np.inf, run
+        found.history.append(_of_jumps(plan, jumps, clock.perf_counter() - begun))
+        return ending_at(plan, jumps, shared)
+
     certificate = stated_of(run, tol)
     ratio = worst(certificate, tol)
     found.take(run, ratio, plan)
@@ -213,10 +227,6 @@ def _after(
 ) -> tuple[AttemptPlan | None, str]:
     """The plan after an attempt and what it changes, or None and why there is none; collective."""
     ratio = worst(certificate, tol)
-    if jumps := unnamed_jumps(run, tried.schedule, tol, first=not found.history):
-        shown = ", ".join(f"{t:.6g} s" for t in jumps[:SHOWN]) + (", .." if len(jumps) > SHOWN else "")
-        found.best = np.inf, run  # what it states says nothing of the jumps
-        return ending_at(tried, jumps, run, shared), f"steps that end where loads jump: {shown}"
     if safe(certificate, tol):
         return None, "done"
     if why := found.stalled(tried, ratio):
@@ -231,6 +241,13 @@ def _of_space(plan: AttemptPlan, looked: Looked, seconds: float) -> Attempt:
     """The line of an attempt that ended when its meshes were found too coarse."""
     step = plan.schedule.t_end / plan.orders.follow
     return Attempt(step, plan.meshes, plan.modes, looked.over, looked.errors, seconds, "finer meshes")
+
+
+def _of_jumps(plan: AttemptPlan, jumps: Sequence[float], seconds: float) -> Attempt:
+    """The line of an attempt that ended when loads were found to jump within its steps."""
+    shown = ", ".join(f"{t:.6g} s" for t in jumps[:SHOWN]) + (", .." if len(jumps) > SHOWN else "")
+    then = f"steps that end where loads jump: {shown}"
+    return Attempt(plan.step, plan.meshes, plan.modes, np.inf, {}, seconds, then)
 
 
 def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> AttemptPlan:
@@ -259,11 +276,8 @@ def _default(scene: Scene, t_end: float) -> Any:
     return replace(scheme, rtol=LOOSEST) if jumps and isinstance(scheme, GeneralizedAlpha) else scheme
 
 
-def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Output) -> tuple[Run, Orders]:
-    """A run with the estimates that are not known yet, and the orders that were seen; collective."""
-    every = _often(wanted, plan.schedule)
-    output = replace(wanted, every=every, estimate_error=False)
-    solved = shared.solve(plan.scene, plan.scheme, plan.schedule, output)
+def _state_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> Orders:
+    """The errors of a run that are not known yet, and the orders that were seen; collective."""
     run, ended = solved.run, clock.perf_counter()
     found = _time_error(plan, tol, shared, solved)
     run.seconds["error estimate"] = clock.perf_counter() - ended
@@ -271,10 +285,8 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Ou
     _other_errors(plan, tol, shared, solved, found.with_others)
     if not plan.steps and found.with_others is not solved.compared and _doubtful(run, tol):
         run.state_error("time", tolerance_error(solved.problem, solved.compared.recorder, plan.schedule))
-    if every != wanted.every and wanted.times is None:
-        _thin_out(run, solved.compared.recorder.indices, wanted.every)
     fewest = found.with_others.schedule.steps
-    return run, Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()
+    return Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()
 
 
 def _doubtful(run: Run, tol: Tolerance) -> bool:

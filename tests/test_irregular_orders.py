@@ -1,0 +1,47 @@
+"""Motion that steps do not resolve: runs that seem to agree by chance do not tell an error."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.run.accuracy.search import shared_runs
+
+
+def tumbling_net() -> fmbd.Scene:
+    """Five small bodies in space that tumble on springs at their edges, far faster than the whole moves."""
+    scene, last, at = fmbd.Scene("spring net", gravity=(0, 0, -9.81)), fmbd.ground, (0.0, 0.0, 0.0)
+    for k in range(5):
+        here = (0.4 * (k + 1), 0.1 * (-1) ** k, 0.05 * k)
+        body = fmbd.RigidBody(
+            f"body {k}", 0.5 + 0.1 * k, (1e-3, 2e-3, 2e-3), here, angular_velocity=(0.5, 0.2 * k, 1.0)
+        )
+        begin = at if last is fmbd.ground else (at[0], at[1], at[2] + 0.02)
+        edge = here[0] - 0.05, here[1], here[2]
+        spring = {"stiffness": 400.0 + 50 * k, "damping": 0.3, "length": 0.33}
+        scene.add(body, fmbd.Spring(f"spring {k}", last, body, point_a=begin, point_b=edge, **spring))
+        last, at = body, here
+    scene.add(fmbd.Spring("back", fmbd.ground, last, point_a=(2.5, 0.0, 1.0), stiffness=150.0, damping=0.2, length=0.5))
+    scene.sensor("end", fmbd.position(last))
+    return scene
+
+
+def test_orders_are_seen_in_ever_larger_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """625, 312 and 400 steps showed the order 64, and an error of a seventh of the true one."""
+    compared, compare = [], shared_runs.compare_steps
+
+    def noted(expected: Any, given: Any, coarser: Any, *rest: Any, **more: Any) -> Any:
+        compared.append([x.schedule.steps for x in (given, *coarser)])
+        return compare(expected, given, coarser, *rest, **more)
+
+    monkeypatch.setattr(shared_runs, "compare_steps", noted)
+    times = tuple(np.linspace(0.0, 1.5, 81))
+    output = fmbd.Output(times=times, energy=False, progress=False)
+    exact = fmbd.solve(tumbling_net(), t_end=1.5, scheme=fmbd.Radau(5, rtol=1e-9), output=output)["end"]
+    run = fmbd.solve(tumbling_net(), t_end=1.5, tol={"end": 1e-2}, output=output)
+    assert any(len(steps) == 3 for steps in compared)
+    assert all(steps == sorted(steps, reverse=True) for steps in compared)
+    assert run.history[-1].then == "done" and np.abs(run["end"] - exact).max() < 1e-2
