@@ -4,6 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
+from combinations import BODIES, floor
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.schemes.newton import Newton, above_roundoff, known_gaps
@@ -87,3 +89,16 @@ def test_gaps_of_roundoff_are_not_known() -> None:
     scene.add(fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0)))
     system, state, _ = scene.build()
     np.testing.assert_array_equal(known_gaps(system.at(state.t, state.q), np.array([1e-15, 1e-12])), [0.0, 1e-12])
+
+
+@pytest.mark.parametrize("scheme", [fmbd.ContactMidpoint(), fmbd.ContactAlpha()], ids=lambda s: s.name)
+def test_friction_that_turns_over_gets_new_tangents_beside_contact(scheme: Any) -> None:
+    """A linear body has none of its own, but the friction in its hinge does: steps of a hundred times its speed are whole."""
+    rod = BODIES["absolute"]()
+    scene = fmbd.Scene("hinge", gravity=(0.0, -9.81))
+    hinge = fmbd.revolute("hinge", fmbd.ground, rod.left, center=(0, 0))
+    scene.add(rod.body, hinge, fmbd.joint_friction("friction", fmbd.angle(hinge), coulomb=5.0, speed=0.01))
+    floor(scene, rod, below=1.0)
+    run = fmbd.solve(scene, t_end=0.02, dt=1e-3, scheme=scheme, output=fmbd.Output(progress=False))
+    assert run.counters["halved_steps"] == 0
+    assert run.counters["newton_iterations"] <= 4 * 20

@@ -56,6 +56,7 @@ class StepSolver:
         self._look = True
         self.near_singular, self._masses = NearSingular(), None
         self._held: MatrixConfiguration | None = None  # that of the matrices
+        self._pushed = False  # forces have tangents in them
         self._driver: tuple[Evaluator | None, DriverSolver | None] = None, None
         self.core = CoreSolver(Judge("the core of the system"))
         self.elastic = FieldBlocks(system, linear, prefix)
@@ -220,6 +221,7 @@ class StepSolver:
         A = core_matrix(ev, w)
         has_tangent = (s.forces or s.elements) and (w.cd or w.ck)
         applied = force_tangent(ev, w.cd, w.ck) if has_tangent else None
+        self._pushed = applied is not None
         self.border = Border.of(s, applied, ev.t)
 
         if applied is not None and applied.core is not None:
@@ -408,15 +410,15 @@ class StepSolver:
         return out
 
     def refresh(self, ev: Evaluation, increment: Array | None = None) -> bool:
-        """New tangents of nonlinear parts, and rows, at a state; False when all are constant. Collective.
+        """New tangents of nonlinear parts and forces, and rows, at a state; False when all are constant. Collective.
 
         ``increment``: Newton's, like v, that led there, where stresses are to be those that it foretold.
         """
         known = {} if increment is None else {k: self.system.local_v(increment, k) for k, _ in self.system.fields}
         changed = ev.take_tangents(increments=self._exact(known))
-        if changed:
+        if changed or self._pushed:
             self.prepare(ev, self.weights)
-        return changed
+        return changed or self._pushed
 
     def renew_fields(self, ev: Evaluation, increments: Mapping[int, Array]) -> list[FactoredField]:
         """Blocks with new tangents of all fields at a state, for a matrix that someone else makes; ``increments``: Newton's, by

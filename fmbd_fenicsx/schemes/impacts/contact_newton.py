@@ -43,7 +43,6 @@ class UnilateralForces:
         self.solver, self.contacts = compliance.solver, compliance.contacts
         self.rows: Rows | None = None
         self._W: Any = None
-        self._blocks: Any = None
 
     def increment(self, rows: Rows, u: Array, residuals: tuple[Array, Array], scale: float) -> tuple[Array, Array]:
         """Steps of the unknowns and of the joints' multipliers (scaled) by (1); residuals of balance and
@@ -60,10 +59,8 @@ class UnilateralForces:
         r = residuals[0] - contacts.transposed(system, L, self.force.ravel())
         z, dl = solver.solve(-scale * r, -residuals[1])
 
-        blocks = solver.blocks
-        if self._W is None or blocks is not self._blocks:  # also after Newton asked for a new tangent
+        if self._W is None:
             self._W = self.compliance.of(L, rows.trace, scale)
-            self._blocks = blocks
         W = self._W
         gap = u.ravel() + contacts.times(system, L, z)
 
@@ -79,6 +76,10 @@ class UnilateralForces:
         if not change.any():
             return z, dl
         return solver.solve(-scale * (r - contacts.transposed(system, L, change.ravel())), -residuals[1])
+
+    def renew(self) -> None:
+        """The matrix is a new one."""
+        self._W = None
 
 
 class ContactStep:
@@ -113,7 +114,10 @@ class ContactStep:
 
     def renew(self) -> bool:
         """A new tangent where the last increment began; whether there is one."""
-        return self.p.solver.refresh(self.ev)
+        renewed = self.p.solver.refresh(self.ev)
+        if renewed:
+            self.contact.renew()
+        return renewed
 
     def balance(self, at: tuple[float, Array, Array], a: Array, weights: Weights) -> Array:
         """Forces out of balance at (t, q, v) under accelerations a; with the first of a step its matrix is prepared there."""
