@@ -68,8 +68,8 @@ class FieldTable:
         self.vectors: list[Any] = []  # PETSc's, on b and z
         self.indefinite = False
         self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
-        # of the factors in use, which sizes of steps come back to
-        self._condensed: dict[int, tuple[Array, Condensed]] = {}
+        # of the factors in use, which sizes of steps come back to, and other tables
+        self._condensed: dict[int, tuple[Array, Condensed]] = system.cache.setdefault(("condensed", k), {})
 
     @property
     def spin_to_check(self) -> float:
