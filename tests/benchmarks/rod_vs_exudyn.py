@@ -2,8 +2,8 @@
 
 Run:  ./with-dolfinx python3 tests/benchmarks/rod_vs_exudyn.py [--exudyn PYTHON] [--cases reduced,full] [--json FILE]
 
-PYTHON: see chain_vs_exudyn.py. Both sides get the same matrices: ours are written to a file that exudyn_rod.py reads, with
-the modes and with the weights that average a surface. Generalized-alpha of index 3, rho_inf = 0.8, the same step.
+PYTHON: of an environment with exudyn==1.13.6. Both sides get the same matrices: ours are written to a file that exudyn_rod.py
+reads, with the modes and with the weights that average a surface. Generalized-alpha of index 3, rho_inf = 0.8, the same step.
 
 ``reduced``: 16 free modes, our body by the compiled step and by NumPy, Exudyn's ObjectFFRFreducedOrder in the faster of full
 and modified Newton iteration (its dense solver, fast build, one thread); then errors of the tip after 0.5 s over step sizes
