@@ -112,8 +112,8 @@ def test_a_stress_between_the_hinges_is_taken_away_and_nothing_else(driven: bool
     lam = np.random.default_rng(0).normal(size=10)
     if driven:
         monkeypatch.setattr(redundancy, "null_space", None)
-    small = least(solver, ev, lam + system.multiplier_units * (N @ np.full(5, 1e6)))
-    assert least(solver, ev, np.stack((small, lam))) == pytest.approx(np.stack((small, small)), abs=1e-8)
+    small = least(solver, ev.t, ev.q, lam + system.multiplier_units * (N @ np.full(5, 1e6)))
+    assert least(solver, ev.t, ev.q, np.stack((small, lam))) == pytest.approx(np.stack((small, small)), abs=1e-8)
     assert np.abs(N.T @ (small / system.multiplier_units)).max() < 1e-8
     assert np.abs(ev.jacobian.transposed(small - lam)).max() < 1e-8
     solver.destroy()

@@ -44,19 +44,19 @@ def null_space(ev: Evaluation) -> Array:
     return np.asarray(np.linalg.qr(null / s.multiplier_units[:, None])[0])
 
 
-def least(solver: StepSolver, ev: Evaluation, lam: Array) -> Array:
-    """The smallest multipliers with the forces of ``lam``, (n_lam,) or (k, n_lam), in a configuration; ``lam`` itself where it is
-    unique. Collective.
+def least(solver: StepSolver, t: float, q: Array, lam: Array) -> Array:
+    """The smallest multipliers with the forces of ``lam``, (n_lam,) or (k, n_lam), in the configuration q at t (s); ``lam``
+    itself where it is unique. Collective.
     """
     driver = solver.driver
     if not solver.core.redundant or not lam.size:
         return lam
-    found = None if driver is None else driver.least(ev.t, ev.q, np.atleast_2d(lam))
+    found = None if driver is None else driver.least(t, q, np.atleast_2d(lam))
     if found is not None:
         return found.reshape(lam.shape)
 
     # what changes no force is taken out
-    N, u = null_space(ev), ev.system.multiplier_units
+    N, u = null_space(solver.system.at(t, q)), solver.system.multiplier_units
     return np.asarray(lam - u * ((lam / u) @ N @ N.T))
 
 

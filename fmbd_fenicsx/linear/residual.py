@@ -81,18 +81,29 @@ class Judge:
         return grown <= LARGEST_GROWTH * scale and residual <= ROUNDOFF * (grown + scale)
 
 
-def krylov_reason(ksp: Any, iteration: int, norm: float, first: float, accurate: Callable[[], bool]) -> Any:
-    """PETSc's reason to stop: its own ``norm`` has fallen from the ``first`` by rtol and the true residual is small.
+class KrylovTest:
+    """When a Krylov method of PETSc stops: its own norm has fallen from the ``first`` by rtol, and the true residual is small.
 
-    ``accurate`` is asked only when the norm is small: it forms the solution. Collective.
+    ``residual``: of the solution so far, whose vector it is given; it is asked only where the norm is small. Collective.
     """
-    from petsc4py import PETSc
 
-    reasons = PETSc.KSP.ConvergedReason
-    if not isfinite(norm):
-        return reasons.DIVERGED_NANORINF
-    rtol, _, _, limit = ksp.getTolerances()
-    # the preconditioned norm is cheap and may deceive; the true residual has the last word
-    if norm == 0.0 or (norm <= rtol * first and accurate()):
-        return reasons.CONVERGED_RTOL
-    return reasons.DIVERGED_MAX_IT if iteration >= limit else reasons.ITERATING
+    def __init__(self, judge: Judge, residual: Callable[[Any], float]) -> None:
+        self.judge, self.residual, self.first = judge, residual, 0.0
+
+    def __call__(self, ksp: Any, iteration: int, norm: float) -> Any:
+        """PETSc's reason to stop."""
+        from petsc4py import PETSc
+
+        reasons = PETSc.KSP.ConvergedReason
+        if iteration == 0:
+            self.first = norm
+        if not isfinite(norm):
+            return reasons.DIVERGED_NANORINF
+        rtol, _, _, limit = ksp.getTolerances()
+        # the preconditioned norm is cheap and may deceive; the true residual has the last word
+        if norm == 0.0 or (norm <= rtol * self.first and self._accurate(ksp)):
+            return reasons.CONVERGED_RTOL
+        return reasons.DIVERGED_MAX_IT if iteration >= limit else reasons.ITERATING
+
+    def _accurate(self, ksp: Any) -> bool:
+        return bool(self.residual(ksp.buildSolution()) <= 0.5 * self.judge.tolerance)

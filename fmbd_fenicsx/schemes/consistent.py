@@ -168,7 +168,7 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
     # inertia at the deformed configuration is not exactly the solver's matrix
     a, lam = _refined(ev, (a, lam), gamma, solver, forces=_size_of_forces(ev, h, held))
     ev.take_tangents(kept)  # with the pressures found
-    return replace(state, a=a, lam=least(solver, ev, lam))
+    return replace(state, a=a, lam=least(solver, ev.t, ev.q, lam))
 
 
 def _size_of_forces(ev: Evaluation, h: Array, held: list[Any]) -> float:

@@ -27,7 +27,7 @@ from ...system.system import System
 from ..blocks.elastic_blocks import Bddc, Cholesky
 from ..iterated_multipliers import CHANGED
 from ..options import check_options, set_from_options
-from ..residual import Judge, krylov_reason
+from ..residual import Judge, KrylovTest
 from .layout import Layout
 from .matrix import StepMatrix
 from .preconditioner import Preconditioner
@@ -60,6 +60,7 @@ class SplitSolver:
         self.system, self.preset, self.prefix = system, preset, prefix
         self.layout = Layout(system)
         self.judge = Judge("the whole matrix of a step", 100 * preset.rtol)
+        self.test = KrylovTest(self.judge, lambda x: self._residual(x.array_r.copy(), self.given))
         self.iterations = 0
         self._made: tuple[Any, ...] | None = None
         self._own: list[Any] = []
@@ -134,7 +135,7 @@ class SplitSolver:
             else:
                 Cholesky().set_up(sub)
                 sub.setFromOptions()
-        ksp.setConvergenceTest(self._converged)
+        ksp.setConvergenceTest(self.test)
         return ksp
 
     def _splits(self, ksp: Any, sets: list[Any]) -> list[Any]:
@@ -155,17 +156,6 @@ class SplitSolver:
         return list(pc.getFieldSplitSubKSP())
 
     # -- solution -----------------------------------------------------------------------------------------------
-    def _converged(self, ksp: Any, iteration: int, norm: float) -> Any:
-        """PETSc's reason to stop; collective."""
-        if iteration == 0:
-            self._first = norm
-
-        def accurate() -> bool:
-            true = self._residual(ksp.buildSolution().array_r.copy(), self.given)
-            return bool(true <= 0.5 * self.judge.tolerance)
-
-        return krylov_reason(ksp, iteration, norm, self._first, accurate)
-
     def _residual(self, x: Array, b: Array) -> float:
         """See :meth:`.StepMatrix.relative_residual`."""
         return self.matrix.relative_residual(x, b, bounds=self.bounds, tolerance=self.judge.tolerance)
@@ -180,9 +170,10 @@ class SplitSolver:
         residual = self._residual(x, given)
 
         # PETSc's MINRES compares norms with numbers such as 1e-18, whatever they are norms of
-        ordinary = 1.0 / FAR_FROM_ONE < self._first < FAR_FROM_ONE
-        if not residual <= self.judge.tolerance and not ordinary and 0.0 < self._first < np.inf:
-            x, count, reason = self._iterated(given / self._first, 1.0 / self._first)
+        first = self.test.first
+        ordinary = 1.0 / FAR_FROM_ONE < first < FAR_FROM_ONE
+        if not residual <= self.judge.tolerance and not ordinary and 0.0 < first < np.inf:
+            x, count, reason = self._iterated(given / first, 1.0 / first)
             residual = self._residual(x, given)
         if not residual <= self.judge.tolerance:
             raise LinearSolveError(
@@ -195,7 +186,7 @@ class SplitSolver:
 
     def _iterated(self, given: Array, scale: float = 1.0) -> tuple[Array, int, int]:
         """Packed unknowns for a right-hand side that is ``scale`` times the one meant, iterations, and PETSc's reason to end."""
-        self.given, self._first = given, 0.0
+        self.given, self.test.first = given, 0.0
         self.b.array[:] = given
         self.x.set(0.0)
         self.ksp.solve(self.b, self.x)

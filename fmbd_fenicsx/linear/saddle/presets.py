@@ -25,7 +25,7 @@ from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver, set
 from ..fieldsplit.block import SplitBlock, split_prefix
 from ..fieldsplit.solver import SplitSolver
 from ..options import check_options, set_from_options
-from ..residual import Judge, krylov_reason
+from ..residual import Judge, KrylovTest
 from .diagnosis import diagnose
 from .multiplier_schur import Schur, check_krylov
 from .precondition import Fractional, MultiplierPreconditioner, to_petsc
@@ -171,20 +171,9 @@ class _Krylov:
         self.saddle, self.ksp, self.prefix, self._own, self.judge = saddle, ksp, prefix, own, judge
         set_from_options(ksp)
         self.direct = ksp.getType() == "preonly"
-        self._checked, self._b, self._first = False, None, 0.0
+        self._checked, self._b = False, None
         if not self.direct:
-            ksp.setConvergenceTest(self._converged)
-
-    def _converged(self, ksp: Any, iteration: int, norm: float) -> Any:
-        """PETSc's reason to stop; collective."""
-        if iteration == 0:
-            self._first = norm
-
-        def accurate() -> bool:
-            true = self.saddle.relative_residual(ksp.buildSolution(), self._b)
-            return bool(true <= 0.5 * self.judge.tolerance)
-
-        return krylov_reason(ksp, iteration, norm, self._first, accurate)
+            ksp.setConvergenceTest(KrylovTest(judge, lambda x: saddle.relative_residual(x, self._b)))
 
     def solve(self, f: Sequence[Array], g: Sequence[Array]) -> Solution:
         s = self.saddle

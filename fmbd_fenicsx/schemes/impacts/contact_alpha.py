@@ -22,6 +22,7 @@ import numpy as np
 from ...errors import ConvergenceError, LinearSolveError
 from ...linear.blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from ...linear.condensation import StepSolver, Weights
+from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
@@ -134,7 +135,7 @@ class ContactAlphaStepper(ContactStepper):
         self.A = step.A
 
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + h)
-        lam = self._reactions(s.t + h, q, step.lam)
+        lam = least(self.solver, s.t + h, q, step.lam)
         self.state = self.ledger.write(State(s.t + h, q, v, step.a, lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(iterations)
         return self.state

@@ -27,6 +27,7 @@ import numpy as np
 from ...checks import check_fields
 from ...errors import require
 from ...linear.condensation import StepSolver, Weights
+from ...linear.redundancy import least
 from ...log import log
 from ...rotations import Array
 from ...system.scene.contents import Contents
@@ -145,7 +146,7 @@ class ContactMidpointStepper(ContactStepper):
         self.local_error = h * h / 12 * system.max_abs(a - s.a)
 
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
-        lam = self._reactions(s.t + h, step.q, step.lam)
+        lam = least(self.solver, s.t + h, step.q, step.lam)
         self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(iterations)
         return self.state

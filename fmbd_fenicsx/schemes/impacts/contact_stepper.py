@@ -6,9 +6,7 @@ from typing import ClassVar
 
 from ...linear.complementarity.delassus import Compliance
 from ...linear.condensation import StepSolver
-from ...linear.redundancy import least
 from ...mechanics.contact.rows import ContactSet
-from ...rotations import Array
 from ...system.sensors.contact import ContactState
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
@@ -30,12 +28,6 @@ class ContactStepper(TimeStepper):
         self.ledger = ContactLedger(system)
         self.local_error = 0.0
         self.state = self.ledger.open(state)
-
-    def _reactions(self, t: float, q: Array, lam: Array) -> Array:
-        """Multipliers of a configuration; of those with the same forces the smallest."""
-        if not self.solver.core.redundant:
-            return lam
-        return least(self.solver, self.system.at(t, q), lam)
 
     @property
     def counters(self) -> dict[str, float]:

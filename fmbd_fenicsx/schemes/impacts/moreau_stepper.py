@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import FmbdError
 from ...linear.condensation import StepSolver, Weights
+from ...linear.redundancy import least
 from ...mechanics.contact.rows import Rows, tangents_of
 from ...rotations import Array
 from ...system.sensors.contact import forces_of
@@ -263,7 +264,7 @@ class MoreauStepper(ContactStepper):
         self.impulse[closed] = step.contact.force
         self.carrying = (self.impulse[:, 0] > 0.0) & ~step.bouncing
         forces = StepForces(closed, step.rows, step.contact.force / h, s.t + h / 2)
-        lam = self._reactions(s.t + h, q, step.lam)
+        lam = least(self.solver, s.t + h, q, step.lam)
         self.state = self.ledger.write(State(s.t + h, q, v, a, lam), forces, (step.ev, xi, step.lam), h)
 
     def _closed_joints(self, q: Array, t: float) -> Array:

@@ -30,7 +30,6 @@ from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.implicit import ImplicitRoom
-from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
@@ -272,7 +271,7 @@ class BDFStepper(Corrector):
     def _accept(self, h: float, p: Points) -> State:
         s, t = self.state, self.state.t + h
         q = self.system.compose(s.q, p.xi[0])
-        mult = self._least(self.system.at(t, q), p.mult[0])
+        mult = self._least(t, q, p.mult[0])
         lam = mult[: self.system.n_lam]
         a = self.eq.accelerations(p)[0]
         self.state = self.eq.close_ties(h, State(t, q, p.v[0], a, lam), mult)
@@ -288,12 +287,12 @@ class BDFStepper(Corrector):
         self._full = self._full and not self.adaptive
         return self.state
 
-    def _least(self, ev: Evaluation, mult: Array) -> Array:
+    def _least(self, t: float, q: Array, mult: Array) -> Array:
         """Of the multipliers with the same forces the smallest, level by level."""
-        if not self.solver.core.redundant or not self.eq.levels:
+        if not self.eq.levels:
             return mult
         every = self.eq.levels * self.system.n_lam
-        levels = least(self.solver, ev, mult[:every].reshape(self.eq.levels, -1))
+        levels = least(self.solver, t, q, mult[:every].reshape(self.eq.levels, -1))
         return np.concatenate((levels.ravel(), mult[every:]))
 
     def _remember(self, state: State, mult: Array) -> None:

@@ -266,8 +266,8 @@ class RadauStepper(StageNewton):
         s = self.state
         mult, every = points.mult.copy(), self.eq.levels * self.system.n_lam
         for i, share in enumerate(self.tab.c):
-            ev = self.system.at(float(s.t + share * h), self.system.compose(s.q, points.xi[i]))
-            mult[i, :every] = least(self.solver, ev, mult[i, :every].reshape(self.eq.levels, -1)).ravel()
+            t, q = float(s.t + share * h), self.system.compose(s.q, points.xi[i])
+            mult[i, :every] = least(self.solver, t, q, mult[i, :every].reshape(self.eq.levels, -1)).ravel()
         return replace(points, mult=mult)
 
     # -- error --------------------------------------------------------------------------------------------------

@@ -150,9 +150,9 @@ class RattleStepper(MarchingStepper):
             return self.state
         ev = system.at(t, q, v)
         self._prepare(ev)
-        self.half = least(self.solver, ev, self.half)
+        self.half = least(self.solver, t, q, self.half)
         a, lam = self._refine(ev, a, self.half, lambda a: ev.jacobian.times(a) + ev.gamma())
-        self.state = State(t, q, v, a, least(self.solver, ev, lam))
+        self.state = State(t, q, v, a, least(self.solver, t, q, lam))
         return self.state
 
     def _look_ahead(self, h: float, first: tuple[Array, Array], increments: int) -> None:

@@ -179,7 +179,7 @@ class AlphaStepper(TimeStepper):
         found = step.found
         if step.lost:
             self.solver.note_lost_gaps(self.system.at(found.t, found.q))
-        self.state = replace(found, lam=self._reactions(found.t, found.q, found.lam))
+        self.state = replace(found, lam=least(self.solver, found.t, found.q, found.lam))
         return self.state
 
     @property
@@ -249,9 +249,3 @@ class AlphaStepper(TimeStepper):
             self.solver.prepare(ev, self.scheme.rule(self.size).weights)
             q = system.compose(q, self.solver.solve(np.zeros_like(v), -gap)[0])
         return q
-
-    def _reactions(self, t: float, q: Array, lam: Array) -> Array:
-        """Multipliers of a configuration; of those with the same forces the smallest."""
-        if not self.solver.core.redundant:
-            return lam
-        return least(self.solver, self.system.at(t, q), lam)

@@ -213,9 +213,7 @@ class EnergyMomentumStepper(StepsInParts):
         (a, lam), (q, v), s = means, end, self.state
         self._warn_of_turns(h, a, s.v)
         self.state = accelerations(self.system, State(s.t + h, q, v, s.a, lam), self.solver)
-        # of multipliers with the same forces the smallest
-        if self.solver.core.redundant:
-            lam = least(self.solver, self.system.at(s.t + h, q), lam)
+        lam = least(self.solver, s.t + h, q, lam)
         self.past.take((s.t + 0.5 * h, a, lam), self.system.each_typical, self._rigid)
         return self.state
 
