@@ -13,6 +13,7 @@ import numpy as np
 
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.condensation import StepSolver
+from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...log import log
 from ...rotations import Array
@@ -150,6 +151,35 @@ class ImplicitStepper(ImplicitMarch):
             + (f"{self.control.fault} " if self.control.fault else "")
             + "Take a smaller dt."
         )
+
+    # -- steps --------------------------------------------------------------------------------------------------
+    def advance(self, h: float) -> State:
+        """One accepted step. Constant steps: of size h. Error control: of at most h (s), which is then hit exactly at the end.
+
+        Raises ConvergenceError when steps would have to be too small.
+        """
+        return self._controlled(h) if self.adaptive else self._constant(h)
+
+    def _constant(self, h: float) -> State:
+        raise NotImplementedError
+
+    def _controlled(self, limit: float) -> State:
+        raise NotImplementedError
+
+    def _ended(self, h: float, end: State, mult: Array) -> State:
+        """The end of a step of size h (s) with multipliers (n_mult,), which is accepted; with ties and constraints closed."""
+        self.stats.steps += 1
+        self.control.fault = ""
+        self._fresh = False
+        end = self.eq.close_ties(h, end, mult)
+        return project(self.system, end, self.solver) if self.scheme.form.projected else end
+
+    def _smallest(self, t: float, q: Array, mult: Array) -> Array:
+        """Of the multipliers (n_mult,) with the same forces the smallest, level by level, so that predictions stay small."""
+        shape = self.eq.levels, self.system.n_lam
+        every = shape[0] * shape[1]
+        levels = least(self.solver, t, q, mult[:every].reshape(shape))
+        return np.concatenate((levels.ravel(), mult[every:]))
 
     @cached_property
     def _newton_tolerance(self) -> float:

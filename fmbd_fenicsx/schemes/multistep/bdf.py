@@ -26,7 +26,6 @@ import numpy as np
 from ...checks import check_fields
 from ...errors import require
 from ...linear.condensation import StepSolver
-from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.implicit import ImplicitRoom
@@ -34,7 +33,7 @@ from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ...system.tangents.step_tangent import StepTangent
-from ..consistent import accelerations, project
+from ..consistent import accelerations
 from ..control import (
     StepControl,
     check_tolerance,
@@ -188,12 +187,6 @@ class BDFStepper(Corrector):
         self.past = [Past(s.t, s.q, s.v, kept[:width]), *older]
 
     # -- steps --------------------------------------------------------------------------------------------------
-    def advance(self, h: float) -> State:
-        """One accepted step. Constant steps: of size h. Error control: of at most h (s), hit exactly at the end."""
-        if not self.adaptive:
-            return self._constant(h)
-        return self._controlled(h)
-
     def _controlled(self, limit: float) -> State:
         """A step of at most ``limit`` (s) that passes the error test."""
         s = self.state
@@ -271,29 +264,14 @@ class BDFStepper(Corrector):
     def _accept(self, h: float, p: Points) -> State:
         s, t = self.state, self.state.t + h
         q = self.system.compose(s.q, p.xi[0])
-        mult = self._least(t, q, p.mult[0])
-        lam = mult[: self.system.n_lam]
-        a = self.eq.accelerations(p)[0]
-        self.state = self.eq.close_ties(h, State(t, q, p.v[0], a, lam), mult)
-        if self.scheme.form.projected:
-            self.state = project(self.system, self.state, self.solver)
-
+        mult = self._smallest(t, q, p.mult[0])
+        end = State(t, q, p.v[0], self.eq.accelerations(p)[0], mult[: self.system.n_lam])
+        self.state = self._ended(h, end, mult)
         self._remember(self.state, mult)
-        self.stats.steps += 1
-        self.control.fault = ""
-        self._fresh = False
         if self._theta > (SLOW if self.adaptive else self.slow) or self._full or not self.eq.dense:
             self._tangent = None
         self._full = self._full and not self.adaptive
         return self.state
-
-    def _least(self, t: float, q: Array, mult: Array) -> Array:
-        """Of the multipliers with the same forces the smallest, level by level."""
-        if not self.eq.levels:
-            return mult
-        every = self.eq.levels * self.system.n_lam
-        levels = least(self.solver, t, q, mult[:every].reshape(self.eq.levels, -1))
-        return np.concatenate((levels.ravel(), mult[every:]))
 
     def _remember(self, state: State, mult: Array) -> None:
         self.past = [Past(state.t, state.q, state.v, mult), *self.past][:LONGEST]

@@ -25,14 +25,13 @@ import numpy as np
 
 from ...errors import require
 from ...linear.condensation import StepSolver
-from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ...system.tangents.step_tangent import StepTangent
-from ..consistent import accelerations, project
+from ..consistent import accelerations
 from ..control import (
     StepControl,
     check_controlled,
@@ -129,13 +128,6 @@ class RadauStepper(StageNewton):
         super().remember(m)
 
     # -- one accepted step --------------------------------------------------------------------------------------
-    def advance(self, h: float) -> State:
-        """One accepted step. Constant steps: of size h. Error control: of at most h (s), which is then hit exactly at the end.
-
-        Raises ConvergenceError when steps would have to be too small.
-        """
-        return self._controlled(h) if self.adaptive else self._constant(h)
-
     def _constant(self, h: float) -> State:
         """A step of size h; where the tangent of the step fails, and ever after, with one for each stage."""
         if self._step_in_one_call(h):
@@ -242,33 +234,20 @@ class RadauStepper(StageNewton):
     def _accept(self, h: float, points: Points) -> State:
         s, m = self.state, self.system.n_lam
         t = s.t + h
-        if self.eq.levels and self.solver.core.redundant:
-            points = self._least(h, points)
+        if self.solver.core.redundant:
+            each = zip(s.t + self.tab.c * h, points.xi, points.mult, strict=True)
+            smallest = [self._smallest(float(at), self.system.compose(s.q, xi), mult) for at, xi, mult in each]
+            points = replace(points, mult=np.array(smallest))
 
         # stiffly accurate: the last stage is the new state
         self._last = (h, s.q, s.v, points)
         self.mult = points.mult[-1]
         end = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self._acceleration, self.mult[:m])
-        self.state = self.eq.close_ties(h, end, self.mult)
-        if self.scheme.form.projected:
-            self.state = project(self.system, self.state, self.solver)
-
-        self.stats.steps += 1
-        self.control.fault = ""
+        self.state = self._ended(h, end, self.mult)
         self._trouble = max(self._trouble - 1, 0)
-        self._fresh = False
         if self._theta > self.slow or not self.eq.dense:
             self._tangent = None
         return self.state
-
-    def _least(self, h: float, points: Points) -> Points:
-        """The stages with multipliers that are the smallest with their forces, so that predictions of them stay small."""
-        s = self.state
-        mult, every = points.mult.copy(), self.eq.levels * self.system.n_lam
-        for i, share in enumerate(self.tab.c):
-            t, q = float(s.t + share * h), self.system.compose(s.q, points.xi[i])
-            mult[i, :every] = least(self.solver, t, q, mult[i, :every].reshape(self.eq.levels, -1)).ravel()
-        return replace(points, mult=mult)
 
     # -- error --------------------------------------------------------------------------------------------------
     def _error_filter(self, h: float) -> Any:

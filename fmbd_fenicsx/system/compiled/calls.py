@@ -15,6 +15,7 @@ from ...mechanics.forces.formulas import TARGET
 from ...mechanics.forces.laws_together import mean_effort
 from ...mechanics.joints.couplings import SmoothMotion
 from ...mechanics.kinds.asked import AskedKind
+from .tables.item_batches import turned, turning
 from .tables.items import GIVEN, Items
 from .tables.structures import PYTHON, address_of, enumeration
 from .tables.tables import MOTIONS, Tables
@@ -210,12 +211,12 @@ def _load_of(tables: Tables, items: Items) -> Callable[[float], None]:
     """What writes the constants of items that depend on time."""
     load = items.load
     columns = {name: items.kind.place(name) for name in items.constants}
-    plain = all(tables.turning(items, name) is None for name in columns)
+    plain = all(turning(tables, items, name) is None for name in columns)
     assert load is not None
 
     def write(t: float) -> None:
         for name, values in load(t).items():
-            items.table[:, columns[name]] = values if plain else tables.turned(items, name, values)
+            items.table[:, columns[name]] = values if plain else turned(tables, items, name, values)
 
     return write
 

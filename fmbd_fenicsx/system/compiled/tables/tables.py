@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 
 from ....errors import ConvergenceError
-from ....mechanics.forces.formulas import MEMORY
 from ....mechanics.joints.relative import Relative
 from ....mechanics.kinds.frames import FRAME
 from ....mechanics.reduction.reduced import ReducedPart
 from ....rotations import Array
 from ...system import System
 from ..order import Fronts, RowGroup
-from ..places import MatrixShape, Structure, batch_of, fronts_of, pivots_of, structure_of
+from ..places import MatrixShape, Structure, fronts_of, pivots_of, structure_of
 from ..recording import Looks
 from ..sights import reaction_of, seen_places
-from .angles import angles, free_markers, theta_places
+from .angles import angles, free_markers
 from .bodies import reduced_body, rigid_bodies, surface
 from .fields import Block, FieldTable
-from .items import LAW, READ, ROW, Items, items_of, other_loads
+from .item_batches import item_batch, of_one_sort
+from .items import READ, ROW, Items, items_of, other_loads
 from .listening import listeners
 from .mounts import mount_batch
 from .resting import twin_of
@@ -32,21 +32,6 @@ from .structures import SECANTS, Store, array_of, structure
 from .told import ToldPart, is_told
 from .whole import WholeLoads
 
-PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
-TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
-DIRECTIONS = {  # constants that are directions in the axes of a marker: of which side
-    "along": {"e": 0},
-    "perpendicular": {"e": 0, "f": 1},
-    "turned": {"e": 0, "g": 0, "f": 1},
-    "angle": {"fa": 0, "ga": 0, "fb": 1, "gb": 1},
-    "follower": {"load": 1},
-    "wheel_height": {"e": 0, "f": 1},
-    "wheel_slip": {"e": 0, "t": 0, "f": 1},
-    "ball_slip": {"e": 0, "t": 0},
-    "skate": {"e": 1},
-    "follower_couple": {"load": 1},
-}
-OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
 MOTIONS = "motion", "motion_rate", "motion_second"  # of rows: s, s' and s'' of what is prescribed
 LINKS_LIMIT = 1_000_000  # entries of the rows of efforts that answer to more than their own coordinate
 ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
@@ -103,8 +88,8 @@ class Tables:
         self.structure = structure_of(self._connections(), self._shape)
         self.fronts = self.structure.fronts
 
-        self.sources = [one for items in self.items for one in self._split(items)]
-        self.batches = [self._batch(items, number) for number, items in enumerate(self.sources)]
+        self.sources = [one for items in self.items for one in of_one_sort(self, items)]
+        self.batches = [item_batch(self, items, number) for number, items in enumerate(self.sources)]
         self._first_coordinate = len(self.sources) - len(coordinates)
         self.batches += [mount_batch(self, loads) for loads in self.mounts]
         self.whole = [WholeLoads(self, loads, number) for number, loads in enumerate(self.loads)]
@@ -229,97 +214,6 @@ class Tables:
         self.blocks = blocks
         # ports that give way where they are pulled: of bodies that buckle
         self.c.indefinite = int(any(field.indefinite for field in self.fields))
-
-    # -- batches -------------------------------------------------------------------------------------------------------------
-    def _split(self, items: Items) -> list[Items]:
-        """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces."""
-        sorts = self.structure.once(("sorts", _bytes(items.frames)), lambda: self._sorts(items.frames))
-        return [items] if len(sorts) == 1 else [items.part(which) for which in sorts]
-
-    def _sorts(self, frames: np.ndarray) -> list[np.ndarray]:
-        """Numbers of the items of each sort."""
-        sort = np.where((frames > self.nb).any(axis=1), 9, (frames == self.nb) @ np.array([1, 2]))
-        return [np.flatnonzero(sort == k) for k in np.unique(sort)]
-
-    def _constants(self, items: Items, P: Array) -> None:
-        """Fill the table of constants, (n, width), in the axes of the frames."""
-        mk = self.system.markers
-        n = len(items)
-        kind = items.kind
-
-        for name, side in PLACES.items():
-            if name in kind.constants:
-                place = mk.position[items.markers[:, side]]
-                if self.surfaces.size:  # a marker on a surface lies where the surface is
-                    place[self.frame[items.markers[:, side]] > self.nb] = 0.0
-                P[:, kind.place(name)] = place
-
-        for name, side in TURNS.items():
-            if name in kind.constants:
-                P[:, kind.place(name)] = mk.rotation[items.markers[:, side]].reshape(n, -1)
-        # in the plane angles count from those at the start
-        if kind.name == "angle" and self.dim == 2:
-            assert self.system.counted is not None
-            start = self.system.counted.start[items.markers]
-            P[:, kind.place("zero").start] = start[:, 1] - start[:, 0]
-
-        for name, values in items.constants.items():
-            if name in kind.constants:
-                P[:, kind.place(name)] = self.turned(items, name, values)
-
-    def turned(self, items: Items, name: str, values: Array) -> Array:
-        """Constants of items, directions turned from the axes of their markers into those of the frames; (n, size)."""
-        values = np.asarray(values, dtype=float).reshape(len(items), -1)
-        R = self.turning(items, name)
-        if R is None or values.shape[1] != self.dim:
-            return values
-        return np.asarray((R @ values[..., None])[..., 0])
-
-    def turning(self, items: Items, name: str) -> Array | None:
-        """Rotations (n, dim, dim) from the axes of the markers in which a constant is a direction; None for other constants."""
-        side = DIRECTIONS.get(items.kind.name, {}).get(name)
-        return None if side is None else np.asarray(self.system.markers.rotation[items.markers[:, side]])
-
-    def _batch(self, items: Items, number: int) -> Any:
-        """One structure Batch."""
-        kind, n, store = items.kind, len(items), self.store
-        one = batch_of(self, items)
-        one.number = number
-        room = store.zeros({
-            "P": (n, kind.width), "out": (n, one.outputs), "hessian": (n, 0 if items.role == READ else one.hessians),
-            "known": (n, 3 if items.role == LAW else 0), "numbers": (len(OF_ITEMS), n),
-        })  # fmt: skip
-        items.table, one.P = room["P"]
-        items.arrays["out"] = room["out"][0]
-        self._constants(items, items.table)
-        one.out, one.hessian, one.known = room["out"][1], room["hessian"][1], room["known"][1]
-
-        numbers, first = room["numbers"]
-        given = {"effort": items.effort, "stiffness": items.stiffness, "damping": items.damping, "free": items.free}
-        for k, name in enumerate(OF_ITEMS):
-            values = given.get(name)
-            items.arrays[name] = numbers[k]
-            if values is not None:
-                numbers[k] = values
-            setattr(one, name, first + 8 * n * k)
-        if items.formula is not None:
-            self._formula(one, items)
-        if items.slot is not None:
-            one.slot = store.integers(items.slot)
-        if items.role == ROW:
-            one.factor = store.address(items.factor)
-        if kind.name == "angle" and self.dim == 3:
-            one.near, one.theta = kind.place("near").start, store.integers(theta_places(self.system, items))
-        return one
-
-    def _formula(self, one: Any, items: Items) -> None:
-        """The numbers of a formula, and the memory of its elements."""
-        formula, store = items.formula, self.store
-        assert formula is not None
-        one.formula = formula.kind
-        items.arrays["constants"], one.constants = store.array(formula.constants)
-        memory = np.zeros((len(items), MEMORY)) if formula.kept is None else formula.kept()
-        items.arrays["kept"], one.kept = store.array(memory)
 
     # -- all of it -------------------------------------------------------------------------------------------------------------
     def _system(self, redundant: bool) -> None:

@@ -1,0 +1,130 @@
+"""Batches of items of one kind: constants in the axes of frames, and arrays for what the driver finds of each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....mechanics.forces.formulas import MEMORY
+from ....rotations import Array
+from ..places import batch_of
+from .angles import theta_places
+from .items import LAW, READ, ROW, Items
+from .structures import Store
+
+if TYPE_CHECKING:
+    from .tables import Tables
+
+PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
+TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
+DIRECTIONS = {  # constants that are directions in the axes of a marker: of which side
+    "along": {"e": 0},
+    "perpendicular": {"e": 0, "f": 1},
+    "turned": {"e": 0, "g": 0, "f": 1},
+    "angle": {"fa": 0, "ga": 0, "fb": 1, "gb": 1},
+    "follower": {"load": 1},
+    "wheel_height": {"e": 0, "f": 1},
+    "wheel_slip": {"e": 0, "t": 0, "f": 1},
+    "ball_slip": {"e": 0, "t": 0},
+    "skate": {"e": 1},
+    "follower_couple": {"load": 1},
+}
+OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
+
+
+def of_one_sort(tables: Tables, items: Items) -> list[Items]:
+    """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces."""
+    sorts = tables.structure.once(("sorts", items.frames.tobytes()), lambda: _sorts(tables.nb, items.frames))
+    return [items] if len(sorts) == 1 else [items.part(which) for which in sorts]
+
+
+def _sorts(ground: int, frames: np.ndarray) -> list[np.ndarray]:
+    """Numbers of the items of each sort."""
+    sort = np.where((frames > ground).any(axis=1), 9, (frames == ground) @ np.array([1, 2]))
+    return [np.flatnonzero(sort == k) for k in np.unique(sort)]
+
+
+def _constants(tables: Tables, items: Items, P: Array) -> None:
+    """Fill the table of constants, (n, width), in the axes of the frames."""
+    mk = tables.system.markers
+    n = len(items)
+    kind = items.kind
+
+    for name, side in PLACES.items():
+        if name in kind.constants:
+            place = mk.position[items.markers[:, side]]
+            if tables.surfaces.size:  # a marker on a surface lies where the surface is
+                place[tables.frame[items.markers[:, side]] > tables.nb] = 0.0
+            P[:, kind.place(name)] = place
+
+    for name, side in TURNS.items():
+        if name in kind.constants:
+            P[:, kind.place(name)] = mk.rotation[items.markers[:, side]].reshape(n, -1)
+    # in the plane angles count from those at the start
+    if kind.name == "angle" and tables.dim == 2:
+        assert tables.system.counted is not None
+        start = tables.system.counted.start[items.markers]
+        P[:, kind.place("zero").start] = start[:, 1] - start[:, 0]
+
+    for name, values in items.constants.items():
+        if name in kind.constants:
+            P[:, kind.place(name)] = turned(tables, items, name, values)
+
+
+def turned(tables: Tables, items: Items, name: str, values: Array) -> Array:
+    """Constants of items, directions turned from the axes of their markers into those of the frames; (n, size)."""
+    values = np.asarray(values, dtype=float).reshape(len(items), -1)
+    R = turning(tables, items, name)
+    if R is None or values.shape[1] != tables.dim:
+        return values
+    return np.asarray((R @ values[..., None])[..., 0])
+
+
+def turning(tables: Tables, items: Items, name: str) -> Array | None:
+    """Rotations (n, dim, dim) from the axes of the markers in which a constant is a direction; None for other constants."""
+    side = DIRECTIONS.get(items.kind.name, {}).get(name)
+    return None if side is None else np.asarray(tables.system.markers.rotation[items.markers[:, side]])
+
+
+def item_batch(tables: Tables, items: Items, number: int) -> Any:
+    """One structure Batch."""
+    kind, n, store = items.kind, len(items), tables.store
+    one = batch_of(tables, items)
+    one.number = number
+    room = store.zeros({
+        "P": (n, kind.width), "out": (n, one.outputs), "hessian": (n, 0 if items.role == READ else one.hessians),
+        "known": (n, 3 if items.role == LAW else 0), "numbers": (len(OF_ITEMS), n),
+    })  # fmt: skip
+    items.table, one.P = room["P"]
+    items.arrays["out"] = room["out"][0]
+    _constants(tables, items, items.table)
+    one.out, one.hessian, one.known = room["out"][1], room["hessian"][1], room["known"][1]
+
+    numbers, first = room["numbers"]
+    given = {"effort": items.effort, "stiffness": items.stiffness, "damping": items.damping, "free": items.free}
+    for k, name in enumerate(OF_ITEMS):
+        values = given.get(name)
+        items.arrays[name] = numbers[k]
+        if values is not None:
+            numbers[k] = values
+        setattr(one, name, first + 8 * n * k)
+    if items.formula is not None:
+        _formula(store, one, items)
+    if items.slot is not None:
+        one.slot = store.integers(items.slot)
+    if items.role == ROW:
+        one.factor = store.address(items.factor)
+    if kind.name == "angle" and tables.dim == 3:
+        one.near, one.theta = kind.place("near").start, store.integers(theta_places(tables.system, items))
+    return one
+
+
+def _formula(store: Store, one: Any, items: Items) -> None:
+    """The numbers of a formula, and the memory of its elements."""
+    formula = items.formula
+    assert formula is not None
+    one.formula = formula.kind
+    items.arrays["constants"], one.constants = store.array(formula.constants)
+    memory = np.zeros((len(items), MEMORY)) if formula.kept is None else formula.kept()
+    items.arrays["kept"], one.kept = store.array(memory)
