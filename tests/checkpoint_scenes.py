@@ -79,25 +79,16 @@ def space() -> Case:
     return scene, {"t_end": 0.02, "dt": 0.005}
 
 
-def blade() -> Case:
-    """A blade in fast rotation, stiffened by its inertia forces: new tangents with loads."""
-    body = fmbd.FloatingBody(
+def blade(*, modes: int = 0) -> Case:
+    """A blade in fast rotation, stiffened by its inertia forces: new tangents with loads; by its ``modes`` too, with the stress of
+    the last evaluation.
+    """
+    body: Any = fmbd.FloatingBody(
         "blade", rod(h=0.1, height=0.04), density=1000.0, elastic=plane_stress(1e8, 0.3), frame=fmbd.Attached("pin"),
         stiffening=True,
     )  # fmt: skip
+    body = body.reduced(modes=modes) if modes else body
     scene = fmbd.Scene("blade", gravity=(0, -9.81))
-    scene.add(body, fmbd.revolute("pin", body.surface("pin"), fmbd.ground, center=(0, 0)))
-    scene.sensor("tip", fmbd.position(body.surface("tip")))
-    return scene, {"t_end": 0.08, "dt": 0.01}
-
-
-def modes() -> Case:
-    """The blade by its modes: tangents with the stress of the last evaluation."""
-    body = fmbd.FloatingBody(
-        "blade", rod(h=0.1, height=0.04), density=1000.0, elastic=plane_stress(1e8, 0.3), frame=fmbd.Attached("pin"),
-        stiffening=True,
-    ).reduced(modes=3)  # fmt: skip
-    scene = fmbd.Scene("modes", gravity=(0, -9.81))
     scene.add(body, fmbd.revolute("pin", body.surface("pin"), fmbd.ground, center=(0, 0)))
     scene.sensor("tip", fmbd.position(body.surface("tip")))
     return scene, {"t_end": 0.08, "dt": 0.01}
@@ -217,7 +208,7 @@ SCENES: dict[str, Callable[[], Case]] = {
     "floating": floating,
     "space": space,
     "blade": blade,
-    "modes": modes,
+    "modes": lambda: blade(modes=3),
     "soft": soft,
     "rubber": rubber,
     "glued": glued,

@@ -95,16 +95,24 @@ def state_errors(scene: fmbd.Scene, a: Any, b: Any) -> np.ndarray:
     return np.array([np.abs(system.difference(a.q, b.q)).max(), np.abs(a.v - b.v).max(), np.abs(a.lam - b.lam).max()])
 
 
-def double_four_bar() -> fmbd.Scene:
-    """Five links of 1 m and 1 kg, B0 starts with 1 m/s; flat at 0.714 s, three freedoms there in place of one (IFToMM A02)."""
-    scene = fmbd.Scene("double four-bar", gravity=(0, -GRAVITY))
-    legs = [fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i, 0.5), np.pi / 2, (0.5, 0.0), -1.0) for i in range(3)]
-    bars = [fmbd.RigidBody(f"bar {i}", 1.0, 1 / 12, (i + 0.5, 1.0), 0.0, (1.0, 0.0)) for i in range(2)]
+def parallelograms(n: int, rate: float, angle: float = np.pi / 2, gravity: float = GRAVITY) -> fmbd.Scene:
+    """n four-bar linkages side by side, legs and bars of 1 m and 1 kg; legs at an ``angle`` from the ground, turning (rad/s)."""
+    up = np.array([np.cos(angle), np.sin(angle)])
+    along = rate * np.array([-up[1], up[0]])
+    scene = fmbd.Scene("parallelograms", gravity=(0.0, -gravity))
+    legs = [
+        fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i, 0.0) + 0.5 * up, angle, 0.5 * along, rate) for i in range(n + 1)
+    ]
+    bars = [fmbd.RigidBody(f"bar {i}", 1.0, 1 / 12, (i + 0.5, 0.0) + up, 0.0, along) for i in range(n)]
     scene.add(*legs, *bars)
-    for i, leg in enumerate(legs):
-        scene.add(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0)))
+    scene.add(*(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0.0)) for i, leg in enumerate(legs)))
     for i, bar in enumerate(bars):
-        scene.add(fmbd.revolute(f"B{i}", legs[i], bar, center=(i, 1)))
-        scene.add(fmbd.revolute(f"B{i}'", bar, legs[i + 1], center=(i + 1, 1)))
-    scene.sensor("B0", fmbd.position(legs[0], point=(0, 1)))
+        scene.add(fmbd.revolute(f"B{i}", legs[i], bar, center=(i, 0.0) + up))
+        scene.add(fmbd.revolute(f"C{i}", bar, legs[i + 1], center=(i + 1, 0.0) + up))
+    scene.sensor("top", fmbd.position(legs[0], point=up))
     return scene
+
+
+def double_four_bar() -> fmbd.Scene:
+    """Two of them, whose tops start with 1 m/s; flat at 0.714 s, three freedoms there in place of one (IFToMM A02)."""
+    return parallelograms(2, -1.0)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from dae_problems import parallelograms
 from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
@@ -216,25 +217,12 @@ def singular_positions() -> Iterator[Row]:
         for dt in steps:
             yield tried(
                 f"{n} loop{'s' * (n > 1)}, dt = {dt:g} s",
-                lambda n=n, dt=dt: fmbd.solve(four_bars(n, rate), t_end=end, dt=dt, scheme=fmbd.GeneralizedAlpha(0.9)),
+                lambda n=n, dt=dt: fmbd.solve(
+                    parallelograms(n, rate), t_end=end, dt=dt, scheme=fmbd.GeneralizedAlpha(0.9)
+                ),
                 lambda run, exact=exact: np.abs(run["top"][-1] - exact).max(),
                 40 * dt**2,
             )
-
-
-def four_bars(n: int, rate: float) -> fmbd.Scene:
-    """n parallelograms side by side, legs and bars of 1 m and 1 kg, legs upright."""
-    scene = fmbd.Scene("four-bars", gravity=(0.0, -G))
-    start = {"velocity": (-0.5 * rate, 0.0), "angular_velocity": rate}
-    legs = [fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i, 0.5), np.pi / 2, **start) for i in range(n + 1)]
-    bars = [fmbd.RigidBody(f"bar {i}", 1.0, 1 / 12, (i + 0.5, 1.0), 0.0, (-rate, 0.0)) for i in range(n)]
-    scene.add(*legs, *bars)
-    scene.add(*(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0.0)) for i, leg in enumerate(legs)))
-    for i, bar in enumerate(bars):
-        scene.add(fmbd.revolute(f"B{i}", legs[i], bar, center=(i, 1.0)))
-        scene.add(fmbd.revolute(f"C{i}", bar, legs[i + 1], center=(i + 1, 1.0)))
-    scene.sensor("top", fmbd.position(legs[0], point=(0.0, 1.0)))
-    return scene
 
 
 # ---------------------------------------------------------------------------------------------------- redundant hinges

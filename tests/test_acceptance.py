@@ -19,6 +19,7 @@ def double_pendulum(upper: float, lower: float, size: float = 1.0) -> fmbd.Scene
     scene = fmbd.Scene("double pendulum", gravity=(0.0, -9.81 * size))
     scene.add(a, b, fmbd.revolute("pin", fmbd.ground, a, center=(0.0, 0.0)))
     scene.add(fmbd.revolute("knee", a, b, center=(size, 0.0)))
+    scene.sensor("tip", fmbd.position(b))
     return scene
 
 

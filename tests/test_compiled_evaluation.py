@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import gc
-import sys
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from own_bodies import carrier, line_and_bob
+from profiled import calls_of
 from test_driver import SCENES as OF_THE_DRIVER
 from test_driver import compiled, joint_springs, suspended
 from test_evaluation_batch import plane
@@ -148,24 +147,6 @@ def test_points_of_implicit_steps(name: str, form: Any) -> None:
         assert x == pytest.approx(wanted, rel=1e-11, abs=1e-12 * max(1.0, np.abs(wanted).max()))
     if name != "plane":  # whose laws of time are Python's
         assert calls_of(lambda: eq.residual(t, points)) <= 20
-
-
-def calls_of(what: Any) -> int:
-    """Python functions that a call of ``what`` enters, itself left out, and what other tests left to be cleared away."""
-    count = [-1]
-    gc.collect()
-    gc.disable()
-
-    def entered(frame: Any, event: str, arg: Any) -> None:
-        count[0] += event == "call"
-
-    sys.setprofile(entered)
-    try:
-        what()
-    finally:
-        sys.setprofile(None)
-        gc.enable()
-    return count[0]
 
 
 @compiled

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from test_output import pendulum
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import study
@@ -20,14 +21,6 @@ def example(word, *, lines=28, **known):
     found = {"__name__": __name__, **known}
     exec(compile(block, "contributing.md", "exec"), found)
     return found
-
-
-def pendulum():
-    bob = fmbd.RigidBody("bob", 1.0, 0.1, position=(1.0, 0.0))
-    scene = fmbd.Scene("swing", gravity=(0, -9.81))
-    scene.add(bob, fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0)))
-    scene.sensor("bob", fmbd.position(bob))
-    return scene
 
 
 def test_joint_leaves_one_translation_and_two_rotations():

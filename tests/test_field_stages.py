@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import march
-from test_compiled_evaluation import calls_of
+from profiled import calls_of
 from test_driver import compiled
 from test_wave_through_tie import tied_bar
 from tolerance_scenes import fe_crank

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_acceptance import double_pendulum
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
@@ -16,17 +17,6 @@ from fmbd_fenicsx.run.judges.force_balance import Balanced
 from fmbd_fenicsx.schemes.multistep import bdf
 from fmbd_fenicsx.schemes.onestep import radau
 from fmbd_fenicsx.schemes.onestep.alpha import alpha_stepper
-
-
-def double_pendulum(size: float = 1.0, mass: float = 1.0) -> fmbd.Scene:
-    a = fmbd.RigidBody("a", mass, mass * size**2 / 12, position=(0.5 * size, 0.0))
-    b = fmbd.RigidBody("b", 2 * mass, mass * size**2 / 6, position=(1.5 * size, 0.0))
-    scene = fmbd.Scene("double pendulum", gravity=(0.0, -9.81 * size))
-    scene.add(a, b, fmbd.revolute("pin", fmbd.ground, a, center=(0.0, 0.0)))
-    scene.add(fmbd.revolute("knee", a, b, center=(size, 0.0)))
-    scene.sensor("tip", fmbd.position(b))
-    return scene
-
 
 SCHEMES = {
     "alpha": (alpha_stepper.AlphaStepper, fmbd.GeneralizedAlpha(0.8, compiled=False), 2e-3),
@@ -60,9 +50,9 @@ def test_a_step_without_balance_is_made_again(name: str, spoilt: Any) -> None:
     """The record is that of the undisturbed run."""
     stepper, scheme, dt = SCHEMES[name]
     given = {"t_end": 0.3, "dt": dt, "scheme": scheme, "output": fmbd.Output(energy=False)}
-    right = fmbd.solve(double_pendulum(), **given)
+    right = fmbd.solve(double_pendulum(1.0, 2.0), **given)
     spoilt(stepper, 0.3, 5)
-    run = fmbd.solve(double_pendulum(), **given)
+    run = fmbd.solve(double_pendulum(1.0, 2.0), **given)
     again = run.counters.get("unbalanced_steps", 0) + run.counters.get("halved_steps", 0)
     assert again >= 1
     np.testing.assert_allclose(run["tip"][-1], right["tip"][-1], atol=1e-5)
@@ -75,7 +65,7 @@ def test_the_body_is_named(name: str, size: float, mass: float, spoilt: Any) -> 
     stepper, scheme, dt = SCHEMES[name]
     spoilt(stepper, 0.3)
     with pytest.raises(ConvergenceError, match='the forces on body "[ab]" are not in balance'):
-        fmbd.solve(double_pendulum(size, mass), t_end=0.1, dt=dt, scheme=scheme)
+        fmbd.solve(double_pendulum(mass, 2 * mass, size), t_end=0.1, dt=dt, scheme=scheme)
 
 
 def judged(scene: fmbd.Scene) -> tuple[Balanced, Any, Any]:
@@ -87,7 +77,7 @@ def judged(scene: fmbd.Scene) -> tuple[Balanced, Any, Any]:
 
 def test_a_percent_of_the_accelerations_may_be_left() -> None:
     """From there on a state is refused."""
-    judge, ev, state = judged(double_pendulum())
+    judge, ev, state = judged(double_pendulum(1.0, 2.0))
     change = np.zeros_like(state.a)
     change[1] = 9.81
     judge.check(ev, replace(state, a=state.a + 2e-3 * change), 1e-3)
@@ -110,7 +100,7 @@ def test_the_roundoff_of_a_stiff_spring_is_balance(stiffness: float) -> None:
 
 def test_contact_and_unknown_schemes_are_not_judged() -> None:
     """Contact forces are no part of lambda, and a scheme of a user's own may balance its forces elsewhere."""
-    system, _, _ = double_pendulum().build()
+    system, _, _ = double_pendulum(1.0, 2.0).build()
     solver = StepSolver(system)
     assert Balanced.under(solver, fmbd.Moreau(), 1e-6) is None
     assert Balanced.under(solver, object(), 1e-6) is None
@@ -125,4 +115,4 @@ def test_the_step_that_is_refused_is_counted(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(Balanced, "check", refuse)
     with pytest.raises(ConvergenceError, match="step 20 of 20: not in balance"):
-        fmbd.solve(double_pendulum(), t_end=0.02, dt=1e-3)
+        fmbd.solve(double_pendulum(1.0, 2.0), t_end=0.02, dt=1e-3)

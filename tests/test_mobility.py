@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dae_problems import parallelograms
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, LinearSolveError
@@ -418,26 +419,11 @@ def test_elastic_body_almost_without_mass(rod_mesh: Any) -> None:
         fmbd.solve(bob_on_elastic_rod(mesh, 1e-13), t_end=0.2, dt=2e-3)
 
 
-def double_four_bar(angle: float) -> fmbd.Scene:
-    """Two parallelograms side by side, the legs at ``angle`` from the ground."""
-    e = np.array([np.cos(angle), np.sin(angle)])
-    scene = fmbd.Scene("double four-bar")
-    legs = [fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i + 0.5 * e[0], 0.5 * e[1]), angle) for i in range(3)]
-    bars = [fmbd.RigidBody(f"bar {i}", 1.0, 1 / 12, (i + 0.5 + e[0], e[1])) for i in range(2)]
-    scene.add(*legs, *bars)
-    for i, leg in enumerate(legs):
-        scene.add(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0)))
-    for i, bar in enumerate(bars):
-        scene.add(fmbd.revolute(f"B{i}", legs[i], bar, center=(i + e[0], e[1])))
-        scene.add(fmbd.revolute(f"C{i}", bar, legs[i + 1], center=(i + 1 + e[0], e[1])))
-    return scene
-
-
 def test_mobility_of_the_flat_double_four_bar() -> None:
     """One degree of freedom, three where it lies flat; a degree beside it, it is near-singular but regular."""
-    assert double_four_bar(np.pi / 2).check().freedom == 1
-    assert double_four_bar(0.0).check().freedom == 3
-    close = double_four_bar(1e-7).check()
+    assert parallelograms(2, 0.0, np.pi / 2).check().freedom == 1
+    assert parallelograms(2, 0.0, 0.0).check().freedom == 3
+    close = parallelograms(2, 0.0, 1e-7).check()
     assert close.freedom == 1 and close.conditioning < 1e-6
     assert any("near-singular" in note for note in close.notes)
 

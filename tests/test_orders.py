@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dae_problems import observed
+from dae_problems import observed, pendulum, pendulum_at, spinning_top
 
 import fmbd_fenicsx as fmbd
 
@@ -48,6 +48,47 @@ def label(scheme: Any) -> str:
 def test_orders(scheme: Any, expected: tuple[int, int, int], steps: tuple[int, ...]) -> None:
     found = observed(scheme, steps, 1.5 if label(scheme).startswith("Radau IIA(3), Index1") else 1.0)
     assert (np.abs(found - np.array(expected)) < 0.15).all(), found
+
+
+@pytest.mark.parametrize(
+    ("scheme", "rtol"),
+    [
+        *((fmbd.HalfExplicit, rtol) for rtol in (1e-3, 1e-6, 1e-9)),
+        *((fmbd.ExplicitRungeKutta, rtol) for rtol in (1e-4, 1e-8, 1e-11)),
+    ],
+)
+def test_errors_of_explicit_schemes_follow_the_tolerance(scheme: Any, rtol: float) -> None:
+    run = fmbd.solve(pendulum(), t_end=1.0, scheme=scheme(rtol))
+    x, v, lam = pendulum_at(1.0)
+    assert np.abs(run["x"][-1] - x).max() < 5 * rtol
+    assert np.abs(run["v"][-1] - v).max() < 10 * rtol
+    assert abs(abs(run.state.lam[0]) - lam) < 50 * rtol
+    assert run.drift[0] < 1e-12 and run.drift[1] < 1e-12
+    assert run.counters["jacobians"] == 0
+
+
+@pytest.mark.parametrize("make", [pendulum, spinning_top])
+@pytest.mark.parametrize(
+    ("scheme", "counts", "order"),
+    [(fmbd.HalfExplicit(None), (20, 80), 3.7), (fmbd.ExplicitRungeKutta(None), (2, 4), 6.3)],
+    ids=["half-explicit", "Runge-Kutta"],
+)
+def test_values_between_the_ends_of_explicit_steps(
+    scheme: Any, counts: tuple[int, int], order: float, make: Any
+) -> None:
+    """Positions, velocities and, as these are solved for, reactions are of order 4 and 7; also with rotations in space."""
+    scene = make()
+    if make is spinning_top:
+        body = scene.bodies["top"]
+        scene.sensor("x", fmbd.position(body, point=(0.1, 0.2, 0.3)))
+        scene.sensor("v", fmbd.velocity(body))
+        scene.sensor("force", fmbd.reaction("tip"))
+    output = fmbd.Output(times=tuple(np.linspace(0.013, 0.247, 14)), energy=False)
+    exact = fmbd.solve(scene, t_end=0.25, scheme=fmbd.Radau(5, rtol=1e-12), output=output)
+    runs = [fmbd.solve(scene, t_end=0.25, dt=0.25 / n, scheme=scheme, output=output) for n in counts]
+    for name in scene.sensors:
+        errors = [np.abs(run[name] - exact[name]).max() for run in runs]
+        assert np.log(errors[0] / errors[1]) / np.log(counts[1] / counts[0]) > order, (name, errors)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_compiled_evaluation import MAKERS, calls_of, compiled, pair_of
+from profiled import calls_of
+from test_compiled_evaluation import MAKERS, compiled, pair_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import LinearSolveError

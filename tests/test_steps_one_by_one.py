@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 from test_compiled_evaluation import MAKERS, pair_of
 from test_driver import compiled, joint_springs, suspended
 
@@ -104,21 +104,6 @@ def test_judges_refuse_by_a_glance_what_they_refuse_by_evaluations(wrong: str) -
     assert said[0] == said[1]
 
 
-def entered(what: Any, folder: str) -> int:
-    """How many functions in files of a folder a call enters."""
-    count = [0]
-
-    def note(frame: Any, event: str, arg: Any) -> None:
-        count[0] += event == "call" and folder in frame.f_code.co_filename
-
-    sys.setprofile(note)
-    try:
-        what()
-    finally:
-        sys.setprofile(None)
-    return count[0]
-
-
 @compiled
 @pytest.mark.parametrize("scheme", SCHEMES, ids=named)
 def test_the_run_enters_few_functions_a_step(scheme: Any) -> None:
@@ -126,7 +111,7 @@ def test_the_run_enters_few_functions_a_step(scheme: Any) -> None:
     output = fmbd.Output(every=1000, progress=False)
     run = lambda steps: fmbd.solve(joint_springs(2), t_end=1e-3 * steps, dt=1e-3, scheme=scheme, output=output)  # noqa: E731
     run(5)
-    calls = [entered(lambda steps=steps: run(steps), "/fmbd_fenicsx/run/") for steps in (10, 40)]
+    calls = [calls_of(lambda steps=steps: run(steps), "/fmbd_fenicsx/run/") for steps in (10, 40)]
     marches = isinstance(scheme, fmbd.Rattle | fmbd.HalfExplicit | fmbd.ExplicitRungeKutta | fmbd.EnergyMomentum)
     assert calls[1] - calls[0] <= 30 * (1 if marches else 14)
 

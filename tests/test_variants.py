@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from types import FrameType
 from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 
 import fmbd_fenicsx as fmbd
 
@@ -97,29 +96,21 @@ def chain(count: int) -> fmbd.Scene:
     return scene
 
 
-def calls_of(make: Callable[[Any], fmbd.Scene], given: Any) -> int:
+def calls_of_run(make: Callable[[Any], fmbd.Scene], given: Any) -> int:
     """Calls of Python functions from making a scene to the end of a run of few steps; kernels and places are there."""
-    count = 0
 
-    def note(frame: FrameType, event: str, argument: Any) -> None:
-        nonlocal count
-        count += event == "call"
+    def run() -> None:
+        fmbd.solve(make(given), t_end=0.01, dt=1e-3, output=fmbd.Output(every=5, progress=False))
 
     for _ in range(2):
-        fmbd.solve(make(given), t_end=0.01, dt=1e-3, output=fmbd.Output(every=5, progress=False))
-    before = sys.getprofile()
-    sys.setprofile(note)
-    try:
-        fmbd.solve(make(given), t_end=0.01, dt=1e-3, output=fmbd.Output(every=5, progress=False))
-    finally:
-        sys.setprofile(before)
-    return count
+        run()
+    return calls_of(run)
 
 
 def test_a_start_costs_few_calls() -> None:
     """Most of a short run is Python: it was 1 850 calls, and 137 for each further body."""
-    assert calls_of(pendulum, 1.3) < 1510
-    assert (calls_of(chain, 30) - calls_of(chain, 10)) / 20 < 122
+    assert calls_of_run(pendulum, 1.3) < 1510
+    assert (calls_of_run(chain, 30) - calls_of_run(chain, 10)) / 20 < 122
 
 
 def test_starts_make_no_matrix_of_rows(monkeypatch: pytest.MonkeyPatch) -> None:

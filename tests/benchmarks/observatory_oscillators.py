@@ -145,6 +145,6 @@ OSCILLATORS: dict[str, Problem] = {
     "Kepler's orbit": Problem(orbit, 5.0, "place", lambda: orbit_end(5.0), "exact (Kepler's equation)", 250),
     "slider crank": Problem(crank, CRANK_TURN, "phi", lambda: [2 * np.pi], "exact up to a quadrature (energy)", 200),
     "double four-bar": Problem(
-        double_four_bar, 1.0, "B0", lambda: four_bar_end(1.0), "ordinary equations (IFToMM A02)"
+        double_four_bar, 1.0, "top", lambda: four_bar_end(1.0), "ordinary equations (IFToMM A02)"
     ),
 }
