@@ -80,8 +80,8 @@ def space() -> Case:
 
 
 def blade(*, modes: int = 0) -> Case:
-    """A blade in fast rotation, stiffened by its inertia forces: new tangents with loads; by its ``modes`` too, with the stress of
-    the last evaluation.
+    """A blade in fast rotation, stiffened by its inertia forces: new tangents with loads; by its ``modes`` with the stress of the
+    last evaluation.
     """
     body: Any = fmbd.FloatingBody(
         "blade", rod(h=0.1, height=0.04), density=1000.0, elastic=plane_stress(1e8, 0.3), frame=fmbd.Attached("pin"),

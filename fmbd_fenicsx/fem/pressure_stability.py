@@ -41,46 +41,18 @@ def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clam
         pressure: degree of the continuous pressure; by default one less (Taylor-Hood).
         clamped: surfaces where displacements are held.
     """
-    import dolfinx.fem.petsc as fp
-    import ufl
-    from dolfinx import fem
     from petsc4py import PETSc
     from slepc4py import SLEPc
 
-    msh = mesh.dolfinx
-    V = fem.functionspace(msh, ("Lagrange", degree, (mesh.dim,)))
-    Q = fem.functionspace(msh, ("Lagrange", degree - 1 if pressure is None else pressure))
-    u = ufl.TrialFunction(V)
-    v = ufl.TestFunction(V)
-    p = ufl.TrialFunction(Q)
-    q = ufl.TestFunction(Q)
-
-    tags = [mesh.facet_tags.find(mesh.surface_tag(s)) for s in clamped]
-    facets = np.sort(np.concatenate(tags)) if tags else np.zeros(0, dtype=np.int32)
-    dofs = fem.locate_dofs_topological(V, mesh.dim - 1, facets)
-    held = [fem.dirichletbc(np.zeros(mesh.dim), dofs, V)]
-    # the H1 norm, with a length that makes its terms comparable
-    length = fem.Constant(msh, float(mesh.extent))
-    a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + ufl.inner(u, v) / length**2) * ufl.dx
-    A = fp.assemble_matrix(compat.form(a), held)
-    M = fp.assemble_matrix(compat.form(p * q * ufl.dx))
-    B = fp.assemble_matrix(compat.form(q * ufl.div(u) * ufl.dx), held)
-
-    for matrix in (A, M, B):
-        matrix.assemble()
-
-    # (1): B A^-1 B^T q = beta^2 M q, its smallest eigenvalues
-    ksp = PETSc.KSP().create(msh.comm)
-    eps = SLEPc.EPS().create(msh.comm)
-    for solver, matrix in ((ksp, A), (eps.getST().getKSP(), None)):
-        if matrix is not None:
-            solver.setOperators(matrix)
-        solver.setType("preonly")
-        solver.getPC().setType("lu")
-        solver.getPC().setFactorSolverType("mumps")
-
-    shell = PETSc.Mat().createPython(M.getSizes(), _SchurComplement(B, ksp), comm=msh.comm)
+    A, M, B = _matrices(mesh, degree, degree - 1 if pressure is None else pressure, clamped)
+    ksp = PETSc.KSP().create(A.comm)
+    ksp.setOperators(A)
+    _solve_directly(ksp)
+    shell = PETSc.Mat().createPython(M.getSizes(), _SchurComplement(B, ksp), comm=A.comm)
     shell.setUp()
+
+    eps = SLEPc.EPS().create(A.comm)
+    _solve_directly(eps.getST().getKSP())
     eps.setOperators(shell, M)
     eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     eps.setWhichEigenpairs(SLEPc.EPS.Which.SMALLEST_REAL)
@@ -92,3 +64,38 @@ def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clam
     for thing in (eps, shell, ksp, A, B, M):
         thing.destroy()
     return np.asarray(found)
+
+
+def _matrices(mesh: Any, degree: int, pressure: int, clamped: tuple[str, ...]) -> tuple[Any, Any, Any]:
+    """A, M and B of (1)."""
+    import dolfinx.fem.petsc as fp
+    import ufl
+    from dolfinx import fem
+
+    msh = mesh.dolfinx
+    V = fem.functionspace(msh, ("Lagrange", degree, (mesh.dim,)))
+    Q = fem.functionspace(msh, ("Lagrange", pressure))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    p, q = ufl.TrialFunction(Q), ufl.TestFunction(Q)
+
+    tags = [mesh.facet_tags.find(mesh.surface_tag(s)) for s in clamped]
+    facets = np.sort(np.concatenate(tags)) if tags else np.zeros(0, dtype=np.int32)
+    dofs = fem.locate_dofs_topological(V, mesh.dim - 1, facets)
+    held = [fem.dirichletbc(np.zeros(mesh.dim), dofs, V)]
+
+    # the H1 norm, with a length that makes its terms comparable
+    length = fem.Constant(msh, float(mesh.extent))
+    a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + ufl.inner(u, v) / length**2) * ufl.dx
+    A = fp.assemble_matrix(compat.form(a), held)
+    M = fp.assemble_matrix(compat.form(p * q * ufl.dx))
+    B = fp.assemble_matrix(compat.form(q * ufl.div(u) * ufl.dx), held)
+    for matrix in (A, M, B):
+        matrix.assemble()
+    return A, M, B
+
+
+def _solve_directly(ksp: Any) -> None:
+    """By a factor of MUMPS."""
+    ksp.setType("preonly")
+    ksp.getPC().setType("lu")
+    ksp.getPC().setFactorSolverType("mumps")
