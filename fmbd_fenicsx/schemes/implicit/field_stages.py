@@ -30,9 +30,10 @@ from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.points import PointsTold
 from ...system.evaluation import Evaluation
-from ...system.serialisation import Memory, Remembering, plain, worker
+from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
-from ..dae import Form, Points, Unconstrained
+from ..dae import Form, Points
+from .equations import Equations, Start
 from .stage_krylov import FieldStages
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -99,8 +100,8 @@ class FieldTangent:
         return found
 
 
-class FieldEquations(Remembering):
-    """What :class:`.StepEquations` is for small systems, for those with elastic fields; the same names. Collective.
+class FieldEquations(Equations):
+    """Those of systems with elastic fields, whose tangents are known by their action.
 
     Multipliers of the second and third level are the slips c (m/s) and e (m/s^2) of (1).
     """
@@ -113,13 +114,8 @@ class FieldEquations(Remembering):
     dense = compiled = False
 
     def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
-        self.system, self.solver = system, solver
-        self.form = form if system.n_lam else Unconstrained()
-        self.levels = len(self.form.levels)
-        self.n_mult = self.levels * system.n_lam
-        self.left: Array = np.zeros(system.n_lam)  # the first rows of the form at the last point
-        self.residuals = self.jacobians = self.krylov = 0
-        self.origin: Array = np.zeros(0)
+        super().__init__(system, form, solver)
+        self.krylov = 0
         self.solvers = FrequencySolvers(system, solver)
         self.trusted = True  # whether exact factors of a frequency need no iteration
         self.size_anchor: float | None = None  # first step of the grid, s
@@ -129,12 +125,10 @@ class FieldEquations(Remembering):
         self._begun: State | None = None
         self._basis: Evaluation | None = None  # where N is taken
         self._motions: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
-        self._closed: State | None = None
-        self._start: tuple[Array, Array, Array] = (self.origin,) * 3
 
     @property
     def counters(self) -> dict[str, float]:
-        """Work that dense systems do not have."""
+        """Iterations of the stage systems."""
         return {"stage_iterations": self.krylov}
 
     def remember_points(self, m: Memory, last: Any) -> Any:
@@ -258,39 +252,12 @@ class FieldEquations(Remembering):
         slips = self._slips(p.mult, 2)
         return p.vd if slips is None else p.vd + self.closing(slips)
 
-    def pushes(self, mult: Array) -> Array | None:
-        """Accelerations that multipliers cause: without an inverse of the mass they stay out of error norms."""
-        return None
-
-    def pulls(self, mult: Array) -> Array | None:
-        """No efforts are unknowns of their own."""
-        return None
-
-    def close_ties(self, h: float, state: State, mult: Array) -> State:
-        """The end of a step as it is."""
-        return state
-
-    def along_ties(self, h: float, v: Array) -> Array:
-        """None of velocities (n_v,)."""
-        return np.zeros_like(v)
-
-    def multipliers(self, state: State) -> Array:
-        """Those that a state begins with, (n_mult,)."""
-        mult = np.zeros(self.n_mult)
-        mult[: self.system.n_lam] = state.lam
-        return mult
-
-    def weigh(self, state: State) -> None:
-        """Nothing: N takes the mass where it needs it."""
-
-    def consistent_start(self, state: State) -> tuple[Array, Array, Array]:
-        """What closes the constraints of a step's start, as :meth:`.StepEquations.consistent_start`."""
-        if self.form.index == 1:
-            return np.zeros(self.system.n_v), state.v, state.a
+    def consistent_start(self, state: State) -> Start:
+        """With the matrix of the step, which is at hand when the next one begins."""
         self._estimates = True
-        if self._closed is state:
-            return self._start
+        return super().consistent_start(state)
 
+    def _closed_start(self, state: State) -> Start:
         s, zero = self.system, np.zeros(self.system.n_v)
         ev = s.at(state.t, state.q, state.v)
         self.prepare(ev, self._last_metric)
@@ -303,8 +270,7 @@ class FieldEquations(Remembering):
         v = state.v + closed(s.at(state.t, q, state.v).opening())
         ev = s.at(state.t, q, v)
         a = state.a + closed(ev.jacobian.times(state.a) + ev.gamma())
-        self._start, self._closed = (dq, v, a), state
-        return self._start
+        return dq, v, a
 
     # -- derivatives --------------------------------------------------------------------------------------------
     def refresh(self, state: State, mult: Array) -> FieldTangent:

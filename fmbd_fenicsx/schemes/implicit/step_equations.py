@@ -22,39 +22,32 @@ from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stage_patterns import StageStructure
 from ...system.evaluation_batch import EvaluationBatch
-from ...system.serialisation import Memory, Remembering, plain, worker
+from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ...system.tangents.stiff_ties import stiff_ties
 from ..consistent import arrived
-from ..dae import Form, Points, Unconstrained
+from ..dae import Form, Points
+from .equations import Equations, Start
 from .step_tangents import DenseTangents, SparseTangents, dense
 
 CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
 
 
-class StepEquations(Remembering):
-    """(1), (2) in the local coordinates of one step; shared by the implicit schemes.
-
-    ``begin`` sets the origin of the coordinates, ``refresh`` the tangent, ``residual`` evaluates. Counts its work. Systems with
-    elastic fields have :class:`.field_stages.FieldEquations`, with the same names.
-    """
+class StepEquations(Equations):
+    """Those of systems without elastic fields: tangents are matrices. Others have :class:`.field_stages.FieldEquations`."""
 
     keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "rows", "normal", "origin"), plain()) | {
         "tangents": worker
     }
     dense = True
-    counters: ClassVar[dict[str, float]] = {}
 
     def __init__(self, system: System, form: Form, solver: StepSolver, acceleration: float = 0.0) -> None:
         """``acceleration``: of the start, see :func:`.stiff_ties`."""
-        self.system, self.solver = system, solver
-        self.form = form if system.n_lam else Unconstrained()
-        self.levels = len(self.form.levels)
+        super().__init__(system, form, solver)
         self.stiff = stiff_ties(system, acceleration)
         if "driver looked for" in system.cache:
             use_driver(self.stiff.system)
-        self.n_mult = self.levels * system.n_lam + len(self.stiff)
-        self.residuals = self.jacobians = 0
+        self.n_mult += len(self.stiff)
 
         self.tangents: DenseTangents | SparseTangents = DenseTangents(system, self.form, self.stiff)
         self._chosen: Any = None  # who evaluated the system when these were chosen
@@ -62,11 +55,7 @@ class StepEquations(Remembering):
 
         # of the last point
         self.rows: Array = np.zeros((self.stiff.system.n_lam, system.n_v))  # of joints and ties
-        self.left: Array = np.zeros(system.n_lam)  # the first rows of the form there
         self.normal: Array = np.zeros((0, 0))
-        self.origin: Array = np.zeros(0)
-        self._closed: State | None = None
-        self._start: tuple[Array, Array, Array] = (self.origin,) * 3
 
     def remember(self, m: Memory) -> None:
         """With the tangents of the kind that the system has."""
@@ -106,19 +95,8 @@ class StepEquations(Remembering):
             assert isinstance(self.tangents, DenseTangents)
             self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
 
-    def keep_sizes(self) -> None:
-        """Steps keep to a few sizes: nothing, since matrices change from tangent to tangent."""
-
-    def step_size(self, h: float) -> float:
-        """h itself (s): matrices are made anew where it changes."""
-        return h
-
-    def aligned(self, t: Array, W: Array, p: Points) -> Points:
-        """Foretold stages as they are, since any are corrected alike."""
-        return p
-
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
-        """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
+        """r_kin and r_low of (1), (2), with what ties leave behind the rows of the form."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
         told = self._told(t, p)
@@ -163,11 +141,10 @@ class StepEquations(Remembering):
         return np.concatenate((balance, *joints, ties.residual(ev.constraint(), ev.opening(), efforts)), axis=1)
 
     def multipliers(self, state: State) -> Array:
-        """Those that a state begins with, (n_mult,)."""
-        efforts = self.stiff.efforts(self.system.at(state.t, state.q, state.v)) if len(self.stiff) else np.zeros(0)
-        mult = np.zeros(self.n_mult)
-        mult[: self.system.n_lam] = state.lam
-        mult[self.n_mult - len(efforts) :] = efforts
+        """With the efforts of ties behind them."""
+        mult = super().multipliers(state)
+        if len(self.stiff):
+            mult[-len(self.stiff) :] = self.stiff.efforts(self.system.at(state.t, state.q, state.v))
         return mult
 
     def _normally(self, mult: Array) -> Array:
@@ -240,21 +217,11 @@ class StepEquations(Remembering):
         found = np.linalg.lstsq(self.rows @ across + np.diag(soft), wanted, rcond=None)[0]
         return np.asarray((across @ found).T)
 
-    def consistent_start(self, state: State) -> tuple[Array, Array, Array]:
-        """What closes the constraints of a step's start: increments of q, the velocity on G v + g_t = 0, its acceleration.
-
-        Above index 1 schemes leave errors of lower order across the constraints in a (index 3: in v too), and what Newton's
-        tolerance permits in all of them. The next step forgets these; an error estimate must not take them for its own: they do
-        not fall with the step.
-        """
-        if self.form.index == 1:
-            return np.zeros(self.system.n_v), state.v, state.a
-        if self._closed is not state:
-            s, places = self.system, 0 in self.form.levels
-            made = arrived(s, state, self.solver, places=places)
-            dq = s.difference(state.q, made.q) if places else np.zeros(s.n_v)
-            self._start, self._closed = (dq, made.v, made.a), state
-        return self._start
+    def _closed_start(self, state: State) -> Start:
+        s, places = self.system, 0 in self.form.levels
+        made = arrived(s, state, self.solver, places=places)
+        dq = s.difference(state.q, made.q) if places else np.zeros(s.n_v)
+        return dq, made.v, made.a
 
     def refresh(self, state: State, mult: Array) -> Any:
         """The tangent of (1), (2) at a state with multipliers (n_mult,); also refreshes the metric W.

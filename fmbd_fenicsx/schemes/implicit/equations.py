@@ -1,0 +1,124 @@
+"""What the equations of an implicit step answer to a scheme, whoever evaluates and solves them."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...linear.condensation import StepSolver
+from ...linear.residual import Judge
+from ...rotations import Array
+from ...system.serialisation import Remembering
+from ...system.system import State, System
+from ..dae import Form, Points, Unconstrained
+
+Start = tuple[Array, Array, Array]  # an increment of q, v and a
+
+
+class Equations(Remembering):
+    """(1), (2) of :mod:`..dae` in the local coordinates of one step: ``begin`` sets their origin, ``refresh`` the tangent,
+    ``residual`` evaluates. What is not said otherwise is that of equations without ties, whose matrices are not kept. Collective.
+    """
+
+    dense: ClassVar[bool]  # whether a tangent is a matrix, which serves several steps
+
+    def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
+        self.system, self.solver = system, solver
+        self.form = form if system.n_lam else Unconstrained()
+        self.levels = len(self.form.levels)
+        self.n_mult = self.levels * system.n_lam
+        self.residuals = self.jacobians = 0
+        self.left: Array = np.zeros(system.n_lam)  # the first rows of the form at the last point
+        self.origin: Array = np.zeros(0)
+        self._closed: State | None = None
+        self._start: Start = (self.origin,) * 3
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Work of their own kind."""
+        return {}
+
+    def begin(self, state: State) -> None:
+        """Local coordinates about the state."""
+        raise NotImplementedError
+
+    def keep_sizes(self) -> None:
+        """Steps keep to a few sizes, those of :meth:`step_size`."""
+
+    def step_size(self, h: float) -> float:
+        """The size (s) that a step of about h has."""
+        return h
+
+    def weigh(self, state: State) -> None:
+        """Take the mass matrix of a state for the normal directions, where they need it."""
+
+    # -- residuals ----------------------------------------------------------------------------------------------
+    def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
+        """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
+        raise NotImplementedError
+
+    def aligned(self, t: Array, W: Array, p: Points) -> Points:
+        """Foretold stages at the times t (k,) as an iteration wants to begin; d rate = W dxi."""
+        return p
+
+    def accelerations(self, p: Points) -> Array:
+        """a of points, (k, n_v), corrected along the constraints."""
+        raise NotImplementedError
+
+    # -- multipliers --------------------------------------------------------------------------------------------
+    def multipliers(self, state: State) -> Array:
+        """Those that a state begins with, (n_mult,)."""
+        mult = np.zeros(self.n_mult)
+        mult[: self.system.n_lam] = state.lam
+        return mult
+
+    def corrections(self, mult: Array, level: int) -> Array:
+        """How multipliers (k, n_mult) of one level correct velocities or accelerations, (k, n_v); zero without such a level."""
+        raise NotImplementedError
+
+    def pushes(self, mult: Array) -> Array | None:
+        """Accelerations that multipliers (k, n_mult) cause, (1 or 2 k, n_v), where they are known."""
+        return None
+
+    def pulls(self, mult: Array) -> Array | None:
+        """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""
+        return None
+
+    # -- ends of steps ------------------------------------------------------------------------------------------
+    def close_ties(self, h: float, state: State, mult: Array) -> State:
+        """The end of a step of h (s) with places and velocities that give ties the efforts among the multipliers (n_mult,)."""
+        return state
+
+    def along_ties(self, h: float, v: Array) -> Array:
+        """The part of velocities (..., n_v) that ties hold in steps of h (s)."""
+        return np.zeros_like(v)
+
+    def consistent_start(self, state: State) -> Start:
+        """What closes the constraints of a step's start: increments of q, the velocity on G v + g_t = 0, its acceleration.
+
+        Above index 1 schemes leave errors of lower order across the constraints in a (index 3: in v too), and what Newton's
+        tolerance permits in all of them. The next step forgets these; an error estimate must not take them for its own: they do
+        not fall with the step.
+        """
+        if self.form.index == 1:
+            return np.zeros(self.system.n_v), state.v, state.a
+        if self._closed is not state:
+            self._start, self._closed = self._closed_start(state), state
+        return self._start
+
+    def _closed_start(self, state: State) -> Start:
+        raise NotImplementedError
+
+    # -- tangents -----------------------------------------------------------------------------------------------
+    def refresh(self, state: State, mult: Array) -> Any:
+        """The tangent at a state with multipliers (n_mult,)."""
+        raise NotImplementedError
+
+    def inertia(self, tangent: Any, a: Array) -> Array:
+        """M a at the tangent's motion."""
+        raise NotImplementedError
+
+    def pencil(self, tangent: Any, s: Array, judge: Judge) -> Any:
+        """Solver of the stages for the frequencies s, (p,)."""
+        raise NotImplementedError
