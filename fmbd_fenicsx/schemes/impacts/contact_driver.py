@@ -112,12 +112,12 @@ class ContactDriver:
             "before": rows, "rebound": room,
             "rows": 2 * rows * wide, "W": rows**2, "q": rows, "f": rows, "mu": room,
             "Y": rows * (self.n + self.m), "work": 3 * rows + few**2, "old": rows,
-            "least": 20 * few + 2 * few**2, "ahead": self.nq, "xi": self.n, "still": self.n,
+            "least": 24 * few + 2 * few**2, "ahead": self.nq, "xi": self.n, "still": self.n,
             "kept": self.m + 1, "own": m * (1 + 2 * d),
             "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.impacts + 2) * block_size(s),
         }  # fmt: skip
         counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m, "group": 2 * room, "candidate": m}
-        counts |= {"near": len(contacts.pairs), "listed": len(contacts.pairs)}
+        counts |= {"order_of": 2 * room, "near": len(contacts.pairs), "listed": len(contacts.pairs)}
         sizes |= {"lower": len(spheres.spheres), "stood": len(spheres.spheres) * (d + d * d)}
         sizes |= {f"part {name}": sizes[name] for name in ("W", "q", "f", "mu")}
         self.arrays.update({name: np.zeros(size) for name, size in sizes.items()})

@@ -69,7 +69,7 @@ class Contacts(ctypes.Structure):
         ("loaded", INT),
         *_fields("rows drift rate before rebound", POINTER),
         *_fields("all part asked", Problem),
-        *_fields("Y work old least", POINTER),
+        *_fields("Y work old least order_of", POINTER),
         *_fields("group ahead xi kept saved was rested path own", POINTER),
         *_fields("size most done total parts", INT),
         ("system", POINTER),

@@ -85,3 +85,13 @@ static int contact_forces(Contacts *c, const Problem *o)
     }
     return 1;
 }
+
+/* Whether the forces of one closed contact move another: they share a body, or bodies that are joined. */
+static int coupled(const Contacts *c, const Problem *o, int i, int k)
+{
+    const int d = c->components, n = o->m * d;
+    for (int a = 0; a < d; a++)
+        for (int b = 0; b < d; b++)
+            if (o->W[(long)(i * d + a) * n + k * d + b] != 0.0) return 1;
+    return 0;
+}

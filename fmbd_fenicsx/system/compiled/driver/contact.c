@@ -74,7 +74,8 @@ typedef struct {
     Problem all, part, asked;                 /* that of all closed contacts; of a group which move each other; what Python is asked */
     double *Y, *work;                         /* A^-1 L^T; see moreau.c */
     double *old;                              /* impulses before an iteration */
-    double *least;                            /* room for friction.c */
+    double *least;                            /* room for friction.c and interior.c; */
+    int *order_of;                            /* of contacts there, twice */
     int *group;                               /* contacts of a part, and room for as many */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
     double *saved;                            /* held, impulse, works and energies at the start of a step, of what is near */

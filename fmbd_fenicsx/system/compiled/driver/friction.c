@@ -1,14 +1,16 @@
 /* Coulomb friction where contacts depend on each other, or Newton's plain iteration does not converge: Newton with a line search, and
-   proximal points, the first two attempts of linear/complementarity/coulomb.py, equations (1) to (3). What these do not solve is
-   Python's: pivoting. */
+   proximal points, the first two attempts of linear/complementarity/coulomb.py, equations (1) to (3); between them proximal points from
+   the forces of interior.c. What these do not solve is Python's: pivoting. */
 
 static const double FOUND = 1e-12, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
+static const double NEAR = 1e-8; /* the first rho from forces of interior points */
+enum { SHORT = 5, LONG = 8 }; /* iterations of an attempt before each has to halve the residual */
 enum { PLAIN = 40, POINTS = 40, AHEAD = 5 }; /* iterations, proximal points at most; whole steps before one is made shorter */
 
 /* A problem (3) with the compliance and the friction of ``of``, and the iterate that was evaluated last. */
 typedef struct {
     const Problem *of;
-    int m, n;
+    int m, n, patience;                       /* patience: iterations before each has to halve the residual */
     double *q, *shift, *x, *u, *F, *dx, *du; /* n; dx, du: blocks d x d by point */
     int state[CLOSED];
 } Friction;
@@ -169,7 +171,7 @@ static int searched(Contacts *c, Friction *o, double *work)
     arrived(c, o);
     for (int k = 0; k < PLAIN; k++) {
         size = residual_of(o, d);
-        if (size <= ENOUGH || !isfinite(size) || (k > 8 && size > 0.5 * best)) break;
+        if (size <= ENOUGH || !isfinite(size) || (k > o->patience && size > 0.5 * best)) break;
         best = fmin(best, size);
 
         double norm = dot(o->F, o->F, n), share = 1.0, falls = (1.0 - 1e-4) * (1.0 - 1e-4);
@@ -206,12 +208,12 @@ static int searched(Contacts *c, Friction *o, double *work)
 
 /* Proximal points from the forces of a problem: the smallest residual, with its forces in ``best`` where it is smaller than ``least``.
    ``rho``: the first, 0 for none. */
-static double attempt(Contacts *c, const Problem *problem, double rho, double *best, double least)
+static double attempt(Contacts *c, const Problem *problem, double rho, int patience, double *best, double least)
 {
     const int m = problem->m, d = c->components, n = m * d;
     const double restart = rho;
     double *none = best + n, *work = none + n;
-    Friction o = {.of = problem, .m = m, .n = n}, whole;
+    Friction o = {.of = problem, .m = m, .n = n, .patience = patience}, whole;
     double **places[] = {&o.q, &o.shift, &o.x, &o.u, &o.F};
     for (int k = 0; k < 5; k++, work += n) *places[k] = work;
     o.dx = work;
@@ -249,11 +251,19 @@ static double attempt(Contacts *c, const Problem *problem, double rho, double *b
 static int frictional_forces(Contacts *c, const Problem *o)
 {
     if (o->m > CLOSED) return 1;
+    const int n = o->m * c->components;
     Tally before = c->tally;
-    double *best = c->least, size = attempt(c, o, 0.0, best, INFINITY);
+    double *start = c->least, *best = start + n, size = attempt(c, o, 0.0, SHORT, best, INFINITY);
     if (!(size <= FOUND)) {
         c->tally.cycles++;
-        size = attempt(c, o, 1e-4, best, size);
+        memcpy(start, o->f, n * sizeof(double));
+        inner_forces(c, o, start + n);
+        size = attempt(c, o, NEAR, LONG, best, size);
+        memcpy(o->f, start, n * sizeof(double));
+    }
+    if (!(size <= FOUND)) {
+        c->tally.cycles++;
+        size = attempt(c, o, 1e-4, LONG, best, size);
     }
     if (!(size <= FOUND)) {
         c->tally = before;

@@ -28,26 +28,15 @@ static void compliance(System *s, Contacts *c, const int *closed, int m)
         for (int k = 0; k < r; k++) c->all.W[r * n + k] = c->all.W[k * n + r] = 0.5 * (c->all.W[r * n + k] + c->all.W[k * n + r]);
 }
 
-/* Whether the forces of one closed contact move another: they share a body, or bodies that are joined. */
-static int coupled(const Contacts *c, int n, int i, int k)
-{
-    const int d = c->components;
-    for (int a = 0; a < d; a++)
-        for (int b = 0; b < d; b++)
-            if (c->all.W[(i * d + a) * n + k * d + b] != 0.0) return 1;
-    return 0;
-}
-
 /* Contacts of the group that ``first`` belongs to into c->group, ascending: how many; they are taken off those that are ``left``. */
 static int group_of(Contacts *c, int m, int first, int *left)
 {
-    const int n = m * c->components;
     int count = 1, found = 0, *group = c->group;
     group[0] = first;
     left[first] = 0;
     for (int done = 0; done < count; done++)
         for (int k = first + 1; k < m; k++)
-            if (left[k] && coupled(c, n, group[done], k)) group[count++] = k, left[k] = 0;
+            if (left[k] && coupled(c, &c->all, group[done], k)) group[count++] = k, left[k] = 0;
     if (count == 1) return 1;
 
     for (int k = 0; k < count; k++) left[group[k]] = -1;

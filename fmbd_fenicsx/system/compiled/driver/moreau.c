@@ -10,6 +10,8 @@
 #include "candidates.c"
 #include "contact_rows.c"
 #include "complementarity.c"
+#include "blocks.c"
+#include "interior.c"
 #include "friction.c"
 #include "impulses.c"
 #include "flights.c"

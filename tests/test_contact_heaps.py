@@ -1,0 +1,66 @@
+"""Balls that fall into a hopper and lie there with friction: forces found in compiled code, energy, overlap, weight."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.schemes.impacts import contact_driver
+from fmbd_fenicsx.system.compiled.library import driver_library
+
+pytestmark = pytest.mark.skipif(driver_library(3) is None, reason="no C compiler")
+G, R = 9.81, 0.05
+
+
+def hopper(n: int) -> Any:
+    """Balls of 1 kg, in layers, not quite above each other, over a floor between four walls that lean outwards."""
+    rng = np.random.default_rng(1)
+    side = max(2, int(np.ceil((n / 3) ** (1 / 3))))
+    half = 0.065 * side + 0.02
+    scene = fmbd.Scene("hopper", gravity=(0, 0, -G))
+    balls = []
+    for i in range(n):
+        cell = np.array([i % side - 0.5 * (side - 1), i // side % side - 0.5 * (side - 1), i // side**2])
+        place = 0.13 * cell + rng.uniform(-0.01, 0.01, 3) + np.array([0, 0, 0.15 + half])
+        balls.append(fmbd.RigidBody(f"{i}", 1.0, (0.4 * R * R,) * 3, tuple(place)))
+    scene.add(*balls)
+
+    walls = [fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0, 0), (0, 0, 1)))]
+    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        up = np.array((-x, -y, 0.8)) / np.hypot(1.0, 0.8)
+        walls.append(fmbd.Obstacle(f"wall {x} {y}", fmbd.HalfSpace((half * x, half * y, 0.8 * half), tuple(up))))
+    law = {"friction": 0.3, "restitution": 0.2}
+    for i, ball in enumerate(balls):
+        for wall in walls:
+            pair = fmbd.contact(f"{wall.name} under {i}", fmbd.ball(ball, R), wall, **law)
+            scene.add(pair)
+            scene.sensor(pair.name, fmbd.contact_impulse(pair))
+        for j, other in enumerate(balls[:i]):
+            carried = fmbd.Obstacle(f"{j} for {i}", fmbd.Sphere(R), on=other)
+            scene.add(fmbd.contact(f"{i} on {j}", fmbd.ball(ball, R), carried, **law))
+    return scene
+
+
+def test_forces_of_a_heap_are_found_in_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which contacts carry is a matter of slips of 1e-8 of an impact: Newton's iteration alone does not find them."""
+    asked: list[int] = []
+    found = contact_driver.ContactDriver._forces
+    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: (asked.append(m), found(self, m)))
+    output = fmbd.Output(every=20, progress=False)
+    run = fmbd.solve(hopper(12), t_end=0.4, dt=1e-3, scheme=fmbd.Moreau(), output=output)
+    assert run.counters["compiled_steps"] == run.counters["steps"]
+    assert run.counters["cycles_broken"] > 0  # Newton's plain iteration was not enough
+    assert not asked
+    assert 0.0 < run.counters["complementarity_residual"] <= 1e-12
+
+    total = sum(run.energy.values())
+    assert np.diff(total).max() <= 1e-9 * abs(total[0])
+    assert run.state.contact.gap.min() > -1e-3 * R
+
+    # momentum: weight less impulses of the floor and the walls
+    given = sum(run[name][-1] for name in run.series)
+    momentum = run.state.v.reshape(12, 6)[:, :3].sum(axis=0)
+    assert given + np.array((0.0, 0.0, -12 * G * 0.4)) == pytest.approx(momentum, abs=1e-9)
