@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import PartsError
 from fmbd_fenicsx.run.accuracy.search import shared_runs
+from fmbd_fenicsx.run.schedule import StepSchedule
 
 
 def tumbling_net() -> fmbd.Scene:
@@ -45,3 +47,10 @@ def test_orders_are_seen_in_ever_larger_steps(monkeypatch: pytest.MonkeyPatch) -
     assert any(len(steps) == 3 for steps in compared)
     assert all(steps == sorted(steps, reverse=True) for steps in compared)
     assert run.history[-1].then == "done" and np.abs(run["end"] - exact).max() < 1e-2
+
+
+def test_steps_that_fail_from_the_start_on_are_not_made_in_parts_for_long() -> None:
+    """Of a quarter of all steps that may be halved, only as many as belong to those made so far, beside a few."""
+    shared, output = shared_runs.SharedRuns(None, None, 25), fmbd.Output(progress=False)
+    with pytest.raises(PartsError, match=r"halved 1\d times"):  # not 26
+        shared.solve(tumbling_net(), fmbd.GeneralizedAlpha(), StepSchedule(1.5, 100), output)
