@@ -56,9 +56,20 @@ def test_the_rotation_of_small_surfaces_is_held(size: float) -> None:
     assert len(finer.reduction.omega) == 20  # in all sizes: none of the moments of the ends is left out
     scene = fmbd.Scene("rod")
     scene.add(few, fmbd.fixed("clamp", fmbd.ground, few.surface("left")))
-    # under a small load the tip is where it was: in a time step without a unit it came to lie on the other side of the clamp
-    scene.add(fmbd.force("pull", few.surface("right"), (0.0, 1e-3 * MODULUS * height**3 / 12 / size**2)))
+    assert fmbd.modes(scene, 1).frequencies[0] == pytest.approx(beam, rel=0.02)
+
+
+@pytest.mark.parametrize(("size", "modulus", "density"), [(1.0, 1e9, 1e3), (1e-6, 160e9, 2330.0), (1e-9, 1e12, 1e4)])
+def test_small_beams_rest_as_large_ones(size: float, modulus: float, density: float) -> None:
+    """Under a small load the tip of a reduced beam stays near its place: no step of ten seconds takes it across the clamp."""
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, HEIGHT), origin=(0.0, -HEIGHT / 2), counts=(20, 2), scale=size)
+    solid = fmbd.FloatingBody("rod", mesh, density=density, elastic=fmbd.materials.plane_stress(modulus, 0.3))
+    few = solid.reduced(basis=fmbd.CraigBampton(("left", "right"), 4))
+    scene = fmbd.Scene("rod")
+    pull = 1e-2 * modulus * (HEIGHT * size) ** 3 / 12 / size**2
+    scene.add(few, fmbd.fixed("clamp", fmbd.ground, few.surface("left")))
+    scene.add(fmbd.force("pull", few.surface("right"), lambda t: (0.0, pull)))
     scene.sensor("tip", fmbd.position(few.surface("right")))
     rest = fmbd.equilibrium(scene)
-    np.testing.assert_allclose(rest["tip"] / size, (1.0, 1e-3 / 3), rtol=0.02)
-    assert fmbd.modes(scene, 1, at=rest).frequencies[0] == pytest.approx(beam, rel=0.02)
+    np.testing.assert_allclose(rest["tip"] / size, (1.0, 1e-2 / 3), rtol=0.01)
+    assert fmbd.modes(scene, 1, at=rest).frequencies[0] > 0.0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from ..log import log
-
 TOO_LARGE = 0.5  # mean displacement over the body's size that no linear model survives
 
 
@@ -24,15 +22,3 @@ def too_large(body: str, displacement: float, size: float, stiffened: bool) -> s
         f"size of {size:.3g} m. "
         f"A linear form is far outside its range there. {bent if stiffened else spin}"
     )
-
-
-def warn_of_spin(body: str, spin: float, first: float) -> None:
-    """Log a warning when the spin (rad/s) has reached the first frequency (rad/s) of the body in its frame."""
-    if spin > first:
-        log.warning(
-            'body "%s" spins at %.3g rad/s, above its first bending frequency %.3g rad/s: without the stiffening by the stress '
-            "of inertia forces the linear floating frame softens until it diverges (stiffening=True, or an energy)",
-            body,
-            spin,
-            first,
-        )

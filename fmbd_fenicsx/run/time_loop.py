@@ -13,6 +13,7 @@ from ..ranks import OneAnswer
 from ..schemes.stepping import TimeStepper
 from ..system.element_memory import accept, reset
 from ..system.evaluation import Evaluation
+from ..system.spins import Spins
 from ..system.system import State
 from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
@@ -122,6 +123,7 @@ class Loop:
         self.judges.forecast.since = state.t
         self.motions = _motions(problem, schedule, state.t)
         self.turns = SmallTurns(system, silent=problem.warned is None)
+        self.spins = Spins(system, silent=problem.warned is None)
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
         refused = None if schedule.steps else self._unbalanced
@@ -151,10 +153,12 @@ class Loop:
         """Steps up to the end, to an event that ends the run, or to a request to stop."""
         keeper = self.keeper
         with OneAnswer(self.problem.system.comm), StopRequests() if keeper is None else keeper.listen() as stop:
+            self.spins.look(self.state)
             while not self.schedule.ended(self.state.t, self.progress.done):
                 made, seen = self._equal_steps() if self.schedule.steps else self._chosen_step()
                 self._count(made)
                 self.turns.look(self.state)
+                self.spins.look(self.state)
                 if self._ends_by_event():
                     break
 
@@ -173,7 +177,8 @@ class Loop:
             self.motions.look(self.state.t + h)
 
         # a checkpoint may be due after every step
-        most = self.turns.most(self.schedule.steps) if self.keeper is None else 1
+        steps = self.schedule.steps
+        most = min(self.turns.most(steps), self.spins.most(steps)) if self.keeper is None else 1
         made, compiled = 0, bool(self.stepper.stride(h))
         if compiled:
             made = self.calls.make(self.progress.done, most)

@@ -160,8 +160,6 @@ class MarchingStepper(TimeStepper):
             if closed is not None:
                 closed.passed(self.state.t, float(march.closed.fastest))
         march.calls.forget_error()  # parts of the step meet it again
-        if verdict == slots.LOOK:
-            march.tables.look()
         if verdict and verdict not in AGAIN:
             self._refuse(h)
         return made

@@ -28,6 +28,7 @@ from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
+from ...system.spins import Spins
 from ...system.system import State, System
 from ..vibration.basis import free_motions
 from ..vibration.perturbation import Perturbation
@@ -132,6 +133,7 @@ def equilibrium(
         }
 
         found = Equilibrium(scene, system, state_of(system, point, t, turning), markers, turning, made, counters)
+        Spins(system).look(found.state)
         if made is not None:
             _read_along(found, made)
     return found

@@ -13,8 +13,6 @@ node-wise rotations (Galerkin mass, unlumped).
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from ...errors import ConvergenceError, InputError
@@ -22,10 +20,10 @@ from ...fem.fields import Field
 from ...rotations import Array, axial, motions, spin_matrix
 from ..placements import Attached, Chord, FrameMotion, MeanAxis
 from ..reduction.foreshortening import Bent, Shortening
-from ..reduction.modes import first_eigenvalue_bound, first_frequency, rigid_fields
+from ..reduction.modes import rigid_fields
 from ..reduction.second_order import Acting, Moments, turning
 from ..reduction.stiffening import Stiffening
-from ..validity import TOO_LARGE, too_large, warn_of_spin
+from ..validity import TOO_LARGE, too_large
 from .field_part import FieldPart, TangentPoint
 
 
@@ -57,7 +55,6 @@ class FloatingField(FieldPart):
             self.shortening = self.stiffening.shortening(surfaces, self.n_frame_rows, self.n_port)
 
         self.kind = kind
-        self.warned = False
         self._columns_taken = 0  # a number for each set of columns, never used twice
         self._undeformed_columns()
 
@@ -106,7 +103,7 @@ class FloatingField(FieldPart):
 
         # (2), rows of the frame; the square of U is summed along
         sums = self.field.total(np.concatenate((F.sum(0), axial(P.T @ F), [float(local[0] @ local[0])])))
-        self._watch(float(np.linalg.norm(w)), sums[-1])
+        self._watch(sums[-1])
         sums = sums[:-1]
         # (2), rows of the field
         rows = F.ravel() + self.internal(local[0], local[1])
@@ -146,8 +143,8 @@ class FloatingField(FieldPart):
         x = stiffening.second.acting(stiffening.moments(bent, local), twist, accel, R.T @ motion.gravity)
         return bent, x, stiffening.coefficients(x.stress, motion.t, R)
 
-    def _watch(self, spin: float, square: float) -> None:
-        """Warn of a spin above the first frequency; refuse displacements of the size of the body. Linear bodies only."""
+    def _watch(self, square: float) -> None:
+        """Refuse displacements of the size of the body. Linear bodies only."""
         f = self.field
         if f.nonlinear:
             return
@@ -155,15 +152,6 @@ class FloatingField(FieldPart):
         mean = np.sqrt(square * f.dim / f.n_global)
         if not mean <= TOO_LARGE * f.size:
             raise ConvergenceError(too_large(self.name, mean, f.size, self.stiffening is not None))
-
-        if self.stiffening is None and not self.warned and spin > self.spin_to_check:
-            self.warned = True
-            warn_of_spin(self.name, spin, first_frequency(f, self.conditions))
-
-    @cached_property
-    def spin_to_check(self) -> float:
-        """Angular velocity (rad/s) below which no beam under any support is near its first frequency."""
-        return 0.1 * float(np.sqrt(first_eigenvalue_bound(self.field)))
 
     def internal(self, U: Array, Ud: Array) -> Array:
         """f_int(U) + beta K_0 U', (n d,)."""

@@ -28,7 +28,7 @@ from ...errors import ConvergenceError
 from ...rotations import Array, axial, hat, motions, spin_matrix
 from ..bodies.body import Placed, Site
 from ..placements import FrameMotion, Part
-from ..validity import TOO_LARGE, too_large, warn_of_spin
+from ..validity import TOO_LARGE, too_large
 from .foreshortening import of_constants
 from .second_order import Acting, Moments, SecondOrder, load_moment, turning
 
@@ -134,7 +134,6 @@ class ReducedPart(Part):
         self.first_frequency = (
             float(np.sqrt(sl.eigh(constants.K, self._modal_mass, eigvals_only=True)[0])) if self.n else np.inf
         )
-        self.warned = False
 
     def surface_center(self, surface: str) -> Array:
         """Centroid of a surface at the start, world axes."""
@@ -156,26 +155,20 @@ class ReducedPart(Part):
         w = spin_matrix(motion.twist[d:])
         return motion.R.T @ (motion.accel[:d] - motion.gravity), w, spin_matrix(motion.accel[d:]) + w @ w
 
-    def _watch(self, motion: FrameMotion, eta: Array) -> None:
-        """Warn of a spin above the first frequency; refuse displacements of the size of the body."""
+    def _watch(self, eta: Array) -> None:
+        """Refuse displacements of the size of the body."""
         c = self.constants
         # root mean square of the displacements over the mass
         mean = float(np.sqrt(max(eta @ self._modal_mass @ eta, 0.0) / c.mass))
         if not mean <= TOO_LARGE * c.size:
             raise ConvergenceError(too_large(self.name, mean, c.size, c.stiffening is not None))
 
-        if c.stiffening is None and not self.warned:
-            spin = float(np.linalg.norm(motion.twist[self.dim :]))
-            if spin > self.first_frequency:
-                self.warned = True
-                warn_of_spin(self.name, spin, self.first_frequency)
-
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (2): the frame's (n_twist,), world translation and body rotation, and the modes' (m,)."""
         c, d = self.constants, self.dim
         eta, rate, second = local
         a, w, L = self._motion(motion)
-        self._watch(motion, eta)
+        self._watch(eta)
 
         # S and T(e_a, .) of p, p', p''
         p = self._with_shape(eta, rate, second)

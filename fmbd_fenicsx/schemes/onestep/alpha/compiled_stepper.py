@@ -256,8 +256,6 @@ class CompiledAlphaStepper(AlphaStepper):
         driver.tables.recall()
         driver.tables.c.renewals = newton.renewals
         made, verdict = driver.march(steps, tape, control)
-        if verdict == slots.LOOK:
-            driver.tables.look()
         if made and watch is not None:
             watch.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
         if made:

@@ -115,7 +115,7 @@ static int linear_field(const Body *o, const double *R, const Motion *m, const d
     to_world(R, local, f + D);
 
     stiffness_times(e, U, Ud, e->force);
-    return square <= o->large && dot(w, w, ROT) <= o->spin ? DONE : LOOK;
+    return square <= o->large ? DONE : LOOK;
 }
 
 /* Forces on the nodes, and their resultant (world axes) into f. */

@@ -202,7 +202,7 @@ int reduced_force(const Body *o, const double *R, const double *q, const double 
         for (int j = 0; j < D; j++) force += acc[j] * o->S[k * j + i + 1];
         rows[i] = force;
     }
-    return dot(eta, Me, m) <= o->large && dot(w, w, ROT) <= o->spin ? DONE : LOOK;
+    return dot(eta, Me, m) <= o->large ? DONE : LOOK;
 }
 
 /* The lower half of the block of M + cd C + ck K into the fronts, world axes, at the configuration evaluated last. */

@@ -128,7 +128,7 @@ typedef struct {
 
 typedef struct {
     int modes, at_v, at_q, at_u;       /* places of the modes in v and q, of the block among the unknowns */
-    double mass, large, spin;          /* bounds: eta . modal mass . eta and |omega|^2 */
+    double mass, large;                /* bound of eta . modal mass . eta */
     double *inertia;                   /* rigid: ROT x ROT, body axes */
     double *S, *T, *V, *modal, *K, *C, *stress; /* reduced, see mechanics/reduction/reduced.py; stress NULL without stiffening */
     double *U, *now, *bent;            /* work: T(e_a, p), stiffness of the present stress, K_c eta and K_ij eta, a row */

@@ -19,7 +19,7 @@ from ...evaluation import Evaluation
 from ...mobility import certainly_regular
 from ...system import System
 from ..calls import Calls
-from ..tables.structures import address_of, enumeration
+from ..tables.structures import address_of
 from ..tables.tables import Tables
 from .driver_evaluation import DriverBatch, DriverEvaluation
 from .exchange import Exchange, Room
@@ -28,7 +28,6 @@ from .glance import Glance
 from .points import LocalPoints, Metric, PointsTold
 
 FEW, ROOMS = 4, 16  # configurations for which arrays are made at least; up to which they are kept
-LOOK = enumeration("DONE")["LOOK"]  # a verdict
 
 Configurations = tuple[Array, Array, Array]  # t (k,), q (k, n_q), v (k, n_v)
 
@@ -214,8 +213,6 @@ class DriverStates(CompiledGeometry):
         self.calls.trusted = self.anew = False
         if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()
-        if verdict == LOOK:
-            self.tables.look()
         return not verdict
 
     # -- solution ---------------------------------------------------------------------------------------------------------

@@ -12,12 +12,11 @@ import numpy as np
 
 from ....rotations import Array
 from ...system import State
-from ..tables.structures import address_of, addresses_of, enumeration
+from ..tables.structures import address_of, addresses_of
 
 if TYPE_CHECKING:
     from .evaluation import DriverStates
 
-LOOK = enumeration("DONE")["LOOK"]  # a verdict
 Tableau = tuple[Array, Array]  # nodes c (stages,), rows A (stages + 1, stages) with the weights last
 Stages = tuple[Array, Array, Array, Array]  # rates and accelerations (stages, n_v); xi and v at the end
 Found = tuple[Array, Array, int]  # a and lambda of a stage, and how many solutions that took
@@ -177,6 +176,4 @@ class ExplicitStates:
         calls = states.calls
         if calls.error is not None or calls.asked:
             calls.raise_error()
-        if verdict == LOOK:
-            states.tables.look()
         return not verdict

@@ -37,7 +37,7 @@ def rigid_bodies(tables: Tables) -> dict[int, Any]:
     out = {}
     for i, frame in enumerate(block.frame):
         out[int(frame)] = kind(
-            at_u=int(first[i]), mass=float(block.mass[i]), spin=np.inf, large=np.inf,
+            at_u=int(first[i]), mass=float(block.mass[i]), large=np.inf,
             inertia=address + size * i, dest=dest + ahead * i,
         )  # fmt: skip
     return out

@@ -71,12 +71,6 @@ class FieldTable:
         # of the factors in use, which sizes of steps come back to, and other tables
         self._condensed: dict[int, tuple[Array, Condensed]] = system.cache.setdefault(("condensed", k), {})
 
-    @property
-    def spin_to_check(self) -> float:
-        """Angular velocity (rad/s) above which the body is to be warned of; infinite where it was, or stiffens."""
-        known = self.part.warned or self.part.stiffening is not None
-        return np.inf if known else float(self.part.spin_to_check)
-
     def solve(self) -> None:
         """z = E^-1 b."""
         self.z[:] = self.block.factor.solve(self.b)

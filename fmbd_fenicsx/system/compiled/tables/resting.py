@@ -26,7 +26,6 @@ class RestingField(FieldPart):
     """An absolute field in a frame at rest; what is not linear of its forces stays with the field itself."""
 
     stiffening = None
-    warned = True  # it does not spin
 
     def __init__(self, part: AbsoluteField, frame: int) -> None:
         super().__init__(part.field, frame, [], part.conditions)

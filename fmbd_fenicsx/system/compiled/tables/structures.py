@@ -52,7 +52,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
     ],
     "Body": [
         *_fields("modes at_v at_q at_u", _INT),
-        *_fields("mass large spin", _REAL),
+        *_fields("mass large", _REAL),
         *_fields("inertia S T V modal K C stress U now bent mean heavy block dest field told", _POINTER),
     ],
     "Told": [*_fields("number rests", _INT), *_fields("state rows block dest", _POINTER)],

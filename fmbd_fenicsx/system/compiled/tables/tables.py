@@ -12,7 +12,6 @@ import numpy as np
 from ....errors import ConvergenceError
 from ....mechanics.joints.relative import Relative
 from ....mechanics.kinds.frames import FRAME
-from ....mechanics.reduction.reduced import ReducedPart
 from ....rotations import Array
 from ...system import System
 from ..order import Fronts, RowGroup
@@ -236,7 +235,6 @@ class Tables:
             foretells=int(any(part.foretells for part in parts)), indefinite=int(any(field.indefinite for field in self.fields)),
             leaves_out=int(s.leaves_out), **self._links(),
         )  # fmt: skip
-        self.look()
 
     def _lists(self) -> tuple[dict[str, int], dict[str, int]]:
         """How many bodies, surfaces .. there are, and the addresses of their structures."""
@@ -329,12 +327,3 @@ class Tables:
             items.formula.keep(items.arrays["kept"])
         for one in self.listeners:
             one.remember()
-
-    def look(self) -> None:
-        """Take the angular velocities above which a body is to be warned of; those warned of have none."""
-        for b, (_, part) in self.parts.items():
-            if isinstance(part, ReducedPart) and not is_told(part):
-                known = part.warned or part.constants.stiffening is not None
-                self.body_array[b].spin = np.inf if known else part.first_frequency**2
-        for frame, field in self.floating.items():
-            self.body_array[frame].spin = field.spin_to_check**2

@@ -90,7 +90,7 @@ class ToldPart:
         """The structure Body, of a rigid body on the same frame (None: there is none) and the part."""
         tables, system = self.tables, self.tables.system
         frame = self.part.frame
-        body = structure("Body", tables.dim)(spin=np.inf, large=np.inf) if rigid is None else rigid
+        body = structure("Body", tables.dim)(large=np.inf) if rigid is None else rigid
         i, j = np.tril_indices(self.width)
         unknown = tables.at_u[frame] + np.arange(self.width)
         told = structure("Told", tables.dim)(

@@ -1,0 +1,154 @@
+"""How fast linear bodies spin in moving frames, beside their first frequencies as joints hold them.
+
+Inertia forces stress a body that spins with Omega, and their stress stiffens it by some Omega^2 times its mass. A linear form
+without ``stiffening`` leaves that out, a share (Omega / omega_1)^2 of its stiffness in bending; where it reaches one, in the
+plane of rotation, there is no stable solution. omega_1 is that of the body held by its joints, their other sides at rest,
+
+    K phi = omega^2 M phi,     J phi = 0,                                                                   (1)
+
+J the rows of the joints on its motion; zeros of (1), motions that the joints leave to the rigid body, are no vibrations.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+
+from ..log import log
+from ..mechanics.bodies.floating import FloatingField
+from ..mechanics.placements import FrameMotion
+from ..mechanics.reduction.modes import first_eigenvalue_bound, first_frequency, rigid_fields
+from ..mechanics.reduction.reduced import ReducedPart
+from ..rotations import Array
+from .evaluation import Evaluation
+from .system import State, System
+
+SHARE = 0.25  # of the stiffness in bending that may be left out
+LOW = 0.05  # of the first frequency of a free body, below which no support brings it
+LOOKS = 8  # at a run of equal steps, at least
+RIGID = 1e-9  # omega^2 below this share of the largest: a rigid motion
+DEPENDENT = 1e-12
+
+
+class Spins:
+    """Who looks at the linear bodies of a system that may spin."""
+
+    def __init__(self, system: System, *, silent: bool = False) -> None:
+        """``silent``: of a run that warns of nothing."""
+        self.system = system
+        self.bodies: list[tuple[int, Any]] = [] if silent else _unstiffened(system)
+
+    def most(self, steps: int) -> int:
+        """So many of all steps at most between two looks."""
+        return steps // LOOKS + 1 if self.bodies else steps
+
+    def look(self, state: State) -> None:
+        """Warn once of each body whose stress of inertia forces is not small; collective."""
+        for k, part in list(self.bodies):
+            spin = self._spin(part, state)
+            if spin <= _slowest(part):
+                continue
+            ev = self.system.at(state.t, state.q, state.v)
+            first = held_frequency(ev, k, part)
+            share = (spin / first) ** 2
+            if share <= SHARE:
+                continue
+            self.bodies.remove((k, part))
+            log.warning(
+                'body "%s" spins at %.3g rad/s, its first bending frequency between its joints is %.3g rad/s: without the '
+                "stiffening by the stress of inertia forces its linear floating frame is off by some %.0f %% of its stiffness in "
+                "bending, and has no stable solution from 100 %% on (stiffening=True with an attached frame, or an energy)",
+                part.name, spin, first, 100.0 * share,
+            )  # fmt: skip
+
+    def _spin(self, part: Any, state: State) -> float:
+        """Angular velocity of a body's frame, rad/s."""
+        n, d = self.system.motions.n_twist, self.system.motions.dim
+        return float(np.linalg.norm(state.v[part.frame * n + d : (part.frame + 1) * n]))
+
+
+def _unstiffened(system: System) -> list[tuple[int, Any]]:
+    """Linear bodies in moving frames without stiffening, with their numbers."""
+    found: list[tuple[int, Any]] = []
+    for k, part in enumerate(system.parts):
+        if isinstance(part, ReducedPart):
+            bends = part.n > 0 and part.constants.stiffening is None
+        else:
+            bends = isinstance(part, FloatingField) and not part.field.nonlinear and part.stiffening is None
+        if bends and part.frame < system.n_frames:
+            found.append((k, part))
+    return found
+
+
+def _slowest(part: Any) -> float:
+    """Angular velocity (rad/s) below which no support brings the first frequency of a body near."""
+    if isinstance(part, ReducedPart):
+        return LOW * part.first_frequency
+    return LOW * float(np.sqrt(first_eigenvalue_bound(part.field)))
+
+
+def held_frequency(ev: Evaluation, k: int, part: Any) -> float:
+    """omega_1 of (1) of body k, rad/s, infinite where joints hold all of its modes; collective."""
+    s = ev.system
+    n = s.motions.n_twist
+    rows = np.concatenate(
+        [np.arange(b.rows.start, b.rows.stop) for b in s.blocks if b.kind != "frame"] or [np.zeros(0, int)]
+    )
+    core = ev.jacobian.core[rows]
+    dense = core.toarray() if sp.issparse(core) else np.asarray(core)
+
+    if isinstance(part, ReducedPart):
+        return _of_modes(ev, part, dense[:, n * part.frame : n * (part.frame + 1)], dense[:, s.slices[1][k]])
+    return _of_field(ev, part, ev.jacobian.port[rows][:, s.port_slice(k)])
+
+
+def _of_modes(ev: Evaluation, part: ReducedPart, on_frame: Array, on_modes: Array) -> float:
+    """(1) of a reduced body: rows on its frame and on its modes."""
+    n, d = on_frame.shape[1], ev.system.motions.dim
+    rest = FrameMotion(ev.t, ev.rotation[part.frame], np.zeros(n), None, np.zeros(d))
+    of_frame, across, of_modes = part.mass_blocks(rest, np.zeros(part.n))
+    M = np.block([[of_frame, across.T], [across, of_modes]])
+    K = np.zeros_like(M)
+    K[n:, n:] = part.constants.K
+
+    unit = np.sqrt(np.diag(M))
+    J = np.concatenate((on_frame, on_modes), axis=1) / unit
+    V = sl.null_space(_of_length_one(J)) / unit[:, None]
+    if not V.shape[1]:
+        return np.inf
+    squares = sl.eigh(V.T @ K @ V, V.T @ M @ V, eigvals_only=True)
+    bends = squares[squares > RIGID * max(squares[-1], 0.0)]
+    return float(np.sqrt(bends[0])) if len(bends) else np.inf
+
+
+def _of_field(ev: Evaluation, part: FloatingField, on_ports: Array) -> float:
+    """(1) of a displacement field, which holds rigid motions too: rows on its ports."""
+    f = part.field
+    Z = rigid_fields(f)
+    used = np.flatnonzero(np.abs(on_ports).max(axis=0, initial=0.0) > 0)
+    held = part.port_columns(used, ev.t) @ _of_length_one(on_ports[:, used]).T
+
+    # what the joints leave to the rigid body is held beside
+    free = (
+        sl.null_space(f.total(held.T @ Z) / np.sqrt(np.diag(f.total(Z.T @ f.Q))))
+        if held.shape[1]
+        else np.eye(Z.shape[1])
+    )
+    free = free / np.sqrt(np.diag(f.total(Z.T @ f.Q)))[:, None]
+    conditions = np.concatenate((held, f.Q @ free), axis=1)
+
+    size = np.sqrt(f.total(np.square(conditions).sum(axis=0)))
+    conditions = conditions / size
+    values, U = np.linalg.eigh(f.total(conditions.T @ conditions))
+    keep = values > DEPENDENT * values.max()
+    return first_frequency(f, conditions @ (U[:, keep] / np.sqrt(values[keep])))
+
+
+def _of_length_one(rows: Array) -> Array:
+    """Rows that are not zero, of length one."""
+    size = np.linalg.norm(rows, axis=1)
+    used = size > DEPENDENT * size.max(initial=0.0)
+    return np.asarray(rows[used] / size[used, None])

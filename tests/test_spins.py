@@ -1,0 +1,99 @@
+"""Linear bodies that spin: their first frequency between their joints, who is warned of and who is not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.system.spins import held_frequency
+
+HEIGHT, MODULUS, DENSITY = 0.02, 70e9, 2700.0
+UNIT = np.sqrt(MODULUS * HEIGHT**2 / 12 / DENSITY)  # rad/s, sqrt(EI / m L^4) of a beam of one metre
+
+
+def blade(kind: str) -> tuple[Any, str, str]:
+    """A strip along x with the names of its ends."""
+    if kind == "beam":
+        section = fmbd.Section.rectangle(
+            youngs_modulus=MODULUS, poisson_ratio=0.3, density=DENSITY, width=1.0, height=HEIGHT
+        )
+        return fmbd.Beam("blade", (0, 0), (1, 0), section, elements=12), "start", "end"
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, HEIGHT), counts=(24, 1), origin=(0.0, -HEIGHT / 2))
+    solid = fmbd.FloatingBody("blade", mesh, density=DENSITY, elastic=fmbd.materials.plane_stress(MODULUS, 0.3))
+    if kind == "reduced":
+        return solid.reduced(basis=fmbd.CraigBampton(("left", "right"), 4)), "left", "right"
+    return solid, "left", "right"
+
+
+def turning(kind: str, rate: float, *, stiffening: bool = False) -> fmbd.Scene:
+    """The blade on a hub that a drive spins up to rate (rad/s)."""
+    body, root, tip = blade(kind)
+    body = body.with_(stiffening=root) if stiffening else body
+    hub = fmbd.RigidBody("hub", 1.0, 1.0, (0.0, 0.0))
+    scene = fmbd.Scene("turning")
+    axle = fmbd.revolute("axle", fmbd.ground, hub, center=(0, 0))
+    scene.add(hub, body, axle, fmbd.fixed("weld", hub, body.surface(root)))
+    scene.add(fmbd.drive("motor", fmbd.angle(axle), lambda t: rate * t**3 / (t**2 + 0.01)))
+    scene.sensor("tip", fmbd.position(body.surface(tip)))
+    return scene
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["floating", "reduced", "beam"])
+@pytest.mark.parametrize(
+    ("held", "factor"), [("clamped", 3.516), ("pinned", np.pi**2), ("on a pin", 15.418), ("free", 22.373)]
+)
+def test_frequencies_between_joints_are_those_of_beams(kind: str, held: str, factor: float) -> None:
+    """Clamped at one end, pinned at both, pinned at one, free: in mean axes all of them."""
+    body, root, tip = blade(kind)
+    scene = fmbd.Scene("held")
+    scene.add(body)
+    if held == "clamped":
+        scene.add(fmbd.fixed("root", fmbd.ground, body.surface(root)))
+    if held in ("pinned", "on a pin"):
+        scene.add(fmbd.revolute("root", fmbd.ground, body.surface(root), center=(0, 0)))
+    if held == "pinned":
+        scene.add(fmbd.point_on_line("tip", fmbd.ground, body.surface(tip), center=(1, 0), axis=(1, 0)))
+
+    system, state, _ = scene.build()
+    k, part = system.part("blade")
+    # three of hundred: the percent of inverse iteration, shear, and the ends of the strip, whose mean rotation is held
+    assert held_frequency(system.at(0.0, state.q, state.v), k, part) == pytest.approx(factor * UNIT, rel=0.03)
+
+
+@pytest.mark.parametrize("kind", ["floating", "reduced"])
+def test_a_blade_that_spins_up_is_told_by_its_clamped_frequency(kind: str, caplog: Any) -> None:
+    """Half of it is not said to be too fast, seven tenths are: by runs and by equilibria."""
+    run = fmbd.solve(turning(kind, 0.45 * 3.516 * UNIT), t_end=0.1, dt=1e-3)
+    assert "bending frequency" not in str(run.warnings)
+
+    scene = turning(kind, 0.7 * 3.516 * UNIT)
+    assert "bending frequency" in str(fmbd.solve(scene, t_end=0.4, dt=1e-3).warnings)
+
+    body, root, _ = blade(kind)
+    alone = fmbd.Scene("alone")
+    alone.add(body, fmbd.fixed("weld", fmbd.ground, body.surface(root)))
+    caplog.clear()
+    fmbd.equilibrium(alone, spin=fmbd.Spin(0.7 * 3.516 * UNIT))
+    assert "49 % of its stiffness" in caplog.text
+
+
+def test_steps_that_are_tried_only_tell_nothing() -> None:
+    """A clamped blade shaken from side to side never turns; half-explicit steps that are rejected turn it by chance."""
+    body, root, tip = blade("reduced")
+    cart = fmbd.RigidBody("cart", 1.0, 1.0, (0.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, cart, center=(0, 0), axis=(0, 1))
+    scene = fmbd.Scene("shaken")
+    scene.add(cart, rail, body, fmbd.fixed("weld", cart, body.surface(root)))
+    scene.add(fmbd.drive("shaker", fmbd.displacement(rail), lambda t: 1e-3 * np.sin(60.0 * t) ** 3))
+    scene.sensor("tip", fmbd.position(body.surface(tip)))
+    run = fmbd.solve(scene, t_end=0.02, scheme=fmbd.HalfExplicit(1e-8))
+    assert run.counters["rejections"] > 0 and not run.warnings
+
+
+def test_a_stiffened_blade_is_not_warned_of() -> None:
+    run = fmbd.solve(turning("floating", 0.7 * 3.516 * UNIT, stiffening=True), t_end=0.4, dt=1e-3)
+    assert "bending frequency" not in str(run.warnings)
