@@ -17,6 +17,7 @@ FILES = (
     "compiled_absolute",
     "compiled_contact",
     "contact_candidates",
+    "contact_heaps",
     "compiled_control",
     "compiled_evaluation",
     "compiled_means",
