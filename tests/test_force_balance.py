@@ -41,6 +41,7 @@ def spoilt(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
             return made
 
         monkeypatch.setattr(stepper, "advance", wrong)
+        monkeypatch.setattr(stepper, "stride", lambda self, h: 0.0)  # each by itself
 
     yield spoil
 
@@ -56,6 +57,29 @@ def test_a_step_without_balance_is_made_again(name: str, spoilt: Any) -> None:
     again = run.counters.get("unbalanced_steps", 0) + run.counters.get("halved_steps", 0)
     assert again >= 1
     np.testing.assert_allclose(run["tip"][-1], right["tip"][-1], atol=1e-5)
+
+
+def test_a_march_whose_end_has_no_balance_takes_its_last_step_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The record is that of the undisturbed run, made by one more call."""
+    stepper, scheme, _ = SCHEMES["Radau"]
+    given = {"t_end": 0.3, "scheme": scheme, "output": fmbd.Output(energy=False)}
+    right = fmbd.solve(double_pendulum(1.0, 2.0), **given)
+    march, made = stepper.march, []
+
+    def wrong(self: Any, h: float, steps: int, *more: Any, **named: Any) -> int:
+        made.append(march(self, h, min(steps, 10), *more, **named))
+        if made[-1] == 10 and sum(made) < 25:
+            self.state = replace(self.state, lam=1.3 * self.state.lam)
+        return made[-1]
+
+    monkeypatch.setattr(stepper, "march", wrong)
+    run = fmbd.solve(double_pendulum(1.0, 2.0), **given)
+    if not any(made):
+        pytest.skip("no C compiler")
+    assert run.counters["unbalanced_steps"] >= 1
+    assert len(run.times) == len(right.times)
+    np.testing.assert_allclose(run.times, right.times, rtol=1e-9)
+    np.testing.assert_allclose(run["tip"], right["tip"], atol=1e-9)
 
 
 @pytest.mark.parametrize("size, mass", [(1.0, 1.0), (1e-3, 1e8), (1e4, 1e-8)])

@@ -163,6 +163,41 @@ def test_marches_of_implicit_schemes_are_steps_in_parts(
     assert once.state.q == pytest.approx(turn.state.q, rel=1e-11, abs=1e-12)
 
 
+OWN = [fmbd.Radau(), fmbd.Radau(stages=5, rtol=1e-8), fmbd.Radau(form=fmbd.Index3()), fmbd.Radau(rtol=1e-3)]
+
+
+@compiled
+@pytest.mark.parametrize("name", [name for name in MAKERS if name not in REMEMBERING])
+@pytest.mark.parametrize("scheme", OWN, ids=lambda x: f"{x.stages} {x.form.name} {x.rtol:g}")
+def test_own_steps_that_march_are_those_of_python(scheme: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sizes, errors, rejections, increments, tangents, factors; states to roundoff, at the end and where they are recorded."""
+    marches: list[int] = []
+    steps = March.steps
+    noted = lambda self, *x, **y: (made := steps(self, *x, **y), marches.append(made[0]))[0]  # noqa: E731
+    monkeypatch.setattr(March, "steps", noted)
+
+    def run(times: Any) -> fmbd.Run:
+        scene = MAKERS[name]()
+        scene.sensor("speed", fmbd.sensors.velocity(next(iter(scene.bodies.values()))))
+        return fmbd.solve(scene, t_end=0.25, scheme=scheme, output=fmbd.Output(times=times, progress=False))
+
+    asked = None, np.linspace(0.0, 0.25, 12)
+    once = [run(times) for times in asked]
+    assert sum(marches) > 0.4 * sum(x.counters["steps"] for x in once)
+    monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+    for found, times in zip(once, asked, strict=True):
+        turn = run(times)
+        assert found.counters == turn.counters
+        assert found.times == pytest.approx(turn.times, rel=1e-6)
+        assert found.local_error == pytest.approx(turn.local_error, rel=1e-5)
+        size = np.abs(turn["speed"]).max()
+        assert found["speed"] == pytest.approx(turn["speed"], rel=1e-6, abs=1e-7 * size)
+        for x in ("q", "v", "a", "lam"):
+            wanted = getattr(turn.state, x)
+            most = max(1.0, np.abs(wanted).max(initial=0.0))
+            assert getattr(found.state, x) == pytest.approx(wanted, rel=1e-7, abs=1e-8 * most), x
+
+
 @compiled
 def test_large_turns_are_warned_of_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the step that turns a body so far, in the middle of a march."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from math import inf
 from typing import TYPE_CHECKING
 
 from ..schemes.stepping import TimeStepper
@@ -31,13 +32,15 @@ class CompiledCalls:
         schedule: StepSchedule,
         recorder: Recorder,
         *,
-        refused: Callable[[float], bool] | None = None,
+        refused: Callable[[], bool] | None = None,
         events: EventWatch | None = None,
     ) -> None:
         self.stepper, self.schedule, self.recorder = stepper, schedule, recorder
         self.refused, self.events = refused, events
         self.equal = bool(schedule.steps)
         self.shown = recorder.output.on_step is not None
+        self.local_error = 0.0  # the largest that the stepper told after a call of the newest march
+        self._last = 0.0  # s, when the last of the steps that are counted may begin
 
     def make(self, done: int, most: int) -> int:
         """How many steps, at most so many, were made behind those that are done; 0 where they have to be made one by one."""
@@ -54,6 +57,7 @@ class CompiledCalls:
         if steps == 1 and tape is None and self.equal and not alone:
             return 0
 
+        self._last, self.local_error = self.stepper.state.t + (steps - 1) * h, 0.0
         begin, made, chunk, more = clock.perf_counter(), 0, FIRST, True
         while more and made < steps and clock.perf_counter() - begin < CHUNK:
             now = min(chunk, steps - made)
@@ -94,17 +98,26 @@ class CompiledCalls:
     def _march(self, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:
         """One call of at most so many steps of size h (s): how many count, and whether more may follow."""
         stepper, schedule = self.stepper, self.schedule
+        if not self.equal and stepper.unwrapped.lands and schedule.largest < inf:
+            steps = 1  # the most is that of every step
         made = stepper.march(schedule.next(stepper.state.t), steps, tape=tape)
-        if made and self.refused is not None and self.refused(h):
+        self.local_error = max(self.local_error, stepper.local_error)
+        if made and self.refused is not None and self.refused():
             stepper.step_back()
             if tape is not None:
                 tape.step_back()
             return made - 1, False
 
-        # steps with error control have their own: up to break points
-        t = stepper.state.t
-        over = not self.equal and (schedule.broken(t) is not None or schedule.ended(t, 0))
-        return made, bool(made) and not over
+        return made, bool(made) and (self.equal or not self._over(h))
+
+    def _over(self, h: float) -> bool:
+        """Whether steps with error control, counted with a size of h (s), are to be counted anew: behind a break point, where the
+        next is longer, or would begin later than the last of these.
+        """
+        t, schedule = self.stepper.state.t, self.schedule
+        if t > self._last or schedule.broken(t) is not None or schedule.ended(t, 0):
+            return True
+        return self.stepper.stride(schedule.next(t)) > h
 
     def _take(self, tape: Tape, done: int, alone: bool) -> bool:
         """Record a call behind the steps that were done; whether more may follow, without an event."""

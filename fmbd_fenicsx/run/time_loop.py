@@ -232,11 +232,11 @@ class Loop:
         self.judges.forecast.note(self.state)
         return 1, seen
 
-    def _unbalanced(self, h: float) -> bool:
-        """Whether the newest state, after a compiled step of size h (s) under error control, is not in balance."""
-        balanced = self.judges.balanced
+    def _unbalanced(self) -> bool:
+        """Whether the newest state, after a compiled step under error control, is not in balance."""
+        balanced, stepper = self.judges.balanced, self.stepper
         try:
-            _look(balanced, self.stepper, h)
+            _look(balanced, stepper, stepper.state.t - stepper.unwrapped.origin.t)
         except ConvergenceError:
             assert balanced is not None
             balanced.repeated += 1
@@ -246,7 +246,7 @@ class Loop:
     def _count(self, made: int) -> None:
         """So many steps more."""
         self.progress.done += made
-        self.progress.local_error = max(self.progress.local_error, self.stepper.local_error)
+        self.progress.local_error = max(self.progress.local_error, self.stepper.local_error, self.calls.local_error)
 
     def _ends_by_event(self) -> bool:
         """Whether the newest step has met an event that ends the run, which is recorded then."""

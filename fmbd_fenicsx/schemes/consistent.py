@@ -22,6 +22,7 @@ from ..system.system import State, System
 
 MASS = Weights(1.0, 0.0, 0.0)
 CLOSED = 1e-9  # of the model's length: what is open by less is open by roundoff
+ALMOST = 1e-8  # of the same: a correction whose square is roundoff
 REFUSED = 1e-3  # a position correction above this share of the model's length is wrong input, not roundoff
 
 
@@ -423,7 +424,7 @@ def project(system: System, state: State, solver: StepSolver) -> State:
         solver.prepare(ev, MASS)
         dq, _ = solver.solve(zero, -ev.constraint())
         q = system.compose(q, dq)
-        if system.max_abs(dq) <= 1e-13 * system.length:
+        if system.max_abs(dq) <= ALMOST * system.length:  # with the matrix there the next one is as its square
             break
 
     return replace(state, q=q, v=_closed_velocities(system, replace(state, q=q), solver))

@@ -160,7 +160,7 @@ class MarchingStepper(TimeStepper):
             if closed is not None:
                 closed.passed(self.state.t, float(march.closed.fastest))
         march.calls.forget_error()  # parts of the step meet it again
-        if verdict and verdict not in AGAIN:
+        if verdict and verdict not in (*AGAIN, slots.SIZE):
             self._refuse(h)
         return made
 

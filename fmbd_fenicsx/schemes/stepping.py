@@ -29,6 +29,7 @@ class TimeStepper(Remembering):
         counters: work so far and statistics, name -> number, for the report.
         path: who makes the steps, for the report.
         compiled_whole: its steps are compiled from end to end, and ask for no evaluations.
+        lands: :meth:`march` under error control ends at the most that its first step may be, as at a time that is to be hit.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
         keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
     """
@@ -37,6 +38,7 @@ class TimeStepper(Remembering):
     local_error: float = 0.0
     path: str = "NumPy"
     compiled_whole: bool = False
+    lands: bool = False
     keeps_memories: bool = False
 
     @property

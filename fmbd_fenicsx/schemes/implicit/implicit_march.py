@@ -39,6 +39,7 @@ class ImplicitMarch(MarchingStepper):
     stats: Statistics
     judge: Judge
     control: StepControl
+    proposed: float | None
     _tangent: Any
     _pencil: Any
     _fresh: bool
@@ -69,7 +70,7 @@ class ImplicitMarch(MarchingStepper):
 
     # -- steps --------------------------------------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:
-        return not (self.adaptive or self._full or self.scheme.form.projected)
+        return self.solver.driver is not None and not (self._full or self.scheme.form.projected)
 
     def _march_of(self) -> March | None:
         return super()._march_of() if self.eq.compiled else None
@@ -99,10 +100,9 @@ class ImplicitMarch(MarchingStepper):
         room.view(np.uintp)[0] = lent.address
 
     def _take_march(self, march: March, made: int) -> None:
-        lent, own = self._lent, march.ring.own().copy()
-        assert lent is not None
+        own = march.ring.own().copy()
+        work = own[: slots.WORK]
         self._count_increments(march.parameters, made)
-        work, stages = own[: slots.WORK], lent.stages
         self._count_solves(int(work[slots.INCREMENTS]))
         self.stats.steps += made
         self.stats.factorisations += int(work[slots.FACTORED])
@@ -110,7 +110,15 @@ class ImplicitMarch(MarchingStepper):
         self.judge.check(float(work[slots.RESIDUAL]), float(work[slots.RESIDUAL_SCALE]))
         self.judge.solves -= 1  # it is counted among those of its increment
 
-        self._theta, self._fresh, self.control.fault = float(work[slots.RATE]), False, ""
+        self._fresh, self.control.fault = False, ""
+        self._take_kept(own)
+
+    def _take_kept(self, own: Array) -> None:
+        """What a state of a march keeps."""
+        lent = self._lent
+        assert lent is not None
+        work, stages = own[: slots.WORK], lent.stages
+        self._theta = float(work[slots.RATE])
         self._tangent = self._pencil = None
         self.eq.tangents.U = stages.tangent.U
         if work[slots.KNOWN]:
@@ -130,6 +138,8 @@ class ImplicitMarch(MarchingStepper):
         super()._refuse(h)
         assert self._lent is not None
         failed, self._lent.c.failed = int(self._lent.c.failed), 0.0
+        if self.adaptive:  # it fails there too, or its error does
+            return
         self._count_solves(failed)
         self.newton.iterations += failed
         self._tangent = self._pencil = None  # parts of the step begin with their own

@@ -158,6 +158,8 @@ class ImplicitStepper(ImplicitMarch):
 
         Raises ConvergenceError when steps would have to be too small.
         """
+        if self._step_in_one_call(h):
+            return self.state
         return self._controlled(h) if self.adaptive else self._constant(h)
 
     def _constant(self, h: float) -> State:

@@ -167,7 +167,7 @@ class BDFStepper(Corrector):
         return float(self._starter.stride(h)) if self._starting else super().stride(h)
 
     def _in_one_call(self, h: float) -> bool:
-        return not self._starting and len(self.past) > 1 and super()._in_one_call(h)
+        return not (self.adaptive or self._starting) and len(self.past) > 1 and super()._in_one_call(h)
 
     def _lend(self) -> ImplicitRoom:
         return ImplicitRoom(self.eq.tangents.room(1, 1), {}, self.scheme.order)
@@ -250,8 +250,6 @@ class BDFStepper(Corrector):
             self.eq.weigh(self.state)
             return self.state
 
-        if self._step_in_one_call(h):
-            return self.state
         found = self._with_new_tangent(lambda: self._newton(h, self.scheme.order))
         if isinstance(found, str):
             self._tangent = None

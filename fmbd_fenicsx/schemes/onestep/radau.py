@@ -130,8 +130,6 @@ class RadauStepper(StageNewton):
     # -- one accepted step --------------------------------------------------------------------------------------
     def _constant(self, h: float) -> State:
         """A step of size h; where the tangent of the step fails, and ever after, with one for each stage."""
-        if self._step_in_one_call(h):
-            return self.state
         self.eq.begin(self.state)
         point = "full" if self._full else self._with_new_tangent(lambda: self._newton(h))
         if isinstance(point, str):
@@ -146,7 +144,7 @@ class RadauStepper(StageNewton):
         s = self.state
         self.control.span = max(self.control.span, limit)
         # coordinates on the tangent space of the start end after a quarter turn; many stages share one tangent that long
-        farthest = turn_limit(self.system, s, steps=2 if self.scheme.form.frozen or self.scheme.stages > 3 else 1)
+        farthest = turn_limit(self.system, s, steps=self.turning)
         if self.proposed is None:
             self.norm.update(s, limit)
             self.proposed = first_step(self.norm, s, self.control.order, limit)

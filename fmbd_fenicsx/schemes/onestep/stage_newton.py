@@ -16,39 +16,18 @@ import numpy as np
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.saddle.pencil import Pencil, cuts_of, stacked
 from ...rotations import Array
-from ...system.compiled.implicit import ImplicitRoom
-from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
 from ...system.system import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
-from ..implicit.convergence import Rates
-from ..implicit.implicit_stepper import ImplicitStepper
-from .collocation import Tableau
+from .stage_march import LONGER, RATES, StageMarch
 
 Stages = tuple[Array, Array, Array]  # xi, v and multipliers of each
-LONGER = 1.2  # steps so much longer than that of a rate do not rely on it
-RATES = {
-    True: Rates(limit=0.99, before=10.0, averaged=True, foresees=True),
-    # with constant steps the first rate flatters: fast components go first
-    False: Rates(limit=0.99, before=10.0, averaged=True, least=0.05),
-}  # with error control, and with constant steps
 KEPT = 0.05  # rate up to which stages go on with the tangents that each has
 
 
-class StageNewton(ImplicitStepper):
+class StageNewton(StageMarch):
     """Newton's iteration of :class:`.Radau`."""
-
-    maker = "RADAU"
-    slow, longer = 1e-2, LONGER
-
-    tab: Tableau
-    mult: Array  # at the end of the last step, (levels n_lam,)
-    _last: tuple[float, Array, Array, Points] | None  # the last step: its size, q and v at its start, its stages
-    _h_factor: float  # size of the step that the factor is for, s
-    _eta: float  # what the last increment of the last step left, over its size
-    _h_rate: float  # size of the step in which that was seen, s
-    _filter: object  # of the error estimate, of the same tangent
 
     def _refresh(self, h: float, predicted: Stages) -> None:
         """Tangent in the middle of the step as predicted, where it serves all stages best."""
@@ -192,34 +171,6 @@ class StageNewton(ImplicitStepper):
     def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
         W = self.tab.W / h
         return Points(xi, W @ xi, v, W @ (v - self.state.v), mult)
-
-    # -- steps in compiled code -------------------------------------------------------------------------------------
-    def _lend(self) -> ImplicitRoom:
-        tab = self.tab
-        coefficients = {name: getattr(tab, name) for name in ("c", "W", "values", "middle", "basis", "stage_basis")}
-        return ImplicitRoom(self.eq.tangents.room(len(tab.values), len(tab.c)), coefficients)
-
-    def _settings(self) -> tuple[Convergence, Rule]:
-        tab = self.tab
-        return self._convergence(0.0, RATES[False], 1.0), Rule(tab.W, tab.inverse, tab.vectors)
-
-    def _memory(self) -> Array:
-        s, k = self.state, len(self.tab.c)
-        h, q, v, points = self._last or (0.0, s.q, s.v, None)
-        none = np.zeros(k * len(v))
-        xi, vs, mult = (none, none, np.tile(self.mult, k)) if points is None else (points.xi, points.v, points.mult)
-        return np.concatenate(((self._eta, self._h_rate, h), q, v, xi.ravel(), vs.ravel(), mult.ravel()))
-
-    def _recall(self, kept: Array, factored: float) -> None:
-        n, n_q, k = self.system.n_v, self.system.n_q, len(self.tab.c)
-        (self._eta, self._h_rate, h), q, v, *stages = np.split(kept, np.cumsum([3, n_q, n, k * n, k * n]))
-        xi, vs, mult = (x.reshape(k, -1) for x in stages)
-        W = self.tab.W / h
-        self._last = float(h), q, v, Points(xi, W @ xi, vs, W @ (vs - v), mult)
-        self.mult, self._h_factor, self._filter = mult[-1], factored, None
-
-    def _factored_for(self) -> float:
-        return self._h_factor
 
     def _predict(self, h: float) -> Stages:
         """Stages on the polynomial of the last step, or on the parabola at the start."""

@@ -1,16 +1,19 @@
-"""Constant steps of Radau and BDF in the driver (driver/implicit.c): what it lends of a scheme, and the room that it works in."""
+"""Steps of Radau and BDF in the driver (driver/implicit.c): what it lends of a scheme, and the room that it works in."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from ...rotations import Array
+from ..system import System
 from .states.convergence import Convergence
 from .states.stages import StageRoom
-from .tables.structures import address_of
+from .tables.deflections import deflections_of
+from .tables.structures import Store, address_of
 
 COEFFICIENTS = "c W values middle basis stage_basis".split()  # of Radau
 # what a state keeps first
@@ -25,22 +28,67 @@ class Implicit(ctypes.Structure):
         *((name, _POINTER) for name in "stages patterns convergence data masses room mixed".split()),
         *((name, _POINTER) for name in COEFFICIENTS),
         ("order", _INT),
-        *((name, _REAL) for name in "factored failed rtol floor slow longer".split()),
+        *((name, _REAL) for name in ("factored", "failed")),
+        ("own", _POINTER),
+        *((name, _REAL) for name in "rtol floor slow longer".split()),
     )
 
 
-class ImplicitRoom:
-    """Lends the ``stages`` of a scheme with its coefficients; ``order``: of a multistep scheme."""
+class OwnSteps(ctypes.Structure):
+    """``OwnSteps`` of own_steps.c."""
 
-    def __init__(self, stages: StageRoom, coefficients: Mapping[str, Array], order: int = 0) -> None:
-        self.stages, structure = stages, stages.structure
+    _fields_ = (
+        *((name, _INT) for name in "index places deforming turning".split()),
+        *((name, _POINTER) for name in "deflection error sizes speeds scale".split()),
+        *(
+            (name, _REAL)
+            for name in "rtol atol length turn order safety shrink grow least most until last worst".split()
+        ),
+    )
+
+
+class OwnRoom:
+    """Lends an error control: weights of its ``error`` estimate, parts that deform, numbers by their names in own_steps.c."""
+
+    def __init__(
+        self, system: System, error: Array, deforming: list[tuple[int, Any]], numbers: Mapping[str, float]
+    ) -> None:
+        self._store = Store()
+        self._deflections = deflections_of(system, deforming, self._store)
+        self._arrays = {name: self._store.zeros({name: system.n_v})[name] for name in ("sizes", "speeds", "scale")}
+        self.c = OwnSteps(
+            deforming=len(deforming), deflection=self._store.structure(self._deflections), error=self._store.address(error),
+            **{name: address for name, (_, address) in self._arrays.items()}, **numbers,
+        )  # fmt: skip
+        self.address = ctypes.addressof(self.c)
+
+    def lend(self, sizes: Array, speeds: Array, deflections: Array) -> None:
+        """The largest sizes so far."""
+        self._arrays["sizes"][0][:], self._arrays["speeds"][0][:] = sizes, speeds
+        for one, size in zip(self._deflections, deflections, strict=True):
+            one.size = size
+
+    def told(self) -> tuple[Array, Array, Array]:
+        """The same behind a march."""
+        sizes, speeds = (self._arrays[name][0].copy() for name in ("sizes", "speeds"))
+        return sizes, speeds, np.array([one.size for one in self._deflections])
+
+
+class ImplicitRoom:
+    """Lends the ``stages`` of a scheme with its coefficients; ``order``: of multistep ones, ``own``: control of its steps."""
+
+    def __init__(
+        self, stages: StageRoom, coefficients: Mapping[str, Array], order: int = 0, own: OwnRoom | None = None
+    ) -> None:
+        self.stages, self.own, structure = stages, own, stages.structure
         system, points = structure.couplings.system, stages.c.points
         n, n_q, size = structure.n, system.n_q, structure.size
-        mixed = np.empty((max(points, order + 1) + 5) * n + 2 * (n_q + size))
+        mixed = np.empty((max(points, order + 1) + 14) * n + 2 * n_q + 6 * size + stages.states.tables.nu)
         self._kept = [mixed, *(np.ascontiguousarray(x) for x in coefficients.values())]
         self.c = Implicit(
             stages=stages.address, patterns=structure.address, data=address_of(stages.data),
             masses=address_of(structure.masses), room=structure.room_address, mixed=address_of(mixed), order=order,
+            own=None if own is None else own.address,
             **dict(zip(coefficients, map(address_of, self._kept[1:]), strict=True)),
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)

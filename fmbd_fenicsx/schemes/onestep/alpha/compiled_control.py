@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....rotations import Array
+from ....system.compiled.tables.deflections import deflections_of
 from ....system.compiled.tables.resting import twin_of
-from ....system.compiled.tables.structures import Store, array_of, structure
+from ....system.compiled.tables.structures import Store, structure
 from ...control import FADING, LEAST_ERROR, TURN, NormOfWays, StepControl
 
 
@@ -46,19 +47,7 @@ class CompiledControl:
         self.twin = twin_of(norm.system)
         s, dim = self.twin.system, norm.system.motions.dim
 
-        # bodies whose deformations count, with the places of their coordinates
-        one = structure("Deflection", dim)
-        self.deflections = array_of(one, len(norm.deforming))(
-            *(
-                one(
-                    at_q=s.slices[0][k].start,
-                    at_v=s.slices[1][k].start,
-                    n=part.n,
-                    rms=None if part.rms is None else self.store.address(part.rms),
-                )
-                for k, part in norm.deforming
-            )
-        )
+        self.deflections = deflections_of(s, norm.deforming, self.store)
 
         # tolerances and arrays that C works in
         work = self.store.zeros({"e": s.n_v, "y": s.n_lam, "a": s.n_v, "missed": s.n_v})

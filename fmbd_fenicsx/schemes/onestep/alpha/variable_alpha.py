@@ -301,6 +301,11 @@ class VariableAlpha(TimeStepper):
         """Room for records of :meth:`march`."""
         return self.inner.tape(judged)  # type: ignore[no-any-return]
 
+    @property
+    def origin(self) -> State:
+        """As :meth:`TimeStepper.origin`."""
+        return self.inner.origin  # type: ignore[no-any-return]
+
     def step_back(self) -> None:
         """Go back to the beginning of the newest step, from where smaller ones begin anew."""
         before = self.inner.begun[0]

@@ -1,4 +1,4 @@
-/* Constant steps of Radau and of BDF, schemes/onestep/stage_newton.py and schemes/multistep/corrector.py, many in one call (march.c):
+/* Steps of Radau, and constant ones of BDF, schemes/onestep/stage_newton.py and schemes/multistep/corrector.py, many in one call (march.c):
    in local coordinates about the start of a step, for systems whose stage systems have patterns. */
 
 /* What stands here has the same order in ``Implicit`` of system/compiled/implicit.py. Coefficients are those of the scheme. */
@@ -11,6 +11,7 @@ typedef struct {
     int order;                       /* of BDF */
     double factored;                 /* size of step (Radau) or frequency (BDF) that the tangent is factored for, 0: none */
     double failed;                   /* increments of steps that failed */
+    struct OwnSteps *own;            /* where error control chooses the steps of Radau, NULL: they are constant; see own_steps.c */
     double rtol, floor, slow, longer; /* of Newton's increments; m; rate above which the next step takes a tangent; see first_share() */
 } Implicit;
 
@@ -105,17 +106,17 @@ static void end_implicit(System *s, const Implicit *o, const double *p, const Bl
 /* ---- Radau ---- */
 
 /* What it keeps with a state beside its work: what the last increment of Newton's iteration left, over its size, and the size of the step
-   in which that was seen; the step that led there: its size (0: none), q (nq) and v (nv) at its start, its stages. The multipliers of
-   the last of these are those of the state. */
+   in which that was seen; of error control the size of the next step, of the one ``before`` and what it ``missed``; the step that led
+   there: its size (0: none), q (nq) and v (nv) at its start, its stages. The multipliers of the last of these are those of the state. */
 typedef struct {
-    double *share, *seen, *h, *q, *v, *xi, *vs, *mult;
+    double *share, *seen, *next, *before, *missed, *h, *q, *v, *xi, *vs, *mult;
 } Collocation;
 
 static Collocation collocation_at(const System *s, const Stages *g, double *own)
 {
     const long k = g->points, n = g->n;
-    double *share = own + WORK, *q = share + 3, *v = q + s->nq, *xi = v + n, *vs = xi + k * n;
-    Collocation o = {share, share + 1, share + 2, q, v, xi, vs, vs + k * n};
+    double *x = own + WORK, *q = x + 6, *v = q + s->nq, *xi = v + n, *vs = xi + k * n;
+    Collocation o = {x, x + 1, x + 2, x + 3, x + 4, x + 5, q, v, xi, vs, vs + k * n};
     return o;
 }
 
@@ -190,47 +191,65 @@ static int middle_tangent(System *s, Implicit *o, const double *p, const Block *
     return take_tangent(s, o, *now->t + 0.5 * p[H], q, v, a, mult, p[LENGTH], work);
 }
 
+/* The stages of a step, by Newton's iteration. */
+static int stages_of_step(System *s, double *p, Implicit *o, const Block *now, Block out)
+{
+    Stages *g = o->stages;
+    const int k = g->points;
+    const Collocation last = collocation_at(s, g, now->own);
+    const double h = p[H];
+    double *change = o->mixed, *work = out.own;
+    int verdict;
+
+    memcpy(work, now->own, WORK * sizeof(double));
+    memcpy(g->q0, now->q, s->nq * sizeof(double));
+    for (int j = 0; j < k; j++) g->t[j] = *now->t + h * o->c[j];
+    for (int i = 0; i < k * k; i++) g->couple[i] = o->W[i] / h;
+    for (int i = 0; i < 2 * g->frequencies; i++) g->s[i] = o->values[i] / h;
+    foretell_stages(s, o, h, now, &last);
+    rates_of_stages(o, now, change);
+    if (work[KNOWN] == 0.0 && (verdict = middle_tangent(s, o, p, now, change, work))) return verdict;
+    if ((verdict = take_factors(o, h, work))) return verdict;
+    return iterate_step(s, o, p, now, first_share(o, &last, h), work);
+}
+
+/* The state at the end of the stages, and what is kept of them. */
+static int end_radau(System *s, Implicit *o, const double *p, const Block *now, Block out)
+{
+    const Stages *g = o->stages;
+    const int n = g->n, k = g->points, width = g->size - n;
+    const Collocation last = collocation_at(s, g, now->own), made = collocation_at(s, g, out.own);
+    const Convergence *c = o->convergence;
+    int verdict;
+    *made.share = c->share;
+    *made.seen = c->done > 1 ? p[H] : fmax(p[H], *last.seen);
+    *made.h = p[H];
+    rates_of_stages(o, now, o->mixed);
+    for (int j = 0; s->redundant && j < k; j++) {
+        double *q = o->mixed, *rest = q + s->nq;
+        configuration(s, now->q, g->xi + j * n, q);
+        if ((verdict = least_of_levels(s, g, g->t[j], q, g->mult + j * width, rest))) return verdict;
+    }
+    memcpy(made.q, now->q, s->nq * sizeof(double));
+    memcpy(made.v, now->v, n * sizeof(double));
+    memcpy(made.xi, g->xi, (size_t)k * n * sizeof(double));
+    memcpy(made.vs, g->v, (size_t)k * n * sizeof(double));
+    memcpy(made.mult, g->mult, (size_t)k * width * sizeof(double));
+    end_implicit(s, o, p, now, g->mult + (k - 1) * width, out);
+    return DONE;
+}
+
+#include "own_steps.c"
+
 /* One step, as a Maker of march.c. */
 static int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out)
 {
     Implicit *o = implicit_in(room);
-    Stages *g = o->stages;
-    const Block now = past[0];
-    const int n = g->n, k = g->points, width = g->size - n;
-    const Collocation last = collocation_at(s, g, now.own), made = collocation_at(s, g, out.own);
-    const double h = p[H];
-    double *change = o->mixed, *work = out.own;
-    int verdict;
+    const Block *now = past;
     (void)known;
-
-    memcpy(work, now.own, WORK * sizeof(double));
-    memcpy(g->q0, now.q, s->nq * sizeof(double));
-    for (int j = 0; j < k; j++) g->t[j] = *now.t + h * o->c[j];
-    for (int i = 0; i < k * k; i++) g->couple[i] = o->W[i] / h;
-    for (int i = 0; i < 2 * g->frequencies; i++) g->s[i] = o->values[i] / h;
-    foretell_stages(s, o, h, &now, &last);
-    rates_of_stages(o, &now, change);
-    if (work[KNOWN] == 0.0 && (verdict = middle_tangent(s, o, p, &now, change, work))) return verdict;
-    if ((verdict = take_factors(o, h, work))) return verdict;
-    if ((verdict = iterate_step(s, o, p, &now, first_share(o, &last, h), work))) return verdict;
-
-    const Convergence *c = o->convergence;
-    *made.share = c->share;
-    *made.seen = c->done > 1 ? h : fmax(h, *last.seen);
-    *made.h = h;
-    rates_of_stages(o, &now, change);
-    for (int j = 0; s->redundant && j < k; j++) {
-        double *q = o->mixed, *rest = q + s->nq;
-        configuration(s, now.q, g->xi + j * n, q);
-        if ((verdict = least_of_levels(s, g, g->t[j], q, g->mult + j * width, rest))) return verdict;
-    }
-    memcpy(made.q, now.q, s->nq * sizeof(double));
-    memcpy(made.v, now.v, n * sizeof(double));
-    memcpy(made.xi, g->xi, (size_t)k * n * sizeof(double));
-    memcpy(made.vs, g->v, (size_t)k * n * sizeof(double));
-    memcpy(made.mult, g->mult, (size_t)k * width * sizeof(double));
-    end_implicit(s, o, p, &now, g->mult + (k - 1) * width, out);
-    return DONE;
+    if (o->own) return own_radau_step(s, p, o, now, out);
+    int verdict = stages_of_step(s, p, o, now, out);
+    return verdict ? verdict : end_radau(s, o, p, now, out);
 }
 
 /* ---- BDF ---- */

@@ -108,22 +108,29 @@ static void own_sizes(int n, const double *unit, const double *x, double share, 
     for (int i = 0; i < n; i++) h[i] = factor * fmax(unit[i] * fabs(x[i]), least) / (unit[i] > 0.0 ? unit[i] : 1.0);
 }
 
-/* By how much coordinates and velocities are moved: as difference_steps() of system/tangents/linearise.py. */
+/* Sizes of coordinates: as Sizes.positions() of system/tangents/linearise.py. */
+static void position_sizes(const System *s, double length, const double *q, double *sizes)
+{
+    for (int b = 0; b < s->bodies; b++) {
+        const Body *o = s->body + b;
+        for (int i = 0; i < TWIST; i++) sizes[TWIST * b + i] = i < D ? length : 1.0;
+        if (o->modes) own_sizes(o->modes, s->units + o->at_v, q + o->at_q, 1e-3, 1e-3 * length, 1.0, sizes + o->at_v);
+    }
+}
+
+/* By how much coordinates and velocities are moved: as difference_steps() there. */
 static void difference_steps(const System *s, double length, const double *q, const double *v, const double *a, double *hq, double *hv)
 {
     double slow = 0.1 * sqrt(largest_of(s->units, a, s->nv) * length), fastest[2] = {0.0, 0.0}; /* m/s; of places and of turns */
     if (slow == 0.0) slow = 1e-2;
     for (int b = 0; b < s->bodies; b++)
         for (int i = 0; i < TWIST; i++) fastest[i >= D] = fmax(fastest[i >= D], fabs(v[TWIST * b + i]));
+    position_sizes(s, length, q, hq);
+    for (int i = 0; i < s->nv; i++) hq[i] *= CENTRAL;
     for (int b = 0; b < s->bodies; b++) {
         const Body *o = s->body + b;
-        for (int i = 0; i < TWIST; i++) {
-            hq[TWIST * b + i] = CENTRAL * (i < D ? length : 1.0);
-            hv[TWIST * b + i] = FORWARD * fmax(fastest[i >= D], slow / (i < D ? 1.0 : length));
-        }
-        if (!o->modes) continue;
-        own_sizes(o->modes, s->units + o->at_v, q + o->at_q, 1e-3, 1e-3 * length, CENTRAL, hq + o->at_v);
-        own_sizes(o->modes, s->units + o->at_v, v + o->at_v, 1e-2, slow, FORWARD, hv + o->at_v);
+        for (int i = 0; i < TWIST; i++) hv[TWIST * b + i] = FORWARD * fmax(fastest[i >= D], slow / (i < D ? 1.0 : length));
+        if (o->modes) own_sizes(o->modes, s->units + o->at_v, v + o->at_v, 1e-2, slow, FORWARD, hv + o->at_v);
     }
 }
 
