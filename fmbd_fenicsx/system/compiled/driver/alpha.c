@@ -303,7 +303,7 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
     return DONE;
 }
 
-/* The error (3) of schemes/onestep/alpha/variable_alpha.py with the factor of the step that led to a state, e like v: ``a`` has the jump of
+/* The error (2) of schemes/onestep/alpha/variable_alpha.py with the factor of the step that led to a state, e like v: ``a`` has the jump of
    accelerations, which ``scale`` weights and which ``missed`` is, so weighted; velocities open constraints for ``span`` (s), 0 where they hold them.
    y: its multipliers. */
 EXPORT int driver_error(System *s, double scale, double span, const double *q, const double *v, const double *a, const double *lam,

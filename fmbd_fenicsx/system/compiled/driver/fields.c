@@ -152,23 +152,7 @@ void frame_conditions(System *s, const Body *o, const double *lam)
 static void frame_block(const Body *o, const double *R, double *A, int n)
 {
     const Field *e = o->field;
-    double world[D];
-    times(R, e->moment, world);
-#if DIM == 3
-    double X[9], T[9], J[9];
-    hat(world, X);
-    product_transposed(e->inertia, R, T);
-    product(R, T, J);
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) {
-            A[n * (3 + i) + 3 + j] = J[3 * i + j];
-            A[n * (3 + i) + j] = X[3 * i + j];
-        }
-#else
-    double one = 1.0;
-    A[n * 2 + 2] = e->inertia[0];
-    spin(&one, world, A + n * 2);
-#endif
+    turning_rows(R, e->moment, e->inertia, A, n);
     for (int i = 0; i < D; i++) A[(n + 1) * i] = o->mass;
     if (e->second) stiffened_block(e, R, A, n);
     for (int i = 0; i < D; i++)

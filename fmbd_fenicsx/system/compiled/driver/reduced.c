@@ -210,7 +210,7 @@ void reduced_block(System *s, const Body *o, const double *R, const double *eta,
 {
     int m = o->modes, k = m + 1, n = TWIST + m, DD = D * D;
     const double *U = o->U;
-    double *A = o->block, T0[D * D], arm[D], trace = 0.0;
+    double *A = o->block, T0[D * D], J[ROT * ROT], arm[D], trace = 0.0;
 
     memcpy(T0, U, sizeof T0);
     for (int c = 0; c < m; c++) add(T0, eta[c], U + DD * (c + 1), DD);
@@ -221,26 +221,14 @@ void reduced_block(System *s, const Body *o, const double *R, const double *eta,
     memset(A, 0, (size_t)n * n * sizeof(double));
     for (int i = 0; i < D; i++) A[(n + 1) * i] = o->mass;
 #if DIM == 3
-    double X[9], world[3], J[9], T[9];
-    times(R, arm, world);
-    hat(world, X);
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) J[3 * i + j] = (i == j ? trace : 0.0) - 0.5 * (T0[3 * i + j] + T0[3 * j + i]);
-    product_transposed(J, R, T);
-    product(R, T, J);
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) {
-            A[n * (3 + i) + 3 + j] = J[3 * i + j];
-            A[n * (3 + i) + j] = X[3 * i + j];
-        }
     static const int pair[3] = {7, 2, 3}, other[3] = {5, 6, 1};
 #else
-    double one = 1.0, across[2];
-    spin(&one, arm, across);
-    A[n * 2 + 2] = trace;
-    times(R, across, A + n * 2);
+    J[0] = trace;
     static const int pair[1] = {2}, other[1] = {1};
 #endif
+    turning_rows(R, arm, J, A, n);
     for (int i = 0; i < m; i++) {
         double *row = A + n * (TWIST + i), turning[ROT];
         for (int j = 0; j < D; j++)

@@ -79,6 +79,21 @@ static inline void axial(const double *N, double *out)
 static inline void to_world(const double *R, const double *w, double *out) { times(R, w, out); }
 static inline void to_body(const double *R, const double *w, double *out) { transposed(R, w, out); }
 
+/* The rows of turning in the block A (n columns) of a frame, in the world, of a body with this static moment and inertia in its axes. */
+static inline void turning_rows(const double *R, const double *moment, const double *inertia, double *A, int n)
+{
+    double world[3], X[9], T[9], J[9];
+    times(R, moment, world);
+    hat(world, X);
+    product_transposed(inertia, R, T);
+    product(R, T, J);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            A[n * (3 + i) + 3 + j] = J[3 * i + j];
+            A[n * (3 + i) + j] = X[3 * i + j];
+        }
+}
+
 static inline void rotation(const double *q, double *R)
 {
     double x = q[3], y = q[4], z = q[5], w = q[6];
@@ -265,6 +280,14 @@ static inline void axial(const double *N, double *out) { out[0] = N[1] - N[2]; }
 
 static inline void to_world(const double *R, const double *w, double *out) { (void)R; out[0] = w[0]; }
 static inline void to_body(const double *R, const double *w, double *out) { (void)R; out[0] = w[0]; }
+
+static inline void turning_rows(const double *R, const double *moment, const double *inertia, double *A, int n)
+{
+    double world[2], one = 1.0;
+    times(R, moment, world);
+    spin(&one, world, A + n * 2);
+    A[n * 2 + 2] = inertia[0];
+}
 
 static inline void rotation(const double *q, double *R)
 {
