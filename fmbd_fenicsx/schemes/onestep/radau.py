@@ -233,9 +233,11 @@ class RadauStepper(StageNewton):
         s, m = self.state, self.system.n_lam
         t = s.t + h
         if self.solver.core.redundant:
-            each = zip(s.t + self.tab.c * h, points.xi, points.mult, strict=True)
-            smallest = [self._smallest(float(at), self.system.compose(s.q, xi), mult) for at, xi, mult in each]
-            points = replace(points, mult=np.array(smallest))
+            mult = points.mult.copy()
+            for i, share in enumerate(self.tab.c):
+                q = self.system.compose(s.q, points.xi[i])
+                mult[i] = self._smallest(float(s.t + share * h), q, mult[i])
+            points = replace(points, mult=mult)
 
         # stiffly accurate: the last stage is the new state
         self._last = (h, s.q, s.v, points)
