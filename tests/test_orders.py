@@ -51,19 +51,19 @@ def test_orders(scheme: Any, expected: tuple[int, int, int], steps: tuple[int, .
 
 
 @pytest.mark.parametrize(
-    ("scheme", "rtol"),
+    ("scheme", "rtol", "closed"),
     [
-        *((fmbd.HalfExplicit, rtol) for rtol in (1e-3, 1e-6, 1e-9)),
-        *((fmbd.ExplicitRungeKutta, rtol) for rtol in (1e-4, 1e-8, 1e-11)),
+        *((fmbd.HalfExplicit, rtol, 1e-12) for rtol in (1e-3, 1e-6, 1e-9)),
+        *((fmbd.ExplicitRungeKutta, rtol, 1e-13) for rtol in (1e-4, 1e-8, 1e-11)),
     ],
 )
-def test_errors_of_explicit_schemes_follow_the_tolerance(scheme: Any, rtol: float) -> None:
+def test_errors_of_explicit_schemes_follow_the_tolerance(scheme: Any, rtol: float, closed: float) -> None:
     run = fmbd.solve(pendulum(), t_end=1.0, scheme=scheme(rtol))
     x, v, lam = pendulum_at(1.0)
     assert np.abs(run["x"][-1] - x).max() < 5 * rtol
     assert np.abs(run["v"][-1] - v).max() < 10 * rtol
     assert abs(abs(run.state.lam[0]) - lam) < 50 * rtol
-    assert run.drift[0] < 1e-12 and run.drift[1] < 1e-12
+    assert run.drift[0] < closed and run.drift[1] < 1e-12
     assert run.counters["jacobians"] == 0
 
 

@@ -59,12 +59,12 @@ class Judge:
     def worst(self, relative: float) -> None:
         self.told[1] = relative
 
-    def check(self, residual: float, scale: float, advice: str = "", *, grown: float = 0.0) -> None:
+    def check(self, residual: float, scale: float, advice: str = "", *, grown: float = 0.0, solves: int = 1) -> None:
         """Raise :class:`LinearSolveError` when |A x - b| = ``residual`` is too large against |b| = ``scale``.
 
-        ``grown``: |A| |x|, or 0 where it is not known.
+        ``grown``: |A| |x|, or 0 where it is not known. ``solves``: how many this is the worst of.
         """
-        self.solves += 1
+        self.told[0] += solves
         relative = residual / scale if scale > 0 else residual
         # also where the residual is no number
         if not relative <= self.tolerance:
@@ -74,7 +74,7 @@ class Judge:
                     + (advice or "The matrix is singular or nearly so: a body or joint is not determined.")
                 )
             self.by_roundoff += 1
-        self.worst = max(self.worst, relative)
+        self.told[1] = max(self.told[1], relative)
 
     def _is_roundoff(self, residual: float, scale: float, grown: float) -> bool:
         """Criterion (1); False for anything not finite."""

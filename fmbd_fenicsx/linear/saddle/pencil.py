@@ -129,8 +129,7 @@ class Pencil:
             y = y + _times(self.inverse, rhs - _times(self.matrix, y))
             left, size = self._left(rhs, y)
 
-        self.judge.check(left, size, OPEN_ROWS)
-        self.judge.solves += len(y) - 1
+        self.judge.check(left, size, OPEN_ROWS, solves=len(y))
         z = self.columns * y
 
         # rates follow from increments and the multipliers of lower levels

@@ -38,8 +38,7 @@ class SparsePencil:
         change, mult, judged = self.room.solve(kin, low)
         shares = judged[:, 0] / np.where(judged[:, 1] > 0, judged[:, 1], 1.0)
         left, size = judged[int(shares.argmax())]
-        self.judge.check(float(left), float(size), OPEN_ROWS)
-        self.judge.solves += len(kin) - 1
+        self.judge.check(float(left), float(size), OPEN_ROWS, solves=len(kin))
         real = not self.s[: len(kin)].imag.any()
         return (change.real, mult.real) if real else (change, mult)
 
@@ -50,5 +49,4 @@ class SparsePencil:
         room.states.anew = True
         room.states.ask(room.states.library.driver_stage_iterate, room.address, ctypes.addressof(convergence), until)
         if made := convergence.done - before:
-            judge.check(float(room.judged[0]), float(room.judged[1]), OPEN_ROWS)
-            judge.solves += made * len(self.s) - 1
+            judge.check(float(room.judged[0]), float(room.judged[1]), OPEN_ROWS, solves=made * len(self.s))

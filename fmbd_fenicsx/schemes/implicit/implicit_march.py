@@ -107,8 +107,8 @@ class ImplicitMarch(MarchingStepper):
         self.stats.steps += made
         self.stats.factorisations += int(work[slots.FACTORED])
         self.eq.jacobians += int(work[slots.TANGENTS])
-        self.judge.check(float(work[slots.RESIDUAL]), float(work[slots.RESIDUAL_SCALE]))
-        self.judge.solves -= 1  # it is counted among those of its increment
+        # those of increments have been counted
+        self.judge.check(float(work[slots.RESIDUAL]), float(work[slots.RESIDUAL_SCALE]), solves=0)
 
         self._fresh, self.control.fault = False, ""
         self._take_kept(own)
