@@ -190,12 +190,54 @@ def test_own_steps_that_march_are_those_of_python(scheme: Any, name: str, monkey
         assert found.counters == turn.counters
         assert found.times == pytest.approx(turn.times, rel=1e-6)
         assert found.local_error == pytest.approx(turn.local_error, rel=1e-5)
+        assert found.drift == pytest.approx(turn.drift, rel=1e-3, abs=1e-9)
         size = np.abs(turn["speed"]).max()
         assert found["speed"] == pytest.approx(turn["speed"], rel=1e-6, abs=1e-7 * size)
         for x in ("q", "v", "a", "lam"):
             wanted = getattr(turn.state, x)
             most = max(1.0, np.abs(wanted).max(initial=0.0))
             assert getattr(found.state, x) == pytest.approx(wanted, rel=1e-7, abs=1e-8 * most), x
+
+
+def given_in_time() -> fmbd.Scene:
+    """A bead whose speed is given by time and place, and a slide whose place is given by time."""
+    scene = fmbd.Scene("given in time")
+    bead = fmbd.RigidBody("bead", 2.0, 0.3, (1.0, 0.0), velocity=(0.0, 1.0))
+    slide = fmbd.RigidBody("slide", 1.0, 0.1, (0.5, 0.0))
+    whirl = fmbd.constraint(
+        "whirl", fmbd.ground, bead, lambda a, b, t: [b.v[0] + (1 + t) * b.x[1], b.v[1] - (1 + t) * b.x[0]]
+    )
+    track = fmbd.constraint("track", fmbd.ground, slide, lambda a, b, t: [b.x[0] - 0.5 - 0.1 * np.sin(7 * t), b.x[1]])
+    scene.add(bead, slide, whirl, track)
+    return scene
+
+
+GIVEN = {
+    "own steps of Radau": (fmbd.Radau(form=fmbd.Index2()), None),
+    "Radau": (fmbd.Radau(form=fmbd.Index2(), rtol=None), 2e-3),
+    "BDF": (fmbd.BDF(order=2, form=fmbd.Index2(), rtol=None), 2e-3),
+    "half-explicit": (fmbd.HalfExplicit(rtol=None), 2e-3),
+    "energy-momentum": (fmbd.EnergyMomentum(), 2e-3),
+}
+
+
+@compiled
+@pytest.mark.parametrize("name", GIVEN)
+def test_rows_given_in_time_are_judged_at_the_time_of_the_state(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """How far they are open in records on the way is what Python's records tell, and nobody warns."""
+    scheme, dt = GIVEN[name]
+    marches: list[int] = []
+    steps = March.steps
+    noted = lambda self, *x, **y: (made := steps(self, *x, **y), marches.append(made[0]))[0]  # noqa: E731
+    monkeypatch.setattr(March, "steps", noted)
+    run = lambda: fmbd.solve(given_in_time(), t_end=0.3, dt=dt, scheme=scheme)  # noqa: E731
+    once = run()
+    assert sum(marches) > 0.8 * once.counters["steps"]
+
+    monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+    turn = run()
+    assert once.drift == pytest.approx(turn.drift, rel=1e-3, abs=1e-9)
+    assert once.warnings == turn.warnings == []
 
 
 @compiled

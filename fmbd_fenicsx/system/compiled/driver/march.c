@@ -20,7 +20,7 @@ EXPORT int driver_shut(System *s, double t, double allowed, long most, double *q
 }
 
 /* A step from past[0] to out, the newest of ``known`` + 1 blocks first; ``room``: what the scheme asks for. A step that fails leaves all
-   of past as it was. In order of the schemes: */
+   of past as it was; behind one that does not, what depends on time only is sampled at its end. In order of the schemes: */
 typedef int Maker(System *s, double *p, double *room, const Block *past, int known, Block out);
 static Maker *const MAKERS[] = {alpha_step, rattle_step, runge_kutta_step, half_explicit_step, mean_march_step, radau_step,
                                bdf_step};

@@ -149,7 +149,7 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
     OwnSteps *c = o->own;
     const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
     const double left = c->until - *now->t;
-    double h = fmin(*last.next, farthest_turn(s, c, now)), error;
+    double h = fmin(*last.next, farthest_turn(s, c, now)), error, asked = NAN;
     int verdict;
 
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
@@ -164,6 +164,8 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
     const int width = o->stages->size - o->stages->n;
     verdict = own_error(s, o, h, now, last.mult + (o->stages->points - 1) * width, out.own, &error);
     if (verdict || !(error <= 1.0)) return verdict ? verdict : NEWTON;
+    /* the error went back to the start of the step, in time too */
+    if ((verdict = sample(s, *now->t + h, &asked))) return verdict;
     next_size(o, &last, &made, h, left, error);
     c->worst = fmax(c->worst, error);
     return end_radau(s, o, p, now, out);
