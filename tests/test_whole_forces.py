@@ -112,12 +112,12 @@ def on_tip(body: str, stiffness: float, skew: float) -> fmbd.Scene:
 
 @compiled
 @pytest.mark.parametrize("body", ["floating", "absolute"])
-@pytest.mark.parametrize("stiffness, skew", [(1e3, 0.0), (1e6, 0.0), (1e4, 1e4)])
+@pytest.mark.parametrize("stiffness, skew", [(1e3, 0.0), (1e6, 0.0), (1e4, 1e4), (0.0, 1e6)])
 def test_laws_on_surfaces_of_fields_are_compiled(body: str, stiffness: float, skew: float) -> None:
-    """Through the compliance of the surface, by the symmetric half of their slopes: steps and motion of the NumPy path."""
+    """Through the compliance of the surface, with what their slopes lack of symmetry: steps and motion of the NumPy path."""
     fast, slow = pair(lambda: on_tip(body, stiffness, skew), t_end=0.03, dt=1e-3)
     assert fast.counters["compiled_steps"] == 30
-    assert fast.counters["newton_iterations"] <= 1.1 * slow.counters["newton_iterations"]
+    assert fast.counters["newton_iterations"] <= slow.counters["newton_iterations"]
     assert np.abs(fast.state.q - slow.state.q).max() < 1e-9
 
 

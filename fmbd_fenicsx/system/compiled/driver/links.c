@@ -1,4 +1,5 @@
-/* Efforts of laws in Python that answer to other coordinates than their own, or to the motion of markers. With a row l of what an effort
+/* Efforts of laws in Python that answer to other coordinates than their own, or to the motion of markers, and what tangents of forces
+   that Python gives as a whole lack of symmetry (whole.c). With a row l of what an effort
    pushes on and a row w of its slopes by all else that it reads, weighted as in matrix.c, the step's matrix is
 
        B = A + L W^T                                                                                                   (1)
@@ -25,8 +26,10 @@ static void fold(const System *s, double *row)
 static int link_efforts(System *s, double t)
 {
     const long wide = s->nu + TWIST * s->surfaces + 1, size = s->nu + s->rows;
-    s->calls++;
-    if (s->python(LINKS, 0, t)) return FAILED;
+    s->calls += s->telling;
+    if (s->telling && s->python(LINKS, 0, t)) return FAILED;
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+        if (k->role == WHOLE) whole_links(s, k);
     int m = s->links;
     s->links = 0; /* until they are known */
     for (int k = 0; k < m; k++) {

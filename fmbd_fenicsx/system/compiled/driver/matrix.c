@@ -55,7 +55,7 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
         mount_tangents(s, k, cd, ck, geometric);
         return DONE;
     }
-    if (k->role == WHOLE) return whole_tangents(s, k, cd, ck, t);
+    if (k->role == WHOLE) return whole_tangents(s, k, t);
     if (k->role == LAW) {
         s->calls++;
         if (s->python(SLOPES, k->number, t)) return FAILED;

@@ -49,7 +49,8 @@ PART double mount_energy(const System *s, const Batch *k);
 
 /* whole.c */
 PART int whole_forces(System *s, Batch *k, double t);
-PART int whole_tangents(System *s, Batch *k, double cd, double ck, double t);
+PART int whole_tangents(System *s, Batch *k, double t);
+PART void whole_links(System *s, const Batch *k);
 
 /* the core */
 int side_map(const System *s, int frame, const double **map);

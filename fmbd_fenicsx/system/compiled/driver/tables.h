@@ -211,7 +211,8 @@ typedef struct {
     int led;                           /* whether the matrix takes the efforts foretold: after an increment of a step */
     int renewable, foretells, renewals; /* whether Python takes new tangents of fields in a step, and where the last increment */
                                        /* led; how many the last step took */
-    int linkable, links;               /* efforts that may answer to more than their coordinate, and those that do; see links.c */
+    int telling, linkable, links;      /* whether Python tells some of the efforts that answer to more than their coordinate; how */
+                                       /* many may do so, and do; see links.c */
     double *push, *pull, *answer, *mutual; /* linkable x (nu + TWIST surfaces + 1), twice; x (nu + rows); x linkable */
     int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
     int leaves_out;                    /* whether the matrix lacks terms of the motion of a body, see secants.c */

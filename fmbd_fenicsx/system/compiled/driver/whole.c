@@ -8,6 +8,7 @@
 
 enum { PAIR = 2 * TWIST, PLACED = D + D * D + TWIST, SIDE = D + D * D }; /* of both markers; of one: x, R, twist; constants of a side */
 enum { KNOWN = 2 * PLACED + PAIR };
+static const double SKEW = 1e-3; /* share of a tangent without symmetry that costs no increment */
 static const double WRONG = 0.01, FAINT = 0.1; /* share of a motion by which slopes may mislead, of Newton's tolerance that is nothing */
 
 /* Whether side 1 of a force is no marker of its own. */
@@ -148,8 +149,24 @@ static void to_frames(const double (*lever)[D], double *C)
         }
 }
 
+/* Half the sum of ck K + cd B and of its transpose, times ``sign``, on the twists of the frames of a force. The largest entry before. */
+static double half_sum(const System *s, const Batch *k, long i, double sign, double *C)
+{
+    const double *K = k->K + (long)PAIR * PAIR * i, *B = k->B + (long)PAIR * PAIR * i;
+    double lever[2][D];
+    for (int r = 0; r < PAIR; r++)
+        for (int c = 0; c < PAIR; c++) {
+            int one = PAIR * r + c, other = PAIR * c + r;
+            C[one] = 0.5 * (s->ck * (K[one] + sign * K[other]) + s->cd * (B[one] + sign * B[other]));
+        }
+    const double most = largest(C, PAIR * PAIR);
+    for (int side = 0; side < 2; side++) arm(s, k, 2 * i + side, lever[side]);
+    to_frames((const double (*)[D])lever, C);
+    return most;
+}
+
 /* The symmetric part of ck K + cd B into the fronts; Python gives new slopes where the old ones misled, or Newton is slow with them. */
-int whole_tangents(System *s, Batch *k, double cd, double ck, double t)
+int whole_tangents(System *s, Batch *k, double t)
 {
     if (*k->astray || s->renewed) {
         s->calls++;
@@ -157,16 +174,29 @@ int whole_tangents(System *s, Batch *k, double cd, double ck, double t)
         *k->astray = 0;
     }
     for (long i = 0; i < k->n; i++) {
-        const double *K = k->K + (long)PAIR * PAIR * i, *B = k->B + (long)PAIR * PAIR * i;
-        double C[PAIR * PAIR], lever[2][D];
-        for (int r = 0; r < PAIR; r++)
-            for (int c = 0; c < PAIR; c++) {
-                int one = PAIR * r + c, other = PAIR * c + r;
-                C[one] = 0.5 * (ck * (K[one] + K[other]) + cd * (B[one] + B[other]));
-            }
-        for (int side = 0; side < 2; side++) arm(s, k, 2 * i + side, lever[side]);
-        to_frames((const double (*)[D])lever, C);
+        double C[PAIR * PAIR];
+        half_sum(s, k, i, 1.0, C);
         mapped_square(s, k, i, C);
     }
     return DONE;
+}
+
+/* What is left of it, as rows of links.c behind those that are there, where these have room. */
+void whole_links(System *s, const Batch *k)
+{
+    const int wide = s->nu + TWIST * s->surfaces + 1;
+    for (long i = 0; i < k->n && s->links + PAIR <= s->linkable; i++) {
+        double C[PAIR * PAIR], both[PAIR * PAIR];
+        const int *at = k->at + PAIR * i;
+        if (half_sum(s, k, i, -1.0, C) <= SKEW * half_sum(s, k, i, 1.0, both)) continue;
+        for (int r = 0; r < PAIR; r++) {
+            double *push = s->push + (long)wide * s->links, *pull = s->pull + (long)wide * s->links;
+            if (at[r] == wide - 1 || largest(C + PAIR * r, PAIR) == 0.0) continue;
+            memset(push, 0, wide * sizeof(double));
+            memset(pull, 0, wide * sizeof(double));
+            push[at[r]] = 1.0;
+            for (int c = 0; c < PAIR; c++) pull[at[c]] += C[PAIR * r + c];
+            s->links++;
+        }
+    }
 }

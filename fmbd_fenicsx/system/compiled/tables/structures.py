@@ -109,7 +109,7 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         ("accelerated", _INT),
         *_fields("seen_place reaction motion_rate motion_second rest_gravity slip", _POINTER),
         ("settled", _REAL),
-        *_fields("again renewed led renewable foretells renewals linkable links", _INT),
+        *_fields("again renewed led renewable foretells renewals telling linkable links", _INT),
         *_fields("push pull answer mutual", _POINTER),
         *_fields("indefinite leaves_out", _INT),
         ("from", _POINTER),

@@ -288,14 +288,17 @@ class Tables:
 
     def _links(self) -> dict[str, int]:
         """Room for efforts that answer to more than their own coordinate, see links.c."""
-        count = sum(one.links for one in self.listeners)
+        told = sum(one.links for one in self.listeners)
+        # what tangents lack of symmetry costs increments: dear ones of fields alone
+        skew = sum(loads.push.size for loads in self.whole) if self.fields else 0
+        count = told + skew if (told + skew) * self.nu <= LINKS_LIMIT else told
         if not count:
             return {}
         wide = count, self.nothing + 1
         sizes = {"push": wide, "pull": wide, "answer": (count, self.nu + self.rows), "mutual": (count, count)}
         made = self.store.zeros(sizes)
         self.arrays |= {name: x for name, (x, _) in made.items()}
-        return {"linkable": count, **{name: address for name, (_, address) in made.items()}}
+        return {"telling": int(told > 0), "linkable": count, **{name: address for name, (_, address) in made.items()}}
 
     def coordinate(self, number: int) -> int:
         """The address of the batch of one of the ``coordinates``."""
