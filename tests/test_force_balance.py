@@ -122,6 +122,28 @@ def test_the_roundoff_of_a_stiff_spring_is_balance(stiffness: float) -> None:
     judge.check(shifted, state, 1e-3)
 
 
+def test_what_joints_take_up_moves_no_body() -> None:
+    """A thin rod has hardly any inertia to roll with, but its hinge lets it not: small errors of reactions move it nowhere."""
+    rod = fmbd.RigidBody("rod", 1.0, (0.1, 1e-9, 0.1), (0.0, 0.0, 0.0))
+    scene = fmbd.Scene("rod", gravity=(0.0, -5.0, -9.81))
+    scene.add(rod, fmbd.revolute("hinge", fmbd.ground, rod, center=(0.1, 0.5, 0.0), axis=(0, 0, 1)))
+    judge, ev, state = judged(scene)
+    moment = np.abs(state.lam).max() * (np.arange(5) == np.abs(ev.jacobian.core[:, 4]).argmax())
+    off = [replace(state, lam=state.lam + share * moment) for share in (1e-5, 1e-3)]
+    left = ev.balance(off[0].a, off[0].lam)
+    assert 1e-3 * np.abs(left[4]) / 1e-9 > 1.0  # rad/s, if nothing held it
+
+    judge.check(ev, off[0], 1e-3)
+    with pytest.raises(ConvergenceError, match='"rod"'):
+        judge.check(ev, off[1], 1e-3)
+
+    # swinging about the hinge is free
+    free = np.linalg.svd(ev.jacobian.core)[2][-1]
+    judge.check(ev, replace(off[0], a=off[0].a + 1e-3 * free), 1e-3)
+    with pytest.raises(ConvergenceError, match='"rod"'):
+        judge.check(ev, replace(off[0], a=off[0].a + free), 1e-3)
+
+
 def test_contact_and_unknown_schemes_are_not_judged() -> None:
     """Contact forces are no part of lambda, and a scheme of a user's own may balance its forces elsewhere."""
     system, _, _ = double_pendulum(1.0, 2.0).build()

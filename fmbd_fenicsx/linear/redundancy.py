@@ -31,8 +31,8 @@ def null_space(ev: Evaluation) -> Array:
         return np.zeros((0, 0))
 
     # rows of the core, in lengths, and of the surfaces of elastic bodies
-    ports = [_dense(G.port[:, s.port_slice(k)]) for k, _ in s.fields]
-    rows = np.concatenate((_dense(G.core) / s.units[: s.n_core], *ports), axis=1)
+    ports = [dense(G.port[:, s.port_slice(k)]) for k, _ in s.fields]
+    rows = np.concatenate((dense(G.core) / s.units[: s.n_core], *ports), axis=1)
     size = np.sqrt((rows * rows).sum(axis=1))
     scale = 1.0 / np.where(size > 0, size, 1.0)
 
@@ -71,7 +71,7 @@ def not_unique(solver: StepSolver, state: State) -> list[str]:
     return [block.name for block in system.blocks if open_rows[block.rows].any()]
 
 
-def _dense(x: Array) -> Array:
+def dense(x: Array) -> Array:
     """A matrix of numbers, or of SciPy, as an array."""
     return x if isinstance(x, np.ndarray) else np.asarray(x.toarray())
 

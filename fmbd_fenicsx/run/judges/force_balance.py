@@ -12,6 +12,15 @@ with a_max the largest acceleration so far, g and v^2 / L among them, and u that
 stiff spring would be a failure: its force is K times the last digit of a place. Forces on a body are known to a share of 1e-8 of
 those that joints and elements exert on it, the share by which linear solves pass; less than that is left out of r.
 
+What joints take up of r moves no body: it is an error of their reactions. A state is in balance too where
+
+    [ A  G^T ] [ d  ]   [ h r ]
+    [ G      ] [ mu ] = [  0  ],     A = M + h C + h^2 K of bodies                                            (3)
+
+leaves an h r - G^T mu that passes (2), and G^T mu is less than 100 times Newton's tolerance, or 1e-8, of the forces that joints
+and elements exert on a body. The roll of a thin rod between two hinges has hardly any inertia: what large reactions do to its
+balance as the rod turns by less than Newton's tolerance is many times S a_max, although its hinges let it go nowhere.
+
 Rows are those of the core: rigid bodies, frames of elastic ones (all forces on the body as a whole), modes, coordinates of a
 user's own. Nodes of fields are judged by the linear solves and by the first strides of Newton's iteration. Schemes that hold the
 equations of motion at the end of a step are judged, in scenes without contact: contact forces are no part of lambda.
@@ -24,10 +33,12 @@ from math import hypot
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver, Weights
 from ...linear.core_matrix import core_matrix
+from ...linear.redundancy import dense
 from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.compiled.states.glance import Seen
@@ -41,17 +52,22 @@ SHARE = 1e-2  # of accelerations
 KNOWN = 1e-8  # of the forces that joints and elements exert on a body
 CONTROLLED = 10.0  # times the relative tolerance of the error control
 ROUNDOFF = 1e4 * float(np.finfo(float).eps)
+DEPENDENT = 1e-12  # singular values of (3), scaled, below this share belong to rows that depend on each other
+LARGEST = 600  # unknowns of (3) up to which it is solved: densely, beside the linear solver, which is judged too
 
 
 @dataclass
 class Balanced(Remembering):
-    """Refuses states whose forces are not in balance by (2). ``rtol``: of the scheme's error control, 0 without."""
+    """Refuses states whose forces are not in balance by (2). ``rtol``: of the scheme's error control, 0 without; ``reactions``:
+    share of the forces on a body that joints may be off by.
+    """
 
     keeps: ClassVar = dict.fromkeys(("hardest", "fastest", "repeated"), plain())
 
     solver: StepSolver
     share: float = SHARE
     rtol: float = 0.0
+    reactions: float = 1e-4
     hardest: float = 0.0  # m/s^2, of all states so far
     fastest: float = 0.0  # m/s
     repeated: int = 0  # steps that were made again
@@ -65,7 +81,7 @@ class Balanced(Remembering):
         said, s = Declared.by(scheme), solver.system
         if said.form is None or said.start is not None or not s.n_core:
             return None
-        return Balanced(solver, max(SHARE, 100 * tolerance), said.rtol or 0.0)
+        return Balanced(solver, max(SHARE, 100 * tolerance), said.rtol or 0.0, max(KNOWN, 100 * tolerance))
 
     def passes(self, seen: Seen, sums: Array, t: float, h: float) -> bool:
         """Whether a state at t after a step of size h (s) passes, of which this and the ``sums`` of its balance were seen;
@@ -91,9 +107,7 @@ class Balanced(Remembering):
         if np.maximum.reduce(_lengths(s, left, masses)) <= allowed:
             return
 
-        # the dearer look: without what is known to roundoff of large forces only, and with the stiffness of elements
-        left = np.where(np.abs(left) > KNOWN * h * self._forces(ev, state), left, 0.0)
-        sizes = _lengths(s, left, self._weights(ev, h))
+        sizes = self._closely(ev, state, left, h, allowed)
         if not sizes.max() <= allowed:
             name = _named(s, int(np.argmax(sizes)))
             raise ConvergenceError(
@@ -101,6 +115,22 @@ class Balanced(Remembering):
                 f"{sizes.max():.2g} m/s in this step, {allowed:.2g} m/s is allowed. Take a smaller dt or rtol, or a smaller "
                 "Newton(tolerance=...)."
             )
+
+    def _closely(self, ev: Evaluation, state: State, left: Array, h: float, allowed: float) -> Array:
+        """The dearer look, d of (1) as lengths over time, (n_core,): without what is known to roundoff of large forces only, with
+        the stiffness of elements, and where that is not enough without what joints take up.
+        """
+        s, forces = ev.system, h * self._forces(ev, state)
+        left = np.where(np.abs(left) > KNOWN * forces, left, 0.0)
+        A = core_matrix(ev, Weights(1.0, h, h * h))
+        weight = self._weights(ev, h, _diagonal(A))
+        sizes = _lengths(s, left, weight)
+        if sizes.max() <= allowed:
+            return sizes
+
+        held = _held(ev, A, left)
+        small = np.abs(held) <= self.reactions * _largest(s, forces)
+        return _lengths(s, left - held, weight) if small.all() else sizes
 
     def _allowed(self, t: float, h: float, largest: tuple[float, float], far: float) -> float:
         """The right-hand side of (2) after a step of h (s) to t, m/s; ``largest`` velocity and acceleration of the state are
@@ -113,11 +143,11 @@ class Balanced(Remembering):
         allowed = h * self.share * self.hardest + CONTROLLED * self.rtol * self.fastest
         return allowed + ROUNDOFF * (s.length + far) / h
 
-    def _weights(self, ev: Evaluation, h: float) -> Array:
-        """M + h |C| + h^2 |K| of (1), (n_core,)."""
-        s = ev.system
+    @staticmethod
+    def _weights(ev: Evaluation, h: float, of_bodies: Array) -> Array:
+        """M + h |C| + h^2 |K| of (1), (n_core,): that of bodies and what elements add."""
+        s, weight = ev.system, of_bodies.copy()
         n = s.n_core
-        weight = _diagonal(core_matrix(ev, Weights(1.0, h, h * h)))
         applied = force_tangent(ev, h, h * h) if s.forces or s.elements else None
         if applied is not None:
             if applied.core is not None:
@@ -144,6 +174,41 @@ class Balanced(Remembering):
         for part in (frames[:, :d], frames[:, d:]):
             part[:] = part.max(axis=1, keepdims=True)
         return out
+
+
+def _held(ev: Evaluation, A: Any, left: Array) -> Array:
+    """G^T mu of (3), (n_core,): what joints take up of ``left``. Those on fields take up nothing, nor do any in large systems."""
+    n = len(left)
+    G = dense(ev.jacobian.core)[~_on_fields(ev)]
+    if n + len(G) > LARGEST:
+        return np.zeros(n)
+
+    # units of rows and columns do not count
+    unit = np.sqrt(_diagonal(A))
+    unit[unit == 0] = 1.0
+    J = G / unit
+    size = np.linalg.norm(J, axis=1, keepdims=True)
+    J = J / np.where(size > 0, size, 1.0)
+    saddle = np.block([[dense(A) / np.outer(unit, unit), J.T], [J, np.zeros((len(J), len(J)))]])
+    mu = np.linalg.lstsq(saddle, np.concatenate((left / unit, np.zeros(len(J)))), rcond=DEPENDENT)[0][n:]
+    return np.asarray(unit * (J.T @ mu))
+
+
+def _on_fields(ev: Evaluation) -> NDArray[np.bool_]:
+    """Which rows of G act on distributed fields, whose nodes are not among the rows judged; (n_lam,)."""
+    found = np.zeros(ev.system.n_lam, bool)
+    for k, _ in ev.system.fields:
+        found |= np.asarray(abs(ev.jacobian.port[:, ev.system.port_slice(k)]).sum(axis=1)).ravel() > 0
+    return found
+
+
+def _largest(system: System, forces: Array) -> Array:
+    """Forces on the coordinates of each part by the largest of them: modes are no axes of one thing, (n_core,)."""
+    out = forces.copy()
+    for span in system.slices[1]:
+        own = out[span]
+        own[:] = own.max(initial=0.0)
+    return out
 
 
 def _lengths(system: System, left: Array, weight: Array) -> Array:
