@@ -30,6 +30,7 @@ FILES = (
     "steps_one_by_one",
     "checkpoint",
     "substructures",
+    "whole_forces",
 )
 
 
