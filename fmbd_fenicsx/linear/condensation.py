@@ -221,9 +221,8 @@ class StepSolver:
         A = core_matrix(ev, w)
         has_tangent = (s.forces or s.elements) and (w.cd or w.ck)
         applied = force_tangent(ev, w.cd, w.ck) if has_tangent else None
-        self._pushed = applied is not None and bool(
-            s.fields
-        )  # cheap tangents of rigid bodies are renewed by the schemes
+        # cheap tangents of rigid bodies are renewed by the schemes
+        self._pushed = applied is not None and bool(s.fields)
         self.border = Border.of(s, applied, ev.t)
 
         if applied is not None and applied.core is not None:

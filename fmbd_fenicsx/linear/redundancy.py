@@ -19,6 +19,7 @@ from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.system import State
 from .condensation import StepSolver
+from .core import dense
 
 DEPENDENT = 1e-8  # singular values of G, scaled, below this share of the largest belong to the null space
 SINGULAR = 1e-14  # singular values of a scaled matrix below this share belong to rows that depend on each other
@@ -69,11 +70,6 @@ def not_unique(solver: StepSolver, state: State) -> list[str]:
     open_rows = np.abs(N).max(axis=1, initial=0.0) > 1e-6
 
     return [block.name for block in system.blocks if open_rows[block.rows].any()]
-
-
-def dense(x: Array) -> Array:
-    """A matrix of numbers, or of SciPy, as an array."""
-    return x if isinstance(x, np.ndarray) else np.asarray(x.toarray())
 
 
 def scaled_solution(J: Array, r: Array, *, redundant: bool) -> Array:

@@ -37,8 +37,8 @@ from numpy.typing import NDArray
 
 from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver, Weights
+from ...linear.core import dense
 from ...linear.core_matrix import core_matrix
-from ...linear.redundancy import dense
 from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.compiled.states.glance import Seen

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...linear.condensation import StepSolver
+from ...linear.core import dense
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Pencil
 from ...linear.saddle.sparse_pencil import SparsePencil
@@ -28,7 +29,7 @@ from ...system.tangents.stiff_ties import stiff_ties
 from ..consistent import arrived
 from ..dae import Form, Points
 from .equations import Equations, Start
-from .step_tangents import DenseTangents, SparseTangents, dense
+from .step_tangents import DenseTangents, SparseTangents
 
 CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...errors import LinearSolveError
 from ...linear.condensation import StepSolver
+from ...linear.core import dense
 from ...linear.residual import Judge
 from ...linear.saddle.pencil import Pencil
 from ...linear.saddle.sparse_pencil import SparsePencil
@@ -32,11 +33,6 @@ from ..dae import Form
 
 TURNED = 1e-6  # rad and m, of differences of rates
 Lower = Callable[[EvaluationBatch], Array]  # the lower rows of many states
-
-
-def dense(A: Any) -> Array:
-    """A matrix of NumPy or of SciPy as one of NumPy."""
-    return A if isinstance(A, np.ndarray) else np.asarray(A.toarray())
 
 
 class DenseTangents(Remembering):
