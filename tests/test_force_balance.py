@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,10 +16,12 @@ from test_acceptance import double_pendulum
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.run.judges.force_balance import Balanced
+from fmbd_fenicsx.run import compiled_calls
+from fmbd_fenicsx.run.judges.force_balance import Balanced, next_look
 from fmbd_fenicsx.schemes.multistep import bdf
 from fmbd_fenicsx.schemes.onestep import radau
 from fmbd_fenicsx.schemes.onestep.alpha import alpha_stepper
+from fmbd_fenicsx.system.compiled.library import driver_library
 
 SCHEMES = {
     "alpha": (alpha_stepper.AlphaStepper, fmbd.GeneralizedAlpha(0.8, compiled=False), 2e-3),
@@ -162,3 +167,53 @@ def test_the_step_that_is_refused_is_counted(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(Balanced, "check", refuse)
     with pytest.raises(ConvergenceError, match="step 20 of 20: not in balance"):
         fmbd.solve(double_pendulum(1.0, 2.0), t_end=0.02, dt=1e-3)
+
+
+def test_looks_are_by_number() -> None:
+    """Four times as many steps each time, up to a limit."""
+    looks = [0]
+    while looks[-1] < 50_000:
+        looks.append(next_look(looks[-1]))
+    assert looks[1:] == [64, 256, 1024, 4096, 16384, 32768, 49152, 65536]
+    assert [next_look(n) for n in (63, 65, 255, 16383, 40000)] == [64, 256, 256, 16384, 49152]
+
+
+ROOMS = {
+    "one call": {},
+    "a record each step": {"every": 1},
+    "records every three": {"every": 3},
+    "at given times": {"times": [0.01, 0.07, 0.0705]},
+    "all shown": {"on_step": lambda moment: None},
+}
+
+
+LOOKS = {
+    fmbd.GeneralizedAlpha(0.8): [64, 256, 600],
+    fmbd.BDF(2, rtol=None): [1, 64, 256, 600],  # whose first step is made in Python
+}
+
+
+@pytest.mark.parametrize("scheme", LOOKS, ids=lambda scheme: scheme.name)
+@pytest.mark.parametrize("cut", [*ROOMS, "by the clock", "checkpoints"])
+def test_which_states_are_looked_at_is_a_matter_of_their_number(
+    cut: str, scheme: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And not of how the run is cut into calls by records, the clock, who looks on, or checkpoints. Steps that Python makes one
+    by one are all looked at.
+    """
+    if driver_library(2) is None:
+        pytest.skip("no C compiler")
+    if cut in ("checkpoints", "at given times") and isinstance(scheme, fmbd.BDF):
+        pytest.skip("some of its steps are Python's")
+    if cut == "by the clock":  # which goes on at each look by more than half of what a call may last
+        ticks = count(step=0.6 * compiled_calls.CHUNK)
+        monkeypatch.setattr(compiled_calls, "clock", SimpleNamespace(perf_counter=lambda: next(ticks)))
+        monkeypatch.setattr(compiled_calls, "FIRST", 5)
+    seen: list[int] = []
+    monkeypatch.setattr(Balanced, "check", lambda self, ev, state, h: seen.append(round(state.t / h)))
+    given: dict[str, Any] = {"every": 1000, "energy": False, "progress": False} | ROOMS.get(cut, {})
+    kept = fmbd.Checkpoint(tmp_path, every=100) if cut == "checkpoints" else None
+    fmbd.solve(
+        double_pendulum(1.0, 2.0), t_end=0.3, dt=5e-4, scheme=scheme, output=fmbd.Output(**given), checkpoint=kept
+    )
+    assert seen == LOOKS[scheme]

@@ -8,6 +8,7 @@ from math import inf
 from typing import TYPE_CHECKING
 
 from ..schemes.stepping import TimeStepper
+from .judges.force_balance import next_look
 from .recording.recorder import Recorder
 from .schedule import StepSchedule
 
@@ -22,7 +23,7 @@ FIRST = 64  # steps of the first call: nobody knows how long they take
 class CompiledCalls:
     """The calls of one march.
 
-    ``refused``: looks at the newest of steps with error control, which is taken back where it says so. ``events``: who looks for
+    ``refuses``: looks at the newest of steps of so many seconds, which is taken back where it says so. ``events``: who looks for
     those of the run; compiled steps that can tell them end where one is met.
     """
 
@@ -32,11 +33,11 @@ class CompiledCalls:
         schedule: StepSchedule,
         recorder: Recorder,
         *,
-        refused: Callable[[], bool] | None = None,
+        refuses: Callable[[float], bool],
         events: EventWatch | None = None,
     ) -> None:
         self.stepper, self.schedule, self.recorder = stepper, schedule, recorder
-        self.refused, self.events = refused, events
+        self.refuses, self.events = refuses, events
         self.equal = bool(schedule.steps)
         self.shown = recorder.output.on_step is not None
         self.local_error = 0.0  # the largest that the stepper told after a call of the newest march
@@ -60,15 +61,20 @@ class CompiledCalls:
         self._last, self.local_error = self.stepper.state.t + (steps - 1) * h, 0.0
         begin, made, chunk, more = clock.perf_counter(), 0, FIRST, True
         while more and made < steps and clock.perf_counter() - begin < CHUNK:
-            now = min(chunk, steps - made)
+            now = min(chunk, steps - made, self.next_look(done + made) - done - made)
             if tape is not None:
                 now = self._begin(tape, done + made, now, alone)
-            now, more = self._march(h, now, tape)
+            now, more = self._march(done + made, h, now, tape)
             if now and tape is not None:
                 more = self._take(tape, done + made, alone) and more
             made += now
             chunk *= 4
         return made
+
+    def next_look(self, done: int) -> int:
+        """After how many steps states are looked at, behind those that are done."""
+        look = next_look(done)
+        return min(look, self.schedule.steps) if self.equal else look
 
     def _told_of_events(self, tape: Tape | None) -> bool:
         """Whether records tell all that is to be looked at in a step."""
@@ -95,14 +101,18 @@ class CompiledCalls:
                 self.recorder.straight.lead(tape, steps // every + 1)
         return min(steps, tape.room * every)
 
-    def _march(self, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:
-        """One call of at most so many steps of size h (s): how many count, and whether more may follow."""
+    def _march(self, done: int, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:
+        """One call of at most so many steps of size h (s) behind those that are done: how many count, and whether more may
+        follow.
+        """
         stepper, schedule = self.stepper, self.schedule
-        if not self.equal and stepper.unwrapped.lands and schedule.largest < inf:
-            steps = 1  # the most is that of every step
-        made = stepper.march(schedule.next(stepper.state.t), steps, tape=tape)
+        alone = not self.equal and stepper.unwrapped.lands and schedule.largest < inf  # the most is that of every step
+        made = stepper.march(schedule.next(stepper.state.t), 1 if alone else steps, tape=tape)
         self.local_error = max(self.local_error, stepper.local_error)
-        if made and self.refused is not None and self.refused():
+
+        # where the scheme ended it, or by number; the clock and records end calls too
+        ended = not self.equal and (alone or made < steps)
+        if made and (ended or done + made == self.next_look(done)) and self.refuses(h):
             stepper.step_back()
             if tape is not None:
                 tape.step_back()

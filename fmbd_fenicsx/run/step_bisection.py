@@ -111,6 +111,11 @@ class ConstantSteps(Around):
         own = {**self._sum(), "halved_steps": self.halved}
         return own if self.watch is None else {**own, "energy_rejections": self.watch.rejections}
 
+    @property
+    def looks_at_each(self) -> bool:
+        """Whether every state of :meth:`in_turn` is looked at."""
+        return self.watch is not None or self.stepper.path == "NumPy"
+
     def _sum(self) -> dict[str, float]:
         found = self.stepper.counters
         return {k: found.get(k, 0.0) + self._past.get(k, 0.0) for k in {**self._past, **found}}
@@ -227,11 +232,11 @@ class ConstantSteps(Around):
     def _look(self, state: State, h: float) -> Sequence[float] | None:
         """Refuse a state with open joints, or without balance after a step of size h (s); its energies, where they were told.
 
-        Compiled steps without a guard are looked at where they are recorded, and at the end of each call.
+        Of compiled steps without a guard only some are, by the loop.
         """
         self._seen = None
         judges = self.judges
-        if judges is None or (self.watch is None and self.stepper.path != "NumPy"):
+        if judges is None or not self.looks_at_each:
             return None
         evaluator, glance = self._glance
         if evaluator is not self.system.evaluator:

@@ -10,7 +10,6 @@ from ..errors import ConvergenceError
 from ..linear.condensation import StepSolver
 from ..log import StopRequests, log
 from ..ranks import OneAnswer
-from ..schemes.stepping import TimeStepper
 from ..system.element_memory import accept, reset
 from ..system.evaluation import Evaluation
 from ..system.spins import Spins
@@ -19,7 +18,6 @@ from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
 from .judges.acceptance import Closed, attempt_in_balance
 from .judges.energy_check import closed
-from .judges.force_balance import Balanced
 from .judges.prescribed_motions import PrescribedMotions
 from .judges.small_turns import SmallTurns
 from .problem import Problem, judges_of, make_stepper
@@ -52,16 +50,7 @@ class March:
     earlier: float
 
 
-def _look(balanced: Balanced | None, stepper: TimeStepper, h: float) -> None:
-    """Refuse the newest state, after compiled steps of size h (s), where its forces are not in balance."""
-    if balanced is not None and not balanced.solver.system.keepers:  # their memory is that of the state already
-        state = stepper.state
-        seen = stepper.evaluation or balanced.solver.system.at(state.t, state.q, state.v)
-        balanced.check(seen, state, h)
-
-
 MOST = 10_000_000  # steps in one call
-LOOK = 64  # steps made one by one, after which forces are looked at, as at the end of a call of many
 
 
 def _events(problem: Problem, schedule: StepSchedule, output: Output, state: State) -> EventWatch | None:
@@ -126,8 +115,7 @@ class Loop:
         self.spins = Spins(system, silent=problem.warned is None)
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
-        refused = None if schedule.steps else self._unbalanced
-        self.calls = CompiledCalls(self.stepper, schedule, self.recorder, refused=refused, events=self.events)
+        self.calls = CompiledCalls(self.stepper, schedule, self.recorder, refuses=self._refuses, events=self.events)
         # whether somebody looks at every step, or ranks have to agree on how many they make
         self._shown = output.on_step is not None or self.events is not None
         self._shown = self._shown or (system.comm is not None and system.comm.size > 1)
@@ -177,17 +165,16 @@ class Loop:
             self.motions.look(self.state.t + h)
 
         # a checkpoint may be due after every step
-        steps = self.schedule.steps
+        done, steps = self.progress.done, self.schedule.steps
         most = min(self.turns.most(steps), self.spins.most(steps)) if self.keeper is None else 1
         made, compiled = 0, bool(self.stepper.stride(h))
         if compiled:
-            made = self.calls.make(self.progress.done, most)
-        done = self.progress.done + made
-        due = made > 1 or self.keeper is not None or done % LOOK == 0 or done == self.schedule.steps
-        if made and due:
-            _look(self.judges.balanced, self.stepper, h)
-        elif not made:  # their balance is looked at where they may be made in parts
-            made = self._in_turn(h, 1 if compiled else most)
+            made = self.calls.make(done, most)
+        if not made:
+            look = self.calls.next_look(done)
+            made = self._in_turn(h, 1 if compiled else min(most, look - done))
+            if done + made == look and not cast(ConstantSteps, self.stepper).looks_at_each:
+                self._refuses(h)
 
         self.state = self.stepper.state
         if self.motions is not None:
@@ -232,13 +219,21 @@ class Loop:
         self.judges.forecast.note(self.state)
         return 1, seen
 
-    def _unbalanced(self) -> bool:
-        """Whether the newest state, after a compiled step under error control, is not in balance."""
+    def _refuses(self, h: float) -> bool:
+        """Whether the newest state, after compiled steps, is to be taken back for want of balance: so are steps under error
+        control. Equal ones, of size h (s), end the run.
+        """
         balanced, stepper = self.judges.balanced, self.stepper
+        # elements with a memory have that of the state already
+        if balanced is None or self.problem.system.keepers:
+            return False
+        equal, state = self.schedule.steps, stepper.state
+        seen = stepper.evaluation or self.problem.system.at(state.t, state.q, state.v)
         try:
-            _look(balanced, stepper, stepper.state.t - stepper.unwrapped.origin.t)
+            balanced.check(seen, state, h if equal else state.t - stepper.unwrapped.origin.t)
         except ConvergenceError:
-            assert balanced is not None
+            if equal:
+                raise
             balanced.repeated += 1
             return True
         return False

@@ -54,6 +54,19 @@ CONTROLLED = 10.0  # times the relative tolerance of the error control
 ROUNDOFF = 1e4 * float(np.finfo(float).eps)
 DEPENDENT = 1e-12  # singular values of (3), scaled, below this share belong to rows that depend on each other
 LARGEST = 600  # unknowns of (3) up to which it is solved: densely, beside the linear solver, which is judged too
+FIRST_LOOK, APART = 64, 16_384  # compiled steps before the first look at them, and at most from one to the next
+
+
+def next_look(done: int) -> int:
+    """After how many compiled steps the balance is looked at, behind those that are done: 64, 256, 1024, 4096, 16384, and all
+    16384 from there on.
+
+    By their number: how a run is cut into calls depends on the clock and on records, and which states pass must not.
+    """
+    size = FIRST_LOOK
+    while size <= done and size < APART:
+        size *= 4
+    return (done // size + 1) * size
 
 
 @dataclass
