@@ -15,7 +15,7 @@ from test_field_stages import pendulum
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, MeshError
 from fmbd_fenicsx.run.accuracy.certificate import KINDS
-from fmbd_fenicsx.run.accuracy.estimates import order_seen, scattered_order
+from fmbd_fenicsx.run.accuracy.orders import order_seen, scattered_order
 from fmbd_fenicsx.system.scene.refinement import finer_space, more_modes, refined, with_bodies
 
 ALL = fmbd.Output(estimate_error=True, estimate_space=True, estimate_reduction=True)
@@ -261,3 +261,20 @@ def test_forces_without_a_value_in_larger_steps_leave_no_estimate(caplog: pytest
     assert not run.error_estimate
     assert "the run with twice the step did not end: " in caplog.text
     assert "two points coincide" in caplog.text
+
+
+def test_a_run_in_parts_is_told_by_one_in_parts() -> None:
+    """Friction of 1 mm/s is too stiff for steps in which the speed changes by far more: with 2 h, h and h / 2 they are halved."""
+    scene = fmbd.Scene("sliding")
+    block = fmbd.RigidBody("block", 2.0, 0.1, (0.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, block, axis=(1, 0), center=(0, 0))
+    scene.add(block, rail, fmbd.Spring("spring", fmbd.ground, block, (-1, 0), stiffness=80.0, length=0.5))
+    scene.add(fmbd.forces.joint_friction("friction", fmbd.displacement(rail), coulomb=6.0, speed=1e-3))
+    scene.sensor("x", fmbd.position(block))
+
+    times = tuple(np.linspace(0.0, 2.0, 101))
+    exact = fmbd.solve(scene, t_end=2.0, scheme=fmbd.Radau(3, rtol=1e-8), output=fmbd.Output(times=times))["x"]
+    run = fmbd.solve(scene, t_end=2.0, dt=0.02, output=fmbd.Output(estimate_error=True, progress=False))
+    assert run.counters["halved_steps"]
+    true = np.abs(run["x"] - exact).max()
+    assert 0.5 * true < run.error_estimate["x"] < 3.0 * true

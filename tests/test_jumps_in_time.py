@@ -13,7 +13,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import plane_stress
 from fmbd_fenicsx.run import single_run, time_loop
 from fmbd_fenicsx.run.accuracy import companion_runs
-from fmbd_fenicsx.run.accuracy.search import jumps_in_time as looks
+from fmbd_fenicsx.run.accuracy import jumps_in_time as looks
 from fmbd_fenicsx.run.schedule import StepSchedule
 
 STEPS = 48
@@ -105,3 +105,20 @@ def test_jumps_in_elastic_bodies_are_looked_for_about_the_kinks_that_they_leave(
     run = fmbd.solve(scene, t_end=0.4, tol={"tip": 3e-4}, output=fmbd.Output(progress=False))
     assert run.scene.breakpoints == pytest.approx((0.1713,), abs=1e-15) and run.history[-1].then == "done"
     assert sum(asked) < 100 < run.counters["steps"]
+
+
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(), fmbd.EnergyMomentum()], ids=lambda s: s.name)
+def test_a_certificate_states_what_a_jump_within_a_step_leaves(scheme: Any) -> None:
+    """Runs with 2 h and 4 h agreed by chance to a thirtieth of it."""
+    scene = fmbd.Scene("mass", gravity=(0.0, 0.0))
+    mass = fmbd.RigidBody("mass", 1.0, 0.1, (1.0, 0.0))
+    scene.add(mass, fmbd.Spring("spring", fmbd.ground, mass, stiffness=20.0, length=1.0))
+    scene.add(fmbd.force("push", mass, lambda t: (3.0 * (t > 0.2371), 0.0)))
+    scene.sensor("x", fmbd.position(mass))
+    run = fmbd.solve(scene, t_end=0.6, dt=0.01, scheme=scheme, output=fmbd.Output(estimate_error=True, progress=False))
+
+    since, w = np.maximum(run.times - 0.2371, 0.0), np.sqrt(20.0)
+    true = np.abs(run["x"][:, 0] - 1.0 - 0.15 * (1.0 - np.cos(w * since))).max()
+    assert true < run.error_estimate["x"] < 2.0 * true
+    assert run.jumps == pytest.approx((0.2371,), abs=1e-15)
+    assert "x" not in run.certificate.uncertain and any("t = 0.2371 s" in said for said in run.warnings)

@@ -5,7 +5,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
-from fmbd_fenicsx.run.accuracy import estimates
+from fmbd_fenicsx.run.accuracy import equal_steps
 from fmbd_fenicsx.run.recording.progress_bar import Progress
 
 
@@ -121,10 +121,10 @@ def test_where_runs_with_larger_steps_fail_one_with_half_the_step_tells_the_erro
 
 
 def test_other_runs_that_fail_leave_the_run_without_estimate(monkeypatch):
-    def failing(*args):
+    def failing(*args, **kwargs):
         raise ConvergenceError("too large")
 
-    monkeypatch.setattr(estimates, "again", failing)
+    monkeypatch.setattr(equal_steps, "again", failing)
     run = fmbd.solve(pendulum(), t_end=0.4, dt=0.1, output=fmbd.Output(estimate_error=True))
     assert run.status == "finished" and run.error_estimate == {}
     assert "the run with 2 h failed" in run.report()

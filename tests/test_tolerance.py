@@ -17,7 +17,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError, PartsError
 from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run import single_run
-from fmbd_fenicsx.run.accuracy import companion_runs, estimates
+from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps
 from fmbd_fenicsx.run.accuracy.certificate import moving
 from fmbd_fenicsx.run.accuracy.search import next_attempt, shared_runs, shared_spaces, space_levels, tolerance
 from fmbd_fenicsx.run.schedule import StepSchedule
@@ -163,7 +163,7 @@ def test_no_run_has_so_few_steps_that_it_follows_no_motion(monkeypatch: pytest.M
     case, made = CASES["elastic pendulum"], marches(monkeypatch)
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: case.tolerances[1]})
     assert run.history[-1].then == "done"
-    assert min(x.steps for x in made) >= estimates.FEWEST
+    assert min(x.steps for x in made) >= equal_steps.FEWEST
 
 
 def test_a_look_at_spaces_refuses_what_roundoff_does_not_allow() -> None:

@@ -55,6 +55,7 @@ class Run(Uncopied):
         status: "finished", or "stopped" on request. ``step_limit``: of steps that the scheme chooses, s.
         damped: sensor -> amplitude of vibrations that steps do not resolve and the scheme takes out, where that is more than
             runs with other steps tell.
+        jumps: instants (s) within equal steps at which loads or drives jump, where errors are stated.
         at_steps: times and series of sensors at ends of equal steps, where records are at given times and errors are stated.
     """
 
@@ -89,6 +90,7 @@ class Run(Uncopied):
     status: str = "finished"
     step_limit: float = np.inf
     damped: dict[str, float] = field(default_factory=dict)
+    jumps: tuple[float, ...] = ()
     at_steps: tuple[Array, dict[str, Array]] | None = None
     not_unique: list[str] = field(default_factory=list)
     books: Books | None = None

@@ -31,10 +31,15 @@ class Compared:
     scheme: Any
 
 
-def again(problem: Problem, schedule: StepSchedule, steps: int, times: Sequence[float] | None) -> Compared:
-    """The march once more with another number of steps, sensors recorded in every step or at the ``times``; collective."""
+def again(
+    problem: Problem, schedule: StepSchedule, steps: int, times: Sequence[float] | None, *, whole: bool = True
+) -> Compared:
+    """The march once more with another number of steps, sensors recorded in every step or at the ``times``; ``whole``: it ends
+    where one of them would be made in parts; collective.
+    """
     wanted, other = Output(energy=False, progress=False, times=times), schedule.with_steps(steps)
-    return Compared(companion(replace(problem, most_parts=0.0), other, wanted).recorder, other, problem.scheme)
+    asked = replace(problem, most_parts=0.0) if whole else problem
+    return Compared(companion(asked, other, wanted).recorder, other, problem.scheme)
 
 
 def companion(problem: Problem, schedule: StepSchedule, output: Output, of: Built | None = None) -> March:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,139 +23,25 @@ from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March
 from .algebra import algebra_error, tighter_run
-from .certificate import HIDDEN, moving, stated_of, uncertain_of
-from .companion_runs import UNFIT, Compared, StoppedError, again, as_recorded, companion
+from .certificate import HIDDEN, stated_of, uncertain_of
+from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .damped import damped_vibrations
 from .deviation import Deviation, scaled
-from .orders import expected_orders, irregular, order_seen, resolved, scattered_order, usable_order
+from .equal_steps import equal_steps_error
+from .jumps_in_time import unnamed_jumps
+from .orders import expected_orders
 from .search.space_levels import finer_scene, space_deviations, unended
 
 if TYPE_CHECKING:
     from ..result import Run
 
-NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
-FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an order
-ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
 LOOKED_AT = 50  # instants at which runs of a search with steps of their own choice are compared
 CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and reactions are narrow
 # share of its error that a run with a tenth of the tolerance is thought to have left, at least and at most
 TENTH, LEFT = 0.2, 0.6
+SHOWN = 4  # jumps in a message
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
-
-
-@dataclass(frozen=True)
-class TimeError:
-    """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion."""
-
-    errors: dict[str, Deviation]
-    orders: dict[str, float]
-    with_others: Compared
-
-
-def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> TimeError:
-    """Error of each sensor from runs with 2 h and 4 h, and the observed order, see :func:`compare_steps`; collective.
-
-    Where a run with larger steps does not end, or follows another motion in some sensor (:func:`.certificate.irregular`), one
-    with half the step tells the error. Motion that the scheme damps in all runs is not seen.
-    Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
-    """
-    given, coarser = Compared(fine, schedule, problem.scheme), []
-    orders = expected_orders(problem.scheme, problem.scene, problem.system)
-
-    found: TimeError | None = None
-    try:
-        for parts in (2, 4):
-            coarser.append(again(problem, schedule, schedule.steps // parts, fine.output.times))
-        found = compare_steps(orders, given, coarser)
-    except UNFIT as error:
-        if not isinstance(error, StoppedError):
-            found = _by_smaller_steps(problem, given, coarser, orders)
-        if found is None:
-            log.warning("no error estimate: the run with twice the step did not end: %s", error)
-            return TimeError({}, {}, given)
-
-    if _irregular(problem.scheme.order, orders, fine, found):
-        found = _by_smaller_steps(problem, given, coarser[:1], orders) or found
-    return found if found.with_others is given else replace(found, with_others=coarser[0])
-
-
-def _irregular(highest: int, expected: Mapping[str, int], made: Recorder, found: TimeError) -> bool:
-    """Whether the order of a sensor that moves is not that of the scheme in it, and its error matters."""
-    spans = moving(made.series, made.scene.sensors)
-    return any(
-        irregular((expected[n], highest), found.orders[n], found.errors[n].size / span) for n, span in spans.items()
-    )
-
-
-def _by_smaller_steps(
-    problem: Problem, given: Compared, coarser: list[Compared], expected: Mapping[str, int]
-) -> TimeError | None:
-    """Errors of the ``given`` run with the help of one with half its step, None where nothing can be compared; collective.
-
-    |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     p the order of the scheme in the sensor, at most 2            (1)
-
-    For motion of order one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4.
-    """
-    schedule = given.schedule
-    try:
-        finer = again(problem, schedule, 2 * schedule.steps, given.recorder.output.times)
-    except UNFIT:
-        return compare_steps(expected, given, coarser) if coarser else None
-    orders = compare_steps(expected, finer, [given, *coarser]).orders
-    factors = {name: 1.0 / (1.0 - 2.0 ** -min(p, 2)) for name, p in expected.items()}
-    errors = {name: scaled(_deviation(finer.recorder, given.recorder, name), factors[name]) for name in orders}
-    return TimeError(errors, orders, given)
-
-
-def compare_steps(
-    expected: Mapping[str, int],
-    given: Compared,
-    coarser: Sequence[Compared],
-    known: Mapping[str, float] | None = None,
-    *,
-    before: Mapping[str, float] | None = None,
-) -> TimeError:
-    """Error of each sensor by Richardson's extrapolation from one or two runs with larger steps, h < H < K:
-
-        |x_h - x| ~ |x_h - x_H| / ((H/h)^p - 1),     (K^p - H^p) / (H^p - h^p) = |x_H - x_K| / |x_h - x_H|     (1)
-
-    p the smallest one of those in the maximum over time, in the mean square, and about the largest |x_h - x_H|: a start that
-    shakes for some steps is not told by the slow motion after it. It counts as :func:`usable_order` says.
-
-    Where fast motion is not resolved (say, gravity switched on at once) the observed order is below the scheme's, and the
-    estimate larger. From one run alone p is the ``known`` one, sensor -> p, or the ``expected`` one. Orders of such motion
-    scatter: one that is not regular counts as its mean with a lower one that was seen ``before``, with larger steps.
-    """
-    fine, coarse = given.recorder, coarser[0].recorder
-    ratio = given.schedule.steps / coarser[0].schedule.steps
-    errors, orders = {}, {}
-    for name in fine.series:
-        between = _deviation(fine, coarse, name)
-        p = float("nan") if known is None else known.get(name, float("nan"))
-        if len(coarser) > 1 and between.size > 0:
-            steps = coarser[1].schedule.steps, coarser[0].schedule.steps, given.schedule.steps
-            far = _deviation(coarse, coarser[1].recorder, name)
-            here = far.near(between.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
-            ratios = far.size / between.size, far.mean / between.mean, here / between.size
-            p = min(order_seen(*steps, x) for x in ratios)
-            p = scattered_order(p, expected[name], None if before is None else before.get(name))
-        errors[name], orders[name] = scaled(between, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
-
-    moves = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
-    seen = {n: orders[n] for n in moves}
-    follows = bool(seen) and resolved(seen, expected) and (len(coarser) > 1 or known is not None)
-    others = [made for made in coarser if follows and made.schedule.steps >= FEWEST]
-    return TimeError(errors, orders, others[-1] if others else given)
-
-
-def of_order(
-    expected: Mapping[str, int], given: Compared, coarser: Compared, share: float, least: float = 0.0
-) -> dict[str, Deviation]:
-    """Errors of a run as one with larger steps tells them, by a ``share`` of the expected orders, one at least if need be."""
-    ratio = given.schedule.steps / coarser.schedule.steps
-    factors = {n: 1.0 / (ratio ** max(share * p, least) - 1.0) for n, p in expected.items()}
-    return {n: scaled(_deviation(given.recorder, coarser.recorder, n), x) for n, x in factors.items()}
 
 
 def tolerance_error(
@@ -272,15 +158,6 @@ def run_like(problem: Problem, compared: Compared, scene: Scene, built: Built) -
     return companion(replace(problem, scene=scene, scheme=compared.scheme), compared.schedule, wanted, of=built)
 
 
-def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
-    """A series less one recorded with larger steps, at the instants that both have."""
-    x, y = fine.series[name], coarse.series[name]
-    t, rounding = fine.times, 1e-9 * fine.t_end
-    rows = np.searchsorted(coarse.times, t - rounding).clip(max=len(coarse.times) - 1)
-    common = np.abs(coarse.times[rows] - t) <= rounding
-    return Deviation(t[common], x[common] - y[rows[common]])
-
-
 def reduction_error(problem: Problem, compared: Compared) -> dict[str, Deviation]:
     """Error of each sensor by the modes that reduced bodies leave out; collective. Empty without reduced bodies.
 
@@ -322,12 +199,13 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
         run.state_error("time", tolerance_error(problem, made.recorder, made.schedule, CERTIFIED_AT))
         run.seconds["error estimate"] = clock.perf_counter() - ended
     elif output.estimate_error:
-        found = time_error(problem, made.recorder, made.schedule)
+        jumps = _jumps_within(run, made.schedule)
+        found = equal_steps_error(problem, made, jumps)
         tight = tighter_run(problem, made, found.errors)
         if tight is not None:
             run.state_error("algebra", algebra_error(made, tight[1]))
             problem, made = tight
-            found = time_error(problem, made.recorder, made.schedule)
+            found = equal_steps_error(problem, made, jumps)
         errors, run.damped = with_damped(found.errors, damped_vibrations(problem, made.schedule))
         run.state_error("time", errors)
         run.observed_order, made = found.orders, found.with_others
@@ -343,6 +221,27 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
         run.state_error("space", found_in_space)
         run.seconds["space estimate"] = clock.perf_counter() - ended
     warn_of_uncertain(run, run.series)
+
+
+def _jumps_within(run: Run, schedule: StepSchedule) -> tuple[float, ...]:
+    """Instants (s) within the equal steps of a run at which loads or drives jump, of which the user is told; none where they have
+    no value in the state that is held; collective.
+    """
+    try:
+        jumps = unnamed_jumps(run, schedule, run.series, first=True)
+    except UNFIT as error:
+        log.info("jumps of loads are not looked for: %s", error)
+        return ()
+    if jumps:
+        run.jumps = jumps
+        shown = ", ".join(f"{t:.6g}" for t in jumps[:SHOWN]) + (", .." if len(jumps) > SHOWN else "")
+        run.warnings.append(
+            f"loads or drives jump within steps, at t = {shown} s, which leaves an error of first order, stated with the others. "
+            "Name these instants in Scene(breakpoints=...), so that steps end there, or take a scheme that chooses its steps "
+            "(rtol)."
+        )
+        log.warning("%s", run.warnings[-1])
+    return jumps
 
 
 def with_damped(

@@ -28,10 +28,11 @@ from ...result import Run
 from ...schedule import StepSchedule, step_schedule
 from ..certificate import KINDS, Certificate
 from ..deviation import Deviation
-from ..estimates import FEWEST, usual_power
+from ..equal_steps import FEWEST
+from ..estimates import usual_power
+from ..jumps_in_time import with_break_points
 from ..orders import expected_orders, resolved
 from ..shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
-from .jumps_in_time import with_break_points
 from .shared_runs import Orders, doubt
 from .shared_spaces import SharedSpaces
 from .space_levels import UNENDED

@@ -25,19 +25,8 @@ from ...schedule import StepSchedule
 from ...single_run import Solved, Task, run_once
 from ..companion_runs import UNFIT, Compared, again, steps_beside
 from ..deviation import Deviation
-from ..estimates import (
-    FEWEST,
-    TimeError,
-    beyond,
-    compare_steps,
-    looked_at,
-    looser_run,
-    of_order,
-    of_tolerances,
-    run_like,
-    tolerance_error,
-    usual_power,
-)
+from ..equal_steps import FEWEST, TimeError, compare_steps, of_order
+from ..estimates import beyond, looked_at, looser_run, of_tolerances, run_like, tolerance_error, usual_power
 from ..orders import REGULAR, expected_orders, resolved
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps

@@ -32,7 +32,9 @@ from ..certificate import HIDDEN, Certificate, left_by_kinks, stated_of
 from ..companion_runs import UNFIT, Compared
 from ..damped import damped_vibrations
 from ..deviation import Deviation, scaled
-from ..estimates import FEWEST, TimeError, tolerance_error, warn_of_uncertain, with_damped
+from ..equal_steps import FEWEST, TimeError
+from ..estimates import tolerance_error, warn_of_uncertain, with_damped
+from ..jumps_in_time import unnamed_jumps
 from ..shares import (
     AIM,
     SAFE,
@@ -46,7 +48,6 @@ from ..shares import (
     share,
     worst,
 )
-from .jumps_in_time import unnamed_jumps
 from .next_attempt import AttemptPlan, Looked, beginning, ending_at, finer_steps, next_plan, space_first, space_limit
 from .shared_runs import Allowed, Orders, doubt, known_orders
 from .shared_spaces import SharedSpaces

@@ -7,19 +7,18 @@ halves of an interval with a jump one holds nearly all of the change, however of
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from ....rotations import Array
-from ....system.scene.scene import Scene
-from ....system.system import State, System
-from ...judges.energy_check import closed
-from ...result import Run
-from ...schedule import StepSchedule, far_side, near_side
-from ..certificate import about_kinks, struck_or_sampled
+from ...rotations import Array
+from ...system.scene.scene import Scene
+from ...system.system import State, System
+from ..judges.energy_check import closed
+from ..result import Run
+from ..schedule import StepSchedule, far_side, near_side
+from .certificate import about_kinks, struck_or_sampled
 
 MOST = 1000  # intervals of a run that are looked at
 HALVINGS = 60  # to roundoff of any time, from any interval
@@ -155,18 +154,18 @@ def _halved(held: HeldState, x: Intervals, scale: Array) -> dict[int, float]:
     return {int(k): float(t) for k, t in zip(x.at, x.high, strict=True)}
 
 
-def unnamed_jumps(run: Run, schedule: StepSchedule, tol: Mapping[str, Any], *, first: bool) -> tuple[float, ...]:
+def unnamed_jumps(run: Run, schedule: StepSchedule, sensors: Iterable[str], *, first: bool) -> tuple[float, ...]:
     """Jumps within the equal steps of a run, where they depend on time alone; collective.
 
-    They are looked for about the kinks of sensors with a tolerance, and all along the ``first`` run, unless there are fields, of
-    which it costs as much as steps: kinks of slow motion in large steps are not seen. What gets no energy knows no time.
+    They are looked for about the kinks of some sensors, and all along the ``first`` run, unless there are fields, of which it
+    costs as much as steps: kinks of slow motion in large steps are not seen. What gets no energy knows no time.
     """
     if not schedule.steps or closed(run.scene, run.system):
         return ()
     if first and not run.system.fields and not struck_or_sampled(run.scene):
         stretches = all_along(schedule)
     else:
-        stretches = [times for name in tol for times in about_kinks(run, name)]
+        stretches = [times for name in sensors for times in about_kinks(run, name)]
     return tuple(sorted({*jumps_in_time(HeldState(run.system, run.state), stretches)}))
 
 

@@ -1,0 +1,171 @@
+"""Errors of runs with equal steps, by runs with larger and with smaller ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...log import log
+from ..problem import Problem
+from ..recording.output import Output
+from ..recording.recorder import Recorder
+from ..schedule import StepSchedule, step_schedule
+from .certificate import moving
+from .companion_runs import UNFIT, Compared, StoppedError, again, companion
+from .deviation import Deviation, scaled
+from .jumps_in_time import with_break_points
+from .orders import expected_orders, irregular, order_seen, resolved, scattered_order, usable_order
+
+NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
+FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an order
+ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
+
+
+@dataclass(frozen=True)
+class TimeError:
+    """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion."""
+
+    errors: dict[str, Deviation]
+    orders: dict[str, float]
+    with_others: Compared
+
+
+def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> TimeError:
+    """Error of each sensor from runs with 2 h and 4 h, and the observed order, see :func:`compare_steps`; collective.
+
+    Where a run with larger steps does not end, or follows another motion in some sensor (:func:`.certificate.irregular`), one
+    with half the step tells the error. Motion that the scheme damps in all runs is not seen.
+    Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
+    """
+    given, coarser = Compared(fine, schedule, problem.scheme), []
+    orders = expected_orders(problem.scheme, problem.scene, problem.system)
+
+    found: TimeError | None = None
+    try:
+        for parts in (2, 4):
+            coarser.append(again(problem, schedule, schedule.steps // parts, fine.output.times))
+        found = compare_steps(orders, given, coarser)
+    except UNFIT as error:
+        if not isinstance(error, StoppedError):
+            found = _by_smaller_steps(problem, given, coarser, orders)
+        if found is None:
+            log.warning("no error estimate: the run with twice the step did not end: %s", error)
+            return TimeError({}, {}, given)
+
+    if _irregular(problem.scheme.order, orders, fine, found):
+        found = _by_smaller_steps(problem, given, coarser[:1], orders) or found
+    return found if found.with_others is given else replace(found, with_others=coarser[0])
+
+
+def _irregular(highest: int, expected: Mapping[str, int], made: Recorder, found: TimeError) -> bool:
+    """Whether the order of a sensor that moves is not that of the scheme in it, and its error matters."""
+    spans = moving(made.series, made.scene.sensors)
+    return any(
+        irregular((expected[n], highest), found.orders[n], found.errors[n].size / span) for n, span in spans.items()
+    )
+
+
+def _by_smaller_steps(
+    problem: Problem, given: Compared, coarser: list[Compared], expected: Mapping[str, int]
+) -> TimeError | None:
+    """Errors of the ``given`` run with the help of one with half its step, None where nothing can be compared; collective.
+
+    |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     p the order of the scheme in the sensor, at most 2            (1)
+
+    For motion of order one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4.
+    """
+    schedule = given.schedule
+    try:
+        finer = again(problem, schedule, 2 * schedule.steps, given.recorder.output.times, whole=False)
+    except UNFIT:
+        return compare_steps(expected, given, coarser) if coarser else None
+    orders = compare_steps(expected, finer, [given, *coarser]).orders
+    return TimeError(_left_by(given, finer.recorder, expected), orders, given)
+
+
+def _left_by(given: Compared, finer: Recorder, expected: Mapping[str, int]) -> dict[str, Deviation]:
+    """(1) of :func:`_by_smaller_steps`."""
+    factors = {name: 1.0 / (1.0 - 2.0 ** -min(p, 2)) for name, p in expected.items()}
+    return {name: scaled(_deviation(finer, given.recorder, name), factors[name]) for name in given.recorder.series}
+
+
+def jump_errors(problem: Problem, given: Compared, jumps: Sequence[float]) -> TimeError | None:
+    """Errors of the ``given`` run within whose equal steps loads jump, by one of half their size that end there, too: what such a
+    jump leaves is chance in both h and 2 h, and whole in this difference. None where it does not end; collective.
+    """
+    steps, t_end = 2 * given.schedule.steps, given.schedule.t_end
+    schedule = step_schedule(with_break_points(problem.scene, tuple(jumps)), problem.scheme, t_end, t_end / steps)
+    wanted = Output(energy=False, progress=False, times=tuple(given.recorder.times))
+    try:
+        finer = companion(problem, schedule, wanted).recorder
+    except UNFIT:
+        return None
+    expected = expected_orders(problem.scheme, problem.scene, problem.system)
+    return TimeError(_left_by(given, finer, expected), dict.fromkeys(finer.series, float("nan")), given)
+
+
+def compare_steps(
+    expected: Mapping[str, int],
+    given: Compared,
+    coarser: Sequence[Compared],
+    known: Mapping[str, float] | None = None,
+    *,
+    before: Mapping[str, float] | None = None,
+) -> TimeError:
+    """Error of each sensor by Richardson's extrapolation from one or two runs with larger steps, h < H < K:
+
+        |x_h - x| ~ |x_h - x_H| / ((H/h)^p - 1),     (K^p - H^p) / (H^p - h^p) = |x_H - x_K| / |x_h - x_H|     (1)
+
+    p the smallest one of those in the maximum over time, in the mean square, and about the largest |x_h - x_H|: a start that
+    shakes for some steps is not told by the slow motion after it. It counts as :func:`usable_order` says.
+
+    Where fast motion is not resolved (say, gravity switched on at once) the observed order is below the scheme's, and the
+    estimate larger. From one run alone p is the ``known`` one, sensor -> p, or the ``expected`` one. Orders of such motion
+    scatter: one that is not regular counts as its mean with a lower one that was seen ``before``, with larger steps.
+    """
+    fine, coarse = given.recorder, coarser[0].recorder
+    ratio = given.schedule.steps / coarser[0].schedule.steps
+    errors, orders = {}, {}
+    for name in fine.series:
+        between = _deviation(fine, coarse, name)
+        p = float("nan") if known is None else known.get(name, float("nan"))
+        if len(coarser) > 1 and between.size > 0:
+            steps = coarser[1].schedule.steps, coarser[0].schedule.steps, given.schedule.steps
+            far = _deviation(coarse, coarser[1].recorder, name)
+            here = far.near(between.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
+            ratios = far.size / between.size, far.mean / between.mean, here / between.size
+            p = min(order_seen(*steps, x) for x in ratios)
+            p = scattered_order(p, expected[name], None if before is None else before.get(name))
+        errors[name], orders[name] = scaled(between, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
+
+    moves = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
+    seen = {n: orders[n] for n in moves}
+    follows = bool(seen) and resolved(seen, expected) and (len(coarser) > 1 or known is not None)
+    others = [made for made in coarser if follows and made.schedule.steps >= FEWEST]
+    return TimeError(errors, orders, others[-1] if others else given)
+
+
+def of_order(
+    expected: Mapping[str, int], given: Compared, coarser: Compared, share: float, least: float = 0.0
+) -> dict[str, Deviation]:
+    """Errors of a run as one with larger steps tells them, by a ``share`` of the expected orders, one at least if need be."""
+    ratio = given.schedule.steps / coarser.schedule.steps
+    factors = {n: 1.0 / (ratio ** max(share * p, least) - 1.0) for n, p in expected.items()}
+    return {n: scaled(_deviation(given.recorder, coarser.recorder, n), x) for n, x in factors.items()}
+
+
+def equal_steps_error(problem: Problem, made: Compared, jumps: Sequence[float]) -> TimeError:
+    """The error of time of a run with equal steps, within which loads may jump; collective."""
+    found = jump_errors(problem, made, jumps) if jumps else None
+    return found or time_error(problem, made.recorder, made.schedule)
+
+
+def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
+    """A series less one recorded with larger steps, at the instants that both have."""
+    x, y = fine.series[name], coarse.series[name]
+    t, rounding = fine.times, 1e-9 * fine.t_end
+    rows = np.searchsorted(coarse.times, t - rounding).clip(max=len(coarse.times) - 1)
+    common = np.abs(coarse.times[rows] - t) <= rounding
+    return Deviation(t[common], x[common] - y[rows[common]])
