@@ -278,3 +278,32 @@ def test_a_run_in_parts_is_told_by_one_in_parts() -> None:
     assert run.counters["halved_steps"]
     true = np.abs(run["x"] - exact).max()
     assert 0.5 * true < run.error_estimate["x"] < 3.0 * true
+
+
+def test_two_tolerances_that_share_a_size_of_steps_tell_no_error() -> None:
+    """Steps of a fast top are of one size throughout, for tolerances over more than a decade: a twentieth was stated."""
+    spin = (1.0, 0.5, 60.0)
+    scene, velocity = fmbd.Scene("fast top", gravity=(0, 0, -9.81)), tuple(np.cross(spin, (0.05, 0.0, 0.3)))
+    top = fmbd.RigidBody("top", 1.0, (0.02, 0.02, 0.015), (0.05, 0.0, 0.3), angular_velocity=spin, velocity=velocity)
+    scene.add(top, fmbd.spherical("tip", top, fmbd.ground, center=(0, 0, 0)))
+    scene.sensor("c", fmbd.position(top))
+
+    times = tuple(np.linspace(0.0, 0.5, 51))
+    exact = fmbd.solve(scene, t_end=0.5, scheme=fmbd.Radau(5, rtol=1e-9), output=fmbd.Output(times=times))["c"]
+    output, scheme = fmbd.Output(times=times, estimate_error=True), fmbd.GeneralizedAlpha(rtol=1e-3)
+    run = fmbd.solve(scene, t_end=0.5, scheme=scheme, output=output)
+    assert 0.5 <= run.certificate["c"].time / np.abs(run["c"] - exact).max() <= 3.0
+
+    kept = fmbd.solve(scene, t_end=0.5, scheme=scheme, tol={"c": 1e-3}, output=fmbd.Output(times=times))
+    assert kept.history[-1].then == "done" and np.abs(kept["c"] - exact).max() < 1e-3
+
+
+def test_steps_that_take_samples_late_tell_no_error() -> None:
+    """Two steps of a run in each period, half a one of those of four times the size, which follow another motion."""
+    scene, arm = fmbd.Scene("sampled", gravity=(0.0, -9.81)), fmbd.RigidBody("arm", 1.0, 1 / 12, (0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+    scene.add(arm, pin, fmbd.pid("servo", fmbd.angle(pin), target=0.5, gains=(60.0, 20.0, 6.0), every=0.02))
+    scene.sensor("speed", fmbd.velocity(arm))
+    run = fmbd.solve(scene, t_end=0.4, dt=0.01, output=ESTIMATED)
+    fine = fmbd.solve(scene, t_end=0.4, dt=0.01 / 16)
+    assert 0.5 <= run.certificate["speed"].time / np.abs(run["speed"] - fine["speed"][::16]).max() <= 3.0

@@ -190,16 +190,20 @@ def warn_of_dense_break_points(schedule: StepSchedule) -> None:
         )  # fmt: skip
 
 
-def warn_of_late_samples(scene: Scene, schedule: StepSchedule) -> None:
-    """Equal steps that do not divide a sampling period: samples come at the end of the step in which they are due."""
+def sampled_late(scene: Scene, schedule: StepSchedule) -> list[str]:
+    """Controllers whose sampling period equal steps do not divide: samples come at the end of the step in which they are due."""
     if not schedule.steps or schedule.stops:  # which samples are among
-        return
+        return []
     h = schedule.next(0.0)
-    for force in scene.forces.values():
-        steps = 1.0 if force.period is None else force.period / h
-        if abs(steps - max(1, round(steps))) > 1e-6 * steps:
-            log.warning(
-                'controller "%s" samples every %g s, which is no multiple of the step of %g s: samples are taken late, at the '
-                "end of the step in which they are due. Let dt divide the period, and t_end too",
-                force.name, force.period, h,
-            )  # fmt: skip
+    ratios = {name: force.period / h for name, force in scene.forces.items() if force.period is not None}
+    return [name for name, steps in ratios.items() if abs(steps - max(1, round(steps))) > 1e-6 * steps]
+
+
+def warn_of_late_samples(scene: Scene, schedule: StepSchedule) -> None:
+    """The same, where a user sees it."""
+    for name in sampled_late(scene, schedule):
+        log.warning(
+            'controller "%s" samples every %g s, which is no multiple of the step of %g s: samples are taken late, at the '
+            "end of the step in which they are due. Let dt divide the period, and t_end too",
+            name, scene.forces[name].period, schedule.next(0.0),
+        )  # fmt: skip

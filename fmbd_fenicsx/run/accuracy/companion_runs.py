@@ -11,7 +11,7 @@ from ..built import Built
 from ..problem import Problem, make_solver
 from ..recording.output import Output
 from ..recording.recorder import Recorder
-from ..schedule import StepSchedule
+from ..schedule import StepSchedule, sampled_late
 from ..time_loop import March, march
 
 # of runs that only tell an error: with larger steps forces may have no value
@@ -36,8 +36,13 @@ def again(
 ) -> Compared:
     """The march once more with another number of steps, sensors recorded in every step or at the ``times``; ``whole``: it ends
     where one of them would be made in parts; collective.
+
+    Raises ConvergenceError where steps take samples of a controller late that those of the schedule take in time.
     """
     wanted, other = Output(energy=False, progress=False, times=times), schedule.with_steps(steps)
+    late = sampled_late(problem.scene, other)
+    if late and not sampled_late(problem.scene, schedule):
+        raise ConvergenceError(f'steps of {other.next(0.0):g} s take the samples of controller "{late[0]}" late')
     asked = replace(problem, most_parts=0.0) if whole else problem
     return Compared(companion(asked, other, wanted).recorder, other, problem.scheme)
 

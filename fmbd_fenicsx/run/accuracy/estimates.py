@@ -40,6 +40,8 @@ LOOKED_AT = 50  # instants at which runs of a search with steps of their own cho
 CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and reactions are narrow
 # share of its error that a run with a tenth of the tolerance is thought to have left, at least and at most
 TENTH, LEFT = 0.2, 0.6
+TELLING = 1.5  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
+DECADES = 3  # of tolerances that are tried for it
 SHOWN = 4  # jumps in a message
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
 
@@ -55,19 +57,26 @@ def tolerance_error(
 
     with n_r, n_s the steps that the runs took and p the order of the scheme in the sensor: multipliers, and all where memories
     go by the trapezoidal rule, have lower ones than the steps are chosen by. k counts as a fifth at least: errors like r^(2/3)
-    fall to 0.22 of their size.
+    fall to 0.22 of their size. Where steps come in a few sizes only, two tolerances may share one, and agree: s falls on then.
     """
-    given = Compared(coarse, schedule, problem.scheme)
-    rtol = max(0.1 * problem.scheme.rtol, FINEST)
-    try:
-        apart, finer = _from_tolerance(problem, given, rtol, instants)
-    except UNFIT as error:
-        log.warning("no error estimate: the run with a tenth of the tolerance did not end: %s", error)
-        return {}
-    steps = coarse.indices[-1] / max(finer.recorder.indices[-1], 1)
+    given, rtol = Compared(coarse, schedule, problem.scheme), problem.scheme.rtol
     orders = expected_orders(problem.scheme, problem.scene, problem.system)
-    left = {n: min(max(steps**p, TENTH), LEFT) for n, p in orders.items()}
+    for _ in range(DECADES):
+        rtol = max(0.1 * rtol, FINEST)
+        try:
+            apart, finer = _from_tolerance(problem, given, rtol, instants)
+        except UNFIT as error:
+            log.warning("no error estimate: the run with a tenth of the tolerance did not end: %s", error)
+            return {}
+        if grown(given, finer) ** problem.scheme.order >= TELLING or rtol == FINEST:
+            break
+    left = {n: min(max(grown(given, finer) ** -p, TENTH), LEFT) for n, p in orders.items()}
     return {n: scaled(x, 1.0 / (1.0 - left[n])) for n, x in apart.items()}
+
+
+def grown(given: Compared, finer: Compared) -> float:
+    """How many times as many steps a run took as another one."""
+    return float(finer.recorder.indices[-1] / max(given.recorder.indices[-1], 1))
 
 
 def looser_run(problem: Problem, given: Compared) -> tuple[dict[str, Deviation], Compared]:

@@ -26,7 +26,17 @@ from ...single_run import Solved, Task, run_once
 from ..companion_runs import UNFIT, Compared, again, steps_beside
 from ..deviation import Deviation
 from ..equal_steps import FEWEST, TimeError, compare_steps, of_order
-from ..estimates import beyond, looked_at, looser_run, of_tolerances, run_like, tolerance_error, usual_power
+from ..estimates import (
+    TELLING,
+    beyond,
+    grown,
+    looked_at,
+    looser_run,
+    of_tolerances,
+    run_like,
+    tolerance_error,
+    usual_power,
+)
 from ..orders import REGULAR, expected_orders, resolved
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
@@ -282,9 +292,10 @@ class SharedRuns:
             except UNFIT:
                 pass
 
-        if looser is not None:
+        order = problem.scheme.order
+        if looser is not None and grown(looser[1], given) ** order >= TELLING:
             apart, loose = looser
-            ratio, order = loose.scheme.rtol / problem.scheme.rtol, problem.scheme.order
+            ratio = loose.scheme.rtol / problem.scheme.rtol
             least, likely = (of_tolerances(apart, ratio, power) for power in (LEAST_POWER, usual_power(order)))
             if allowed.share(least) <= allowed.room or allowed.share(likely) > allowed.room:
                 return TimeError(likely, {}, loose)
