@@ -135,34 +135,33 @@ int whole_forces(System *s, Batch *k, double t)
     return DONE;
 }
 
-/* A matrix on the twists of both markers as one on those of their frames: W^T C W with W = [1, -lever x; 0, 1] of each side. */
-static void to_frames(const double (*lever)[D], double *C)
+/* A matrix on the twists of both markers of a force as one on those of their frames: W^T C W, W = [1, -lever x; 0, 1] of each side. */
+static void to_frames(const System *s, const Batch *k, long i, double *C)
 {
-    for (int side = 0; side < 2; side++)
+    for (int side = 0; side < 2; side++) {
+        double lever[D];
+        arm(s, k, 2 * i + side, lever);
         for (int r = 0; r < ROT; r++) {
             double axis[ROT] = {0.0}, swing[D];
             int to = TWIST * side + D + r;
             axis[r] = 1.0;
-            spin(axis, lever[side], swing);
+            spin(axis, lever, swing);
             for (int j = 0; j < PAIR; j++) C[PAIR * j + to] += dot(C + PAIR * j + TWIST * side, swing, D);
             for (int j = 0; j < D; j++) add(C + PAIR * to, swing[j], C + PAIR * (TWIST * side + j), PAIR);
         }
+    }
 }
 
-/* Half the sum of ck K + cd B and of its transpose, times ``sign``, on the twists of the frames of a force. The largest entry before. */
+/* Half the sum of ck K + cd B and of its transpose, times ``sign``, on the twists of the markers of a force; its largest entry. */
 static double half_sum(const System *s, const Batch *k, long i, double sign, double *C)
 {
     const double *K = k->K + (long)PAIR * PAIR * i, *B = k->B + (long)PAIR * PAIR * i;
-    double lever[2][D];
     for (int r = 0; r < PAIR; r++)
         for (int c = 0; c < PAIR; c++) {
             int one = PAIR * r + c, other = PAIR * c + r;
             C[one] = 0.5 * (s->ck * (K[one] + sign * K[other]) + s->cd * (B[one] + sign * B[other]));
         }
-    const double most = largest(C, PAIR * PAIR);
-    for (int side = 0; side < 2; side++) arm(s, k, 2 * i + side, lever[side]);
-    to_frames((const double (*)[D])lever, C);
-    return most;
+    return largest(C, PAIR * PAIR);
 }
 
 /* The symmetric part of ck K + cd B into the fronts; Python gives new slopes where the old ones misled, or Newton is slow with them. */
@@ -176,6 +175,7 @@ int whole_tangents(System *s, Batch *k, double t)
     for (long i = 0; i < k->n; i++) {
         double C[PAIR * PAIR];
         half_sum(s, k, i, 1.0, C);
+        to_frames(s, k, i, C);
         mapped_square(s, k, i, C);
     }
     return DONE;
@@ -189,6 +189,7 @@ void whole_links(System *s, const Batch *k)
         double C[PAIR * PAIR], both[PAIR * PAIR];
         const int *at = k->at + PAIR * i;
         if (half_sum(s, k, i, -1.0, C) <= SKEW * half_sum(s, k, i, 1.0, both)) continue;
+        to_frames(s, k, i, C);
         for (int r = 0; r < PAIR; r++) {
             double *push = s->push + (long)wide * s->links, *pull = s->pull + (long)wide * s->links;
             if (at[r] == wide - 1 || largest(C + PAIR * r, PAIR) == 0.0) continue;
