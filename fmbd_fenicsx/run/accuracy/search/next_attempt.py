@@ -155,59 +155,89 @@ def next_plan(
     history: Sequence[Attempt],
 ) -> tuple[AttemptPlan | None, str]:
     """The next plan and what it changes, or None and why there is none; collective where meshes are refined."""
-    if run.space_unstated.startswith(UNENDED):  # finer spaces may need smaller steps
-        tried = [
-            a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes) and a.errors and np.isinf(a.worst)
-        ]
-        return (None, run.space_unstated) if tried else (finer_steps(plan, NEAR), "finer steps")
-
+    if run.space_unstated.startswith(UNENDED):
+        return _with_steps_that_end(plan, run, history)
     over = {kind: max(share(certificate, n, x, kind) for n, x in tol.items()) for kind in KINDS}
-    made, done = plan, []
+
+    # the iteration first, which is part of every run
+    done = []
     if over["algebra"] > AIM:
-        smaller = shared.newton.tolerance * TIGHTER / over["algebra"]
-        if shared.newton_is_given:
-            return None, f"Newton's tolerance is too large: give newton=fmbd.Newton(tolerance={smaller:.0e})"
-        if smaller < LEAST_NEWTON:
-            return None, "Newton's iteration leaves more than that, by the roundoff of its increments"
-        shared.iterate_to(smaller)
+        if why := _iterate_further(shared, over["algebra"]):
+            return None, why
         over["algebra"], done = TIGHTER, ["a smaller tolerance of Newton's iteration"]
+
+    # spaces
     limits = _limits(over)
-    before = np.inf if plan.before is None else plan.before[1]
-    if over["space"] > limits["space"] and over["space"] > max(before / FALLS, 1.0):
-        return None, (
-            f"errors in space do not fall with the cells: {before:.2g} times the tolerance, {over['space']:.2g} times "
-            "after the meshes were refined. The sensor sees a singular corner, or jumps: take one that is a mean over a "
-            "surface or over time"
-        )
+    if why := _do_not_fall(plan, over["space"], limits["space"]):
+        return None, why
     try:
-        if over["space"] > limits["space"]:
-            made = _finer_meshes(made, over["space"], limits["space"], shared)
-            done.append("finer meshes")
-        if over["modes"] > limits["modes"]:
-            scene, *below = (shared.with_more_modes(x, run.system) for x in (made.scene, *made.below))
-            made = replace(made, scene=scene, modes=made.modes + 1, below=tuple(below))
-            done.append("more modes")
+        made, changes = _finer_spaces(plan, run, (over, limits), shared)
     except InputError as error:
         known = certificate.unstated.get("space")
         return None, f"{error}" + (f" Of its error in space: {known}." if known else "")
 
-    made = replace(made, known=_still_known(plan, made, run, over, limits))
-
-    # where the next error in space is open, steps change in the same attempt only if they have to
+    # steps; where the next error in space is open, they change in the same attempt only if they have to
+    done += changes
     unseen = not np.isfinite(over["time"])
     allowed = wanted = limits["time"]
     if made.meshes != plan.meshes and not _foreseen(plan):
         allowed, wanted = max(HALF, wanted), max(LATER, wanted)
-    if made.steps:
-        made = _whole_run(made)
     if done and not (unseen or over["time"] > allowed):
         return made, " and ".join(done)
+
     factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
     finer = finer_steps(plan, factor)
     made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
     if not made.steps and made.scheme.rtol <= FINEST:
         return None, "the scheme's tolerance is at roundoff"
     return made, " and ".join([*done, "finer steps"])
+
+
+def _with_steps_that_end(plan: AttemptPlan, run: Run, history: Sequence[Attempt]) -> tuple[AttemptPlan | None, str]:
+    """The plan for finer spaces in which the last steps did not end: smaller ones, once."""
+    tried = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes) and a.errors and np.isinf(a.worst)]
+    return (None, run.space_unstated) if tried else (finer_steps(plan, NEAR), "finer steps")
+
+
+def _iterate_further(shared: SharedSpaces, over: float) -> str:
+    """Let Newton's iteration leave less, where its errors are so many times the tolerance; why that cannot be, or nothing."""
+    smaller = shared.newton.tolerance * TIGHTER / over
+    if shared.newton_is_given:
+        return f"Newton's tolerance is too large: give newton=fmbd.Newton(tolerance={smaller:.0e})"
+    if smaller < LEAST_NEWTON:
+        return "Newton's iteration leaves more than that, by the roundoff of its increments"
+    shared.iterate_to(smaller)
+    return ""
+
+
+def _do_not_fall(plan: AttemptPlan, over: float, limit: float) -> str:
+    """That finer meshes have not helped, where they have not; ``over``: errors in space over the tolerance."""
+    before = np.inf if plan.before is None else plan.before[1]
+    if over <= limit or over <= max(before / FALLS, 1.0):
+        return ""
+    return (
+        f"errors in space do not fall with the cells: {before:.2g} times the tolerance, {over:.2g} times after the meshes were "
+        "refined. The sensor sees a singular corner, or jumps: take one that is a mean over a surface or over time"
+    )
+
+
+def _finer_spaces(
+    plan: AttemptPlan, run: Run, errors: tuple[dict[str, float], dict[str, float]], shared: SharedSpaces
+) -> tuple[AttemptPlan, list[str]]:
+    """The plan with finer meshes and more modes where ``errors`` over the tolerance are above their limits, what it changes, and
+    what is known of its errors; collective. Raises InputError where meshes cannot be refined.
+    """
+    (over, limits), made, done = errors, plan, []
+    if over["space"] > limits["space"]:
+        made = _finer_meshes(made, over["space"], limits["space"], shared)
+        done.append("finer meshes")
+    if over["modes"] > limits["modes"]:
+        scene, *below = (shared.with_more_modes(x, run.system) for x in (made.scene, *made.below))
+        made = replace(made, scene=scene, modes=made.modes + 1, below=tuple(below))
+        done.append("more modes")
+
+    made = replace(made, known=_still_known(plan, made, run, over, limits))
+    return (_whole_run(made) if made.steps else made), done
 
 
 def ending_at(plan: AttemptPlan, jumps: tuple[float, ...], shared: SharedSpaces) -> AttemptPlan:
