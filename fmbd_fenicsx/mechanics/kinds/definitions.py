@@ -12,6 +12,7 @@ of a unit load, linear in the twists.
 ``distance``        (d . d / L - L) / 2
 ``separation``      |d|
 ``angle``           rotation of B against A about e, counted over revolutions
+``tied``            n . (x_b - x_a) + c; ``tied_along``: n fixed in B
 ``dead``            f . x_B, the load f fixed in space; ``couple``: its torque, ``follower`` and ``follower_couple``: fixed in B
 ``wheel_height``    e . d - r |m| - c: a wheel of radius r about the axis f of B, tread c, over the plane of A with normal e
 ``wheel_slip``      velocity along the direction t of A of the wheel's lowest point against the plane
@@ -81,6 +82,16 @@ def angle(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     return nearest_turn(atan2(ga @ fb - fa @ gb, fa @ fb + ga @ gb), near)
 
 
+def tied(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
+    """Distance of the frames along a direction fixed in space, beside a constant one."""
+    return c.vector("e") @ (b.x - a.x) + c.scalar("shift")
+
+
+def tied_along(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
+    """The same along a direction fixed in B."""
+    return b.axis(c.vector("e")) @ (b.x - a.x) + c.scalar("shift")
+
+
 def dead(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
     """Minus the potential of a force fixed in space at the point q of B."""
     return c.vector("load") @ b.point(c.vector("q"))
@@ -138,7 +149,7 @@ def skate(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
 
 
 COORDINATES: dict[str, Definition] = {
-    f.__name__: f for f in (coincident, along, perpendicular, turned, distance, separation, angle, dead)
+    f.__name__: f for f in (coincident, along, perpendicular, turned, distance, separation, angle, tied, tied_along, dead)
 }
 FLOWS: dict[str, Definition] = {f.__name__: f for f in (couple, follower, follower_couple, ball_slip, skate)}
 IN_SPACE: tuple[tuple[Definition, bool], ...] = ((wheel_height, False), (wheel_slip, True))  # and whether it is a flow

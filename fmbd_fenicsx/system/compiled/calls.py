@@ -19,6 +19,7 @@ from .tables.item_batches import turned, turning
 from .tables.items import GIVEN, Items
 from .tables.structures import PYTHON, address_of, enumeration
 from .tables.tables import MOTIONS, Tables
+from .tables.tied import motions_of_ties
 
 ASKED = enumeration("SAMPLE")  # what C asks for
 OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer
@@ -37,9 +38,9 @@ class Calls:
         self.sampled, self.trusted = np.nan, False  # s, the time of what depends on time only; whether it is so still
         self.moving = _motions(self.system)
         # motions with places (3,) for their s, s' and s'': of rows and of drives
-        self.of_rows = [np.zeros((len(rows), 3)) for rows, _ in self.moving]
+        self.of_rows = [np.zeros((len(motions), 3)) for _, motions, _ in self.moving]
         self.prescribed: list[tuple[Any, Any]] = []
-        for values, (_, motions) in zip(self.of_rows, self.moving, strict=True):
+        for values, (_, motions, _) in zip(self.of_rows, self.moving, strict=True):
             self.prescribed += zip(motions, values, strict=True)
         for items in (x for x in tables.sources if x.drive):
             place = items.kind.place("drive").start
@@ -156,9 +157,9 @@ class Calls:
                 value[1:] = motion.rates(t)
 
         arrays = self.tables.arrays
-        for (rows, _), values in zip(self.moving, self.of_rows, strict=True):
+        for (rows, _, factor), values in zip(self.moving, self.of_rows, strict=True):
             for name, given in zip(MOTIONS, values.T, strict=True):
-                arrays[name][rows] = given
+                arrays[name][rows] = factor * given
 
     def _ask_laws_of_time(self, t: float) -> None:
         """Loads, given efforts, targets and gravity at a time, into the tables."""
@@ -233,12 +234,12 @@ def _moving(target: Any) -> Callable[[float], tuple[float, float]]:
     return lambda t: target(t)[:2]
 
 
-def _motions(system: Any) -> list[tuple[np.ndarray, list[Any]]]:
-    """Rows with a prescribed motion on their right-hand side, and these motions."""
+def _motions(system: Any) -> list[tuple[np.ndarray, list[Any], Any]]:
+    """Rows with a prescribed motion on their right-hand side, these motions (one each, or one for all), and factors of these."""
     from ...mechanics.joints.constraints import InTime
 
-    out = []
+    out: list[tuple[np.ndarray, list[Any], Any]] = []
     for batch, rows in system.batches:
         if batch.driven and not isinstance(batch, InTime):
-            out.append((rows[[i for i, _ in batch.driven]], [motion for _, motion in batch.driven]))
-    return out
+            out.append((rows[[i for i, _ in batch.driven]], [motion for _, motion in batch.driven], 1.0))
+    return out + motions_of_ties(system)

@@ -144,8 +144,8 @@ def _mapped_places(tables: Tables, one: Any, batch: tuple[Items, np.ndarray]) ->
     counts = np.array([len(x) for x in rates])
     starts = [np.concatenate(([0], np.cumsum(x))).astype(np.int64) for x in (counts, counts * (counts + 1) // 2)]
     one.row_start, one.square_start = (store.array(x, np.int64)[1] for x in starts)
-    squares = []
-    for x in rates:
+    squares = [np.zeros(0, int)]
+    for x in rates if len(pattern) or items.role != ROW else ():
         c, r = np.tril_indices(len(x))
         squares.append(fronts.place(x[c], x[r]))
     one.square_to = store.integers(np.concatenate(squares))

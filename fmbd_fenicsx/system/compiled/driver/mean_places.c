@@ -104,7 +104,7 @@ static void place_mean(System *s, const Step *o)
         const int width = TWIST + body->modes;
         double *velocity = s->velocity + s->nu + TWIST * i;
         for (int j = 0; j < TWIST * width; j++) k->map[j] = 0.5 * (*map[0]++ + *map[1]++);
-        if (rests(body) && !k->section) mean_surface(k, s->frames + FRAME * (s->bodies + 1 + i) + TURN, body->modes);
+        if (rests(body) && k->sort == MEAN) mean_surface(k, s->frames + FRAME * (s->bodies + 1 + i) + TURN, body->modes);
         for (int j = 0; j < TWIST; j++) velocity[j] = dot(k->map + j * width, s->velocity + body->at_u, width);
         memcpy(s->frames + FRAME * (s->bodies + 1 + i) + SPEED, velocity, TWIST * sizeof(double));
     }

@@ -1,4 +1,9 @@
-/* Surfaces of reduced and floating bodies: their frames, and their twists by the rates of the body, as mechanics/frames.py. */
+/* Surfaces of reduced and floating bodies: their frames, and their twists by the rates of the body, as mechanics/frames.py; and what ties see
+   of bodies, as mechanics/joints/surface_ties.py: the integral of the places of a surface with one multiplier, x = m r + R (s + p), as
+   if it were a point of the body's frame. */
+
+/* Ports that a surface has. */
+static int ports_of(const Surface *k) { return k->sort == INTEGRAL ? D : PORT; }
 
 /* The rates of the ports of a surface at the modes eta: ports - N (G eta), see mechanics/reduction/foreshortening.py. */
 static void bend(Surface *k, const double *eta, int m)
@@ -26,7 +31,7 @@ static void surface_row(const System *s, Surface *k, int i)
     else w[i - D] = 1.0;
     moment(k->arm, l, turning);
     int moving = !rests(body);
-    for (int j = 0; moving && j < D; j++) row[j] = l[j];
+    for (int j = 0; moving && j < D; j++) row[j] = k->measure * l[j];
     for (int j = 0; moving && j < ROT; j++) row[D + j] = turning[j] + w[j];
 
     /* in body axes: the mean's rate, and the rotation of the surface by its ports' rates */
@@ -37,13 +42,14 @@ static void surface_row(const System *s, Surface *k, int i)
     for (int j = 0; j < ROT; j++) t[j] += across[j];
     for (int j = 0; j < ROT; j++) z[j] = dot(k->Z + ROT * j, t, ROT);
     const double *ports = k->bends ? k->now : k->ports;
-    for (int j = 0; j < D; j++) add(row + TWIST, local[j], ports + m * j, m);
+    for (int j = 0; i < D && j < D; j++) add(row + TWIST, local[j], ports + m * j, m);
+    if (k->sort == INTEGRAL) return;
     for (int r = 0; r < k->bends; r++) {
         k->bend_map[k->bends * i + r] = 0.0;
         for (int j = 0; j < D; j++) k->bend_map[k->bends * i + r] += local[j] * k->N[k->bends * j + r];
     }
-    if (k->section) add(row + TWIST, t[0], ports + m * D, m);
-    for (int c = 0; !k->section && c < D; c++) {
+    if (k->sort == SECTION) add(row + TWIST, t[0], ports + m * D, m);
+    for (int c = 0; k->sort == MEAN && c < D; c++) {
         spin(z, k->turn + D * c, slope);
         for (int j = 0; j < D; j++) {
             add(row + TWIST, slope[j], ports + m * (D * (1 + c) + j), m);
@@ -70,21 +76,21 @@ int place_surface(System *s, int number, const double *q)
     int m = body->modes;
 
     if (k->bends) bend(k, eta, m);
-    for (int j = 0; j < PORT; j++) {
+    for (int j = 0; j < ports_of(k); j++) {
         b[j] = k->reference[j] + dot(k->ports + m * j, eta, m);
         if (k->bends) b[j] = 0.5 * (b[j] + k->reference[j] + dot(k->now + m * j, eta, m)); /* the mean of both rates */
     }
-    if (k->section) turned_by(b[D], k->turn);
-    else if (polar(b + D, k->turn, k->Z)) return LOOK;
+    if (k->sort == SECTION) turned_by(b[D], k->turn);
+    else if (k->sort == MEAN && polar(b + D, k->turn, k->Z)) return LOOK; /* integrals keep turn = 1 */
     for (int j = 0; j < D; j++)
         for (int c = 0; c < D; c++) Rs[D * c + j] = k->turn[D * j + c];
     times(Rs, k->p, k->lever);
     for (int j = 0; j < D; j++) centre[j] = b[j] + k->lever[j];
     product(R, Rs, x + TURN);
     times(R, centre, k->arm);
-    for (int j = 0; j < D; j++) x[j] = frame[j] + k->arm[j];
+    for (int j = 0; j < D; j++) x[j] = k->measure * frame[j] + k->arm[j];
 #if DIM == 2
-    x[FRAME - 1] = frame[FRAME - 1] + (k->section ? b[D] : atan2(Rs[2], Rs[0]));
+    x[FRAME - 1] = frame[FRAME - 1] + (k->sort == SECTION ? b[D] : atan2(Rs[2], Rs[0]));
 #endif
 
     double *velocity = s->velocity + s->nu + TWIST * number;
@@ -101,8 +107,8 @@ static void port_rates(const Surface *k, const Body *body, const double *rates, 
 {
     const Field *e = body->field;
     int m = body->modes;
-    for (int j = 0; j < PORT; j++) first[j] = dot((k->bends ? k->now : k->ports) + m * j, rates, m);
-    for (int j = 0; j < PORT; j++) second[j] = e && e->bends ? dot(k->ports + m * j, e->bias, m) : 0.0;
+    for (int j = 0; j < ports_of(k); j++) first[j] = dot((k->bends ? k->now : k->ports) + m * j, rates, m);
+    for (int j = 0; j < ports_of(k); j++) second[j] = e && e->bends ? dot(k->ports + m * j, e->bias, m) : 0.0;
     for (int r = 0; r < k->bends; r++) {
         double shortened = 0.0;
         for (int i = 0; i < m; i++) shortened += rates[i] * dot(k->G + (r * m + i) * m, rates, m);
@@ -114,9 +120,10 @@ static void port_rates(const Surface *k, const Body *body, const double *rates, 
 static void own_turn(const Surface *k, const double *first, const double *second, double *w, double *rate)
 {
     double sum[ROT] = {0.0}, one[ROT], turned[D], Sd[D * D] = {0.0}, trace = 0.0;
-    if (k->section) {
-        w[0] = first[D];
-        rate[0] = second[D];
+    if (k->sort != MEAN) { /* the angle of a section; integrals turn with the frame */
+        memset(w, 0, ROT * sizeof(double));
+        memset(rate, 0, ROT * sizeof(double));
+        if (k->sort == SECTION) w[0] = first[D], rate[0] = second[D];
         return;
     }
     for (int c = 0; c < D; c++) {

@@ -68,9 +68,14 @@ typedef struct {
     double *sight, *push, *K, *B;      /* markers: x, R, twist; n x 2 wrenches; slopes of each force, see whole.c */
 } Batch;
 
-/* A surface of a reduced body, symbols as in mechanics/frames.py. */
+/* What moves with a body, as its coordinates say: a surface by its mean; the section of a line, whose ports are x, y and an angle; the
+   places of a surface times a multiplier, integrated. */
+enum { MEAN, SECTION, INTEGRAL };
+
+/* A surface of a reduced or elastic body, symbols as in mechanics/frames.py. */
 typedef struct {
-    int body, section;                 /* section: of a line, whose ports are x, y and an angle */
+    int body, sort;                    /* MEAN .. */
+    double measure;                    /* INTEGRAL: of its multiplier, m; 1 for others */
     double *reference, *ports, *now;   /* PORT, PORT x modes: of the surface; now: rates of ports of second order, a row */
     int bends;
     double *N, *G;                     /* PORT x bends, bends x modes x modes, each by columns */

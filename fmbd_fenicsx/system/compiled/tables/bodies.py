@@ -14,11 +14,15 @@ from ....rotations import Array
 from ...system import System
 from ..places import rigid_places
 from .fields import known_field
-from .structures import structure
+from .structures import enumeration, structure
+from .tied import Integral, covers_ties
 from .told import can_be_told, is_told
 
 if TYPE_CHECKING:
     from .tables import Tables
+
+
+SORTS = enumeration("MEAN")  # of surfaces
 
 
 def rigid_bodies(tables: Tables) -> dict[int, Any]:
@@ -93,16 +97,19 @@ def surface(tables: Tables, marker: int) -> Any:
     system, store, d = tables.system, tables.store, tables.dim
     markers = system.markers
     body = int(markers.frame[marker])
+    seen = tables.tied.sees.get(marker)
+    if seen is not None:
+        return _integral(tables, marker, seen)
+
     k, part = tables.parts[body]
     number = np.searchsorted(markers.surface, marker)
     ports = markers.port[number] - system.port_slice(k).start
-    section = int(markers.section is not None and markers.section[number])
+    section = markers.section is not None and markers.section[number]
     one = structure("Surface", d)(
-        body=body, section=section, p=(ctypes.c_double * d)(*markers.position[marker]),
+        body=body, sort=SORTS["SECTION" if section else "MEAN"], measure=1.0, p=(ctypes.c_double * d)(*markers.position[marker]),
         reference=store.address(part.reference[ports]), ports=store.address(tables.port_matrix(body)[ports]),
     )  # fmt: skip
-    surface_map, one.map = store.array(np.zeros((tables.twist, tables.width[body])))
-    tables.maps.append(surface_map)
+    _add_map(tables, one, body)
 
     if part.shortening is not None and part.shortening.G is not None:
         N = part.shortening.N[ports]
@@ -114,11 +121,35 @@ def surface(tables: Tables, marker: int) -> Any:
     return one
 
 
+def _integral(tables: Tables, marker: int, seen: Integral) -> Any:
+    """The structure Surface of what a tie sees of a body by one function."""
+    system, store, d = tables.system, tables.store, tables.dim
+    body = int(system.markers.frame[marker])
+    ports: Array = np.zeros((d, 0))
+    if body in tables.parts:
+        number = np.searchsorted(system.markers.surface, marker)
+        first = system.port_slice(tables.parts[body][0]).start
+        ports = tables.port_matrix(body)[system.markers.port[number, :d] - first]
+
+    one = structure("Surface", d)(
+        body=body, sort=SORTS["INTEGRAL"], measure=seen.measure, turn=(ctypes.c_double * d**2)(*np.eye(d).ravel()),
+        reference=store.address(seen.reference), ports=store.address(ports),
+    )  # fmt: skip
+    _add_map(tables, one, body)
+    return one
+
+
+def _add_map(tables: Tables, one: Any, body: int) -> None:
+    """Room for the map of a surface from the rates of its body."""
+    surface_map, one.map = tables.store.array(np.zeros((tables.twist, tables.width[body])))
+    tables.maps.append(surface_map)
+
+
 def covers_bodies(system: System) -> bool:
     """Whether all bodies are known to the driver, with all that loads them."""
     known = all(_known_part(p) for p in system.parts)
     rods = all(isinstance(e, RodElements) for e in system.elements)
-    return known and rods and not system.port_constraints and not system.traces and system.n_frames > 0
+    return known and rods and not system.port_constraints and covers_ties(system) and system.n_frames > 0
 
 
 def _known_part(part: Any) -> bool:

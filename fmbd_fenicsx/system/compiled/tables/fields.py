@@ -296,7 +296,7 @@ def known_field(part: Any) -> bool:
     if type(part) not in (FloatingField, RestingField):
         return False
     small = part.comm.size == 1 and part.n <= FIELD_LIMIT
-    return small and not (part.field.mixed or part.traces)
+    return small and not part.field.mixed
 
 
 def linear_field(part: Any) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 
 from ....mechanics.bodies.absolute import AbsoluteField
 from ....mechanics.bodies.field_part import FieldPart
+from ....mechanics.joints.surface_ties import TiedSide, TraceRows
 from ....mechanics.placements import FrameMotion
 from ....rotations import Array
 from ...system import State, System
@@ -31,6 +32,7 @@ class RestingField(FieldPart):
         super().__init__(part.field, frame, [], part.conditions)
         field = part.field
         self.part, self.surfaces, self.n_port = part, part.surfaces, part.n_port
+        self.traces = part.traces
         self.reference = part.reference.copy()
         per = field.dim * (1 + field.dim)
         for k in range(len(self.surfaces)):
@@ -129,7 +131,9 @@ class RestingTwin(Twin):
         self._twists: Array = np.zeros(len(still) * m.n_twist)
         names = (*system.frame_names, *(part.name for _, part in still))
         markers = replace(system.markers, frame=_frames(system, [k for k, _ in still]))
-        super().__init__(replace(system, frame_names=names, parts=tuple(parts), markers=markers, cache={}))
+        ties = tuple((_tie(tie, parts, (n, len(names))), rows) for tie, rows in system.traces)
+        made = replace(system, frame_names=names, parts=tuple(parts), markers=markers, traces=ties, cache={})
+        super().__init__(made)
         self.original = system
 
     def configurations(self, q: Array) -> Array:
@@ -199,3 +203,16 @@ def _frames(system: System, still: list[int]) -> np.ndarray:
         on = (markers.port[:, 0] >= ports.start) & (markers.port[:, 0] < ports.stop)
         frame[markers.surface[on]] = n + i
     return frame
+
+
+def _tie(tie: TraceRows, parts: list[Any], ground: tuple[int, int]) -> TraceRows:
+    """A tie on the frames of the twin; ``ground``: the number of its frame before, and now."""
+
+    def moved(side: TiedSide) -> TiedSide:
+        part = None if side.part is None else parts[side.part]
+        if isinstance(part, RestingField):  # places count from the centre of its frame
+            return replace(side, frame=part.frame, s=side.s - side.m[:, None] * part.origin)
+        return replace(side, frame=ground[1]) if side.frame == ground[0] else side
+
+    a, b = tie.sides
+    return replace(tie, sides=(moved(a), moved(b)))

@@ -126,7 +126,8 @@ def _by_dimension(dim: int) -> dict[str, Fields]:
 
     return {
         "Surface": [
-            *_fields("body section", _INT),
+            *_fields("body sort", _INT),
+            ("measure", _REAL),
             *_fields("reference ports now", _POINTER),
             ("bends", _INT),
             *_fields("N G", _POINTER),

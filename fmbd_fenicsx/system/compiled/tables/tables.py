@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -28,6 +29,7 @@ from .mounts import mount_batch
 from .resting import twin_of
 from .rods import RodTable, rod_pairs
 from .structures import SECANTS, Store, array_of, structure
+from .tied import TiedPoints
 from .told import ToldPart, is_told
 from .whole import WholeLoads
 
@@ -61,7 +63,9 @@ class Tables:
         nothing acts on, for :meth:`coordinate`.
         """
         self.twin = twin_of(system)
-        self.system = system = self.twin.system  # with a frame for each absolute body
+        self.tied = TiedPoints(self.twin.system)
+        # with a frame for each absolute body, and with what ties see of bodies among the markers
+        self.system = system = replace(self.twin.system, markers=self.tied.markers)
         self.store = Store()
         self.dim = system.motions.dim
         self.nb = system.n_frames
@@ -75,7 +79,8 @@ class Tables:
         self.floating = {field.part.frame: field for field in self.fields}
         self.looks = Looks(system)
         self.listeners = listeners(self)
-        self.items = items_of(system, self.looks, [x for one in self.listeners for x in one.items], coordinates)
+        control = [x for one in self.listeners for x in one.items]
+        self.items = self.tied.items + items_of(system, self.looks, control, coordinates)
         self.loads = other_loads(system)
         self.mounts = [f for f in system.forces if f.mounts() is not None]
         self.maps: list[Array] = []  # of surfaces: twist from the rates of the body
@@ -135,7 +140,8 @@ class Tables:
 
     def port_matrix(self, body: int) -> Array:
         """Rates of the ports of a body from those of its modes, (ports, modes)."""
-        matrix: Array = (self.floating[body] if body in self.floating else self.parts[body][1]).port_matrix
+        part: Any = self.floating.get(body) or self.parts[body][1]
+        matrix: Array = part.port_matrix
         return matrix
 
     def twist_places(self, frame: np.ndarray) -> np.ndarray:

@@ -1,0 +1,121 @@
+"""Ties of surfaces by field multipliers as items of kinds, see :mod:`~....mechanics.joints.surface_ties`.
+
+What a tie sees of a side by one function of its multipliers, y = m r + R (s + p), is a point of the side's frame for the driver
+(a Surface of the sort INTEGRAL in ``driver/tables.h``), on rigid bodies one without ports; that of the ground, s, is a constant of
+the items. Rows are those of points: y_b - y_a along the axes of space, of a sliding tie along a normal that is fixed in b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....mechanics.frames import Markers
+from ....mechanics.joints.constraints import standstill
+from ....mechanics.joints.surface_ties import TiedSide, TraceRows
+from ....mechanics.kinds.derivation import kinds
+from ....rotations import Array
+from .items import ROW, Items
+from .resting import RestingField
+
+if TYPE_CHECKING:
+    from ...system import System
+
+MOST = 400  # rows of ties
+
+
+@dataclass(frozen=True)
+class Integral:
+    """What a function of a tie sees of a body: its measure m and s (d,) of equation (2) of the ties."""
+
+    measure: float
+    reference: Array
+
+
+class TiedPoints:
+    """The ties of a system where all parts have frames (:mod:`.resting`): its ``markers`` with the points behind the others, what
+    each of these ``sees`` by its number, and the ``items``.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.sees: dict[int, Integral] = {}
+        self._frames: list[int] = []
+        self._ports: list[np.ndarray] = []
+        self.items = [self._rows(tie, np.arange(rows.start, rows.stop)) for tie, rows in system.traces]
+        self.markers = self._with_points(system.markers) if self.items else system.markers
+
+    def _rows(self, tie: TraceRows, rows: np.ndarray) -> Items:
+        """The rows of a tie."""
+        n, d = tie.data.shape
+        (first, left_out), (second, there) = (self._side(side) for side in tie.sides)
+        pair, shift = np.stack((first, second), axis=1), there - left_out
+
+        if tie.normal is None:
+            kind, pair = kinds(d)["tied"], np.repeat(pair, d, axis=0)
+            constants = {"e": np.tile(np.eye(d), (n, 1)), "shift": shift.ravel()}
+        else:
+            kind, constants = kinds(d)["tied_along"], {"e": np.tile(tie.normal, (n, 1)), "shift": shift @ tie.normal}
+        made = Items(kind, ROW, pair, constants, rows)
+        made.factor = np.ones(len(rows))
+        return made
+
+    def _side(self, side: TiedSide) -> tuple[np.ndarray, Array]:
+        """Markers of the functions of one side, (n,), and what these leave out of y, (n, d)."""
+        n, d = side.s.shape
+        first = len(self.system.markers.frame) + len(self._frames)
+        if side.frame == self.system.n_frames:  # the ground
+            self._frames.append(side.frame)
+            return np.full(n, first), side.s
+
+        ports = np.full((n, d), -1)
+        if side.part is not None:
+            start = self.system.port_slice(side.part).start + side.ports.start
+            ports = start + np.arange(n * d).reshape(n, d)
+
+        self._frames += [side.frame] * n
+        self._ports += list(ports)
+        self.sees |= {first + j: Integral(float(side.m[j]), side.s[j]) for j in range(n)}
+        return first + np.arange(n), np.zeros((n, d))
+
+    def _with_points(self, markers: Markers) -> Markers:
+        """The markers of the system, and the points."""
+        count, d = len(self._frames), markers.motions.dim
+        # a point has fewer ports than a surface: its last one stands for those that it lacks
+        ports = np.pad(np.array(self._ports), ((0, 0), (0, markers.n_port - d)), mode="edge")
+        section = markers.section
+        return replace(
+            markers,
+            frame=np.append(markers.frame, self._frames),
+            position=np.concatenate((markers.position, np.zeros((count, d)))),
+            rotation=np.concatenate((markers.rotation, np.broadcast_to(np.eye(d), (count, d, d)))),
+            surface=np.append(markers.surface, sorted(self.sees)).astype(int),
+            port=np.concatenate((markers.port.reshape(-1, markers.n_port), ports)).astype(int),
+            section=None if section is None else np.append(section, np.zeros(len(ports), dtype=bool)),
+        )
+
+
+def motions_of_ties(system: System) -> list[tuple[np.ndarray, list[Any], Array]]:
+    """Rows of ties with imposed data, the motion of all of them, and by what it counts in each."""
+    found: list[tuple[np.ndarray, list[Callable[[float], Any]], Array]] = []
+    for tie, rows in system.traces:
+        if tie.motion is not standstill:
+            data = tie.data.ravel() if tie.normal is None else tie.data @ tie.normal
+            found.append((np.arange(rows.start, rows.stop), [tie.motion], -data))
+    return found
+
+
+def covers_ties(system: System) -> bool:
+    """Whether all ties of a system are items: those of moderate size whose imposed data does not meet a normal that turns."""
+    few = sum(rows.stop - rows.start for _, rows in system.traces) <= MOST
+    turning = (tie.normal is not None and tie.data.any() and _turns(system, tie.sides[1]) for tie, _ in system.traces)
+    return few and not any(turning)
+
+
+def _turns(system: System, side: TiedSide) -> bool:
+    """Whether the frame of a side may turn: not the ground, nor one at rest."""
+    part = None if side.part is None else system.parts[side.part]
+    return side.frame < system.n_frames and not isinstance(part, RestingField)
