@@ -149,7 +149,8 @@ def skate(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
 
 
 COORDINATES: dict[str, Definition] = {
-    f.__name__: f for f in (coincident, along, perpendicular, turned, distance, separation, angle, tied, tied_along, dead)
+    f.__name__: f
+    for f in (coincident, along, perpendicular, turned, distance, separation, angle, tied, tied_along, dead)
 }
 FLOWS: dict[str, Definition] = {f.__name__: f for f in (couple, follower, follower_couple, ball_slip, skate)}
 IN_SPACE: tuple[tuple[Definition, bool], ...] = ((wheel_height, False), (wheel_slip, True))  # and whether it is a flow

@@ -15,17 +15,34 @@ static void clear(System *s)
     memset(s->weight, 0, (size_t)s->rows * sizeof(double));
 }
 
-/* One pivot column: the columns behind it less its products. Columns begin at whole lanes; what stands above the diagonal is
-   not used. */
-static inline void eliminate(double *F, int ld, int rows, int k, double inverse)
+enum { PANEL = 4 }; /* pivots whose products are taken off later columns together: each is read and written once for them */
+
+/* One pivot column: the columns behind it, up to ``end``, less its products. Columns begin at whole lanes; what stands above the
+   diagonal is not used. */
+static inline void eliminate(double *F, int ld, int end, int k, double inverse)
 {
     const double *column = F + (long)ld * k;
-    for (int j = k + 1; j < rows; j++) {
+    for (int j = k + 1; j < end; j++) {
         double c = column[j] * inverse;
         if (c == 0.0) continue;
         lanes *to = (lanes *)(F + (long)ld * j);
         const lanes *from = (const lanes *)column;
         for (int i = j / LANES; i < ld / LANES; i++) to[i] -= from[i] * c;
+    }
+}
+
+/* The columns behind a panel that begins at the pivot k less the products of all its pivots, one after another. */
+static void eliminate_panel(double *F, int ld, int rows, int k, const double *inverse)
+{
+    const double *column = F + (long)ld * k;
+    const lanes *a = (const lanes *)column, *b = (const lanes *)(column + ld), *c = (const lanes *)(column + 2L * ld),
+                *d = (const lanes *)(column + 3L * ld);
+    for (int j = k + PANEL; j < rows; j++) {
+        double x[PANEL];
+        for (int p = 0; p < PANEL; p++) x[p] = column[(long)ld * p + j] * inverse[p];
+        if (x[0] == 0.0 && x[1] == 0.0 && x[2] == 0.0 && x[3] == 0.0) continue;
+        lanes *to = (lanes *)(F + (long)ld * j);
+        for (int i = j / LANES; i < ld / LANES; i++) to[i] = to[i] - a[i] * x[0] - b[i] * x[1] - c[i] * x[2] - d[i] * x[3];
     }
 }
 
@@ -60,17 +77,17 @@ static int factor(System *s)
     soften(s);
 
     for (Front *f = s->front; f < s->front + s->fronts; f++) {
-        double *F = s->L + f->start;
-        int ld = f->ld;
+        double *F = s->L + f->start, inverse[PANEL];
+        int ld = f->ld, panels = f->pivots - f->pivots % PANEL;
         for (int k = 0; k < f->pivots; k++) {
-            int u = f->unknown[k];
+            int u = f->unknown[k], together = k < panels;
             double sign = s->sign[u], pivot = F[(long)(ld + 1) * k] * sign;
             if (s->indefinite && pivot < 0.0) sign = -sign, pivot = -pivot;
             double least = u < s->nu ? 1e-14 * s->diagonal[u] : (s->redundant ? 0.1 * softness(s, u - s->nu) : 1e-11 * s->weight[u - s->nu]);
             if (!(pivot > least)) return SINGULAR;
-            double inverse_ = sign / pivot;
-            s->inverse[u] = inverse_;
-            eliminate(F, ld, f->rows, k, inverse_);
+            s->inverse[u] = inverse[k % PANEL] = sign / pivot;
+            eliminate(F, ld, together ? k - k % PANEL + PANEL : f->rows, k, s->inverse[u]);
+            if (together && k % PANEL == PANEL - 1) eliminate_panel(F, ld, f->rows, k + 1 - PANEL, inverse);
         }
 
         if (f->next < 0) continue;

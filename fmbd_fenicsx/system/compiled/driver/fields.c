@@ -301,10 +301,8 @@ void field_increment(const Body *o, const double *p, double *dU, double *lam)
     for (int i = 0; i < e->frames; i++) e->f[e->frame_slot[i]] += y[i];
 
     memcpy(dU, e->z, e->n * sizeof(double));
-    for (int i = 0; i < e->solved; i++) {
-        const double *Y = e->Y + e->n * i;
-        for (long j = 0; e->f[i] != 0.0 && j < e->n; j++) dU[j] -= e->f[i] * Y[j];
-    }
+    for (int i = 0; i < e->solved; i++)
+        if (e->f[i] != 0.0) add(dU, -e->f[i], e->Y + e->n * i, e->n);
     turn_nodes(e, dU, e->n, 0);
 }
 

@@ -1,8 +1,8 @@
 """Ties of surfaces by field multipliers as items of kinds, see :mod:`~....mechanics.joints.surface_ties`.
 
 What a tie sees of a side by one function of its multipliers, y = m r + R (s + p), is a point of the side's frame for the driver
-(a Surface of the sort INTEGRAL in ``driver/tables.h``), on rigid bodies one without ports; that of the ground, s, is a constant of
-the items. Rows are those of points: y_b - y_a along the axes of space, of a sliding tie along a normal that is fixed in b.
+(a Surface of the sort INTEGRAL in ``driver/tables.h``), on rigid bodies one without ports; that of the ground, s, is a constant
+of the items. Rows are those of points: y_b - y_a along the axes of space, of a sliding tie along a normal that is fixed in b.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .resting import RestingField
 if TYPE_CHECKING:
     from ...system import System
 
-MOST = 400  # rows of ties
+MOST = 200  # rows of ties: of more NumPy's dense matrices are found as fast
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ class TiedPoints:
         n, d = tie.data.shape
         (first, left_out), (second, there) = (self._side(side) for side in tie.sides)
         pair, shift = np.stack((first, second), axis=1), there - left_out
+        constants: dict[str, Array]
 
         if tie.normal is None:
             kind, pair = kinds(d)["tied"], np.repeat(pair, d, axis=0)
