@@ -8,6 +8,7 @@ from matplotlib.text import Text
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import plot
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.post import figures
 from fmbd_fenicsx.post.drawing.draw import draw
 from fmbd_fenicsx.post.drawing.render import Renderer, strobe
 from fmbd_fenicsx.post.drawing.scene_graph import Drawing
@@ -193,3 +194,29 @@ def test_of_several_instants_in_space_the_last_is_opaque(monkeypatch):
 def test_a_drawing_of_nothing_has_a_box():
     low, high = Drawing("empty", 3, np.array([0.0, 0.0, 1.0]), np.zeros(1), ()).bounds()
     assert low.shape == high.shape == (3,) and (low < high).all()
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("top", [1.1, 1.6, 4.0, 30.0, 1e6])
+def test_ticks_of_logarithmic_axes_are_some_and_apart(top, tmp_path):
+    """Labels of axes of little more than a factor lay on each other."""
+    with plot.figure(tmp_path / "log.png", 1, 3) as axes:
+        for one in axes:
+            one.loglog([0.3, 0.3 * top], [0.3, 0.3 * top])
+    for one in axes:
+        low, high = one.get_xlim()
+        labels = [x for x in one.get_xticklabels() if low <= x.get_position()[0] <= high and x.get_text()]
+        boxes = sorted((x.get_window_extent() for x in labels), key=lambda box: box.x0)
+        assert len(boxes) >= 2 and all(a.x1 < b.x0 for a, b in zip(boxes[:-1], boxes[1:], strict=True))
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("name", ["x", "coordinates q1"])
+def test_a_label_is_no_longer_than_its_axes(name, tmp_path):
+    """The unit stands below the name where both have no room beside each other."""
+    with plot.figure(tmp_path / "low.png", 3, 1, size=(5.0, 6.3)) as axes:
+        for one in axes:
+            figures.set_label(one, name, "m, rad")
+    for one in axes:
+        assert one.yaxis.label.get_window_extent().height < 1.02 * one.get_window_extent().height
+    assert axes[0].get_ylabel() == {"x": "x (m, rad)", "coordinates q1": "coordinates q1\n(m, rad)"}[name]

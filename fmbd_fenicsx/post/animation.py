@@ -24,7 +24,8 @@ from .drawing.render import Renderer
 from .drawing.scene_graph import Drawing
 from .drawing.view import Paint, View
 from .exchange.files import write_whole
-from .plot import STYLE, arrow_legend, draw_history, series_of
+from .figures import STYLE
+from .plot import arrow_legend, draw_history, series_of
 
 FASTEST = 50.0  # frames a second: what a GIF can do
 KINDS = (".gif", ".mp4", ".html")

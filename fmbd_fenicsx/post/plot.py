@@ -1,11 +1,10 @@
-"""Figures (matplotlib): sensor series, snapshots beside a history, error against work, own axes. Rank 0 writes,
-no window opens.
+"""Figures of runs (matplotlib): sensor series, snapshots beside a history, error against work. Rank 0 writes, no window
+opens.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,7 +19,7 @@ from ..schemes.declared import Declared
 from .drawing.render import ARROWS, strobe
 from .drawing.scene_graph import Deforming, Drawing, Role
 from .drawing.view import Paint, View
-from .exchange.files import write_whole
+from .figures import REFERENCE, STYLE, add_legend, add_title, empty_figure, figure, save_figure, set_label, set_ticks
 
 __all__ = ["REFERENCE", "STYLE", "figure", "picture", "plot_history", "plot_series", "plot_work_precision", "shapes"]
 
@@ -31,18 +30,6 @@ def __dir__() -> list[str]:
 
 
 MARKS = "osD^vP*X"
-STYLE = {
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "font.size": 10,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-}
-REFERENCE: dict[str, Any] = {"color": "0.75", "linewidth": 4.5, "linestyle": "-", "zorder": 0}
-"""How an exact or finer solution is drawn: wide and grey, behind the results (``axes.plot(t, x, **REFERENCE)``)."""
-
 CROSSES: dict[str, Any] = {"color": "k", "linestyle": "", "marker": "x", "markersize": 9, "zorder": 4, "clip_on": False}
 """How single known values are drawn: above curves and dots, whole at the end of the time axis too."""
 
@@ -64,30 +51,6 @@ class Comparison(Protocol):
     @property
     def quantities(self) -> list[str]:
         """Names of the compared quantities."""
-
-
-def _saved(figure: Any, file: str | Path, dpi: int) -> None:
-    """Write a figure.
-
-    Raises:
-        InputError: no such folder, or a kind of file that matplotlib does not write.
-    """
-    try:
-        write_whole("The picture", file, lambda place: figure.savefig(place, dpi=dpi))
-    except InputError:
-        raise  # no such folder, and the like
-    except ValueError as error:
-        raise InputError(f'The picture cannot be written to "{file}": {error}') from error
-
-
-def _figure(width: float, height: float) -> tuple[Any, Any]:
-    """A matplotlib module and an empty figure (inches) that belongs to no window."""
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError("A figure needs matplotlib: install fmbd_fenicsx[plot].") from error
-    return matplotlib, Figure(figsize=(width, height), layout="constrained")
 
 
 def _comm(run: Run) -> Any:
@@ -130,94 +93,15 @@ def draw_history(axes: Any, run: Run, name: str, known: Known | None = None) -> 
         if stated > 0:  # a band of the stated error
             axes.fill_between(run.times, x - stated, x + stated, color=curve.get_color(), alpha=0.2, linewidth=0)
 
-    axes.set_ylabel(f"{name} ({unit})")
+    set_label(axes, name, unit)
     axes.set_xlim(run.times[0], max(run.times[-1], run.times[0] + 1e-300))
     if len(labels) > 1 or known is not None:
-        _legend(axes)
+        add_legend(axes)
 
 
 def _certified(run: Run) -> bool:
     """Whether the run states its errors of space and time."""
     return bool(run.error_estimate) and not run.certificate.unstated
-
-
-def _legend(axes: Any) -> None:
-    """A legend above the axes, or beside them when it is long: never on a curve; each label once."""
-    named = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    labels = list(named)
-    if len(labels) > 9:
-        axes.legend(named.values(), labels, loc="center left", bbox_to_anchor=(1.0, 0.5))
-        return
-
-    # as many columns as the labels leave room for; above the title where there is one
-    room = axes.get_position().width * axes.figure.get_figwidth()  # inches
-    most = int(room / (0.5 + 0.07 * max(len(label) for label in labels)))
-    columns = min(max(most, 1), len(labels))
-    labels = [label for k in range(columns) for label in labels[k::columns]]  # read in rows, filled in by columns
-    above = 1.0 if not axes.get_title() else 1.0 + 0.3 / (axes.get_position().height * axes.figure.get_figheight())
-    axes.legend(
-        [named[label] for label in labels],
-        labels,
-        loc="lower left",
-        bbox_to_anchor=(0.0, above),
-        ncols=columns,
-        borderaxespad=0.0,
-        columnspacing=1.2,
-    )
-
-
-def _ticks(axes: Any) -> None:
-    """1, 2 and 5 on logarithmic axes of little more than a decade, where powers of ten would leave most of them bare."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    for axis in (axes.xaxis, axes.yaxis):
-        low, high = sorted(axis.get_view_interval())
-        if isinstance(axis.get_major_locator(), LogLocator) and high < 50 * low:
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter(NullFormatter())
-
-
-@contextmanager
-def figure(
-    file: str | Path,
-    rows: int = 1,
-    columns: int = 1,
-    *,
-    size: tuple[float, float] | None = None,
-    widths: Sequence[float] | None = None,
-    title: str = "",
-) -> Iterator[Any]:
-    """Axes to draw on, written to ``file`` at the end; on every rank, rank 0 writes.
-
-        with plot.figure("wave.png", 1, 2) as (left, right):
-            left.plot(t, exact, **plot.REFERENCE, label="exact")
-            left.plot(t, force, label="P1")
-            left.set(xlabel="time (s)", ylabel="force (N)")
-
-    Yields one matplotlib axes or an array of them; ``size`` in inches, ``widths`` of the columns
-    against each other, ``title`` over all. Axes with several labels get a legend above them.
-    """
-    matplotlib, made = _figure(*(size or (2.4 + 4.0 * columns, 1.2 + 2.6 * rows)))
-    made.get_layout_engine().set(w_pad=0.1)
-    with matplotlib.rc_context(STYLE):
-        axes = made.subplots(rows, columns, squeeze=False, width_ratios=widths)
-        yield axes[0, 0] if axes.size == 1 else axes.squeeze()
-        for one in axes.ravel():
-            _ticks(one)
-            if one.get_legend() is None and len(one.get_legend_handles_labels()[1]) > 1:
-                _legend(one)
-        if title:
-            _title(made, title)
-        if world_rank() == 0:
-            _saved(made, file, 160)
-
-
-def _title(figure: Any, text: str) -> None:
-    """A title over all axes, in lines that fit the figure."""
-    from textwrap import fill
-
-    figure.suptitle(fill(text, int(13 * figure.get_figwidth())), fontsize=10)
 
 
 def _of(run: Run) -> str:
@@ -268,14 +152,14 @@ def plot_series(
         series_of(run, name)
 
     def draw() -> None:
-        matplotlib, figure = _figure(6.4, 1.0 + 2.0 * len(names))
+        matplotlib, figure = empty_figure(6.4, 1.0 + 2.0 * len(names))
         with matplotlib.rc_context(STYLE):
             rows = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
             for axes, name in zip(rows, names, strict=True):
                 draw_history(axes, run, name, known.get(name))
             rows[-1].set_xlabel("time (s)")
-            _title(figure, _of(run))
-            _saved(figure, file, 200)
+            add_title(figure, _of(run))
+            save_figure(figure, file, 200)
 
     on_root(_comm(run), draw)
 
@@ -287,7 +171,7 @@ def plot_history(run: Run, file: str | Path) -> None:
     if world_rank() != 0:
         return
 
-    mpl, fig = _figure(6.0, 4.0)
+    mpl, fig = empty_figure(6.0, 4.0)
     with mpl.rc_context(STYLE):
         axes = fig.add_subplot()
         stated = [a for a in run.history if np.isfinite(a.worst)]
@@ -297,7 +181,7 @@ def plot_history(run: Run, file: str | Path) -> None:
         for a in stated:
             axes.annotate(f"  {a.step:.1g}", (a.seconds, a.worst), fontsize=8)
         axes.set(xlabel="seconds, estimates included (s)", ylabel="stated error over tolerance", title=run.scene.name)
-        _saved(fig, file, 150)
+        save_figure(fig, file, 150)
 
 
 @typed
@@ -324,7 +208,7 @@ def picture(
     drawing = draw(run, view=view, paint=paint, states=states)
 
     def write() -> None:
-        matplotlib, figure = _figure(10.5 if names else 6.4, max(4.2, 2.1 * len(names)))
+        matplotlib, figure = empty_figure(10.5 if names else 6.4, max(4.2, 2.1 * len(names)))
 
         # colours tell the time
         times = drawing.times
@@ -341,8 +225,8 @@ def picture(
                 draw_history(axes, run, name, known.get(name))
                 _dots(axes, run, name, (states, colors))
                 axes.set_xlabel("time (s)")
-            _title(figure, _of(run))
-            _saved(figure, file, 200)
+            add_title(figure, _of(run))
+            save_figure(figure, file, 200)
 
     on_root(_comm(run), write)
 
@@ -423,7 +307,7 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str, title: s
     if not names:
         raise InputError("No run of this study finished: there is nothing to draw.")
 
-    matplotlib, figure = _figure(1.2 + 3.6 * len(names), 4.0)
+    matplotlib, figure = empty_figure(1.2 + 3.6 * len(names), 4.0)
     labels = list(dict.fromkeys(p.label for p in study.points))
     with matplotlib.rc_context(STYLE):
         for axes, name in zip(np.atleast_1d(figure.subplots(1, len(names))), names, strict=True):
@@ -436,10 +320,10 @@ def plot_work_precision(study: Comparison, file: str | Path, work: str, title: s
             axes.set_xlabel("time in steps (s)" if work == "seconds" else work.replace("_", " "))
             unit = f" ({study.units[name]})" if name in study.units else ""
             axes.set_ylabel(f"largest error of {name}{unit}")
-            _ticks(axes)
+            set_ticks(axes)
 
         # one legend for all axes, below them
         columns = max(int(figure.get_figwidth() / (0.6 + 0.08 * max(map(len, labels)))), 1)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=columns)
-        _title(figure, title or "Error against " + ("time" if work == "seconds" else work.replace("_", " ")))
-        _saved(figure, file, 200)
+        add_title(figure, title or "Error against " + ("time" if work == "seconds" else work.replace("_", " ")))
+        save_figure(figure, file, 200)

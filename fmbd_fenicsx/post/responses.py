@@ -11,7 +11,7 @@ from ..analysis.vibration.linear_model import LinearModel
 from ..checks import typed
 from ..errors import require
 from ..rotations import Array
-from .plot import figure
+from .figures import figure
 
 
 @typed
