@@ -2,16 +2,16 @@
 
     M(q) q'' = f(q, q', t) - G^T lambda,     0 = g(q, t)                                                       (1)
 
-Missing Jacobians are taken from complex-step differences, exact to roundoff, when the user's functions accept complex
-numbers (NumPy functions do), else from central differences. Functions declared as ``vectorized`` take many configurations in
+Missing derivatives are exact to roundoff when the user's functions are made of arithmetic and NumPy's functions, else by
+differences (:mod:`.own_derivatives`), in any units. Functions declared as ``vectorized`` take many configurations in
 one call, as in SciPy: arrays get a last axis, q (n, k), t (k,), and so do the results, f (n, k), M and dg/dq (m, n, k).
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,58 +21,9 @@ from ...errors import CallbackError, InputError, named, require
 from ...rotations import Array
 from ..placements import FrameMotion, Part
 from .body import EQUATIONS, Body, Placed, Site
+from .own_derivatives import UNUSABLE, Slopes, derivative_many, line_rates, slopes_of
 
-_STEP = 1e-30
 Vector = Sequence[float] | Array
-
-
-def derivative(function: Callable[[Any], Any], x: Array) -> Array:
-    """d function / d x, (m, n), by complex steps; by central differences of fourth order when complex numbers do not pass."""
-    n = len(x)
-    try:
-        columns = []
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
-            for k in range(n):
-                z = x.astype(complex)
-                z[k] += 1j * _STEP
-                columns.append(np.imag(np.asarray(function(z), dtype=complex)) / _STEP)
-        return np.stack(columns, axis=-1) if n else np.zeros((np.size(function(x)), 0))
-    except (TypeError, ValueError, np.exceptions.ComplexWarning):
-        pass
-    return differences(function, x)
-
-
-def derivative_many(function: Callable[[Any, Any], Any], x: Array, t: Array) -> Array:
-    """d function(x, t) / d x of a vectorized function, (k, m, n), at x (k, n), t (k,): all complex steps in one call.
-
-    Raises TypeError or ValueError where complex numbers do not pass.
-    """
-    k, n = x.shape
-    z = np.repeat(x.T.astype(complex)[:, None], n, axis=1)  # (n, directions, k)
-    # direction j moves coordinate j
-    z[range(n), range(n)] += 1j * _STEP
-    # a function that drops the imaginary part would give zeros: an error instead
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", np.exceptions.ComplexWarning)
-        found = np.asarray(function(z.reshape(n, n * k), np.tile(t, (n, *(1,) * (t.ndim - 1)))), dtype=complex)
-    return np.imag(found.reshape(-1, n, k)).transpose(2, 0, 1) / _STEP
-
-
-def differences(function: Callable[[Any], Any], x: Array) -> Array:
-    """d function / d x, (m, n), by central differences of fourth order."""
-    n = len(x)
-    columns = []
-    for k in range(n):
-        h = 1e-3 * max(1.0, abs(float(x[k])))
-        e = np.zeros(n)
-        e[k] = h
-
-        def at(s: float, e: Array = e) -> Array:
-            return np.asarray(function(x + s * e), dtype=float)
-
-        columns.append((8 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12 * h))
-    return np.stack(columns, axis=-1) if n else np.zeros((np.size(function(x)), 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +41,7 @@ class PortConstraint:
     gamma_: Callable[[Array, Array, float], Array] | None = None
     rate_: Callable[[Array, float], Array] | None = None
     vectorized: bool = False
+    slopes: Slopes | None = None  # of the function of all its numbers, the time last; None: by complex steps
 
     def many(self, what: str, t: Array, *arrays: Array) -> Array:
         """``values``, ``jacobian``, ``rate`` or ``gamma`` of k configurations, arrays (k, n), t (k,): one call where possible."""
@@ -107,82 +59,50 @@ class PortConstraint:
             )
 
         # complex steps of all, if complex numbers pass
-        if self.vectorized and what in ("jacobian", "rate"):
+        if self.vectorized and self.slope.by_complex and what in ("jacobian", "rate"):
             try:
                 if what == "jacobian":
                     return derivative_many(self.function, arrays[0], t)
                 return derivative_many(lambda s, p: self.function(p.T, s[0]), t[:, None], arrays[0])[:, :, 0]
-            except (TypeError, ValueError, np.exceptions.ComplexWarning):
+            except UNUSABLE:
                 pass
-        if self.vectorized and what == "gamma":
-            return self._gamma_many(t, *arrays)
 
         one: Any = getattr(self, what)
         return np.array([one(*(x[i] for x in arrays), float(t[i])) for i in range(len(t))])
-
-    def _gamma_many(self, t: Array, p: Array, pd: Array) -> Array:
-        """As :meth:`gamma`, of k configurations."""
-        if self.jacobian_ is None:
-            try:
-                return self._second_rate(t, p, pd)
-            except (TypeError, ValueError, np.exceptions.ComplexWarning):
-                pass
-
-        def velocity_level(s: float) -> Array:
-            at, now = p + s * pd, t + s
-            return (self.many("jacobian", now, at) @ pd[..., None])[..., 0] + self.many("rate", now, at)
-
-        # d/ds of G p' + g_t along the motion at constant p', by differences of fourth order
-        h = 1e-4 / max(1.0, float(np.abs(pd).max(initial=0.0)))
-        first = velocity_level(h) - velocity_level(-h)
-        second = velocity_level(2 * h) - velocity_level(-2 * h)
-        return np.asarray((8 * first - second) / (12 * h))
-
-    def _second_rate(self, t: Array, p: Array, pd: Array) -> Array:
-        """d^2/ds^2 g(p + s p', t + s) at s = 0, (k, m): differences of rates at four s, these by complex steps; one call of a
-        vectorized function.
-
-        Raises TypeError or ValueError where complex numbers do not pass.
-        """
-        k, steps = len(t), np.array([1.0, -1.0, 2.0, -2.0])
-        h = 1e-4 / max(1.0, float(np.abs(pd).max(initial=0.0)))
-        s = np.repeat(h * steps, k) + 1j * _STEP
-        at = np.tile(p, (4, 1)) + s[:, None] * np.tile(pd, (4, 1))
-        now = np.tile(t, 4) + s
-
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", np.exceptions.ComplexWarning)
-            g: Any = self.function
-            found = g(at.T, now) if self.vectorized else np.stack([g(*x) for x in zip(at, now, strict=True)], axis=-1)
-            rates = np.imag(np.asarray(found, dtype=complex)) / _STEP
-        if rates.shape[1:] != s.shape:
-            raise ValueError("not one result for each configuration")
-        plus, minus, plus2, minus2 = rates.reshape(-1, 4, k).transpose(1, 2, 0)
-        return np.asarray((8 * (plus - minus) - (plus2 - minus2)) / (12 * h))
 
     def values(self, p: Array, t: float) -> Array:
         """g, (m,)."""
         return np.asarray(self.function(p, t), dtype=float)
 
+    @cached_property
+    def slope(self) -> Slopes:
+        """The derivative of g by all its numbers, the time last."""
+        return self.slopes or Slopes(_of_place_and_time(self.function), by_complex=True)
+
     def jacobian(self, p: Array, t: float) -> Array:
         """dg/dp, (m, n)."""
         if self.jacobian_ is not None:
             return np.asarray(self.jacobian_(p, t), dtype=float)
-        if self.vectorized:
+        if self.vectorized and self.slope.by_complex:
             return np.asarray(self.many("jacobian", np.array([t]), p[None])[0])
-        return derivative(lambda z: self.function(z, t), p)
+        return self.slope(np.append(p, t))[:, :-1]
 
     def rate(self, p: Array, t: float) -> Array:
         """dg/dt at fixed p, (m,)."""
         if self.rate_ is not None:
             return np.asarray(self.rate_(p, t), dtype=float)
-        return derivative(lambda s: self.function(p, s[0]), np.array([t]))[:, 0]
+        return self.slope(np.append(p, t))[:, -1]
 
     def gamma(self, p: Array, pd: Array, t: float) -> Array:
-        """g'' - G p'', (m,)."""
+        """g'' - G p'', (m,): the second rate of g along the line p + s p'."""
         if self.gamma_ is not None:
             return np.asarray(self.gamma_(p, pd, t), dtype=float)
-        return np.asarray(self._gamma_many(np.array([t]), p[None], pd[None])[0])
+        return line_rates(_of_place_and_time(self.function), np.append(p, t), np.append(pd, 1.0))[1]
+
+
+def _of_place_and_time(function: Callable[[Any, Any], Any]) -> Callable[[Any], Any]:
+    """function(p, t) as one of all numbers, the time last."""
+    return lambda z: function(z[:-1], z[-1])
 
 
 def own_constraint(body: Any, part: int) -> PortConstraint:
@@ -191,14 +111,16 @@ def own_constraint(body: Any, part: int) -> PortConstraint:
     def safe(of: str, function: Any) -> Any:
         return None if function is None else named(f"The constraint{of} of body", body.name, function)
 
+    function = safe("", body.constraint)
     return PortConstraint(
         body.name,
         part,
-        safe("", body.constraint),
+        function,
         safe("'s jacobian", body.jacobian),
         safe("'s gamma", body.gamma),
         safe("'s rate", body.rate),
         body.vectorized,
+        slopes_of(_of_place_and_time(function), np.append(np.asarray(body.start, dtype=float), 0.0)),
     )
 
 
@@ -291,6 +213,13 @@ class CoordinatePart(Part):
         self._tangent = None if tangent is None else named("The force_jacobian of body", body.name, tangent)
         self._mass = named("The mass of body", body.name, body.mass, time=None) if callable(body.mass) else body.mass
 
+    @cached_property
+    def _slopes(self) -> Slopes:
+        """The derivative of the force by all its numbers: coordinates, rates, time."""
+        n, body = self.n, self.body
+        start = np.concatenate((np.ravel(body.start), np.ravel(body.start_rate), [0.0]))
+        return slopes_of(lambda z: self._force(z[:n], z[n:-1], z[-1]), start)
+
     def ports_of(self, w: Array, t: float) -> Array:
         """The coordinates."""
         return w
@@ -366,9 +295,8 @@ class CoordinatePart(Part):
         if self._tangent is not None:
             K, C = self._tangent(q, v, motion.t)
             return -np.asarray(K, dtype=float), -np.asarray(C, dtype=float)
-        # by complex steps where the force takes complex numbers
-        K = -derivative(lambda z: self._force(z, v, motion.t), q)
-        return K, -derivative(lambda z: self._force(q, z, motion.t), v)
+        slopes = -self._slopes(np.concatenate((q, v, [motion.t])))
+        return slopes[:, : self.n], slopes[:, self.n : -1]
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic energy, and the body's potential where it gives one."""

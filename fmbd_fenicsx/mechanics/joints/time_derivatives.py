@@ -57,13 +57,13 @@ class Jet:
     def __add__(self, other: Any) -> Jet:
         if type(other) is float:
             return Jet(self.value + other, self.first, self.second)
-        y = _moment(other)
+        y = jet(other)
         return Jet(self.value + y.value, self.first + y.first, self.second + y.second)
 
     def __mul__(self, other: Any) -> Jet:
         if type(other) is float:
             return Jet(self.value * other, self.first * other, self.second * other)
-        x, y = self, _moment(other)
+        x, y = self, jet(other)
         mixed = x.second * y.value + 2 * x.first * y.first + x.value * y.second
         return Jet(x.value * y.value, x.first * y.value + x.value * y.first, mixed)
 
@@ -78,7 +78,7 @@ class Jet:
         return _unary("exp", self * math.log(base))
 
     def __truediv__(self, other: Any) -> Jet:
-        return self * (1.0 / other if type(other) is float and other else _moment(other) ** -1.0)
+        return self * (1.0 / other if type(other) is float and other else jet(other) ** -1.0)
 
     def __rtruediv__(self, other: Any) -> Jet:
         return self**-1.0 * other
@@ -90,7 +90,7 @@ class Jet:
         return Jet(-self.value, -self.first, -self.second)
 
     def __sub__(self, other: Any) -> Jet:
-        return self + -_moment(other)
+        return self + -jet(other)
 
     def __rsub__(self, other: Any) -> Jet:
         return -self + other
@@ -102,19 +102,19 @@ class Jet:
 
     # -- comparisons, by the value --------------------------------------------------------------------------------
     def __lt__(self, other: Any) -> bool:
-        return self.value < _moment(other).value
+        return self.value < jet(other).value
 
     def __le__(self, other: Any) -> bool:
-        return self.value <= _moment(other).value
+        return self.value <= jet(other).value
 
     def __gt__(self, other: Any) -> bool:
-        return self.value > _moment(other).value
+        return self.value > jet(other).value
 
     def __ge__(self, other: Any) -> bool:
-        return self.value >= _moment(other).value
+        return self.value >= jet(other).value
 
     def __eq__(self, other: object) -> bool:
-        return self.value == _moment(other).value
+        return self.value == jet(other).value
 
     def __hash__(self) -> int:
         return hash((self.value, self.first, self.second))
@@ -131,6 +131,12 @@ class Jet:
         return format(self.value, form)
 
     # -- NumPy's functions ----------------------------------------------------------------------------------------
+    def __getattr__(self, name: str) -> Any:
+        """What ``np.sin`` asks the entries of an array of jets for."""
+        if name not in _UNARY:
+            raise AttributeError(name)
+        return lambda: _unary(name, self)
+
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **more: Any) -> Any:
         """``np.sin(t)`` and the like."""
         if method != "__call__" or more:
@@ -150,7 +156,7 @@ class Jet:
         return NotImplemented
 
 
-def _moment(x: Any) -> Jet:
+def jet(x: Any) -> Jet:
     """A number as one that does not change; TypeError for anything else."""
     if isinstance(x, Jet):
         return x
@@ -200,19 +206,20 @@ _UNARY: dict[str, Callable[[float], tuple[float, float, float]]] = {
 }
 
 _BINARY: dict[str, Callable[[Any, Any], Any]] = {
-    "add": lambda x, y: _moment(x) + y,
-    "subtract": lambda x, y: _moment(x) - y,
-    "multiply": lambda x, y: _moment(x) * y,
-    "divide": lambda x, y: _moment(x) / y,
-    "power": lambda x, y: _moment(x) ** y,
-    "remainder": lambda x, y: _moment(x) % y,
-    "minimum": lambda x, y: min(_moment(x), _moment(y)),
-    "maximum": lambda x, y: max(_moment(x), _moment(y)),
-    "less": lambda x, y: _moment(x) < y,
-    "less_equal": lambda x, y: _moment(x) <= y,
-    "greater": lambda x, y: _moment(x) > y,
-    "greater_equal": lambda x, y: _moment(x) >= y,
-    "equal": lambda x, y: _moment(x) == y,
+    "add": lambda x, y: jet(x) + y,
+    "subtract": lambda x, y: jet(x) - y,
+    "multiply": lambda x, y: jet(x) * y,
+    "divide": lambda x, y: jet(x) / y,
+    "power": lambda x, y: jet(x) ** y,
+    "hypot": lambda x, y: _unary("sqrt", jet(x) * x + jet(y) * y),
+    "remainder": lambda x, y: jet(x) % y,
+    "minimum": lambda x, y: min(jet(x), jet(y)),
+    "maximum": lambda x, y: max(jet(x), jet(y)),
+    "less": lambda x, y: jet(x) < y,
+    "less_equal": lambda x, y: jet(x) <= y,
+    "greater": lambda x, y: jet(x) > y,
+    "greater_equal": lambda x, y: jet(x) >= y,
+    "equal": lambda x, y: jet(x) == y,
 }
 
 
@@ -232,7 +239,7 @@ def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: Ke
     """
     try:
         found = function(Jet(t, 1.0))
-        found = _moment(found if isinstance(found, Jet) else np.ravel(found)[0])
+        found = jet(found if isinstance(found, Jet) else np.ravel(found)[0])
     except (*REFUSED, ZeroDivisionError):
         return _differenced(function, t, scale, kept)
     if not (math.isfinite(found.first) and math.isfinite(found.second)):
@@ -244,7 +251,7 @@ def along(function: Callable[[Any, Any], Any], x: Any, v: Any, t: float) -> Rate
     """Value and rate of ``function``(x, t) at a place x that moves with v; None where it does not take jets."""
     place = np.array([Jet(a, b) for a, b in zip(x.tolist(), v.tolist(), strict=True)], dtype=object)
     try:
-        found = _moment(function(place, Jet(t, 1.0)))
+        found = jet(function(place, Jet(t, 1.0)))
     except Exception:
         return None
     return (found.value, found.first) if math.isfinite(found.value) and math.isfinite(found.first) else None
@@ -336,7 +343,7 @@ class KeptSteps:
         steps, errors = self._interval(function, t, scale)
         if not steps:
             return None
-        found = _search(function, t, scale, self.smooth_about(t), steps)
+        found = search(function, t, scale, self.smooth_about(t), steps)
         good = all(not x.contradicted and x.error <= AGREES * error for x, error in zip(found, errors, strict=True))
         return (found[0].value, found[1].value) if good else None
 
@@ -358,7 +365,7 @@ class KeptSteps:
         found = []
         for t in places:
             try:
-                found.append(_search(function, t, scale, self.smooth_about(t)))
+                found.append(search(function, t, scale, self.smooth_about(t)))
             except OUTSIDE:
                 continue
         if not found:
@@ -388,12 +395,16 @@ def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: K
     few = None if kept is None else kept.by_few(function, t, scale)
     if few is not None:
         return few
-    first, second = _search(function, t, scale, ALWAYS if kept is None else kept.smooth_about(t))
+    first, second = search(function, t, scale, ALWAYS if kept is None else kept.smooth_about(t))
     return first.value, second.value
 
 
-def _search(
-    function: Callable[[Any], Any], t: float, scale: float, span: Span, steps: Sequence[int] = range(len(STEPS))
+def search(
+    function: Callable[[Any], Any],
+    t: float,
+    scale: float = 0.0,
+    span: Span = ALWAYS,
+    steps: Sequence[int] = range(len(STEPS)),
 ) -> tuple[Best, Best]:
     """The same by some of the steps, as long as they stay in the ``span`` of times in which the function is smooth."""
     here = float(function(t))

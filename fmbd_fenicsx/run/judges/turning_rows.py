@@ -66,6 +66,8 @@ def turned(solver: StepSolver, states: Sequence[State], h: float, *, least: floa
 def _angle(before: Array, after: Array) -> float:
     """The largest principal angle between the spaces of two sets of columns: what the smaller has outside of the larger."""
     small, large = sorted((_space(before), _space(after)), key=lambda basis: basis.shape[1])
+    if not small.shape[1]:  # no row holds anything
+        return 0.0
     outside = small - large @ (large.T @ small)
     sine = float(np.linalg.norm(outside, 2))
     return float(np.arcsin(min(sine, 1.0)))
