@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -129,16 +129,16 @@ def compare_steps(
     ratio = given.schedule.steps / coarser[0].schedule.steps
     errors, orders = {}, {}
     for name in fine.series:
-        between = _deviation(fine, coarse, name)
+        apart = _deviation(fine, coarse, name)
         p = float("nan") if known is None else known.get(name, float("nan"))
-        if len(coarser) > 1 and between.size > 0:
+        if len(coarser) > 1 and apart.size > 0:
             steps = coarser[1].schedule.steps, coarser[0].schedule.steps, given.schedule.steps
             far = _deviation(coarse, coarser[1].recorder, name)
-            here = far.near(between.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
-            ratios = far.size / between.size, far.mean / between.mean, here / between.size
+            here = far.near(apart.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
+            ratios = far.size / apart.size, far.mean / apart.mean, here / apart.size
             p = min(order_seen(*steps, x) for x in ratios)
             p = scattered_order(p, expected[name], None if before is None else before.get(name))
-        errors[name], orders[name] = scaled(between, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
+        errors[name], orders[name] = scaled(apart, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
 
     moves = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
     seen = {n: orders[n] for n in moves}
@@ -160,6 +160,11 @@ def equal_steps_error(problem: Problem, made: Compared, jumps: Sequence[float]) 
     """The error of time of a run with equal steps, within which loads may jump; collective."""
     found = jump_errors(problem, made, jumps) if jumps else None
     return found or time_error(problem, made.recorder, made.schedule)
+
+
+def between(fine: Recorder, coarse: Recorder, sensors: Iterable[str]) -> dict[str, Deviation]:
+    """Some sensors of a run less those of one with larger steps, at the instants that both have."""
+    return {name: _deviation(fine, coarse, name) for name in sensors}
 
 
 def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:

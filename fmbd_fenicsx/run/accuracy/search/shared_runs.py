@@ -25,7 +25,7 @@ from ...schedule import StepSchedule
 from ...single_run import Solved, Task, run_once
 from ..companion_runs import UNFIT, Compared, again, steps_beside
 from ..deviation import Deviation
-from ..equal_steps import FEWEST, TimeError, compare_steps, of_order
+from ..equal_steps import FEWEST, TimeError, between, compare_steps, of_order
 from ..estimates import (
     TELLING,
     beyond,
@@ -42,10 +42,12 @@ from ..orders import REGULAR, expected_orders, resolved
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
+ASTRAY = 0.1  # share of the range of a sensor by which runs differ from where on the one with larger steps follows another motion
 LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
 LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
+MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,10 @@ class Orders:
 @dataclass(frozen=True)
 class Allowed:
     """The ``share`` of the tolerance that errors take, and the ``room`` that there is for those of time. ``rough``: what else
-    depends on the steps of a run whose error is too large is asked again later.
+    depends on the steps of a run whose error is too large is asked again later. ``sensors``: those with a tolerance.
     """
 
+    sensors: tuple[str, ...]
     share: Callable[[dict[str, Deviation]], float]
     room: float
     rough: bool
@@ -187,7 +190,7 @@ class SharedRuns:
         earlier = [n for n in have if n <= steps / NEAREST]
         near = [n for n in earlier if n >= steps / FARTHEST]
 
-        if not near and (found := self._from_afar(solved, earlier)) is not None:
+        if not near and (found := self._from_afar(solved, earlier, allowed)) is not None:
             return found
 
         coarser = []
@@ -208,8 +211,11 @@ class SharedRuns:
                 return TimeError({}, {}, given)
         orders, seen = _expected(solved.problem), dict(self._seen)
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
-        if steps < TWICE * coarser[0].schedule.steps and not resolved(known_orders(found), orders):
-            # irregular motion is not judged by steps of nearly the same size
+        ratio = steps / coarser[0].schedule.steps
+        near_by = ratio < TWICE and not resolved(known_orders(found), orders)
+        far_off = ratio > MORE_THAN_TWICE and astray(given, coarser[0], allowed.sensors)
+        if near_by or far_off:
+            # irregular motion is not judged by steps of nearly the same size, nor by some that follow another one
             half = steps // 2
             farther = max((n for n in have if n <= half / NEAREST), default=max(half // 2, 1))
             found = compare_steps(orders, given, [self._with(solved, n) for n in (half, farther)], before=seen)
@@ -231,13 +237,13 @@ class SharedRuns:
         follows = coarser.schedule.steps >= FEWEST and not solved.problem.scene.contacts
         return TimeError(of_order(orders, given, coarser, 0.75, 1.0), whole.orders, coarser if follows else given)
 
-    def _from_afar(self, solved: Solved, earlier: Sequence[int]) -> TimeError | None:
+    def _from_afar(self, solved: Solved, earlier: Sequence[int], allowed: Allowed) -> TimeError | None:
         """The error by the steps from two earlier runs with far larger ones, if all three show the order of the scheme."""
         given, scene = solved.compared, solved.problem.scene
         orders, have = _expected(solved.problem), self._runs[id(scene)]
         known = sorted(n for n in earlier if n >= given.schedule.steps / BEYOND)[::-1]
         below = [n for n in earlier if known and n <= known[0] / NEAREST]
-        if not below:
+        if not below or astray(given, have[known[0]], allowed.sensors):
             return None
         found = compare_steps(orders, given, [have[known[0]], have[max(below)]])
         seen = known_orders(found)
@@ -293,10 +299,12 @@ class SharedRuns:
                 pass
 
         order = problem.scheme.order
-        if looser is not None and grown(looser[1], given) ** order >= TELLING:
+        seen = 0.0 if looser is None else grown(looser[1], given) ** order
+        if looser is not None and seen >= TELLING:
             apart, loose = looser
             ratio = loose.scheme.rtol / problem.scheme.rtol
-            least, likely = (of_tolerances(apart, ratio, power) for power in (LEAST_POWER, usual_power(order)))
+            falls = (min(ratio**power, seen) for power in (LEAST_POWER, usual_power(order)))
+            least, likely = (of_tolerances(apart, x) for x in falls)
             if allowed.share(least) <= allowed.room or allowed.share(likely) > allowed.room:
                 return TimeError(likely, {}, loose)
         return TimeError(tolerance_error(problem, given.recorder, given.schedule), {}, given)
@@ -312,6 +320,13 @@ class SharedRuns:
 def _expected(problem: Problem) -> dict[str, int]:
     """The order of the scheme in each sensor."""
     return expected_orders(problem.scheme, problem.scene, problem.system)
+
+
+def astray(given: Compared, coarser: Compared, sensors: Sequence[str]) -> bool:
+    """Whether a run with larger steps is so far from a given one, in some sensors, that an order by it is chance."""
+    series = given.recorder.series
+    apart = between(given.recorder, coarser.recorder, sensors)
+    return any(x.size > ASTRAY * np.ptp(series[name], axis=0).max(initial=0.0) for name, x in apart.items())
 
 
 def doubt(order: int) -> float:

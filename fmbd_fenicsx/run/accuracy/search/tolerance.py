@@ -307,7 +307,7 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
         return largest_share(errors, run.series, tol)
 
     room = WHOLE - _reserved(plan, shared, share_of) if plan.steps and not alone else SAFE if alone else WHOLE
-    allowed = Allowed(share_of, room, rough=alone or looked)
+    allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked)
     found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
     if plan.steps:
         found = _with_kinks(run, found, tol, every=solved.compared.recorder.output.every)
