@@ -70,8 +70,9 @@ def test_nothing_is_asked_where_nothing_depends_on_time(monkeypatch: pytest.Monk
     assert run.history[-1].then == "done"
 
 
-def test_a_run_whose_loads_jump_is_not_compared_with_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What they tell says nothing of the jump: the next run ends steps there, and no run with larger steps comes before it."""
+@pytest.mark.parametrize("scheme", [None, fmbd.BDF()], ids=["equal steps", "own steps"])
+def test_steps_of_the_first_run_end_where_loads_jump(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are looked for before anything is run: what other steps tell says nothing of the jump, of own ones a quarter."""
     steps, march = [], time_loop.march
 
     def noted(problem: Any, solver: Any, schedule: StepSchedule, *rest: Any) -> Any:
@@ -85,10 +86,13 @@ def test_a_run_whose_loads_jump_is_not_compared_with_others(monkeypatch: pytest.
     scene.add(mass, fmbd.Spring("spring", fmbd.ground, mass, stiffness=20.0, length=0.7))
     scene.add(fmbd.force("push", mass, lambda t: (3.0 * (t > 0.237), 0.0)))
     scene.sensor("x", fmbd.position(mass))
-    run = fmbd.solve(scene, t_end=0.52, tol={"x": 1e-4}, output=fmbd.Output(progress=False))
+    run = fmbd.solve(scene, t_end=0.52, scheme=scheme, tol={"x": 1e-4}, output=fmbd.Output(progress=False))
     assert run.scene.breakpoints == pytest.approx((0.237,), abs=1e-15) and run.history[-1].then == "done"
     assert not run.history[0].errors and "no errors stated" in str(run.history[0])
-    assert steps[0] == 100 and 100 <= steps[1] <= 110
+    assert steps[0] == 0 if scheme else 100 <= steps[0] <= 110
+    since, w = np.maximum(run.times - 0.237, 0.0), np.sqrt(20.0)
+    true = np.abs(run["x"][:, 0] - 0.7 - 0.15 * (1.0 - np.cos(w * since)) - 0.3 * np.cos(w * run.times)).max()
+    assert 0.5 * true <= run.certificate["x"].total <= 5.0 * true
 
 
 def test_jumps_in_elastic_bodies_are_looked_for_about_the_kinks_that_they_leave(

@@ -28,7 +28,7 @@ from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .damped import damped_vibrations
 from .deviation import Deviation, scaled
 from .equal_steps import equal_steps_error
-from .jumps_in_time import unnamed_jumps
+from .jumps_in_time import jumps_about_kinks, jumps_ahead
 from .orders import expected_orders
 from .search.space_levels import finer_scene, space_deviations, unended
 
@@ -239,7 +239,7 @@ def _jumps_within(run: Run, schedule: StepSchedule) -> tuple[float, ...]:
     no value in the state that is held; collective.
     """
     try:
-        jumps = unnamed_jumps(run, schedule, run.series, first=True)
+        jumps = jumps_ahead(run.scene, run.system, run.state, schedule) or jumps_about_kinks(run, schedule, run.series)
     except UNFIT as error:
         log.info("jumps of loads are not looked for: %s", error)
         return ()

@@ -20,7 +20,7 @@ from ..result import Run
 from ..schedule import StepSchedule, far_side, near_side
 from .certificate import about_kinks, struck_or_sampled
 
-MOST = 1000  # intervals of a run that are looked at
+MOST, USUAL = 1000, 100  # intervals of a run that are looked at, at most, and where steps are not known
 HALVINGS = 60  # to roundoff of any time, from any interval
 JUMPS = 0.6  # share of the change in an interval that its half with a jump has
 SEEN = 1e-7  # change over the largest force, speed or acceleration below which it is none
@@ -77,10 +77,10 @@ def jumps_in_time(held: HeldState, stretches: Iterable[Array]) -> tuple[float, .
 
 
 def all_along(schedule: StepSchedule) -> list[Array]:
-    """Ends of steps, between the break points that are known, s."""
+    """Ends of steps, or :data:`USUAL` instants where a scheme chooses them, between the break points that are known, s."""
     found = []
     for begin, end in schedule.stretches:
-        count = int(np.clip(schedule.reached(end) - schedule.reached(begin), 1, MOST))
+        count = int(np.clip(round((schedule.steps or USUAL) * (end - begin) / schedule.t_end), 1, MOST))
         found.append(np.linspace(far_side(begin) if begin else 0.0, near_side(end), count + 1))
     return found
 
@@ -154,18 +154,23 @@ def _halved(held: HeldState, x: Intervals, scale: Array) -> dict[int, float]:
     return {int(k): float(t) for k, t in zip(x.at, x.high, strict=True)}
 
 
-def unnamed_jumps(run: Run, schedule: StepSchedule, sensors: Iterable[str], *, first: bool) -> tuple[float, ...]:
-    """Jumps within the equal steps of a run, where they depend on time alone; collective.
+def jumps_ahead(scene: Scene, system: System, state: State, schedule: StepSchedule) -> tuple[float, ...]:
+    """Jumps all along a run, where they depend on time alone; collective.
 
-    They are looked for about the kinks of some sensors, and all along the ``first`` run, unless there are fields, of which it
-    costs as much as steps: kinks of slow motion in large steps are not seen. What gets no energy knows no time.
+    Not of fields, of which it costs as much as steps, nor where velocities jump. What gets no energy knows no time.
+    """
+    if system.fields or struck_or_sampled(scene) or closed(scene, system):
+        return ()
+    return tuple(sorted({*jumps_in_time(HeldState(system, state), all_along(schedule))}))
+
+
+def jumps_about_kinks(run: Run, schedule: StepSchedule, sensors: Iterable[str]) -> tuple[float, ...]:
+    """Jumps within the equal steps of a run about the kinks of some sensors: those of slow motion in large steps are not seen;
+    collective.
     """
     if not schedule.steps or closed(run.scene, run.system):
         return ()
-    if first and not run.system.fields and not struck_or_sampled(run.scene):
-        stretches = all_along(schedule)
-    else:
-        stretches = [times for name in sensors for times in about_kinks(run, name)]
+    stretches = [times for name in sensors for times in about_kinks(run, name)]
     return tuple(sorted({*jumps_in_time(HeldState(run.system, run.state), stretches)}))
 
 

@@ -243,9 +243,14 @@ def _finer_spaces(
 def ending_at(plan: AttemptPlan, jumps: tuple[float, ...], shared: SharedSpaces) -> AttemptPlan:
     """The plan with steps of about the same size that end at ``jumps`` (s), too; what is known of spaces and modes holds."""
     scene, *below = (with_break_points(x, jumps) for x in (plan.scene, *plan.below))
-    schedule = step_schedule(scene, plan.scheme, plan.schedule.t_end, plan.step, multiple=4)
+    made = replace(plan, scene=scene, below=tuple(below), orders=Orders())
+    t_end, largest = plan.schedule.t_end, plan.schedule.largest
+    if not plan.steps:
+        dt = largest if np.isfinite(largest) else None
+        return replace(made, schedule=step_schedule(scene, plan.scheme, t_end, dt))
+    schedule = step_schedule(scene, plan.scheme, t_end, plan.step, multiple=4)
     shared.grain = max(round(plan.grain * schedule.steps / plan.steps), 1)
-    return replace(plan, scene=scene, below=tuple(below), schedule=schedule, grain=shared.grain, orders=Orders())
+    return replace(made, schedule=schedule, grain=shared.grain)
 
 
 def _still_known(

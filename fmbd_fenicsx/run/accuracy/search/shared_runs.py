@@ -77,6 +77,7 @@ class SharedRuns:
         self.newton, self.linear, self.grain = Newton() if newton is None else newton, linear, max(grain, 1)
         self.newton_is_given = newton is not None
         self._built: dict[int, Built] = {}
+        self._unspent: dict[int, float] = {}  # seconds of systems that no run has counted yet
         self._runs: dict[int, dict[int, Compared]] = {}
         self._newest: Problem | None = None  # of a run: others have its scheme and settings
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
@@ -86,10 +87,16 @@ class SharedRuns:
 
     def built(self, scene: Scene) -> Built:
         """The system of a scene, with the warnings of its own; collective."""
-        if id(scene) not in self._built:
-            self.keep(scene, build(scene))
-            return self._afresh(scene)
-        return replace(self._afresh(scene), seconds=0.0)
+        if id(scene) in self._built:
+            return replace(self._afresh(scene), seconds=self._unspent.pop(id(scene), 0.0))
+        self.keep(scene, build(scene))
+        return self._afresh(scene)
+
+    def ahead(self, scene: Scene) -> Built:
+        """The system of a scene before it is run, which is to count its seconds; collective."""
+        made = self.built(scene)
+        self._unspent[id(scene)] = made.seconds
+        return made
 
     def hold(self, scene: Scene) -> None:
         """A scene stays, so that what is known of it does."""
