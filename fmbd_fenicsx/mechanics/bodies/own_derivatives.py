@@ -91,20 +91,19 @@ class Slopes:
     function: Function
     by_complex: bool
     steps: tuple[Sequence[int], ...] = ()
-    errors: Array | None = None
+    errors: tuple[Sequence[float], ...] = ()
 
     def __call__(self, x: Array) -> Array:
         """The derivative at x."""
         if self.by_complex:
             return derivative(self.function, x)
-        errors = self.errors
-        if errors is None:
+        if not self.errors:
             return differences(self.function, x)
         axes = [Line(self.function, x, e) for e in np.eye(len(x))]
         few = _searched(axes, self.steps)
         good = all(
             not best.contradicted and best.error <= AGREES * max(error, GOOD * abs(best.value))
-            for column, kept in zip(few, errors, strict=True)
+            for column, kept in zip(few, self.errors, strict=True)
             for best, error in zip(column, kept, strict=True)
         )
         return _values(few if good else _searched(axes))
@@ -142,7 +141,7 @@ def slopes_of(function: Function, start: Array) -> Slopes:
                 break
         steps.append(range(n, min(n + 2, len(STEPS))))
         errors.append(at_most)
-    return Slopes(function, False, tuple(steps), np.array(errors))
+    return Slopes(function, False, tuple(steps), tuple(errors))
 
 
 def _complex_slope(function: Function, x: Array, v: Array) -> Array:
