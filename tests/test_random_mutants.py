@@ -10,10 +10,19 @@ import sys
 from pathlib import Path
 
 import pytest
+from mutations import MUTATIONS
 from random_mutants import PACKAGE, ROOT, Case, draw
 from random_mutants import tests_of as likely
 
 KINDS = {"operator", "term dropped", "constant", "sign", "bound", "comparison", "statement"}
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation[0])
+def test_lines_that_are_broken_by_hand_are_there(mutation: tuple[str, str, str, str, list[str]]) -> None:
+    """One of each in its file, and the tests that are to see it."""
+    _, name, line, _, tests = mutation
+    assert (PACKAGE / name).read_text().count(line) == 1
+    assert all((ROOT / f"tests/{test}.py").exists() for test in tests)
 
 
 def test_a_seed_says_what_is_drawn() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ...mechanics.bodies.line_body import LineBody
@@ -43,42 +43,29 @@ def make_plan(scene: Scene, system: System, path: str = "NumPy", methods: Mappin
     unknowns += [(f"{f.name}.u", f.field.n_global) for _, f in system.fields]
     unknowns += [(b.name, b.rows.stop - b.rows.start) for b in system.blocks]
 
-    constant, left = [], []
-    if system.fields:
-        constant += ["mass and stiffness", "trace weights", "one factor of cm M + ck K for each field and step size"]
-    if system.rigid is not None:
-        constant.append("masses and inertias of rigid bodies")
-    else:
-        left.append("rigid bodies")
-    if any(isinstance(b, LineBody) for b in scene.bodies.values()):
-        constant.append("mass of lines")
-    elif not system.fields:
-        left.append("elastic fields (no mesh library, no PETSc, no MPI)")
-    if system.fields and system.comm.size == 1:
-        left.append("communication between ranks")
+    fields, contacts = bool(system.fields), system.contacts
+    if contacts is not None:
+        unknowns += [(f'contact "{p.name}"', p.count) for p in contacts.pairs]
+    lines = any(isinstance(b, LineBody) for b in scene.bodies.values())
+    no_fields = "" if fields else "elastic fields (no mesh library, no PETSc, no MPI)"
 
-    if not scene.joints:
-        left.append("joints")
-    if not scene.forces:
-        left.append("applied forces")
-    if scene.gravity is None:
-        left.append("gravity")
-
-    if system.contacts is None:
-        left.append("contact")
-    else:
-        unknowns += [(f'contact "{p.name}"', p.count) for p in system.contacts.pairs]
-        constant.append("compliance of the contact nodes for each step size")
-        if not system.contacts.frictional:
-            left.append("friction")
-    if reduced:
-        constant.append("modes and inertia tensors of reduced bodies")
-    else:
-        left.append("modal reduction")
-    if not scene.ties:
-        left.append("field multipliers")
-
-    return Plan(tuple(unknowns), tuple(constant), tuple(left), path, _solvers(methods or {}))
+    # whether it is there, what is constant of it, what is left out without it
+    table: Sequence[tuple[bool, Sequence[str], str]] = (
+        (fields, ("mass and stiffness", "trace weights", "one factor of cm M + ck K for each field and step size"), ""),
+        (system.rigid is not None, ("masses and inertias of rigid bodies",), "rigid bodies"),
+        (lines, ("mass of lines",), no_fields),
+        (not fields or system.comm.size > 1, (), "communication between ranks"),
+        (bool(scene.joints), (), "joints"),
+        (bool(scene.forces), (), "applied forces"),
+        (scene.gravity is not None, (), "gravity"),
+        (contacts is not None, ("compliance of the contact nodes for each step size",), "contact"),
+        (contacts is None or contacts.frictional, (), "friction"),
+        (bool(reduced), ("modes and inertia tensors of reduced bodies",), "modal reduction"),
+        (bool(scene.ties), (), "field multipliers"),
+    )
+    constant = tuple(x for there, of, _ in table if there for x in of)
+    left = tuple(without for there, _, without in table if not there and without)
+    return Plan(tuple(unknowns), constant, left, path, _solvers(methods or {}))
 
 
 def _solvers(methods: Mapping[str, str]) -> tuple[str, ...]:
