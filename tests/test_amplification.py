@@ -9,7 +9,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.schemes.multistep.amplification import Amplification, growth, vibrations
+from fmbd_fenicsx.schemes.multistep.amplification import GROWTH, RESOLVED, Amplification, spans_of, vibrations
 
 FORMULAS = {  # y_n+1, y_n, ..: h y'
     1: (1.0, -1.0),
@@ -18,6 +18,15 @@ FORMULAS = {  # y_n+1, y_n, ..: h y'
     4: (25 / 12, -4.0, 3.0, -4 / 3, 1 / 4),
     5: (137 / 60, -5.0, 5.0, -10 / 3, 5 / 4, -1 / 5),
 }
+
+
+def growth(order: int, z: Any) -> Any:
+    """Largest |zeta| of the formula for values z = h lambda, by eigenvalues."""
+    first, *rest = FORMULAS[order]
+    companion = np.zeros((len(z), order, order), dtype=complex)
+    companion[:, 1:, :-1] = np.eye(order - 1)
+    companion[:, 0, :] = -np.array(rest) / (first - z)[:, None]
+    return np.abs(np.linalg.eigvals(companion)).max(axis=1)
 
 
 @pytest.mark.parametrize("order", FORMULAS)
@@ -34,6 +43,22 @@ def test_growth_is_that_of_the_recursion(order: int) -> None:
     rate = (sizes[-1] / sizes[99]) ** 0.01
     assert np.abs(growth(order, z) - rate).max() < 0.01
     assert np.all(growth(order, z) <= 1.0 + 1e-12) == (order <= 2)
+
+
+@pytest.mark.parametrize("order", [3, 4, 5])
+def test_spans_are_where_a_vibration_grows(order: int) -> None:
+    """For rates in all directions that do not grow, fast ones and slow ones together."""
+    rng = np.random.default_rng(order)
+    rates = 10.0 ** rng.uniform(-3, 5, 60) * (1j * rng.normal(size=60) - rng.exponential(size=60) * (np.arange(60) % 3))
+    grown = 0
+    for rate in rates:
+        h = 10.0 ** rng.uniform(-2, 2, 50) / abs(rate)
+        spans = spans_of(order, np.array([0.0, rate]))
+        found = ((spans[:, :1] < h) & (h < spans[:, 1:])).any(axis=0)
+        wanted = (np.abs(h * rate) > RESOLVED) & (growth(order, h * rate) > 1.0 + GROWTH)
+        assert np.array_equal(found, wanted)
+        grown += wanted.sum()
+    assert grown > 100
 
 
 def spring_and_mass(damping: float) -> fmbd.Scene:
@@ -58,8 +83,9 @@ def test_vibrations_are_those_of_the_scene(damping: float) -> None:
     assert np.abs(found[np.argmax(found.imag)] - exact) < 1e-6 * abs(exact)
 
     orders = Amplification(StepSolver(system))
-    assert orders.permits(2, 1e-3, state) and orders.permits(5, 1e-5, state)
-    assert orders.permits(5, 1e-3, state) == (damping > 0 and growth(5, 1e-3 * found).max() < 1.0)
+    orders.look(5, state)
+    assert orders.permits(2, 1e-3) and orders.permits(5, 1e-5)
+    assert orders.permits(5, 1e-3) == (damping > 0 and growth(5, 1e-3 * found).max() < 1.0)
 
 
 @pytest.mark.parametrize(("stiffness", "masses"), [(1e10, (1e-3, 1e3)), (1e8, (1e-2, 10.0))])

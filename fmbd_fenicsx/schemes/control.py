@@ -37,6 +37,8 @@ ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the toler
 STAGNATION = 100.0  # the same with constant steps, where the tolerance may lie below the roundoff of stiff forces
 TURN = 2.5  # rad
 LEAST_ERROR = 1e-2  # of errors that are remembered
+REFUSED = 0.1, 0.9  # least and most that is left of the size of a step that its error has refused
+PATIENCE = 40  # refusals of one step
 FADING = 0.8  # of the largest error of late, from step to step
 EPS = float(np.finfo(float).eps)
 FINEST = 100 * EPS
@@ -350,15 +352,21 @@ class StepControl:
         """
         return (self.safety / factor) ** self.order
 
+    @property
+    def tiny(self) -> float:
+        """A step that is too small to matter, s."""
+        return 1e-15 * self.span
+
     def rejected(self, t: float, h: float, error: float, cause: str) -> float:
         """Step after a rejected one. Raises ConvergenceError when steps have become too small to matter."""
         self.rejections.append((t, h, cause))
         if cause == "error estimate" and np.isfinite(error):
-            factor = min(max(self.safety * error ** (-1.0 / self.order), 0.1), 0.9)
+            least, most = REFUSED
+            factor = min(max(self.safety * error ** (-1.0 / self.order), least), most)
         else:
             factor = 0.5 if len(self.rejections) < 3 else 0.1
         new = h * factor
-        if t + 0.01 * new == t or new < 1e-15 * self.span or len(self.rejections) > 40:
+        if t + 0.01 * new == t or new < self.tiny or len(self.rejections) > PATIENCE:
             tail = "; ".join(f"h = {x:.1e} s: {why}" for _, x, why in self.rejections[-5:])
             raise ConvergenceError(
                 f"The step at t = {t:.9g} s cannot be made smaller: {len(self.rejections)} rejections, the last ones: {tail}. "

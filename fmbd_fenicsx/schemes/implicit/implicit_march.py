@@ -1,6 +1,8 @@
-"""Constant steps of implicit schemes by calls of compiled code (driver/implicit.c), for systems whose stage systems are sparse.
+"""Steps of implicit schemes by calls of compiled code (driver/implicit.c), for systems whose stage systems are sparse.
 
-Tangent and factors are those of the room that steps made in parts use too: whoever comes next goes on with them.
+Constant ones, and those that error control chooses (driver/own_steps.c). Tangent and factors are those of the room that steps
+made in parts use too: whoever comes next goes on with them. A step that fails in another way than by its error is made by Python
+from the same beginning, and so is the first of a run, whose size nobody proposes.
 """
 
 from __future__ import annotations
@@ -13,12 +15,13 @@ from ...linear.residual import Judge
 from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.compiled import implicit as slots
-from ...system.compiled.implicit import ImplicitRoom, work_of
+from ...system.compiled.implicit import ImplicitRoom, Orders, OwnRoom, work_of
 from ...system.compiled.march import March
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import Rule
-from ..control import EPS, ErrorNorm, Statistics, StepControl
+from ...system.element_memory import whole_steps
+from ..control import EPS, PATIENCE, REFUSED, TURN, ErrorNorm, Statistics, StepControl
 from ..marching import MarchingStepper
 
 
@@ -26,11 +29,12 @@ class ImplicitMarch(MarchingStepper):
     """What :class:`.ImplicitStepper` is beside its steps in parts. A scheme says what it has of its own: coefficients, and
     what it keeps with a state.
 
-    ``slow``: rate of Newton's iteration above which the next constant step takes a tangent.
+    ``slow``: rate of Newton's iteration above which the next step takes a tangent.
     """
 
     leaves_masses = False
-    slow: ClassVar[float]
+    lands = True
+    slow: float
     longer: ClassVar[float] = 1.0  # see implicit.c
     scheme: Any
     eq: Any
@@ -46,6 +50,7 @@ class ImplicitMarch(MarchingStepper):
     _full: bool
     _theta: float
     _lent: ImplicitRoom | None = None
+    _ahead: tuple[float, int]  # s that the steps of a call may take, and how many these are at most
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
     def _lend(self) -> ImplicitRoom:
@@ -68,9 +73,44 @@ class ImplicitMarch(MarchingStepper):
         """What its factors are for, as compiled code says it."""
         raise NotImplementedError
 
+    def _own_room(self, *, error: Array | None = None, orders: Orders | None = None, **numbers: float) -> OwnRoom:
+        """Its error control, with what the scheme has of its own."""
+        form, norm, length = self.scheme.form, self.norm, self.system.length
+        harsh, mild = REFUSED
+        common = {
+            "index": form.index, "places": 0 in form.levels, "rtol": norm.rtol, "atol": norm.atol or 0.0, "length": length,
+            "turn": TURN, "safety": self.control.safety, "harsh": harsh, "mild": mild, "patience": PATIENCE,
+        }  # fmt: skip
+        return OwnRoom(self.system, norm.deforming, {**common, **numbers}, error=error, orders=orders)
+
     # -- steps --------------------------------------------------------------------------------------------------------------
+    def stride(self, h: float) -> float:
+        """As :meth:`TimeStepper.stride`."""
+        found = super().stride(h)
+        return min(found, self.proposed) if self.adaptive and self.proposed is not None else found
+
+    def step_back(self) -> None:
+        """As :meth:`TimeStepper.step_back`."""
+        assert self._used is not None
+        self.state = self._used.state(1)
+        self._take_kept(self._used.ring.own(1).copy())
+
     def _in_one_call(self, h: float) -> bool:
-        return self.solver.driver is not None and not (self._full or self.scheme.form.projected)
+        if self.solver.driver is None or self._full or self.scheme.form.projected:
+            return False
+        return self._chooses_alike or not self.adaptive
+
+    @property
+    def _chooses_alike(self) -> bool:
+        """Whether compiled code may choose the next step."""
+        # samples of controllers are taken between steps
+        sampled = whole_steps(self.system, self.state.t, 1.0) < np.inf
+        known = self.proposed is not None and not sampled
+        return known and not (self._refused is not None and self._refused[0] is self.state)
+
+    def _made(self, h: float, count: int, most: float, judges: Any) -> int:
+        self._ahead = h, count
+        return super()._made(h, count, most, judges)
 
     def _march_of(self) -> March | None:
         return super()._march_of() if self.eq.compiled else None
@@ -98,6 +138,17 @@ class ImplicitMarch(MarchingStepper):
         floor = 64 * EPS * self.system.length
         lent.settle(convergence, {"rtol": self.norm.rtol, "floor": floor, "slow": self.slow, "longer": self.longer})
         room.view(np.uintp)[0] = lent.address
+        if lent.own is not None:
+            self._lend_own(lent.own)
+
+    def _lend_own(self, own: OwnRoom) -> None:
+        """What error control has seen so far, and where the steps of a call end."""
+        assert self.proposed is not None
+        control, norm, t, (limit, count) = self.control, self.norm, self.state.t, self._ahead
+        control.span = max(control.span, limit)
+        own.lend(norm.q_size, norm.v_size, norm.deflections)
+        own.c.until, own.c.tiny, own.c.worst, own.c.refused = t + limit, control.tiny, 0.0, 0.0
+        own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
 
     def _take_march(self, march: March, made: int) -> None:
         own = march.ring.own().copy()
@@ -112,6 +163,16 @@ class ImplicitMarch(MarchingStepper):
 
         self._fresh, self.control.fault = False, ""
         self._take_kept(own)
+        if self._lent is not None and self._lent.own is not None:
+            self._take_own(self._lent.own, made)
+
+    def _take_own(self, own: OwnRoom, made: int) -> None:
+        """What error control has seen in so many steps."""
+        norm, refused = self.norm, int(own.c.refused)
+        norm.q_size, norm.v_size, norm.deflections = own.told()
+        self.local_error = float(own.c.worst)
+        if refused:
+            self.stats.rejected["error estimate"] += refused
 
     def _take_kept(self, own: Array) -> None:
         """What a state of a march keeps."""
@@ -138,7 +199,9 @@ class ImplicitMarch(MarchingStepper):
         super()._refuse(h)
         assert self._lent is not None
         failed, self._lent.c.failed = int(self._lent.c.failed), 0.0
-        if self.adaptive:  # it fails there too, or its error does
+        if self.adaptive:  # it fails there too
+            if self._lent.c.fresh:  # compiled code took a tangent in its place
+                self._tangent = self._pencil = None
             return
         self._count_solves(failed)
         self.newton.iterations += failed

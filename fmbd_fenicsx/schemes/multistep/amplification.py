@@ -8,11 +8,15 @@ Orders one and two damp all vibrations at any step. Those from three on amplify 
 10 by up to 1.4 a step: where a stiff spring is not resolved, and need not be, roundoff becomes a vibration of the size of the
 tolerance, which the error test then has to follow in small steps for ever. Such an order is not taken.
 
+With |zeta| = 1 + :data:`GROWTH` the left of (1) is a closed curve around all h lambda of faster growth: where it crosses the ray
+along lambda the sizes begin and end with which the order amplifies that vibration.
+
 Source: Hairer and Wanner, Solving ODEs II, section V.1, doi:10.1007/978-3-642-05221-7.
 """
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,34 +31,57 @@ from ...system.system import State
 from ...system.tangents.force_tangent import force_tangent
 
 GROWTH = 5e-3  # in a step, that an order may have
-RENEWAL = 50  # steps after which the vibrations are looked at again
+RENEWAL = 50  # uses after which the vibrations are looked at again, up to
+RARER = 4  # times as many where the fastest stays as it was, up to
+ALIKE = 0.1  # of itself
+STABLE = 2  # the highest order that damps undamped vibrations at any step
+HIGHEST = 5
+POINTS = 8192  # of the curve
 LARGEST = 200  # unknowns of the core, up to which eigenvalues are solved for
 RESOLVED = 0.3  # h omega below which any order follows a vibration
 RANK = 1e-9  # singular values of the constraints below this share of the largest are none
 
 
 class Amplification(Remembering):
-    """Which orders follow the vibrations of a scene; ``count`` of uses since these were looked at."""
+    """Which orders follow the vibrations of a scene.
 
-    keeps: ClassVar = {"rates": plain(), "count": plain()}
+    ``spans``: of sizes (s) with which each order amplifies one, (k, 2); ``uses`` of these since vibrations were looked at, which
+    is due after ``most``.
+    """
+
+    keeps: ClassVar = dict.fromkeys(("spans", "uses", "most"), plain())
 
     def __init__(self, solver: StepSolver) -> None:
-        self.solver, self.count = solver, RENEWAL
-        self.rates: Array = np.zeros(0)
+        self.solver, self.uses, self.most = solver, RENEWAL, RENEWAL
+        self.spans: dict[int, Array] = {}
 
-    def permits(self, order: int, h: float, state: State) -> bool:
-        """Whether steps of size h (s) of this order amplify no vibration about a state; collective."""
-        if order <= 2:
+    def look(self, order: int, state: State) -> None:
+        """Take notice of the vibrations about a state where a step of at most this order begins, if they are due; collective."""
+        if order <= STABLE or self.uses < self.most:
+            return
+        rates = vibrations(self.solver, state)
+        spans = {k: spans_of(k, rates) for k in range(STABLE + 1, HIGHEST + 1)}
+        stay = bool(self.spans) and all(_alike(x, self.spans[k]) for k, x in spans.items())
+        self.most = min(2 * self.most, RARER * RENEWAL) if stay else RENEWAL
+        self.spans, self.uses = spans, 0
+
+    def permits(self, order: int, h: float) -> bool:
+        """Whether steps of size h (s) of this order amplify no vibration."""
+        if order <= STABLE:
             return True
-        self.count += 1
-        if self.count > RENEWAL:
-            self.rates, self.count = vibrations(self.solver, state), 0
-        z = h * self.rates
-        return bool(growth(order, z[np.abs(z) > RESOLVED]).max(initial=0.0) <= 1.0 + GROWTH)
+        self.uses += 1
+        return not any(begin < h < end for begin, end in self.spans[order])
 
     def forget(self) -> None:
         """Look again at the next use."""
-        self.count = RENEWAL
+        self.spans, self.uses, self.most = {}, RENEWAL, RENEWAL
+
+
+def _alike(spans: Array, before: Array) -> bool:
+    """Whether the least of the sizes, that of the fastest vibration, is nearly that before."""
+    if not (len(spans) and len(before)):
+        return len(spans) == len(before)
+    return bool(abs(spans[0, 0] - before[0, 0]) <= ALIKE * before[0, 0])
 
 
 def vibrations(solver: StepSolver, state: State) -> Array:
@@ -110,16 +137,29 @@ def _free(G: Array) -> Array:
     return np.asarray(V[int((stretch > RANK * stretch[0]).sum()) :].T)
 
 
-def growth(order: int, z: Array) -> Array:
-    """Largest |zeta| of (1) for values z = h lambda, as z."""
-    # coefficients of powers of 1 / zeta
-    powers = np.zeros(order + 1)
-    term: Array = np.ones(1)
-    for j in range(1, order + 1):
-        term = np.convolve(term, [1.0, -1.0])
-        powers[: j + 1] += term / j
+@cache
+def _curve(order: int) -> tuple[Array, Array]:
+    """Ends of the pieces of the curve of (1) where rays of vibrations that do not grow may cross it."""
+    share = 1.0 - np.exp(2j * np.pi * np.arange(POINTS) / POINTS) / (1.0 + GROWTH)
+    begin = np.add.reduce([share**j / j for j in range(1, order + 1)])
+    end = np.roll(begin, -1)
+    met = ((begin.real <= 0.0) | (end.real <= 0.0)) & ((begin.imag >= 0.0) | (end.imag >= 0.0))
+    return begin[met], end[met]
 
-    companion = np.zeros((len(z), order, order), dtype=complex)
-    companion[:, 1:, :-1] = np.eye(order - 1)
-    companion[:, 0, :] = -powers[1:] / (powers[0] - z)[:, None]
-    return np.asarray(np.abs(np.linalg.eigvals(companion)).max(axis=1, initial=0.0))
+
+def spans_of(order: int, rates: Array) -> Array:
+    """Sizes (s) between which steps of an order amplify vibrations of these rates lambda (1/s), none of which grows, (k, 2)."""
+    # the curve is the same on both sides of the real axis
+    ahead = np.unique(rates.real + 1j * np.abs(rates.imag))
+    found = [np.zeros((0, 2))]
+    for one in ahead[np.abs(ahead) > 0.0]:
+        # where the ray is the real axis
+        begin, end = (x * (one.conj() / np.abs(one)) for x in _curve(order))
+        crosses = (begin.imag > 0.0) != (end.imag > 0.0)
+        a, b = begin[crosses], end[crosses]
+        ends = (a.real * b.imag - b.real * a.imag) / (b.imag - a.imag)
+        # closed: as often in as out
+        ends = np.sort(ends[ends > 0.0]).reshape(-1, 2)
+        found.append(np.maximum(ends[ends[:, 1] > RESOLVED], RESOLVED) / np.abs(one))
+    every = np.concatenate(found)
+    return every[np.argsort(every[:, 0])]

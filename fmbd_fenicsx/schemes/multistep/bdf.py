@@ -28,7 +28,6 @@ from ...errors import require
 from ...linear.condensation import StepSolver
 from ...linear.residual import Judge
 from ...rotations import Array
-from ...system.compiled.implicit import ImplicitRoom
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
@@ -47,12 +46,10 @@ from ..dae import GGL, Form, OfForm, Points
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from ..onestep.radau import Radau
-from .amplification import Amplification
+from .amplification import STABLE, Amplification
 from .corrector import Corrector
+from .multistep_march import CALM, HIGHER, LOWER, SLOW, growth_of, within
 from .past import LONGEST, Past, before, local, slopes, weights
-
-SLOW = 0.2  # rate above which the next step takes a tangent, with error control
-STABLE = 2  # the highest order that damps undamped vibrations at any step
 
 
 @dataclass(frozen=True)
@@ -113,6 +110,8 @@ class BDFStepper(Corrector):
     def __init__(self, scheme: BDF, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(scheme, system, solver, newton, state)
         self.control = StepControl(2.0)
+        if self.adaptive:
+            self.slow = SLOW
         self.amplification = Amplification(solver)
 
         # the order, and for how many steps it was held with one size
@@ -156,40 +155,11 @@ class BDFStepper(Corrector):
         mult = w @ np.array([p.mult for p in self.past[:count]])
         return self._held(State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, t) @ vs, mult[:m]))
 
-    @property
-    def _starting(self) -> bool:
-        """Whether a Radau method makes the next constant step."""
-        return self._starter is not None and len(self.past) < self.scheme.order
-
-    # -- steps in compiled code ---------------------------------------------------------------------------------
-    def stride(self, h: float) -> float:
-        """As :meth:`TimeStepper.stride`."""
-        return float(self._starter.stride(h)) if self._starting else super().stride(h)
-
-    def _in_one_call(self, h: float) -> bool:
-        return not (self.adaptive or self._starting) and len(self.past) > 1 and super()._in_one_call(h)
-
-    def _lend(self) -> ImplicitRoom:
-        return ImplicitRoom(self.eq.tangents.room(1, 1), {}, self.scheme.order)
-
-    def _memory(self) -> Array:
-        newest, *older = self.past[: self.scheme.order + 1]
-        values = np.zeros((self.scheme.order, 1 + sum(map(len, (newest.q, newest.v, newest.mult)))))
-        for row, x in zip(values, older, strict=False):
-            np.concatenate(([x.t], x.q, x.v, x.mult), out=row)
-        return np.concatenate((newest.mult, [len(older)], values.ravel()))
-
-    def _recall(self, kept: Array, factored: float) -> None:
-        s, width = self.state, self.eq.n_mult
-        values = kept[width + 1 :].reshape(self.scheme.order, -1)[: int(kept[width])]
-        parts = (np.split(x, np.cumsum([1, len(s.q), len(s.v)])) for x in values)
-        older = [Past(float(t[0]), q, v, mult) for t, q, v, mult in parts]
-        self.past = [Past(s.t, s.q, s.v, kept[:width]), *older]
-
     # -- steps --------------------------------------------------------------------------------------------------
     def _controlled(self, limit: float) -> State:
         """A step of at most ``limit`` (s) that passes the error test."""
         s = self.state
+        self.amplification.look(self._next_order, s)
         farthest = turn_limit(self.system, s, steps=self.k + 1)
         self.control.span = max(self.control.span, limit)
         if self.proposed is None:
@@ -266,7 +236,7 @@ class BDFStepper(Corrector):
         end = State(t, q, p.v[0], self.eq.accelerations(p)[0], mult[: self.system.n_lam])
         self.state = self._ended(h, end, mult)
         self._remember(self.state, mult)
-        if self._theta > (SLOW if self.adaptive else self.slow) or self._full or not self.eq.dense:
+        if self._theta > self.slow or self._full or not self.eq.dense:
             self._tangent = None
         self._full = self._full and not self.adaptive
         return self.state
@@ -288,22 +258,23 @@ class BDFStepper(Corrector):
     def _choose(self, h: float, p: Points, error: float) -> float:
         """The next step; sets the next order. Changes only after k + 1 steps of one size and order."""
         self.held += 1
-        stay = _growth(error, self.k)
+        stay = growth_of(error, self.k)
         if self.control.rejections:
             return self._after_rejections(h * min(stay, 1.0))
-        if self.held <= self.k and stay > 0.9:
+        calm, pays = CALM
+        if self.held <= self.k and stay > calm:
             return h
 
         order, best = self._best_order(h, p, stay)
-        if order == self.k and 0.9 <= best <= 1.2:
+        if order == self.k and calm <= best <= pays:
             return h
         self.k, self.held = order, 0
-        return h * _within(best)
+        return h * within(best)
 
     def _after_rejections(self, h: float) -> float:
         """The next step where this one was made at last, not longer; with an order that is stable with it."""
         self.held = 0
-        if not self.amplification.permits(self.k, h, self.state):
+        if not self.amplification.permits(self.k, h):
             self.k = STABLE
         return h
 
@@ -312,26 +283,16 @@ class BDFStepper(Corrector):
         k = self.k
         order, best = k, stay
         if k > 1:
-            lower = _growth(self._error(h, p, k - 1), k - 1)
-            if lower > 1.05 * best:
+            lower = growth_of(self._error(h, p, k - 1), k - 1)
+            if lower > LOWER * best:
                 order, best = k - 1, lower
         if k < self.highest and len(self.past) >= k + 2:
-            higher = _growth(self._error(h, p, k + 1), k + 1)
-            if higher > 1.1 * best:
+            higher = growth_of(self._error(h, p, k + 1), k + 1)
+            if higher > HIGHER * best:
                 order, best = k + 1, higher
 
         # orders above two amplify vibrations that the step does not resolve
-        while not self.amplification.permits(order, h * _within(best), self.state):
+        while not self.amplification.permits(order, h * within(best)):
             order -= 1
-            best = _growth(self._error(h, p, order), order)
+            best = growth_of(self._error(h, p, order), order)
         return order, best
-
-
-def _growth(error: float, order: int) -> float:
-    """By how much a step with this error over the tolerance may grow."""
-    return float(0.85 * max(error, 1e-8) ** (-1.0 / (order + 1)))
-
-
-def _within(growth: float) -> float:
-    """The growth within bounds."""
-    return min(max(growth, 0.3), 2.0)

@@ -12,31 +12,17 @@ from __future__ import annotations
 import numpy as np
 
 from ...rotations import Array
-from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
 from ...system.system import State
 from ..dae import Points
-from ..implicit.convergence import CONVERGED, Rates
-from ..implicit.implicit_stepper import ImplicitStepper
+from ..implicit.convergence import CONVERGED
 from ..newton import strayed
-from .past import Past, local, slopes_at_first, weights
-
-ALONE = np.eye(1)  # one point is coupled with none
-RATES = Rates(limit=0.95, largest=2.0)
+from .multistep_march import ALONE, NEAR, RATES, MultistepMarch
+from .past import local, slopes_at_first, weights
 
 
-class Corrector(ImplicitStepper):
+class Corrector(MultistepMarch):
     """Newton's iteration of :class:`.BDF`; the tangent is kept from step to step while it converges fast."""
-
-    maker = "BDF"
-    slow = 0.05
-    past: list[Past]  # newest first
-
-    def _settings(self) -> tuple[Convergence, Rule]:
-        return self._convergence(0.0, RATES, 1.0), Rule(ALONE, ALONE, ALONE)
-
-    def _factored_for(self) -> float:
-        return float(self._pencil.s[0])
 
     def _newton(self, h: float, k: int) -> Points | str:
         """The new values of a step of size h, or the cause of failure."""
@@ -100,7 +86,8 @@ class Corrector(ImplicitStepper):
             at = State(t, self.system.compose(self.eq.origin, p.xi[0]), p.v[0], p.vd[0], self.state.lam)
             self._tangent, self._pencil, self._fresh = self.eq.refresh(at, p.mult[0]), None, True
         old = None if self._pencil is None else float(self._pencil.s[0])
-        if old is None or not 0.8 <= s / old <= 1.25 or (not self.adaptive and s != old):
+        least, most = NEAR
+        if old is None or not least <= s / old <= most or (not self.adaptive and s != old):
             self._pencil = self.eq.pencil(self._tangent, np.array([s]), self.judge)
             self.stats.factorisations += 1
             return 1.0

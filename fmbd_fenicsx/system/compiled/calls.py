@@ -61,13 +61,13 @@ class Calls:
         timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
         slower = any(_differentiated(motion) for motion, _ in self.prescribed)
         tables.c.samples = int(ramp or any(timed)) + int(slower)
-        self._list_timed()
+        self.written = self._list_timed()  # numbers
         self.answers = self._answers()
         self.function = PYTHON(self.answer)
         tables.c.python = self.function
 
-    def _list_timed(self) -> None:
-        """Tell C which arrays a sample writes."""
+    def _list_timed(self) -> int:
+        """Tell C which arrays a sample writes; numbers in all of them."""
         tables = self.tables
         written = [tables.arrays[name] for name in MOTIONS if self.moving]
         written += [x.table for x in tables.sources if x.drive or x.load is not None]
@@ -80,6 +80,7 @@ class Calls:
         tables.c.timed = len(written)
         tables.c.timed_at = store.array([address_of(x) for x in written], np.uint64)[1]
         tables.c.timed_size = store.array([x.size for x in written], np.int64)[1]
+        return sum(x.size for x in written)
 
     def answer(self, what: int, number: int, t: float) -> int:
         """0, 1 after an exception, OUTSIDE where a field's forces have no value, or its tangent no factor."""

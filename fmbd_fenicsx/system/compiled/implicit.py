@@ -27,7 +27,7 @@ class Implicit(ctypes.Structure):
     _fields_ = (
         *((name, _POINTER) for name in "stages patterns convergence data masses room mixed".split()),
         *((name, _POINTER) for name in COEFFICIENTS),
-        ("order", _INT),
+        *((name, _INT) for name in "order fresh".split()),
         *((name, _REAL) for name in ("factored", "failed")),
         ("own", _POINTER),
         *((name, _REAL) for name in "rtol floor slow longer".split()),
@@ -38,26 +38,55 @@ class OwnSteps(ctypes.Structure):
     """``OwnSteps`` of own_steps.c."""
 
     _fields_ = (
-        *((name, _INT) for name in "index places deforming turning".split()),
-        *((name, _POINTER) for name in "deflection error sizes speeds scale".split()),
-        *(
-            (name, _REAL)
-            for name in "rtol atol length turn order safety shrink grow least most until last worst".split()
-        ),
+        *((name, _INT) for name in "index places deforming patience".split()),
+        *((name, _POINTER) for name in "deflection sizes speeds scale".split()),
+        *((name, _REAL) for name in "rtol atol length turn safety harsh mild until last tiny worst refused".split()),
+        *((name, _REAL) for name in "turning order shrink grow least most".split()),
+        *((name, _POINTER) for name in "error orders".split()),
     )
 
 
+class Orders(ctypes.Structure):
+    """``Orders`` of bdf.c."""
+
+    _fields_ = (
+        ("highest", _INT),
+        ("first", _INT * 7),
+        ("spans", _POINTER),
+        *((name, ctypes.c_long) for name in "uses most".split()),
+        *((name, _REAL) for name in "safety least shrink grow keep calm lower higher nearest farthest".split()),
+    )
+
+    def lend(self, spans: Mapping[int, Array], uses: int, most: int) -> None:
+        """The sizes with which each order amplifies vibrations, (k, 2), s; ``uses``: of these so far, ``most`` of them."""
+        self._kept = np.concatenate([np.zeros((0, 2)), *spans.values()])
+        self.spans, self.uses, self.most, count = address_of(self._kept), uses, most, 0
+        for order in range(len(self.first)):
+            self.first[order] = count
+            count += len(spans.get(order, ()))
+
+
 class OwnRoom:
-    """Lends an error control: weights of its ``error`` estimate, parts that deform, numbers by their names in own_steps.c."""
+    """Lends an error control: parts that deform, numbers by their names in own_steps.c; ``error``: weights of Radau's estimate,
+    ``orders``: of BDF.
+    """
 
     def __init__(
-        self, system: System, error: Array, deforming: list[tuple[int, Any]], numbers: Mapping[str, float]
+        self,
+        system: System,
+        deforming: list[tuple[int, Any]],
+        numbers: Mapping[str, float],
+        *,
+        error: Array | None = None,
+        orders: Orders | None = None,
     ) -> None:
-        self._store = Store()
+        self._store, self.orders = Store(), orders
         self._deflections = deflections_of(system, deforming, self._store)
         self._arrays = {name: self._store.zeros({name: system.n_v})[name] for name in ("sizes", "speeds", "scale")}
         self.c = OwnSteps(
-            deforming=len(deforming), deflection=self._store.structure(self._deflections), error=self._store.address(error),
+            deforming=len(deforming), deflection=self._store.structure(self._deflections),
+            error=None if error is None else self._store.address(error),
+            orders=None if orders is None else ctypes.addressof(orders),
             **{name: address for name, (_, address) in self._arrays.items()}, **numbers,
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
@@ -81,6 +110,7 @@ class ImplicitRoom:
         self, stages: StageRoom, coefficients: Mapping[str, Array], order: int = 0, own: OwnRoom | None = None
     ) -> None:
         self.stages, self.own, structure = stages, own, stages.structure
+        stages.weigh_bent(apart=own is not None and own.c.index < 3)
         system, points = structure.couplings.system, stages.c.points
         n, n_q, size = structure.n, system.n_q, structure.size
         mixed = np.empty((max(points, order + 1) + 14) * n + 2 * n_q + 6 * size + stages.states.tables.nu)

@@ -25,6 +25,9 @@
 #include "runge_kutta.c"
 #include "mean_steps.c"
 #include "implicit.c"
+#include "own_steps.c"
+#include "radau.c"
+#include "bdf.c"
 #include "control.c"
 #include "march.c"
 

@@ -1,32 +1,76 @@
-/* Steps of Radau whose sizes error control chooses, schemes/onestep/radau.py, as long as each passes at once: the size of a step, its
-   error in the norm of schemes/control.py, and the size of the next. All else is Python's, which makes a step that fails. */
+/* Steps whose sizes error control chooses: where they end, the sizes of the norm of schemes/control.py, and what follows a step that is
+   refused. A step that fails in another way than by its error is made once more by Python, from the same beginning. */
 
 /* What stands here has the same order in ``OwnSteps`` of system/compiled/implicit.py. */
 typedef struct OwnSteps {
-    int index, places, deforming, turning; /* of the form; whether it holds places; bodies that deform; 1, or more where steps are to */
-                                       /* turn so much less */
+    int index, places, deforming, patience; /* of the form; whether it holds places; bodies that deform; errors that refuse one step */
+                                       /* before Python makes it */
     Deflection *deflection;
-    const double *error;               /* of the tableau */
     double *sizes, *speeds, *scale;    /* largest so far, of coordinates and velocities; work; each like v */
     double rtol, atol, length, turn;
-    double order, safety, shrink, grow, least, most; /* of the controller; least error that it remembers; increments, twice */
-    double until, last, worst;         /* a time that is hit; until when steps may begin; the largest error of a march */
+    double safety, harsh, mild;        /* of a refused step: least and most that is left of its size */
+    double until, last, tiny;          /* a time that is hit; until when steps may begin; a size that is too small; s */
+    double worst, refused;             /* of a march: the largest error, and how many were too large */
+    double turning, order, shrink, grow, least, most; /* of Radau: steps are to turn by so much less; of the controller; least */
+                                       /* error that it remembers; increments, twice */
+    const double *error;               /* of its tableau */
+    struct Orders *orders;             /* of BDF */
 } OwnSteps;
 
-/* The largest step in which no frame in space turns too far, as it moves now. */
-static double farthest_turn(const System *s, const OwnSteps *c, const Block *now)
+/* A step on its way to one that passes: the size that is proposed, the error of the newest try over the tolerance, and how many such
+   errors have refused it so far. */
+typedef struct {
+    double proposed, error;
+    int refused;
+} Passing;
+
+/* The size of the next step from a state on, where so much is proposed and no more than ``most`` possible; 0: it is none. */
+static double own_size(const OwnSteps *c, const Block *now, double proposed, double most)
+{
+    const double left = c->until - *now->t;
+    double h = fmin(proposed, most);
+    if (h >= left * (1.0 - 1e-10)) h = left;
+    else if (h > 0.5 * left) h = 0.5 * left;
+    return *now->t + h == *now->t ? 0.0 : h;
+}
+
+/* Propose a size after one that its error has refused, that of a method of this order; 0: Python has to say what is wrong. */
+static int refused_size(const OwnSteps *c, const Block *now, double h, double order, Passing *found)
+{
+    const double next = h * fmin(fmax(c->safety * pow(found->error, -1.0 / order), c->harsh), c->mild);
+    found->proposed = next;
+    return ++found->refused <= c->patience && found->error < INFINITY && next >= c->tiny && *now->t + 0.01 * next != *now->t;
+}
+
+/* Take note of a step that has passed. */
+static void note_passing(OwnSteps *c, const Passing *found)
+{
+    c->worst = fmax(c->worst, found->error);
+    c->refused += found->refused;
+}
+
+/* Whether what has failed is tried once more: the tangent was that of an older step. */
+static int tried_anew(const Implicit *o, int verdict, double *work)
+{
+    if (o->fresh || (verdict != NEWTON && verdict != SINGULAR)) return 0;
+    work[KNOWN] = 0.0;
+    return 1;
+}
+
+/* The largest step in which no frame in space turns too far, by a share of that, as it moves now. */
+static double farthest_turn(const System *s, const OwnSteps *c, const Block *now, double turning)
 {
     double fastest = 0.0;
 #if DIM == 3
     for (int b = 0; b < s->bodies; b++) {
         const double *w = now->v + TWIST * b + D, *e = now->a + TWIST * b + D;
         double square = dot(w, w, 3);
-        fastest = fmax(fastest, sqrt(square) + sqrt(square + 2.0 * sqrt(dot(e, e, 3)) * c->turn / c->turning));
+        fastest = fmax(fastest, sqrt(square) + sqrt(square + 2.0 * sqrt(dot(e, e, 3)) * c->turn / turning));
     }
 #else
     (void)s, (void)now;
 #endif
-    return fastest > 0.0 ? 2.0 * c->turn / (c->turning * fastest) : INFINITY;
+    return fastest > 0.0 ? 2.0 * c->turn / (turning * fastest) : INFINITY;
 }
 
 /* Whether increments of the points come close to a full turn of a frame in space. */
@@ -45,8 +89,9 @@ static int turn_too_far(const System *s, const OwnSteps *c, const Stages *g)
 }
 
 /* Sizes so far, with those of a state before a step of h, and what errors are multiplied by in the norm. */
-static void take_sizes(const System *s, const OwnSteps *c, const Stages *g, const Block *now, double h)
+static void take_sizes(const System *s, const OwnSteps *c, Stages *g, const Block *now, double h)
 {
+    g->span = h;
     const int n = g->n;
     double *scale = c->scale, fastest[2] = {0.0, 0.0};
     position_sizes(s, c->length, now->q, scale);
@@ -76,97 +121,13 @@ static void take_sizes(const System *s, const OwnSteps *c, const Stages *g, cons
     }
 }
 
-/* The error of the stages of a step from a state with these multipliers, over the tolerance. */
-static int own_error(System *s, Implicit *o, double h, const Block *now, const double *mult, double *work, double *error)
+/* The largest of the weighted root mean squares of errors of places, of rates and of what is ``parts[2]``; of so many kinds. */
+static double own_norm(const System *s, const Stages *g, const double *const *parts, int kinds)
 {
-    const OwnSteps *c = o->own;
-    const Stages *g = o->stages;
-    const int n = g->n, k = g->points, m = g->m, free = c->index == 1 || !g->levels;
-    double *q = o->mixed, *v = q + s->nq, *a = v + n, *lam = a + n, *dq = lam + m, *kin = dq + n, *push = kin + n, *low = push + n;
-    double *change = low + g->size, *y = change + 2 * n, *rest = y + g->size, judged[2];
-    int verdict;
-
-    /* what the start of the step leaves of the constraints is no error of the step */
-    memcpy(q, now->q, s->nq * sizeof(double));
-    memcpy(v, now->v, n * sizeof(double));
-    memcpy(a, now->a, n * sizeof(double));
-    memset(dq, 0, n * sizeof(double));
-    if (!free && (verdict = driver_arrive(s, c->places, *now->t, c->length, q, v, a, lam, rest))) return verdict;
-    if (!free && c->places) driver_difference(s, 1, now->q, 0, q, 0, NULL, 0, dq);
-
-    memcpy(kin, v, n * sizeof(double));
-    memcpy(push, a, n * sizeof(double));
-    for (int j = 0; j < k; j++) {
-        double share = c->error[j] / h, slope = 0.0;
-        for (int i = 0; c->index == 3 && i < k; i++) slope += g->couple[j * k + i];
-        for (int i = 0; i < n; i++) {
-            kin[i] += share * (g->xi[j * n + i] - dq[i]);
-            push[i] += share * (g->v[j * n + i] - v[i] - slope * dq[i]);
-        }
-    }
-    if (g->levels > 1) apply_real(&g->U, -1.0, mult + m, kin);
-
-    /* filtered: components that the step does not resolve would be overestimated */
-    const Sparse masses = {n, g->W.start, g->W.on, o->masses};
-    memset(low, 0, g->size * sizeof(double));
-    apply_real(&masses, -1.0, push, low);
-    for (int i = 0; i < n; i++) kin[i] = -kin[i];
-    resolve_real(g, 0, kin, low, change, y, judged);
-    if (!(judged[0] <= o->convergence->accurate * judged[1])) return NEWTON;
-    farthest_apart(judged, work + RESIDUAL);
-
-    memset(push, 0, n * sizeof(double));
-    if (g->levels) apply_real(&g->U, 1.0, y, push);
-    const double *parts[3] = {change, change + n, push};
     double worst = 0.0;
-    for (int i = 0; i < (c->index == 1 ? 2 : 3); i++) {
-        double sum = 0.0;
-        for (int j = 0; j < n; j++) sum += g->weigh[i * n + j] * parts[i][j] * g->weigh[i * n + j] * parts[i][j];
-        if (!(sum / n <= worst)) worst = sum / n; /* nan stays */
+    for (int i = 0; i < kinds; i++) {
+        double one = mean_square(s, g, i, parts[i]);
+        if (!(one <= worst)) worst = one; /* nan stays */
     }
-    *error = sqrt(worst);
-    return DONE;
-}
-
-/* The size that follows an accepted step of h with ``left`` to go before it: accepted() of the controller, and _next_size() of radau.py. */
-static void next_size(const Implicit *o, const Collocation *last, const Collocation *made, double h, double left, double error)
-{
-    const OwnSteps *c = o->own;
-    const double power = 1.0 / c->order, effort = (c->most + 1.0) / (c->most + o->convergence->done), known = fmax(error, 1e-10);
-    double factor = c->safety * effort * pow(known, -power);
-    if (*last->before > 0.0) factor = fmin(factor, c->safety * (h / *last->before) * pow(*last->missed / (known * known), power));
-    *made->before = h;
-    *made->missed = fmax(known, c->least);
-
-    double next = h * fmin(fmax(factor, c->shrink), c->grow);
-    if (o->convergence->theta < 1e-2 && next / h >= 1.0 && next / h <= 1.2) next = h; /* keep the factors */
-    *made->next = h >= left && next >= left ? fmax(next, *last->next) : next;
-}
-
-/* One step, as a Maker of march.c. */
-static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, Block out)
-{
-    OwnSteps *c = o->own;
-    const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
-    const double left = c->until - *now->t;
-    double h = fmin(*last.next, farthest_turn(s, c, now)), error, asked = NAN;
-    int verdict;
-
-    if (!(left > 0.0) || *now->t > c->last) return SIZE;
-    if (h >= left * (1.0 - 1e-10)) h = left;
-    else if (h > 0.5 * left) h = 0.5 * left;
-    if (*now->t + h == *now->t) return NEWTON;
-
-    p[H] = h;
-    take_sizes(s, c, o->stages, now, h);
-    if ((verdict = stages_of_step(s, p, o, now, out))) return verdict;
-    if (turn_too_far(s, c, o->stages)) return NEWTON;
-    const int width = o->stages->size - o->stages->n;
-    verdict = own_error(s, o, h, now, last.mult + (o->stages->points - 1) * width, out.own, &error);
-    if (verdict || !(error <= 1.0)) return verdict ? verdict : NEWTON;
-    /* the error went back to the start of the step, in time too */
-    if ((verdict = sample(s, *now->t + h, &asked))) return verdict;
-    next_size(o, &last, &made, h, left, error);
-    c->worst = fmax(c->worst, error);
-    return end_radau(s, o, p, now, out);
+    return sqrt(worst);
 }

@@ -36,9 +36,13 @@ typedef struct {
     /* the points */
     double *t, *q0, *xi, *rate, *v, *vd, *mult, *couple, *inverse, *vectors;  /* couple: points x points, d rate / d xi */
     double *kin, *low, *dxi, *dv, *dmult, *push;
+    double *sampled;                /* points x what a SAMPLE writes */
     double *weigh, *moved, *judged; /* weigh: 3 x n, of dxi, dv and U dlambda; moved: 6; judged: 2, of an iteration */
     double *local, relax;           /* local: nq + n */
+    double *bases, *bent, span;     /* of rods whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
 } Stages;
+
+#include "rigid_motions.c"
 
 /* The nearest power of two. */
 static double power(double x) { return x > 0.0 ? exp2(rint(log2(x))) : 1.0; }
@@ -178,15 +182,24 @@ EXPORT int driver_points(System *s, long count, const double *t, const double *q
     return DONE;
 }
 
-/* What the points leave of the equations: kin, points x n, and low, points x size. */
-static int stage_residuals(System *s, const Stages *o)
+/* What depends on time only at point j: asked for where Newton's iteration begins, the same for all ``increments`` after. */
+static int sample_point(System *s, const Stages *o, int j, int increments)
+{
+    if (!s->samples) return DONE;
+    double *kept = o->sampled + j * sample_size(s), last = NAN;
+    int verdict = increments ? DONE : sample(s, o->t[j], &last);
+    if (!verdict) keep_sample(s, kept, increments);
+    return verdict;
+}
+
+/* What the points leave of the equations after so many increments: kin, points x n, and low, points x size. */
+static int stage_residuals(System *s, const Stages *o, int increments)
 {
     const int n = o->n, m = o->m, size = o->size;
-    double last = NAN;
     int verdict;
     for (int j = 0; j < o->points; j++) {
         double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
-        if ((verdict = sample(s, o->t[j], &last))) return verdict;
+        if ((verdict = sample_point(s, o, j, increments))) return verdict;
         verdict = local_point(s, &o->W, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult, o->levels > 1 ? mult + m : NULL,
                               kin, low, o->local);
         if (verdict) return verdict;
@@ -199,14 +212,28 @@ static int stage_residuals(System *s, const Stages *o)
     return DONE;
 }
 
-/* The largest of the points' mean squares of x, weighted. */
-static double mean_square(const Stages *o, const double *weigh, const double *x)
+/* The weighted mean square of what is of one of the three kinds, 0 to 2; the larger one where deformations are weighed apart. */
+static double mean_square(const System *s, const Stages *o, int kind, const double *x)
+{
+    const double *weigh = o->weigh + (long)kind * o->n, power = kind > 1 ? o->span * o->span : o->span;
+    const int apart = o->bases && kind;
+    double sum = 0.0, of_bent = 0.0;
+    if (apart) bend(s, o, x, o->bent);
+    for (int i = 0; i < o->n; i++) {
+        double bent = apart ? o->bent[i] : 0.0, e = weigh[i] * (x[i] - bent), b = power * o->weigh[i] * bent;
+        sum += e * e;
+        of_bent += b * b;
+    }
+    return (of_bent > sum ? of_bent : sum) / o->n; /* nan of the sum stays */
+}
+
+/* The largest over the points. */
+static double largest_square(const System *s, const Stages *o, int kind, const double *x)
 {
     double worst = 0.0;
     for (int j = 0; j < o->points; j++, x += o->n) {
-        double sum = 0.0;
-        for (int i = 0; i < o->n; i++) sum += weigh[i] * x[i] * weigh[i] * x[i];
-        if (!(sum / o->n <= worst)) worst = sum / o->n;
+        double one = mean_square(s, o, kind, x);
+        if (!(one <= worst)) worst = one;
     }
     return worst;
 }
@@ -229,13 +256,13 @@ static void farthest_apart(const double *judged, double *most)
     if (!(share <= most[0] / (most[1] > 0.0 ? most[1] : 1.0))) memcpy(most, judged, 2 * sizeof *most);
 }
 
-/* One increment of all points: residuals, solutions, what they move. ``moved``: the largest lengths of dxi, dv and U dlambda, and the
+/* One increment of all points, behind so many of this call: residuals, solutions, what they move. ``moved``: the largest lengths of dxi, dv and U dlambda, and the
    mean squares of the three by their weights; ``judged``: as of farthest_apart(). */
-static int stage_increment(System *s, Stages *o)
+static int stage_increment(System *s, Stages *o, int increments)
 {
     const int n = o->n, size = o->size, k = o->points, multipliers = size - n;
     double judged[2];
-    int verdict = stage_residuals(s, o);
+    int verdict = stage_residuals(s, o, increments);
     if (verdict) return verdict;
 
     memset(o->dxi, 0, (size_t)k * n * sizeof(double));
@@ -254,7 +281,7 @@ static int stage_increment(System *s, Stages *o)
     const double *moved[3] = {o->dxi, o->dv, o->push};
     for (int i = 0; i < 3; i++) {
         o->moved[i] = largest_length(s, o, moved[i]);
-        o->moved[3 + i] = mean_square(o, o->weigh + i * n, moved[i]);
+        o->moved[3 + i] = largest_square(s, o, i, moved[i]);
     }
 
     add(o->xi, 1.0, o->dxi, k * n);
@@ -278,12 +305,15 @@ static double size_moved(const Stages *o, const Convergence *c)
     return fmax(fmax(moved[0], c->h * moved[1]), c->h * c->h * moved[2]) / c->allowed;
 }
 
-/* Newton's iteration up to increment number ``until``, as far as solutions are accurate. */
+/* Newton's iteration up to increment number ``until``, as far as solutions are accurate; what depends on time only is sampled at the
+   last of the points then. */
 EXPORT int driver_stage_iterate(System *s, Stages *o, Convergence *c, int until)
 {
+    const int before = c->done;
     o->judged[0] = o->judged[1] = 0.0;
     while (c->outcome == GOES_ON && c->done < until && o->judged[0] <= c->accurate * o->judged[1]) {
-        int verdict = stage_increment(s, o);
+        int verdict = stage_increment(s, o, c->done - before);
+        if (verdict && c->done > before) sample_point(s, o, o->points - 1, 1);
         if (verdict) return verdict;
         judge_increment(c, size_moved(o, c), fmax(o->moved[0], c->h * o->moved[1]) <= c->still);
     }

@@ -33,7 +33,9 @@ class Lower(ctypes.Structure):
 
 NUMBERS = "n m size levels frequencies points first".split()
 MATRICES = "by_v by_a J U".split()  # of a tangent, that C multiplies with
-POINTS = "t q0 xi rate v vd mult couple inverse vectors kin low dxi dv dmult push weigh moved judged local".split()
+POINTS = (
+    "t q0 xi rate v vd mult couple inverse vectors kin low dxi dv dmult push sampled weigh moved judged local".split()
+)
 
 
 class Stages(ctypes.Structure):
@@ -50,6 +52,8 @@ class Stages(ctypes.Structure):
         *((name, SparseRows) for name in (*MATRICES, "W")),
         *((name, _POINTER) for name in POINTS),
         ("relax", _REAL),
+        *((name, _POINTER) for name in "bases bent".split()),
+        ("span", _REAL),
     )
 
 
@@ -92,6 +96,7 @@ class StageRoom:
             "t": k, "q0": states.tables.system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n),
             "mult": (k, max(multipliers, m)), "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n),
             "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)), "push": (k, n), "weigh": (3, n),
+            "sampled": (k, states.calls.written),
             "moved": 6, "judged": 2, "local": states.tables.system.n_q + n,
         }  # fmt: skip
 
@@ -182,6 +187,14 @@ class StageRoom:
         for name, mixing in (("inverse", rule.inverse), ("vectors", rule.vectors)):
             x[name][..., 0], x[name][..., 1] = mixing.real, mixing.imag
         self.c.relax = rule.relax
+
+    def weigh_bent(self, *, apart: bool) -> None:
+        """Whether norms weigh deformations of rods apart from their rigid motions."""
+        rods = self.states.tables.system.elements if apart else ()
+        self.c.bases = None
+        if rods:
+            self._bent = np.zeros(self.structure.n), np.zeros(sum(1 + 36 * len(rod.nodes) for rod in rods))
+            self.c.bent, self.c.bases = map(address_of, self._bent)
 
     def points(self) -> tuple[Array, ...]:
         """xi, its rate, v, its rate and multipliers of the points, the caller's own."""

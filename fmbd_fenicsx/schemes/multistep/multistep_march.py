@@ -1,0 +1,119 @@
+"""What steps of BDF by calls of compiled code begin with and leave (driver/bdf.c), and how sizes and orders follow each other.
+
+Growths of a step are bounded, and those that pay little are not taken: factors, and the memory of equal steps, are worth more.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...rotations import Array
+from ...system.compiled.implicit import ImplicitRoom, Orders, OwnRoom
+from ...system.compiled.states.convergence import Convergence
+from ...system.compiled.states.stages import Rule
+from ..implicit.convergence import Rates
+from ..implicit.implicit_stepper import ImplicitStepper
+from .amplification import Amplification
+from .past import Past
+
+ALONE = np.eye(1)  # one point is coupled with none
+RATES = Rates(limit=0.95, largest=2.0)
+SLOW = 0.2  # rate above which the next step takes a tangent, with error control
+NEAR = 0.8, 1.25  # frequencies over that of a factor with which it serves on, with error control
+
+SAFETY, LEAST = 0.85, 1e-8  # of the growth of a step; least error
+WITHIN = 0.3, 2.0  # of growths
+CALM = 0.9, 1.2  # growths that are not taken
+LOWER, HIGHER = 1.05, 1.1  # by how much more an order has to grow, one less or more than the present
+
+
+def growth_of(error: float, order: int) -> float:
+    """By how much a step with this error over the tolerance may grow."""
+    return float(SAFETY * max(error, LEAST) ** (-1.0 / (order + 1)))
+
+
+def within(growth: float) -> float:
+    """The growth within bounds."""
+    least, most = WITHIN
+    return min(max(growth, least), most)
+
+
+class MultistepMarch(ImplicitStepper):
+    """What a march of :class:`.BDF` begins with and leaves."""
+
+    maker = "BDF"
+    slow = 0.05
+    past: list[Past]  # newest first
+    amplification: Amplification
+    highest: int  # order
+    k: int  # the order, and for how many steps it was
+    held: int  # held with one size
+    _starter: Any
+
+    # -- steps ------------------------------------------------------------------------------------------------------
+    @property
+    def _starting(self) -> bool:
+        """Whether a Radau method makes the next constant step."""
+        return self._starter is not None and len(self.past) < self.scheme.order
+
+    @property
+    def _next_order(self) -> int:
+        """The highest order that the next step may be followed by."""
+        return min(self.k + 1, self.highest)
+
+    def stride(self, h: float) -> float:
+        """As :meth:`TimeStepper.stride`."""
+        return float(self._starter.stride(h)) if self._starting else super().stride(h)
+
+    def _in_one_call(self, h: float) -> bool:
+        return not self._starting and len(self.past) > 1 and super()._in_one_call(h)
+
+    # -- what a march begins with -----------------------------------------------------------------------------------
+    def _lend(self) -> ImplicitRoom:
+        stages, order = self.eq.tangents.room(1, 1), self.scheme.order
+        if not self.adaptive:
+            return ImplicitRoom(stages, {}, order)
+        (shrink, grow), (keep, calm), (nearest, farthest) = WITHIN, CALM, NEAR
+        orders = Orders(
+            highest=self.highest, safety=SAFETY, least=LEAST, shrink=shrink, grow=grow, keep=keep, calm=calm,
+            lower=LOWER, higher=HIGHER, nearest=nearest, farthest=farthest,
+        )  # fmt: skip
+        return ImplicitRoom(stages, {}, order, own=self._own_room(orders=orders))
+
+    def _settings(self) -> tuple[Convergence, Rule]:
+        return self._convergence(0.0, RATES, 1.0), Rule(ALONE, ALONE, ALONE)
+
+    def _memory(self) -> Array:
+        newest, *older = self.past[: self.scheme.order + 1]
+        values = np.zeros((self.scheme.order, 1 + sum(map(len, (newest.q, newest.v, newest.mult)))))
+        for row, x in zip(values, older, strict=False):
+            np.concatenate(([x.t], x.q, x.v, x.mult), out=row)
+        head = self.k, self.held, self.proposed or 0.0
+        return np.concatenate((head, newest.mult, [len(older)], values.ravel()))
+
+    def _factored_for(self) -> float:
+        return float(self._pencil.s[0])
+
+    def _lend_own(self, own: OwnRoom) -> None:
+        super()._lend_own(own)
+        assert own.orders is not None
+        known = self.amplification
+        known.look(self._next_order, self.state)
+        own.orders.lend(known.spans, known.uses, known.most)
+
+    # -- what it leaves ---------------------------------------------------------------------------------------------
+    def _take_own(self, own: OwnRoom, made: int) -> None:
+        super()._take_own(own, made)
+        assert own.orders is not None
+        self.amplification.uses = int(own.orders.uses)
+
+    def _recall(self, kept: Array, factored: float) -> None:
+        s, width = self.state, self.eq.n_mult
+        (k, held, proposed), mult, count, values = np.split(kept, np.cumsum([3, width, 1]))
+        if self.adaptive:
+            self.k, self.held, self.proposed = int(k), int(held), float(proposed)
+        parts = (np.split(x, np.cumsum([1, len(s.q), len(s.v)])) for x in values.reshape(self.scheme.order, -1))
+        older = [Past(float(t[0]), q, v, mult) for t, q, v, mult in parts]
+        self.past = [Past(s.t, s.q, s.v, mult), *older[: int(count[0])]]

@@ -1,0 +1,262 @@
+/* Steps of Radau, schemes/onestep/stage_newton.py and radau.py: constant ones, and those that error control chooses. */
+
+/* What it keeps with a state beside its work: what the last increment of Newton's iteration left, over its size, and the size of the step
+   in which that was seen; of error control the size of the next step, of the one ``before`` and what it ``missed``; the step that led
+   there: its size (0: none), q (nq) and v (nv) at its start, its stages. The multipliers of the last of these are those of the state. */
+typedef struct {
+    double *share, *seen, *next, *before, *missed, *h, *q, *v, *xi, *vs, *mult;
+} Collocation;
+
+static Collocation collocation_at(const System *s, const Stages *g, double *own)
+{
+    const long k = g->points, n = g->n;
+    double *x = own + WORK, *q = x + 6, *v = q + s->nq, *xi = v + n, *vs = xi + k * n;
+    Collocation o = {x, x + 1, x + 2, x + 3, x + 4, x + 5, q, v, xi, vs, vs + k * n};
+    return o;
+}
+
+/* What one increment leaves of the error, by the rate that was seen last. */
+static double first_share(const Implicit *o, const Collocation *known, double h)
+{
+    return h <= o->longer * *known->seen ? pow(fmax(*known->share, 1e-16), 0.8) : 1.0;
+}
+
+/* Stages on the polynomial of the last step, or on the parabola at the start. */
+static void foretell_stages(const System *s, Implicit *o, double h, const Block *now, const Collocation *last)
+{
+    Stages *g = o->stages;
+    const int n = g->n, k = g->points, width = g->size - n;
+    if (*last->h == 0.0) {
+        for (int j = 0; j < k; j++) {
+            double x = o->c[j] * h, *xi = g->xi + j * n, *v = g->v + j * n;
+            for (int i = 0; i < n; i++) {
+                xi[i] = x * now->v[i] + 0.5 * x * x * now->a[i];
+                v[i] = now->v[i] + x * now->a[i];
+            }
+            memcpy(g->mult + j * width, last->mult + (k - 1) * width, width * sizeof(double));
+        }
+        return;
+    }
+    double *ahead = o->mixed, *there = ahead + n;
+    for (int j = 0; j < k; j++) {
+        double term[8], basis[8], levels[8], x = 1.0 + o->c[j] * h / *last->h, *xi = g->xi + j * n, *v = g->v + j * n;
+        term[0] = 1.0;
+        for (int i = 0; i < k; i++) term[i + 1] = x * term[i];
+        combine(1, k + 1, term, k + 1, o->basis, basis);
+        combine(1, k, term, k, o->stage_basis, levels);
+
+        combine(1, k, basis + 1, n, last->xi, ahead);
+        configuration(s, last->q, ahead, there);
+        add(ahead, -1.0, last->xi + (k - 1) * n, n);
+        driver_difference(s, 1, now->q, 0, there, 0, ahead, 0, xi);
+        memcpy(v, last->v, n * sizeof(double));
+        for (int l = 0; l < k; l++)
+            for (int i = 0; i < n; i++) v[i] += basis[l + 1] * (last->vs[l * n + i] - last->v[i]);
+        combine(1, k, levels, width, last->mult, g->mult + j * width);
+    }
+}
+
+/* v - v_n of the stages, in ``change``, and rates of both. */
+static void rates_of_stages(const Implicit *o, const Block *now, double *change)
+{
+    Stages *g = o->stages;
+    const int n = g->n, k = g->points;
+    for (int j = 0; j < k; j++)
+        for (int i = 0; i < n; i++) change[j * n + i] = g->v[j * n + i] - now->v[i];
+    combine(k, k, g->couple, n, g->xi, g->rate);
+    combine(k, k, g->couple, n, change, g->vd);
+}
+
+/* Tangent in the middle of the step as foretold, where it serves all stages best. ``change``: v - v_n. */
+static int middle_tangent(System *s, Implicit *o, const double *p, const Block *now, const double *change, double *work)
+{
+    const Stages *g = o->stages;
+    const int n = g->n, k = g->points, width = g->size - n;
+    double *v = o->mixed + k * n, *a = v + n, *xi = a + n, *mult = xi + n, *q = mult + width;
+    memcpy(v, now->v, n * sizeof(double));
+    memset(a, 0, n * sizeof(double));
+    memset(mult, 0, width * sizeof(double));
+    combine(1, k, o->middle, n, g->xi, xi);
+    for (int j = 0; j < k; j++) {
+        add(v, o->middle[j], change + j * n, n);
+        add(a, 1.0 / k, g->vd + j * n, n);
+        add(mult, 1.0 / k, g->mult + j * width, width);
+    }
+    configuration(s, now->q, xi, q);
+    return take_tangent(s, o, *now->t + 0.5 * p[H], q, v, a, mult, p[LENGTH], work);
+}
+
+/* The stages of a step, by Newton's iteration. */
+static int stages_of_step(System *s, double *p, Implicit *o, const Block *now, Block out)
+{
+    Stages *g = o->stages;
+    const int k = g->points;
+    const Collocation last = collocation_at(s, g, now->own), made = collocation_at(s, g, out.own);
+    const double h = p[H];
+    double *change = o->mixed, *work = out.own;
+    int verdict;
+
+    for (int j = 0; j < k; j++) g->t[j] = *now->t + h * o->c[j];
+    for (int i = 0; i < k * k; i++) g->couple[i] = o->W[i] / h;
+    for (int i = 0; i < 2 * g->frequencies; i++) g->s[i] = o->values[i] / h;
+    foretell_stages(s, o, h, now, &last);
+    rates_of_stages(o, now, change);
+    if (work[KNOWN] == 0.0 && (verdict = middle_tangent(s, o, p, now, change, work))) return verdict;
+    if ((verdict = take_factors(o, h, work))) return verdict;
+    if ((verdict = iterate_step(s, o, p, now, first_share(o, &made, h), work))) return verdict;
+    *made.share = o->convergence->share;
+    *made.seen = o->convergence->done > 1 ? h : fmax(h, *made.seen);
+    return DONE;
+}
+
+/* A step from a state on, with what this one knows of Newton's iteration. */
+static void begin_radau(const System *s, Implicit *o, const Block *now, Block out)
+{
+    const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
+    begin_implicit(s, o, now, out);
+    *made.share = *last.share;
+    *made.seen = *last.seen;
+}
+
+/* The state at the end of the stages, and what is kept of them. */
+static int end_radau(System *s, Implicit *o, const double *p, const Block *now, Block out)
+{
+    const Stages *g = o->stages;
+    const int n = g->n, k = g->points, width = g->size - n;
+    const Collocation made = collocation_at(s, g, out.own);
+    int verdict;
+    *made.h = p[H];
+    rates_of_stages(o, now, o->mixed);
+    for (int j = 0; s->redundant && j < k; j++) {
+        double *q = o->mixed, *rest = q + s->nq;
+        configuration(s, now->q, g->xi + j * n, q);
+        if ((verdict = least_of_levels(s, g, g->t[j], q, g->mult + j * width, rest))) return verdict;
+    }
+    memcpy(made.q, now->q, s->nq * sizeof(double));
+    memcpy(made.v, now->v, n * sizeof(double));
+    memcpy(made.xi, g->xi, (size_t)k * n * sizeof(double));
+    memcpy(made.vs, g->v, (size_t)k * n * sizeof(double));
+    memcpy(made.mult, g->mult, (size_t)k * width * sizeof(double));
+    end_implicit(s, o, p, now, g->mult + (k - 1) * width, out);
+    return DONE;
+}
+
+/* The error of the stages of a step from a state with these multipliers, over the tolerance. */
+static int own_error(System *s, Implicit *o, double h, const Block *now, const double *mult, double *work, double *error)
+{
+    const OwnSteps *c = o->own;
+    const Stages *g = o->stages;
+    const int n = g->n, k = g->points, m = g->m, free = c->index == 1 || !g->levels;
+    double *q = o->mixed, *v = q + s->nq, *a = v + n, *lam = a + n, *dq = lam + m, *kin = dq + n, *push = kin + n, *low = push + n;
+    double *change = low + g->size, *y = change + 2 * n, *rest = y + g->size, judged[2];
+    int verdict;
+
+    /* what the start of the step leaves of the constraints is no error of the step */
+    memcpy(q, now->q, s->nq * sizeof(double));
+    memcpy(v, now->v, n * sizeof(double));
+    memcpy(a, now->a, n * sizeof(double));
+    memset(dq, 0, n * sizeof(double));
+    if (!free && (verdict = driver_arrive(s, c->places, *now->t, c->length, q, v, a, lam, rest))) return verdict;
+    if (!free && c->places) driver_difference(s, 1, now->q, 0, q, 0, NULL, 0, dq);
+
+    memcpy(kin, v, n * sizeof(double));
+    memcpy(push, a, n * sizeof(double));
+    for (int j = 0; j < k; j++) {
+        double share = c->error[j] / h, slope = 0.0;
+        for (int i = 0; c->index == 3 && i < k; i++) slope += g->couple[j * k + i];
+        for (int i = 0; i < n; i++) {
+            kin[i] += share * (g->xi[j * n + i] - dq[i]);
+            push[i] += share * (g->v[j * n + i] - v[i] - slope * dq[i]);
+        }
+    }
+    if (g->levels > 1) apply_real(&g->U, -1.0, mult + m, kin);
+
+    /* filtered: components that the step does not resolve would be overestimated */
+    const Sparse masses = {n, g->W.start, g->W.on, o->masses};
+    memset(low, 0, g->size * sizeof(double));
+    apply_real(&masses, -1.0, push, low);
+    for (int i = 0; i < n; i++) kin[i] = -kin[i];
+    resolve_real(g, 0, kin, low, change, y, judged);
+    if (!(judged[0] <= o->convergence->accurate * judged[1])) return NEWTON;
+    farthest_apart(judged, work + RESIDUAL);
+
+    memset(push, 0, n * sizeof(double));
+    if (g->levels) apply_real(&g->U, 1.0, y, push);
+    const double *parts[3] = {change, change + n, push};
+    *error = own_norm(s, g, parts, c->index == 1 ? 2 : 3);
+    return DONE;
+}
+
+/* The size that follows an accepted step with ``left`` to go before it: accepted() of the controller, and _next_size() of radau.py. */
+static double next_size(const Implicit *o, const Collocation *last, const Collocation *made, const Passing *found, double left)
+{
+    const OwnSteps *c = o->own;
+    const double h = *made->before, known = *made->missed, power = 1.0 / c->order;
+    const double effort = (c->most + 1.0) / (c->most + o->convergence->done);
+    double factor = c->safety * effort * pow(known, -power);
+    if (*last->before > 0.0) factor = fmin(factor, c->safety * (h / *last->before) * pow(*last->missed / (known * known), power));
+
+    double next = h * fmin(fmax(factor, c->shrink), found->refused ? 1.0 : c->grow);
+    if (o->convergence->theta < 1e-2 && next / h >= 1.0 && next / h <= 1.2) next = h; /* keep the factors */
+    *made->missed = fmax(known, c->least);
+    return h >= left && next >= left ? fmax(next, found->proposed) : next;
+}
+
+/* The stages of a step of a size that passes. */
+static int passing_stages(System *s, double *p, Implicit *o, const Block *now, Block out, Passing *found)
+{
+    OwnSteps *c = o->own;
+    Stages *g = o->stages;
+    const double most = farthest_turn(s, c, now, c->turning);
+    const double *mult = collocation_at(s, g, now->own).mult + (g->points - 1) * (g->size - g->n);
+    double *work = out.own;
+    int verdict;
+    for (;;) {
+        if (!(p[H] = own_size(c, now, found->proposed, most))) return NEWTON;
+        take_sizes(s, c, g, now, p[H]);
+        do {
+            verdict = stages_of_step(s, p, o, now, out);
+            if (!verdict && turn_too_far(s, c, g)) verdict = NEWTON;
+        } while (tried_anew(o, verdict, work));
+        if (verdict || (verdict = own_error(s, o, p[H], now, mult, work, &found->error))) return verdict;
+        if (found->error <= 1.0) return DONE;
+
+        /* the tangent goes on serving */
+        work[RATE] = fmax(work[RATE], 1e-3);
+        work[KNOWN] = 1.0;
+        if (!refused_size(c, now, p[H], c->order, found)) return NEWTON;
+    }
+}
+
+/* One step of the size that error control chooses, likewise. */
+static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, Block out)
+{
+    OwnSteps *c = o->own;
+    const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
+    const double left = c->until - *now->t;
+    Passing found = {*last.next, 0.0, 0};
+    int verdict;
+    if (!(left > 0.0) || *now->t > c->last) return SIZE;
+    if ((verdict = take_bases(s, o->stages, now->q, now->v))) return verdict;
+    if ((verdict = passing_stages(s, p, o, now, out, &found))) return verdict;
+
+    /* the error went back to the start of the step, in time too */
+    sample_point(s, o->stages, o->stages->points - 1, 1);
+    *made.before = p[H];
+    *made.missed = fmax(found.error, 1e-10);
+    *made.next = next_size(o, &last, &made, &found, left);
+    note_passing(c, &found);
+    return end_radau(s, o, p, now, out);
+}
+
+/* One step, as a Maker of march.c. */
+static int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out)
+{
+    Implicit *o = implicit_in(room);
+    const Block *now = past;
+    (void)known;
+    begin_radau(s, o, now, out);
+    if (o->own) return own_radau_step(s, p, o, now, out);
+    int verdict = stages_of_step(s, p, o, now, out);
+    return verdict ? verdict : end_radau(s, o, p, now, out);
+}
