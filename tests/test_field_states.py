@@ -15,6 +15,7 @@ from fmbd_fenicsx.fem.factors import factor
 from fmbd_fenicsx.linear import condensation
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
+from fmbd_fenicsx.mechanics.contact.rows import ContactSet
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
 from fmbd_fenicsx.system.compiled.tables.fields import FieldTable
 from fmbd_fenicsx.system.evaluator import NumPyEvaluator
@@ -200,6 +201,48 @@ def test_steps_are_solved_in_the_driver(
     for name in ("q", "v", "lam"):
         one = getattr(slow.state, name)
         assert getattr(fast.state, name) == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max()), name
+
+
+@compiled
+@pytest.mark.parametrize("scheme", [fmbd.ContactAlpha(0.8), fmbd.ContactMidpoint()], ids=lambda s: s.name)
+@pytest.mark.parametrize("body", ["mean axes", "small strains"])
+def test_steps_out_of_contact_are_solved_in_the_driver(
+    rod_mesh: Callable[..., Any], body: str, scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NumPy condenses fields where contacts take part, and looks at places twice a step; the motion through both is the same."""
+    mesh = rod_mesh(dim=2, h=0.5, height=0.2)
+
+    def scene(below: float) -> fmbd.Scene:
+        made = swinging(mesh, body)
+        surface = next(iter(made.bodies.values())).surface("side")
+        made.add(fmbd.contact("floor", surface, fmbd.Obstacle("floor", fmbd.HalfSpace((0, -below), (0, 1)))))
+        made.gravity_ramp = 0.0
+        return made
+
+    def run(below: float) -> tuple[fmbd.Run, int, int]:
+        condensed: list[Any] = []
+        looked: list[Any] = []
+        condense, look = StepSolver._condense, ContactSet._looked_at
+        with monkeypatch.context() as patch:
+            patch.setattr(StepSolver, "_condense", lambda *given: (condensed.append(1), condense(*given))[1])
+            patch.setattr(ContactSet, "_looked_at", lambda *given: (looked.append(1), look(*given))[1])
+            made = fmbd.solve(scene(below), t_end=0.04, dt=1e-3, scheme=scheme, output=fmbd.Output(progress=False))
+        return made, len(condensed), len(looked)
+
+    _, none, looks = run(5.0)
+    assert none <= 3
+    assert looks <= 2 * 40 + 4
+
+    fast, few, _ = run(0.102)
+    touched = int(fast.counters["contact_steps"])
+    assert 2 <= touched <= 30
+    assert few <= touched + 12  # some are made again, with points that they brought through the floor
+    monkeypatch.setattr(condensation, "driver_solver", lambda *given: None)
+    slow, many, _ = run(0.102)
+    assert many >= 40
+    for name, bar in (("q", 1e-8), ("v", 1e-5)):
+        one = getattr(slow.state, name)
+        assert getattr(fast.state, name) == pytest.approx(one, rel=bar, abs=bar * np.abs(one).max()), name
 
 
 @compiled

@@ -58,6 +58,7 @@ class StepSolver:
         self._held: MatrixConfiguration | None = None  # that of the matrices
         self._pushed = False  # forces have tangents in them
         self._driver: tuple[Evaluator | None, DriverSolver | None] = None, None
+        self._apart = False  # nobody asks for the compliance of contacts in the matrix prepared last
         self.core = CoreSolver(Judge("the core of the system"))
         self.elastic = FieldBlocks(system, linear, prefix)
         self.blocks: list[FactoredField] = []
@@ -85,7 +86,11 @@ class StepSolver:
 
     @property
     def driver(self) -> DriverSolver | None:
-        """Who solves in compiled code, where that evaluates the system; None where NumPy does all."""
+        """Who solves in compiled code, where that evaluates the system; None where NumPy does all: the compliance of contacts is
+        found with its matrix.
+        """
+        if self.system.contacts is not None and not self._apart:
+            return None
         evaluator, solver = self._driver
         if evaluator is not self.system.evaluator:
             eliminated = self.split is None and self.iterated is None
@@ -126,13 +131,14 @@ class StepSolver:
         return max(self.core.judge.worst, whole, self.elastic.worst_residual)
 
     # -- set-up -------------------------------------------------------------------------------------------------
-    def prepare(self, ev: Evaluation, weights: Weights, *, keep: bool = False) -> None:
+    def prepare(self, ev: Evaluation, weights: Weights, *, keep: bool = False, apart: bool = False) -> None:
         """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
 
         ``keep``: the matrix stays as it is, until :meth:`refresh` takes a new one. The driver's, which it may refuse to
-        make again, is none to stay with.
+        make again, is none to stay with. ``apart``: no contact takes part in what is solved.
         """
         s = self.system
+        self._apart = apart
         driver = self.driver
         if driver is not None and driver.prepare(ev, weights):
             self.weights = weights
@@ -418,7 +424,7 @@ class StepSolver:
         known = {} if increment is None else {k: self.system.local_v(increment, k) for k, _ in self.system.fields}
         changed = ev.take_tangents(increments=self._exact(known))
         if changed or self._pushed:
-            self.prepare(ev, self.weights)
+            self.prepare(ev, self.weights, apart=self._apart)
         return changed or self._pushed
 
     def renew_fields(self, ev: Evaluation, increments: Mapping[int, Array]) -> list[FactoredField]:

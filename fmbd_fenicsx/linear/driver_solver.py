@@ -242,12 +242,9 @@ class FieldDriverSolver(DriverSolver):
 def driver_solver(system: System, core: CoreSolver, elastic: FieldBlocks | None) -> DriverSolver | None:
     """Solutions by the driver, where it evaluates a system and knows how to solve for it.
 
-    ``core``, ``elastic``: of the same solver; None for fields that are not eliminated by factors of their own. Where there is
-    contact, its compliance takes the matrix from NumPy.
+    ``core``, ``elastic``: of the same solver; None for fields that are not eliminated by factors of their own.
     """
     states = system.evaluator
-    if system.contacts is not None:
-        return None
     if isinstance(states, FieldStates):
         return None if elastic is None else FieldDriverSolver(states, core, elastic)
     return DriverSolver(states, core) if solves(states) else None

@@ -56,6 +56,7 @@ class MortarPair:
 
     carrier = None
     shape = None
+    searches = True
     restitution = 0.0
     moving = False  # no side moves as prescribed
 

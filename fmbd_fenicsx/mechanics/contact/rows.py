@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -113,6 +113,8 @@ class Pair:
     massless: bool
     bounces: bool  # its points carry inertia that cannot be taken off: those of a rigid body, or of modes
 
+    searches: ClassVar[bool] = False  # whether :meth:`update` changes what its gaps are
+
     @property
     def moving(self) -> bool:
         """Whether the obstacle moves as prescribed."""
@@ -193,6 +195,7 @@ class ContactSet:
         ]
         self._chosen = np.array([np.nan if p.search is None else p.search for p in pairs])
         self._blank: dict[int, list[Any]] = {}
+        self._touched: tuple[float, Array, Touch] | None = None  # where :meth:`touch` looked last
 
     # -- kinematics ------------------------------------------------------------------------------------------
     def nodes(self, system: Any, q: Array, trace: int) -> tuple[Array, Array, Array]:
@@ -215,7 +218,16 @@ class ContactSet:
         return _stack(parts)
 
     def touch(self, system: Any, t: float, q: Array) -> Touch:
-        """Gaps, points and normals of all candidates at (t, q), without derivatives; collective."""
+        """Gaps, points and normals of all candidates at (t, q), without derivatives; collective. The end of a step is where the
+        next one begins: who asks again with the same array gets the same answer.
+        """
+        known = self._touched
+        if known is None or known[0] != t or known[1] is not q:
+            self._touched = known = t, q, self._looked_at(system, t, q)
+        return known[2]
+
+    def _looked_at(self, system: Any, t: float, q: Array) -> Touch:
+        """The same, found anew."""
         here = Here(self, system, t, q)
         parts = [g.touch(self, system, (t, q), here) for g in self.groups]
         if len(parts) == 1:
@@ -268,6 +280,8 @@ class ContactSet:
 
     def update(self, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
         """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
+        if any(p.searches for p in self.pairs):
+            self._touched = None
         for p in self.pairs:
             p.update(self, system, q, reach, keep=keep)
 

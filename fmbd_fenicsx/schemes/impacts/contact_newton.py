@@ -123,7 +123,8 @@ class ContactStep:
         """Forces out of balance at (t, q, v) under accelerations a; with the first of a step its matrix is prepared there."""
         ev = self.ev = self.p.system.at(*at)
         forces = ev.balance(a, self.lam)
-        self.p.solver.prepare(ev, weights, keep=self._prepared)
+        apart = not len(self.contact.force)
+        self.p.solver.prepare(ev, weights, keep=self._prepared, apart=apart)
         self._prepared = True
         return forces
 
