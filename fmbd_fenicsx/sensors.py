@@ -1,6 +1,5 @@
 """Sensors: what a run records."""
 
-from .mechanics.joints.drives import angle, displacement
 from .system.sensors.contact import (
     contact_force,
     contact_gap,
@@ -18,6 +17,7 @@ from .system.sensors.elements import (
     tension,
 )
 from .system.sensors.field import largest
+from .system.sensors.joint_coordinates import angle, displacement
 from .system.sensors.points import elastic_displacement, point_value, strain
 from .system.sensors.rods import section_forces, section_strains
 from .system.sensors.sensors import (

@@ -186,6 +186,17 @@ def test_sensors_of_elements_take_names() -> None:
         np.testing.assert_array_equal(run[name], run[f"{name} by name"])
         assert np.abs(run[name]).max() > 0
 
+    scene.sensor("phi", fmbd.angle(pin))
+    scene.sensor("phi by name", fmbd.angle("pin"))
+    assert scene.sensors["phi by name"].unit == "rad"
+    run = fmbd.solve(scene, t_end=0.5, dt=1e-2)
+    np.testing.assert_array_equal(run["phi"], run["phi by name"])
+    assert np.abs(run["phi"]).max() > 0
+    with pytest.raises(InputError, match='Joint "pin" .revolute. has no displacement'):
+        scene.sensor("s", fmbd.displacement("pin"))
+    with pytest.raises(InputError, match="must be fmbd.angle.* of a joint itself"):
+        fmbd.drive("drive", fmbd.angle("pin"), lambda t: t)
+
     with pytest.raises(InputError, match='Sensor "x": "sprong" is not among the forces .* Did you mean "spring"?'):
         scene.sensor("x", fmbd.tension("sprong"))
     with pytest.raises(InputError, match='"spring" is a name that only scene.sensor'):

@@ -30,7 +30,7 @@ class JointCoordinate:
     joint: Joint
     kind: type[Relative]
 
-    made_by: ClassVar[str] = "fmbd.angle(...) or fmbd.displacement(...)"
+    made_by: ClassVar[str] = "fmbd.angle(...) or fmbd.displacement(...) of a joint itself"
 
     @property
     def unit(self) -> str:
