@@ -126,3 +126,15 @@ def test_a_certificate_states_what_a_jump_within_a_step_leaves(scheme: Any) -> N
     assert true < run.error_estimate["x"] < 2.0 * true
     assert run.jumps == pytest.approx((0.2371,), abs=1e-15)
     assert "x" not in run.certificate.uncertain and any("t = 0.2371 s" in said for said in run.warnings)
+
+
+def test_loads_of_slender_bodies_are_asked_all_along_their_first_run() -> None:
+    """A small load that jumps leaves no kink in large steps; rods are asked by compiled code, once there is a run."""
+    section = fmbd.RodSection((2e5, 8e4, 8e4, 15.0, 25.0, 25.0), 0.9, (1e-3, 6e-4, 6e-4))
+    rod = fmbd.Rod("rod", [(0, 0, 0), (0.8, 0, 0)], section, elements=3, degree=2)
+    scene = fmbd.Scene("rod")
+    scene.add(rod, fmbd.fixed("hold", fmbd.ground, rod.surface("start")))
+    scene.add(fmbd.force("load", rod.surface("end"), lambda t: (0.0, 0.0, 0.02 if t >= 0.437 else 0.01)))
+    scene.sensor("end", fmbd.position(rod.surface("end")))
+    run = fmbd.solve(scene, t_end=1.0, tol={"end": fmbd.relative(0.1)}, output=fmbd.Output(progress=False))
+    assert run.scene.breakpoints == pytest.approx((0.437,), abs=1e-15) and run.history[-1].then == "done"

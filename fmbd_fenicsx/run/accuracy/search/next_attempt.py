@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....errors import InputError
+from ....log import log
 from ....schemes.control import FINEST
 from ....system.scene.refinement import (
     cheap_levels,
@@ -27,10 +28,11 @@ from ...recording.output import Output
 from ...result import Run
 from ...schedule import StepSchedule, step_schedule
 from ..certificate import KINDS, Certificate
+from ..companion_runs import UNFIT
 from ..deviation import Deviation
 from ..equal_steps import FEWEST
 from ..estimates import usual_power
-from ..jumps_in_time import with_break_points
+from ..jumps_in_time import jumps_about_kinks, jumps_ahead, with_break_points
 from ..orders import expected_orders, resolved
 from ..shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .shared_runs import Orders, doubt
@@ -238,6 +240,27 @@ def _finer_spaces(
 
     made = replace(made, known=_still_known(plan, made, run, over, limits))
     return (_whole_run(made) if made.steps else made), done
+
+
+def jumps_before(plan: AttemptPlan, shared: SharedSpaces) -> tuple[float, ...]:
+    """Instants at which loads jump, as a first plan shows before it is run; elastic bodies are asked by compiled code, once there
+    is a run, which takes less; collective.
+    """
+    if meshed_bodies(plan.scene):
+        return ()
+    built = shared.ahead(plan.scene)
+    try:
+        return jumps_ahead(plan.scene, built.system, built.given, plan.schedule)
+    except UNFIT as error:
+        log.info("jumps of loads are not looked for: %s", error)
+        return ()
+
+
+def jumps_within(plan: AttemptPlan, run: Run, tol: Tolerance, *, first: bool) -> tuple[float, ...]:
+    """Instants at which loads jump, all along the ``first`` run of slender bodies, else about kinks; collective."""
+    slow = first and bool(meshed_bodies(plan.scene))
+    seen = jumps_ahead(run.scene, run.system, run.state, plan.schedule) if slow else ()
+    return seen or jumps_about_kinks(run, plan.schedule, tol)
 
 
 def ending_at(plan: AttemptPlan, jumps: tuple[float, ...], shared: SharedSpaces) -> AttemptPlan:

@@ -34,7 +34,6 @@ from ..damped import damped_vibrations
 from ..deviation import Deviation, scaled
 from ..equal_steps import FEWEST, TimeError
 from ..estimates import tolerance_error, warn_of_uncertain, with_damped
-from ..jumps_in_time import jumps_about_kinks, jumps_ahead
 from ..shares import (
     AIM,
     SAFE,
@@ -48,7 +47,18 @@ from ..shares import (
     share,
     worst,
 )
-from .next_attempt import AttemptPlan, Looked, beginning, ending_at, finer_steps, next_plan, space_first, space_limit
+from .next_attempt import (
+    AttemptPlan,
+    Looked,
+    beginning,
+    ending_at,
+    finer_steps,
+    jumps_before,
+    jumps_within,
+    next_plan,
+    space_first,
+    space_limit,
+)
 from .shared_runs import Allowed, Orders, doubt, known_orders
 from .shared_spaces import SharedSpaces
 
@@ -110,8 +120,10 @@ def solve_within(
     wanted = replace(Output() if wanted is None else wanted, estimate_error=True)
     shared = SharedSpaces(newton, linear, plan.grain)
 
-    found = Search()
-    plan = _up_to_jumps(plan, shared, found)
+    found, begun = Search(), clock.perf_counter()
+    if jumps := jumps_before(plan, shared):
+        found.history.append(_of_jumps(plan, jumps, clock.perf_counter() - begun))
+        plan = ending_at(plan, jumps, shared)
     for _ in range(ATTEMPTS):
         try:
             plan_next = _one_more(plan, tol, shared, wanted=wanted, found=found)
@@ -196,7 +208,7 @@ def _one_more(
     output = replace(wanted, every=_often(wanted, plan.schedule), estimate_error=False)
     solved = shared.solve(plan.scene, plan.scheme, plan.schedule, output)
     run = solved.run
-    jumps = jumps_about_kinks(run, plan.schedule, tol)
+    jumps = jumps_within(plan, run, tol, first=not found.history)
     if not jumps:  # errors that others tell say nothing of these
         orders = _state_errors(plan, tol, shared, solved)
     if output.every != wanted.every and wanted.times is None:
@@ -217,22 +229,6 @@ def _one_more(
     if made is None:
         found.why = then
     return made
-
-
-def _up_to_jumps(plan: AttemptPlan, shared: SharedSpaces, found: Search) -> AttemptPlan:
-    """The first plan with steps that end where loads are seen to jump before anything is run; collective."""
-    if meshed_bodies(plan.scene):
-        return plan
-    begun, built = clock.perf_counter(), shared.ahead(plan.scene)
-    try:
-        jumps = jumps_ahead(plan.scene, built.system, built.given, plan.schedule)
-    except UNFIT as error:
-        log.info("jumps of loads are not looked for: %s", error)
-        return plan
-    if not jumps:
-        return plan
-    found.history.append(_of_jumps(plan, jumps, clock.perf_counter() - begun))
-    return ending_at(plan, jumps, shared)
 
 
 def _anew(plan: AttemptPlan) -> AttemptPlan:
