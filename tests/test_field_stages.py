@@ -20,6 +20,8 @@ from fmbd_fenicsx.linear.condensation import StepSolver, Weights
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.schemes.implicit.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
+from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
+from fmbd_fenicsx.schemes.implicit.stage_krylov import FieldStages
 from fmbd_fenicsx.system.compiled.choice import use_driver
 
 T_END = 0.25  # s
@@ -240,6 +242,46 @@ def test_turning_of_local_coordinates(rod_mesh: Callable[..., Any]) -> None:
     assert tangent.turning(real) == pytest.approx(along(real), abs=1e-8)
     assert tangent.turning(real + 1j * imaginary) == pytest.approx(along(real) + 1j * along(imaginary), abs=1e-8)
     assert np.abs(along(real)).max() > 0.1
+
+
+@compiled
+@pytest.mark.parametrize("form", [fmbd.GGL(), fmbd.Index3(), fmbd.Index2()], ids=lambda form: form.name)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_increments_are_those_of_numpy(
+    rod_mesh: Callable[..., Any], dim: int, form: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rod that swings with a body that spins, steps of one size: those of NumPy, number by number, in compiled code."""
+    law = linear_elastic(5e6, 0.3)
+    rod = fmbd.FloatingBody(
+        "rod", rod_mesh(dim=dim, h=0.5, height=0.2), density=1000.0, elastic=law, stiffness_damping=1e-3
+    )
+    inertia: Any = 0.1 if dim == 2 else (0.1, 0.2, 0.3)
+    bob = fmbd.RigidBody(
+        "bob", 2.0, inertia, (1.0, 0.1, 0.0)[:dim], angular_velocity=5.0 if dim == 2 else (1.0, 5.0, 2.0)
+    )
+    scene = fmbd.Scene("swing", gravity=(0.0, -9.81, 0.0)[:dim])
+    pin = fmbd.revolute(
+        "pin", fmbd.ground, rod.surface("pin"), center=(0, 0, 0)[:dim], **({} if dim == 2 else {"axis": (0, 0, 1)})
+    )
+    scene.add(rod, bob, pin, fmbd.drive("drive", fmbd.angle(pin), lambda t: (t**3, 3 * t**2, 6 * t)))
+    scene.add(fmbd.spherical("knee", rod.surface("tip"), bob, center=(1.0, 0.05, 0.0)[:dim]))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+
+    runs, many = [], []
+    increment = StageIteration.increment
+    monkeypatch.setattr(StageIteration, "increment", lambda *given: (many.append(1), increment(*given))[1])
+    for compiled_too in (True, False):
+        many.clear()
+        if not compiled_too:
+            monkeypatch.setattr(FieldStages, "room", None)
+        runs.append(fmbd.solve(scene, t_end=0.2, dt=0.01, scheme=fmbd.Radau(3, rtol=None, form=form)))
+        assert (len(many) < 0.6 * runs[-1].counters["newton_iterations"]) == compiled_too
+    fast, slow = runs
+    for name in ("steps", "newton_iterations", "stage_iterations", "residuals"):
+        assert fast.counters[name] == slow.counters[name], name
+    for name in ("q", "v", "lam"):
+        wanted = getattr(slow.state, name)
+        assert getattr(fast.state, name) == pytest.approx(wanted, rel=1e-8, abs=1e-8 * np.abs(wanted).max()), name
 
 
 @compiled

@@ -175,6 +175,39 @@ def test_solutions_are_those_of_numpy(rod_mesh: Callable[..., Any], dim: int, bo
 
 
 @compiled
+@pytest.mark.parametrize("body", [*FLOATING, *BODIES])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_complex_solutions_are_those_of_numpy(rod_mesh: Callable[..., Any], dim: int, body: str) -> None:
+    """For motions of a complex frequency, as stages of implicit schemes ask for them; bodies with modes beside the field."""
+    scene, s = swinging(rod_mesh(dim=dim, h=0.5, height=0.2), body), 300.0 + 400.0j
+    modes = fmbd.FloatingBody(
+        "reduced", rod_mesh(dim=dim, h=0.5, height=0.2), density=500.0, stiffness_damping=1e-3, **SMALL
+    )
+    scene.add(reduced := modes.reduced(modes=4))
+    scene.add(fmbd.spherical("end", reduced.surface("pin"), scene.bodies["bob"], center=(1.0, 0.2, 0.0)[:dim]))
+    system, start, _ = scene.build()
+    rng = np.random.default_rng(3)
+    moved, v = rng.normal(size=(2, system.n_v))
+    moved[system.n_core :] = 0.0  # as above
+    q = system.compose(start.q, 1e-3 * moved)
+    b = rng.normal(size=(2, system.n_v))
+    c = rng.normal(size=(2, system.n_lam))
+    for span in system.frame_rows:
+        c[:, span] = 0.0
+
+    found = []
+    for states in (None, driver_states(system)):
+        if states is not None:
+            system.evaluate_by(states)
+        solver = StepSolver(system)
+        solver.prepare(system.at(0.3, q, v), Weights(1.0, 1.0 / s, 1.0 / s**2))
+        assert (solver.driver is not None and solver.driver.ready) == (states is not None)
+        found.append(solver.solve(b[0] + 1j * b[1], c[0] + 1j * c[1]))
+    for one, other in zip(*found, strict=True):
+        assert other == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max())
+
+
+@compiled
 @pytest.mark.parametrize("body", ["mean axes", "mean axes, large strains", "large strains", "attached, stiffened"])
 @pytest.mark.parametrize(
     "scheme", [fmbd.Rattle(), fmbd.HalfExplicit(rtol=None), fmbd.BDF(order=2, rtol=None)], ids=lambda s: s.name

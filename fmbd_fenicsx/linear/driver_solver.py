@@ -41,8 +41,10 @@ class DriverSolver:
     def prepare(self, ev: Evaluation, weights: Weights) -> bool:
         """Factor the matrix of a state; False where NumPy has to."""
         self.ready = False
-        if self.usable is False or weights.cm != 1.0 or not weights.real or not self._evaluated(ev):
+        if self.usable is False or weights.cm != 1.0 or not self._takes(weights) or not self._evaluated(ev):
             return False
+        if not weights.real and self.usable is None:  # rows are looked at with the masses
+            self._usable_at(ev.t, ev.q, ev.alone[2][0])
         self._choose(ev, weights)
         self._weights = weights
         self.ready = self._looked(ev) and self.states.prepare(ev, weights.cd, weights.ck)
@@ -51,6 +53,10 @@ class DriverSolver:
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
         """Whether the matrix prepared last is this one."""
         return self._evaluated(ev) and weights == self._weights and self.states.holds(ev, weights.cd, weights.ck)
+
+    def _takes(self, weights: Weights) -> bool:
+        """Whether the driver makes matrices of these."""
+        return weights.real
 
     def _evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         """Whether a state is the driver's."""
@@ -186,6 +192,9 @@ class FieldDriverSolver(DriverSolver):
         """Whether the matrix prepared last is this one, by the same tangents; another solver may have used the tables since."""
         same = self.told.factored_by(self.blocks) and super().holds(ev, weights)
         return same and self._versions == self.elastic.versions(ev.t)
+
+    def _takes(self, weights: Weights) -> bool:
+        return weights.real or self.told.takes_complex
 
     def _evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         return self.told.evaluated(ev)

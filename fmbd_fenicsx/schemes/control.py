@@ -172,7 +172,7 @@ class ErrorNorm(Remembering):
         """What errors of places, of velocities and of accelerations are multiplied by before their means are taken, (3, n_v);
         None where the norm asks for more.
         """
-        if self.rods is not None or self.system.fields:
+        if self.rods is not None:
             return None
         if self.index == 3:
             return np.array([1.0, h, h * h])[:, None] / self.wq

@@ -24,13 +24,13 @@ from .substructures import substructured
 @dataclass(frozen=True, eq=False)
 class InC:
     """How C solves with a factor of ``mass`` M + ``stiffness`` K by itself: the address of PETSc's MatSolve, and that of its
-    ``matrix``, (1,), zero once the factor is freed.
+    ``matrix``, (1,), zero once the factor is freed. None: the factor is complex, the structure ``Symmetric`` of driver/tables.h.
     """
 
-    solve: int
+    solve: int | None
     matrix: np.ndarray
     mass: float
-    stiffness: float
+    stiffness: complex
 
 
 class Factor:

@@ -6,6 +6,8 @@ small against its column. On one rank.
 
 from __future__ import annotations
 
+import ctypes
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from ...errors import LinearSolveError
+from ...fem.factors.factor import InC
 from ...fem.fields import Field
+from ...kernel_cache import address_of
 from ...rotations import Array
 from ..residual import Judge
 from .spd import FieldFactor
@@ -26,6 +30,8 @@ class ComplexFactor(FieldFactor):
 
     def __init__(self, field: Field, cm: complex, ck: complex, cd: complex = 0.0) -> None:
         self.judge = Judge(f'the elastic block of body "{field.name}" for motions of complex frequency')
+        # mass, stiffness, own damping
+        self.weights = complex(cm), complex(ck), complex(cd)
         real, imaginary = (_matrix(field, cm.real, ck.real, cd.real), _matrix(field, cm.imag, ck.imag, cd.imag))
         self.matrix = sp.csr_matrix(real + 1j * imaginary)
         self.norm = float(abs(self.matrix).sum(axis=1).max())
@@ -45,9 +51,32 @@ class ComplexFactor(FieldFactor):
             self.judge.check(float(left), float(given), grown=self.norm * float(found))
         return np.asarray(x)
 
+    def in_c(self) -> InC | None:
+        """As :meth:`FieldFactor.in_c`, where no pivot was looked for beside the diagonal; it judges by the first criterion."""
+        cm, ck, cd = self.weights
+        if cd or cm.imag or not np.array_equal(self.factor.perm_r, self.factor.perm_c):
+            return None
+        return InC(None, self._lent[0], cm.real, ck)
+
+    @cached_property
+    def _lent(self) -> tuple[np.ndarray, Any]:
+        """The structure for C by its address, (1,), and what keeps its arrays alive."""
+        n, order = len(self.factor.perm_r), np.argsort(self.factor.perm_r).astype(np.int32)
+        L = sp.tril(self.factor.L, k=-1, format="csc")
+        arrays = [L.indptr.astype(np.int32), L.indices.astype(np.int32), order, L.data, 1.0 / self.factor.U.diagonal()]
+        arrays.append(np.zeros(2 * n))
+        made = Symmetric(n, *map(address_of, arrays))
+        return np.array([ctypes.addressof(made)], dtype=np.uint64), (made, arrays)
+
     def solve_columns(self, B: Array) -> Array:
         """The solutions of columns (n, k)."""
         return self.solve(B) if B.shape[1] else B.astype(complex)
+
+
+class Symmetric(ctypes.Structure):
+    """``Symmetric`` of driver/tables.h."""
+
+    _fields_ = (("n", ctypes.c_long), *((name, ctypes.c_void_p) for name in "start row order L inverse work".split()))
 
 
 def _matrix(field: Field, cm: float, ck: float, cd: float) -> sp.csr_matrix:

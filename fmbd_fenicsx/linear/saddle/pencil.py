@@ -67,8 +67,10 @@ def cuts_of(rows: int, n: int, m: int, ties: int) -> list[int]:
 class Pencil:
     """(1) inverted for frequencies s, (p,) real or complex, all in one array; or for a matrix s (n, n) of coupled stages, p = 1.
 
-    ``redundant``: dependent constraints are solved with multipliers of least norm.
+    ``redundant``: dependent constraints are solved with multipliers of least norm. ``room``: None, increments are NumPy's.
     """
+
+    room: None = None
 
     def __init__(self, tangent: StepTangent, s: Array, judge: Judge, redundant: bool = False) -> None:
         self.s, self.judge, self.t, self.redundant = s, judge, tangent, redundant

@@ -28,6 +28,7 @@ from ...linear.frequency_solvers import DECADE, FrequencySolvers
 from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
+from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.compiled.states.points import PointsTold
 from ...system.evaluation import Evaluation
 from ...system.serialisation import Memory, plain, worker
@@ -79,10 +80,12 @@ class FieldTangent:
         return SHIFT * system.length / max(place, speed**2 / max(push, 1e-300))
 
     @cached_property
-    def _turnings(self) -> Array:
+    def turnings(self) -> Array:
         """Derivatives of rate(xi, v) by xi at xi = 0, frame by frame: (frames, n_twist, n_twist)."""
         system, count = self.ev.system, self.ev.system.motions.n_twist
         frames, k = system.n_frames, system.n_frames * count
+        if system.motions.dim == 2:
+            return np.zeros((frames, count, count))
         one = np.zeros((count, system.n_v))
         one[:, :k] = np.tile(1e-6 * np.eye(count), frames)
 
@@ -95,7 +98,7 @@ class FieldTangent:
         if system.motions.dim == 2 or not k:
             return 0.0
         found = np.zeros_like(d)
-        turned = self._turnings @ d[..., :k].reshape(*d.shape[:-1], system.n_frames, -1, 1)
+        turned = self.turnings @ d[..., :k].reshape(*d.shape[:-1], system.n_frames, -1, 1)
         found[..., :k] = turned.reshape(*d.shape[:-1], k)
         return found
 
@@ -125,6 +128,7 @@ class FieldEquations(Equations):
         self._begun: State | None = None
         self._basis: Evaluation | None = None  # where N is taken
         self._motions: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
+        self._room: FieldStageRoom | None = None
 
     @property
     def counters(self) -> dict[str, float]:
@@ -226,7 +230,7 @@ class FieldEquations(Equations):
             assert self._begun is not None
             self._basis = self.system.at(self._begun.t, self._begun.q)
         if slips.shape[1] <= COLUMNS:
-            return slips @ self._closing_motions(self._basis).T
+            return slips @ self.closing_motions().T
 
         self.prepare(self._basis, self.metric)
         closing = self.solver.closing
@@ -234,13 +238,24 @@ class FieldEquations(Equations):
             return np.asarray(closing(slips.real.T).T + 1j * closing(slips.imag.T).T)
         return closing(slips.T).T
 
-    def _closing_motions(self, basis: Evaluation) -> Array:
+    def closing_motions(self) -> Array:
         """N of (1), (n_v, n_lam), solved for once where derivatives are taken."""
-        known = self._motions
+        basis, known = self._basis, self._motions
+        assert basis is not None
         if known is None or known[0] is not basis or known[1] != self.metric:
             self.prepare(basis, self.metric)
             self._motions = known = basis, self.metric, self.solver.closing(np.eye(self.system.n_lam))
         return known[2]
+
+    def stage_room(self, frequencies: int, points: int, square: Array) -> FieldStageRoom | None:
+        """Room of compiled code for increments of so many points, their lengths squared by these weights; None without any."""
+        states, shape = self.system.evaluator, (frequencies, points)
+        many = self.system.n_lam > COLUMNS or 2 in self.form.levels
+        if many or not isinstance(states, DriverStates) or not states.same_rows:
+            return None
+        if self._room is None or self._room.states is not states or self._room.shape != shape:
+            self._room = FieldStageRoom(states, self.form.levels, shape, square)
+        return self._room
 
     def prepare(self, ev: Evaluation, weights: Weights) -> None:
         """The matrix of a step, unless it is there."""

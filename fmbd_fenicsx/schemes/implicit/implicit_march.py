@@ -134,7 +134,8 @@ class ImplicitMarch(MarchingStepper):
         tangents.weigh_once(self.solver, self.state)
         convergence, rule = self._settings()
         convergence.accurate = self.judge.tolerance
-        stages.lend(rule, np.ones((3, self.system.n_v)), redundant=self.solver.core.redundant)
+        stages.let_depend(redundant=self.solver.core.redundant)
+        stages.lend(rule, np.ones((3, self.system.n_v)))
         floor = 64 * EPS * self.system.length
         lent.settle(convergence, {"rtol": self.norm.rtol, "floor": floor, "slow": self.slow, "longer": self.longer})
         room.view(np.uintp)[0] = lent.address

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.compiled.states.stages import Rule
 from ..dae import Points
@@ -26,23 +25,23 @@ class StageIteration:
     def __init__(self, equations: Any, t: Array, points: Points, rule: Rule, weights: Array | None) -> None:
         self.eq, self.t, self.rule, self._weights = equations, t, rule, weights
         self._points = points
-        self._told: SparsePencil | None = None  # who has the points
+        self._room: Any = None  # of compiled code, which has the points
 
     @property
     def points(self) -> Points:
         """The newest."""
-        if self._told is not None:
-            self._points, self._told = Points(*self._told.room.points()), None
+        if self._room is not None:
+            self._points, self._room = Points(*self._room.points()), None
         return self._points
 
     def follow(self, pencil: Any, convergence: Convergence, until: int) -> None:
         """Add increments in compiled code, up to number ``until`` of the iteration, as far as it can."""
-        if not isinstance(pencil, SparsePencil) or self._weights is None:
-            return
         room, eq, before = pencil.room, self.eq, convergence.done
-        if self._told is not pencil:
+        if room is None or self._weights is None:
+            return
+        if self._room is not room:
             room.put(self.t, eq.origin, self.points, self.rule, self._weights)
-            self._told, eq.left = pencil, room.left
+            self._room, eq.left = room, room.left
         try:
             pencil.iterate(convergence, until)
         finally:

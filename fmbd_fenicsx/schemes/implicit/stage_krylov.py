@@ -34,6 +34,8 @@ from ...errors import LinearSolveError
 from ...fem.fields import rank_sum
 from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.compiled.states.convergence import Convergence
+from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.system import System
 
 if TYPE_CHECKING:
@@ -140,6 +142,32 @@ class FieldStages:
         self.before: Array = np.zeros(len(s))  # sizes of the last increments
         self.frequency, self.square_of_s = np.abs(s), np.array(self.s)[:, None] ** 2
         self.wide = [np.iscomplexobj(x) for x in self.s]
+        self._room: FieldStageRoom | None = None
+
+    @property
+    def room(self) -> FieldStageRoom | None:
+        """Who adds increments in compiled code; None where solutions may have to be iterated on, or where that has no place."""
+        eq, t = self.eq, self.t
+        if self._room is None and self._trusted.all():
+            points = len(self.s) + sum(self.wide)  # a complex frequency stands for two
+            self._room = eq.stage_room(len(self.s), points, self.square)
+            if self._room is not None:
+                self._room.derive_at(t.state, t.low, eq.closing_motions(), t.turnings)
+        return self._room
+
+    def iterate(self, convergence: Convergence, until: int) -> None:
+        """Increments of the points in the room, up to number ``until``, or to one whose solution has to be iterated on."""
+        room = self._room
+        assert room is not None
+        for by in reversed(self.by):  # complex ones look at rows with the tables of real ones
+            by.prepare(self.t.ev)
+        drivers = [by.solver.driver for by in self.by]
+        solvers = [driver.states for driver in drivers if driver is not None and driver.ready]
+        if len(set(map(id, solvers))) < len(self.by):  # matrices of some are NumPy's, or share their tables
+            return
+        room.solve_by(np.array(self.s), solvers, self.before)
+        self.judge.solves += room.iterate(convergence, until)
+        self.before = room.known["before"].copy()
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
         """Increments dxi, dv side by side (p, 2 n_v) and multipliers (p, levels n_lam), for residuals r_kin (p, n_v) and r_low

@@ -223,32 +223,39 @@ EXPORT int driver_rows(System *s, long count, const double *t, const double *q, 
     return DONE;
 }
 
-/* A right-hand side on the nodes of fields, which stand behind the frames in b: whether there is any. */
-static int load_nodes(System *s, const double *b)
+/* A part of a right-hand side on the nodes of fields, which stand behind the frames in b: whether there is any. */
+static int load_nodes(System *s, const double *b, int part)
 {
     int loaded = 0;
     for (int k = 0; s->fields && k < s->bodies; k++) {
         const Body *o = s->body + k;
         if (!o->field) continue;
-        memset(s->b + o->at_u + TWIST, 0, o->modes * sizeof(double));
+        double *force = o->field->force + part * o->field->n;
+        memset(s->b + part * (s->nu + s->rows) + o->at_u + TWIST, 0, o->modes * sizeof(double));
         for (long i = 0; i < o->field->n; i++) {
-            o->field->force[i] = -b[o->at_v + i];
-            loaded |= o->field->force[i] != 0.0;
+            force[i] = -b[o->at_v + i];
+            loaded |= force[i] != 0.0;
         }
     }
     return loaded;
 }
 
-/* x and y for right-hand sides b and c, each so many rows, with the factor of this configuration. */
+/* x and y for right-hand sides b and c, each so many rows, with the factor of this configuration; of complex ones the real parts
+   stand in a row before the imaginary ones. */
 EXPORT int driver_solve(System *s, long count, const double *q, const double *b, const double *c, double *x, double *y)
 {
     int verdict = DONE, failed;
-    for (long i = 0; i < count; i++, b += s->nv, c += s->rows, x += s->nv, y += s->rows) {
-        int placed = place(s, q, b);
-        if (placed) verdict = placed;
-        memcpy(s->b, s->velocity, s->nu * sizeof(double));
-        memcpy(s->b + s->nu, c, s->rows * sizeof(double));
-        if ((failed = with_all_rows(s, load_nodes(s, b), x, y, 0.0))) return failed;
+    for (long i = 0; i < count; i++, x += s->parts * s->nv, y += s->parts * s->rows) {
+        int loaded = 0;
+        double *to = s->b;
+        for (int part = 0; part < s->parts; part++, to += s->nu + s->rows, b += s->nv, c += s->rows) {
+            int placed = place(s, q, b);
+            if (placed) verdict = placed;
+            memcpy(to, s->velocity, s->nu * sizeof(double));
+            memcpy(to + s->nu, c, s->rows * sizeof(double));
+            loaded |= load_nodes(s, b, part);
+        }
+        if ((failed = with_all_rows(s, loaded, x, y, 0.0))) return failed;
     }
     return verdict;
 }

@@ -5,6 +5,7 @@
 #include "rotations.c"
 #include "parts.h"
 #include "factor.c"
+#include "complex_factor.c"
 #include "bodies.c"
 #include "formulas.c"
 #include "mapped.c"
@@ -40,6 +41,11 @@ EXPORT int driver_evaluate(System *s, const double *q, const double *v, const do
 EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t)
 {
     return prepare(s, q, cd, ck, lam, reactions, t);
+}
+
+EXPORT int driver_prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)
+{
+    return prepare_complex(s, q, cd, ck, lam, t);
 }
 
 EXPORT int driver_increment(System *s, double scale, double *x, double *y, double t) { return increment(s, scale, x, y, t); }

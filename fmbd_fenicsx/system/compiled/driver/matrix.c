@@ -79,8 +79,9 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
     return DONE;
 }
 
-/* ``reactions``: whether these have a geometric stiffness; verdict of the factorisation. */
-static int assemble(System *s, const double *q, double cd, double ck, double geometric, const double *lam, int reactions, double t)
+/* The entries of the matrix; ``reactions``: whether these have a geometric stiffness. Of an imaginary part those of stiffness and
+   damping alone. */
+static int entries(System *s, const double *q, double cd, double ck, double geometric, const double *lam, int reactions, double t)
 {
     int verdict, masses = cd == 0.0 && ck == 0.0; /* of a start: no stiffness */
     clear(s);
@@ -93,20 +94,38 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
         if (o->field && field_block(s, o, R, q)) return NEWTON;
         if (o->field) continue;
         if (o->T) reduced_block(s, o, R, q + o->at_q, cd, ck);
-        else if (o->inertia) rigid_block(s, o, R);
+        else if (o->inertia && !s->imaginary) rigid_block(s, o, R);
         if (o->told && (verdict = told_block(s, o, t))) return verdict;
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role == READ) continue;
-        if (k->role == ROW && k->mapped) mapped_rows(s, k);
-        else if (k->role == ROW) plain_rows(s, k);
+        if (k->role == ROW && k->mapped && !s->imaginary) mapped_rows(s, k);
+        else if (k->role == ROW && !s->imaginary) plain_rows(s, k);
         if ((k->role == ROW && !reactions) || masses) continue;
         if ((verdict = tangents(s, k, cd, ck, geometric, lam, t))) return verdict;
     }
     for (Rod *k = s->rod; k < s->rod + s->rods && !masses; k++)
         if (rod_tangents(s, k, t, geometric)) return FAILED;
-    if ((verdict = factor(s)) || masses || !s->linkable) return verdict;
+    return DONE;
+}
+
+/* The matrix and its factor; verdict of the factorisation. */
+static int assemble(System *s, const double *q, double cd, double ck, double geometric, const double *lam, int reactions, double t)
+{
+    int verdict = entries(s, q, cd, ck, geometric, lam, reactions, t), masses = cd == 0.0 && ck == 0.0;
+    if (verdict || (verdict = factor(s)) || masses || !s->linkable) return verdict;
     return link_efforts(s, t);
+}
+
+/* The same for complex weights, each by its two parts; without efforts that answer to more than their own coordinates. */
+static int prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)
+{
+    s->imaginary = 1;
+    int verdict = entries(s, q, cd[1], ck[1], ck[1], lam, 0, t);
+    s->imaginary = 0;
+    memcpy(s->lossy, s->L, s->storage * sizeof(double));
+    if (verdict || (verdict = entries(s, q, cd[0], ck[0], ck[0], lam, 0, t))) return verdict;
+    return factor_complex(s);
 }
 
 /* The factor at the state evaluated last; without geometric stiffness where that makes the bodies' part indefinite (a large pull
@@ -128,32 +147,37 @@ int prepare(System *s, const double *q, double cd, double ck, const double *lam,
 void solution(System *s, double *x, double *y)
 {
     double *b = s->b;
-    back_solve(s, b);
+    const int wide = s->nu + s->rows;
+    if (s->parts > 1) back_solve_complex(s, b);
+    else back_solve(s, b);
     if (s->links) add_links(s, b);
 
     for (int k = 0; k < s->bodies; k++) {
         const Body *o = s->body + k;
-        const double *u = b + o->at_u;
-        memcpy(x + TWIST * k, u, D * sizeof(double));
-        to_body(s->frames + FRAME * k + TURN, u + D, x + TWIST * k + D);
-        if (o->field) field_increment(o, u + TWIST, x + o->at_v, b + s->nu);
-        else memcpy(x + o->at_v, u + TWIST, o->modes * sizeof(double));
+        for (int part = 0; part < s->parts; part++) {
+            const double *u = b + part * wide + o->at_u;
+            double *to = x + part * s->nv;
+            memcpy(to + TWIST * k, u, D * sizeof(double));
+            to_body(s->frames + FRAME * k + TURN, u + D, to + TWIST * k + D);
+            if (!o->field) memcpy(to + o->at_v, u + TWIST, o->modes * sizeof(double));
+        }
+        if (o->field) field_increment(s, o, x);
     }
-    memcpy(y, b + s->nu, s->rows * sizeof(double));
+    for (int part = 0; part < s->parts; part++) memcpy(y + part * s->rows, b + part * wide + s->nu, s->rows * sizeof(double));
 }
 
 /* Frames whose columns of inertia leave out U: the moments of M U x dU go to them in a second solution, added to the first. */
 static void sway(System *s, double *x, double *y)
 {
-    double *again = s->work + s->again, *more = again + s->nv;
-    memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
+    double *again = s->work + s->again, *more = again + s->parts * s->nv;
+    memset(s->b, 0, s->parts * (s->nu + s->rows) * sizeof(double));
     for (int b = 0; b < s->bodies; b++) {
         const Body *o = s->body + b;
-        if (o->field) field_sway(o, s->frames + FRAME * b + TURN, x + o->at_v, s->b + o->at_u + D);
+        if (o->field) field_sway(s, o, s->frames + FRAME * b + TURN, x);
     }
     solution(s, again, more);
-    add(x, 1.0, again, s->nv);
-    add(y, 1.0, more, s->rows);
+    add(x, 1.0, again, s->parts * s->nv);
+    add(y, 1.0, more, s->parts * s->rows);
 }
 
 /* x and y for the right-hand side in b, world axes; the nodes of fields have their forces times -scale. */

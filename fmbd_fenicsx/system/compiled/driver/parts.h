@@ -25,9 +25,9 @@ PART int field_force(System *s, int b, const double *q, const double *v, const d
 PART void frame_conditions(System *s, const Body *o, const double *lam);
 PART int field_block(System *s, const Body *o, const double *R, const double *q);
 PART int field_load(System *s, const Body *o, double scale, double t);
-PART void field_increment(const Body *o, const double *p, double *dU, double *lam);
+PART void field_increment(System *s, const Body *o, double *x);
 PART void field_without_load(const Body *o);
-PART void field_sway(const Body *o, const double *R, const double *dU, double *f);
+PART void field_sway(System *s, const Body *o, const double *R, const double *x);
 PART void field_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out);
 
 /* told.c */

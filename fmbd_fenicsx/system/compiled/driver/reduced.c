@@ -205,8 +205,8 @@ int reduced_force(const Body *o, const double *R, const double *q, const double 
     return dot(eta, Me, m) <= o->large ? DONE : LOOK;
 }
 
-/* The lower half of the block of M + cd C + ck K into the fronts, world axes, at the configuration evaluated last. */
-void reduced_block(System *s, const Body *o, const double *R, const double *eta, double cd, double ck)
+/* The lower half of M in the block, world axes. */
+static void reduced_masses(const Body *o, const double *R, const double *eta)
 {
     int m = o->modes, k = m + 1, n = TWIST + m, DD = D * D;
     const double *U = o->U;
@@ -218,7 +218,6 @@ void reduced_block(System *s, const Body *o, const double *R, const double *eta,
         arm[i] = o->S[k * i] + dot(o->S + k * i + 1, eta, m);
     }
     for (int i = 0; i < D; i++) trace += T0[(D + 1) * i];
-    memset(A, 0, (size_t)n * n * sizeof(double));
     for (int i = 0; i < D; i++) A[(n + 1) * i] = o->mass;
 #if DIM == 3
     for (int i = 0; i < 3; i++)
@@ -236,11 +235,24 @@ void reduced_block(System *s, const Body *o, const double *R, const double *eta,
         const double *T_ = U + DD * (i + 1);
         for (int j = 0; j < ROT; j++) turning[j] = T_[pair[j]] - T_[other[j]];
         to_world(R, turning, row + D);
-        for (int j = 0; j <= i; j++) row[TWIST + j] = o->modal[m * i + j] + cd * o->C[m * i + j] + ck * o->K[m * i + j];
-        for (int j = 0; o->now && j <= i; j++) row[TWIST + j] += ck * o->now[m * i + j];
+        for (int j = 0; j <= i; j++) row[TWIST + j] = o->modal[m * i + j];
     }
-
     if (o->stress) second_block(o, R, eta);
+}
+
+/* The lower half of the block of M + cd C + ck K into the fronts, world axes, at the configuration evaluated last; without M where it
+   is an imaginary part. */
+void reduced_block(System *s, const Body *o, const double *R, const double *eta, double cd, double ck)
+{
+    int m = o->modes, n = TWIST + m;
+    double *A = o->block;
+    memset(A, 0, (size_t)n * n * sizeof(double));
+    if (!s->imaginary) reduced_masses(o, R, eta);
+    for (int i = 0; i < m; i++) {
+        double *row = A + n * (TWIST + i) + TWIST;
+        for (int j = 0; j <= i; j++) row[j] += cd * o->C[m * i + j] + ck * o->K[m * i + j];
+        for (int j = 0; o->now && j <= i; j++) row[j] += ck * o->now[m * i + j];
+    }
 
     const int *dest = o->dest;
     for (int i = 0; i < n; i++) {

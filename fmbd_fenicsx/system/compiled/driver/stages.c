@@ -1,9 +1,6 @@
 /* The stages of an implicit step in local coordinates: Newton's iteration is one call, and so are the factors of all frequencies. With K = K0 + s K1 + s^2 K2 for a frequency s, real or one of a complex pair (linear/saddle/pencil.py, whose symbols
    these are), the work is proportional to the entries of the factors: to the length of chains and trees. */
 
-#include <complex.h>
-#undef I
-
 static const double OWN = 0.1;      /* share of the largest entry of a column from which its own row is its pivot */
 static const double REFINE = 1e-12; /* relative residuals above this are refined once */
 
@@ -40,6 +37,7 @@ typedef struct {
     double *weigh, *moved, *judged; /* weigh: 3 x n, of dxi, dv and U dlambda; moved: 6; judged: 2, of an iteration */
     double *local, relax;           /* local: nq + n */
     double *bases, *bent, span;     /* of rods whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
+    struct FieldStages *fields;     /* of elastic fields, whose systems have no such K; NULL for others */
 } Stages;
 
 #include "rigid_motions.c"
@@ -182,6 +180,8 @@ EXPORT int driver_points(System *s, long count, const double *t, const double *q
     return DONE;
 }
 
+#include "field_stages.c"
+
 /* What depends on time only at point j: asked for where Newton's iteration begins, the same for all ``increments`` after. */
 static int sample_point(System *s, const Stages *o, int j, int increments)
 {
@@ -200,8 +200,8 @@ static int stage_residuals(System *s, const Stages *o, int increments)
     for (int j = 0; j < o->points; j++) {
         double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
         if ((verdict = sample_point(s, o, j, increments))) return verdict;
-        verdict = local_point(s, &o->W, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult, o->levels > 1 ? mult + m : NULL,
-                              kin, low, o->local);
+        verdict = local_point(s, &o->W, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult,
+                              o->levels > 1 && !o->fields ? mult + m : NULL, kin, low, o->local);
         if (verdict) return verdict;
         for (int i = 0; i < n; i++) {
             kin[i] = o->rate[j * n + i] - kin[i];
@@ -209,7 +209,22 @@ static int stage_residuals(System *s, const Stages *o, int increments)
         }
         level_rows(s, n, m, o->levels, o->first, low);
     }
+    if (o->fields) lacking(s, o);
     return DONE;
+}
+
+/* The largest of the weighted mean squares of what is of one of the three kinds, of the core and of every field. */
+static double square_of_fields(const Stages *o, int kind, const double *x)
+{
+    const double *weigh = o->weigh + (long)kind * o->n;
+    double worst = 0.0;
+    for (int k = 0, i = 0; k < o->fields->kinds; k++) {
+        const int count = o->fields->span[k] - i;
+        double sum = 0.0;
+        for (; i < o->fields->span[k]; i++) sum += weigh[i] * x[i] * weigh[i] * x[i];
+        if (count && !(sum / count <= worst)) worst = sum / count;
+    }
+    return worst;
 }
 
 /* The weighted mean square of what is of one of the three kinds, 0 to 2; the larger one where deformations are weighed apart. */
@@ -218,6 +233,7 @@ static double mean_square(const System *s, const Stages *o, int kind, const doub
     const double *weigh = o->weigh + (long)kind * o->n, power = kind > 1 ? o->span * o->span : o->span;
     const int apart = o->bases && kind;
     double sum = 0.0, of_bent = 0.0;
+    if (o->fields) return square_of_fields(o, kind, x);
     if (apart) bend(s, o, x, o->bent);
     for (int i = 0; i < o->n; i++) {
         double bent = apart ? o->bent[i] : 0.0, e = weigh[i] * (x[i] - bent), b = power * o->weigh[i] * bent;
@@ -268,7 +284,8 @@ static int stage_increment(System *s, Stages *o, int increments)
     memset(o->dxi, 0, (size_t)k * n * sizeof(double));
     memset(o->dv, 0, (size_t)k * n * sizeof(double));
     memset(o->dmult, 0, (size_t)k * multipliers * sizeof(double));
-    for (int f = 0; f < o->frequencies; f++) {
+    if (o->fields && (verdict = field_increments(s, o))) return verdict;
+    for (int f = 0; f < o->frequencies && !o->fields; f++) {
         if (o->s[2 * f + 1] == 0.0) contribute_real(o, f, judged);
         else contribute_complex(o, f, judged);
         farthest_apart(judged, o->judged);
@@ -277,7 +294,7 @@ static int stage_increment(System *s, Stages *o, int increments)
     for (int i = 0; i < k * n; i++) o->dxi[i] *= o->relax, o->dv[i] *= o->relax;
     for (int i = 0; i < k * multipliers; i++) o->dmult[i] *= o->relax;
     memset(o->push, 0, (size_t)k * n * sizeof(double));
-    for (int j = 0; o->levels && j < k; j++) apply_real(&o->U, 1.0, o->dmult + j * multipliers, o->push + j * n);
+    for (int j = 0; o->levels && !o->fields && j < k; j++) apply_real(&o->U, 1.0, o->dmult + j * multipliers, o->push + j * n);
     const double *moved[3] = {o->dxi, o->dv, o->push};
     for (int i = 0; i < 3; i++) {
         o->moved[i] = largest_length(s, o, moved[i]);

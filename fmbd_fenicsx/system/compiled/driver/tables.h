@@ -4,6 +4,8 @@
    constraints. Arrays of velocities and residuals have the same order, with the twists of the surfaces behind the bodies' blocks
    instead of the rows. Frames: bodies, ground, surfaces. */
 
+#include <complex.h>
+#undef I
 #include <math.h>
 #include <string.h>
 
@@ -120,8 +122,17 @@ typedef struct {
     int (*direct)(void *factor, void *rhs, void *solution); /* PETSc's MatSolve, NULL where Python solves: with */
     void **factor, *rhs, *solution;    /* its matrix, NULL when it is freed; vectors on b and z */
     double *told;                      /* solves, and the worst of their relative residuals */
-    double of_mass, of_stiffness, tolerance; /* E = of_mass M + of_stiffness K; a relative residual that is small */
+    double of_mass, of_stiffness, lossy, tolerance; /* E = of_mass M + (of_stiffness + i lossy) K; a relative residual that is small */
+    int parts;                         /* 2 where factor and columns are complex: all but the real parts stands behind these */
 } Field;
+
+/* L and 1 / D of a complex symmetric matrix L D L^T, its unknowns in an order; L by columns, without its diagonal of ones. */
+typedef struct {
+    long n;
+    const int *start, *row, *order;
+    const double *L, *inverse;
+    double *work;                      /* 2 n */
+} Symmetric;
 
 /* A part that Python tells, see told.c. */
 typedef struct {
@@ -226,6 +237,8 @@ typedef struct {
     int timed;                         /* arrays that a SAMPLE writes, and how long they are: */
     double **timed_at;
     long *timed_size;
+    int parts, imaginary;              /* 2 where the matrix is complex, see Field; whether its imaginary part is assembled */
+    double *lossy;                     /* that part of the fronts */
 } System;
 
 /* A number of a record that an event is about, times ``scale``: where it is in the first one, how many numbers further in the next;

@@ -59,7 +59,7 @@ class DriverStates(CompiledGeometry):
         self._found = Exchange({"x": (2, n), "y": (2, m)})
         self._columns: tuple[int, Exchange] | None = None  # the same for several, with nothing but rows on the right
         self._kept_room: Room | None = None
-        self._held: tuple[float, Array, Array, tuple[float, float]] | None = None  # t, q, v and weights of the factor
+        self._held: tuple[float, Array, Array, tuple[Any, Any]] | None = None  # t, q, v and weights of the factor
         self._last: DriverEvaluation | None = None  # made by :meth:`at`
         self._points = LocalPoints(self)
         tables = self.tables
@@ -216,8 +216,10 @@ class DriverStates(CompiledGeometry):
         return not verdict
 
     # -- solution ---------------------------------------------------------------------------------------------------------
-    def prepare(self, ev: DriverEvaluation, cd: float, ck: float) -> bool:
-        """Factor [M + cd C + ck K, G^T; G, 0] at a state; False where rows depend on each other, or nearly do."""
+    def prepare(self, ev: DriverEvaluation, cd: Any, ck: Any) -> bool:
+        """Factor [M + cd C + ck K, G^T; G, 0] at a state, with complex weights where factors of fields are complex; False where
+        rows depend on each other, or nearly do.
+        """
         if self.holds(ev, cd, ck):
             return True
         self._held = None
@@ -225,14 +227,19 @@ class DriverStates(CompiledGeometry):
         if self.balances(ev.alone, a[None], lam[None]) is None:
             return False
         q, _, below = self._given.put(self.twin.configurations(ev.q), None, lam)
-        verdict = self.library.driver_prepare(self.address, q, cd, ck, below, 0, ev.t)
+        if isinstance(ck, complex):
+            weights = np.array((cd, ck)).view(float)
+            at = address_of(weights)
+            verdict = self.library.driver_prepare_complex(self.address, q, at, at + 2 * weights.itemsize, below, ev.t)
+        else:
+            verdict = self.library.driver_prepare(self.address, q, cd, ck, below, 0, ev.t)
         self.calls.raise_error()
         if verdict:
             return False
         self._held, self.factors = (ev.t, ev.q, ev.alone[2][0], (cd, ck)), self.factors + 1
         return True
 
-    def holds(self, ev: DriverEvaluation, cd: float, ck: float) -> bool:
+    def holds(self, ev: DriverEvaluation, cd: Any, ck: Any) -> bool:
         """Whether the factor is that of a state; velocities count where weights are those of stiffness or damping."""
         if not self._holds_in(ev.t, ev.q, (cd, ck)):
             return False
@@ -243,7 +250,7 @@ class DriverStates(CompiledGeometry):
         """Whether the factor is that of the masses in a configuration."""
         return self._holds_in(t, q, (0.0, 0.0))
 
-    def _holds_in(self, t: float, q: Array, weights: tuple[float, float]) -> bool:
+    def _holds_in(self, t: float, q: Array, weights: tuple[Any, Any]) -> bool:
         """Whether the factor is that of a configuration; steps that took the tables write over it."""
         if self.taken or self._held is None:
             return False
@@ -257,11 +264,12 @@ class DriverStates(CompiledGeometry):
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """x like v and y (n_lam,) for the right-hand sides b and c, complex ones too."""
         assert self._held is not None
-        twin, (x, y), parts = self.twin, self._found.arrays, np.iscomplexobj(b)
+        wide = self.tables.c.parts > 1  # two parts are one right-hand side
+        twin, (x, y), parts = self.twin, self._found.arrays, wide or np.iscomplexobj(b)
         if parts:
             b, c = np.array((b.real, b.imag)), np.array((c.real, c.imag))
         q, right, below = self._given.put(twin.configurations(self._held[1]), twin.velocities(b), c)
-        self.library.driver_solve(self.address, 1 + parts, q, right, below, *self._found.at)
+        self.library.driver_solve(self.address, 1 + (parts and not wide), q, right, below, *self._found.at)
         if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()
         x = twin.forces(x)

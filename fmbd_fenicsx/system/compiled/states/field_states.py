@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from ....rotations import Array
-from ..tables.fields import Block
+from ...system import System
+from ..tables.fields import Block, parts_of
 from ..tables.tables import Tables
 from .evaluation import Configurations, DriverStates
 
@@ -41,7 +42,11 @@ class FieldStates(DriverStates):
     """The driver of a system with fields, for states that Python asks for."""
 
     solves = False
-    _factored: FactoredFieldStates | None = None
+
+    def __init__(self, system: System, library: Any) -> None:
+        self._factored: dict[int, FactoredFieldStates] = {}  # by the parts of their numbers
+        super().__init__(system, library)
+
     _of_steps: FactoredFieldStates | None = None
 
     def of_steps(self, blocks: Sequence[Block]) -> FactoredFieldStates:
@@ -54,10 +59,11 @@ class FieldStates(DriverStates):
         return made
 
     def factored(self, blocks: Sequence[Block]) -> FactoredFieldStates:
-        """The same system with factors of its fields; the last one that was asked for goes on with these."""
-        made = self._factored
+        """The same system with factors of its fields, real or complex; the last one that was asked for goes on with these."""
+        parts = max(map(parts_of, blocks))
+        made = self._factored.get(parts)
         if made is None:
-            self._factored = made = FactoredFieldStates(self, blocks)
+            self._factored[parts] = made = FactoredFieldStates(self, blocks)
         elif made.blocks is not blocks or made.tangents != self.newest_tangents:
             made.take(blocks)  # masses have no tangents, but turn with the body since the newest ones
         return made
@@ -69,7 +75,12 @@ class FieldStates(DriverStates):
 
     def factored_by(self, blocks: Sequence[Block]) -> bool:
         """Whether the tables have these factors now."""
-        return self._factored is not None and self._factored.blocks is blocks
+        return any(made.blocks is blocks for made in self._factored.values())
+
+    @property
+    def takes_complex(self) -> bool:
+        """Whether the driver makes matrices with complex weights: it knows all parts, and efforts answer to themselves alone."""
+        return not (self.tables.told or self.tables.rods or self.tables.c.linkable)
 
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""

@@ -54,6 +54,7 @@ class Stages(ctypes.Structure):
         ("relax", _REAL),
         *((name, _POINTER) for name in "bases bent".split()),
         ("span", _REAL),
+        ("fields", _POINTER),
     )
 
 
@@ -67,12 +68,45 @@ class Rule:
     relax: float = 1.0
 
 
+class PointRoom:
+    """The points of an implicit step in ``arrays`` of the structure ``c``, a :class:`Stages`."""
+
+    c: Any
+    arrays: dict[str, Array]
+
+    def put(self, t: Array, q0: Array, points: Any, rule: Rule, weights: Array) -> None:
+        """Points about q0 at the times t (k,), the rule, and weights of increments (3, n)."""
+        x = self.arrays
+        x["t"][:], x["q0"][:] = t, q0
+        x["xi"][:], x["rate"][:], x["v"][:], x["vd"][:] = points.xi, points.rate, points.v, points.vd
+        x["mult"][:] = points.mult
+        self.lend(rule, weights)
+
+    def lend(self, rule: Rule, weights: Array) -> None:
+        """The rule, and weights of increments (3, n)."""
+        x = self.arrays
+        x["couple"][:], x["weigh"][:] = rule.couple, weights
+        for name, mixing in (("inverse", rule.inverse), ("vectors", rule.vectors)):
+            x[name][..., 0], x[name][..., 1] = mixing.real, mixing.imag
+        self.c.relax = rule.relax
+
+    def points(self) -> tuple[Array, ...]:
+        """xi, its rate, v, its rate and multipliers of the points, the caller's own."""
+        return tuple([self.arrays[name].copy() for name in ("xi", "rate", "v", "vd", "mult")])
+
+    @property
+    def left(self) -> Array:
+        """What the last point left of the first rows, (m,)."""
+        n, m = self.c.n, self.c.m
+        return self.arrays["low"][-1, n : n + m] if self.c.levels else np.zeros(m)
+
+
 def _by_rows(pattern: Pattern, data: int) -> SparseRows:
     """A matrix of a pattern with its data at an address."""
     return SparseRows(pattern.shape[0], address_of(pattern.start), address_of(pattern.on), data)
 
 
-class StageRoom:
+class StageRoom(PointRoom):
     """Room in C for the factors of p frequencies and for k points."""
 
     def __init__(self, structure: StageStructure, frequencies: int, points: int) -> None:
@@ -140,7 +174,7 @@ class StageRoom:
             one.L, one.U, one.pivot = (address_of(x) for x in self._numbers[3 * f : 3 * f + 3])
         self.c.room, self.c.lower = room, ctypes.addressof(self.lower)
 
-    def _let_depend(self, *, redundant: bool) -> None:
+    def let_depend(self, *, redundant: bool) -> None:
         """Say whether rows depend on each other."""
         self.c.units = address_of(self._units) if redundant else None
 
@@ -152,7 +186,7 @@ class StageRoom:
 
     def factor(self, tangent: StepTangent, s: Array, *, redundant: bool) -> bool:
         """The factors of the frequencies s (p,); False where K is singular, or not finite. ``redundant``: rows depend."""
-        self._let_depend(redundant=redundant)
+        self.let_depend(redundant=redundant)
         structure = self.structure
         structure.data(tangent, self.data)
         self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
@@ -170,24 +204,6 @@ class StageRoom:
         self.states.library.driver_stage_solve(self.address, p, *addresses_of((*given, change, mult, judged)))
         return change, mult, judged
 
-    def put(self, t: Array, q0: Array, points: Any, rule: Rule, weights: Array) -> None:
-        """Points about q0 at the times t (k,), the rule, and weights of increments (3, n)."""
-        x = self.arrays
-        x["t"][:], x["q0"][:] = t, q0
-        x["xi"][:], x["rate"][:], x["v"][:], x["vd"][:] = points.xi, points.rate, points.v, points.vd
-        x["mult"][:] = points.mult
-        self.lend(rule, weights)
-
-    def lend(self, rule: Rule, weights: Array, *, redundant: bool | None = None) -> None:
-        """The rule, weights of increments (3, n), and whether rows depend on each other, where factors are made in C."""
-        if redundant is not None:
-            self._let_depend(redundant=redundant)
-        x = self.arrays
-        x["couple"][:], x["weigh"][:] = rule.couple, weights
-        for name, mixing in (("inverse", rule.inverse), ("vectors", rule.vectors)):
-            x[name][..., 0], x[name][..., 1] = mixing.real, mixing.imag
-        self.c.relax = rule.relax
-
     def weigh_bent(self, *, apart: bool) -> None:
         """Whether norms weigh deformations of rods apart from their rigid motions."""
         rods = self.states.tables.system.elements if apart else ()
@@ -195,13 +211,3 @@ class StageRoom:
         if rods:
             self._bent = np.zeros(self.structure.n), np.zeros(sum(1 + 36 * len(rod.nodes) for rod in rods))
             self.c.bent, self.c.bases = map(address_of, self._bent)
-
-    def points(self) -> tuple[Array, ...]:
-        """xi, its rate, v, its rate and multipliers of the points, the caller's own."""
-        return tuple([self.arrays[name].copy() for name in ("xi", "rate", "v", "vd", "mult")])
-
-    @property
-    def left(self) -> Array:
-        """What the last point left of the first rows, (m,)."""
-        n, m = self.structure.n, self.structure.m
-        return self.arrays["low"][-1, n : n + m] if self.structure.levels else np.zeros(m)

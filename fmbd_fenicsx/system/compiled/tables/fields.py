@@ -45,6 +45,7 @@ class FieldTable:
     def __init__(self, tables: Tables, number: int, k: int, block: Block) -> None:
         system = tables.system
         self.tables, self.number, self.k, self.block = tables, number, k, block
+        self.parts = parts_of(block)
         self.part: Any = system.parts[k]
         self.rows = system.frame_rows[k]
         self.turns = isinstance(self.part, RestingField) and self.part.turns
@@ -72,12 +73,13 @@ class FieldTable:
         self._condensed: dict[int, tuple[Array, Condensed]] = system.cache.setdefault(("condensed", k), {})
 
     def solve(self) -> None:
-        """z = E^-1 b."""
-        self.z[:] = self.block.factor.solve(self.b)
+        """z = E^-1 b, complex ones by their parts."""
+        b, n = self.b, self.part.n
+        self.z[:] = in_parts(self.block.factor.solve(b if self.parts == 1 else b[:n] + 1j * b[n:])).ravel()
 
     def alike(self, block: Block) -> bool:
         """Whether another factor has solved for the same columns; ports of stiffened bodies change with the tangent."""
-        if self.part.stiffening is not None:
+        if self.part.stiffening is not None or parts_of(block) != self.parts:
             return False
         same = block.Y.shape == self.block.Y.shape and self.part.inertia_columns.shape[1] == self.inertial
         return same and np.array_equal(block.used, self.block.used)
@@ -93,16 +95,17 @@ class FieldTable:
         """Let C solve with the factor by itself, where it can."""
         factor = self.block.factor
         solved = None if factor is None or self.changes else factor.in_c()
-        self.c.direct = None if solved is None else solved.solve
+        self.c.factor = None if solved is None else address_of(solved.matrix)
         if solved is None:
             return
-        if not self.vectors:
+        self.c.direct = solved.solve
+        if solved.solve is not None and not self.vectors:
             from petsc4py import PETSc
 
             self.vectors = [PETSc.Vec().createWithArray(x, comm=PETSc.COMM_SELF) for x in (self.b, self.z)]
             self.c.rhs, self.c.solution = (x.handle for x in self.vectors)
-        self.c.factor, self.c.told = address_of(solved.matrix), address_of(factor.judge.told)
-        self.c.of_mass, self.c.of_stiffness, self.c.tolerance = solved.mass, solved.stiffness, factor.judge.tolerance
+        self.c.told, self.c.tolerance = address_of(factor.judge.told), factor.judge.tolerance
+        self.c.of_mass, self.c.of_stiffness, self.c.lossy = solved.mass, solved.stiffness.real, solved.stiffness.imag
 
     def _of_tangent(self) -> dict[str, Array]:
         """What changes with the tangent."""
@@ -112,7 +115,7 @@ class FieldTable:
         d = self.tables.dim
         moment = part.moment if part.column_version(0.0) else np.zeros(d)
         return {
-            "Y": block.Y.T, "A": inverse.A, "W": inverse.W, "G": inverse.G, "S": inverse.S,
+            **{name: in_parts(getattr(inverse, name)) for name in "AWGS"}, "Y": in_parts(block.Y.T),
             "Q": part.inertia_columns.T, "inertia": part.inertia, "moment": moment,
             "began": part.began if self.turns else np.zeros((2, d, d)),
         } | ({} if part.stiffening is None else self._bent_tangent())  # fmt: skip
@@ -139,7 +142,7 @@ class FieldTable:
     def forces(self, t: float) -> None:
         """Rows of the frame and forces on the nodes."""
         motion, _, local = self.motion.at(t)
-        self.sums[:], self.force[:] = self.part.force(motion, local)
+        self.sums[:], self.force[: self.part.n] = self.part.force(motion, local)
 
     def mean_forces(self, t: float) -> None:
         """Forces on the nodes over a step about t (s); its frame rests."""
@@ -185,22 +188,20 @@ class FieldTable:
         n = self.part.n
         arrays = {
             **self._columns_of_ports(), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
-            **{name: np.zeros(self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
+            **{name: np.zeros(self.parts * self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
             **{name: np.zeros(n) for name in ("accel", "MU")},
         }  # fmt: skip
         of_tangent = {name: store.array(x) for name, x in self._of_tangent().items()}
         self.of_tangent = {name: x for name, (x, _) in of_tangent.items()}
 
-        self.b, b = store.array(np.zeros(n))
-        self.z, z = store.array(np.zeros(n))
-        self.force, force = store.array(np.zeros(n))
+        (self.b, b), (self.z, z), (self.force, force) = (store.array(np.zeros(self.parts * n)) for _ in range(3))
         self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
 
         self.c = structure("Field", d)(
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
             sways=int(part.shared_columns), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
             own=int(not linear_field(part)), force=force, sums=sums, state=self.motion.address,
-            inertial=self.inertial, turns=int(self.turns), frame_slot=store.integers(self.frame_slots),
+            inertial=self.inertial, turns=int(self.turns), parts=self.parts, frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
             **{name: store.shared(x) for name, x in self._rows_of_nodes().items()},
@@ -282,13 +283,30 @@ class Condensed:
         vanishes = ports & (size <= VANISHING * size[ports].max(initial=0.0))
         size[vanishes] = size[ports & ~vanishes].min(initial=np.inf)
         scaled = compliance / np.outer(size, size)
+        scaled = 0.5 * (scaled + scaled.T)  # S is taken by its lower half and as a whole
 
+        if np.iscomplexobj(W):
+            left, share, right = np.linalg.svd(scaled)
+            stiffness = 1.0 / np.maximum(share, LEAST * share.max(initial=LEAST))
+            found = (right.conj().T * stiffness) @ left.conj().T / np.outer(size, size)
+            self.indefinite, self.S = False, 0.5 * (found + found.T)
+            return
         # negative ones are those of bodies that buckle
-        share, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        share, directions = np.linalg.eigh(scaled)
         least = LEAST * np.abs(share).max(initial=LEAST)
         stiffness = 1.0 / np.where(np.abs(share) > least, share, least)
         self.indefinite = bool((share < -least).any())
         self.S = (directions * stiffness) @ directions.T / np.outer(size, size)
+
+
+def parts_of(block: Block) -> int:
+    """Of the numbers of a factor: 2 where they are complex."""
+    return 1 + np.iscomplexobj(block.W)
+
+
+def in_parts(x: Array) -> Array:
+    """A complex array as its real part and behind it its imaginary one; a real one as it is."""
+    return np.stack((x.real, x.imag)) if np.iscomplexobj(x) else x
 
 
 def known_field(part: Any) -> bool:

@@ -68,7 +68,8 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         *_fields("stresses bends", _INT),
         *_fields("stress_start stress_column stress N bent form bias pull held second one first", _POINTER),
         *_fields("direct factor rhs solution told", _POINTER),
-        *_fields("of_mass of_stiffness tolerance", _REAL),
+        *_fields("of_mass of_stiffness lossy tolerance", _REAL),
+        ("parts", _INT),
     ],
     "Front": [
         *_fields("pivots rows ld next", _INT),
@@ -116,6 +117,8 @@ ALIKE: dict[str, Fields] = {  # in the plane and in space
         ("span", _REAL),
         ("timed", _INT),
         *_fields("timed_at timed_size", _POINTER),
+        *_fields("parts imaginary", _INT),
+        ("lossy", _POINTER),
     ],
 }
 

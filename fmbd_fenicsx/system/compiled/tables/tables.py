@@ -239,7 +239,7 @@ class Tables:
             seen_angle=self.store.integers(np.isin(looks.markers, list(looks.angled))),
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
             foretells=int(any(part.foretells for part in parts)), indefinite=int(any(field.indefinite for field in self.fields)),
-            leaves_out=int(s.leaves_out), **self._links(),
+            leaves_out=int(s.leaves_out), parts=self.parts_of_numbers, **self._links(),
         )  # fmt: skip
 
     def _lists(self) -> tuple[dict[str, int], dict[str, int]]:
@@ -264,11 +264,16 @@ class Tables:
                 self.body_array = array
         return counts, addresses
 
+    @property
+    def parts_of_numbers(self) -> int:
+        """2 where the factors of fields, and so the matrix, are complex."""
+        return max((field.parts for field in self.fields), default=1)
+
     def _numbers(self, once: int) -> dict[str, int]:
         """The arrays of numbers, kept by their names, and their addresses; ``once``: size of the work of a step."""
         s = self.system
         store = self.store
-        size = self.nu + self.rows
+        size, parts = self.nu + self.rows, self.parts_of_numbers
         widest = int(self.width.max(initial=0))
         given = {
             "gravity": s.gravity(0.0),
@@ -280,7 +285,8 @@ class Tables:
 
         arrays = store.zeros({
             "velocity": self.nothing + 1, "residual": self.nothing + 1,
-            "L": self.fronts.storage + 8, "diagonal": size, "inverse": size, "b": size, "local": size + 8,
+            "L": self.fronts.storage + 8, "lossy": (parts - 1) * self.fronts.storage + 8, "diagonal": size,
+            "inverse": parts * size, "b": parts * size, "local": parts * size + 8,
             "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows), "big": (2 * self.twist + 1) * 2 * widest + size,
             **dict.fromkeys(("gap", "slip", "weight", *MOTIONS), self.rows),
             "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},

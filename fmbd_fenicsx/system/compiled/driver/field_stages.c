@@ -1,0 +1,240 @@
+/* Increments of the stages of elastic fields, by the matrices of their frequencies: schemes/implicit/stage_krylov.py, whose symbols these
+   are, as long as no solution has to be iterated on. Complex vectors have two parts, all real numbers first. */
+
+static const double SEEN = 0.05;     /* share of an increment above which known parts of rates are seen, SMALL there */
+static const double SLOW_SHARE = 0.3; /* of the increment before, above which solutions are iterated on, SLOW there */
+static const double SHIFTED = 0x1p-26; /* of a difference quotient, over the model's length */
+static const double ROUNDED = 1e-14; /* roundoff of rates, over their largest */
+
+/* What stands here has the same order in ``FieldStages`` of system/compiled/states/field_stages.py. */
+typedef struct FieldStages {
+    System **by;                       /* who has the matrix of each frequency */
+    int kinds, *span;                  /* entries like v whose means count by themselves, of the core and of each field: their ends */
+    double t, length, *q, *v, *a, *lam, *balance; /* the motion where derivatives are taken; balance and rows there */
+    double *N, *turnings;              /* m x n, motions that open single rows; bodies x TWIST x TWIST, d rate / d xi at xi = 0 */
+    double *square, *before, *sizes;   /* n: of the entries of lengths; of the last increments; of these */
+    double *kin, *low, *rate, *push;   /* frequencies x 2 n, x 2 size, x 2 n, x 2 n */
+    double *x, *y;                     /* frequencies x 4 n, x 2 (size - n): solutions */
+    double *b, *c, *given, *found, *room; /* 2 n, 2 n + 2 m; 2 m each; 3 n + size */
+    double solves;
+} FieldStages;
+
+static int parts_of(const Stages *o, int f) { return o->s[2 * f + 1] != 0.0 ? 2 : 1; }
+
+/* y = s x of n numbers. */
+static void scaled(const double *s, int parts, int n, const double *x, double *y)
+{
+    for (int i = 0; i < n; i++) y[i] = s[0] * x[i];
+    if (parts == 1) return;
+    for (int i = 0; i < n; i++) {
+        y[i] -= s[1] * x[n + i];
+        y[n + i] = s[0] * x[n + i] + s[1] * x[i];
+    }
+}
+
+/* y += N c */
+static void add_closing(const Stages *o, const double *c, double *y)
+{
+    for (int r = 0; r < o->m; r++)
+        if (c[r] != 0.0) add(y, c[r], o->fields->N + (long)r * o->n, o->n);
+}
+
+/* The size of a motion. */
+static double size_of(const Stages *o, int parts, const double *x)
+{
+    const int n = o->n;
+    double sum = 0.0;
+    for (int part = 0; part < parts; part++, x += n)
+        for (int i = 0; i < n; i++) sum += o->fields->square[i] * x[i] * x[i];
+    return sqrt(sum);
+}
+
+/* What rates lack of those of the points, whose velocities N c correct; without roundoff. */
+static void lacking(System *s, const Stages *o)
+{
+    const int n = o->n, k = o->points;
+    double least = 0.0, *closed = o->fields->room;
+    for (long i = 0; i < (long)k * n; i++) least = fmax(least, ROUNDED * fabs(o->rate[i]));
+    for (int j = 0; j < k; j++) {
+        double *kin = o->kin + j * n;
+        const double *c = o->mult + j * (o->size - n) + o->m;
+        if (o->levels > 1) {
+            memset(closed, 0, n * sizeof(double));
+            add_closing(o, c, closed);
+            for (int b = 0; b < s->bodies; b++) rate_of(o->xi + j * n + TWIST * b, closed + TWIST * b);
+            add(kin, 1.0, closed, n);
+        }
+        for (int i = 0; i < n; i++)
+            if (!(fabs(kin[i]) > least)) kin[i] = 0.0;
+    }
+}
+
+/* low += the derivative of balance and rows along (0, rate, push). */
+static int add_along(System *s, const Stages *o, int parts, const double *rate, const double *push, double *low)
+{
+    const FieldStages *f = o->fields;
+    const int n = o->n, size = o->size;
+    double *v = f->room, *a = v + n, *found = a + n;
+    for (int part = 0; part < parts; part++, rate += n, push += n, low += size) {
+        double speed = largest_of(s->units, rate, n), pushed = largest_of(s->units, push, n), still = largest_of(s->units, f->a, n), e;
+        if (speed == 0.0) e = (still > 0.0 ? still : 1.0) / (pushed > 0.0 ? pushed : 1.0);
+        else e = SHIFTED * f->length / (speed * speed / fmax(pushed, 1e-300));
+        memcpy(v, f->v, n * sizeof(double));
+        memcpy(a, f->a, n * sizeof(double));
+        add(v, e, rate, n);
+        add(a, e, push, n);
+        int verdict = evaluate(s, f->q, v, a, f->lam, f->t);
+        if (verdict) return verdict;
+        like_v(s, s->residual, found);
+        drift(s);
+        level_rows(s, n, o->m, o->levels, o->first, found);
+        for (int i = 0; i < size; i++) low[i] += (found[i] - f->balance[i]) / e;
+    }
+    return DONE;
+}
+
+/* Known parts of rates and of accelerations of frequency f, slips among the multipliers: what they have of the increment, at most. */
+static int known_parts(System *s, const Stages *o, int f, double *last, double *acts)
+{
+    const FieldStages *e = o->fields;
+    const int n = o->n, m = o->m, size = o->size, parts = parts_of(o, f);
+    const double *frequency = o->s + 2 * f, *kin = e->kin + (long)f * 2 * n, *low = e->low + (long)f * 2 * size;
+    double *rate = e->rate + (long)f * 2 * n, *opened = e->y + (long)f * 2 * (size - n) + parts * m;
+    int verdict, moves = 0;
+
+    memcpy(rate, kin, parts * n * sizeof(double));
+    for (int i = 0; i < parts * n && !moves; i++) moves = kin[i] != 0.0;
+    if (o->levels > 1 && moves && (verdict = sample(s, e->t, last))) return verdict;
+    for (int part = 0; part < parts && o->levels > 1; part++) {
+        const double *at = low + part * size + n, *other = low + (1 - part) * size + n;
+        double *slip = opened + part * m;
+        for (int i = 0; i < m; i++) {
+            slip[i] = frequency[0] * at[i] - at[m + i];
+            if (parts > 1) slip[i] += (part ? 1.0 : -1.0) * frequency[1] * other[i];
+        }
+        if (moves) {
+            if ((verdict = place(s, e->q, kin + part * n))) return verdict;
+            slips(s, 1); /* rows where derivatives are taken */
+            slips(s, 0);
+            add(slip, -1.0, s->slip, m);
+        }
+        add_closing(o, slip, rate + part * n);
+    }
+    scaled(frequency, parts, n, rate, e->push + (long)f * 2 * n);
+    *acts = 2.0 * size_of(o, parts, rate) / sqrt(dot(frequency, frequency, 2));
+    return DONE;
+}
+
+/* x and y of frequency f for its residuals; ``known``: with what known parts add to these. */
+static int field_solution(System *s, const Stages *o, int f, int known, double *last)
+{
+    FieldStages *e = o->fields;
+    const int n = o->n, m = o->m, size = o->size, parts = parts_of(o, f);
+    const double *frequency = o->s + 2 * f, square = dot(frequency, frequency, 2);
+    const double inverse[2] = {frequency[0] / square, -frequency[1] / square};
+    const double minus[2] = {inverse[1] * inverse[1] - inverse[0] * inverse[0], -2.0 * inverse[0] * inverse[1]}; /* -1 / s^2 */
+    const double scale[2] = {o->first ? -inverse[0] : -1.0, o->first ? -inverse[1] : 0.0};
+    const double twice[2] = {frequency[0] * frequency[0] - frequency[1] * frequency[1], 2.0 * frequency[0] * frequency[1]};
+    double *low = e->low + (long)f * 2 * size, *x = e->x + (long)f * 4 * n, *y = e->y + (long)f * 2 * (size - n);
+    int verdict;
+
+    if (known) {
+        if ((verdict = sample(s, e->t, last))) return verdict;
+        if ((verdict = add_along(s, o, parts, e->rate + (long)f * 2 * n, e->push + (long)f * 2 * n, low))) return verdict;
+    }
+    for (int part = 0; part < parts; part++) {
+        memcpy(e->c + part * n, low + part * size, n * sizeof(double));
+        if (o->levels) memcpy(e->given + part * m, low + part * size + n, m * sizeof(double));
+    }
+    scaled(minus, parts, n, e->c, e->b);
+    memset(e->c, 0, parts * m * sizeof(double));
+    if (o->levels) scaled(scale, parts, m, e->given, e->c);
+    e->solves += 1.0;
+    verdict = driver_solve(e->by[f], 1, e->q, e->b, e->c, x, e->found);
+    if (verdict && verdict != LOOK) return verdict;
+    if (o->levels) scaled(twice, parts, m, e->found, y);
+    return DONE;
+}
+
+/* Solutions of all frequencies; LOOK where one has to be iterated on. */
+static int field_solutions(System *s, const Stages *o)
+{
+    const FieldStages *e = o->fields;
+    double last = NAN, acts;
+    int verdict;
+    for (int f = 0; f < o->frequencies; f++) {
+        const double before = e->before[f];
+        if ((verdict = known_parts(s, o, f, &last, &acts))) return verdict;
+        if ((verdict = field_solution(s, o, f, before > 0.0 && acts > SEEN * before, &last))) return verdict;
+
+        double size = size_of(o, parts_of(o, f), e->x + (long)f * 4 * o->n);
+        if (before == 0.0 && acts > SEEN * size) {
+            if ((verdict = field_solution(s, o, f, 1, &last))) return verdict;
+            size = size_of(o, parts_of(o, f), e->x + (long)f * 4 * o->n);
+        }
+        if (!(size < INFINITY) || (before > 0.0 && SLOW_SHARE * before < size)) return LOOK;
+        e->sizes[f] = size;
+    }
+    memcpy(e->before, e->sizes, o->frequencies * sizeof(double));
+    return DONE;
+}
+
+/* dv = s dxi - d rate / d xi dxi + the known part. */
+static void field_velocities(const System *s, const Stages *o, int f, const double *dxi, double *dv)
+{
+    const FieldStages *e = o->fields;
+    const int n = o->n, parts = parts_of(o, f);
+    scaled(o->s + 2 * f, parts, n, dxi, dv);
+    add(dv, 1.0, e->rate + (long)f * 2 * n, parts * n);
+    for (int part = 0; part < parts && DIM == 3; part++)
+        for (int b = 0; b < s->bodies; b++)
+            for (int i = 0; i < TWIST; i++)
+                dv[part * n + TWIST * b + i] -= dot(e->turnings + TWIST * (TWIST * b + i), dxi + part * n + TWIST * b, TWIST);
+}
+
+/* What the frequencies have of the residuals of the points: by their parts, into ``to``, frequencies x 2 count. */
+static void decoupled(const Stages *o, int count, const double *x, double *to)
+{
+    memset(to, 0, (size_t)o->frequencies * 2 * count * sizeof(double));
+    for (int f = 0; f < o->frequencies; f++)
+        for (int part = 0; part < parts_of(o, f); part++)
+            for (int j = 0; j < o->points; j++)
+                add(to + ((long)f * 2 + part) * count, o->inverse[2 * (o->points * f + j) + part], x + (long)j * count, count);
+}
+
+/* The real parts of vectors z, a frequency's share of all points: ``z`` has parts of so many numbers. */
+static void coupled(const Stages *o, int f, int count, const double *z, double *to)
+{
+    for (int j = 0; j < o->points; j++) {
+        const double *share = o->vectors + 2 * (j * o->frequencies + f);
+        add(to + (long)j * count, share[0], z, count);
+        if (parts_of(o, f) > 1) add(to + (long)j * count, -share[1], z + count, count);
+    }
+}
+
+/* Increments of all points from their residuals. */
+static int field_increments(System *s, const Stages *o)
+{
+    const FieldStages *e = o->fields;
+    const int n = o->n, m = o->m, width = o->size - n;
+    decoupled(o, n, o->kin, e->kin);
+    decoupled(o, o->size, o->low, e->low);
+    int verdict = field_solutions(s, o);
+    if (verdict) return verdict;
+
+    for (int f = 0; f < o->frequencies; f++) {
+        const int parts = parts_of(o, f);
+        double *dxi = e->x + (long)f * 4 * n, *dv = dxi + parts * n, *y = e->y + (long)f * 2 * width;
+        field_velocities(s, o, f, dxi, dv);
+        coupled(o, f, n, dxi, o->dxi);
+        coupled(o, f, n, dv, o->dv);
+        for (int level = 0; level < o->levels; level++)
+            for (int j = 0; j < o->points; j++) {
+                const double *share = o->vectors + 2 * (j * o->frequencies + f), *z = y + level * parts * m;
+                double *to = o->dmult + (long)j * width + level * m;
+                add(to, share[0], z, m);
+                if (parts > 1) add(to, -share[1], z + m, m);
+            }
+    }
+    return DONE;
+}

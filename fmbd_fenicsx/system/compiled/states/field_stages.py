@@ -1,0 +1,93 @@
+"""Increments of the stages of elastic fields in the driver (field_stages.c), by the matrices of their frequencies."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ....rotations import Array
+from ...system import State
+from ..tables.structures import address_of, zeros_of
+from .evaluation import DriverStates
+from .stages import POINTS, PointRoom, Stages
+
+_INT, _POINTER, _REAL = ctypes.c_int, ctypes.c_void_p, ctypes.c_double
+
+
+class _FieldStages(ctypes.Structure):
+    """``FieldStages`` of field_stages.c."""
+
+    _fields_ = (
+        ("by", _POINTER), ("kinds", _INT), ("span", _POINTER), ("t", _REAL), ("length", _REAL),
+        *((name, _POINTER) for name in "q v a lam balance N turnings square before sizes".split()),
+        *((name, _POINTER) for name in "kin low rate push x y b c given found room".split()),
+        ("solves", _REAL),
+    )  # fmt: skip
+
+
+class FieldStageRoom(PointRoom):
+    """Room for p frequencies and k points of a form with these levels of constraints; ``square``: of the entries of lengths."""
+
+    def __init__(self, states: DriverStates, levels: Sequence[int], shape: tuple[int, int], square: Array) -> None:
+        system, (p, k) = states.system, shape
+        self.states, self.shape = states, shape
+        n, m, frames = system.n_v, system.n_lam, system.n_frames
+        size, width = n + len(levels) * m, len(levels) * m
+        sizes: dict[str, int | tuple[int, ...]] = {
+            "s": (p, 2), "t": k, "q0": system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n), "mult": (k, width),
+            "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n), "low": (k, size), "dxi": (k, n),
+            "dv": (k, n), "dmult": (k, width), "push": (k, n), "weigh": (3, n), "moved": 6, "judged": 2, "local": system.n_q + n,
+            "sampled": (k, states.calls.written),
+        }  # fmt: skip
+        made = zeros_of(sizes)
+        self.arrays = {name: x for name, (x, _) in made.items()}
+
+        twist = system.motions.n_twist
+        of_fields: dict[str, int | tuple[int, ...]] = {
+            "q": system.n_q, "v": n, "a": n, "lam": m, "balance": size, "N": (m, n), "turnings": (frames, twist, twist),
+            "square": n, "before": p, "sizes": p, "kin": p * 2 * n, "low": p * 2 * size, "rate": p * 2 * n, "push": p * 2 * n,
+            "x": p * 4 * n, "y": p * 2 * width, "b": 2 * n, "c": 2 * (n + m), "given": 2 * m, "found": 2 * m,
+            "room": 3 * n + size,
+        }  # fmt: skip
+        more = zeros_of(of_fields)
+        self.known = {name: x for name, (x, _) in more.items()}
+        self.known["square"][:] = square
+        ends = [system.n_core, *(system.slices[1][k].stop for k, _ in system.fields)]
+        self._span, self._by = np.array(ends, np.int32), np.zeros(p, np.uint64)
+        self.fields = _FieldStages(
+            by=address_of(self._by), kinds=len(ends), span=address_of(self._span), length=system.length,
+            **{name: address for name, (_, address) in more.items()},
+        )  # fmt: skip
+        self.c = Stages(
+            n=n, m=m, size=size, levels=len(levels), frequencies=p, points=k, first=levels[0] if levels else 0, relax=1.0,
+            s=made["s"][1], fields=ctypes.addressof(self.fields), **{name: made[name][1] for name in POINTS},
+        )  # fmt: skip
+        self.address = ctypes.addressof(self.c)
+
+    def solve_by(self, s: Array, solvers: Sequence[DriverStates], before: Array) -> None:
+        """Take the frequencies s (p,), those who have their matrices, and the sizes of the increments before (p,)."""
+        self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
+        self._solvers = solvers
+        self._by[:] = [states.address for states in solvers]
+        self.known["before"][:] = before
+
+    def derive_at(self, state: State, balance: Array, closing: Array, turnings: Array) -> None:
+        """Take the motion where derivatives are taken, balance and rows there, N (n, m), and d rate / d xi of the frames."""
+        known = self.known
+        self.fields.t = state.t
+        for name, value in vars(state).items():
+            if name in ("q", "v", "a", "lam"):
+                known[name][:] = value
+        known["balance"][:], known["N"][:], known["turnings"][:] = balance, closing.T, turnings
+
+    def iterate(self, convergence: Any, until: int) -> int:
+        """Increments of the points, up to number ``until`` or to one that has to be iterated on; how often it was solved."""
+        self.fields.solves = 0.0
+        self.states.anew = True
+        self.states.ask(self.states.library.driver_stage_iterate, self.address, ctypes.addressof(convergence), until)
+        for states in self._solvers:
+            states.calls.raise_error()
+        return int(self.fields.solves)
