@@ -23,6 +23,7 @@ FILES = (
     "compiled_means",
     "compiled_parts",
     "compiled_recording",
+    "compiled_ties",
     "field_means",
     "field_states",
     "marches",
