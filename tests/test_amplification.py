@@ -111,3 +111,25 @@ def test_light_and_heavy_body_on_a_stiff_spring(stiffness: float, masses: tuple[
     exact = 2 * np.array([np.sin(swing.y[0, -1]), -np.cos(swing.y[0, -1])])
     assert np.abs(run["heavy"][-1] - exact).max() < 5e-3
     assert run.counters["steps"] < 600
+
+
+def jumping() -> fmbd.Scene:
+    """The mass on its stiff spring, and a pendulum that a force takes hold of at once."""
+    scene = spring_and_mass(0.0)
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, arm, center=(0.0, 0.0))
+    scene.add(arm, hinge, fmbd.joint_spring("law", fmbd.angle(hinge), law=lambda s, rate, t: 20.0 * (t > 0.12)))
+    return scene
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8])
+def test_compiled_code_takes_the_same_orders(rtol: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a vibration that no step resolves forbids some, and where a step is refused more than twice."""
+    from fmbd_fenicsx.schemes.marching import MarchingStepper
+
+    run = lambda: fmbd.solve(jumping(), t_end=0.25, scheme=fmbd.BDF(rtol=rtol))  # noqa: E731
+    once = run()
+    monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+    turn = run()
+    assert once.counters == turn.counters
+    assert once.state.q == pytest.approx(turn.state.q, rel=1e-7, abs=1e-8)
