@@ -206,7 +206,7 @@ class StageRoom(PointRoom):
 
     def weigh_bent(self, *, apart: bool) -> None:
         """Whether norms weigh deformations of rods apart from their rigid motions."""
-        rods = self.states.tables.system.elements if apart else ()
+        rods: Any = self.states.tables.system.elements if apart else ()
         self.c.bases = None
         if rods:
             self._bent = np.zeros(self.structure.n), np.zeros(sum(1 + 36 * len(rod.nodes) for rod in rods))
