@@ -352,7 +352,7 @@ def test_forces_of_many_points_on_few_freedoms_are_found_in_compiled_code(
 
 
 def test_steps_with_very_many_closed_contacts_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of more points than C finds forces for Python finds them, and only where they change."""
+    """Those of a board, each of which moves all others; Python is not asked."""
     asked: list[int] = []
     found = contact_driver.ContactDriver._forces
     monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: (asked.append(m), found(self, m)))
@@ -368,7 +368,7 @@ def test_steps_with_very_many_closed_contacts_are_compiled(monkeypatch: pytest.M
 
     compiled = board()
     assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
-    assert set(asked) == {160}
+    assert not asked
     monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
     assert compiled["place"] == pytest.approx(board()["place"], abs=1e-9)
 

@@ -33,8 +33,20 @@ from ..onestep.alpha.alpha_driver import settings
 from .contact_detection import tell_rest
 from .contact_newton import frictional_forces, normal_forces
 from .contact_spheres import Spheres
-from .contact_structures import REAL, TOLD, Contacts, Problem, TouchStructure, mover_structure, pair_structure
+from .contact_structures import (
+    REAL,
+    TOLD,
+    Blocks,
+    Contacts,
+    Graph,
+    Problem,
+    TouchStructure,
+    Tree,
+    mover_structure,
+    pair_structure,
+)
 from .contact_tape import ContactTape
+from .contact_trees import trees_of
 
 if TYPE_CHECKING:
     from ...system.compiled.recording import Openness, Tape
@@ -43,7 +55,6 @@ if TYPE_CHECKING:
 POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = range(4)
 LIMIT, OWN = 4, 5  # behind the shapes that the driver knows; OWN: Python tells the distances
 BOUNDED = slots.AM
-CLOSED = 128  # as in driver/contact.c
 MOST = 1024  # contacts closed at once: a step with more is NumPy's
 
 
@@ -64,6 +75,11 @@ def known(contacts: ContactSet, pair: Any) -> bool:
 def numbers(address: int, size: int) -> Array:
     """So many numbers at an address, as C sees them."""
     return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(REAL)), (size,))
+
+
+def whole_numbers(address: int, size: int) -> np.ndarray:
+    """So many whole numbers at an address."""
+    return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_int)), (size,))
 
 
 class ContactDriver:
@@ -92,6 +108,11 @@ class ContactDriver:
         self.arrays[name] = np.array(values, dtype=dtype, order="C")
         return int(self.arrays[name].ctypes.data)
 
+    def _zeros(self, name: str, size: int, dtype: Any = np.float64) -> int:
+        """The address of so many zeros, which take memory where they are written first."""
+        self.arrays[name] = np.zeros(size, dtype)
+        return int(self.arrays[name].ctypes.data)
+
     def _contacts(self) -> Contacts:
         """The structure, with all of its arrays."""
         s, contacts = self.system, self.contacts
@@ -99,7 +120,7 @@ class ContactDriver:
         d = s.motions.dim
         k = d if contacts.frictional else 1
         room = min(m, MOST)
-        rows, few = room * k, min(m, CLOSED) * k
+        rows = room * k
         wide = s.motions.n_twist + int(self.tables.modes.max(initial=0))
         self._pairs()
         on, place = self._points()
@@ -110,30 +131,56 @@ class ContactDriver:
         sizes = {
             "held": m * k, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
             "before": rows, "rebound": room,
-            "rows": 2 * rows * wide, "W": rows**2, "q": rows, "f": rows, "mu": room,
-            "Y": rows * (self.n + self.m), "work": 3 * rows + few**2, "old": rows,
-            "least": 24 * few + 2 * few**2, "ahead": self.nq, "xi": self.n, "still": self.n,
+            "rows": 2 * rows * wide, "Y": rows * self.n, "push": self.n + self.m, "open": rows, "old": rows,
+            "turns": self.tables.nb * d * d, "least": (40 + 4 * k) * rows, "ahead": self.nq, "xi": self.n, "still": self.n,
             "kept": self.m + 1, "own": m * (1 + 2 * d),
             "saved": m * k + len(contacts.pairs) * d + 7, "rested": m, "path": (2 * self.impacts + 2) * block_size(s),
         }  # fmt: skip
-        counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m, "group": 2 * room, "candidate": m}
-        counts |= {"order_of": 2 * room, "near": len(contacts.pairs), "listed": len(contacts.pairs)}
+        counts = {"carrying": m, "closed": m, "bouncing": m, "hits": 2 * m, "was": m, "candidate": m, "known_of": room}
+        counts |= {"states": 2 * room, "near": len(contacts.pairs), "listed": len(contacts.pairs)}
         sizes |= {"lower": len(spheres.spheres), "stood": len(spheres.spheres) * (d + d * d)}
-        sizes |= {f"part {name}": sizes[name] for name in ("W", "q", "f", "mu")}
-        self.arrays.update({name: np.zeros(size) for name, size in sizes.items()})
-        places = {name: self.arrays[name].ctypes.data for name in sizes}
-        whole, part = ({name: places.pop(kind + name) for name in ("W", "q", "f", "mu")} for kind in ("", "part "))
+        places = {name: self._zeros(name, size) for name, size in sizes.items()}
         return Contacts(
-            **self._spheres(spheres),
+            **self._spheres(spheres), **self._trees(), **self._problem(room, k),
             moving=int(any(pair.moving for pair in contacts.pairs)),
             pairs=len(contacts.pairs), points=m, components=k, known=0, room=room, pair=ctypes.addressof(self.pairs),
             stops=len(self.stops), wide=wide, on=self._array("on", on, np.int32),
             of=self._array("of", contacts.pair, np.int32), place=self._array("place", place),
-            **{name: self._array(name, np.zeros(size), np.int32) for name, size in counts.items()},
+            **{name: self._zeros(name, size, np.int32) for name, size in counts.items()},
             now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
             loaded=int(bool(s.forces)), size=self.n, most=2 * self.impacts, system=ctypes.addressof(self.tables.c),
-            all=Problem(**whole), part=Problem(**part), **places,
+            **places,
         )  # fmt: skip
+
+    def _problem(self, room: int, k: int) -> dict[str, Any]:
+        """The small problem of so many closed contacts in k components, the graph of those that move each other, and factors."""
+        pairs = room * (room - 1)
+        ints = dict.fromkeys(
+            ("gathered", "arranged", "next", "seen", "taken", "member", "found", "place", "order"), room
+        )
+        ints |= {"group": room + 1, "next": 2 * room, "head": len(self.tree), "bits": 2 * (room + 1) * (room // 64 + 1)}
+        pattern = {"first": room + 1, "near": pairs, "slot": pairs, "start": room + 1, "behind": pairs // 2}
+        at = {name: self._zeros(f"graph {name}", size, np.int32) for name, size in (ints | pattern).items()}
+        values = {"own": room * k * k, "W": pairs * k * k, "q": room * k, "u": room * k, "f": room * k, "mu": room}
+        problem = {name: self._zeros(f"problem {name}", size) for name, size in values.items()}
+        factor = {"own": room * k * k, "size": room, "upper": pairs // 2 * k * k, "lower": pairs // 2 * k * k}
+        blocks = {name: self._zeros(f"factor {name}", size) for name, size in factor.items()}
+        return {
+            "all": Problem(**{name: at[name] for name in pattern}, **problem),
+            "graph": Graph(**at),
+            "blocks": Blocks(**blocks),
+        }
+
+    def _trees(self) -> dict[str, int]:
+        """Parts of the system that nothing couples."""
+        found = trees_of(self.tables)
+        made = [
+            Tree(len(f), len(b), self._array(f"fronts {i}", f, np.int32), self._array(f"bodies {i}", b, np.int32))
+            for i, (f, b) in enumerate(zip(found.fronts, found.bodies, strict=True))
+        ]
+        self.tree = (Tree * len(made))(*made)
+        tree_of = self._array("tree_of", found.tree_of, np.int32)
+        return {"trees": len(made), "tree": ctypes.addressof(self.tree), "tree_of": tree_of}
 
     def _spheres(self, found: Spheres) -> dict[str, int]:
         """What the driver reads of spheres."""
@@ -256,13 +303,10 @@ class ContactDriver:
         """Forces of a group of m contacts with the matrix W and the openings q without force."""
         problem, d = self.c.asked, self.c.components
         n = m * d
-        W = numbers(problem.W, n * n).reshape(n, n)
-        q = numbers(problem.q, n)
-        f = numbers(problem.f, n).copy()
+        W, q, f = self._compliance(problem), numbers(problem.q, n), numbers(problem.f, n).copy()
         opening, counts = q + W @ f, ContactCounts()
         if d > 1:
-            tried = m <= CLOSED
-            found = frictional_forces(W, opening, numbers(problem.mu, m), f.reshape(m, d), counts, refused=tried)
+            found = frictional_forces(W, opening, numbers(problem.mu, m), f.reshape(m, d), counts, refused=True)
         else:
             found = normal_forces(W, opening, f, counts)
         numbers(problem.f, n)[:] = found.ravel()
@@ -273,6 +317,18 @@ class ContactDriver:
         tally.changes += counts.changes
         tally.cycles += counts.cycles
         tally.residual = max(tally.residual, counts.residual)
+
+    def _compliance(self, problem: Problem) -> Array:
+        """W of a group of contacts, dense."""
+        m, d = problem.m, self.c.components
+        W = np.zeros((m, d, m, d))
+        first = whole_numbers(problem.first, m + 1)
+        row, where = np.repeat(np.arange(m), np.diff(first)), slice(first[0], first[-1])
+        own = numbers(problem.own, m * d * d).reshape(m, d, d)
+        between = numbers(problem.W, first[-1] * d * d).reshape(-1, d, d)
+        W[range(m), :, range(m)] = own
+        W[row, :, whole_numbers(problem.near, first[-1])[where]] = between[where]
+        return W.reshape(m * d, m * d)
 
     # -- the march -----------------------------------------------------------------------------------------------------------
     def load(self, t: float, state: tuple[Array, Array, Array, Array]) -> None:

@@ -34,7 +34,29 @@ class Tally(ctypes.Structure):
 class Problem(ctypes.Structure):
     """The structure Problem."""
 
-    _fields_ = [*_fields("m", INT), *_fields("W q f mu", POINTER)]
+    _fields_ = [*_fields("m", INT), *_fields("first near slot start behind own W q u f mu", POINTER)]
+
+
+class Graph(ctypes.Structure):
+    """The structure Graph."""
+
+    _fields_ = [
+        *_fields("m groups", INT),
+        *_fields("gathered arranged group first near slot start behind", POINTER),
+        *_fields("head next seen taken member found place order bits", POINTER),
+    ]
+
+
+class Blocks(ctypes.Structure):
+    """The structure Blocks."""
+
+    _fields_ = _fields("own size upper lower", POINTER)
+
+
+class Tree(ctypes.Structure):
+    """The structure Tree of ``driver/parts.h``."""
+
+    _fields_ = [*_fields("fronts bodies", INT), *_fields("front body", POINTER)]
 
 
 def mover_structure(dim: int) -> type[ctypes.Structure]:
@@ -68,9 +90,12 @@ class Contacts(ctypes.Structure):
         *_fields("energy springs time last", REAL),
         ("loaded", INT),
         *_fields("rows drift rate before rebound", POINTER),
-        *_fields("all part asked", Problem),
-        *_fields("Y work old least order_of", POINTER),
-        *_fields("group ahead xi kept saved was rested path own", POINTER),
+        *_fields("all asked", Problem),
+        ("graph", Graph),
+        ("blocks", Blocks),
+        ("trees", INT),
+        *_fields("tree tree_of known_of Y push open turns old least states", POINTER),
+        *_fields("ahead xi kept saved was rested path own", POINTER),
         *_fields("size most done total parts", INT),
         ("system", POINTER),
         ("tally", Tally),

@@ -1,93 +1,108 @@
-/* L U of a matrix of d x d blocks, most of which may be zero, as those of contacts are that share no body: blocks that are zero, and
-   stay so, cost nothing. The pattern is symmetric, and blocks on the diagonal are regular in every order. */
+/* L U of a sparse matrix of d x d blocks whose pattern is that of a group of contacts (graph.c), where what fills is known beforehand.
+   Blocks on the diagonal are regular in every order. */
 
-/* Which blocks a factor holds, and the order of elimination: by least degree (Tinney and Walker, doi:10.1109/PROC.1967.6011). */
-typedef struct {
-    int m, d;
-    int *order, *rest;                        /* m each; rest: of one row */
-    char *full;                               /* m x m */
-    double *A;                                /* (m d) x (m d), by rows */
-} Blocks;
-
-/* Rows behind step k that have a block in the row of that step, into b->rest: how many. */
-static int behind(const Blocks *b, int k)
+/* y = W x for forces x of a group. */
+static void moved_by(const Problem *o, int d, const double *x, double *y)
 {
-    const char *full = b->full + (long)b->order[k] * b->m;
-    int count = 0;
-    for (int j = k + 1; j < b->m; j++)
-        if (full[b->order[j]]) b->rest[count++] = b->order[j];
-    return count;
-}
-
-/* The order, and what fills; ``full`` is that of the matrix. */
-static void order_blocks(Blocks *b)
-{
-    for (int i = 0; i < b->m; i++) b->order[i] = i;
-    for (int k = 0; k < b->m; k++) {
-        int least = k, fewest = b->m + 1;
-        for (int j = k; j < b->m; j++) {
-            int degree = 0;
-            const char *full = b->full + (long)b->order[j] * b->m;
-            for (int i = k; i < b->m; i++) degree += full[b->order[i]];
-            if (degree < fewest) least = j, fewest = degree;
-        }
-        const int one = b->order[least];
-        b->order[least] = b->order[k];
-        b->order[k] = one;
-        const int count = behind(b, k);
-        for (int i = 0; i < count; i++)
-            for (int j = 0; j < count; j++) b->full[(long)b->rest[i] * b->m + b->rest[j]] = 1;
+    for (int i = 0; i < o->m; i++) {
+        for (int a = 0; a < d; a++) y[i * d + a] = dot(o->own + (i * d + a) * d, x + i * d, d);
+        for (int e = o->first[i]; e < o->first[i + 1]; e++)
+            for (int a = 0; a < d; a++) y[i * d + a] += dot(o->W + ((long)e * d + a) * d, x + o->near[e] * d, d);
     }
 }
 
-/* Factors in place of the matrix, the inverses of the blocks on the diagonal with them; 1 where one has none. */
-static int factor_blocks(Blocks *b)
+/* C = P W Q + B for blocks P, W, B and a diagonal Q. */
+static void scaled_block(int d, const double *P, const double *W, const double *Q, const double *B, double *C)
 {
-    const int d = b->d;
-    const long n = (long)b->m * d;
-    for (int k = 0; k < b->m; k++) {
-        const long p = (long)b->order[k] * d;
-        const int count = behind(b, k);
-        double own[D * D], inverse[D * D] = {0.0};
-        for (int i = 0; i < d; i++) {
-            memcpy(own + i * d, b->A + (p + i) * n + p, d * sizeof(double));
-            inverse[i * d + i] = 1.0;
+    for (int i = 0; i < d; i++)
+        for (int j = 0; j < d; j++) {
+            double sum = 0.0;
+            for (int k = 0; k < d; k++) sum += P[i * d + k] * W[k * d + j];
+            C[i * d + j] = (Q ? Q[j] * sum : sum) + (B ? B[i * d + j] : 0.0);
         }
-        if (solve_dense(own, d, inverse, d, d, 0.0)) return 1;
-        for (int i = 0; i < d; i++) memcpy(b->A + (p + i) * n + p, inverse + i * d, d * sizeof(double));
+}
 
-        for (int i = 0; i < count * d; i++) {
-            double *row = b->A + ((long)b->rest[i / d] * d + i % d) * n, lower[D] = {0.0};
-            for (int a = 0; a < d; a++)
-                for (int e = 0; e < d; e++) lower[e] += row[p + a] * inverse[a * d + e];
-            memcpy(row + p, lower, d * sizeof(double));
-            for (int j = 0; j < count; j++)
-                for (int e = 0; e < d; e++) add(row + b->rest[j] * d, -lower[e], b->A + (p + e) * n + b->rest[j] * d, d);
+/* P W Q + B into the blocks: P and B m x d x d on the diagonal, Q m d, NULL for 1. */
+static void load_blocks(const Problem *o, int d, Blocks *b, const double *P, const double *Q, const double *B)
+{
+    const long square = d * d, base = o->start[0], filled = o->start[o->m] - base;
+    memset(b->upper, 0, filled * square * sizeof(double));
+    memset(b->lower, 0, filled * square * sizeof(double));
+    for (int i = 0; i < o->m; i++) {
+        const double *left = P + i * square;
+        double *own = b->own + i * square;
+        scaled_block(d, left, o->own + i * square, Q ? Q + i * d : NULL, B + i * square, own);
+        b->size[i] = largest(own, square);
+        for (int e = o->first[i]; e < o->first[i + 1]; e++) {
+            const int k = o->near[e];
+            double *to = (k > i ? b->upper : b->lower) + (o->slot[e] - base) * square;
+            scaled_block(d, left, o->W + e * square, Q ? Q + k * d : NULL, NULL, to);
         }
+    }
+}
+
+/* C += A B */
+static inline __attribute__((always_inline)) void add_block(double *C, const double *A, const double *B, const int d)
+{
+    for (int i = 0; i < d; i++)
+        for (int k = 0; k < d; k++)
+            for (int j = 0; j < d; j++) C[i * d + j] += A[i * d + k] * B[k * d + j];
+}
+
+/* Blocks behind the diagonal of row i in the order of their columns: row k, of which i is a column, is taken off, with column k. */
+static inline __attribute__((always_inline)) void take_off(const Problem *o, Blocks *b, int k, int at, const int d)
+{
+    const long square = d * d, base = o->start[0];
+    const int i = o->behind[at];
+    double *upper = b->upper - base * square, *lower = b->lower - base * square;
+    add_block(b->own + i * square, lower + at * square, upper + at * square, d);
+    for (int e = at + 1, to = o->start[i]; e < o->start[k + 1]; e++, to++) {
+        while (o->behind[to] != o->behind[e]) to++;
+        add_block(upper + to * square, lower + at * square, upper + e * square, d);
+        add_block(lower + to * square, lower + e * square, upper + at * square, d);
+    }
+}
+
+static inline __attribute__((always_inline)) int factor_sized(const Problem *o, Blocks *b, double share, const int d)
+{
+    const long square = d * d, base = o->start[0];
+    for (int k = 0; k < o->m; k++) {
+        double pivot[D * D], *inverse = b->own + k * square, size = largest(inverse, square);
+        if (!(size < INFINITY && size > share * b->size[k])) return 1;
+        memcpy(pivot, inverse, square * sizeof(double));
+        for (int i = 0; i < square; i++) inverse[i] = i % (d + 1) ? 0.0 : -1.0;
+        if (solve_dense(pivot, d, inverse, d, d, share * b->size[k] / size)) return 1;
+
+        for (int e = o->start[k]; e < o->start[k + 1]; e++) {
+            double below[D * D], *lower = b->lower + (e - base) * square;
+            memcpy(below, lower, square * sizeof(double));
+            memset(lower, 0, square * sizeof(double));
+            add_block(lower, below, inverse, d);
+        }
+        for (int e = o->start[k]; e < o->start[k + 1]; e++) take_off(o, b, k, e, d);
     }
     return 0;
 }
 
-/* The solution in place of the right-hand side x. */
-static void solve_blocks(const Blocks *b, double *x)
+/* Factors in place of the matrix: of blocks on the diagonal their inverses, and those below it times these, all with the sign changed.
+   1 where a pivot is not above this share of what its block began with. */
+static int factor_blocks(const Problem *o, int d, Blocks *b, double share)
 {
-    const int d = b->d;
-    const long n = (long)b->m * d;
-    for (int k = 0; k < b->m; k++) {
-        const long p = (long)b->order[k] * d;
-        const int count = behind(b, k);
-        for (int i = 0; i < count * d; i++) {
-            const long row = (long)b->rest[i / d] * d + i % d;
-            x[row] -= dot(b->A + row * n + p, x + p, d);
-        }
-    }
-    for (int k = b->m - 1; k >= 0; k--) {
-        const long p = (long)b->order[k] * d;
-        const int count = behind(b, k);
-        double right[D];
-        memcpy(right, x + p, d * sizeof(double));
-        for (int j = 0; j < count; j++)
-            for (int i = 0; i < d; i++) right[i] -= dot(b->A + (p + i) * n + b->rest[j] * d, x + b->rest[j] * d, d);
-        for (int i = 0; i < d; i++) x[p + i] = dot(b->A + (p + i) * n + p, right, d);
+    return d == 1 ? factor_sized(o, b, share, 1) : factor_sized(o, b, share, D);
+}
+
+/* The solution in place of the right-hand side x. */
+static void solve_blocks(const Problem *o, int d, const Blocks *b, double *x)
+{
+    const long square = d * d, base = o->start[0];
+    for (int k = 0; k < o->m; k++)
+        for (int e = o->start[k]; e < o->start[k + 1]; e++)
+            for (int i = 0; i < d; i++) x[o->behind[e] * d + i] += dot(b->lower + (e - base) * square + i * d, x + k * d, d);
+    for (int k = o->m - 1; k >= 0; k--) {
+        double left[D];
+        for (int i = 0; i < d; i++) left[i] = -x[k * d + i];
+        for (int e = o->start[k]; e < o->start[k + 1]; e++)
+            for (int i = 0; i < d; i++) left[i] += dot(b->upper + (e - base) * square + i * d, x + o->behind[e] * d, d);
+        for (int i = 0; i < d; i++) x[k * d + i] = dot(b->own + k * square + i * d, left, d);
     }
 }

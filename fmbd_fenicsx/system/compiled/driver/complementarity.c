@@ -3,6 +3,7 @@
    of friction.c, or Python's, see linear/complementarity. */
 
 enum { ROUNDS = 12 }; /* iterations at most */
+static const double KNOWN = 4e-15; /* of the forces, for each contact: what the function is known to */
 
 /* Alart and Curnier's function of one point, and its derivatives by force and by opening; its status. */
 static int coulomb(const double *x, const double *u, double cn, double ct, double mu, int d, double *F, double *dx, double *du)
@@ -40,58 +41,52 @@ static int coulomb(const double *x, const double *u, double cn, double ct, doubl
     return 2;
 }
 
-/* Newton's iteration from the forces of a problem, as linear/complementarity/coulomb.py does at first; without friction it is
-   that of active sets. 1 where it does not find the forces. Of many contacts it only sees whether they have them already. */
-static int contact_forces(Contacts *c, const Problem *o)
+/* What makes gaps, and slips, of point i comparable with forces. */
+static void scales(const Problem *o, int i, int d, double *cn, double *ct)
+{
+    const double *own = o->own + i * d * d;
+    *cn = 1.0 / fmax(own[0], 1e-300);
+    *ct = INFINITY;
+    for (int k = 1; k < d; k++) *ct = fmin(*ct, 1.0 / fmax(own[k * (d + 1)], 1e-300));
+}
+
+/* Newton's iteration from the forces of group g, as linear/complementarity/coulomb.py does at first; without friction it is
+   that of active sets. 1 where it does not find the forces. Where these have not changed W is not needed. */
+static int contact_forces(Contacts *c, const Problem *o, int g)
 {
     const int m = o->m, d = c->components, n = m * d;
-    double *x = c->work, *u = x + n, *F = u + n, *A = F + n, dx[9], du[9], free = 0.0;
-    int before[CLOSED];
-    const int many = m > CLOSED;
+    double *x = c->least, *u = x + n, *F = u + n, *dx = F + n, *du = dx + n * d, free = 0.0;
+    const double least = fmin(fmax(1e-13, KNOWN * m), 1e-12); /* sums of many terms are known to less */
+    int *before = c->states;
     memcpy(x, o->f, n * sizeof(double));
+    memcpy(u, o->u, n * sizeof(double));
 
     for (int round = 0; round < ROUNDS; round++) {
-        double residual, force;
-        if (!many) memset(A, 0, n * n * sizeof(double));
-        for (int i = 0; i < n; i++) u[i] = o->q[i] + dot(o->W + i * n, x, n);
         for (int i = 0; i < m; i++) {
-            double cn = 1.0 / fmax(o->W[i * d * (n + 1)], 1e-300), ct = INFINITY;
-            for (int k = 1; k < d; k++) ct = fmin(ct, 1.0 / fmax(o->W[(i * d + k) * (n + 1)], 1e-300));
-            int status = coulomb(x + i * d, u + i * d, cn, ct, o->mu[i], d, F + i * d, dx, du);
+            double cn, ct;
+            scales(o, i, d, &cn, &ct);
+            int status = coulomb(x + i * d, u + i * d, cn, ct, o->mu[i], d, F + i * d, dx + i * d * d, du + i * d * d);
             free = fmax(free, fabs(cn * o->q[i * d]));
-            if (many) continue;
             c->tally.changes += round && status != before[i];
             before[i] = status;
-            for (int a = 0; a < d; a++) {
-                double *row = A + (i * d + a) * n;
-                for (int b = 0; b < d; b++) {
-                    row[i * d + b] += dx[a * d + b];
-                    if (du[a * d + b] != 0.0) add(row, du[a * d + b], o->W + (i * d + b) * n, n);
-                }
-            }
         }
-        residual = largest(F, n);
-        force = largest(x, n);
-        residual /= fmax(free + fmin(force, 1e3 * free), 1e-300);
-        if (residual <= (many ? 1e-12 : 1e-13)) { /* sums of many terms are known to less */
+        const double force = largest(x, n), residual = largest(F, n) / fmax(free + fmin(force, 1e3 * free), 1e-300);
+        if (residual <= least) {
             memcpy(o->f, x, n * sizeof(double));
+            memcpy(o->u, u, n * sizeof(double));
             c->tally.residual = fmax(c->tally.residual, residual);
             c->tally.solves++;
             return 0;
         }
-        if (many || !isfinite(residual) || solve_dense(A, n, F, 1, 1, 1e-10)) return 1;
-        for (int i = 0; i < n; i++) x[i] -= F[i];
+        if (!round) know_group(c, g);
+        if (!isfinite(residual)) return 1;
+        load_blocks(o, d, &c->blocks, du, NULL, dx);
+        if (factor_blocks(o, d, &c->blocks, 1e-10)) return 1;
+        solve_blocks(o, d, &c->blocks, F);
+        add(x, -1.0, F, n);
+        moved_by(o, d, x, u);
+        add(u, 1.0, o->q, n);
         c->tally.iterations++;
     }
     return 1;
-}
-
-/* Whether the forces of one closed contact move another: they share a body, or bodies that are joined. */
-static int coupled(const Contacts *c, const Problem *o, int i, int k)
-{
-    const int d = c->components, n = o->m * d;
-    for (int a = 0; a < d; a++)
-        for (int b = 0; b < d; b++)
-            if (o->W[(long)(i * d + a) * n + k * d + b] != 0.0) return 1;
-    return 0;
 }

@@ -6,7 +6,6 @@
 
 enum { HALF_SPACE, SPHERE, CYLINDER, BOX, LIMIT, OWN }; /* OWN: Python tells the distances */
 enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED };   /* what Python is asked for, or told, by contact */
-enum { CLOSED = 128 };                                 /* closed contacts whose forces are found here; those of more are Python's */
 enum { TOLD = 8 };                                     /* poses of a moving obstacle that are kept: those of the times of a step */
 
 typedef struct {
@@ -41,11 +40,28 @@ typedef struct {
     double residual;
 } Tally;
 
-/* The small problem of m closed contacts: openings q + W f, friction mu. */
+/* The small problem of a group of m closed contacts: openings u = q + W f, friction mu. */
 typedef struct {
     int m;
-    double *W, *q, *f, *mu;
+    int *first, *near, *slot;                 /* of each those that it moves, their blocks of W, and where these are in a factor */
+    int *start, *behind;                      /* of each those behind it in a factor */
+    double *own, *W;                          /* blocks on the diagonal, and beside it */
+    double *q, *u, *f, *mu;
 } Problem;
+
+/* Closed contacts in the order of their groups, see graph.c. */
+typedef struct {
+    int m, groups;
+    int *gathered, *arranged, *group;         /* as they were found, and in order; where groups begin */
+    int *first, *near, *slot, *start, *behind; /* of all groups; see Problem */
+    int *head, *next, *seen, *taken, *member, *found, *place, *order;
+    unsigned long *bits;
+} Graph;
+
+/* Matrices of a group: blocks on the diagonal and their sizes; those behind it by rows, and those below it in the transposed places. */
+typedef struct {
+    double *own, *size, *upper, *lower;
+} Blocks;
 
 typedef struct {
     int pairs, points, components, known;     /* known: whether ``now`` is that of the newest state */
@@ -71,12 +87,20 @@ typedef struct {
     int loaded;                               /* whether there are force elements */
     double *rows, *drift, *rate;              /* of closed contacts: components x 2 wide, body axes; tangential; of gaps */
     double *before, *rebound;                 /* of closed contacts: rates before a part; what normals that bounce come back with */
-    Problem all, part, asked;                 /* that of all closed contacts; of a group which move each other; what Python is asked */
-    double *Y, *work;                         /* A^-1 L^T; see moreau.c */
+    Problem all, asked;                       /* of all closed contacts; of a group, what Python is asked */
+    Graph graph;
+    Blocks blocks;
+    int trees;                                /* parts of the factor that nothing couples; */
+    Tree *tree;
+    int *tree_of;                             /* of bodies */
+    int *known_of;                            /* of groups: whether W is known beside the diagonal */
+    double *Y;                                /* A^-1 L^T on the trees of a contact */
+    double *push;                             /* like v: what forces add to an increment, */
+    double *open;                             /* to openings; */
+    double *turns;                            /* of bodies where compliances were found */
     double *old;                              /* impulses before an iteration */
-    double *least;                            /* room for friction.c and interior.c; */
-    int *order_of;                            /* of contacts there, twice */
-    int *group;                               /* contacts of a part, and room for as many */
+    double *least;                            /* room for vectors of forces; */
+    int *states;                              /* of contacts, twice */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
     double *saved;                            /* held, impulse, works and energies at the start of a step, of what is near */
     int *was;                                 /* carrying then */

@@ -109,37 +109,43 @@ static inline void gather(const Front *f, const double *b, int skipped, double *
     memset(x + f->rows, 0, (f->ld - f->rows) * sizeof(double));
 }
 
-/* b <- solution for the right-hand side b, in the order of the unknowns. Forward, whole lanes of a column are used: those above the
-   diagonal change only what has been stored. Backward, what is known last comes last into a sum, so that sums overlap. */
+/* A solution goes forward through fronts and backward again. Forward, whole lanes of a column are used: those above the diagonal change
+   only what has been stored. Backward, what is known last comes last into a sum, so that sums overlap. */
+static inline void forward(System *s, const Front *f, double *b)
+{
+    const double *F = s->L + f->start;
+    double *x = s->local;
+    for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
+    for (int k = 0; k < f->pivots; k++) {
+        const lanes *column = (const lanes *)(F + (long)f->ld * k);
+        lanes *to = (lanes *)x;
+        int u = f->unknown[k];
+        double c = x[k] * s->inverse[u];
+        b[u] = x[k];
+        for (int i = k / LANES; i < f->ld / LANES; i++) to[i] -= column[i] * c;
+    }
+    for (int i = f->pivots; i < f->rows; i++) b[f->unknown[i]] = x[i];
+}
+
+static inline void backward(System *s, const Front *f, double *b)
+{
+    const double *F = s->L + f->start;
+    double *x = s->local;
+    for (int i = f->pivots; i < f->rows; i++) x[i] = b[f->unknown[i]];
+    for (int k = f->pivots - 1; k >= 0; k--) {
+        const double *column = F + (long)f->ld * k;
+        int u = f->unknown[k];
+        double sum = 0.0;
+        for (int i = f->rows - 1; i > k; i--) sum += column[i] * x[i];
+        b[u] = x[k] = (b[u] - sum) * s->inverse[u];
+    }
+}
+
+/* b <- solution for the right-hand side b, in the order of the unknowns. */
 static void back_solve(System *s, double *b)
 {
-    double *x = s->local;
-
-    for (Front *f = s->front; f < s->front + s->fronts; f++) {
-        const double *F = s->L + f->start;
-        for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
-        for (int k = 0; k < f->pivots; k++) {
-            const lanes *column = (const lanes *)(F + (long)f->ld * k);
-            lanes *to = (lanes *)x;
-            int u = f->unknown[k];
-            double c = x[k] * s->inverse[u];
-            b[u] = x[k];
-            for (int i = k / LANES; i < f->ld / LANES; i++) to[i] -= column[i] * c;
-        }
-        for (int i = f->pivots; i < f->rows; i++) b[f->unknown[i]] = x[i];
-    }
-
-    for (Front *f = s->front + s->fronts - 1; f >= s->front; f--) {
-        const double *F = s->L + f->start;
-        for (int i = f->pivots; i < f->rows; i++) x[i] = b[f->unknown[i]];
-        for (int k = f->pivots - 1; k >= 0; k--) {
-            const double *column = F + (long)f->ld * k;
-            int u = f->unknown[k];
-            double sum = 0.0;
-            for (int i = f->rows - 1; i > k; i--) sum += column[i] * x[i];
-            b[u] = x[k] = (b[u] - sum) * s->inverse[u];
-        }
-    }
+    for (Front *f = s->front; f < s->front + s->fronts; f++) forward(s, f, b);
+    for (Front *f = s->front + s->fronts - 1; f >= s->front; f--) backward(s, f, b);
 }
 
 static void swap(double *a, double *b, int n)

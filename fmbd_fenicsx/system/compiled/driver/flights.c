@@ -35,6 +35,7 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
     const double t = *now.t;
     const int d = c->components, flight = m && span == length && !c->bouncing[c->closed[0]];
     if (m > c->room) return LOOK;
+    arrange(c, m);
     if (flight && start_rates(c, now, m, length)) return LOOK;
     if (m) {
         for (int i = 0; i < s->nv; i++) c->xi[i] = 0.5 * length * now.v[i];

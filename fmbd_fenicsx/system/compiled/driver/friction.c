@@ -1,33 +1,37 @@
-/* Coulomb friction where contacts depend on each other, or Newton's plain iteration does not converge: Newton with a line search, and
-   proximal points, the first two attempts of linear/complementarity/coulomb.py, equations (1) to (3); between them proximal points from
-   the forces of interior.c. What these do not solve is Python's: pivoting. */
+/* Coulomb friction where contacts depend on each other, or Newton's plain iteration does not converge: proximal points, by Newton with a
+   line search, as linear/complementarity/coulomb.py, equations (1) to (3); from the last forces, then from those of interior.c. What
+   these do not solve is Python's: pivoting. */
 
 static const double FOUND = 1e-12, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
-static const double NEAR = 1e-8; /* the first rho from forces of interior points */
+static const double ACCEPTED = 1e-10; /* where no attempt finds better; as there */
+enum { DIRECTIONS = 12 }; /* of a solution at most */
 enum { SHORT = 5, LONG = 8 }; /* iterations of an attempt before each has to halve the residual */
 enum { PLAIN = 40, POINTS = 40, AHEAD = 5 }; /* iterations, proximal points at most; whole steps before one is made shorter */
+
+/* Proximal points: from which forces, the first rho, and iterations of a problem before each has to halve the residual. */
+typedef struct {
+    int from;
+    double rho;
+    int patience;
+} Attempt;
+
+enum { LAST, WITHIN, NONE }; /* those of the last iteration, of interior points, none */
+static const Attempt ATTEMPTS[] = {{LAST, 1e-8, SHORT}, {WITHIN, 1e-8, LONG}, {LAST, 1e-10, LONG}, {NONE, 1e-9, LONG}, {LAST, 1e-4, LONG}};
+enum { TRIES = sizeof ATTEMPTS / sizeof *ATTEMPTS };
 
 /* A problem (3) with the compliance and the friction of ``of``, and the iterate that was evaluated last. */
 typedef struct {
     const Problem *of;
     int m, n, patience;                       /* patience: iterations before each has to halve the residual */
     double *q, *shift, *x, *u, *F, *dx, *du; /* n; dx, du: blocks d x d by point */
-    int state[CLOSED];
+    int *state, *before;                      /* of points */
 } Friction;
 
-/* What makes gaps, and slips, of point i comparable with forces. */
-static void scales(const Problem *o, int i, int d, double *cn, double *ct)
-{
-    const int n = o->m * d;
-    *cn = 1.0 / fmax(o->W[i * d * (n + 1)], 1e-300);
-    *ct = INFINITY;
-    for (int k = 1; k < d; k++) *ct = fmin(*ct, 1.0 / fmax(o->W[(i * d + k) * (n + 1)], 1e-300));
-}
-
 /* Gaps and slips under forces x. */
-static void gaps_under(const Friction *o, const double *x, double *u)
+static void gaps_under(const Friction *o, int d, const double *x, double *u)
 {
-    for (int i = 0; i < o->n; i++) u[i] = o->q[i] + dot(o->of->W + i * o->n, x, o->n) + o->shift[i] * x[i];
+    moved_by(o->of, d, x, u);
+    for (int i = 0; i < o->n; i++) u[i] += o->q[i] + o->shift[i] * x[i];
 }
 
 /* The function at x, u, and the status of its points. */
@@ -53,121 +57,97 @@ static double residual_of(const Friction *o, int d)
     return largest(o->F, o->n) / fmax(free + fmin(largest(o->x, o->n), 1e3 * free), 1e-300);
 }
 
-/* The least solution of A s = b in s, by a complete orthogonal decomposition: A P = Q R of the rank found, and R = L Z. A is lost.
-   Golub and Van Loan, Matrix Computations, 5.5.2. */
-static void least_solution(double *A, double *b, double *s, double *work, int n)
+/* The matrix of Newton's step, du W + own, times s. */
+static void slope_times(const Friction *o, int d, const double *own, const double *s, double *moved, double *y)
 {
-    int order[3 * CLOSED], rank = 0;
-    double first = 0.0;
-    for (int j = 0; j < n; j++) order[j] = j;
-
-    /* rows of R, by reflections from the left, the longest column first */
-    for (; rank < n; rank++) {
-        int far = rank;
-        double most = -1.0;
-        for (int j = rank; j < n; j++) {
-            double size = 0.0;
-            for (int i = rank; i < n; i++) size += A[i * n + j] * A[i * n + j];
-            if (size > most) most = size, far = j;
-        }
-        most = sqrt(most);
-        if (!rank) first = most;
-        if (!(most > 1e-12 * first)) break;
-        int other = order[far];
-        order[far] = order[rank];
-        order[rank] = other;
-        for (int i = 0; i < n; i++) {
-            double swap = A[i * n + far];
-            A[i * n + far] = A[i * n + rank];
-            A[i * n + rank] = swap;
-        }
-        double head = A[rank * n + rank], sign = head < 0 ? -1.0 : 1.0, square = most * (most + fabs(head));
-        for (int i = rank; i < n; i++) work[i] = A[i * n + rank];
-        work[rank] += sign * most;
-        for (int j = rank; j <= n; j++) {
-            double sum = 0.0;
-            for (int i = rank; i < n; i++) sum += work[i] * (j < n ? A[i * n + j] : b[i]);
-            sum /= square;
-            for (int i = rank; i < n; i++) *(j < n ? A + i * n + j : b + i) -= sum * work[i];
-        }
+    moved_by(o->of, d, s, moved);
+    for (int i = 0; i < o->n; i++) {
+        const int from = i / d * d;
+        y[i] = dot(own + i * d, s + from, d) + dot(o->du + i * d, moved + from, d);
     }
-
-    /* the part beyond the rank by reflections from the right, the last row first; they are kept in its place */
-    double *head = work;
-    for (int k = rank - 1; k >= 0 && rank < n; k--) {
-        double *row = A + k * n, size = row[k] * row[k];
-        for (int j = rank; j < n; j++) size += row[j] * row[j];
-        size = sqrt(size);
-        double sign = row[k] < 0 ? -1.0 : 1.0, square = size * (size + fabs(row[k]));
-        head[k] = row[k] + sign * size;
-        for (int i = 0; i < k; i++) {
-            double *above = A + i * n, sum = head[k] * above[k];
-            for (int j = rank; j < n; j++) sum += row[j] * above[j];
-            sum /= square;
-            above[k] -= sum * head[k];
-            for (int j = rank; j < n; j++) above[j] -= sum * row[j];
-        }
-        row[k] = -sign * size;
-    }
-
-    /* back: the triangle, then the reflections in turn */
-    for (int k = rank - 1; k >= 0; k--) {
-        for (int j = k + 1; j < rank; j++) b[k] -= A[k * n + j] * b[j];
-        b[k] /= A[k * n + k];
-    }
-    for (int k = rank; k < n; k++) b[k] = 0.0;
-    for (int k = 0; k < rank && rank < n; k++) {
-        double *row = A + k * n, square = head[k] * head[k], sum = head[k] * b[k];
-        for (int j = rank; j < n; j++) square += row[j] * row[j], sum += row[j] * b[j];
-        sum *= 2.0 / square;
-        b[k] -= sum * head[k];
-        for (int j = rank; j < n; j++) b[j] -= sum * row[j];
-    }
-    for (int k = 0; k < n; k++) s[order[k]] = b[k];
 }
 
-/* Newton's step s of the forces: least where contacts depend on each other. ``A``: two matrices. */
-static void force_step(const Contacts *c, const Friction *o, double *A, double *s, double *work)
+/* Blocks are eliminated in an order that is not chosen by their sizes: few directions of a solution may be wrong, and least residuals
+   (Saad and Schultz, doi:10.1137/0907058) find these. H, by columns, is turned into a triangle; ``left``: of the residual. */
+typedef struct {
+    double H[(DIRECTIONS + 1) * DIRECTIONS], cosine[DIRECTIONS], sine[DIRECTIONS], left[DIRECTIONS + 1];
+} Krylov;
+
+/* The column k of H as the turns before leave it, and the one of its own. */
+static void turn_column(Krylov *o, int k)
+{
+    double *h = o->H + k * (DIRECTIONS + 1);
+    for (int i = 0; i < k; i++) {
+        const double above = h[i], below = h[i + 1];
+        h[i] = o->cosine[i] * above + o->sine[i] * below;
+        h[i + 1] = o->cosine[i] * below - o->sine[i] * above;
+    }
+    const double size = fmax(hypot(h[k], h[k + 1]), 1e-300);
+    o->cosine[k] = h[k] / size;
+    o->sine[k] = h[k + 1] / size;
+    h[k] = size;
+    o->left[k + 1] = -o->sine[k] * o->left[k];
+    o->left[k] *= o->cosine[k];
+}
+
+/* The sum of directions Z (n each) with the least residual, into s. */
+static void least_of(const Krylov *o, int count, const double *Z, int n, double *s)
+{
+    double y[DIRECTIONS];
+    memset(s, 0, n * sizeof(double));
+    for (int k = count - 1; k >= 0; k--) {
+        y[k] = o->left[k];
+        for (int i = k + 1; i < count; i++) y[k] -= o->H[i * (DIRECTIONS + 1) + k] * y[i];
+        y[k] /= o->H[k * (DIRECTIONS + 2)];
+        add(s, y[k], Z + k * n, n);
+    }
+}
+
+/* Newton's step s of the forces; 1 where none is found. ``work``: room for 2 + 2 DIRECTIONS vectors and an array of blocks. */
+static int force_step(const Contacts *c, const Friction *o, double *s, double *work)
 {
     const int d = c->components, n = o->n;
-    double *copy = A + n * n, *b = work + n, off = 0.0, size = 0.0;
-    memset(A, 0, n * n * sizeof(double));
-    for (int r = 0; r < n; r++) {
-        const int i = r / d, a = r % d;
-        for (int k = 0; k < d; k++) {
-            double slope = o->du[(i * d + a) * d + k];
-            A[r * n + i * d + k] += o->dx[(i * d + a) * d + k] + slope * o->shift[i * d + k];
-            if (slope != 0.0) add(A + r * n, slope, o->of->W + (i * d + k) * n, n);
+    double *own = work, *moved = own + n * d, *Z = moved + n, *V = Z + DIRECTIONS * n, size = sqrt(dot(o->F, o->F, n));
+    Blocks blocks = c->blocks;
+    Krylov least = {.left = {size}};
+    for (int i = 0; i < n * d; i++) own[i] = o->dx[i] + o->du[i] * o->shift[i / (d * d) * d + i % d];
+    load_blocks(o->of, d, &blocks, o->du, NULL, own);
+    if (factor_blocks(o->of, d, &blocks, 0.0)) return 1;
+    for (int i = 0; i < n; i++) V[i] = -o->F[i] / fmax(size, 1e-300);
+
+    for (int k = 0; k < DIRECTIONS; k++, Z += n, V += n) {
+        double *h = least.H + k * (DIRECTIONS + 1), *next = V + n;
+        memcpy(Z, V, n * sizeof(double));
+        solve_blocks(o->of, d, &blocks, Z);
+        slope_times(o, d, own, Z, moved, next);
+        for (int i = 0; i <= k; i++) {
+            h[i] = dot(V + (i - k) * n, next, n);
+            add(next, -h[i], V + (i - k) * n, n);
         }
-        s[r] = -o->F[r];
+        h[k + 1] = sqrt(dot(next, next, n));
+        for (int i = 0; i < n; i++) next[i] /= fmax(h[k + 1], 1e-300);
+        turn_column(&least, k);
+        least_of(&least, k + 1, Z - k * n, n, s);
+        if (!isfinite(least.left[k + 1])) return 1;
+        if (fabs(least.left[k + 1]) <= fmax(1e-8 * size, 1e-12 * largest(s, n))) return 0;
     }
-    memcpy(copy, A, n * n * sizeof(double));
-    if (!solve_dense(copy, n, s, 1, 1, 0.0)) {
-        for (int r = 0; r < n; r++) {
-            double left = dot(A + r * n, s, n) + o->F[r];
-            off = left == left ? fmax(off, fabs(left)) : INFINITY;
-            size = fmax(size, fabs(o->F[r]));
-        }
-        if (off <= 1e-8 * fmax(size, 1e-300)) return;
-    }
-    for (int r = 0; r < n; r++) b[r] = -o->F[r];
-    least_solution(A, b, s, work, n);
+    return 1;
 }
 
 /* The iterate at forces o->x, whose squared residual is returned. */
 static double arrived(const Contacts *c, Friction *o)
 {
-    gaps_under(o, o->x, o->u);
+    gaps_under(o, c->components, o->x, o->u);
     evaluated(c, o);
     return dot(o->F, o->F, o->n);
 }
 
-/* Newton's iteration with a line search until the residual is small, 1, or does not fall, 0. ``work``: room for seven vectors and two
-   matrices. */
+/* Newton's iteration with a line search until the residual is small, 1, or does not fall, 0. ``work``: room for seven vectors and an
+   array of blocks. */
 static int searched(Contacts *c, Friction *o, double *work)
 {
     const int n = o->n, d = c->components;
-    double *s = work, *x = s + n, *u = x + n, *full = u + n, *rest = full + n, *A = rest + 3 * n, best = INFINITY, size;
+    double *s = work, *x = s + n, *u = x + n, *full = u + n, *rest = full + n, best = INFINITY, size;
     arrived(c, o);
     for (int k = 0; k < PLAIN; k++) {
         size = residual_of(o, d);
@@ -175,18 +155,18 @@ static int searched(Contacts *c, Friction *o, double *work)
         best = fmin(best, size);
 
         double norm = dot(o->F, o->F, n), share = 1.0, falls = (1.0 - 1e-4) * (1.0 - 1e-4);
-        int before[CLOSED], changes = 0;
-        memcpy(before, o->state, o->m * sizeof(int));
+        int changes = 0;
+        memcpy(o->before, o->state, o->m * sizeof(int));
         memcpy(x, o->x, n * sizeof(double));
         memcpy(u, o->u, n * sizeof(double));
-        force_step(c, o, A, s, rest);
+        if (force_step(c, o, s, rest)) return 0;
         for (int i = 0; i < n; i++) o->x[i] = x[i] + s[i];
 
         /* whole steps, one behind the other, before one is made shorter: see _searched of coulomb.py */
         double reached = arrived(c, o);
         memcpy(full, o->u, n * sizeof(double));
         for (int left = AHEAD; !(reached <= falls * norm) && isfinite(reached) && --left;) {
-            force_step(c, o, A, rest, rest + n);
+            if (force_step(c, o, rest, rest + n)) break;
             add(o->x, 1.0, rest, n);
             reached = arrived(c, o);
         }
@@ -199,21 +179,20 @@ static int searched(Contacts *c, Friction *o, double *work)
             evaluated(c, o);
             if (sqrt(dot(o->F, o->F, n)) <= (1.0 - 1e-4 * share) * sqrt(norm) || share < SHORTEST) break;
         }
-        for (int i = 0; i < o->m; i++) changes += o->state[i] != before[i];
+        for (int i = 0; i < o->m; i++) changes += o->state[i] != o->before[i];
         c->tally.iterations++;
         c->tally.changes += changes;
     }
     return residual_of(o, d) <= FOUND;
 }
 
-/* Proximal points from the forces of a problem: the smallest residual, with its forces in ``best`` where it is smaller than ``least``.
-   ``rho``: the first, 0 for none. */
-static double attempt(Contacts *c, const Problem *problem, double rho, int patience, double *best, double least)
+/* Proximal points from the forces of a problem: the smallest residual, with its forces in ``best`` where it is smaller than ``least``. */
+static double attempt(Contacts *c, const Problem *problem, const Attempt *with, double *best, double least)
 {
     const int m = problem->m, d = c->components, n = m * d;
-    const double restart = rho;
+    double rho = with->rho;
     double *none = best + n, *work = none + n;
-    Friction o = {.of = problem, .m = m, .n = n, .patience = patience}, whole;
+    Friction o = {.of = problem, .m = m, .n = n, .patience = with->patience, .state = c->states, .before = c->states + m}, whole;
     double **places[] = {&o.q, &o.shift, &o.x, &o.u, &o.F};
     for (int k = 0; k < 5; k++, work += n) *places[k] = work;
     o.dx = work;
@@ -225,7 +204,7 @@ static double attempt(Contacts *c, const Problem *problem, double rho, int patie
     whole.q = problem->q;
     whole.shift = none;
 
-    for (int k = 0; k < (rho > 0.0 ? POINTS : 1); k++) {
+    for (int k = 0; k < POINTS; k++) {
         for (int i = 0; i < n; i++) {
             double cn, ct;
             scales(problem, i / d, d, &cn, &ct);
@@ -233,43 +212,42 @@ static double attempt(Contacts *c, const Problem *problem, double rho, int patie
             o.q[i] = problem->q[i] - o.shift[i] * o.x[i];
         }
         int found = searched(c, &o, work);
-        gaps_under(&whole, o.x, o.u);
+        gaps_under(&whole, d, o.x, o.u);
         evaluated(c, &whole);
-        double size = residual_of(&whole, d);
+        const double size = residual_of(&whole, d), before = least;
         if (size < least) {
             least = size;
             memcpy(best, o.x, n * sizeof(double));
         }
-        if (size <= FOUND || !isfinite(size)) break;
+        /* what has been found gets as sharp as it does at once */
+        if (size <= ENOUGH || !isfinite(size) || (least <= FOUND && size > 0.5 * before)) break;
         rho = found ? 0.1 * rho : 10.0 * rho;
-        rho = rho > 1.0 ? restart : rho;
+        rho = rho > 1.0 ? with->rho : rho;
     }
     return least;
 }
 
-/* Forces of a problem with friction; 1 where two attempts do not find them, with nothing counted. */
+/* Forces of a group from those in the problem; 1 where none of the attempts finds them, with nothing counted. */
 static int frictional_forces(Contacts *c, const Problem *o)
 {
-    if (o->m > CLOSED) return 1;
-    const int n = o->m * c->components;
+    const int d = c->components, n = o->m * d;
     Tally before = c->tally;
-    double *start = c->least, *best = start + n, size = attempt(c, o, 0.0, SHORT, best, INFINITY);
-    if (!(size <= FOUND)) {
-        c->tally.cycles++;
-        memcpy(start, o->f, n * sizeof(double));
-        inner_forces(c, o, start + n);
-        size = attempt(c, o, NEAR, LONG, best, size);
-        memcpy(o->f, start, n * sizeof(double));
+    double *last = c->least, *best = last + n, *work = best + n, size = INFINITY;
+    memcpy(last, o->f, n * sizeof(double));
+    for (const Attempt *k = ATTEMPTS; k < ATTEMPTS + TRIES && !(size <= FOUND); k++) {
+        c->tally.cycles += k > ATTEMPTS;
+        if (k->from == WITHIN) inner_forces(c, o, work);
+        else if (k->from == LAST) memcpy(o->f, last, n * sizeof(double));
+        else memset(o->f, 0, n * sizeof(double));
+        size = attempt(c, o, k, best, size);
     }
-    if (!(size <= FOUND)) {
-        c->tally.cycles++;
-        size = attempt(c, o, 1e-4, LONG, best, size);
-    }
-    if (!(size <= FOUND)) {
+    memcpy(o->f, size <= ACCEPTED ? best : last, n * sizeof(double));
+    if (!(size <= ACCEPTED)) {
         c->tally = before;
         return 1;
     }
-    memcpy(o->f, best, o->m * c->components * sizeof(double));
+    moved_by(o, d, o->f, o->u);
+    add(o->u, 1.0, o->q, n);
     c->tally.residual = fmax(c->tally.residual, size);
     c->tally.solves++;
     return 0;

@@ -3,93 +3,67 @@
 static const double ADDED = 1e-9, CLOSE = 1e-10, NARROW = 1e-12; /* as in restitution.py */
 enum { TRIED = 40 };
 
-/* Rows and compliance of the closed contacts at the frames evaluated last, whose matrix is factored. */
-static void compliance(System *s, Contacts *c, const int *closed, int m)
+/* The turns of all bodies in the place of those that compliances were found at, and back. */
+static void swap_turns(System *s, Contacts *c)
 {
-    const int d = c->components, n = m * d, size = s->nv + s->rows;
-    for (int r = 0; r < n; r++) {
-        const int *on = c->on + 2 * closed[r / d];
-        const double *row = c->rows + 2 * c->wide * r;
-        memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
-        for (int side = 0; side < 2; side++, row += c->wide) {
-            if (on[side] < 0) continue;
-            const Body *body = s->body + on[side];
-            double turning[ROT], *to = s->b + body->at_u;
-            to_world(s->frames + FRAME * on[side] + TURN, row + D, turning);
-            add(to, 1.0, row, D);
-            add(to + D, 1.0, turning, ROT);
-            add(to + TWIST, 1.0, row + TWIST, body->modes);
-        }
-        solution(s, c->Y + (long)size * r, c->Y + (long)size * r + s->nv);
+    double *kept = c->turns;
+    for (int b = 0; b < s->bodies; b++, kept += D * D) {
+        double now[D * D], *turn = s->frames + FRAME * b + TURN;
+        memcpy(now, turn, sizeof now);
+        memcpy(turn, kept, sizeof now);
+        memcpy(kept, now, sizeof now);
     }
-    for (int r = 0; r < n; r++)
-        for (int k = 0; k < n; k++) c->all.W[r * n + k] = along(c, closed[r / d], c->rows + 2 * c->wide * r, c->Y + (long)size * k);
-    for (int r = 0; r < n; r++)
-        for (int k = 0; k < r; k++) c->all.W[r * n + k] = c->all.W[k * n + r] = 0.5 * (c->all.W[r * n + k] + c->all.W[k * n + r]);
 }
 
-/* Contacts of the group that ``first`` belongs to into c->group, ascending: how many; they are taken off those that are ``left``. */
-static int group_of(Contacts *c, int m, int first, int *left)
+/* What forces of all closed contacts do, added to x and y; on velocities it is in c->push then. Forces that do nothing together,
+   since contacts depend on each other, do so at the turns of their rows only. */
+static void add_push(System *s, Contacts *c, const double *f, double *x, double *y)
 {
-    int count = 1, found = 0, *group = c->group;
-    group[0] = first;
-    left[first] = 0;
-    for (int done = 0; done < count; done++)
-        for (int k = first + 1; k < m; k++)
-            if (left[k] && coupled(c, &c->all, group[done], k)) group[count++] = k, left[k] = 0;
-    if (count == 1) return 1;
-
-    for (int k = 0; k < count; k++) left[group[k]] = -1;
-    for (int k = first; k < m; k++)
-        if (left[k] < 0) group[found++] = k, left[k] = 0;
-    return count;
+    double *more = c->push + s->nv;
+    memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
+    swap_turns(s, c);
+    for (int k = 0; k < c->all.m * c->components; k++) push_row(s, c, k, f[k]);
+    solution(s, c->push, more);
+    swap_turns(s, c);
+    add(x, 1.0, c->push, s->nv);
+    add(y, 1.0, more, s->rows);
 }
 
-/* Forces of contacts that move each other, from those in the problem; 1 where they are not found. */
-static int forces_of_group(Contacts *c, const Problem *problem, double t)
+/* The forces of group g as a problem of their own. */
+static Problem problem_of(const Contacts *c, int g)
 {
-    if (!contact_forces(c, problem) || !frictional_forces(c, problem)) return 0;
-    c->asked = *problem;
-    return c->python(COMPLEMENTARITY, problem->m, t);
-}
-
-/* The contacts of a group as a problem of their own, with the forces in ``start``. */
-static Problem part_of(const Contacts *c, int count, const double *start)
-{
+    const int d = c->components, from = c->graph.group[g];
     const Problem *all = &c->all;
-    const int d = c->components, n = all->m * d, *group = c->group;
-    Problem part = c->part;
-    part.m = count;
-    for (int i = 0; i < count * d; i++) {
-        int row = group[i / d] * d + i % d;
-        part.q[i] = all->q[row];
-        part.f[i] = start[row];
-        for (int k = 0; k < count; k++) memcpy(part.W + (i * count + k) * d, all->W + row * n + group[k] * d, d * sizeof(double));
-    }
-    for (int k = 0; k < count; k++) part.mu[k] = all->mu[group[k]];
-    return part;
+    return (Problem){
+        .m = c->graph.group[g + 1] - from, .near = all->near, .slot = all->slot, .behind = all->behind, .W = all->W,
+        .first = all->first + from, .start = all->start + from, .own = all->own + from * d * d,
+        .q = all->q + from * d, .u = all->u + from * d, .f = all->f + from * d, .mu = all->mu + from,
+    };
 }
 
-/* Impulses of all closed contacts from ``start``; 1 where they are not found. Groups that do not move each other are problems of
-   their own where there is friction: what is hard in one heap is not asked of all. */
+/* Impulses of all closed contacts from ``start``, under which they open by c->open; 1 where they are not found. Groups that do not
+   move each other are problems of their own: what is hard in one heap is not asked of all. */
 static int impulses(Contacts *c, const double *start, double t)
 {
-    const Problem *all = &c->all;
-    const int d = c->components, m = all->m, *group = c->group;
-    int *left = c->group + m;
-    for (int k = 0; k < m; k++) left[k] = 1;
-    for (int first = 0; first < m; first++) {
-        if (!left[first]) continue;
-        int count = d > 1 ? group_of(c, m, first, left) : m;
-        if (count == m) {
-            memcpy(all->f, start, m * d * sizeof(double));
-            return forces_of_group(c, all, t);
-        }
-        Problem part = part_of(c, count, start);
-        if (forces_of_group(c, &part, t)) return 1;
-        for (int i = 0; i < count * d; i++) all->f[group[i / d] * d + i % d] = part.f[i];
+    const size_t size = c->all.m * c->components * sizeof(double);
+    memcpy(c->all.f, start, size);
+    memcpy(c->all.u, c->open, size);
+    for (int g = 0; g < c->graph.groups; g++) {
+        Problem group = problem_of(c, g);
+        if (!contact_forces(c, &group, g) || !frictional_forces(c, &group)) continue;
+        c->asked = group;
+        if (c->python(COMPLEMENTARITY, group.m, t)) return 1;
+        moved_by(&group, c->components, group.f, group.u);
+        add(group.u, 1.0, group.q, group.m * c->components);
     }
     return 0;
+}
+
+/* A change of the openings along the normal of the closed contact k, whatever forces act. */
+static void open_by(Contacts *c, int k, double change)
+{
+    c->all.q[k * c->components] += change;
+    c->open[k * c->components] += change;
 }
 
 /* The rebound of the closed contact k with a share of those that approach. */
@@ -105,7 +79,7 @@ static double work_of_impact(const Contacts *c, double share, double *size)
     double work = 0.0;
     *size = 0.0;
     for (int k = 0; k < n; k++) {
-        double after = c->all.q[k] + dot(c->all.W + k * n, c->all.f, n) - (k % d ? 0.0 : shared(c, k / d, share));
+        double after = c->all.u[k] - (k % d ? 0.0 : shared(c, k / d, share));
         work += 0.5 * c->all.f[k] * (c->before[k] + after);
         *size += 0.5 * fabs(c->all.f[k]) * (fabs(c->before[k]) + fabs(after));
     }
@@ -116,7 +90,7 @@ static double work_of_impact(const Contacts *c, double share, double *size)
    rebound is what is left of it. 1 where they are not found. */
 static int lawful_impulses(Contacts *c, const double *start, double t)
 {
-    const int d = c->components, m = c->all.m;
+    const int m = c->all.m;
     double lower = 0.0, upper = 1.0, share = 1.0, least = 0.0, most, size, work;
     int bounces = 0, side = 0;
     if (impulses(c, start, t)) return 1;
@@ -129,7 +103,7 @@ static int lawful_impulses(Contacts *c, const double *start, double t)
     for (int round = 0; round <= TRIED && upper - lower > NARROW; round++) {
         double next = round ? upper - most * (upper - lower) / (most - least) : 0.0;
         if (round && !(next > lower && next < upper)) next = 0.5 * (lower + upper);
-        for (int k = 0; k < m; k++) c->all.q[k * d] += shared(c, k, next) - shared(c, k, share);
+        for (int k = 0; k < m; k++) open_by(c, k, shared(c, k, next) - shared(c, k, share));
         share = next;
         if (impulses(c, start, t)) return 1;
         work = work_of_impact(c, share, &size);
@@ -148,7 +122,7 @@ static int lawful_impulses(Contacts *c, const double *start, double t)
         }
     }
     if (share != lower) {
-        for (int k = 0; k < m; k++) c->all.q[k * d] += shared(c, k, lower) - shared(c, k, share);
+        for (int k = 0; k < m; k++) open_by(c, k, shared(c, k, lower) - shared(c, k, share));
         if (impulses(c, start, t)) return 1;
     }
     for (int k = 0; k < m; k++) {
@@ -161,7 +135,7 @@ static int lawful_impulses(Contacts *c, const double *start, double t)
 /* The step of length h with the closed contacts: velocities in out.v, multipliers in out.lam, impulses in c->all.f. */
 static int velocities(System *s, Contacts *c, double *p, Block now, Block out, int m, double h, double span)
 {
-    const int n = m * c->components, size = s->nv + s->rows, d = c->components, *closed = c->closed;
+    const int n = m * c->components, d = c->components, *closed = c->closed;
     double *kept = c->kept;
     const double middle = *now.t + 0.5 * h;
     c->all.m = m;
@@ -181,34 +155,29 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         configuration(s, now.q, xi, out.q);
         if ((verdict = evaluate(s, out.q, vm, out.a, out.lam, middle))) return verdict;
         if (!done && (verdict = prepare(s, out.q, 0.5 * h, 0.25 * h * h, now.lam, 0, middle))) return verdict;
-        if (!done && m) compliance(s, c, closed, m);
+        if (!done && m) own_compliance(s, c, m);
         memcpy(kept, out.lam, s->rows * sizeof(double));
 
-        /* the step without a change of the impulses, and what that leaves of the contacts */
+        /* the step without impulses, what they add to it, and what that leaves of the contacts */
         for (int i = 0; i < s->nv; i++) vm[i] = 0.5 * (now.v[i] + out.v[i]);
         turn_velocity(s, vm);
         if (s->rows) slips(s, 1);
         for (int i = 0; i < s->nu; i++) s->b[i] = -h * s->residual[i];
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 * s->slip[i];
         solution(s, x, y);
-        for (int k = 0; k < n; k++)
-            for (int i = 0; i < s->nv; i++) x[i] += c->all.f[k] * c->Y[(long)size * k + i];
-        for (int k = 0; k < n; k++)
-            for (int i = 0; i < s->rows; i++) y[i] += c->all.f[k] * c->Y[(long)size * k + s->nv + i];
         for (int k = 0; k < n; k++) {
             int i = closed[k / d];
             const double *row = c->rows + 2 * c->wide * k;
             c->all.q[k] = along(c, i, row, out.v) + along(c, i, row, x) - c->drift[k] / span + (k % d ? 0.0 : c->rate[i]);
         }
-        for (int k = 0; k < n; k++) c->all.q[k] -= dot(c->all.W + k * n, c->all.f, n);
+        if (m) add_push(s, c, c->all.f, x, y);
+        for (int k = 0; k < n; k++) c->open[k] = c->all.q[k] + along(c, closed[k / d], c->rows + 2 * c->wide * k, c->push);
 
         double *old = c->old;
         memcpy(old, c->all.f, n * sizeof(double));
         if (m && lawful_impulses(c, old, middle)) return LOOK;
-        for (int k = 0; k < n; k++) {
-            add(x, c->all.f[k] - old[k], c->Y + (long)size * k, s->nv);
-            add(y, c->all.f[k] - old[k], c->Y + (long)size * k + s->nv, s->rows);
-        }
+        for (int k = 0; k < n; k++) old[k] = c->all.f[k] - old[k];
+        if (m) add_push(s, c, old, x, y);
 
         add(out.v, 1.0, x, s->nv);
         add(out.lam, 1.0 / h, y, s->rows);

@@ -10,14 +10,15 @@
 
 enum { INNER = 60 };                   /* iterations at most */
 static const double BEHIND = 0.1;      /* x . u is not led below this share of what (1) lacks: else steps get short */
-static const double KNOWN = 1e-12;      /* of the forces: what (1) lacks is not known to less */
+static const double SHARP = 1e-12;      /* of the forces: what (1) lacks is not known to less */
 static const double NEARLY = 0.995;    /* share of the way to the boundary */
 
 /* An iterate of m contacts in d components: all of them m x d, N of Nesterov and Todd m x d x d. */
 typedef struct {
     int m, d;
     double *T, *q, *x, *u, *r, *dx, *du, *near, *N, *inverse; /* T: scale of forces; near: N u = N^-1 x */
-    Blocks blocks;
+    double *scale, *own;                                      /* T as blocks; (1 - e_n t^T) N^-2; both m x d x d */
+    Blocks *blocks;
 } Interior;
 
 /* sqrt(x_0^2 - |x_1|^2) */
@@ -80,9 +81,10 @@ static void small_product(const double *A, const double *x, int d, double *y)
 static double lacking(const Problem *of, Interior *o, double *gap)
 {
     const int d = o->d, n = o->m * d;
-    double *forces = o->dx, most;
+    double *forces = o->dx, *moved = o->du, most;
     for (int i = 0; i < n; i++) forces[i] = o->T[i] * o->x[i];
-    for (int i = 0; i < n; i++) o->r[i] = o->u[i] - o->q[i] - o->T[i] * dot(of->W + (long)i * n, forces, n);
+    moved_by(of, d, forces, moved);
+    for (int i = 0; i < n; i++) o->r[i] = o->u[i] - o->q[i] - o->T[i] * moved[i];
     for (int i = 0; i < n; i += d) o->r[i] -= sqrt(dot(o->u + i + 1, o->u + i + 1, d - 1));
     most = largest(o->r, n);
     *gap = dot(o->x, o->u, n) / o->m;
@@ -100,10 +102,6 @@ static void without_slip(const double *u, int d, double *y)
 static int begin_steps(const Problem *of, Interior *o)
 {
     const int d = o->d;
-    const long n = (long)o->m * d;
-    double *A = o->blocks.A;
-    for (long i = 0; i < n; i++)
-        for (long j = 0; j < n; j++) A[i * n + j] = o->T[i] * of->W[i * n + j] * o->T[j];
     for (int i = 0; i < o->m; i++) {
         double *inverse = o->inverse + i * d * d, column[D];
         scaling(o->x + i * d, o->u + i * d, d, o->N + i * d * d, inverse);
@@ -111,14 +109,15 @@ static int begin_steps(const Problem *of, Interior *o)
         for (int j = 0; j < d; j++) {
             small_product(inverse, inverse + j * d, d, column);
             without_slip(o->u + i * d, d, column);
-            for (int k = 0; k < d; k++) A[(i * d + k) * n + i * d + j] += column[k];
+            for (int k = 0; k < d; k++) o->own[(i * d + k) * d + j] = column[k];
         }
     }
-    return factor_blocks(&o->blocks);
+    load_blocks(of, d, o->blocks, o->scale, o->T, o->own);
+    return factor_blocks(of, d, o->blocks, 0.0);
 }
 
 /* The step for x o u = ``right`` (scaled, m x d, lost), into dx, du. */
-static void take_step(Interior *o, double *right)
+static void take_step(const Problem *of, Interior *o, double *right)
 {
     const int d = o->d;
     for (int i = 0; i < o->m; i++) {
@@ -129,7 +128,7 @@ static void take_step(Interior *o, double *right)
         without_slip(o->u + i * d, d, b);
         add(b, 1.0, o->r + i * d, d);
     }
-    solve_blocks(&o->blocks, o->dx);
+    solve_blocks(of, d, o->blocks, o->dx);
     for (int i = 0; i < o->m; i++) {
         double once[D], twice[D];
         small_product(o->inverse + i * d * d, o->dx + i * d, d, once);
@@ -156,13 +155,13 @@ static int inner_step(const Problem *of, Interior *o, double gap, double most, d
         product_of_cone(o->near + i, o->near + i, d, right + i);
         for (int k = 0; k < d; k++) right[i + k] = -right[i + k];
     }
-    take_step(o, right);
+    take_step(of, o, right);
 
     const double far = largest(o->x, n);
     double length = step_length(o, 1.0), ahead = 0.0, share;
     for (int i = 0; i < n; i++) ahead += (o->x[i] + length * o->dx[i]) * (o->u[i] + length * o->du[i]) / o->m;
     share = ahead / gap * (ahead / gap) * (ahead / gap);
-    share = fmin(fmax(fmax(share, 1e-6), BEHIND * fmax(most - KNOWN * far, 0.0) * far / gap), 1.0);
+    share = fmin(fmax(fmax(share, 1e-6), BEHIND * fmax(most - SHARP * far, 0.0) * far / gap), 1.0);
 
     for (int i = 0; i < n; i += d) {
         double a[D], b[D], second[D];
@@ -172,37 +171,33 @@ static int inner_step(const Problem *of, Interior *o, double gap, double most, d
         product_of_cone(o->near + i, o->near + i, d, a);
         for (int k = 0; k < d; k++) right[i + k] = -a[k] - second[k] + (k ? 0.0 : share * gap);
     }
-    take_step(o, right);
+    take_step(of, o, right);
     length = step_length(o, NEARLY);
     add(o->x, length, o->dx, n);
     add(o->u, length, o->du, n);
     return !(largest(o->x, n) < INFINITY && largest(o->u, n) < INFINITY);
 }
 
-/* Forces of a problem by interior points in place of o->f, as near as they come. ``work``: room for 10 vectors, two arrays of blocks,
-   a matrix and flags. */
+/* Forces of a problem by interior points in place of o->f, as near as they come. ``work``: room for 9 vectors and 4 arrays of blocks. */
 static void inner_forces(const Contacts *c, const Problem *of, double *work)
 {
     const int m = of->m, d = c->components, n = m * d;
-    Interior o = {.m = m, .d = d};
-    double **places[] = {&o.T, &o.q, &o.x, &o.u, &o.r, &o.dx, &o.du, &o.near}, *right, gap, most, size = 0.0, best = INFINITY;
-    for (int k = 0; k < 8; k++, work += n) *places[k] = work;
-    right = work;
-    o.N = right + n;
-    o.inverse = o.N + n * d;
-    o.blocks = (Blocks){.m = m, .d = d, .A = o.inverse + n * d, .order = c->order_of, .rest = c->order_of + m};
-    o.blocks.full = (char *)(o.blocks.A + (long)n * n);
+    Blocks blocks = c->blocks;
+    Interior o = {.m = m, .d = d, .blocks = &blocks};
+    double **vectors[] = {&o.T, &o.q, &o.x, &o.u, &o.r, &o.dx, &o.du, &o.near}, **arrays[] = {&o.N, &o.inverse, &o.scale, &o.own};
+    double *right = work + 8 * n, gap, most, size = 0.0, best = INFINITY;
+    for (int k = 0; k < 8; k++) *vectors[k] = work + k * n;
+    for (int k = 0; k < 4; k++) *arrays[k] = right + n + k * n * d;
 
+    memset(o.scale, 0, n * d * sizeof(double));
     for (int i = 0; i < m; i++) {
-        const double own = 1.0 / sqrt(fmax(of->W[(long)i * d * (n + 1)], 1e-300));
+        const double own = 1.0 / sqrt(fmax(of->own[i * d * d], 1e-300));
         for (int k = 0; k < d; k++) {
-            o.T[i * d + k] = own * (k ? of->mu[i] : 1.0);
+            o.scale[(i * d + k) * d + k] = o.T[i * d + k] = own * (k ? of->mu[i] : 1.0);
             o.q[i * d + k] = o.T[i * d + k] * of->q[i * d + k];
             o.x[i * d + k] = o.u[i * d + k] = k ? 0.0 : 1.0;
         }
-        for (int k = 0; k < m; k++) o.blocks.full[(long)i * m + k] = i == k || coupled(c, of, i, k);
     }
-    order_blocks(&o.blocks);
     size = fmax(largest(o.q, n), 1e-300);
     for (int i = 0; i < n; i++) o.q[i] /= size;
 

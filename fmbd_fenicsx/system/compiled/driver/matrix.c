@@ -143,27 +143,42 @@ int prepare(System *s, const double *q, double cd, double ck, const double *lam,
     return verdict;
 }
 
+/* What a solution in b is of body k, into x (like v, body axes). */
+static void take_body(System *s, int k, double *x)
+{
+    const Body *o = s->body + k;
+    for (int part = 0; part < s->parts; part++) {
+        const double *u = s->b + part * (s->nu + s->rows) + o->at_u;
+        double *to = x + part * s->nv;
+        memcpy(to + TWIST * k, u, D * sizeof(double));
+        to_body(s->frames + FRAME * k + TURN, u + D, to + TWIST * k + D);
+        if (!o->field) memcpy(to + o->at_v, u + TWIST, o->modes * sizeof(double));
+    }
+    if (o->field) field_increment(s, o, x);
+}
+
 /* The solution x (like v, body axes) and y for the right-hand side in b, which holds it in world axes then. */
 void solution(System *s, double *x, double *y)
 {
-    double *b = s->b;
-    const int wide = s->nu + s->rows;
-    if (s->parts > 1) back_solve_complex(s, b);
-    else back_solve(s, b);
-    if (s->links) add_links(s, b);
+    if (s->parts > 1) back_solve_complex(s, s->b);
+    else back_solve(s, s->b);
+    if (s->links) add_links(s, s->b);
+    for (int k = 0; k < s->bodies; k++) take_body(s, k, x);
+    for (int part = 0; part < s->parts; part++)
+        memcpy(y + part * s->rows, s->b + part * (s->nu + s->rows) + s->nu, s->rows * sizeof(double));
+}
 
-    for (int k = 0; k < s->bodies; k++) {
-        const Body *o = s->body + k;
-        for (int part = 0; part < s->parts; part++) {
-            const double *u = b + part * wide + o->at_u;
-            double *to = x + part * s->nv;
-            memcpy(to + TWIST * k, u, D * sizeof(double));
-            to_body(s->frames + FRAME * k + TURN, u + D, to + TWIST * k + D);
-            if (!o->field) memcpy(to + o->at_v, u + TWIST, o->modes * sizeof(double));
-        }
-        if (o->field) field_increment(s, o, x);
+/* The same on one tree of fronts, which nothing couples with others; b is zero there then. */
+void tree_solution(System *s, const Tree *t, double *x)
+{
+    for (int k = 0; k < t->fronts; k++) forward(s, s->front + t->front[k], s->b);
+    for (int k = t->fronts - 1; k >= 0; k--) backward(s, s->front + t->front[k], s->b);
+    if (s->links) add_links(s, s->b);
+    for (int k = 0; k < t->bodies; k++) take_body(s, t->body[k], x);
+    for (int k = 0; k < t->fronts; k++) {
+        const Front *f = s->front + t->front[k];
+        for (int i = 0; i < f->pivots; i++) s->b[f->unknown[i]] = 0.0;
     }
-    for (int part = 0; part < s->parts; part++) memcpy(y + part * s->rows, b + part * wide + s->nu, s->rows * sizeof(double));
 }
 
 /* Frames whose columns of inertia leave out U: the moments of M U x dU go to them in a second solution, added to the first. */

@@ -52,6 +52,12 @@ PART int whole_forces(System *s, Batch *k, double t);
 PART int whole_tangents(System *s, Batch *k, double t);
 PART void whole_links(System *s, const Batch *k);
 
+/* Fronts that lead into each other, ascending, and the bodies whose unknowns they hold. */
+typedef struct {
+    int fronts, bodies;
+    int *front, *body;
+} Tree;
+
 /* the core */
 int side_map(const System *s, int frame, const double **map);
 void through(const double *map, int width, const double *y, double *row);
@@ -63,6 +69,7 @@ int inertia(System *s, const double *q, const double *v, const double *a, double
 int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t);
 int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t);
 void solution(System *s, double *x, double *y);
+void tree_solution(System *s, const Tree *t, double *x);
 int solve_dense(double *A, int n, double *B, long ld, int columns, double share);
 void slips(System *s, int rates);
 void configuration(const System *s, const double *q0, const double *xi, double *q);
