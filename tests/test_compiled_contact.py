@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear import condensation
 from fmbd_fenicsx.schemes.impacts import contact_driver
 from fmbd_fenicsx.system.compiled.library import driver_library
 
 pytestmark = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
+
+
+def in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have all later steps made by NumPy, whole and by their parts."""
+    monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+    monkeypatch.setattr(condensation, "driver_solver", lambda *_: None)
 
 
 def floor(body: Any, friction: float = 0.0, restitution: float = 0.5) -> Any:
@@ -214,7 +221,7 @@ def run(name: str) -> Any:
 def test_compiled_steps_are_those_of_numpy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = run(name)
     assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
-    monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+    in_numpy(monkeypatch)
     numpy = run(name)
     assert "compiled_steps" not in numpy.counters
 
@@ -265,7 +272,7 @@ def test_impacts_that_accumulate_and_classical_steps_are_compiled(
     pass through.
     """
     compiled = column(impacts)
-    monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+    in_numpy(monkeypatch)
     numpy = column(impacts)
     assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
     for count in ("impacts", "accumulations", "contact_steps", "newton_iterations"):
@@ -317,7 +324,7 @@ def test_forces_of_dependent_contacts_are_found_in_compiled_code(
     assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
     assert not asked
     assert 0.0 < compiled.counters["complementarity_residual"] <= 1e-12
-    monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+    in_numpy(monkeypatch)
     numpy = plate()
     # roundoff decides which of these few need more than Newton's plain iteration
     assert all(run.counters["cycles_broken"] <= 0.1 * run.counters["newton_iterations"] for run in (compiled, numpy))
@@ -369,7 +376,7 @@ def test_steps_with_very_many_closed_contacts_are_compiled(monkeypatch: pytest.M
     compiled = board()
     assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
     assert not asked
-    monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+    in_numpy(monkeypatch)
     assert compiled["place"] == pytest.approx(board()["place"], abs=1e-9)
 
 
