@@ -86,17 +86,19 @@ class StepSolver:
 
     @property
     def driver(self) -> DriverSolver | None:
-        """Who solves in compiled code, where that evaluates the system; None where NumPy does all: the compliance of contacts is
-        found with its matrix.
-        """
+        """Who solves in compiled code, where that evaluates the system; None where NumPy has to: for compliances of contacts."""
         if self.system.contacts is not None and not self._apart:
             return None
         evaluator, solver = self._driver
         if evaluator is not self.system.evaluator:
-            eliminated = self.split is None and self.iterated is None
-            solver = driver_solver(self.system, self.core, self.elastic if eliminated else None)
+            solver = driver_solver(self.system, self.core, self.elastic if self.eliminates else None)
             self._driver = self.system.evaluator, solver
         return solver
+
+    @property
+    def eliminates(self) -> bool:
+        """Whether fields are eliminated by factors of their own and the rest is solved directly: nothing is iterated on."""
+        return self.split is None and self.iterated is None
 
     # -- counts -------------------------------------------------------------------------------------------------
     @property

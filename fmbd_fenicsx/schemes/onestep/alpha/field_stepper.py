@@ -48,7 +48,7 @@ class FieldStepper(CompiledAlphaStepper):
     def _bound(self) -> bool:
         """Whether there is a driver with the solver's present factors, for the steps of this stepper."""
         solver = self.solver
-        if solver.split is not None or not solver.blocks:
+        if not solver.eliminates or not solver.blocks:
             return False
         tables = None if self._driver is None else self._driver.tables
         if tables is not None and tables.user is self and tables.blocks is solver.blocks:
