@@ -264,7 +264,8 @@ class PrescribedMotions:
         if not self.followers or not t > self.time:
             return
         count = max(1, steps // self.every)
-        for time in map(float, np.linspace(self.time, t, count + 1)[1:] if count > 1 else (t,)):
+        # a last step may pass the end by a rounding, which holds few numbers
+        for time in map(float, np.unique(np.linspace(self.time, t, count + 1))[1:] if count > 1 else (t,)):
             for follower in self.followers:
                 follower.look(time)
             for one, other, joint in self.rivals:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -65,7 +64,7 @@ class Tables:
         self.twin = twin_of(system)
         self.tied = TiedPoints(self.twin.system)
         # with a frame for each absolute body, and with what ties see of bodies among the markers
-        self.system = system = replace(self.twin.system, markers=self.tied.markers)
+        self.system = system = self.tied.system
         self.store = Store()
         self.dim = system.motions.dim
         self.nb = system.n_frames

@@ -36,8 +36,8 @@ class Integral:
 
 
 class TiedPoints:
-    """The ties of a system where all parts have frames (:mod:`.resting`): its ``markers`` with the points behind the others, what
-    each of these ``sees`` by its number, and the ``items``.
+    """The ties of a system where all parts have frames (:mod:`.resting`): the ``system`` with their points as markers behind the
+    others, what each of these ``sees`` by its number, and the ``items``.
     """
 
     def __init__(self, system: System) -> None:
@@ -46,7 +46,8 @@ class TiedPoints:
         self._frames: list[int] = []
         self._ports: list[np.ndarray] = []
         self.items = [self._rows(tie, np.arange(rows.start, rows.stop)) for tie, rows in system.traces]
-        self.markers = self._with_points(system.markers) if self.items else system.markers
+        if self.items:
+            self.system = replace(system, markers=self._with_points(system.markers))
 
     def _rows(self, tie: TraceRows, rows: np.ndarray) -> Items:
         """The rows of a tie."""
