@@ -61,7 +61,7 @@ class Calls:
         timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
         slower = any(_differentiated(motion) for motion, _ in self.prescribed)
         tables.c.samples = int(ramp or any(timed)) + int(slower)
-        self.written = self._list_timed()  # numbers
+        self.written: int = self._list_timed()  # numbers
         self.answers = self._answers()
         self.function = PYTHON(self.answer)
         tables.c.python = self.function
