@@ -59,7 +59,7 @@ def derivative_many(function: Callable[[Any, Any], Any], x: Array, t: Array) -> 
 
 def differences(function: Function, x: Array) -> Array:
     """d function / d x, (m, n), without complex numbers: by jets, else by differences."""
-    axes = [Line(function, x, e) for e in np.eye(len(x))]
+    axes = _axes(function, x)
     if not axes:
         return np.zeros((np.size(function(x)), 0))
     exact = [line.exact() for line in axes]
@@ -76,7 +76,7 @@ def line_rates(function: Function, x: Array, v: Array) -> tuple[Array, Array]:
     exact = line.exact()
     if exact is not None:
         return exact
-    found = line.search(_sizes([Line(function, x, e) for e in np.eye(len(x))]))
+    found = line.search(_sizes(_axes(function, x)))
     return np.array([first.value for first, _ in found]), np.array([second.value for _, second in found])
 
 
@@ -99,7 +99,7 @@ class Slopes:
             return derivative(self.function, x)
         if not self.errors:
             return differences(self.function, x)
-        axes = [Line(self.function, x, e) for e in np.eye(len(x))]
+        axes = _axes(self.function, x)
         few = _searched(axes, self.steps)
         good = all(
             not best.contradicted and best.error <= AGREES * max(error, GOOD * abs(best.value))
@@ -113,35 +113,47 @@ def slopes_of(function: Function, start: Array) -> Slopes:
     """The derivative of a user's function, looked at where a run starts; whoever asks for it there is told what fails."""
     along = 1.0 + 0.1 * np.arange(len(start))
     line = Line(function, start, along)
+    axes = _axes(function, start)
     try:
         exact = line.exact()
-        axes = [] if exact is not None else [Line(function, start, e) for e in np.eye(len(start))]
-        found = [] if exact is not None else line.search(_sizes(axes))
-        told = exact[0] if exact is not None else np.array([first.value for first, _ in found])
-        error = np.array([first.error for first, _ in found]) if found else np.zeros(len(told))
+        found = [] if exact is not None else [first for first, _ in line.search(_sizes(axes))]
     except OUTSIDE:
         return Slopes(function, True)
-    try:
-        slope = _complex_slope(function, start, along)
-        if (np.abs(slope - told) <= SAME * np.maximum(np.abs(slope), np.abs(told)) + AGREES * error).all():
-            return Slopes(function, True)
-    except UNUSABLE:
-        pass
+
+    told = exact[0] if exact is not None else np.array([x.value for x in found])
+    error = np.array([x.error for x in found]) if found else np.zeros(len(told))
+    if _complex_steps_tell(function, start, along, told, error):
+        return Slopes(function, True)
     if exact is not None:
         return Slopes(function, False)
+    return Slopes(function, False, *_short_steps(axes))
 
-    # what is a polynomial there is none elsewhere: not the best steps, the shortest ones that are good enough
-    best, sizes = _searched(axes), _sizes(axes)
+
+def _complex_steps_tell(function: Function, x: Array, v: Array, told: Array, error: Array) -> bool:
+    """Whether the slope along v by a complex step is that which was ``told``, with its ``error``, (m,)."""
+    try:
+        slope = _complex_slope(function, x, v)
+        allowed = SAME * np.maximum(np.abs(slope), np.abs(told)) + AGREES * error
+        return bool((np.abs(slope - told) <= allowed).all())
+    except UNUSABLE:
+        return False
+
+
+def _short_steps(axes: list[Line]) -> tuple[tuple[Sequence[int], ...], tuple[Sequence[float], ...]]:
+    """Steps and errors of :class:`Slopes`, of each axis: what is a polynomial at the start is none elsewhere, so these are not
+    the best steps but the shortest ones that are good enough.
+    """
+    sizes = _sizes(axes)
     steps, errors = [], []
-    for line, column in zip(axes, best, strict=True):
-        at_most = [max(GOOD * abs(b.value), LOOSE * b.error) for b in column]
+    for line, column in zip(axes, _searched(axes), strict=True):
+        at_most = [max(GOOD * abs(best.value), LOOSE * best.error) for best in column]
         for n in ALL:
             tried = [first.error for first, _ in line.search(sizes, [n])]
             if all(e <= most for e, most in zip(tried, at_most, strict=True)):
                 break
         steps.append(range(n, min(n + 2, len(STEPS))))
         errors.append(at_most)
-    return Slopes(function, False, tuple(steps), tuple(errors))
+    return tuple(steps), tuple(errors)
 
 
 def _complex_slope(function: Function, x: Array, v: Array) -> Array:
@@ -179,6 +191,11 @@ class Line:
         """Both derivatives of each value by differences; ``sizes`` of the terms that may cancel in it, (m,)."""
         scale = np.zeros(len(self.at(0.0))) if sizes is None else sizes
         return [search(lambda s, i=i: self.at(s)[i], 0.0, scale[i], steps=steps) for i in range(len(scale))]  # type: ignore[misc]
+
+
+def _axes(function: Function, x: Array) -> list[Line]:
+    """The lines through x along each coordinate."""
+    return [Line(function, x, e) for e in np.eye(len(x))]
 
 
 def _searched(axes: list[Line], steps: Sequence[Sequence[int]] = ()) -> list[list[Best]]:
