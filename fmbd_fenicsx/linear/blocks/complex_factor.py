@@ -19,6 +19,7 @@ from ...fem.factors.factor import InC
 from ...fem.fields import Field
 from ...kernel_cache import address_of
 from ...rotations import Array
+from ...system.compiled.declarations import TABLES, fields_of
 from ..residual import Judge
 from .spd import FieldFactor
 
@@ -76,7 +77,7 @@ class ComplexFactor(FieldFactor):
 class Symmetric(ctypes.Structure):
     """``Symmetric`` of driver/tables.h."""
 
-    _fields_ = (("n", ctypes.c_long), *((name, ctypes.c_void_p) for name in "start row order L inverse work".split()))
+    _fields_ = fields_of(TABLES, "Symmetric")
 
 
 def _matrix(field: Field, cm: float, ck: float, cd: float) -> sp.csr_matrix:

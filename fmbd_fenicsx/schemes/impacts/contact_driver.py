@@ -22,10 +22,10 @@ from ...rotations import Array
 from ...system.compiled import march as slots
 from ...system.compiled.blocks import Ring, block_size, state_of
 from ...system.compiled.calls import Calls
+from ...system.compiled.declarations import PYTHON, enumeration
 from ...system.compiled.library import CONTACT, driver_library, units_of
 from ...system.compiled.tables.bodies import covers_bodies
 from ...system.compiled.tables.items import covers
-from ...system.compiled.tables.structures import PYTHON
 from ...system.compiled.tables.tables import Tables
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
@@ -34,16 +34,14 @@ from .contact_detection import tell_rest
 from .contact_newton import frictional_forces, normal_forces
 from .contact_spheres import Spheres
 from .contact_structures import (
-    REAL,
-    TOLD,
+    SOURCE,
     Blocks,
     Contacts,
     Graph,
     Problem,
     TouchStructure,
     Tree,
-    mover_structure,
-    pair_structure,
+    structure,
 )
 from .contact_tape import ContactTape
 from .contact_trees import trees_of
@@ -52,8 +50,8 @@ if TYPE_CHECKING:
     from ...system.compiled.recording import Openness, Tape
     from ..newton import Newton
 
-POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = range(4)
-LIMIT, OWN = 4, 5  # behind the shapes that the driver knows; OWN: Python tells the distances
+POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = enumeration("POSE_OF", SOURCE).values()
+*_, LIMIT, OWN = enumeration("HALF_SPACE", SOURCE).values()  # behind the shapes that the driver knows
 BOUNDED = slots.AM
 MOST = 1024  # contacts closed at once: a step with more is NumPy's
 
@@ -74,7 +72,7 @@ def known(contacts: ContactSet, pair: Any) -> bool:
 
 def numbers(address: int, size: int) -> Array:
     """So many numbers at an address, as C sees them."""
-    return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(REAL)), (size,))
+    return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_double)), (size,))
 
 
 def whole_numbers(address: int, size: int) -> np.ndarray:
@@ -184,8 +182,8 @@ class ContactDriver:
 
     def _spheres(self, found: Spheres) -> dict[str, int]:
         """What the driver reads of spheres."""
-        kind = mover_structure(self.tables.dim)
-        made = [kind(x.body, (REAL * self.tables.dim)(*x.place), x.extent, x.reach) for x in found.spheres]
+        kind = structure("Mover", self.tables.dim)
+        made = [kind(x.body, tuple(x.place), x.extent, x.reach) for x in found.spheres]
         self.movers = (kind * len(made))(*made)
         order = np.arange(len(made))
         tables = {"single": found.single, "start": found.start, "partner": found.partner, "order": order}
@@ -222,15 +220,15 @@ class ContactDriver:
     def _pairs(self) -> None:
         """The pairs' structures."""
         first = 0
-        kind = pair_structure(self.system.motions)
+        kind = structure("Pair", self.tables.dim)
         made = []
 
         for pair in self.contacts.pairs:
             one = kind(
                 first=first, count=pair.count, moving=int(pair.moving), radius=pair.slave.radius, carrier=-1,
                 friction=pair.friction, restitution=pair.restitution, thickness=pair.thickness,
-                asked=(REAL * TOLD)(*[np.nan] * TOLD),
             )  # fmt: skip
+            one.asked[:] = [np.nan] * len(one.asked)
             if isinstance(pair, LimitPair):
                 self._stop(one, pair)
             else:

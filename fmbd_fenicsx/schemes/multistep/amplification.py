@@ -25,6 +25,7 @@ from ...linear.condensation import StepSolver, Weights
 from ...linear.core import dense
 from ...linear.core_matrix import core_matrix
 from ...rotations import Array
+from ...system.compiled.declarations import enumeration
 from ...system.evaluation import Evaluation
 from ...system.serialisation import Remembering, plain
 from ...system.system import State
@@ -34,8 +35,9 @@ GROWTH = 5e-3  # in a step, that an order may have
 RENEWAL = 50  # uses after which the vibrations are looked at again, up to
 RARER = 4  # times as many where the fastest stays as it was, up to
 ALIKE = 0.1  # of itself
-STABLE = 2  # the highest order that damps undamped vibrations at any step
-HIGHEST = 5
+HIGHEST, STABLE = enumeration(
+    "ORDERS", "bdf.c"
+).values()  # orders: of all, of those that damp undamped vibrations at any step
 POINTS = 8192  # of the curve
 LARGEST = 200  # unknowns of the core, up to which eigenvalues are solved for
 RESOLVED = 0.3  # h omega below which any order follows a vibration

@@ -15,9 +15,10 @@ from ...mechanics.forces.formulas import TARGET
 from ...mechanics.forces.laws_together import mean_effort
 from ...mechanics.joints.couplings import SmoothMotion
 from ...mechanics.kinds.asked import AskedKind
+from .declarations import PYTHON, enumeration
 from .tables.item_batches import turned, turning
 from .tables.items import GIVEN, Items
-from .tables.structures import PYTHON, address_of, enumeration
+from .tables.structures import address_of
 from .tables.tables import MOTIONS, Tables
 from .tables.tied import motions_of_ties
 

@@ -10,52 +10,32 @@ import numpy as np
 
 from ...rotations import Array
 from ..system import System
+from .declarations import enumeration, fields_of
 from .states.convergence import Convergence
 from .states.stages import StageRoom
 from .tables.deflections import deflections_of
 from .tables.structures import Store, address_of
 
-COEFFICIENTS = "c W values middle basis stage_basis".split()  # of Radau
 # what a state keeps first
-RATE, KNOWN, TANGENTS, FACTORED, INCREMENTS, RESIDUAL, RESIDUAL_SCALE = range(WORK := 7)
-_INT, _POINTER, _REAL = ctypes.c_int, ctypes.c_void_p, ctypes.c_double
+RATE, KNOWN, TANGENTS, FACTORED, INCREMENTS, RESIDUAL, RESIDUAL_SCALE, WORK = enumeration("RATE", "implicit.c").values()
 
 
 class Implicit(ctypes.Structure):
     """``Implicit`` of implicit.c."""
 
-    _fields_ = (
-        *((name, _POINTER) for name in "stages patterns convergence data masses room mixed".split()),
-        *((name, _POINTER) for name in COEFFICIENTS),
-        *((name, _INT) for name in "order fresh".split()),
-        *((name, _REAL) for name in ("factored", "failed")),
-        ("own", _POINTER),
-        *((name, _REAL) for name in "rtol floor slow longer".split()),
-    )
+    _fields_ = fields_of("implicit.c", "Implicit")
 
 
 class OwnSteps(ctypes.Structure):
     """``OwnSteps`` of own_steps.c."""
 
-    _fields_ = (
-        *((name, _INT) for name in "index places deforming patience".split()),
-        *((name, _POINTER) for name in "deflection sizes speeds scale".split()),
-        *((name, _REAL) for name in "rtol atol length turn safety harsh mild until last tiny worst refused".split()),
-        *((name, _REAL) for name in "turning order shrink grow least most".split()),
-        *((name, _POINTER) for name in "error orders".split()),
-    )
+    _fields_ = fields_of("own_steps.c", "OwnSteps")
 
 
 class Orders(ctypes.Structure):
     """``Orders`` of bdf.c."""
 
-    _fields_ = (
-        ("highest", _INT),
-        ("first", _INT * 7),
-        ("spans", _POINTER),
-        *((name, ctypes.c_long) for name in "uses most".split()),
-        *((name, _REAL) for name in "safety least shrink grow keep calm lower higher nearest farthest".split()),
-    )
+    _fields_ = fields_of("bdf.c", "Orders")
 
     def lend(self, spans: Mapping[int, Array], uses: int, most: int) -> None:
         """The sizes with which each order amplifies vibrations, (k, 2), s; ``uses``: of these so far, ``most`` of them."""

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 from ... import kernel_cache
 from ...mechanics.kinds.library import package_kernels, processor
 from ...mechanics.rods import strains
+from .declarations import DRIVER
 from .tables.items import other_loads
 from .tables.told import is_told
 
 if TYPE_CHECKING:
     from ..system import System
 
-DRIVER = Path(__file__).with_name("driver")
 FLAGS = (
     *(
         "-O3",

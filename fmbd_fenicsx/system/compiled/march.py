@@ -13,8 +13,9 @@ from ...rotations import Array
 from ..system import State, System
 from .blocks import Block, Ring
 from .calls import Calls
+from .declarations import TABLES, enumeration, fields_of
 from .recording import Openness, Tape
-from .tables.structures import address_of, enumeration
+from .tables.structures import address_of
 from .tables.tables import Tables
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 # fmt: off
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
- GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED) = range(PARAMETERS := 25)
+ GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED, PARAMETERS) = enumeration("H", "parts.h").values()
 # fmt: on
 COUNTED = [ITERATIONS, LOCAL, LEFT]  # by a march, from zero
 DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE, DOUBT = enumeration("DONE").values()
@@ -32,10 +33,7 @@ SCHEMES = enumeration("ALPHA")
 class _Closed(ctypes.Structure):
     """``Closed`` of tables.h."""
 
-    _fields_ = [
-        ("units", ctypes.c_void_p),
-        *((x, ctypes.c_double) for x in "allowed roundoff length opening share fastest speed most".split()),
-    ]
+    _fields_ = fields_of(TABLES, "Closed")
 
 
 @dataclass(frozen=True)

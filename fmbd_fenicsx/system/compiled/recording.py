@@ -26,6 +26,7 @@ from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..system import State, System
 from .blocks import block_size, state_of
+from .declarations import TABLES, fields_of
 from .tables.structures import address_of, zeros_of
 
 if TYPE_CHECKING:
@@ -151,15 +152,7 @@ class Looks:
 class _Tape(ctypes.Structure):
     """``Tape`` of tables.h."""
 
-    _fields_ = [
-        *((name, ctypes.c_long) for name in "every left capacity count crossings crossed straight single".split()),
-        *((name, ctypes.c_void_p) for name in "crossing series".split()),
-        *((name, ctypes.c_long) for name in "whole rows doubtful".split()),
-        *((name, ctypes.c_double) for name in "allowed roundoff length".split()),
-        *((name, ctypes.c_void_p) for name in "units block lam sight energy reading reaction doubt".split()),
-        *((name, 4 * ctypes.c_double) for name in "worst before".split()),
-        ("contact", ctypes.c_void_p),
-    ]
+    _fields_ = fields_of(TABLES, "Tape")
 
 
 # what events are about, ``Crossing`` of tables.h

@@ -2,7 +2,7 @@
 
 enum { ORDERS = 5, STABLE = 2 }; /* the highest order, and the highest that damps all vibrations */
 
-/* What stands here has the same order in ``Orders`` of system/compiled/implicit.py: which orders and sizes follow, see bdf.py. */
+/* Which orders and sizes follow, see bdf.py. */
 typedef struct Orders {
     int highest, first[ORDERS + 2];    /* where the spans of each order begin */
     const double *spans;               /* from, to, of sizes (s) with which an order amplifies vibrations */

@@ -1,6 +1,5 @@
 /* When Newton's iteration of an implicit step has ended: schemes/implicit/convergence.py says it in Python, and what the numbers are. */
 
-/* What stands here has the same order in ``Convergence`` of system/compiled/states/convergence.py. */
 typedef struct {
     int most, adaptive, averaged, foresees, done, outcome;
     double h, allowed, still, tolerance, accurate;

@@ -6,7 +6,6 @@ static const double SLOW_SHARE = 0.3; /* of the increment before, above which so
 static const double SHIFTED = 0x1p-26; /* of a difference quotient, over the model's length */
 static const double ROUNDED = 1e-14; /* roundoff of rates, over their largest */
 
-/* What stands here has the same order in ``FieldStages`` of system/compiled/states/field_stages.py. */
 typedef struct FieldStages {
     System **by;                       /* who has the matrix of each frequency */
     int kinds, *span;                  /* entries like v whose means count by themselves, of the core and of each field: their ends */

@@ -1,7 +1,7 @@
 /* What steps of Radau (radau.c) and BDF (bdf.c) have in common, many in one call (march.c): in local coordinates about the start of a
    step, for systems whose stage systems have patterns. */
 
-/* What stands here has the same order in ``Implicit`` of system/compiled/implicit.py. Coefficients are those of the scheme. */
+/* Coefficients are those of the scheme. */
 typedef struct {
     Stages *stages;
     const Patterns *patterns;

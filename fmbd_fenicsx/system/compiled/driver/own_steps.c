@@ -1,7 +1,6 @@
 /* Steps whose sizes error control chooses: where they end, the sizes of the norm of schemes/control.py, and what follows a step that is
    refused. A step that fails in another way than by its error is made once more by Python, from the same beginning. */
 
-/* What stands here has the same order in ``OwnSteps`` of system/compiled/implicit.py. */
 typedef struct OwnSteps {
     int index, places, deforming, patience; /* of the form; whether it holds places; bodies that deform; errors that refuse one step */
                                        /* before Python makes it */

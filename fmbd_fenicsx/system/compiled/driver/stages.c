@@ -17,7 +17,6 @@ typedef struct {
     double *L, *U, *pivot;
 } Lower;
 
-/* What stands here has the same order in ``STAGES`` of system/compiled/states/stages.py. */
 typedef struct {
     int n, m, size, levels, frequencies, points, first; /* size: unknowns; first: of the levels of rows */
     int *start, *row, *order;       /* K by columns; order of elimination */

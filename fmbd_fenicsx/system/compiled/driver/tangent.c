@@ -10,7 +10,7 @@ typedef struct {
     long pairs, *a, *b, *to;
 } Product;
 
-/* Where data have their entries. What stands here has the same order in ``PATTERNS`` of stage_patterns.py. */
+/* Where data have their entries. */
 typedef struct {
     int n, m, size, levels, first, colours;
     long low, crossings, columns;     /* entries of the lower rows, of their products with U, of K */

@@ -152,16 +152,16 @@ static void to_frames(const System *s, const Batch *k, long i, double *C)
     }
 }
 
-/* Half the sum of ck K + cd B and of its transpose, times ``sign``, on the twists of the markers of a force; its largest entry. */
-static double half_sum(const System *s, const Batch *k, long i, double sign, double *C)
+/* ck K + cd B on the twists of the markers of a force, as its symmetric part and what is left of it. */
+static void parts_of(const System *s, const Batch *k, long i, double *symmetric, double *rest)
 {
     const double *K = k->K + (long)PAIR * PAIR * i, *B = k->B + (long)PAIR * PAIR * i;
     for (int r = 0; r < PAIR; r++)
         for (int c = 0; c < PAIR; c++) {
-            int one = PAIR * r + c, other = PAIR * c + r;
-            C[one] = 0.5 * (s->ck * (K[one] + sign * K[other]) + s->cd * (B[one] + sign * B[other]));
+            const int one = PAIR * r + c, other = PAIR * c + r;
+            symmetric[one] = 0.5 * (s->ck * (K[one] + K[other]) + s->cd * (B[one] + B[other]));
+            rest[one] = 0.5 * (s->ck * (K[one] - K[other]) + s->cd * (B[one] - B[other]));
         }
-    return largest(C, PAIR * PAIR);
 }
 
 /* The symmetric part of ck K + cd B into the fronts; Python gives new slopes where the old ones misled, or Newton is slow with them. */
@@ -173,8 +173,8 @@ int whole_tangents(System *s, Batch *k, double t)
         *k->astray = 0;
     }
     for (long i = 0; i < k->n; i++) {
-        double C[PAIR * PAIR];
-        half_sum(s, k, i, 1.0, C);
+        double C[PAIR * PAIR], rest[PAIR * PAIR];
+        parts_of(s, k, i, C, rest);
         to_frames(s, k, i, C);
         mapped_square(s, k, i, C);
     }
@@ -186,9 +186,10 @@ void whole_links(System *s, const Batch *k)
 {
     const int wide = s->nu + TWIST * s->surfaces + 1;
     for (long i = 0; i < k->n && s->links + PAIR <= s->linkable; i++) {
-        double C[PAIR * PAIR], both[PAIR * PAIR];
+        double C[PAIR * PAIR], symmetric[PAIR * PAIR];
         const int *at = k->at + PAIR * i;
-        if (half_sum(s, k, i, -1.0, C) <= SKEW * half_sum(s, k, i, 1.0, both)) continue;
+        parts_of(s, k, i, symmetric, C);
+        if (largest(C, PAIR * PAIR) <= SKEW * largest(symmetric, PAIR * PAIR)) continue;
         to_frames(s, k, i, C);
         for (int r = 0; r < PAIR; r++) {
             double *push = s->push + (long)wide * s->links, *pull = s->pull + (long)wide * s->links;

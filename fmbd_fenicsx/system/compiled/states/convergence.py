@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 
-from ..tables.structures import enumeration
+from ..declarations import enumeration, fields_of
 
 GOES_ON, CONVERGED, DIVERGED, TOO_SLOW = enumeration("GOES_ON").values()
 
@@ -21,9 +21,4 @@ class Convergence(ctypes.Structure):
     steps below ``stagnation``. Found: ``size`` of the newest increment, rate ``theta``, ``share``.
     """
 
-    _fields_ = (
-        *((name, ctypes.c_int) for name in "most adaptive averaged foresees done outcome".split()),
-        *((name, ctypes.c_double) for name in "h allowed still tolerance accurate".split()),
-        *((name, ctypes.c_double) for name in "limit largest before least calm stagnation first".split()),
-        *((name, ctypes.c_double) for name in "size theta share".split()),
-    )
+    _fields_ = fields_of("convergence.c", "Convergence")

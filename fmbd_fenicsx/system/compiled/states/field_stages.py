@@ -10,22 +10,16 @@ import numpy as np
 
 from ....rotations import Array
 from ...system import State
+from ..declarations import fields_of
 from ..tables.structures import address_of, zeros_of
 from .evaluation import DriverStates
 from .stages import POINTS, PointRoom, Stages
-
-_INT, _POINTER, _REAL = ctypes.c_int, ctypes.c_void_p, ctypes.c_double
 
 
 class _FieldStages(ctypes.Structure):
     """``FieldStages`` of field_stages.c."""
 
-    _fields_ = (
-        ("by", _POINTER), ("kinds", _INT), ("span", _POINTER), ("t", _REAL), ("length", _REAL),
-        *((name, _POINTER) for name in "q v a lam balance N turnings square before sizes".split()),
-        *((name, _POINTER) for name in "kin low rate push x y b c given found room".split()),
-        ("solves", _REAL),
-    )  # fmt: skip
+    _fields_ = fields_of("field_stages.c", "FieldStages")
 
 
 class FieldStageRoom(PointRoom):

@@ -15,6 +15,7 @@ import numpy as np
 from ....rotations import Array
 from ...sparsity import Pattern, Product
 from ...tangents.step_tangent import StepTangent
+from ..declarations import fields_of
 from ..tables.structures import address_of, addresses_of
 from .couplings import Couplings
 from .exchange import Exchange
@@ -23,28 +24,19 @@ if TYPE_CHECKING:
     from ...system import State
     from .evaluation import DriverStates
 
-_INT, _LONG, _POINTER = ctypes.c_int, ctypes.c_long, ctypes.c_void_p
 DATA = "J M G U by_q by_v by_a".split()  # of a tangent, one behind the other
 
 
 class ProductPairs(ctypes.Structure):
     """``Product`` of tangent.c."""
 
-    _fields_ = (("pairs", _LONG), *((name, _POINTER) for name in "a b to".split()))
+    _fields_ = fields_of("tangent.c", "Product")
 
 
 class Patterns(ctypes.Structure):
     """``Patterns`` of tangent.c."""
 
-    _fields_ = (
-        *((name, _INT) for name in "n m size levels first colours".split()),
-        *((name, _LONG) for name in "low crossings columns".split()),
-        *((name, _POINTER) for name in "G_start G_on M_start colour across coloured_start coloured row column".split()),
-        ("masses", _LONG),
-        *((name, _POINTER) for name in "of_masses of_level taken".split()),
-        *((name, ProductPairs) for name in "normal turned crossed".split()),
-        *((name, _LONG) for name in DATA),
-    )
+    _fields_ = fields_of("tangent.c", "Patterns", Product=ProductPairs)
 
 
 class StageStructure:

@@ -11,27 +11,26 @@ import numpy as np
 from ....rotations import Array
 from ...sparsity import Pattern
 from ...tangents.step_tangent import StepTangent
-from ..tables.structures import address_of, addresses_of, enumeration, zeros_of
+from ..declarations import enumeration, fields_of
+from ..tables.structures import address_of, addresses_of, zeros_of
 from .stage_patterns import StageStructure
 
 SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
 FILLED = 4  # entries of L, and of U, over those of K, that there is room for at first
-_INT, _LONG, _POINTER, _REAL = ctypes.c_int, ctypes.c_long, ctypes.c_void_p, ctypes.c_double
 
 
 class SparseRows(ctypes.Structure):
     """``Sparse`` of stages.c."""
 
-    _fields_ = (("rows", _INT), ("start", _POINTER), ("on", _POINTER), ("data", _POINTER))
+    _fields_ = fields_of("stages.c", "Sparse")
 
 
 class Lower(ctypes.Structure):
     """``Lower`` of stages.c."""
 
-    _fields_ = tuple((name, _POINTER) for name in "L_start U_start L_row U_row place L U pivot".split())
+    _fields_ = fields_of("stages.c", "Lower")
 
 
-NUMBERS = "n m size levels frequencies points first".split()
 MATRICES = "by_v by_a J U".split()  # of a tangent, that C multiplies with
 POINTS = (
     "t q0 xi rate v vd mult couple inverse vectors kin low dxi dv dmult push sampled weigh moved judged local".split()
@@ -41,21 +40,7 @@ POINTS = (
 class Stages(ctypes.Structure):
     """``Stages`` of stages.c."""
 
-    _fields_ = (
-        *((name, _INT) for name in NUMBERS),
-        *((name, _POINTER) for name in "start row order".split()),
-        *((name, _LONG) for name in "entries room".split()),
-        *(
-            (name, _POINTER)
-            for name in "K0 K1 K2 s A scales sizes blocks units softness soft lower x right mixed stack mark found next".split()
-        ),
-        *((name, SparseRows) for name in (*MATRICES, "W")),
-        *((name, _POINTER) for name in POINTS),
-        ("relax", _REAL),
-        *((name, _POINTER) for name in "bases bent".split()),
-        ("span", _REAL),
-        ("fields", _POINTER),
-    )
+    _fields_ = fields_of("stages.c", "Stages", Sparse=SparseRows)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ from ....mechanics.rods.elements import RodElements
 from ....mechanics.validity import TOO_LARGE
 from ....rotations import Array
 from ...system import System
+from ..declarations import enumeration
 from ..places import rigid_places
 from .fields import known_field
-from .structures import enumeration, structure
+from .structures import structure
 from .tied import Integral, covers_ties
 from .told import can_be_told, is_told
 

@@ -27,9 +27,10 @@ from ....mechanics.kinds.derivation import Kind, kinds
 from ....rotations import Array
 from ...control.controllers import ControlLoads
 from ...system import System
+from ..declarations import enumeration
 from ..recording import Looks
 
-ROW, LINEAR, GIVEN, LAW, READ, FORMULA = range(6)
+ROW, LINEAR, GIVEN, LAW, READ, FORMULA, _, _ = enumeration("ROW").values()
 
 
 @dataclass

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....mechanics.forces.force_elements import Loads
+from ..declarations import enumeration
 from .structures import structure
 
 if TYPE_CHECKING:
     from .tables import Tables
 
-MOUNT = 6  # the role, as in driver/tables.h
+MOUNT = enumeration("ROW")["MOUNT"]  # the role
 
 
 def squares(tables: Tables, frames: np.ndarray) -> tuple[int, int]:

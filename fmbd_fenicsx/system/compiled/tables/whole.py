@@ -9,13 +9,14 @@ import numpy as np
 
 from ....mechanics.forces.force_elements import Loads
 from ....mechanics.frames import Kinematics
+from ..declarations import enumeration
 from .mounts import squares
 from .structures import structure
 
 if TYPE_CHECKING:
     from .tables import Tables
 
-WHOLE = 7  # the role, as in driver/tables.h
+WHOLE = enumeration("ROW")["WHOLE"]  # the role
 
 
 class WholeLoads:

@@ -1,0 +1,76 @@
+"""What Python reads of the driver's sources is what a compiler makes of them."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fmbd_fenicsx.linear.blocks.complex_factor import Symmetric
+from fmbd_fenicsx.schemes.impacts import contact_structures as contact
+from fmbd_fenicsx.system.compiled import declarations, implicit, march, recording
+from fmbd_fenicsx.system.compiled.library import CONTACT, CORE, _source
+from fmbd_fenicsx.system.compiled.states import convergence, field_stages, stage_patterns, stages
+from fmbd_fenicsx.system.compiled.tables.structures import structure
+
+OF_TABLES = "Surface Body Told Field Batch Front Angle Rod Reaction Deflection Control System".split()
+OF_CORE: dict[str, Any] = {
+    "Symmetric": Symmetric, "Implicit": implicit.Implicit, "OwnSteps": implicit.OwnSteps, "Orders": implicit.Orders,
+    "Closed": march._Closed, "Tape": recording._Tape, "Convergence": convergence.Convergence, "Sparse": stages.SparseRows,
+    "Lower": stages.Lower, "Stages": stages.Stages, "Product": stage_patterns.ProductPairs,
+    "Patterns": stage_patterns.Patterns, "FieldStages": field_stages._FieldStages,
+}  # fmt: skip
+OF_CONTACT: dict[str, Any] = {
+    "Touch": contact.TouchStructure, "Tally": contact.Tally, "Problem": contact.Problem, "Graph": contact.Graph,
+    "Blocks": contact.Blocks, "Tree": contact.Tree, "Block": contact.BlockStructure, "Contacts": contact.Contacts,
+}  # fmt: skip
+
+
+def told(dim: int, unit: str) -> dict[str, Any]:
+    """The structures of a unit that Python knows."""
+    if unit == CORE:
+        return {**OF_CORE, **{name: structure(name, dim) for name in OF_TABLES}}
+    return {**OF_CONTACT, **{name: contact.structure(name, dim) for name in ("Mover", "Pair")}}
+
+
+def statements(name: str, kind: type[ctypes.Structure]) -> list[str]:
+    """Where its fields begin, and how long a structure is, for a compiler to judge."""
+    places = [f"__builtin_offsetof({name}, {field}) == {getattr(kind, field).offset}" for field, *_ in kind._fields_]
+    return [*places, f"sizeof({name}) == {ctypes.sizeof(kind)}"]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("unit", [CORE, CONTACT])
+def test_structures_are_those_of_the_compiler(dim: int, unit: str, tmp_path: Path) -> None:
+    claims = [x for name, kind in told(dim, unit).items() for x in statements(name, kind)]
+    source = tmp_path / "claims.c"
+    source.write_text(_source(dim, unit) + "".join(f'\n_Static_assert({x}, "{x}");' for x in claims))
+    found = subprocess.run(
+        ["cc", "-std=gnu11", f"-DDIM={dim}", "-fsyntax-only", str(source)], capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stderr[:2000]
+
+
+def test_enumerations_count_on_from_what_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tables.h").write_text(
+        "#if DIM == 3\nenum { D = 3 };\n#else\nenum { D = 2 };\n#endif\n"
+        "enum { FIRST, SECOND = D + 2 * D, THIRD /* not 1 */ };\n"
+        "typedef struct {\n    const double *x, y[D]; /* z; */\n    int (*python)(int what);\n} Both;\n"
+    )
+    monkeypatch.setattr(declarations, "DRIVER", tmp_path)
+    cached = declarations._text, declarations._enumerations, declarations._constants, declarations._structures
+    for one in cached:
+        one.cache_clear()
+    try:
+        assert declarations.enumeration("FIRST") == {"FIRST": 0, "SECOND": 9, "THIRD": 10}
+        assert declarations.fields_of("tables.h", "Both", 2) == [
+            ("x", ctypes.c_void_p), ("y", ctypes.c_double * 2), ("python", declarations.PYTHON)
+        ]  # fmt: skip
+    finally:
+        for one in cached:
+            one.cache_clear()
