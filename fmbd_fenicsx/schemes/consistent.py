@@ -406,13 +406,11 @@ def arrived(system: System, state: State, solver: StepSolver, *, places: bool = 
     return accelerations(system, closed, solver)
 
 
-def project(system: System, state: State, solver: StepSolver) -> State:
-    """The state with q, then v, moved on the constraints in the mass metric, the first two of (1); a and lambda kept;
-    collective.
-    """
+def project(system: System, state: State, solver: StepSolver, metric: Weights = MASS) -> State:
+    """The state with q, then v, moved on the constraints in a metric, the first two of (1); a and lambda kept; collective."""
     if not system.n_lam:
         return state
-    driver = solver.driver
+    driver = None if metric != MASS else solver.driver
     found = None if driver is None else driver.closed(state.t, state.q, state.v)
     if found is not None:
         return State(state.t, *found, state.a, state.lam)
@@ -421,17 +419,17 @@ def project(system: System, state: State, solver: StepSolver) -> State:
     q = state.q
     for _ in range(10):
         ev = system.at(state.t, q)
-        solver.prepare(ev, MASS)
+        solver.prepare(ev, metric)
         dq, _ = solver.solve(zero, -ev.constraint())
         q = system.compose(q, dq)
         if system.max_abs(dq) <= ALMOST * system.length:  # with the matrix there the next one is as its square
             break
 
-    return replace(state, q=q, v=_closed_velocities(system, replace(state, q=q), solver))
+    return replace(state, q=q, v=_closed_velocities(system, replace(state, q=q), solver, metric))
 
 
-def _closed_velocities(system: System, state: State, solver: StepSolver) -> Array:
+def _closed_velocities(system: System, state: State, solver: StepSolver, metric: Weights = MASS) -> Array:
     """The nearest ones that constraints allow; collective."""
     ev = system.at(state.t, state.q, state.v)
-    solver.prepare(ev, MASS)
+    solver.prepare(ev, metric)
     return state.v + solver.solve(np.zeros(system.n_v), -ev.opening())[0]

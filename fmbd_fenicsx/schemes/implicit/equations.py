@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...linear.condensation import StepSolver
+from ...linear.condensation import StepSolver, Weights
 from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.serialisation import Remembering
@@ -49,6 +49,10 @@ class Equations(Remembering):
     def step_size(self, h: float) -> float:
         """The size (s) that a step of about h has."""
         return h
+
+    def metric_of(self, h: float) -> Weights:
+        """The matrix of a step of h (s), in which motions are least that do not bend what is stiff there."""
+        return Weights(1.0, h, h * h)
 
     def weigh(self, state: State) -> None:
         """Take the mass matrix of a state for the normal directions, where they need it."""

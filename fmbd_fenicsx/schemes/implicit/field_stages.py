@@ -174,6 +174,10 @@ class FieldEquations(Equations):
         places = np.floor(DECADE * np.log10(ROUNDED_UP * h / self.size_anchor))
         return float(self.size_anchor * 10.0 ** (places / DECADE))
 
+    def metric_of(self, h: float) -> Weights:
+        """The one that is at hand."""
+        return self.metric
+
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) at the times t (k,)."""
         s, m = self.system, self.system.n_lam

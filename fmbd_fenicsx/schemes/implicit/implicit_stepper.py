@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
-from ...linear.condensation import StepSolver
+from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...log import log
@@ -21,7 +21,7 @@ from ...system.compiled.states.stages import Rule
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ...system.tangents.foretold_efforts import foretold_efforts
-from ..consistent import project, worst_block
+from ..consistent import MASS, project, worst_block
 from ..control import EPS, ROUNDOFF, STAGNATION, ErrorNorm, Statistics, StepControl
 from ..dae import Points
 from ..declared import Declared
@@ -98,16 +98,22 @@ class ImplicitStepper(ImplicitMarch):
         self.stats.residuals, self.stats.jacobians, self.stats.solves = eq.residuals, eq.jacobians, judge.solves
         return {**self.stats.as_dict(), **eq.counters}
 
-    def _held(self, within: State) -> State:
-        """A state within a step, moved to where constraints hold on the levels that the form holds at its end; collective.
+    def _held(self, h: float, within: State) -> State:
+        """A state within a step of h (s), on the constraints of the levels that the form holds at its end; collective.
 
-        What drives prescribe is no polynomial: places of a driven crank were off by a thousand times the error of the ends.
+        What drives prescribe is no polynomial: places of a driven crank were off by a thousand times the error of the ends. Nor
+        is the nearest state by the masses alone one of a stiff body, which has dents at its joints there.
         """
         levels = Declared.by(self.scheme).levels
         if 0 not in levels or not self.system.n_lam:
             return within
-        closed = project(self.system, within, self.solver)
+        closed = project(self.system, within, self.solver, self._metric(h))
         return closed if 1 in levels else replace(closed, v=within.v)
+
+    def _metric(self, h: float) -> Weights:
+        """In which motions within a step of h (s) are least: that of a step, where bodies deform."""
+        deforms = self.norm.deforming or self.system.elements
+        return self.eq.metric_of(h) if deforms else MASS
 
     def _found(self, iterate: Callable[[], Points | str]) -> Points | str:
         """The stages that an iteration finds, or the cause of its failure."""

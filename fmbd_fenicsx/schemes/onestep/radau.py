@@ -220,7 +220,7 @@ class RadauStepper(StageNewton):
         change = points.v - v0
         lam = (powers[:-1] @ self.tab.stage_basis @ points.mult)[:m]
         return self._held(
-            State(t, self.system.compose(q0, values @ points.xi), v0 + values @ change, rates @ change, lam)
+            h, State(t, self.system.compose(q0, values @ points.xi), v0 + values @ change, rates @ change, lam)
         )
 
     def restart(self, t: float) -> None:
