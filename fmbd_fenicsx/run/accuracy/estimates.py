@@ -11,8 +11,8 @@ import numpy as np
 
 from ...log import log
 from ...notices import Gathered
-from ...schemes.control import FINEST
 from ...schemes.declared import Declared
+from ...schemes.error_norm import FINEST
 from ...system.scene.refined_basis import finer_system
 from ...system.scene.scene import Scene
 from ..built import Built

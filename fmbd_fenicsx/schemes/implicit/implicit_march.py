@@ -21,7 +21,8 @@ from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import Rule
 from ...system.element_memory import whole_steps
-from ..control import EPS, PATIENCE, REFUSED, TURN, ErrorNorm, Statistics, StepControl
+from ..control import PATIENCE, REFUSED, TURN, Statistics, StepControl
+from ..error_norm import EPS, ErrorNorm
 from ..marching import MarchingStepper
 
 

@@ -22,9 +22,10 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ...system.tangents.foretold_efforts import foretold_efforts
 from ..consistent import MASS, project, worst_block
-from ..control import EPS, ROUNDOFF, STAGNATION, ErrorNorm, Statistics, StepControl
+from ..control import ROUNDOFF, STAGNATION, Statistics, StepControl
 from ..dae import Points
 from ..declared import Declared
+from ..error_norm import EPS, ErrorNorm
 from ..newton import Newton
 from .convergence import CAUSES, GOES_ON, Convergence, Rates, judge_increment
 from .implicit_march import ImplicitMarch

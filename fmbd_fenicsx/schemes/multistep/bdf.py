@@ -33,16 +33,9 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ...system.tangents.step_tangent import StepTangent
 from ..consistent import accelerations
-from ..control import (
-    StepControl,
-    check_tolerance,
-    first_step,
-    lands,
-    moves,
-    turn_limit,
-    turns_too_far,
-)
+from ..control import StepControl, first_step, lands, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
+from ..error_norm import check_tolerance
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from ..onestep.radau import Radau

@@ -13,6 +13,7 @@ from ...rotations import Array
 from ...system.compiled.implicit import ImplicitRoom, Orders, OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
+from ..control import growth_factor
 from ..implicit.convergence import Rates
 from ..implicit.implicit_stepper import ImplicitStepper
 from .amplification import Amplification
@@ -31,7 +32,7 @@ LOWER, HIGHER = 1.05, 1.1  # by how much more an order has to grow, one less or 
 
 def growth_of(error: float, order: int) -> float:
     """By how much a step with this error over the tolerance may grow."""
-    return float(SAFETY * max(error, LEAST) ** (-1.0 / (order + 1)))
+    return growth_factor(max(error, LEAST), order + 1, SAFETY)
 
 
 def within(growth: float) -> float:

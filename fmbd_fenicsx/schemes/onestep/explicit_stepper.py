@@ -22,7 +22,8 @@ from ...system.compiled.states.explicit import Tableau
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..consistent import accelerations, arrived
-from ..control import ErrorNorm, Statistics, StepControl, check_tolerance, first_step, lands, turn_limit, turns_too_far
+from ..control import Statistics, StepControl, first_step, lands, turn_limit, turns_too_far
+from ..error_norm import ErrorNorm, check_tolerance
 from ..marching import MarchingStepper
 from ..newton import Newton
 from .explicit_limit import StepLimit

@@ -14,7 +14,7 @@ import numpy as np
 
 from ....errors import InputError
 from ....log import log
-from ....schemes.control import FINEST
+from ....schemes.error_norm import FINEST
 from ....system.scene.refinement import (
     cheap_levels,
     expected_rate,

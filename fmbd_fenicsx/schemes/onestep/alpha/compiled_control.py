@@ -1,6 +1,6 @@
 """Error control of compiled steps of one size: what :mod:`.variable_alpha` lends to ``driver/control.c`` for a march.
 
-C judges each step by the norm of :class:`~..control.NormOfWays` and goes on while the next step has the same size. It stops
+C judges each step by the norm of :class:`~..error_norm.NormOfWays` and goes on while the next step has the same size. It stops
 behind a step after which the size may change, and before one that is refused: all decisions are Python's.
 """
 
@@ -15,7 +15,8 @@ from ....rotations import Array
 from ....system.compiled.tables.deflections import deflections_of
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.structures import Store, structure
-from ...control import FADING, LEAST_ERROR, TURN, NormOfWays, StepControl
+from ...control import FADING, LEAST_ERROR, TURN, StepControl
+from ...error_norm import NormOfWays
 
 
 @dataclass(frozen=True)

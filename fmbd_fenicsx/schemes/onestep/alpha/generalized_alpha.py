@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, Any
 from ....errors import require
 from ....linear.condensation import StepSolver
 from ....system.system import State, System
-from ...control import check_controlled
 from ...dae import GGL, Form, Index3
+from ...error_norm import check_controlled
 from ...newton import Newton
 from .alpha_step import Rule
 

@@ -28,7 +28,7 @@ import numpy as np
 from ....linear.condensation import StepSolver, Weights
 from ....rotations import Array
 from ....system.system import State, System
-from ...control import NormOfWays
+from ...error_norm import NormOfWays
 
 LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step loads and drives are looked at
 # where else drives are, whose steps may have to be much smaller: a few in a decade

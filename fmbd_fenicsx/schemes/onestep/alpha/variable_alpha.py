@@ -36,8 +36,9 @@ from ....system.evaluation import Evaluation
 from ....system.serialisation import plain, worker
 from ....system.system import State, System
 from ...consistent import consistent
-from ...control import FADING, NormOfWays, Statistics, StepControl, first_step, moves, turn_limit
+from ...control import FADING, Statistics, StepControl, first_step, moves, turn_limit
 from ...dae import GGL
+from ...error_norm import NormOfWays
 from ...newton import Newton
 from ...stepping import TimeStepper
 from .look_ahead import LookAhead

@@ -4,7 +4,7 @@ from fields; where compiled code does not make a step, or its matrix does not se
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,16 @@ NEAR = 12  # further iterations where the tangent is not exact
 NOTHING = float(np.finfo(float).eps)  # of accelerations, or of positions: an increment of this size is none at all
 ROUNDOFF = 1e-12  # an increment that moves positions by this share of the model's length is none that further ones could improve
 WITH_FIELDS = 40  # iterations at most of scenes with fields: their large steps turn bodies far
+
+
+@dataclass
+class Tangent:
+    """What increments of a step are made by: ``J``, or the matrix of the middle where there is none."""
+
+    J: Array | None
+    exact: bool  # whether differences have to give J
+    age: int = 0  # increments by it
+    again: bool = False  # whether the matrix of the middle was taken anew
 
 
 class StepsInParts(MarchingStepper):
@@ -93,46 +103,56 @@ class StepsInParts(MarchingStepper):
 
     def _iterated(self, h: float, y: Array, ends: Ends, *, differences: bool) -> Array:
         """The unknowns of a step from a guess, in parts; ``differences``: the matrix of the middle did not serve."""
-        J = self._kept[1] if self._kept is not None and self._kept[0] == h else None
-        exact = J is None and (differences or not self._prepare(h, y))  # whether differences have to give the tangent
+        tangent = self._first_tangent(h, y, differences=differences)
         weights = self.system.units[: self.n] / ends.size
         history: list[float] = []
         worst = 0.0  # rate of convergence
-        age = 0 if J is None else 1  # increments by the tangent of a scene with fields
-        again = False  # whether the matrix of the middle was taken anew
 
         for _ in range(ends.most):
             r = self._residual(h, y)
-            if J is None and exact:
-                J = self._differences(h, (y, r, self._reach(h, ends.size)))
-                age = 0
-                if self.fields is not None:
-                    self.fields.linearise()
-            y = self._near_increment(y, r, weights) if J is None else self._increment(y, r, J, weights)
+            if tangent.J is None and tangent.exact:
+                self._take_differences(h, (y, r, self._reach(h, ends.size)), tangent)
+            y = self._increment(y, r, tangent.J, weights)
             history.append(self._change)
             self.newton.iterations += 1
-            age += 1
+            tangent.age += 1
 
             rate, above_roundoff = rate_of(history), history[-1] > ends.noise
             if above_roundoff:
                 worst = max(worst, rate)
             # slow by an old tangent of fields is no roundoff
-            old_tangent = self.fields is not None and age > 1 and rate > ends.slow and history[-1] > ends.zero
-            if ends.drowned(history) and not old_tangent:
+            old = self.fields is not None and tangent.age > 1 and rate > ends.slow and history[-1] > ends.zero
+            if ends.drowned(history) and not old:
                 break
-            # a tangent that does not serve any more is taken anew; a near one that serves at once is kept
-            if rate > ends.slow and (J is not None or above_roundoff):
-                J, exact, again = None, again or not self._prepare(h, y), True
+            if rate > ends.slow and (tangent.J is not None or above_roundoff):
+                self._renew(h, y, tangent)
             elif len(history) == 1 and self._kept is None and self.fields is None:
-                J = None
-            if ends.over(history) and not old_tangent:
+                tangent.J = None  # the matrix of the middle serves at once
+            if ends.over(history) and not old:
                 break
 
         if not ends.found(history[-1]):
             raise self._failure(h, history)
         self._note(history)
-        self._kept = (h, J) if J is not None and worst < 0.5 * ends.slow else None
+        self._kept = (h, tangent.J) if tangent.J is not None and worst < 0.5 * ends.slow else None
         return y
+
+    def _first_tangent(self, h: float, y: Array, *, differences: bool) -> Tangent:
+        """That of an earlier step of size h (s) where it served well; by differences, or by the matrix of the middle else."""
+        if self._kept is not None and self._kept[0] == h:
+            return Tangent(self._kept[1], exact=False, age=1)
+        return Tangent(None, exact=differences or not self._prepare(h, y))
+
+    def _take_differences(self, h: float, at: Any, tangent: Tangent) -> None:
+        """Take the tangent by differences."""
+        tangent.J, tangent.age = self._differences(h, at), 0
+        if self.fields is not None:
+            self.fields.linearise()
+
+    def _renew(self, h: float, y: Array, tangent: Tangent) -> None:
+        """In the place of a tangent that serves no more take the matrix of the middle, or differences where that was taken."""
+        tangent.exact = tangent.again or not self._prepare(h, y)
+        tangent.J, tangent.again = None, True
 
     def _failure(self, h: float, history: list[float]) -> ConvergenceError:
         """The error of a step whose iteration failed."""
@@ -164,8 +184,10 @@ class StepsInParts(MarchingStepper):
     def _port_values(self) -> Array:
         return np.zeros(0) if self.fields is None else self.fields.port_values()
 
-    def _increment(self, y: Array, r: tuple[Array, Array, Array], J: Array, weights: Array) -> Array:
+    def _increment(self, y: Array, r: tuple[Array, Array, Array], J: Array | None, weights: Array) -> Array:
         """y after one increment; (5). Sets the size of the increment, by the weights (n,) of accelerations."""
+        if J is None:
+            return self._near_increment(y, r, weights)
         n, p, core, port, g = self.n, len(self.ports), *r
         A, back = J, np.zeros(0)
         # ports of fields follow from the forces on them: rows p + W P = z of (5)

@@ -176,8 +176,8 @@ static double point_error(const System *s, const Stages *g, int k, Values *e, do
     return (t - e->t[0]) / (t - e->t[k]) * own_norm(s, g, parts, 2);
 }
 
-/* By how much a step with this error of order k may grow. */
-static double grown(const Orders *r, double error, int k) { return r->safety * pow(fmax(error, r->least), -1.0 / (k + 1)); }
+/* Of a step with this error of order k. */
+static double grown(const Orders *r, double error, int k) { return growth_factor(fmax(error, r->least), k + 1, r->safety); }
 
 static double within(const Orders *r, double growth) { return fmin(fmax(growth, r->shrink), r->grow); }
 

@@ -1,4 +1,4 @@
-/* Error control of steps of one size: the norm of schemes/control.py (NormOfWays) for errors of positions, and whether the next step
+/* Error control of steps of one size: the norm of schemes/error_norm.py (NormOfWays) for errors of positions, and whether the next step
    has this size too, as schemes/onestep/alpha/variable_alpha.py decides it. Every other decision is Python's. */
 
 #if DIM == 3

@@ -1,4 +1,4 @@
-/* Steps whose sizes error control chooses: where they end, the sizes of the norm of schemes/control.py, and what follows a step that is
+/* Steps whose sizes error control chooses: where they end, the sizes of the norm of schemes/error_norm.py, and what follows a step that is
    refused. A step that fails in another way than by its error is made once more by Python, from the same beginning. */
 
 typedef struct OwnSteps {
@@ -33,10 +33,13 @@ static double own_size(const OwnSteps *c, const Block *now, double proposed, dou
     return *now->t + h == *now->t ? 0.0 : h;
 }
 
+/* By how much a step with this error over the tolerance may grow, where errors fall like h^order. */
+static double growth_factor(double error, double order, double safety) { return safety * pow(error, -1.0 / order); }
+
 /* Propose a size after one that its error has refused, that of a method of this order; 0: Python has to say what is wrong. */
 static int refused_size(const OwnSteps *c, const Block *now, double h, double order, Passing *found)
 {
-    const double next = h * fmin(fmax(c->safety * pow(found->error, -1.0 / order), c->harsh), c->mild);
+    const double next = h * fmin(fmax(growth_factor(found->error, order, c->safety), c->harsh), c->mild);
     found->proposed = next;
     return ++found->refused <= c->patience && found->error < INFINITY && next >= c->tiny && *now->t + 0.01 * next != *now->t;
 }

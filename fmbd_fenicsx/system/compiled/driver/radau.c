@@ -191,10 +191,10 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
 static double next_size(const Implicit *o, const Collocation *last, const Collocation *made, const Passing *found, double left)
 {
     const OwnSteps *c = o->own;
-    const double h = *made->before, known = *made->missed, power = 1.0 / c->order;
+    const double h = *made->before, known = *made->missed;
     const double effort = (c->most + 1.0) / (c->most + o->convergence->done);
-    double factor = c->safety * effort * pow(known, -power);
-    if (*last->before > 0.0) factor = fmin(factor, c->safety * (h / *last->before) * pow(*last->missed / (known * known), power));
+    double factor = growth_factor(known, c->order, c->safety * effort);
+    if (*last->before > 0.0) factor = fmin(factor, c->safety * (h / *last->before) * pow(*last->missed / (known * known), 1.0 / c->order));
 
     double next = h * fmin(fmax(factor, c->shrink), found->refused ? 1.0 : c->grow);
     if (o->convergence->theta < 1e-2 && next / h >= 1.0 && next / h <= 1.2) next = h; /* keep the factors */

@@ -1,0 +1,275 @@
+"""Norms of errors of implicit schemes on constrained systems, by kind.
+
+The solution has kinds of different smoothness. With w_q the tolerances of positions and w_v those of velocities, the error of
+a step of size h is the largest of (root mean square over each kind)
+
+    e_q / w_q;      index 3:   h e_v / w_q,     h^2 e_a / w_q
+                    index 2:   e_v / w_v,       h e_a / w_v          with e_a = M^-1 G^T e_lambda               (1)
+                    index 1:   e_v / w_v
+
+so multipliers are measured by the accelerations that they cause: units of forces and moments do not mix. Tolerances are relative
+to sizes that the model gives (length, one radian, the largest value of a coordinate or velocity so far), so that a scene
+in other units takes the same steps.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..checks import check_fields
+from ..errors import require
+from ..fem.fields import rank_sum
+from ..rotations import Array
+from ..system.serialisation import Memory, Remembering, plain
+from ..system.system import State, System
+from ..system.tangents.linearise import Sizes
+from .rigid_motions import RigidMotions
+
+EPS = float(np.finfo(float).eps)
+FINEST = 100 * EPS
+
+
+def check_controlled(scheme: Any) -> None:
+    """Check the fields of a scheme with error control, its tolerances among them."""
+    check_fields(scheme)
+    check_tolerance(scheme.rtol, scheme.atol, type(scheme).__name__)
+
+
+def check_tolerance(rtol: float | None, atol: float | None, scheme: str) -> None:
+    """Refuse tolerances that double precision cannot reach, or that are no tolerances."""
+    if rtol is not None:
+        require(
+            FINEST <= rtol < 1.0,
+            f"{scheme}: rtol = {rtol} is not usable; double precision allows {FINEST:.0e} <= rtol < 1.",
+        )
+    if atol is not None:
+        require(bool(np.isfinite(atol)) and atol > 0, f"{scheme}: atol = {atol} must be positive.")
+
+
+class ErrorNorm(Remembering):
+    """(1), with sizes that grow along the run. ``atol``: added to the tolerance of every coordinate (m, rad or its own unit).
+
+    Deformations, of fields and of amplitudes of modes, count by their displacements against the largest one of their body that
+    was seen, at least a hundredth of the model's length, their rates as h e_v / w_q in all forms: a stiff body with vibrations
+    too small to matter does not hold the steps down. A field counts by its root mean square. The nodes of a rod are frames: what
+    is no rigid motion of all of them is a deformation too (:class:`.RigidMotions`).
+    """
+
+    keeps: ClassVar = {
+        **dict.fromkeys(("q_size", "v_size", "deflections"), plain()),
+        **dict.fromkeys(("scale", "wq", "wv"), Memory.like_v),
+    }
+
+    def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
+        self.system, self.rtol, self.atol, self.index = system, rtol, atol, index
+        self.sizes = Sizes(system)
+        self.v_size: Array = np.zeros(system.n_core)
+        self.q_size: Array = np.zeros(system.n_core)
+        self.deforming = [(k, p) for k, p in enumerate(system.parts) if p.distributed or p.rms is not None]
+        self.deflections: Array = np.zeros(len(self.deforming))  # m, the largest so far
+        self.scale: Array = np.ones(system.n_v)  # of positions, in the model
+        self.wq: Array = np.ones(system.n_v)
+        self.wv: Array = np.ones(system.n_v)
+        self.rods: RigidMotions | None = None
+
+    def update(self, state: State, h: float) -> None:
+        """Take notice of a state; ``h`` is the step about to be taken. Collective where there are elastic fields."""
+        s = self.system
+        v = np.abs(state.v[: s.n_core])
+        if s.elements and self.index < 3:
+            self.rods = RigidMotions.at(s, state)
+        self.q_size = np.maximum(self.q_size, self.sizes.positions(state.q))
+        # the velocities that the accelerations reach within the step count too
+        fast = np.maximum(v, h * np.abs(state.a[: s.n_core]))
+        for block in self.sizes.blocks:
+            fast[block] = np.maximum.reduce(fast[block], initial=0.0)
+        self.v_size = np.maximum(self.v_size, fast)
+
+        self.scale = self._sizes(state)
+        self.wq = self.rtol * self.judged(state) + (0.0 if self.atol is None else self.atol)
+
+        # rates of deformations go with their positions over the step
+        n = s.n_core
+        rates = self.rtol * self.v_size + 1e-4 * self.wq[:n] / h
+        self.wv = self.wq / h
+        if self.deforming:
+            rates = np.where(self.deformations[:n], self.wv[:n], rates)
+        self.wv[:n] = rates
+
+    @property
+    def largest(self) -> tuple[Any, ...]:
+        """The largest sizes so far."""
+        return self.q_size, self.v_size, self.deflections
+
+    def take_back(self, known: tuple[Any, ...], error: float) -> None:
+        """The largest sizes before a step that was refused with this error."""
+        self.q_size, self.v_size, self.deflections = known
+
+    def judged(self, state: State) -> Array:
+        """Sizes like v that the tolerance of positions is relative to: those of the model."""
+        # schemes that judge ways instead override this
+        return self.scale
+
+    @cached_property
+    def deformations(self) -> Array:
+        """Which velocities are those of deformations, (n_v,)."""
+        out = np.zeros(self.system.n_v, dtype=bool)
+        for k, _ in self.deforming:
+            out[self.system.slices[1][k]] = True
+        return out
+
+    def _sizes(self, state: State) -> Array:
+        """Sizes of positions, like v, those of deformations the largest of each body so far; collective with fields."""
+        s = self.system
+        if not self.deforming and s.n_v == s.n_core:
+            return self.q_size
+        out = np.concatenate((self.q_size, np.ones(s.n_v - s.n_core)))
+
+        seen = np.array([_largest(s.local_q(state.q, k), part.rms) for k, part in self.deforming])
+        if s.fields:
+            seen = np.max(s.comm.allgather(seen), axis=0)
+        # the largest so far, a hundredth of the model's length at least
+        self.deflections = np.maximum(self.deflections, np.maximum(seen, 1e-2 * s.length))
+
+        for (k, part), size in zip(self.deforming, self.deflections, strict=True):
+            out[s.slices[1][k]] = size if part.rms is None else size / part.rms
+        return out
+
+    def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
+        """The norm (1) of errors like v, (n,), or the largest over several, (s, n); collective."""
+        wq, wv = self.wq, self.wv
+        # velocities and accelerations of index 3 are of orders one and two less in h
+        if self.index == 3:
+            kinds = [e_q / wq, e_v * (h / wq)] + ([] if e_a is None else [e_a * (h * h / wq)])
+        else:
+            kinds = [e_q / wq]
+            for error, power in ((e_v, 0), (None if self.index == 1 else e_a, 1)):
+                if error is None:
+                    continue
+                if self.rods is not None:
+                    bent = self.rods.rest(error)
+                    kinds.append(bent * (h ** (power + 1) / wq))
+                    error = error - bent
+                kinds.append(error * (h**power / wv))
+        return max([self.mean(x) for x in kinds], default=0.0)
+
+    def weights(self, h: float) -> Array | None:
+        """What errors of places, of velocities and of accelerations are multiplied by before their means are taken, (3, n_v);
+        None where the norm asks for more.
+        """
+        if self.rods is not None:
+            return None
+        if self.index == 3:
+            return np.array([1.0, h, h * h])[:, None] / self.wq
+        return np.array([1.0 / self.wq, 1.0 / self.wv, h / self.wv])
+
+    def mean(self, x: Array) -> float:
+        """Root mean square of the core, or that of the worst field, of arrays like v, (..., n_v); collective."""
+        s, n = self.system, self.system.n_core
+        # every field by itself: its many nodes would hide the core, or the core them
+        core = x[..., :n]
+        every = np.add.reduce(core * core, axis=-1)  # ufuncs alone: einsum and max enter Python for each array
+        means = [float(every if x.ndim == 1 else np.maximum.reduce(every, axis=None)) / n] if n else []
+        if s.fields:
+            parts = [x[..., s.slices[1][k]] for k, _ in s.fields]
+            squares = np.array([np.einsum("...i,...i->...", y, y) for y in parts])
+            counts = rank_sum(s.comm, np.array([float(p.n) for _, p in s.fields]))
+            total = rank_sum(s.comm, squares).reshape(len(parts), -1).max(axis=1)
+            means += list(total / np.maximum(counts, 1.0))
+        return float(np.sqrt(max(means, default=0.0)))
+
+    def constant(self, h: float, state: State) -> float:
+        """What a Newton increment may move (m) in runs with constant steps: rtol of the accelerations, above roundoff."""
+        s = self.system
+        typical = max(s.max_abs(state.a), 1e-3 * s.max_abs(state.v) / h)
+        return max(self.rtol * h * h * typical, 64 * EPS * s.length)
+
+
+def _largest(u: Array, rms: Array | None) -> float:
+    """Largest displacement of nodes, or that of amplitudes of shapes, m."""
+    return float(np.abs(u if rms is None else u * rms).max(initial=0.0))
+
+
+def _configuration(m: Memory, name: str, q: Array | None) -> Array | None:
+    """An array like q, or None as long as there is none."""
+    if not m(f"{name} known", q is not None):
+        return None
+    found: Array = m.like_q(name, np.zeros(m.system.n_q) if q is None else q)
+    return found
+
+
+class NormOfWays(ErrorNorm):
+    """The norm of a scheme that judges positions alone: those of frames against the way that they have gone so far.
+
+    A rod or a chain that moves by a thousandth of its length would else pass with errors as large as its motion. With w the
+    largest way of a frame over the model's length, or its turn in radians,
+
+        sizes = max(min(w, 1), least) (length, one radian),      least = 1e-6, or what leaves 1e-12 beside rtol           (1)
+
+    so that bodies at rest, which move by roundoff, take large steps. Beside a motion that begins, what has moved so far is no
+    measure. What prescribed motions will move belongs to the way from the start. So does where a step has led that was refused
+    with an error below its way, error rtol w < w: it foretells the motion under loads that have just come. One that has gone
+    astray leaves nothing.
+    """
+
+    LEAST, FINEST = 1e-6, 1e-12
+    # shares of a stretch at which prescribed motions are looked at
+    PLACES = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882, 1.0)
+    keeps: ClassVar = {**ErrorNorm.keeps, "origin": _configuration, "way": plain()}
+
+    def __init__(self, system: System, rtol: float, atol: float | None, index: int) -> None:
+        super().__init__(system, rtol, atol, index)
+        self.origin: Array | None = None
+        self.way = 0.0
+
+    def take_back(self, known: tuple[Any, ...], error: float) -> None:
+        """With the way, but for one that is known to less than itself."""
+        *sizes, way = known
+        super().take_back(tuple(sizes), error)
+        if not error * self.rtol < 1.0:
+            self.way = way
+
+    @property
+    def largest(self) -> tuple[Any, ...]:
+        """With the way."""
+        return *super().largest, self.way
+
+    def look_ahead(self, state: State, span: float) -> None:
+        """Take notice of what prescribed motions move within ``span`` (s): by how much they open constraints of a state that is
+        held; collective.
+        """
+        s = self.system
+        if not s.n_lam:
+            return
+        times = state.t + span * np.array([0.0, *self.PLACES])
+        held = [np.tile(x, (len(times), 1)) for x in (state.q, state.v)]
+        now, *later = s.batch(times, *held).constraint()
+        opened = np.abs(s.row_units * (np.array(later) - now)).max(initial=0.0)
+        self.way = max(self.way, float(opened) / s.length)
+
+    def judged(self, state: State) -> Array:
+        """(1), with the state among those that were reached."""
+        s = self.system
+        if self.origin is None:
+            self.origin = state.q.copy()
+        moved = s.difference(self.origin, state.q)
+        translations, rotations = self.sizes.blocks
+        for block, unit in ((translations, s.length), (rotations, 1.0)):
+            self.way = max(self.way, float(np.abs(moved[block]).max(initial=0.0)) / unit)
+
+        sizes = self.scale.copy()
+        sizes[: s.n_frames * s.motions.n_twist] *= max(min(self.way, 1.0), self.least)
+        return sizes
+
+    def of_lengths(self, x: Array) -> Array:
+        """Lengths over what those of frames may be in error."""
+        share = self.rtol * max(min(self.way, 1.0), self.least)
+        return x / (share * self.system.length + (0.0 if self.atol is None else self.atol))
+
+    @property
+    def least(self) -> float:
+        """``least`` of (1)."""
+        return min(max(self.LEAST, self.FINEST / self.rtol), 1.0)
