@@ -165,4 +165,14 @@ def test_modules_named_in_texts_exist() -> None:
         for name in re.findall(rf"(?<![\w/.])((?:{folders})/[\w/]+\.(?:py|c|h))\b", path.read_text()):
             if name not in known:
                 missing.append(f"{path.name}: {name}")
+
+    files = {
+        path.name
+        for folder in ("fmbd_fenicsx", "tests", "demos", "docs")
+        for path in (PACKAGE.parent / folder).rglob("*.[pch]*")
+    }
+    for page in pages:
+        written = {"arm.py"} if page.name == "tutorial.md" else set()  # by the reader
+        named = set(re.findall(r"`(\w+\.(?:py|c|h))`", page.read_text()))
+        missing += [f"{page.name}: {name}" for name in named - files - written]
     assert not missing

@@ -1,4 +1,6 @@
-"""Vectors of compiled forms, assembled into room that is kept: making it costs more than the forms of small bodies."""
+"""Vectors of compiled forms, assembled into room that is kept: making it costs more than the forms of small bodies; matrices on
+components.
+"""
 
 from __future__ import annotations
 
@@ -29,3 +31,19 @@ class NodalVector:
         fem.assemble_vector(room.array, self.form)
         room.scatter_reverse(la.InsertMode.add)
         return np.array(room.array[: self._owned])
+
+
+def on_components(M: Any, d: int) -> Any:
+    """A scalar matrix on each of d components of vectors (PETSc, aij); collective. The caller destroys it."""
+    from petsc4py import PETSc
+
+    sizes = tuple(tuple(d * n for n in size) for size in M.getSizes())
+    start, columns, values = M.getValuesCSR()
+    counts = np.repeat(np.diff(start), d)
+    first = np.concatenate(([0], np.cumsum(counts)))
+
+    # of every entry of the rows (node, component): where it stands in the scalar matrix
+    at = np.arange(first[-1]) + np.repeat(np.repeat(start[:-1], d) - first[:-1], counts)
+    component = np.repeat(np.tile(np.arange(d), len(start) - 1), counts)
+    csr = first.astype(PETSc.IntType), (d * columns[at] + component).astype(PETSc.IntType), values[at]
+    return PETSc.Mat().createAIJ(sizes, bsize=d, csr=csr, comm=M.getComm())

@@ -23,11 +23,12 @@ from ..energies import StoredEnergy, ViscousForm
 from ..errors import InputError
 from ..log import together
 from ..rotations import Array, motions
-from .assembly import NodalVector
+from .assembly import NodalVector, on_components
 from .energy_quadrature import integrated
 from .field_checks import check_field
 from .loads import AppliedLoads, Load
 from .rest_damping import RestDamping
+from .rigid_constants import RigidConstants
 from .surfaces import Moments
 from .viscous import Viscous, symmetric
 
@@ -368,18 +369,7 @@ class Field:
 
     def mass_matrix(self) -> Any:
         """The scalar mass matrix on each component of vectors (aij); collective. The caller destroys it."""
-        from petsc4py import PETSc
-
-        d, sizes = self.dim, tuple(tuple(self.dim * n for n in size) for size in self.M.getSizes())
-        start, columns, values = self.M.getValuesCSR()
-        counts = np.repeat(np.diff(start), d)
-        first = np.concatenate(([0], np.cumsum(counts)))
-
-        # of every entry of the rows (node, component): where it stands in the scalar matrix
-        at = np.arange(first[-1]) + np.repeat(np.repeat(start[:-1], d) - first[:-1], counts)
-        component = np.repeat(np.tile(np.arange(d), len(start) - 1), counts)
-        csr = first.astype(PETSc.IntType), (d * columns[at] + component).astype(PETSc.IntType), values[at]
-        return PETSc.Mat().createAIJ(sizes, bsize=d, csr=csr, comm=self.comm)
+        return on_components(self.M, self.dim)
 
     def replace_mass(self, M: Any) -> None:
         """Use another scalar mass matrix with the same layout from now on (see ``mechanics.contact.mass``); collective."""
@@ -389,33 +379,11 @@ class Field:
 
     # -- constants ----------------------------------------------------------------------------------------------
     def _rigid_properties(self) -> None:
-        d, m = self.dim, self.motions
-        x = self.space.tabulate_dof_coordinates()[: self.n, :d]
-        one = self.mass(np.ones((self.n, d)))
-        self.mass_total = float(self.total(np.array(one[:, 0].sum())))
-        self.center = self.total((one * x).sum(0)) / self.mass_total
-        self.X = x - self.center
-        self.X_world = x
-
-        # size of the box around all nodes
-        low = self.comm.allgather(x.min(0) if self.n else np.full(d, np.inf))
-        high = self.comm.allgather(x.max(0) if self.n else np.full(d, -np.inf))
-        self.size = float(np.linalg.norm(np.max(high, axis=0) - np.min(low, axis=0)))
-
-        # columns of (1)
-        Q = np.zeros((self.n, d, m.n_twist))
-        for k in range(d):
-            Q[:, k, k] = one[:, 0]
-        for k in range(m.n_rot):
-            w = np.zeros((1, m.n_rot))
-            w[0, k] = 1.0
-            Q[:, :, d + k] = self.mass(m.spin(w, self.X))
-        self.Q = Q.reshape(self.n * d, m.n_twist)
-
-        J = np.empty((m.n_rot, m.n_rot))
-        for k in range(m.n_rot):
-            J[:, k] = m.moment(self.X, Q[:, :, d + k]).sum(0)
-        self.inertia = self.total(J)
+        """What (1) says of the field as a rigid body; collective."""
+        self.X_world = self.space.tabulate_dof_coordinates()[: self.n, : self.dim]
+        found = RigidConstants.of(self.X_world, self.mass, self.total, self.motions, self.comm)
+        self.mass_total, self.center, self.inertia, self.size = found.mass, found.center, found.inertia, found.size
+        self.X, self.Q = found.X, found.Q
 
     @cached_property
     def moments(self) -> Callable[[str], Moments]:

@@ -238,7 +238,7 @@ static int passing_point(System *s, double *p, Implicit *o, const Block *now, Bl
     OwnSteps *c = o->own;
     Stages *g = o->stages;
     const Memories made = memories_at(g, out.own);
-    const double most = farthest_turn(s, c, now, *made.order + 1.0);
+    const double most = farthest_turn(s->bodies, c->turn, *made.order + 1.0, now);
     double *work = out.own;
     int verdict;
     for (;;) {

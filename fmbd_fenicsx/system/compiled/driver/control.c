@@ -91,26 +91,10 @@ static void arrive(const Control *c, Block *out)
     *out->t = c->end - c->stretch * ((double)(c->count - c->place - 1) / (double)c->count);
 }
 
-/* Largest step in which no frame in space turns by more than c->turn as it moves in a state. */
-static double farthest(const Control *c, const Block *now)
-{
-    double fastest = 0.0;
-#if DIM == 3
-    for (int b = 0; b < c->frames; b++) {
-        const double *w = now->v + TWIST * b + D, *e = now->a + TWIST * b + D;
-        double square = dot(w, w, 3);
-        fastest = fmax(fastest, sqrt(square) + sqrt(square + 2.0 * sqrt(dot(e, e, 3)) * c->turn));
-    }
-#else
-    (void)now;
-#endif
-    return fastest > 0.0 ? 2.0 * c->turn / fastest : INFINITY;
-}
-
 /* Whether the step after an accepted one has this size too and needs no look at loads. */
 static int stays(const double *p, Control *c, const Block *now)
 {
-    double pressure = fmax(c->error, c->error * c->error / c->before), far = farthest(c, now);
+    double pressure = fmax(c->error, c->error * c->error / c->before), far = farthest_turn((int)c->frames, c->turn, 1.0, now);
     c->place++;
     if (pressure > c->high || c->peak <= c->calm || p[H] > far || *now->t >= c->until) return 0;
     return !(c->ratio && c->place % c->ratio == 0 && fmax(pressure, c->peak) <= c->low && c->ratio * p[H] <= far);

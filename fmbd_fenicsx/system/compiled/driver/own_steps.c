@@ -59,20 +59,20 @@ static int tried_anew(const Implicit *o, int verdict, double *work)
     return 1;
 }
 
-/* The largest step in which no frame in space turns too far, by a share of that, as it moves now. */
-static double farthest_turn(const System *s, const OwnSteps *c, const Block *now, double turning)
+/* The largest step of which ``turning`` together turn none of so many frames in space by more than ``turn`` (rad), as it moves now. */
+static double farthest_turn(int frames, double turn, double turning, const Block *now)
 {
     double fastest = 0.0;
 #if DIM == 3
-    for (int b = 0; b < s->bodies; b++) {
+    for (int b = 0; b < frames; b++) {
         const double *w = now->v + TWIST * b + D, *e = now->a + TWIST * b + D;
         double square = dot(w, w, 3);
-        fastest = fmax(fastest, sqrt(square) + sqrt(square + 2.0 * sqrt(dot(e, e, 3)) * c->turn / turning));
+        fastest = fmax(fastest, sqrt(square) + sqrt(square + 2.0 * sqrt(dot(e, e, 3)) * turn / turning));
     }
 #else
-    (void)s, (void)now;
+    (void)frames, (void)now;
 #endif
-    return fastest > 0.0 ? 2.0 * c->turn / (turning * fastest) : INFINITY;
+    return fastest > 0.0 ? 2.0 * turn / (turning * fastest) : INFINITY;
 }
 
 /* Whether increments of the points come close to a full turn of a frame in space. */

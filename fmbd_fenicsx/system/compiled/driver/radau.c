@@ -207,7 +207,7 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
 {
     OwnSteps *c = o->own;
     Stages *g = o->stages;
-    const double most = farthest_turn(s, c, now, c->turning);
+    const double most = farthest_turn(s->bodies, c->turn, c->turning, now);
     const double *mult = collocation_at(s, g, now->own).mult + (g->points - 1) * (g->size - g->n);
     double *work = out.own;
     int verdict;

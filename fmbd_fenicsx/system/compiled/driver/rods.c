@@ -79,13 +79,18 @@ static void rod_kinematics(System *s, Rod *k)
     }
 }
 
-/* Section forces S at all points; a law of the user's own gives S and C from Python. */
+/* Ask a law of the user's own, in Python: SECTIONS: for S, C and the density of the energy; SECTION_SLOPES: for C of mean forces. */
+static int ask_law(System *s, const Rod *k, int what, double t)
+{
+    if (k->number < 0) return DONE;
+    s->calls++;
+    return s->python(what, k->number, t) ? FAILED : DONE;
+}
+
+/* Section forces S at all points. */
 static int rod_stress(System *s, Rod *k, double t)
 {
-    if (k->number >= 0) {
-        s->calls++;
-        if (s->python(SECTIONS, k->number, t)) return FAILED;
-    }
+    if (ask_law(s, k, SECTIONS, t)) return FAILED;
     for (long at = 0; at < k->n * k->points; at++) {
         const double *C = k->C + STRAINS * STRAINS * at, *e = k->strain + STRAINS * at, *rate = k->rate + STRAINS * at;
         double *S = k->S + STRAINS * at;
@@ -170,10 +175,7 @@ static int rod_end(System *s, Rod *k, const double *q, double t, double *energy)
             for (int j = 0; j < STRAINS; j++) k->strain[STRAINS * at + j] = found[j] - k->natural[STRAINS * at + j];
         }
     }
-    if (k->number >= 0) {
-        s->calls++;
-        if (s->python(SECTIONS, k->number, t)) return FAILED;
-    }
+    if (ask_law(s, k, SECTIONS, t)) return FAILED;
     *energy = 0.0;
     for (long at = 0; at < k->n * k->points; at++) {
         double *e = k->strain + STRAINS * at, *S = k->S + STRAINS * at;
@@ -221,9 +223,7 @@ static int rod_means(System *s, Rod *k, const double *q0, const double *q1, doub
         }
     *gained = after - before;
 
-    if (k->number < 0) return DONE;
-    s->calls++;
-    return s->python(SECTION_SLOPES, k->number, t) ? FAILED : DONE;
+    return ask_law(s, k, SECTION_SLOPES, t);
 }
 
 /* What mean section forces leave of the energy gained is given back along C times the changes of strain; damping is added. */
@@ -321,10 +321,7 @@ int rod_tangents(System *s, Rod *k, double t, double geometric)
 {
     double inner[Z][Z], out[TWIST][TWIST];
     const int *to = k->to;
-    if (k->number >= 0) {
-        s->calls++;
-        if (s->python(SECTION_SLOPES, k->number, t)) return FAILED;
-    }
+    if (ask_law(s, k, SECTION_SLOPES, t)) return FAILED;
     for (long e = 0; e < k->n; e++) {
         double nodal[NODES][NODAL], blocks[NODES][NODES][NODAL][NODAL] = {{{{0.0}}}}, along[NODES] = {0.0};
         rod_nodes(s, k, k->node + e * k->k, nodal);
