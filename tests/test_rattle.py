@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from combinations import BODIES, pinned
 from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
@@ -137,6 +138,23 @@ def test_iterations_do_not_grow_with_damping(damping: float) -> None:
     exact = fmbd.solve(scene, t_end=0.1, scheme=fmbd.Radau(rtol=1e-9))
     off = [np.abs(x.state.q - exact.state.q).max() for x in (run, fine)]
     assert off[0] < 3e-4 and off[1] < 0.08 * off[0]
+
+
+def test_strong_friction_in_the_hinge_of_an_elastic_body() -> None:
+    """Where the masses alone let increments of the first half grow, its matrix learns of damping, and no step is halved."""
+    rod = BODIES["floating"]()
+    scene = fmbd.Scene("rubbing", gravity=rod.at(0, -9.81))
+    scene.add(rod.body)
+    scene.add(fmbd.joint_friction("friction", fmbd.angle(pinned(scene, rod)), coulomb=5.0, speed=0.01))
+    scene.sensor("tip", fmbd.position(rod.tip))
+
+    run = fmbd.solve(scene, t_end=1e-3, dt=2e-5, scheme=fmbd.Rattle())
+    assert run.counters["halved_steps"] == 0
+    assert run.counters["newton_iterations"] <= 4 * run.counters["steps"]
+
+    exact = fmbd.solve(scene, t_end=1e-3, dt=5e-6, scheme=fmbd.GeneralizedAlpha(0.9))
+    fallen = np.abs(exact["tip"] - exact["tip"][0]).max()
+    assert np.abs(run["tip"][-1] - exact["tip"][-1]).max() < 1e-3 * fallen
 
 
 def test_a_search_for_a_tolerance_whose_matrices_are_all_compiled() -> None:

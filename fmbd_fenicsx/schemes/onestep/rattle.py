@@ -131,11 +131,7 @@ class RattleStepper(MarchingStepper):
         s = self.state
         t = s.t + h
         # first half, which closes the positions at the end
-        half = Stage(
-            (s.t, s.t + h), s.q, s.v, s.q, h * s.v, 0.5 * h, 0.5 * h * h, 0.5 * h * self.damped, on_places=True
-        )
-        found = self._compiled_stage(half, guess, tolerance)
-        a, lam, increments = self._iterated_half(h, guess, tolerance) if found is None else found
+        a, lam, increments = self._first_half(h, guess, tolerance)
         self._look_ahead(h, (a, lam), increments)
         v = s.v + 0.5 * h * a
         q = system.compose(s.q, h * v)
@@ -159,7 +155,7 @@ class RattleStepper(MarchingStepper):
         """Where the next step starts, from a and lambda of the first half of this one and how many increments these took."""
         a, lam = first
         self.ahead = (a - self.state.a) / h, (lam - self.state.lam) / h
-        self.damped |= increments > PATIENCE and not self.system.fields
+        self.damped |= increments > PATIENCE
 
     def _of_newton(self, tolerance: float) -> Array:
         """Parameters of Newton's iteration in compiled code, to a tolerance of accelerations."""
@@ -187,6 +183,21 @@ class RattleStepper(MarchingStepper):
         if found is not None:
             self._count(found[2])
         return found
+
+    def _first_half(self, h: float, guess: tuple[Array, Array], tolerance: float) -> tuple[Array, Array, int]:
+        """a, lambda of (1) and the number of increments; where these diverge, the matrix learns of damping."""
+        s = self.state
+        try:
+            half = Stage(
+                (s.t, s.t + h), s.q, s.v, s.q, h * s.v, 0.5 * h, 0.5 * h * h, 0.5 * h * self.damped, on_places=True
+            )
+            found = self._compiled_stage(half, guess, tolerance)
+            return self._iterated_half(h, guess, tolerance) if found is None else found
+        except ConvergenceError:
+            if self.damped:
+                raise
+        self.damped = True
+        return self._first_half(h, guess, tolerance)
 
     def _iterated_half(self, h: float, guess: tuple[Array, Array], tolerance: float) -> tuple[Array, Array, int]:
         """The same for (1) in parts."""
