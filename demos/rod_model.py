@@ -24,14 +24,15 @@ def panels(file, content, title):
             shade = 0.25 + 0.75 * (i + 1) / len(shapes)
             color = (1 - 0.8 * shade, 1 - 0.55 * shade, 1 - 0.3 * shade)
             axes.plot_surface(*np.moveaxis(rings, -1, 0), color=color, rstride=1, cstride=1, linewidth=0)
-        axes.set(xlabel="\nx (m)", ylabel="\ny (m)", zlabel="z (m)")
+        axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
         axes.set_title(name, y=0.96)
         axes.set_aspect("equal")
         axes.locator_params(nbins=4)
 
-        # no numbers along a side where they would lie over each other
+        # no numbers along a side where they would lie over each other, and names beyond the numbers
         widths = {c: np.ptp(getattr(axes, f"get_{c}lim")()) for c in "xyz"}
-        for c, width in widths.items():
-            if width < 0.15 * max(widths.values()):
-                axes.set(**{f"{c}ticks": [], f"{c}label": ""})
+        flat = [c for c, width in widths.items() if width < 0.15 * max(widths.values())]
+        for c in flat:
+            axes.set(**{f"{c}ticks": [], f"{c}label": ""})
+        axes.xaxis.labelpad = axes.yaxis.labelpad = 26 if "y" in flat else 14
     page.savefig(file, dpi=120)
