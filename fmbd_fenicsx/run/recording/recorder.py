@@ -95,21 +95,10 @@ class Recorder:
             self.straight.take(len(seen))
         else:
             self.moments.append(seen.t)
-        if self.closed is not None:
-            self.closed.check_tape(seen, float(self.times[-1]))
+        self._judge_tape(seen)
 
-        gap, slip, worst, fastest = seen.worst
-        self.gap, self.slip = max(self.gap, gap), max(self.slip, slip)
-        if self.closed is not None:
-            self.worst_slip, self.fastest = max(self.worst_slip, worst), max(self.fastest, fastest)
-
-        # sensors that compiled code knows are read for all records at once
-        alone = []
-        for name, sensor in self.scene.sensors.items():
-            if id(sensor) not in seen.looks.of:
-                alone.append((name, sensor))
-            elif ("sensor", name) not in there:
-                self.values[name].append(sensor.series(seen, self.markers[name]))
+        # what compiled code knows is read for all records at once
+        alone = self._take_sensors(seen, there)
         unknown = self.output.energy and not seen.looks.energies_known
         if alone or unknown:
             self._one_by_one(seen, alone, unknown)
@@ -121,6 +110,25 @@ class Recorder:
             rows.joined(self.expected)  # the tape is written anew
 
         self.seconds += clock.perf_counter() - begin
+
+    def _judge_tape(self, seen: Recorded) -> None:
+        """How far joints were open, of all records."""
+        if self.closed is not None:
+            self.closed.check_tape(seen, float(self.times[-1]))
+        gap, slip, worst, fastest = seen.worst
+        self.gap, self.slip = max(self.gap, gap), max(self.slip, slip)
+        if self.closed is not None:
+            self.worst_slip, self.fastest = max(self.worst_slip, worst), max(self.fastest, fastest)
+
+    def _take_sensors(self, seen: Recorded, there: Any) -> list[tuple[str, Any]]:
+        """Values of the sensors that compiled code knows but for those that are ``there``; the others."""
+        alone = []
+        for name, sensor in self.scene.sensors.items():
+            if id(sensor) not in seen.looks.of:
+                alone.append((name, sensor))
+            elif ("sensor", name) not in there:
+                self.values[name].append(sensor.series(seen, self.markers[name]))
+        return alone
 
     def _one_by_one(self, seen: Recorded, sensors: list[tuple[str, Any]], energy: bool) -> None:
         """What only a state of its own can tell, of all records."""
