@@ -13,7 +13,6 @@ from __future__ import annotations
 import inspect
 import math
 import sys
-import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
@@ -24,13 +23,13 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from .errors import InputError
+from .hints import classes_of, hint_of, home_of, is_function, options_of
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 SEVERAL = (Sequence[float], tuple[float, ...])  # annotations of vectors
 LARGEST = sys.float_info.max  # whole numbers may be larger
-UNIONS = (typing.Union, types.UnionType)
 
 
 @typing.runtime_checkable
@@ -219,7 +218,7 @@ def check_fields(data: Any, what: str | None = None) -> None:
 def _annotated(kind: Any) -> tuple[tuple[str, Any, Any], ...]:
     """Name, type and default of each field that users give."""
     given = [f for f in fields(kind) if f.init]
-    return tuple((f.name, _hint(_home(kind, f.name), f.type), f.default) for f in given)
+    return tuple((f.name, hint_of(home_of(kind, f.name), f.type), f.default) for f in given)
 
 
 def typed(make: Callable[P, T]) -> Callable[P, T]:
@@ -244,7 +243,7 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
             every = {
                 n: p for n, p in signature.parameters.items() if p.kind not in single and p.annotation is not p.empty
             }
-            hints.update({n: (_hint(module, p.annotation), p.default) for n, p in every.items()})
+            hints.update({n: (hint_of(module, p.annotation), p.default) for n, p in every.items()})
 
         for name, value in values.items():
             if name in hints:
@@ -292,30 +291,11 @@ def _label(kind: str, values: Mapping[str, Any]) -> str:
     return f'{kind} "{name}"' if isinstance(name, str) else kind
 
 
-def _home(kind: type, field: str) -> str:
-    """The module in which a dataclass, or the one that it is made from, declares a field."""
-    return next((k.__module__ for k in kind.__mro__ if field in vars(k).get("__annotations__", {})), kind.__module__)
-
-
-def _hint(module: str, annotation: Any) -> Any:
-    """The type behind an annotation, which is the type itself or, by default in this package, its text."""
-    return _named_type(module, annotation) if isinstance(annotation, str) else annotation
-
-
-@cache
-def _named_type(module: str, annotation: str) -> Any:
-    """The type behind the text of an annotation; Any where its names are known to type checkers only."""
-    try:
-        return eval(annotation, vars(sys.modules[module]))  # text of the source of a class or function
-    except (KeyError, NameError, AttributeError, TypeError):
-        return Any
-
-
 def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
     """Check one value; the default itself is always allowed, an infinite number where the default is one."""
     if _usual(value, hint, default):
         return
-    options, _, objects = _options(hint)
+    options, _, objects = options_of(hint)
     if (
         float in options
         and isinstance(default, float)
@@ -330,7 +310,7 @@ def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
     options = tuple(option for option in options if option is not type(None))
     known = any(isinstance(option, type) and isinstance(value, option) for option in options)
     if callable(value) and not isinstance(value, type) and not known:  # functions are told how many arguments they lack
-        options = tuple(option for option in options if _of_function(option)) or options
+        options = tuple(option for option in options if is_function(option)) or options
     if objects:
         instance(what, value, options)
         return
@@ -355,25 +335,8 @@ def _usual(value: Any, hint: Any, default: Any) -> bool:
     """Whether a value is seen at a glance to be allowed: the default itself, or of one of the types."""
     if value is default and default is not MISSING:
         return True
-    options, anything, _ = _options(hint)
-    return anything or _plainly(value, options) or isinstance(value, _classes(hint))
-
-
-@cache
-def _options(hint: Any) -> tuple[tuple[Any, ...], bool, bool]:
-    """The types that an annotation allows, whether anything is allowed, and whether all of them are kinds of objects."""
-    options = typing.get_args(hint) if typing.get_origin(hint) in UNIONS else (hint,)
-    some = tuple(option for option in options if option is not type(None))
-    objects = all(isinstance(x, type) and x not in (float, int, str, bool, np.ndarray) for x in some)
-    return options, any(_unknown(option) for option in some), objects
-
-
-@cache
-def _classes(hint: Any) -> tuple[type, ...]:
-    """The classes among the types that an annotation allows of whose objects nothing more is checked."""
-    origins = [typing.get_origin(option) or option for option in _options(hint)[0]]
-    looked_into = (float, int, str, np.ndarray, Callable, Sequence, tuple, list)
-    return tuple(x for x in origins if isinstance(x, type) and x not in looked_into)
+    options, anything, _ = options_of(hint)
+    return anything or _plainly(value, options) or isinstance(value, classes_of(hint))
 
 
 def _plainly(value: Any, options: tuple[Any, ...]) -> bool:
@@ -387,17 +350,6 @@ def _plainly(value: Any, options: tuple[Any, ...]) -> bool:
         plain = value.ndim == 1 and value.dtype.kind == "f" and value.size > 0
         return plain and _finite(value) and any(option in SEVERAL for option in options)
     return kind is str and str in options and bool(value.strip())
-
-
-def _unknown(option: Any) -> bool:
-    """Whether an annotation says nothing that can be checked."""
-    return option is Any or option is object or isinstance(option, TypeVar)
-
-
-def _of_function(option: Any) -> bool:
-    """Whether a type is that of functions."""
-    origin = typing.get_origin(option) or option
-    return origin is Callable or (origin is typing.Annotated and _of_function(typing.get_args(option)[0]))
 
 
 def _one(what: str, value: Any, option: Any) -> None:

@@ -24,6 +24,7 @@ FLOORS = [
         "energies",
         "kernel_cache",
         "checks",
+        "hints",
         "notices",
         "ranks",
     },
