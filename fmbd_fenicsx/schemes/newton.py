@@ -23,6 +23,8 @@ from ..system.system import System
 
 FAR = 1e3  # of the tolerance: a first increment above it is worth a tangent of its own in bodies that change theirs every step
 FINEST = 1e-13  # increments are known to about this share
+SHUT = 5e-7  # of the model's length: a joint that is open by more ends a step
+CLOSING = 0.1  # of it: increments that leave joints closed, as rates of convergence foretell errors to a factor of ten
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,15 @@ class Newton:
         """Solved steps and the sum of their errors, over the tolerance."""
         self.left += left
         self.solved += steps
+
+    def small(self, system: System, accelerated: float) -> float:
+        """Size (m) of an increment of places that counts as none in a step that accelerations move by ``accelerated`` (m).
+
+        It changes accelerations by the relative tolerance, is above roundoff, and leaves no joint open: that of stiff parts that
+        vibrate within a step would.
+        """
+        length = system.length
+        return max(min(self.tolerance * accelerated, CLOSING * SHUT * length), 64 * np.finfo(float).eps * length)
 
     @property
     def accuracy(self) -> float:

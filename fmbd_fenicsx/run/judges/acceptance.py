@@ -24,6 +24,7 @@ from ...errors import ConvergenceError
 from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...schemes.declared import Declared
+from ...schemes.newton import SHUT
 from ...system.compiled.march import JointLimits
 from ...system.compiled.recording import Openness
 from ...system.compiled.states.glance import Seen
@@ -33,7 +34,7 @@ from ...system.serialisation import Remembering, plain
 from ...system.system import State, System
 from .force_balance import Balanced
 
-OPEN = 5e-7  # of the model's length
+OPEN = SHUT  # of the model's length
 SLIP = 1e-4  # of the velocities
 IN_A_STEP = 1e-2  # of the gap that is allowed: how far velocities may open a joint in one step
 REPEATS = 4  # of a step with error control that has no balance, each a quarter of the one before

@@ -121,9 +121,7 @@ class RattleStepper(MarchingStepper):
             not self.solver.core.redundant
         ):  # the smallest multipliers of dependent rows have none that grow from step to step
             guess = guess[0], s.lam + h * self.ahead[1]
-        # increments move positions by h^2 a / 2: no less than roundoff
-        floor = 64 * EPS * system.length
-        return guess, max(self.newton.tolerance * 0.5 * h * h * max(system.max_abs(s.a), 1e-300), floor)
+        return guess, self.newton.small(system, 0.5 * h * h * max(system.max_abs(s.a), 1e-300))
 
     def _step_in_parts(self, h: float) -> State:
         """The same, where it is no one call of C."""

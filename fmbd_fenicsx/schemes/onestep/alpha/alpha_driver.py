@@ -16,7 +16,7 @@ from ....rotations import Array
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import STORAGE_LIMIT, solves
 from ....system.compiled.library import driver_library, units_of
-from ....system.compiled.march import FLOOR, LENGTH, MAXIT, NEW_TANGENT, SLOW, TOL, March
+from ....system.compiled.march import CEILING, FLOOR, LENGTH, MAXIT, NEW_TANGENT, SLOW, TOL, March
 from ....system.compiled.recording import Tape
 from ....system.compiled.tables.bodies import covers_bodies
 from ....system.compiled.tables.fields import Block
@@ -100,7 +100,8 @@ class AlphaDriver(March):
 
 def settings(p: Array, system: System, newton: Newton) -> None:
     """Fill the driver's parameters from a system and Newton's settings."""
-    p[TOL], p[LENGTH], p[FLOOR] = newton.tolerance, system.length, 64 * np.finfo(float).eps * system.length
+    p[TOL], p[LENGTH] = newton.tolerance, system.length
+    p[FLOOR], p[CEILING] = newton.small(system, 0.0), newton.small(system, np.inf)
     p[SLOW], p[MAXIT], p[NEW_TANGENT] = newton.slow, newton.max_iterations, newton.patience
 
 

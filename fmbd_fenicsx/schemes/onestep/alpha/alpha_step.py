@@ -121,7 +121,7 @@ class AlphaStep:
         self.tangent: ExactTangent | None = None if self.stabilised else newton.tangent
         self.stiff = any(loads.stiff for loads in system.forces)
         self.springs = foretold_efforts(system)
-        self.tolerance = self._tolerance()
+        self.tolerance = newton.small(system, self.scale * system.typical(start.a))
         self.foretells = any(part.foretells for _, part in system.fields)  # new tangents are exact ones
 
         # what it has found
@@ -136,11 +136,6 @@ class AlphaStep:
         self.foretold: dict[ScalarLoads, Array] = {}  # efforts of springs where it led
         self.misfit = 0.0  # share of it that they may have bent
         self.tangent_iterations = 0
-
-    def _tolerance(self) -> float:
-        """Size of a position increment that changes accelerations by Newton's relative tolerance, above roundoff."""
-        floor = 64 * np.finfo(float).eps * self.system.length
-        return max(self.newton.tolerance * self.scale * self.system.typical(self.start.a), floor)
 
     def solve(self) -> tuple[bool, list[float]]:
         """Iterate; whether it converged, and the history of increments over the tolerance."""

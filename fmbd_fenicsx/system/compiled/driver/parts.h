@@ -77,11 +77,12 @@ void energies(System *s, double t, const double *q, const double *v, const doubl
 int keep(System *s, double t);
 double largest(const double *x, int n);
 double largest_of(const double *units, const double *x, int n);
+double small(const double *p, double accelerated);
 int judge(double *p, const double *sizes, int done, double *error);
 int lingers(const double *p, int done, double left);
 
 /* Parameters of a march; increments of a step at most. */
-enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,           /* in */
+enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,  /* in */
        ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */
        STABILISED, PARAMETERS };                                                                                       /* in: the GGL form */
 enum { MOST = 64 };
