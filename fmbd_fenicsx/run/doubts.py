@@ -19,6 +19,7 @@ import numpy as np
 from ..linear.condensation import StepSolver
 from ..log import log
 from ..rotations import Array
+from ..system.held_modes import stiff_modes
 from ..system.mobility import locked_modes
 from ..system.scene.scene import Scene
 from ..system.system import State, System
@@ -157,7 +158,8 @@ def _immovable(solver: StepSolver) -> None:
 
 
 def _locked_modes(system: System, start: State) -> None:
-    """Reduced bodies whose modes joints lock: what their reactions are is chance."""
-    found = locked_modes(system.at(start.t, start.q))
+    """Reduced bodies whose modes joints lock: what their reactions are is chance; or hold too stiffly."""
+    ev = system.at(start.t, start.q)
+    found = locked_modes(ev) or stiff_modes(ev)
     if found:
         log.warning("%s", found)

@@ -26,6 +26,7 @@ from ..mechanics.joints.joints import ground
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation
+from .held_modes import stiff_modes
 from .system import System
 
 RANK_TOLERANCE = 1e-9  # singular values below this share of the largest count as zero
@@ -308,7 +309,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
         notes.append(
             "the configuration is near-singular: constraints almost depend on each other, or a motion branches here"
         )
-    notes += [locked] if (locked := locked_modes(ev)) else []
+    notes += [stiff] if (stiff := locked_modes(ev) or stiff_modes(ev)) else []
     if found.open > 1e-6 * system.length:
         notes.append(f"the constraints are open by {found.open:.2g} m; the start will close them")
 

@@ -93,29 +93,27 @@ def _slowest(part: Any) -> float:
 def held_frequency(ev: Evaluation, k: int, part: Any) -> float:
     """omega_1 of (1) of body k, rad/s, infinite where joints hold all of its modes; collective."""
     s = ev.system
-    n = s.motions.n_twist
     rows = np.concatenate(
         [np.arange(b.rows.start, b.rows.stop) for b in s.blocks if b.kind != "frame"] or [np.zeros(0, int)]
     )
-    core = ev.jacobian.core[rows]
-    dense = core.toarray() if sp.issparse(core) else np.asarray(core)
-
     if isinstance(part, ReducedPart):
-        return _of_modes(ev, part, dense[:, n * part.frame : n * (part.frame + 1)], dense[:, s.slices[1][k]])
+        core = ev.jacobian.core[rows]
+        return frequency_by_modes(ev, k, part, core.toarray() if sp.issparse(core) else np.asarray(core), part.n)
     return _of_field(ev, part, ev.jacobian.port[rows][:, s.port_slice(k)])
 
 
-def _of_modes(ev: Evaluation, part: ReducedPart, on_frame: Array, on_modes: Array) -> float:
-    """(1) of a reduced body: rows on its frame and on its modes."""
-    n, d = on_frame.shape[1], ev.system.motions.dim
+def frequency_by_modes(ev: Evaluation, k: int, part: ReducedPart, rows: Array, count: int) -> float:
+    """(1) of the reduced body k by its first modes only, so many; ``rows`` of the joints on the core."""
+    n, d = ev.system.motions.n_twist, ev.system.motions.dim
     rest = FrameMotion(ev.t, ev.rotation[part.frame], np.zeros(n), None, np.zeros(d))
     of_frame, across, of_modes = part.mass_blocks(rest, np.zeros(part.n))
-    M = np.block([[of_frame, across.T], [across, of_modes]])
+    M = np.block([[of_frame, across.T], [across, of_modes]])[: n + count, : n + count]
     K = np.zeros_like(M)
-    K[n:, n:] = part.constants.K
+    K[n:, n:] = part.constants.K[:count, :count]
 
     unit = np.sqrt(np.diag(M))
-    J = np.concatenate((on_frame, on_modes), axis=1) / unit
+    first = ev.system.slices[1][k].start
+    J = np.hstack((rows[:, n * part.frame : n * (part.frame + 1)], rows[:, first : first + count])) / unit
     V = sl.null_space(_of_length_one(J)) / unit[:, None]
     if not V.shape[1]:
         return np.inf

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...rotations import Array
+from ...system.evaluation import Evaluation
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State, System
 from ..statics.steady import Spin
@@ -67,7 +68,7 @@ class Perturbation:
         """M y'', like v; of accelerations so large that other forces leave no roundoff in it."""
         s, factor = self.state, 1.0
         while True:
-            found: Array = self._here.balance(s.a + factor * accel, s.lam) - self._balance
+            found: Array = self.here.balance(s.a + factor * accel, s.lam) - self._balance
             if factor > FASTER**4 or self._force(found) >= SEEN * self._force(self._balance):
                 return found / factor
             factor *= FASTER
@@ -79,17 +80,18 @@ class Perturbation:
 
     def rows(self, y: Array) -> Array:
         """G y, (row_count,)."""
-        joints = self._here.jacobian.times(y)
+        joints = self.here.jacobian.times(y)
         return joints if self.closed is None else np.append(joints, self.closed.times(y))
 
     @cached_property
-    def _here(self):  # type: ignore[no-untyped-def]
+    def here(self) -> Evaluation:
+        """The system in the state."""
         s = self.state
         return self.system.at(s.t, s.q, s.v)
 
     @cached_property
     def _balance(self) -> Array:
-        return self._here.balance(self.state.a, self.state.lam)
+        return self.here.balance(self.state.a, self.state.lam)
 
     def residual(self) -> Array:
         """What is left of the balance at the state, like v: zero in a steady motion."""
