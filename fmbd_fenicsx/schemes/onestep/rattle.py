@@ -32,7 +32,6 @@ from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ..dae import positions_refused
-from ..error_norm import EPS
 from ..marching import MarchingStepper
 from ..newton import Newton
 from .explicit_limit import StepLimit
