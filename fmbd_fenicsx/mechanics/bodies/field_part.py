@@ -50,7 +50,7 @@ class FieldPart(DistributedPart):
         self.conditions = conditions
         self.mass_total, self.size = field.mass_total, field.size
         self.n_frame_rows = conditions.shape[1]
-        self.inertia_columns = np.zeros((self.n, 0))
+        self.inertia_columns: Array = np.zeros((self.n, 0))
         self.n_port = self.n_frame_rows + field.dim * (1 + field.dim) * len(self.surfaces)
         self.reference = np.concatenate([np.zeros(self.n_frame_rows), *(s.reference.ravel() for s in self.surfaces)])
         self.origin = field.center  # of the frame, world axes at the start
