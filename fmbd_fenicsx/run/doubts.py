@@ -120,7 +120,7 @@ def _open_velocities(recorder: Recorder, counters: Mapping[str, float]) -> None:
     check = recorder.closed
     if check is None or recorder.worst_slip <= SLIP * recorder.fastest:
         return
-    step = recorder.t_end / max(counters["steps"], 1.0)
+    step = (recorder.t_end - recorder.scene.begins) / max(counters["steps"], 1.0)
     if recorder.worst_slip * step <= PLACES * recorder.system.length:
         return
     log.warning(

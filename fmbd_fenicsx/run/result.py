@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -14,6 +14,7 @@ from ..errors import InputError, near
 from ..rotations import Array
 from ..schemes.consistent import Correction
 from ..system.own_state import refuse_other_state
+from ..system.scene.going_on import Origin
 from ..system.scene.plan import Plan
 from ..system.scene.scene import Scene
 from ..system.system import State, System
@@ -34,7 +35,7 @@ class Run(Uncopied):
         scene, scheme, plan: what was solved, how, and what existed.
         dt: step size used, s (``t_end`` divided by a whole number of steps).
         times: (n,) s; ``series``: sensor name -> (n, size) values; ``energy``: kind -> (n,) J.
-        state, system: the last state and its system. ``snapshots``: states kept for pictures.
+        state, system: the last state and its system; ``kept``: what elements remember then. ``snapshots``: those for pictures.
         counters: steps, Newton iterations, factorisations, back-solves. ``seconds``: by phase.
         warnings: what was warned of during the run, and what is doubtful at its end; in the report under "look at this".
         not_unique: joints whose reactions are not unique at the end, of which the smallest are given.
@@ -95,6 +96,7 @@ class Run(Uncopied):
     not_unique: list[str] = field(default_factory=list)
     books: Books | None = None
     warnings: list[str] = field(default_factory=list)
+    kept: tuple[Any, ...] = ()
 
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size)."""
@@ -112,6 +114,20 @@ class Run(Uncopied):
             self.reduction_error = sizes(found)
         elif kind == "space":
             self.space_error = sizes(found)
+
+    def next_scene(self) -> Scene:
+        """The scene of this run to go on with from its last state: joints may be released, others close on what they find.
+
+            flight = run.next_scene()
+            del flight.joints["sling"]
+            later = fmbd.solve(flight, t_end=3.0, dt=1e-3)
+
+        Its runs begin at the last time of this one, at an event where one has ended it; what elements remember is kept where
+        all of their kind are still there. A new joint takes its first body's point and axes, as that body was placed at first,
+        and its second body where it is; velocities against it go as in an impact without rebound. Errors of time and algebra
+        are stated as of any run, those of modes and meshes are not.
+        """
+        return replace(self.scene, settle=False, origin=Origin(self.scene, self.system, self.state, self.kept))
 
     def report(self) -> str:
         """Steps, iterations, error estimate, drift, energy, seconds by phase, and the plan, as text; not

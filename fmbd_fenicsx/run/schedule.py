@@ -31,7 +31,7 @@ MANY = 2.0  # times as many equal steps as without break points, from which on i
 @dataclass(frozen=True)
 class StepSchedule:
     """Where the steps of a march end: ``steps`` equal ones, or (0) as the scheme likes, hitting each of ``stops``, at which the
-    solution may have a kink, each of ``marks``, at which it goes on, and the end.
+    solution may have a kink, each of ``marks``, at which it goes on, and the end. They ``begin`` at a time (s).
 
     ``counts``: of equal steps up to each stop, and from the last one to the end. ``largest``: what steps were to be at most, s.
     """
@@ -42,11 +42,12 @@ class StepSchedule:
     largest: float = np.inf
     marks: tuple[float, ...] = ()
     counts: tuple[int, ...] = ()
+    begin: float = 0.0
 
     def next(self, t: float) -> float:
         """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""
         if self.steps:
-            return self._sizes[bisect_right(self.stops, t)] if self.stops else self.t_end / self.steps
+            return self._sizes[bisect_right(self.stops, t)] if self.stops else self.span / self.steps
         # steps that the scheme chooses: up to the next break point, on its near side
         left = self.t_end - t
         for places in (self.stops, self.marks):
@@ -72,30 +73,35 @@ class StepSchedule:
     def reached(self, t: float) -> int:
         """How many of the equal steps end at a time t (s) or before."""
         if not self.stops:
-            return round(t * self.steps / self.t_end)
+            return round((t - self.begin) * self.steps / self.span)
         i = bisect_right(self.stops, t)
-        begun = self.stops[i - 1] if i else 0.0
+        begun = self.stops[i - 1] if i else self.begin
         return (0, *self._ends)[i] + round((t - begun) / self._sizes[i])
 
     def with_steps(self, steps: int) -> StepSchedule:
         """Other equal steps for the same run: so many, shared out among its stretches as they are here."""
         if not self.stops:
-            return StepSchedule(self.t_end, steps)
+            return StepSchedule(self.t_end, steps, begin=self.begin)
         counts = tuple(max(round(n * steps / self.steps), 1) for n in self.counts)
-        return StepSchedule(self.t_end, sum(counts), self.stops, counts=counts)
+        return StepSchedule(self.t_end, sum(counts), self.stops, counts=counts, begin=self.begin)
 
     @property
     def fitting(self) -> float | tuple[float, ...] | None:
         """What a run has to have in common with one that it goes on with: its sizes of equal steps (s)."""
         if not self.steps:
             return None
-        sizes = tuple(float(f"{x:.12g}") for x in ([self.t_end / self.steps] if not self.stops else self._sizes))
+        sizes = tuple(float(f"{x:.12g}") for x in ([self.span / self.steps] if not self.stops else self._sizes))
         return sizes[0] if not self.stops else tuple(sorted({float(f"{x:.9g}") for x in sizes}))
+
+    @property
+    def span(self) -> float:
+        """How long the march is, s."""
+        return self.t_end - self.begin
 
     @cached_property
     def stretches(self) -> tuple[tuple[float, float], ...]:
         """Times (s) between which the solution is smooth, as far as break points tell."""
-        places = (0.0, *self.stops, self.t_end)
+        places = (self.begin, *self.stops, self.t_end)
         return tuple(zip(places[:-1], places[1:], strict=True))
 
     @cached_property
@@ -109,7 +115,7 @@ class StepSchedule:
         exact = []
         for (begin, end), count in zip(self.stretches, self.counts, strict=True):
             till = end if end == self.t_end else end - (SIDE + count) * np.spacing(end)
-            exact.append(float(till - (far_side(begin) if begin else 0.0)) / count)
+            exact.append(float(till - (begin if begin == self.begin else far_side(begin))) / count)
 
         known: list[float] = []
         for h in sorted(exact):
@@ -132,10 +138,12 @@ def step_schedule(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, 
     """Steps of equal size, none above dt (but for roundoff), a ``multiple`` of them between break points; or none for error
     control.
     """
-    t_end = number("End time t_end =", t_end, above=0.0, unit="s")
+    begin = scene.begins
+    t_end = number("End time t_end =", t_end, above=begin, unit="s")
     if dt is not None:
         dt = number("Step dt =", dt, above=0.0, unit="s")
-        require(dt <= t_end * (1 + 1e-12), f"Step dt = {dt} s is larger than the whole run, t_end = {t_end} s.")
+        span = t_end - begin
+        require(dt <= span * (1 + 1e-9), f"Step dt = {dt} s is larger than the whole run, {begin:g} to {t_end} s.")
         require(t_end + dt > t_end, f"Step dt = {dt} s is below the roundoff of t_end = {t_end} s: t + h == t.")
 
     if Declared.by(scheme).adaptive:
@@ -143,15 +151,15 @@ def step_schedule(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, 
             multiple == 1,
             "estimate_error needs constant steps; with error control compare two values of rtol (study.py).",
         )
-        return StepSchedule(t_end, 0, stops_within(scene, t_end), np.inf if dt is None else dt)
+        return StepSchedule(t_end, 0, stops_within(scene, t_end), np.inf if dt is None else dt, begin=begin)
     if dt is None:
         raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
 
-    named = any(0 < t < t_end for t in scene.breakpoints)
-    stops = _apart(stops_within(scene, t_end), t_end, TOGETHER * dt) if named else ()
-    places = (0.0, *stops, t_end)
+    named = any(begin < t < t_end for t in scene.breakpoints)
+    stops = _apart(stops_within(scene, t_end), (begin, t_end), TOGETHER * dt) if named else ()
+    places = (begin, *stops, t_end)
     counts = tuple(_count(b - a, dt, multiple) for a, b in zip(places[:-1], places[1:], strict=True))
-    return StepSchedule(t_end, sum(counts), stops, dt, counts=counts if stops else ())
+    return StepSchedule(t_end, sum(counts), stops, dt, counts=counts if stops else (), begin=begin)
 
 
 def _count(length: float, dt: float, multiple: int) -> int:
@@ -167,21 +175,21 @@ def stops_within(scene: Scene, t_end: float) -> tuple[float, ...]:
     """Times inside a run at which the solution may have a kink: break points, and samples of controllers."""
     periods = {force.period for force in scene.forces.values() if force.period is not None}
     samples = [k * period for period in periods for k in range(1, int(np.ceil(t_end / period)))]
-    return tuple(sorted({float(t) for t in (*scene.breakpoints, *samples) if 0 < t < t_end}))
+    return tuple(sorted({float(t) for t in (*scene.breakpoints, *samples) if scene.begins < t < t_end}))
 
 
-def _apart(stops: tuple[float, ...], t_end: float, least: float) -> tuple[float, ...]:
+def _apart(stops: tuple[float, ...], ends: tuple[float, float], least: float) -> tuple[float, ...]:
     """The stops without those that are nearer than ``least`` (s) to the one before, or to the ends of the run."""
-    kept = [0.0]
+    kept = [ends[0]]
     for stop in stops:
-        if stop - kept[-1] > least and t_end - stop > least:
+        if stop - kept[-1] > least and ends[1] - stop > least:
             kept.append(stop)
     return tuple(kept[1:])
 
 
 def warn_of_dense_break_points(schedule: StepSchedule) -> None:
     """Break points so dense that equal steps between them are far more than without: each begins anew."""
-    usual = schedule.t_end / schedule.largest
+    usual = schedule.span / schedule.largest
     if schedule.stops and schedule.steps > MANY * usual > 0.0:
         log.warning(
             "%d break points, most of them nearer to each other than a step, make %d steps where some %d were asked for: name "

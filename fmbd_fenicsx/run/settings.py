@@ -44,6 +44,18 @@ def check_ways(linear: Any, checkpoint: Any) -> None:
         instance("solve: checkpoint", checkpoint, Checkpoint)
 
 
+def check_origin(scene: Scene, tol: Any, output: Output | None) -> None:
+    """Refuse what other modes or meshes would tell of a scene that goes on from the state of a run."""
+    if scene.origin is None:
+        return
+    finer = output is not None and (output.estimate_space or output.estimate_reduction)
+    require(
+        tol is None and not finer,
+        f'Scene "{scene.name}" goes on from a run, with its meshes and modes: neither tol nor errors of space and reduction. '
+        "Ask the run before for them.",
+    )
+
+
 def check_is_of_sensors(scene: Scene, tol: Any) -> None:
     """Refuse a tolerance that names no sensor: what it allows depends on what is measured."""
     name = next(iter(scene.sensors), "tip")
@@ -55,8 +67,13 @@ def check_is_of_sensors(scene: Scene, tol: Any) -> None:
     )
 
 
-def check_times(times: Sequence[float], t_end: float) -> None:
-    """Refuse times (s) to record at when a run that ends at ``t_end`` (s) is over."""
+def check_times(times: Sequence[float], ends: tuple[float, float]) -> None:
+    """Refuse times (s) to record at before a run begins or when it is over; ``ends``: when that is (s)."""
+    begin, t_end = ends
+    require(
+        times[0] >= begin * (1 - ROUNDING),
+        f"Output: times begin at {times[0]:g} s, and the run goes on from {begin:g} s. Leave out those before.",
+    )
     after = sum(t > t_end * (1 + ROUNDING) for t in times)
     if after:
         raise InputError(

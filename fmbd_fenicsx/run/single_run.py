@@ -13,6 +13,7 @@ from ..linear.redundancy import not_unique
 from ..log import peak_memory
 from ..rotations import Array
 from ..schemes.newton import Newton
+from ..system.element_memory import memories
 from ..system.scene.plan import make_plan
 from ..system.scene.scene import Scene
 from .accuracy.companion_runs import Compared
@@ -79,7 +80,7 @@ def run_once(
 ) -> Solved:
     """Consistent start and march of a system that may have made other runs before; collective."""
     if task.output.times is not None:
-        check_times(task.output.times, task.schedule.t_end)
+        check_times(task.output.times, (task.schedule.begin, task.schedule.t_end))
     refuse_too_many(task.output, built.system, task.schedule.t_end, task.schedule.steps)
     advise_on_ranks(built.system)
 
@@ -88,7 +89,7 @@ def run_once(
     solver = make_solver(task.scene, built.system, task.linear)
     try:
         with built.warned:
-            found = built.start(task.scene, task.scheme, solver=solver, h=task.schedule.next(0.0))
+            found = built.start(task.scene, task.scheme, solver=solver, h=task.schedule.next(task.schedule.begin))
             started = clock.perf_counter()
             problem = _problem(task, built, solver, found)
             keeps = checkpoint is not None or restart is not None
@@ -142,7 +143,7 @@ def _finished(
     warn_of_doubts(task.scene, solver, marched.recorder, counters, start.state)
     warn_of_late_samples(task.scene, task.schedule)
     warn_of_dense_break_points(task.schedule)
-    warn_of_turning_rows(solver, task.scheme, (start.state, marched.state), task.schedule.next(0.0))
+    warn_of_turning_rows(solver, task.scheme, (start.state, marched.state), task.schedule.next(task.schedule.begin))
     code = None if keeper is None else keeper.exit_code
     methods = solver.elastic.methods
     return FinishedMarch(marched, problem, start, counters, undetermined, methods, (*clocks, ended), code)
@@ -159,7 +160,7 @@ def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
         plan=make_plan(task.scene, system, marched.path, finished.methods),
         system=system,
         state=marched.state,
-        dt=marched.state.t / max(marched.done, 1),
+        dt=(marched.state.t - task.schedule.begin) / max(marched.done, 1),
         times=recorder.times,
         series=recorder.series,
         energy=recorder.energy,
@@ -179,6 +180,7 @@ def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
         at_steps=_at_steps(recorder),
         not_unique=finished.undetermined,
         warnings=built.warned.lines(),
+        kept=tuple(memories(system)),
     )
 
 

@@ -16,7 +16,15 @@ from .built import build
 from .recording.output import Output
 from .result import Run
 from .schedule import step_schedule
-from .settings import check_contents, check_is_of_sensors, check_settings, check_tangent, check_ways, default_scheme
+from .settings import (
+    check_contents,
+    check_is_of_sensors,
+    check_origin,
+    check_settings,
+    check_tangent,
+    check_ways,
+    default_scheme,
+)
 from .single_run import Task, run_once
 
 if TYPE_CHECKING:
@@ -38,7 +46,7 @@ def solve(
     checkpoint: Checkpoint | None = None,
     restart: str | Path | None = None,
 ) -> Run:
-    """Integrate a scene from t = 0 to ``t_end`` (s) with steps of at most ``dt`` (s); collective.
+    """Integrate a scene from t = 0, or from where it goes on, to ``t_end`` (s) with steps of at most ``dt`` (s); collective.
 
     Args:
         dt: needed for schemes with constant steps. A scheme with error control (``rtol``) chooses its steps,
@@ -67,6 +75,7 @@ def solve(
     install_hooks()
     check_settings(scene, newton, output, restart)
     check_ways(linear, checkpoint)
+    check_origin(scene, tol, output)
     if tol is not None:
         check_is_of_sensors(scene, tol)
         if scheme is not None:

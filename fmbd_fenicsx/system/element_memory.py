@@ -35,7 +35,8 @@ def reset(system: System, state: State) -> None:
     keepers = system.keepers
     if keepers:
         ev = system.at(state.t, state.q, state.v)
-        restore(system, [loads.first(ev, state) for loads in keepers])
+        known = system.remembered or (None,) * len(keepers)
+        restore(system, [loads.first(ev, state) if x is None else x for loads, x in zip(keepers, known, strict=True)])
 
 
 def whole_steps(system: System, t: float, h: float) -> float:

@@ -79,6 +79,7 @@ class System:
     counted: CountedAngles | None = None  # None where nothing depends on an angle beyond a turn
     elements: tuple[FrameElements, ...] = ()  # between moving frames: rods
     sensed: tuple[tuple[Any, int], ...] = ()  # sensors of the scene with their markers
+    remembered: tuple[Any, ...] = ()  # what keepers remember at the start, None of those that begin anew; empty: all do
     cache: dict[Any, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
 
     def block(self, name: str) -> RowBlock:

@@ -130,17 +130,17 @@ class Output:
             return t_end * self.snapshots.rate + 1
         return float(self.snapshots if isinstance(self.snapshots, int) else len(self.snapshots))
 
-    def due(self, t_end: float) -> list[float]:
-        """When snapshots are wanted in a run that ends at ``t_end`` (s)."""
+    def due(self, begin: float, t_end: float) -> list[float]:
+        """When snapshots are wanted in a run from ``begin`` to ``t_end`` (s)."""
         if isinstance(self.snapshots, PerSecond):
             count = int(np.floor(t_end * self.snapshots.rate * (1 + 1e-12)))
-            return [k / self.snapshots.rate for k in range(count + 1)]
+            return [t for k in range(count + 1) if (t := k / self.snapshots.rate) >= begin]
         if isinstance(self.snapshots, int):
-            return [float(t) for t in np.linspace(0.0, t_end, self.snapshots)] if self.snapshots else []
+            return [float(t) for t in np.linspace(begin, t_end, self.snapshots)] if self.snapshots else []
 
         late = [t for t in self.snapshots if t > t_end * (1 + 1e-9)]
         require(not late, f"Output: snapshots at {late} s lie after the end of the run, {t_end:g} s.")
-        return [float(t) for t in self.snapshots]
+        return [float(t) for t in self.snapshots if t >= begin]
 
 
 def refuse_too_many(output: Output, system: System, t_end: float, steps: int) -> None:

@@ -60,7 +60,7 @@ class Recorder:
         self._wanted = None if times is None else [float(t) for t in times if t <= self.t_end * (1 + ROUNDING)]
         self._before: State | None = None
         self.straight = Straight(self)
-        self._due = self.output.due(self.t_end)
+        self._due = self.output.due(self.scene.begins, self.t_end)
 
     @property
     def on_tape(self) -> bool:

@@ -23,6 +23,7 @@ from ..sensors.sensor import Sensor
 from ..system import RowBlock, State, System
 from .break_points import tell_break_points
 from .force_batches import build_loads
+from .going_on import go_on
 from .gravity import gravity_of
 from .joints import JointRows, counted_angles
 from .point_masses import at_its_place, attitude_of, refuse_angles, refuse_turning
@@ -57,6 +58,7 @@ class Builder:
         self.part_of: dict[str, int] = {}
         self.fields: list[Any] = []
         self.joint_markers: dict[str, tuple[int, int]] = {}
+        self.closing: list[tuple[int, int]] = []  # markers of joints that close on what they find
         self.starts: list[tuple[Array, Array]] = []
         self.nodes = RodNodes()
         self.places: list[MarkerPlace] = []
@@ -108,7 +110,10 @@ class Builder:
             elements=tuple(self.nodes.elements),
             sensed=tuple((s, sensor_markers[n]) for n, s in scene.sensors.items()),
         )
-        return system, self._state(system), sensor_markers
+        given = self._state(system)
+        if scene.origin is not None:
+            system, given = go_on(scene.origin, system, given, self.closing)
+        return system, given, sensor_markers
 
     def _add_frames(self, moving: list[Any]) -> None:
         """Poses and twists of all moving frames; those of elastic bodies follow with their parts."""
@@ -381,6 +386,8 @@ class Builder:
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
             collected.add(joint, (a, b))
+            if self.scene.origin is not None and self.scene.origin.closes(joint):
+                self.closing.append((a, b))
         for body in self.scene.bodies.values():
             if not (body.turns or body.locked):
                 collected.add(attitude_of(body), (self._marker(ground, None), self._marker(body, None)))

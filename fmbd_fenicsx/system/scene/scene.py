@@ -23,6 +23,7 @@ from ..sensors.sensor import Sensor
 from ..sensors.sensors import JointReading
 from ..system import State, System
 from .build import Builder
+from .going_on import Origin
 
 # where parts stand: what they are, in types and in a word
 PLACES: dict[str, tuple[type, str]] = {
@@ -56,6 +57,7 @@ class Scene:
         settle: start at rest in the static equilibrium near the given placement (loads of t = 0) instead of in the placement.
         breakpoints: times (s) at which loads or drives are not smooth: steps end there, equal ones too, which are fitted in
             between. Those outside of a run are passed over.
+        origin: what the scene goes on from, of a run's ``next_scene()``; else None.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Scene:
     sliders: dict[str, SlidingContact] = field(default_factory=dict)
     ties: dict[str, Any] = field(default_factory=dict)
     inputs: dict[str, Input] = field(default_factory=dict)
+    origin: Origin | None = None
 
     def __repr__(self) -> str:
         parts = {"bodies": self.bodies, "joints": self.joints, "forces": self.forces, "contacts": self.contacts}
@@ -146,6 +149,11 @@ class Scene:
         return name
 
     @property
+    def begins(self) -> float:
+        """When a run of it begins, s."""
+        return 0.0 if self.origin is None else self.origin.state.t
+
+    @property
     def unilateral(self) -> bool:
         """Whether anything may touch: contacts, or joints that reach their limits."""
         return bool(self.contacts or self.limits)
@@ -175,7 +183,7 @@ class Scene:
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""
-        for name in loose_bodies(self):
+        for name in loose_bodies(self) if self.origin is None else ():  # what was released is meant to fly
             log.warning('scene "%s": body "%s" is attached to nothing', self.name, name)
         return Builder(self).build()
 

@@ -1,0 +1,141 @@
+"""Scenes that go on where a run of another one has ended: with joints released, closed or locked, parts let go or taken up.
+
+Bodies of the same names are where they were, as fast as they were; others begin as they are given. A joint that was not there
+closes on what it finds: its point and its axes are those of its first body, its second body is taken where it is,
+
+    x_b = x_a,   R_b = R_a        of the markers of the joint in the state that the scene goes on from.             (1)
+
+Velocities that contradict it go as in an impact without rebound: those nearest in the metric of the masses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import require
+from ...log import log
+from ...mechanics.forces.force_elements import Loads
+from ...mechanics.joints.drives import Coupling
+from ...mechanics.joints.joints import Joint
+from ...rotations import Array
+from ..configurations import count
+from ..system import State, System
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """What a scene goes on from: the scene that was run, its system, its last state, and what its elements remember then."""
+
+    scene: Scene
+    system: System
+    state: State
+    kept: tuple[Any, ...]
+
+    def closes(self, joint: Joint) -> bool:
+        """Whether a joint closes on what it finds: a new one between two bodies that meet."""
+        known = self.scene.joints.get(joint.name) is joint
+        return not known and joint.joined and not isinstance(joint, Coupling)
+
+
+def go_on(origin: Origin, system: System, given: State, closing: Sequence[tuple[int, int]]) -> tuple[System, State]:
+    """A system as its scene gives it, and its state, in that of the origin; ``closing``: markers of new joints. Collective."""
+    q, v = given.q.copy(), given.v.copy()
+    _take_bodies(origin, system, q, v)
+    count(system, q)
+    _take_angles(origin, system, q)
+
+    system = _seated(system, State(origin.state.t, q, v, given.a, given.lam), closing)
+    count(system, q)
+    system = replace(system, remembered=tuple(_memory(origin, keeper) for keeper in system.keepers), cache={})
+    return system, State(origin.state.t, q, v, given.a, given.lam)
+
+
+def _take_bodies(origin: Origin, system: System, q: Array, v: Array) -> None:
+    """Places and velocities of the bodies that were there, in q and v."""
+    was, s = origin.system, origin.state
+    n, m = system.motions.n_pose, system.motions.n_twist
+    frames = {name: i for i, name in enumerate(was.frame_names)}
+    for i, name in enumerate(system.frame_names):
+        if name in frames:
+            q[n * i : n * (i + 1)] = was.pose_of(s.q, frames[name])
+            v[m * i : m * (i + 1)] = was.twist_of(s.v, frames[name])
+
+    parts = {part.name: k for k, part in enumerate(was.parts)}
+    for k, part in enumerate(system.parts):
+        before = parts.get(part.name)
+        if before is None:
+            continue
+        have = was.parts[before].n
+        require(
+            part.n == have,
+            f'Body "{part.name}" has {part.n} coordinates here and {have} in the run that the scene goes on from. Go on with the '
+            "body of that run.",
+        )
+        q[system.slices[0][k]] = was.local_q(s.q, before)
+        v[system.slices[1][k]] = was.local_v(s.v, before)
+
+
+def _take_angles(origin: Origin, system: System, q: Array) -> None:
+    """Turns that joints have counted, in q."""
+    before, now = _counted(origin.system), _counted(system)
+    for name in before.keys() & now.keys():
+        q[system.counted_angles.start + now[name]] = origin.state.q[origin.system.counted_angles.start + before[name]]
+
+
+def _counted(system: System) -> dict[str, int]:
+    """Which angle in q is counted for which joint."""
+    if system.counted is None:
+        return {}
+    turn = system.counted.turn
+    pairs = {(int(a), int(b)): i for i, (a, b) in enumerate(zip(turn.a, turn.b, strict=True))}
+    return {x.name: pairs[x.a, x.b] for x in system.blocks if (x.a, x.b) in pairs}
+
+
+def _seated(system: System, state: State, closing: Sequence[tuple[int, int]]) -> System:
+    """The system with the second markers of new joints where (1) wants them; collective."""
+    if not closing:
+        return system
+    kin, markers = system.at(state.t, state.q, state.v).kin, system.markers
+    a, b = np.array(closing).T
+    back = markers.rotation[b] @ kin.R[b].swapaxes(1, 2)  # to the axes of what carries b
+    rotation, position = markers.rotation.copy(), markers.position.copy()
+    rotation[b] = back @ kin.R[a]
+    position[b] += (back @ (kin.x[a] - kin.x[b])[..., None])[..., 0]
+    markers = replace(markers, rotation=rotation, position=position)
+
+    counted = system.counted
+    if counted is not None:
+        start = counted.start.copy()
+        if kin.turned is not None and system.motions.dim == 2:
+            start[b] += kin.turned[b] - kin.turned[a]
+        counted = replace(counted, markers=markers, start=start)
+    return replace(system, markers=markers, counted=counted, cache={})
+
+
+def _memory(origin: Origin, keeper: Any) -> Any:
+    """What elements remember that were there, all of their kind; None of others, which begin anew."""
+    owners, before = _owners(keeper), set()
+    for one, kept in zip(origin.system.keepers, origin.kept, strict=False):
+        if type(one) is type(keeper):
+            if _owners(one) == owners:
+                return kept
+            before.update(_owners(one))
+
+    if forgotten := before.intersection(owners):
+        log.warning(
+            'the memory of "%s" begins anew: those elements of its kind that are in the scene are not those of the run that it '
+            "goes on from", '", "'.join(sorted(map(str, forgotten))),
+        )  # fmt: skip
+    return None
+
+
+def _owners(keeper: Any) -> tuple[Any, ...]:
+    """Whose memory it is: names of forces, or the frames between which elements are."""
+    return tuple(f.name for f in keeper.forces) if isinstance(keeper, Loads) else (keeper.name, keeper.frames.shape)
