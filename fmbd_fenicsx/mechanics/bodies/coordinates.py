@@ -21,6 +21,7 @@ from ...errors import CallbackError, InputError, named, require
 from ...rotations import Array
 from ..placements import FrameMotion, Part
 from .body import EQUATIONS, Body, Placed, Site
+from .own_checks import check_constraint, check_force
 from .own_derivatives import UNUSABLE, Slopes, derivative_many, line_rates, slopes_of
 
 Vector = Sequence[float] | Array
@@ -112,7 +113,7 @@ def own_constraint(body: Any, part: int) -> PortConstraint:
         return None if function is None else named(f"The constraint{of} of body", body.name, function)
 
     function = safe("", body.constraint)
-    return PortConstraint(
+    law = PortConstraint(
         body.name,
         part,
         function,
@@ -122,6 +123,8 @@ def own_constraint(body: Any, part: int) -> PortConstraint:
         body.vectorized,
         slopes_of(_of_place_and_time(function), np.append(np.asarray(body.start, dtype=float), 0.0)),
     )
+    check_constraint(law, body)
+    return law
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +138,7 @@ class CoordinateBody(Body):
         start, start_rate: q and q' at the start, (n,).
         constraint: g(q, t) -> (m,), or None.
         jacobian, gamma: dg/dq (q, t) -> (m, n), and the part of g'' without q'' (q, v, t) -> (m,); by complex-step
-            differences where missing.
+            differences where missing. What is given is compared with the constraint at the start.
         rate: dg/dt at fixed q, (q, t) -> (m,); by a complex step where missing.
         force_jacobian: (df/dq, df/dq') (q, v, t) -> two (n, n); by complex-step differences where missing.
         potential: q -> J, for the energy balance; None counts as zero.
@@ -195,7 +198,9 @@ class CoordinateBody(Body):
 
     def placed(self, site: Site) -> Placed:
         """The equations as a part on the ground."""
-        return Placed(CoordinatePart(self, site.ground), np.array(self.start), np.array(self.start_rate))
+        part = CoordinatePart(self, site.ground)
+        part.check()
+        return Placed(part, np.array(self.start), np.array(self.start_rate))
 
 
 class CoordinatePart(Part):
@@ -219,6 +224,11 @@ class CoordinatePart(Part):
         n, body = self.n, self.body
         start = np.concatenate((np.ravel(body.start), np.ravel(body.start_rate), [0.0]))
         return slopes_of(lambda z: self._force(z[:n], z[n:-1], z[-1]), start)
+
+    def check(self) -> None:
+        """Compare the tangent that was given with the force."""
+        if self._tangent is not None:
+            check_force(self, self._slopes, self._tangent)
 
     def ports_of(self, w: Array, t: float) -> Array:
         """The coordinates."""
