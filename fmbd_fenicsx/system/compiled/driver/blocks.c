@@ -1,14 +1,18 @@
 /* L U of a sparse matrix of d x d blocks whose pattern is that of a group of contacts (graph.c), where what fills is known beforehand.
    Blocks on the diagonal are regular in every order. */
 
-/* y = W x for forces x of a group. */
+/* y = W x at contact i for forces x of a group. */
+static void moved_at(const Problem *o, int d, int i, const double *x, double *y)
+{
+    for (int a = 0; a < d; a++) y[a] = dot(o->own + (i * d + a) * d, x + i * d, d);
+    for (int e = o->first[i]; e < o->first[i + 1]; e++)
+        for (int a = 0; a < d; a++) y[a] += dot(o->W + ((long)e * d + a) * d, x + o->near[e] * d, d);
+}
+
+/* y = W x */
 static void moved_by(const Problem *o, int d, const double *x, double *y)
 {
-    for (int i = 0; i < o->m; i++) {
-        for (int a = 0; a < d; a++) y[i * d + a] = dot(o->own + (i * d + a) * d, x + i * d, d);
-        for (int e = o->first[i]; e < o->first[i + 1]; e++)
-            for (int a = 0; a < d; a++) y[i * d + a] += dot(o->W + ((long)e * d + a) * d, x + o->near[e] * d, d);
-    }
+    for (int i = 0; i < o->m; i++) moved_at(o, d, i, x, y + i * d);
 }
 
 /* C = P W Q + B for blocks P, W, B and a diagonal Q. */

@@ -15,8 +15,8 @@ typedef struct {
     int patience;
 } Attempt;
 
-enum { LAST, WITHIN, NONE }; /* those of the last iteration, of interior points, none */
-static const Attempt ATTEMPTS[] = {{LAST, 1e-8, SHORT}, {WITHIN, 1e-8, LONG}, {LAST, 1e-10, LONG}, {NONE, 1e-9, LONG}, {LAST, 1e-4, LONG}};
+enum { LAST, WITHIN, NONE }; /* those of sweeps from the last ones, of interior points, none */
+static const Attempt ATTEMPTS[] = {{LAST, 1e-6, SHORT}, {WITHIN, 1e-8, LONG}, {LAST, 1e-10, LONG}, {NONE, 1e-9, LONG}, {LAST, 1e-4, LONG}};
 enum { TRIES = sizeof ATTEMPTS / sizeof *ATTEMPTS };
 
 /* A problem (3) with the compliance and the friction of ``of``, and the iterate that was evaluated last. */
