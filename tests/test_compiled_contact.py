@@ -268,8 +268,8 @@ def column(impacts: int) -> Any:
 def test_impacts_that_accumulate_and_classical_steps_are_compiled(
     impacts: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One contact comes to rest after three impacts; the rest of a step with too many is classical, with those closed that would
-    pass through.
+    """A contact whose later impacts are all over within a step comes to rest; the rest of a step with too many is classical, with
+    those closed that would pass through.
     """
     compiled = column(impacts)
     in_numpy(monkeypatch)
@@ -277,7 +277,7 @@ def test_impacts_that_accumulate_and_classical_steps_are_compiled(
     assert compiled.counters["compiled_steps"] == compiled.counters["steps"]
     for count in ("impacts", "accumulations", "contact_steps", "newton_iterations"):
         assert compiled.counters[count] == numpy.counters[count], count
-    assert (numpy.counters["accumulations"] > 0) == (impacts == 20)
+    assert (numpy.counters["accumulations"] > 0) == (impacts > 0)
     for sensor, values in numpy.series.items():
         assert compiled[sensor] == pytest.approx(values, abs=1e-9), sensor
 

@@ -88,7 +88,7 @@ class CompiledMoreauStepper(MoreauStepper):
         x = self.driver.arrays
         books = self.ledger
         self.driver.load(s.t, (s.q, s.v, s.a, s.lam))
-        x["held"][:], x["carrying"][:] = self.impulse.ravel(), self.carrying
+        x["held"][:], x["carrying"][:] = self.carried.ravel(), self.carrying
         x["impulse"][:], x["works"][:] = books.impulse.ravel(), books.work
         self.driver.c.energy, self.driver.c.springs = books.energy, books.springs
         self._tail = s
@@ -97,7 +97,7 @@ class CompiledMoreauStepper(MoreauStepper):
         """The newest state, impulses, books and counts from the driver."""
         driver, books, newton = self.driver, self.ledger, self.newton
         x, c, p = driver.arrays, driver.c, driver.parameters
-        self.impulse = x["held"].reshape(self.impulse.shape).copy()
+        self.carried = x["held"].reshape(self.carried.shape).copy()
         self.carrying = x["carrying"].astype(bool)
         books.impulse, books.work = x["impulse"].reshape(books.impulse.shape).copy(), x["works"].copy()
         books.energy, books.springs = float(c.energy), float(c.springs)

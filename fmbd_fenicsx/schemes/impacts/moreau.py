@@ -12,10 +12,12 @@ flight from the rates r_0 at its start to U_1 their rates are extrapolated from 
     0 <= P _|_ U_0 + U_1 - min(r_0, 0) >= 0                                                                             (4)
 
 so that curved paths cost no energy at first order; slips likewise, by U_0 + U_1 - r_0. One that leaves, r_0 > 0, and is
-pressed back within the flight comes back at its speed, without work. When one contact hits more than three times in a step,
-its impacts accumulate (Zeno): it comes to rest there. When a step has more than ``impacts`` of them, the rest of it is taken
-as classical time stepping: contacts whose gap, extrapolated to the middle, is not positive are closed, with those that would
-else end below zero, and P is the impulse of all that happens.
+pressed back within the flight comes back at its speed, without work. Where all later impacts of a contact are over within a
+step (Zeno), by its speed u, its restitution e and the acceleration a that the last flight presses with, 2 e u <= (1 - e) a h,
+it comes to rest there. A touch that begins and ends a flight nearer than closed contacts drift needs no time of its own: it
+takes part in all of the flight, with its impact. When a step has more than ``impacts`` impacts, the rest of it is taken as
+classical time stepping: contacts whose gap, extrapolated to the middle, is not positive are closed, with those that would else
+end below zero, and P is the impulse of all that happens.
 Energy: P (U_0 + U_1) / 2 = -(1 - e) / 2 P |U_0| <= 0; with friction see :mod:`.restitution`.
 Joints are kept by (2) in the mean, and projected on positions and velocities after the step.
 

@@ -32,7 +32,6 @@ DEEP = 1e-4  # approach in a step from which on a touch is an impact also where 
 SLOW = 1e-8  # approach of a resting contact: this share of the model's length in a step
 STILL = 1e-13  # rate of a contact that does not leave: this share of the model's length in a flight is roundoff
 LOCATING = 6  # attempts to end a step where a contact closes
-REPEATS = 3  # impacts of one contact in a step before it comes to rest
 
 
 class MoreauStepper(ContactStepper):
@@ -40,17 +39,18 @@ class MoreauStepper(ContactStepper):
 
     keeps: ClassVar = {
         **ContactStepper.keeps,
-        **dict.fromkeys(("impulse", "carrying"), Memory.candidates),
+        **dict.fromkeys(("carried", "carrying"), Memory.candidates),
         **dict.fromkeys(("located", "accumulations"), plain()),
     }
 
     def __init__(self, system: System, solver: StepSolver, newton: Newton, state: State, impacts: int) -> None:
         super().__init__(system, solver, newton, state)
         self._joints = any(b.kind != "frame" for b in system.blocks)
-        self.impulse = np.zeros_like(self.ledger.force)
-        self.carrying = np.zeros(len(self.impulse), dtype=bool)  # contacts with a force that is no impact
+        self.carried = np.zeros_like(self.ledger.force)  # forces of contacts in the last flight
+        self.carrying = np.zeros(len(self.carried), dtype=bool)  # contacts with a force that is no impact
         self.impacts, self.located, self.accumulations = impacts, 0, 0
         self._stations: list[State] = []
+        self._pressing: Array = state.a  # accelerations of the last flight
 
     @property
     def counters(self) -> dict[str, float]:
@@ -61,10 +61,11 @@ class MoreauStepper(ContactStepper):
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
         unchanged.
         """
-        before = self.state, self.impulse, self.carrying, copy(self.ledger)
+        before = self.state, self.carried, self.carrying, copy(self.ledger)
         self._stations = [self.state]
+        self._pressing = self.state.a
         end = self.state.t + h
-        hits = np.zeros(len(self.impulse), dtype=int)
+        rested = np.zeros(len(self.carried), dtype=bool)
         parts = 0
         iterations = 0
         force: Array = np.zeros_like(forces_of(self.state).force)
@@ -72,7 +73,7 @@ class MoreauStepper(ContactStepper):
 
         try:
             while end - self.state.t > 2 * IMPACT * h:
-                part = self._part(end - self.state.t, h, hits, classical=parts >= 2 * self.impacts)
+                part = self._part(end - self.state.t, h, rested, classical=parts >= 2 * self.impacts)
                 self._take(part)
                 self._stations.append(self.state)
                 # forces of the parts, weighted by their shares of the step
@@ -83,7 +84,7 @@ class MoreauStepper(ContactStepper):
                 normal = normal + share * found.normal_force
                 iterations += part.iterations
         except FmbdError:
-            self.state, self.impulse, self.carrying, self.ledger = before
+            self.state, self.carried, self.carrying, self.ledger = before
             raise
 
         self.state = self.ledger.averaged(self.state, end, (force, normal))
@@ -111,8 +112,8 @@ class MoreauStepper(ContactStepper):
         v = state_within(before, after, t, q).v
         return replace(self.state, t=t, q=q, v=v, a=after.a, lam=after.lam)
 
-    def _part(self, left: float, h: float, hits: np.ndarray, *, classical: bool) -> _Step:
-        """The step to the next impact, through it, or to the end; solved. ``hits`` (m,) counts impacts of contacts."""
+    def _part(self, left: float, h: float, rested: np.ndarray, *, classical: bool) -> _Step:
+        """The step to the next impact, through it, or to the end; solved. ``rested`` (m,): contacts whose impacts accumulate."""
         system, contacts, s = self.system, self.contacts, self.state
         candidates(system, contacts, s, left)  # pairs surfaces anew, and refuses to pass through
         # too many impacts in one step: those that come are taken together at its middle
@@ -120,27 +121,64 @@ class MoreauStepper(ContactStepper):
             return self._classical(left)
 
         reach = np.where(self.carrying, DRIFT, TOUCH) * system.length
-        touching = contacts.touch(system, s.t, s.q).gap <= reach
+        gap = contacts.touch(system, s.t, s.q).gap
+        touching = gap <= reach
         slow = SLOW * system.length / h
-        rate = self._rates(touching & ~self.carrying, h)
+        rate = self._rates(touching & ~self.carrying, (s.t, s.q, s.v), h)
 
         hit = rate < -slow
         if hit.any():
-            return self._impact(h, hits, hit, touching)
+            return self._impact(h, rested, hit, touching)
         closed = touching & (rate <= slow)
+        above = (gap > TOUCH * system.length) & (gap <= DRIFT * system.length)
+        bouncing = np.zeros_like(closed)
 
         # a flight up to the next touch, or to the end
+        taking = closed
         while True:
-            step = _Step(self, left, closed)
-            share, which, held = self._next_touch(step, ~closed)
+            step = _Step(self, left, taking, bouncing)
+            if (more := self._slow_touches(step, above & ~taking)).any():
+                bouncing = bouncing | (more & ~self._accumulate(more, step, h))
+                taking = taking | more
+                continue
+
+            share, which, held = self._next_touch(step, ~taking)
             if not held.any():
                 break
             # an impact: of bodies in joints flights end at the touch, and closed at its speed a contact would end far below zero
-            hit = self._rates(held, h) < -(slow if self._joints else DEEP * system.length / h)
+            hit = self._rates(held, (s.t, s.q, s.v), h) < -(slow if self._joints else DEEP * system.length / h)
             if hit.any():
-                return self._impact(h, hits, hit, closed | hit)
-            closed = closed | held
+                return self._impact(h, rested, hit, closed | hit)
+            closed, taking = closed | held, taking | held
         return step if share == 1.0 else self._located(step, share, which)
+
+    def _slow_touches(self, step: _Step, above: np.ndarray) -> np.ndarray:
+        """Contacts (m,) of those right ``above`` their obstacle that end a step in it, by less than closed ones drift.
+
+        They take part in all of it, with their impact, and need no time of their own.
+        """
+        if not above.any():
+            return above
+        end = self._gap_along(step, 1.0)
+        return above & (end < 0.0) & (end >= -DRIFT * self.system.length)
+
+    def _accumulate(self, chosen: np.ndarray, step: _Step | None, h: float) -> np.ndarray:
+        """Which of the chosen contacts (m,), hit at the end of a step (None: now), have all later impacts within a time h (s).
+
+        Flights between them, each e times as long as the one before, take 2 e u / (1 - e) / a: u is the speed of the impact,
+        and a the acceleration that the last flight presses with.
+        """
+        s, contacts = self.state, self.contacts
+        at, pressing = (s.t, s.q, s.v), self._pressing
+        if step is not None:
+            way = step.h * (s.v + 0.5 * (step.v - s.v))
+            at, pressing = (s.t + step.h, self.system.compose(s.q, way), step.v), (step.v - s.v) / step.h
+
+        rows = contacts.rows(self.system, *at[:2], since=(at[0], h)).take(chosen)
+        e, out = rows.restitution, np.zeros_like(chosen)
+        rate = self._rates(chosen, at, h)[chosen]
+        out[chosen] = -2.0 * e * rate <= -(1.0 - e) * h * contacts.times(self.system, rows.N, pressing)
+        return out
 
     def _classical(self, left: float) -> _Step:
         """The rest of a step by classical time stepping.
@@ -152,21 +190,23 @@ class MoreauStepper(ContactStepper):
         middle = self.contacts.touch(system, s.t + left / 2, system.compose(s.q, 0.5 * left * s.v))
         closed = middle.gap <= 0.0
         while True:
-            step = _Step(self, left, closed, bounce=True)
+            step = _Step(self, left, closed, np.ones_like(closed))
             through = ~closed & (self._gap_along(step, 1.0) < -DRIFT * system.length)
             if not self.impacts or not through.any():
                 return step
             closed = closed | through
 
-    def _impact(self, h: float, hits: np.ndarray, hit: np.ndarray, touching: np.ndarray) -> _Step:
-        """A step of almost no length through the impacts of the contacts ``hit``; ``hits`` counts them."""
-        s, contacts = self.state, self.contacts
-        hits += hit
+    def _impact(self, h: float, rested: np.ndarray, hit: np.ndarray, touching: np.ndarray) -> _Step:
+        """A step of almost no length through the impacts of the contacts ``hit``; those that accumulate are told once a step."""
+        contacts = self.contacts
         self.located += int(hit.sum())
-        for i in np.flatnonzero(hit & (hits == REPEATS + 1)):
-            self.accumulations += 1
-            tell_rest(contacts, i, s.t)
-        return _Step(self, IMPACT * h, touching, bounce=hit & (hits <= REPEATS), span=h)
+        rests = self._accumulate(hit, None, h)
+        for i in np.flatnonzero(rests & ~rested):
+            if contacts.pairs[contacts.pair[i]].restitution > 0.0:
+                self.accumulations += 1
+                tell_rest(contacts, i, self.state.t)
+        rested |= rests
+        return _Step(self, IMPACT * h, touching, hit & ~rests, span=h)
 
     def _located(self, step: _Step, share: float, which: int) -> _Step:
         """The step that ends where contact ``which`` closes, first found at a share of ``step``.
@@ -183,7 +223,7 @@ class MoreauStepper(ContactStepper):
         near = self._gap_along(step, (1 - 1e-3) * share)[which]
         slope = (self._gap_along(step, share)[which] - near) / (1e-3 * share)
         for _ in range(LOCATING):
-            step = _Step(self, share * whole, step.closed)
+            step = _Step(self, share * whole, step.closed, step.bouncing)
             q = self._closed_joints(self.system.compose(s.q, 0.5 * step.h * (s.v + step.v)), s.t + step.h)
             gap = self.contacts.touch(self.system, s.t + step.h, q).gap[which]
             if -deepest <= gap <= 0.5 * TOUCH * length or not slope < 0.0:
@@ -191,15 +231,14 @@ class MoreauStepper(ContactStepper):
             share = float(np.clip(share - gap / slope, 0.5 * share, min(2 * share, 1.0)))
         return step
 
-    def _rates(self, chosen: np.ndarray, h: float) -> Array:
-        """Rates of the gaps of the chosen contacts (m,) bool, zero elsewhere, m/s, (m,)."""
+    def _rates(self, chosen: np.ndarray, at: tuple[float, Array, Array], h: float) -> Array:
+        """Rates of the gaps of the chosen contacts (m,) bool at (t, q, v), zero elsewhere, m/s, (m,)."""
         rates = np.zeros(len(chosen))
+        t, q, v = at
         if chosen.any():
-            contacts = self.contacts
-            at = (self.system, self.state.t, self.state.q)
-            rows = contacts.rows(*at, since=(self.state.t, h)).take(chosen)
-            moving = contacts.gap_rate(*at, h)[chosen]
-            rates[chosen] = contacts.times(self.system, rows.N, self.state.v) + moving
+            contacts, system = self.contacts, self.system
+            rows = contacts.rows(system, t, q, since=(t, h)).take(chosen)
+            rates[chosen] = contacts.times(system, rows.N, v) + contacts.gap_rate(system, t, q, h)[chosen]
         return rates
 
     def _start_rates(self, closed: np.ndarray, h: float, normal: Array) -> Array:
@@ -260,9 +299,15 @@ class MoreauStepper(ContactStepper):
         v = self._closed_rates(q, step.v, s.t + h)
         a = (v - s.v) / h
         self.local_error = h * h / 12 * system.max_abs(a - s.a) if not closed.any() else 0.0
-        self.impulse = np.zeros_like(self.impulse)
-        self.impulse[closed] = step.contact.force
-        self.carrying = (self.impulse[:, 0] > 0.0) & ~step.bouncing
+        force = step.contact.force
+        # what contacts carry stays known behind an impact, whose impulses tell nothing of it
+        if step.flies:
+            self.carried = np.zeros_like(self.carried)
+            self.carried[closed] = force / h
+            self._pressing = a
+        self.carrying = np.zeros_like(self.carrying)
+        self.carrying[closed] = force[:, 0] > 0.0
+        self.carrying &= ~step.bouncing
         forces = StepForces(closed, step.rows, step.contact.force / h, s.t + h / 2)
         lam = least(self.solver, s.t + h, q, step.lam)
         self.state = self.ledger.write(State(s.t + h, q, v, a, lam), forces, (step.ev, xi, step.lam), h)
@@ -292,30 +337,22 @@ class MoreauStepper(ContactStepper):
 class _Step(ContactStep):
     """One solved step of length h from the stepper's state: v_1 ``v``, lambda ``lam``, P in ``contact.force``.
 
-    ``closed`` (m,) contacts take part, those in ``bounce`` with restitution, or back at the speed they leave with; None: a
-    flight, in which they stay closed by (4). ``span``: length over which obstacles' motion is measured.
+    ``closed`` (m,) contacts take part, those in ``bouncing`` (m,) with restitution, or back at the speed they leave with; in
+    flights the others stay closed by (4). ``span``: of an impact, over which obstacles' motion is measured.
     """
 
     p: MoreauStepper
 
     def __init__(
-        self,
-        stepper: MoreauStepper,
-        h: float,
-        closed: np.ndarray,
-        *,
-        bounce: np.ndarray | bool | None = None,
-        span: float = 0.0,
+        self, stepper: MoreauStepper, h: float, closed: np.ndarray, bouncing: np.ndarray, *, span: float = 0.0
     ) -> None:
-        super().__init__(stepper, h, stepper.impulse[closed])
-        self.span, self.closed = span or h, closed
+        super().__init__(stepper, h, h * stepper.carried[closed])
+        self.span, self.closed, self.bouncing = span or h, closed, bouncing
+        self.flies = not span
         s, contacts = stepper.state, stepper.contacts
 
         self.v = s.v.copy()
         self.impact: Impact | None = None
-        flight = bounce is None
-        self.bouncing = np.broadcast_to(bool(bounce) if isinstance(bounce, bool | None) else bounce, closed.shape)
-
         self.rows: Rows | None = None
         self.turn: Array | float = 0.0  # of slips with the rows, in half a flight, m/s
 
@@ -327,13 +364,15 @@ class _Step(ContactStep):
             self.rate = contacts.gap_rate(*at, self.span)[closed]
             before = self._openings(s.v)
             back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)
-            rebound = np.where(self.bouncing[closed], back * before[:, 0], 0.0)
-            if flight:
+            bounces = bouncing[closed]
+            rebound = np.where(bounces, back * before[:, 0], 0.0)
+            if self.flies and not bounces.all():
                 start = stepper._start_rates(closed, h, self.rows.normal)
                 start[start[:, 0] > STILL * stepper.system.length / h, 0] = 0.0
-                rebound, self.turn = (before - start)[:, 0], (before - start)[:, 1:]
+                rebound = np.where(bounces, rebound, (before - start)[:, 0])
+                self.turn = np.where(bounces[:, None], 0.0, (before - start)[:, 1:])
             self.impact = Impact(before, rebound)
-        self.contact.impact = None if flight else self.impact
+            self.contact.impact = self.impact if (bounces & (rebound < 0.0)).any() else None
         self.iterations = self.solve()
 
     def _openings(self, v: Array) -> Array:

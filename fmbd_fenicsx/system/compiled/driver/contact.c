@@ -79,8 +79,8 @@ typedef struct {
     int nears, candidates, *near, *listed;    /* pairs near, ascending; all pairs: 1, 2 with its books; */
     int *candidate;                           /* points of these */
     Block here;                               /* where the part of a step begins */
-    int *carrying, *closed, *bouncing, *hits; /* points; hits: impacts in a step */
-    double *held, *force, *normal;            /* points x components: impulses; points x D: mean forces of a step, world axes; */
+    int *carrying, *closed, *bouncing, *hits; /* points; hits: whether impacts accumulate in a step */
+    double *held, *force, *normal;            /* points x components: forces in flights; points x D: mean ones of a step, world axes; */
                                               /* points: their normal parts */
     double *impulse, *works;                  /* pairs x D; 5: see sensors/contact.py */
     double energy, springs, time, last;       /* time: when forces act; last: error of the last part */
@@ -108,7 +108,7 @@ typedef struct {
     double *path;                             /* most + 2 states: the start of a step and the ends of its parts */
     double *own;                              /* for Python: places of the points in a shape's axes, distances, gradients */
     int size, most, done, total;              /* of v; impacts' parts of a step; iterations of a part and of the parts of a step */
-    int parts;                                /* of the last step */
+    int parts, flown;                         /* of the last step; where the last flight of it led to */
     System *system;
     Tally tally;
     int (*python)(int what, int number, double t);

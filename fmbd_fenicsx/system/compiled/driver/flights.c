@@ -1,21 +1,22 @@
 /* Flights of the Moreau scheme: a solved part of a step, where on its parabola the next contact closes, and the state it leads to. */
 
-static const double TOUCHING = 1e-9, STILL = 1e-13; /* as in moreau.py */
+static const double TOUCHING = 1e-9, STILL = 1e-13, INSTANT = 1e-9; /* as in moreau.py */
 enum { LOCATING = 6, SHARES = 13 };
 
-/* Impulses of the m contacts of a part, as forces over the whole step h, and for the books. */
-static void take_forces(Contacts *c, int m, double h)
+/* Impulses of the m contacts of a part of a length, as forces over the whole step h, and for the books. What contacts carry in a flight
+   stays known behind an impact, whose impulses tell nothing of it. */
+static void take_forces(Contacts *c, int m, double length, double h)
 {
-    const int d = c->components;
+    const int d = c->components, impact = length <= INSTANT * h;
     for (int k = 0; k < c->candidates; k++) {
-        memset(c->held + d * c->candidate[k], 0, d * sizeof(double));
+        if (!impact) memset(c->held + d * c->candidate[k], 0, d * sizeof(double));
         c->carrying[c->candidate[k]] = 0;
     }
     for (int k = 0; k < m; k++) {
         int i = c->closed[k];
         const double *f = c->all.f + d * k, *n = c->end.normal + D * i;
         double e[D * D];
-        memcpy(c->held + d * i, f, d * sizeof(double));
+        for (int a = 0; a < d && !impact; a++) c->held[d * i + a] = f[a] / length;
         c->carrying[i] = f[0] > 0 && !c->bouncing[i];
         c->normal[i] += f[0] / h;
         const int slides = c->pair[c->of[i]].shape != LIMIT;
@@ -33,7 +34,7 @@ static void take_forces(Contacts *c, int m, double h)
 static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m, double length, double span)
 {
     const double t = *now.t;
-    const int d = c->components, flight = m && span == length && !c->bouncing[c->closed[0]];
+    const int d = c->components, flight = m && span == length;
     if (m > c->room) return LOOK;
     arrange(c, m);
     if (flight && start_rates(c, now, m, length)) return LOOK;
@@ -49,13 +50,13 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
         double *rows = c->rows + 2 * c->wide * d * k;
         contact_rows(c, i, c->ahead, &c->end, rows);
         if (drifts(c, i, c->ahead, t, length, span, &c->end, c->drift + d * k)) return LOOK;
-        if (flight) turn_slips(c, i, length, rows, now, c->before + d * k, c->drift + d * k);
-        memcpy(c->all.f + d * k, c->held + d * i, d * sizeof(double));
+        if (flight && !c->bouncing[i]) turn_slips(c, i, length, rows, now, c->before + d * k, c->drift + d * k);
+        for (int a = 0; a < d; a++) c->all.f[d * k + a] = length * c->held[d * i + a];
         c->all.mu[k] = o->friction;
         for (int a = 0; a < d; a++)
             c->before[d * k + a] = along(c, i, rows + 2 * c->wide * a, now.v) + (a ? -c->drift[d * k + a] / span : c->rate[i]);
         double back = c->before[d * k] < 0.0 ? o->restitution : 1.0;
-        c->rebound[k] = flight ? c->before[d * k] - (c->rebound[k] > STILL * p[LENGTH] / length ? 0.0 : c->rebound[k]) : c->bouncing[i] ? back * c->before[d * k] : 0.0;
+        c->rebound[k] = c->bouncing[i] ? back * c->before[d * k] : !flight ? 0.0 : c->before[d * k] - (c->rebound[k] > STILL * p[LENGTH] / length ? 0.0 : c->rebound[k]);
         c->rate[i] += c->rebound[k];
     }
     if (s->samples && s->python(SAMPLE, 0, t + 0.5 * length)) return FAILED;
@@ -195,7 +196,7 @@ static int taken(System *s, Contacts *c, double *p, Block now, Block out, int m,
     c->springs = e[3];
     c->works[4] += c->energy - before;
     if (c->loaded) c->works[2] += c->springs - springs, c->works[4] -= c->springs - springs;
-    take_forces(c, m, h);
+    take_forces(c, m, length, h);
     c->time = t + 0.5 * length;
     c->total += c->done;
 

@@ -19,8 +19,7 @@
 #include "flights.c"
 
 enum { BOUNDED = AM }; /* of the parameters: whether obstacles are thin, so that points could pass through */
-static const double APPROACH = 1e-8, DEEP = 1e-4, INSTANT = 1e-9; /* as in moreau.py */
-enum { REPEATS = 3 };
+static const double APPROACH = 1e-8, DEEP = 1e-4; /* as in moreau.py */
 
 /* What rates of gaps at a configuration need: the rows of stops, which are those of the last touch, and the motion of obstacles over
    the span h. 1 where Python failed. */
@@ -80,23 +79,36 @@ static int passes(Contacts *c, Block now, double h)
     return 0;
 }
 
-/* A part of almost no length through the impacts of those that bounce; m contacts take part. One that hits too often comes to rest. */
+/* Where the state after so many parts of a step is kept. */
+static double *station(const System *s, const Contacts *c, int parts) { return c->path + parts * (1 + s->nq + 3 * s->nv + s->rows); }
+
+/* Whether all later impacts of contact i, which hits at a rate, are over within a step: its flights, each e times as long as the one
+   before, take 2 e u / (1 - e) / a under an acceleration. ``row``: of its gap. */
+static int accumulates(const Contacts *c, int i, const double *row, const double *a, double rate, double h)
+{
+    const double e = c->pair[c->of[i]].restitution;
+    return -2.0 * e * rate <= -(1.0 - e) * h * along(c, i, row, a);
+}
+
+/* A part of almost no length through the impacts of those that bounce; m contacts take part. One whose impacts accumulate comes to rest. */
 static int impact(System *s, Contacts *c, double *p, Block now, Block out, int m, double h)
 {
+    const double *pressing = block_at(s, station(s, c, c->flown)).a;
     for (int k = 0; k < c->candidates; k++) {
         const int i = c->candidate[k];
         if (!c->bouncing[i]) continue;
         c->tally.impacts++;
-        if (++c->hits[i] == REPEATS + 1) c->rested[i] = *now.t;
-        c->bouncing[i] = c->hits[i] <= REPEATS;
+        contact_rows(c, i, now.q, &c->now, c->rows);
+        c->bouncing[i] = !accumulates(c, i, c->rows, pressing, along(c, i, c->rows, now.v) + c->rate[i], h);
+        if (!c->bouncing[i] && !c->hits[i] && c->pair[c->of[i]].restitution > 0.0) c->hits[i] = 1, c->rested[i] = *now.t;
     }
     int verdict = solved(s, c, p, now, out, m, INSTANT * h, h);
     return verdict ? verdict : taken(s, c, p, now, out, m, INSTANT * h, h);
 }
 
 /* Contacts that would leave for a moment only take part as well: how many do then, or -1 where Python failed. ``hit``: in joints
-   flights end at the touch, so those that approach take an impact, and they alone are added; so do those without joints that would
-   end far below zero if they were closed at their speed. */
+   flights end at the touch, so those that approach take an impact, and they alone are added to those that touch; so do those without
+   joints that would end far below zero if they were closed at their speed. */
 static int holding(System *s, Contacts *c, double *p, Block now, int m, double h, int *hit)
 {
     const int *open = c->hits + c->points;
@@ -110,11 +122,47 @@ static int holding(System *s, Contacts *c, double *p, Block now, int m, double h
         c->bouncing[i] = along(c, i, c->rows, now.v) + c->rate[i] < -fast;
         *hit |= c->bouncing[i];
     }
+
+    /* slow touches are still to come */
+    for (int k = m - 1; *hit && k >= 0; k--) {
+        const int i = c->closed[k];
+        if (c->carrying[i] || c->now.gap[i] <= TOUCHING * p[LENGTH]) continue;
+        c->bouncing[i] = 0;
+        c->closed[k] = c->closed[--m];
+    }
     for (int k = 0; k < c->candidates; k++) {
         const int i = c->candidate[k];
         if (open[i] == 0 && (!*hit || c->bouncing[i])) c->closed[m++] = i;
     }
     return m;
+}
+
+/* Contacts that a flight brings from above their obstacle into it, by less than closed ones drift: they take part in all of it, with
+   their impact, and need no time of their own. How many more take part then, or -1 where Python failed. */
+static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out, int m, double length, double h)
+{
+    const double near = DRIFTING * p[LENGTH];
+    double *row = c->rows + 2 * c->wide * c->components * m;
+    int *closed = c->hits + c->points, more = 0;
+    if (along_parabola(s, c, now, out, length, 1.0)) return -1;
+    for (int k = 0; k < c->candidates; k++) closed[c->candidate[k]] = 0;
+    for (int k = 0; k < m; k++) closed[c->closed[k]] = 1;
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
+        const double from = c->now.gap[i], to = c->aside.gap[i];
+        if (!closed[i] && from > TOUCHING * p[LENGTH] && from <= near && to < 0.0 && to >= -near) c->closed[m + more++] = i;
+    }
+    if (!more || m + more > c->room) return 0;
+
+    /* rates of moving obstacles take the place of gaps */
+    if (gap_rates(c, c->ahead, *now.t + length, h, c->rate) || along_parabola(s, c, now, out, length, 1.0)) return -1;
+    for (int i = 0; i < s->nv; i++) out.a[i] = (out.v[i] - now.v[i]) / length;
+    for (int k = m; k < m + more; k++) {
+        const int i = c->closed[k];
+        contact_rows(c, i, c->ahead, &c->aside, row);
+        c->bouncing[i] = !accumulates(c, i, row, out.a, along(c, i, row, out.v) + c->rate[i], h);
+    }
+    return more;
 }
 
 /* The rest of a step by classical time stepping: contacts closed in the middle, and after many impacts those that would else end in
@@ -162,6 +210,11 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
 
     for (;;) {
         if ((verdict = solved(s, c, p, now, out, m, length, length))) return verdict;
+        if ((held = slow_touches(s, c, p, now, out, m, length, h)) < 0) return LOOK;
+        if (held) {
+            m += held;
+            continue;
+        }
         if ((verdict = next_touch(s, c, now, out, m, length, &share, &which, &held))) return verdict;
         if (!held) break;
         if ((m = holding(s, c, p, now, m, h, &hit)) < 0) return LOOK;
@@ -192,11 +245,10 @@ static void keep_books(Contacts *c, int back)
     }
 }
 
-/* The state after so many parts of a step. */
+/* The state after so many parts of a step is kept. */
 static void note_part(const System *s, Contacts *c, int parts, const double *state)
 {
-    const size_t size = 1 + s->nq + 3 * s->nv + s->rows;
-    memcpy(c->path + parts * size, state, size * sizeof(double));
+    memcpy(station(s, c, parts), state, (1 + s->nq + 3 * s->nv + s->rows) * sizeof(double));
     c->parts = parts;
 }
 
@@ -205,7 +257,7 @@ static int whole_step(System *s, Contacts *c, double *p, double **ring, int *new
 {
     const double h = p[H], end = *block_at(s, ring[0]).t + h;
     int from = 0, to = 1, verdict, acts = 0;
-    c->total = 0;
+    c->total = c->flown = 0;
     c->here = block_at(s, ring[0]);
     if (begin_list(c, h, p[LENGTH])) return LOOK;
     note_part(s, c, 0, ring[0]);
@@ -216,12 +268,13 @@ static int whole_step(System *s, Contacts *c, double *p, double **ring, int *new
         from = to;
         to = 3 - to;
         note_part(s, c, done + 1, ring[from]);
+        if (*block_at(s, ring[from]).t - *now.t > 2 * INSTANT * h) c->flown = done + 1;
     }
     *block_at(s, ring[from]).t = end;
     for (int k = 0; k < c->candidates; k++) {
         const int i = c->candidate[k];
         acts |= c->normal[i] != 0.0;
-        if (c->hits[i] > REPEATS) c->python(RESTED, i, c->rested[i]);
+        if (c->hits[i]) c->python(RESTED, i, c->rested[i]);
     }
     if (acts) c->tally.steps++, c->tally.newton += c->total;
     p[LOCAL] = fmax(p[LOCAL], c->last);
