@@ -182,12 +182,21 @@ def struck_or_sampled(scene: Scene) -> bool:
     return bool(scene.contacts or scene.limits) or any(f.period is not None for f in scene.forces.values())
 
 
-def left_by_kinks(run: Run, name: str) -> tuple[float, float]:
-    """What a jump of a force within a step may leave in a sensor, and of which order, see :func:`.orders.kink`."""
+def left_by_kinks(run: Run, name: str, order: float | None = None) -> tuple[float, float]:
+    """What a jump of a force within a step may leave in a sensor, and of which order, below a given one or that of the scheme,
+    see :func:`.orders.kink`.
+    """
     if Declared.by(run.scheme).adaptive or struck_or_sampled(run.scene):
         return 0.0, np.inf
-    order = expected_orders(run.scheme, run.scene, run.system)[name]
+    order = expected_orders(run.scheme, run.scene, run.system)[name] if order is None else order
     return max(kink(t, x, order, run.scene.sensors[name].derivative) for t, x in _pieces(run, name))
+
+
+def kinked(run: Run) -> bool:
+    """Whether the records of some sensor show that forces jump, or their slopes do, within its equal steps. What is left may be
+    of the order of the scheme: it is chance all the same, by where in a step a kink falls.
+    """
+    return any(left_by_kinks(run, name, np.inf)[0] > 0.0 for name in run.series)
 
 
 def about_kinks(run: Run, name: str) -> list[Array]:
@@ -208,10 +217,10 @@ def _pieces(run: Run, name: str) -> list[tuple[Array, Array]]:
 
 def _uncertain_by_kinks(run: Run, stated: Statement) -> list[str]:
     """Why a jump of a force within a step may leave more than what is stated; empty where there is none, or the run that tells
-    the error has steps that end there.
+    the error has smaller steps.
     """
     name = stated.sensor
-    if stated.time is None or run.jumps:
+    if stated.time is None or run.halved:
         return []
     error, left = left_by_kinks(run, name)
     if error <= HIDDEN * stated.time:

@@ -53,6 +53,12 @@ def scaled(deviation: Deviation, factor: float) -> Deviation:
     return replace(deviation, values=factor * deviation.values)
 
 
+def at_least(deviation: Deviation, other: Deviation, most: float) -> Deviation:
+    """A deviation, made as large as another one that tells the same less well, but larger by ``most`` at most."""
+    size = deviation.size
+    return scaled(deviation, min(other.size / size, most)) if other.size > size > 0.0 else deviation
+
+
 def sizes(found: dict[str, Deviation]) -> dict[str, float]:
     """Sensor -> largest error."""
     return {name: deviation.size for name, deviation in found.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,29 +14,38 @@ from ..recording.recorder import Recorder
 from ..schedule import StepSchedule, step_schedule
 from .certificate import moving
 from .companion_runs import UNFIT, Compared, StoppedError, again, companion
-from .deviation import Deviation, scaled
+from .deviation import Deviation, at_least, scaled
 from .jumps_in_time import with_break_points
-from .orders import expected_orders, irregular, order_seen, resolved, scattered_order, usable_order
+from .orders import expected_orders, irregular, of_the_scheme, order_seen, resolved, scattered_order, usable_order
 
 NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
 FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an order
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
+MATTERS = 1e-6  # the same of its range, below which nobody minds which one it is
+SCATTERED = 0.5  # orders of one sensor that differ by more agree with that of the scheme by chance
+FURTHER = 1.5  # times what half the step tells that larger ones are believed, where they tell more
 
 
 @dataclass(frozen=True)
 class TimeError:
-    """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion."""
+    """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion;
+    ``halved``: told by one with half the step. ``scatter``: what orders of a sensor by different measures differ by.
+    """
 
     errors: dict[str, Deviation]
     orders: dict[str, float]
     with_others: Compared
+    halved: bool = False
+    scatter: dict[str, float] = field(default_factory=dict)
 
 
-def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> TimeError:
+def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule, *, kinked: bool = False) -> TimeError:
     """Error of each sensor from runs with 2 h and 4 h, and the observed order, see :func:`compare_steps`; collective.
 
-    Where a run with larger steps does not end, or follows another motion in some sensor (:func:`.certificate.irregular`), one
-    with half the step tells the error. Motion that the scheme damps in all runs is not seen.
+    Where a run with larger steps does not end, where the order in some sensor is not that of the scheme, and where forces jump
+    or have kinks that depend on the state (``kinked``), one with half the step tells the error: what these leave in h, 2 h and
+    4 h is chance, by where they fall in a step, and of two such errors the larger step's is the larger one nearly always. Motion
+    that the scheme damps in all runs is not seen.
     Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.4.
     """
     given, coarser = Compared(fine, schedule, problem.scheme), []
@@ -54,39 +63,63 @@ def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule) -> Time
             log.warning("no error estimate: the run with twice the step did not end: %s", error)
             return TimeError({}, {}, given)
 
-    if _irregular(problem.scheme.order, orders, fine, found):
-        found = _by_smaller_steps(problem, given, coarser[:1], orders) or found
+    if not found.halved and (kinked or _irregular(problem.scheme.order, orders, fine, found)):
+        found = _by_smaller_steps(problem, given, coarser[:1], orders, found if kinked else None) or found
     return found if found.with_others is given else replace(found, with_others=coarser[0])
 
 
 def _irregular(highest: int, expected: Mapping[str, int], made: Recorder, found: TimeError) -> bool:
-    """Whether the order of a sensor that moves is not that of the scheme in it, and its error matters."""
+    """Whether the order of a sensor that moves is not that of the scheme in it, or by chance, and its error matters."""
     spans = moving(made.series, made.scene.sensors)
-    return any(
-        irregular((expected[n], highest), found.orders[n], found.errors[n].size / span) for n, span in spans.items()
-    )
+    seen = [n for n, span in spans.items() if found.errors[n].size > MATTERS * span]
+    by_chance = any(found.scatter.get(n, 0.0) > SCATTERED for n in seen)
+    return by_chance or not all(of_the_scheme((expected[n], highest), found.orders[n]) for n in seen)
 
 
 def _by_smaller_steps(
-    problem: Problem, given: Compared, coarser: list[Compared], expected: Mapping[str, int]
+    problem: Problem,
+    given: Compared,
+    coarser: list[Compared],
+    expected: Mapping[str, int],
+    larger: TimeError | None = None,
 ) -> TimeError | None:
-    """Errors of the ``given`` run with the help of one with half its step, None where nothing can be compared; collective.
-
-    |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     p the order of the scheme in the sensor, at most 2            (1)
-
-    For motion of order one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4.
-    """
+    """Errors of the ``given`` run with the help of one with half its step, None where nothing can be compared; collective."""
     schedule = given.schedule
     try:
         finer = again(problem, schedule, 2 * schedule.steps, given.recorder.output.times, whole=False)
     except UNFIT:
         return compare_steps(expected, given, coarser) if coarser else None
+    return by_half(expected, given, finer, coarser=coarser, larger=larger)
+
+
+def by_half(
+    expected: Mapping[str, int],
+    given: Compared,
+    finer: Compared,
+    *,
+    coarser: Sequence[Compared],
+    larger: TimeError | None,
+) -> TimeError:
+    """Errors of the ``given`` run as one with half its step tells them, with the orders that it and some ``coarser`` ones show:
+
+    |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     p the order of the scheme in the sensor, at most 2            (1)
+
+    For motion of order one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks
+    may leave about the same in both: what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this, and all of it
+    where the error is uncertain (:func:`.orders.irregular`).
+    """
     orders = compare_steps(expected, finer, [given, *coarser]).orders
-    return TimeError(_left_by(given, finer.recorder, expected), orders, given)
+    errors = _left_by(given, finer.recorder, expected)
+    if larger is not None:
+        for name, span in moving(given.recorder.series, given.recorder.scene.sensors).items():
+            share, other = errors[name].size / span, larger.errors[name]
+            doubted = irregular((expected[name], given.scheme.order), orders[name], max(share, other.size / span))
+            errors[name] = at_least(errors[name], other, np.inf if doubted else FURTHER)
+    return TimeError(errors, orders, given, halved=True)
 
 
 def _left_by(given: Compared, finer: Recorder, expected: Mapping[str, int]) -> dict[str, Deviation]:
-    """(1) of :func:`_by_smaller_steps`."""
+    """(1) of :func:`by_half`."""
     factors = {name: 1.0 / (1.0 - 2.0 ** -min(p, 2)) for name, p in expected.items()}
     return {name: scaled(_deviation(finer, given.recorder, name), factors[name]) for name in given.recorder.series}
 
@@ -103,7 +136,7 @@ def jump_errors(problem: Problem, given: Compared, jumps: Sequence[float]) -> Ti
     except UNFIT:
         return None
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
-    return TimeError(_left_by(given, finer, expected), dict.fromkeys(finer.series, float("nan")), given)
+    return TimeError(_left_by(given, finer, expected), dict.fromkeys(finer.series, float("nan")), given, halved=True)
 
 
 def compare_steps(
@@ -127,7 +160,7 @@ def compare_steps(
     """
     fine, coarse = given.recorder, coarser[0].recorder
     ratio = given.schedule.steps / coarser[0].schedule.steps
-    errors, orders = {}, {}
+    errors, orders, scatter = {}, {}, {}
     for name in fine.series:
         apart = _deviation(fine, coarse, name)
         p = float("nan") if known is None else known.get(name, float("nan"))
@@ -136,7 +169,8 @@ def compare_steps(
             far = _deviation(coarse, coarser[1].recorder, name)
             here = far.near(apart.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
             ratios = far.size / apart.size, far.mean / apart.mean, here / apart.size
-            p = min(order_seen(*steps, x) for x in ratios)
+            measured = [order_seen(*steps, x) for x in ratios]
+            p, scatter[name] = min(measured), max(measured) - min(measured)
             p = scattered_order(p, expected[name], None if before is None else before.get(name))
         errors[name], orders[name] = scaled(apart, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
 
@@ -144,7 +178,7 @@ def compare_steps(
     seen = {n: orders[n] for n in moves}
     follows = bool(seen) and resolved(seen, expected) and (len(coarser) > 1 or known is not None)
     others = [made for made in coarser if follows and made.schedule.steps >= FEWEST]
-    return TimeError(errors, orders, others[-1] if others else given)
+    return TimeError(errors, orders, others[-1] if others else given, scatter=scatter)
 
 
 def of_order(
@@ -156,10 +190,10 @@ def of_order(
     return {n: scaled(_deviation(given.recorder, coarser.recorder, n), x) for n, x in factors.items()}
 
 
-def equal_steps_error(problem: Problem, made: Compared, jumps: Sequence[float]) -> TimeError:
-    """The error of time of a run with equal steps, within which loads may jump; collective."""
+def equal_steps_error(problem: Problem, made: Compared, jumps: Sequence[float], *, kinked: bool) -> TimeError:
+    """The error of time of a run with equal steps, within which loads may jump, or its records show kinks; collective."""
     found = jump_errors(problem, made, jumps) if jumps else None
-    return found or time_error(problem, made.recorder, made.schedule)
+    return found or time_error(problem, made.recorder, made.schedule, kinked=kinked)
 
 
 def between(fine: Recorder, coarse: Recorder, sensors: Iterable[str]) -> dict[str, Deviation]:

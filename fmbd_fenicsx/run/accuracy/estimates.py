@@ -23,7 +23,7 @@ from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
 from ..time_loop import March
 from .algebra import algebra_error, tighter_run
-from .certificate import HIDDEN, stated_of, uncertain_of
+from .certificate import HIDDEN, kinked, stated_of, uncertain_of
 from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .damped import damped_vibrations
 from .deviation import Deviation, scaled
@@ -38,8 +38,9 @@ if TYPE_CHECKING:
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
 LOOKED_AT = 50  # instants at which runs of a search with steps of their own choice are compared
 CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and reactions are narrow
-# share of its error that a run with a tenth of the tolerance is thought to have left, at least and at most
-TENTH, LEFT = 0.2, 0.6
+TENTH = 0.1  # of a tolerance
+# power of tolerances that errors are thought to fall with at most, and the most that a finer run is thought to have left of one
+FALLS, LEFT = 0.7, 0.6
 TELLING = 1.5  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
 DECADES = 3  # of tolerances that are tried for it
 SHOWN = 4  # jumps in a message
@@ -47,30 +48,31 @@ SATURATION = 1.5  # the error of the finer basis counts as at most a third of th
 
 
 def tolerance_error(
-    problem: Problem, coarse: Recorder, schedule: StepSchedule, instants: int = LOOKED_AT
+    problem: Problem, coarse: Recorder, schedule: StepSchedule, *, instants: int = CERTIFIED_AT, finer_by: float = TENTH
 ) -> dict[str, Deviation]:
     """Error of each sensor by the tolerance of an error-controlled scheme, both runs at the recorded times; collective.
 
     Empty, with a warning, where the second one fails.
 
-        |x_r - x| <= |x_r - x_s| + |x_s - x| <= 1 / (1 - k) |x_r - x_s|,     s = r / 10,     k = (n_r / n_s)^p           (1)
+        |x_r - x| <= |x_r - x_s| + |x_s - x| <= 1 / (1 - k) |x_r - x_s|,     s = f r,     k = (n_r / n_s)^p           (1)
 
-    with n_r, n_s the steps that the runs took and p the order of the scheme in the sensor: multipliers, and all where memories
-    go by the trapezoidal rule, have lower ones than the steps are chosen by. k counts as a fifth at least: errors like r^(2/3)
-    fall to 0.22 of their size. Where steps come in a few sizes only, two tolerances may share one, and agree: s falls on then.
+    with f = ``finer_by``, n_r, n_s the steps that the runs took and p the order of the scheme in the sensor: multipliers, and
+    all where memories go by the trapezoidal rule, have lower ones than the steps are chosen by. k counts as f^0.7 at least:
+    errors like r^(2/3) fall to 0.22 of their size with f = 1/10. Where steps come in a few sizes only, two tolerances may share
+    one, and agree: s falls on then.
     """
     given, rtol = Compared(coarse, schedule, problem.scheme), problem.scheme.rtol
     orders = expected_orders(problem.scheme, problem.scene, problem.system)
     for _ in range(DECADES):
-        rtol = max(0.1 * rtol, FINEST)
+        rtol = max(finer_by * rtol, FINEST)
         try:
             apart, finer = _from_tolerance(problem, given, rtol, instants)
         except UNFIT as error:
-            log.warning("no error estimate: the run with a tenth of the tolerance did not end: %s", error)
+            log.warning("no error estimate: the run with a smaller tolerance did not end: %s", error)
             return {}
         if grown(given, finer) ** problem.scheme.order >= TELLING or rtol == FINEST:
             break
-    left = {n: min(max(grown(given, finer) ** -p, TENTH), LEFT) for n, p in orders.items()}
+    left = {n: min(max(grown(given, finer) ** -p, finer_by**FALLS), LEFT) for n, p in orders.items()}
     return {n: scaled(x, 1.0 / (1.0 - left[n])) for n, x in apart.items()}
 
 
@@ -207,19 +209,20 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
     """The estimates that were asked for; collective."""
     ended = clock.perf_counter()
     if output.estimate_error and not made.schedule.steps:
-        run.state_error("time", tolerance_error(problem, made.recorder, made.schedule, CERTIFIED_AT))
+        run.state_error("time", tolerance_error(problem, made.recorder, made.schedule))
         run.seconds["error estimate"] = clock.perf_counter() - ended
     elif output.estimate_error:
         jumps = _jumps_within(run, made.schedule)
-        found = equal_steps_error(problem, made, jumps)
+        has_kinks = kinked(run)
+        found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
         tight = tighter_run(problem, made, found.errors)
         if tight is not None:
             run.state_error("algebra", algebra_error(made, tight[1]))
             problem, made = tight
-            found = equal_steps_error(problem, made, jumps)
+            found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
         errors, run.damped = with_damped(found.errors, damped_vibrations(problem, made.schedule))
         run.state_error("time", errors)
-        run.observed_order, made = found.orders, found.with_others
+        run.observed_order, run.halved, made = found.orders, found.halved, found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended
 
     if output.estimate_reduction:

@@ -49,10 +49,13 @@ def irregular(orders: tuple[int, int], seen: float, share: float) -> bool:
     """Whether the order that was ``seen`` belongs to another motion than what converges with the ``orders`` of the scheme in the
     sensor and in positions, and the error, as a ``share`` of the range, is large enough to matter.
     """
+    return not of_the_scheme(orders, seen) and share > (LARGE if seen >= FALLING else 0.1 * LARGE)
+
+
+def of_the_scheme(orders: tuple[int, int], seen: float) -> bool:
+    """Whether the order that was ``seen`` may be that of the scheme in the sensor, and in positions; so may one that was not."""
     expected, highest = orders
-    if np.isnan(seen) or SEEN * expected <= seen <= highest + TOO_HIGH:
-        return False
-    return share > (LARGE if seen >= FALLING else 0.1 * LARGE)
+    return bool(np.isnan(seen) or SEEN * expected <= seen <= highest + TOO_HIGH)
 
 
 def usable_order(p: float, order: int) -> float:
@@ -69,7 +72,7 @@ def usable_order(p: float, order: int) -> float:
     return low + min(BETWEEN * (order - low), MOST_BETWEEN) if low < order else order + 0.5 * min(low - order, 1.0)
 
 
-def kink(t: Array, x: Array, order: int, derivative: int) -> tuple[float, float]:
+def kink(t: Array, x: Array, order: float, derivative: int) -> tuple[float, float]:
     """The error that jumps of forces and of their slopes within steps may leave in a series x (n, size) at equally
     spaced t (s), and the order that they leave a scheme of an ``order``; (0, inf) where the series is smooth enough.
     ``derivative``: 0 of places, 1 of velocities, 2 of accelerations. Runs with h, 2 h and 4 h do not tell it: where

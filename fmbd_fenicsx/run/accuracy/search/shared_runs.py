@@ -21,13 +21,17 @@ from ....system.scene.scene import Scene
 from ...built import Built, build
 from ...problem import Problem
 from ...recording.output import Output
+from ...result import Run
 from ...schedule import StepSchedule
 from ...single_run import Solved, Task, run_once
+from ..certificate import kinked
 from ..companion_runs import UNFIT, Compared, again, steps_beside
-from ..deviation import Deviation
-from ..equal_steps import FEWEST, TimeError, between, compare_steps, of_order
+from ..deviation import Deviation, at_least
+from ..equal_steps import FEWEST, FURTHER, TimeError, between, by_half, compare_steps, of_order
 from ..estimates import (
+    LOOKED_AT,
     TELLING,
+    TENTH,
     beyond,
     grown,
     looked_at,
@@ -37,7 +41,7 @@ from ..estimates import (
     tolerance_error,
     usual_power,
 )
-from ..orders import REGULAR, expected_orders, resolved
+from ..orders import REGULAR, TOO_HIGH, expected_orders, resolved
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
@@ -48,6 +52,12 @@ LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
+FEW, REFUSED = (
+    4,
+    0.1,
+)  # steps that are refused on the way to a first size, and share of others, beyond which motion is not smooth
+LOW_ORDER = 2  # of schemes that pass kinks without being stopped by them
+HALF_MORE = 1.5  # ratio of steps of the run with a smaller tolerance that is to tell an error
 
 
 @dataclass(frozen=True)
@@ -183,11 +193,25 @@ class SharedRuns:
     def time_error(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
         """The error by the steps from runs with fewer of them, made where there are none; collective.
 
-        Nobody has to see the order where half of it would be enough.
+        Nobody has to see the order where half of it would be enough. Where records have kinks they tell it by chance, and a run
+        that they find good enough is compared with one of twice as many steps.
         """
         found = self._compared(solved, known, allowed)
+        if found.errors and allowed.share(found.errors) <= allowed.room and kinked(solved.run):
+            found = self._by_half(solved, found)
         self._seen.update(known_orders(found))
         return found
+
+    def _by_half(self, solved: Solved, larger: TimeError) -> TimeError:
+        """The error by one with half the step, beside what ``larger`` ones tell, which counts alone where that does not end."""
+        given = solved.compared
+        steps, have = given.schedule.steps, self._runs[id(solved.problem.scene)]
+        coarser = [have[n] for n in have if n <= steps / NEAREST][:1]
+        try:
+            finer = self._with(solved, 2 * steps)
+        except UNFIT:
+            return larger
+        return by_half(_expected(solved.problem), given, finer, coarser=coarser, larger=larger)
 
     def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
         """See :meth:`time_error`."""
@@ -220,7 +244,10 @@ class SharedRuns:
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
         ratio = steps / coarser[0].schedule.steps
         near_by = ratio < TWICE and not resolved(known_orders(found), orders)
-        far_off = ratio > MORE_THAN_TWICE and astray(given, coarser[0], allowed.sensors)
+        another = astray(given, coarser[0], allowed.sensors) or any(
+            found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors
+        )
+        far_off = ratio > MORE_THAN_TWICE and another
         if near_by or far_off:
             # irregular motion is not judged by steps of nearly the same size, nor by some that follow another one
             half = steps // 2
@@ -283,7 +310,8 @@ class SharedRuns:
             try:
                 have[steps] = again(solved.problem, schedule, steps, solved.compared.recorder.output.times)
             except UNFIT:
-                self._parted[id(scene)] = steps
+                if steps < schedule.steps:
+                    self._parted[id(scene)] = steps
                 raise
         return have[steps]
 
@@ -291,7 +319,8 @@ class SharedRuns:
         """The error by the tolerance of a scheme with error control; collective.
 
         A run with a looser one, the attempt before or one with ten times the tolerance, tells it where it is too large anyway,
-        and where it is not even if errors fell with the least power of tolerances only; in between one with a tenth.
+        and where it is not even if errors fell with the least power of tolerances only; in between one of half as many steps
+        more, and so where :func:`steps_meet_kinks`: what these leave need not fall with the tolerance.
         """
         problem, given = solved.problem, solved.compared
         before = self._before(problem.scene, problem.scheme, given.schedule)
@@ -307,14 +336,21 @@ class SharedRuns:
 
         order = problem.scheme.order
         seen = 0.0 if looser is None else grown(looser[1], given) ** order
+        likely: dict[str, Deviation] = {}
+        follows = given
         if looser is not None and seen >= TELLING:
             apart, loose = looser
             ratio = loose.scheme.rtol / problem.scheme.rtol
             falls = (min(ratio**power, seen) for power in (LEAST_POWER, usual_power(order)))
             least, likely = (of_tolerances(apart, x) for x in falls)
-            if allowed.share(least) <= allowed.room or allowed.share(likely) > allowed.room:
+            enough = allowed.share(least) <= allowed.room
+            if allowed.share(likely) > allowed.room or (enough and not steps_meet_kinks(solved.run)):
                 return TimeError(likely, {}, loose)
-        return TimeError(tolerance_error(problem, given.recorder, given.schedule), {}, given)
+            follows = loose if enough else given
+
+        finer_by = max(HALF_MORE ** -(order + 1.0), TENTH)
+        errors = tolerance_error(problem, given.recorder, given.schedule, instants=LOOKED_AT, finer_by=finer_by)
+        return TimeError({n: at_least(x, likely.get(n, x), FURTHER) for n, x in errors.items()}, {}, follows)
 
     def _before(self, scene: Scene, scheme: Any, schedule: StepSchedule) -> Compared | None:
         """The attempt before with steps of its own choice, where its tolerance is as much looser as tells an error."""
@@ -334,6 +370,15 @@ def astray(given: Compared, coarser: Compared, sensors: Sequence[str]) -> bool:
     series = given.recorder.series
     apart = between(given.recorder, coarser.recorder, sensors)
     return any(x.size > ASTRAY * np.ptp(series[name], axis=0).max(initial=0.0) for name, x in apart.items())
+
+
+def steps_meet_kinks(run: Run) -> bool:
+    """Whether steps of own choice may have met forces that jump, or whose slopes do, by chance well or badly.
+
+    Schemes of high order refuse their steps there again and again, of smooth motion a few; those of order two see little of it.
+    """
+    refused = run.counters.get("rejected: error estimate", 0.0)
+    return refused > FEW + REFUSED * run.counters["steps"] or run.scheme.order <= LOW_ORDER
 
 
 def doubt(order: int) -> float:

@@ -28,12 +28,12 @@ from ...result import Run
 from ...schedule import StepSchedule, step_schedule
 from ...settings import check_tangent, default_scheme
 from ...single_run import Solved
-from ..certificate import HIDDEN, Certificate, left_by_kinks, stated_of
+from ..certificate import Certificate, stated_of
 from ..companion_runs import UNFIT, Compared
 from ..damped import damped_vibrations
-from ..deviation import Deviation, scaled
+from ..deviation import Deviation
 from ..equal_steps import FEWEST, TimeError
-from ..estimates import tolerance_error, warn_of_uncertain, with_damped
+from ..estimates import warn_of_uncertain, with_damped
 from ..shares import (
     AIM,
     SAFE,
@@ -44,7 +44,6 @@ from ..shares import (
     largest_share,
     relative,
     safe,
-    share,
     worst,
 )
 from .next_attempt import (
@@ -59,7 +58,7 @@ from .next_attempt import (
     space_first,
     space_limit,
 )
-from .shared_runs import Allowed, Orders, doubt, known_orders
+from .shared_runs import Allowed, Orders, known_orders
 from .shared_spaces import SharedSpaces
 
 __all__ = ["Attempt", "Relative", "relative", "solve_within"]
@@ -72,7 +71,6 @@ SCOUT, SCOUT_SLENDER = 24, 48
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
 FAILURES = 1  # runs that may fail, each followed by one with a quarter of the step, beside one that came to its end
-OF_JUMPS = 1.0  # order that jumps of forces within steps leave
 SHOWN = 4  # jumps of loads in the table of attempts
 RECORDS = 200  # that runs make at least, so that they can be compared
 
@@ -297,18 +295,8 @@ def _state_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solve
     run.seconds["error estimate"] = clock.perf_counter() - ended
 
     _other_errors(plan, tol, shared, solved, found.with_others)
-    if not plan.steps and found.with_others is not solved.compared and _doubtful(run, tol):
-        run.state_error("time", tolerance_error(solved.problem, solved.compared.recorder, plan.schedule))
     fewest = found.with_others.schedule.steps
     return Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()
-
-
-def _doubtful(run: Run, tol: Tolerance) -> bool:
-    """Whether a run keeps its tolerance if errors go with the usual power of that of its scheme, but not with the least one."""
-    certificate = stated_of(run, tol)
-    time = max(share(certificate, n, x, "time") for n, x in tol.items())
-    likely = worst(certificate, tol)
-    return likely <= SAFE < likely + time * (1.0 / doubt(run.scheme.order) - 1.0)
 
 
 def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> TimeError:
@@ -323,11 +311,10 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked)
     found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
     if plan.steps:
-        found = _with_kinks(run, found, tol, every=solved.compared.recorder.output.every)
         errors, run.damped = with_damped(found.errors, damped_vibrations(solved.problem, solved.compared.schedule))
         found = replace(found, errors=errors)
     run.state_error("time", found.errors)
-    run.observed_order = found.orders
+    run.observed_order, run.halved = found.orders, found.halved
     return found
 
 
@@ -339,18 +326,6 @@ def _reserved(plan: AttemptPlan, shared: SharedSpaces, share_of: Callable[[dict[
     kinds = {"space": meshed_bodies(plan.scene), "modes": modal_bodies(plan.scene)}
     wanted = [kind for kind, bodies in kinds.items() if bodies]
     return sum(min(known.get(kind, AIM / len(wanted)), AIM) for kind in wanted)
-
-
-def _with_kinks(run: Run, found: TimeError, tol: Tolerance, *, every: int) -> TimeError:
-    """No less than what a jump of a force within a step may leave at most: what other steps tell of it is chance. In records
-    of ``every`` so many steps it is as many times larger.
-    """
-    errors, orders = dict(found.errors), dict(found.orders)
-    for name in errors.keys() & tol:
-        most, size = HIDDEN * left_by_kinks(run, name)[0] / every, errors[name].size
-        if most > size > 0.0:
-            errors[name], orders[name] = scaled(errors[name], most / size), OF_JUMPS
-    return replace(found, errors=errors, orders=orders)
 
 
 def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved, made: Compared) -> None:
