@@ -96,10 +96,14 @@ class DriverSolver:
         self.states.let_depend()
         return self.explicit.least(t, q, lam)
 
-    def closed(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
-        """q and v on the constraints in one call; None as above. Nothing is prepared then."""
+    def closed(self, t: float, q: Array, v: Array, metric: Weights = MASSES) -> tuple[Array, Array] | None:
+        """q and v on the constraints in one call, by the least motion in a metric; None as above. Nothing is prepared then."""
         usable, self.ready = self._usable_at(t, q, v), False
-        return self.explicit.closed(t, q, v) if usable else None
+        if not usable or metric.cm != 1.0 or not metric.real:
+            return None
+        if metric != MASSES:
+            self._choose(self.states.at(t, q, v), metric)
+        return self.explicit.closed(t, q, v, metric.cd, metric.ck)
 
     def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
         """The state on the constraints next to q and v in one call, as ExplicitStates; None as above. Fields take new factors."""

@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.serialisation import Remembering, plain
 from ..system.system import System
@@ -20,7 +21,9 @@ from .condensation import StepSolver
 
 DECADE = 3  # real factors for a decade of frequencies
 SAME = 1e-8  # relative difference below which frequencies are the same: steps of one size differ by roundoff
-SETTLED = 4  # times that a frequency is asked for before it gets factors of its own
+SETTLED = (
+    4  # times that a frequency is asked for before it gets own factors, which cost what one to five steps gain by them
+)
 MANY = 32  # frequencies that are remembered
 KEPT = 12  # sets of elastic factors, that of the mass included
 LARGE_KEPT = 5  # the same of large bodies: those of a decade, one more and the mass
@@ -77,6 +80,10 @@ class FrequencySolvers(Remembering):
         if count > SETTLED and self._possible and not self.real.core.redundant:
             return FrequencySolver.of(self._complex if s.imag else self.real, s, True)
         return FrequencySolver.of(self.real, complex(nearest), False)
+
+    def expect(self, s: Array) -> None:
+        """Frequencies (p,) that every step will ask for: they get their own factors at once."""
+        self.asked += [(complex(x), SETTLED) for x in s]
 
     def _noted(self, s: complex) -> tuple[complex, int]:
         """A frequency as it was asked for first, and how often it has been, with this time."""

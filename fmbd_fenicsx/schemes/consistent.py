@@ -410,8 +410,8 @@ def project(system: System, state: State, solver: StepSolver, metric: Weights = 
     """The state with q, then v, moved on the constraints in a metric, the first two of (1); a and lambda kept; collective."""
     if not system.n_lam:
         return state
-    driver = None if metric != MASS else solver.driver
-    found = None if driver is None else driver.closed(state.t, state.q, state.v)
+    driver = solver.driver
+    found = None if driver is None else driver.closed(state.t, state.q, state.v, metric)
     if found is not None:
         return State(state.t, *found, state.a, state.lam)
 

@@ -26,6 +26,7 @@ from ..rotations import Array
 from ..system.serialisation import Memory, Remembering, plain
 from ..system.system import State, System
 from ..system.tangents.linearise import Sizes
+from .prescribed_ways import openings
 from .rigid_motions import RigidMotions
 
 EPS = float(np.finfo(float).eps)
@@ -244,11 +245,8 @@ class NormOfWays(ErrorNorm):
         s = self.system
         if not s.n_lam:
             return
-        times = state.t + span * np.array([0.0, *self.PLACES])
-        held = [np.tile(x, (len(times), 1)) for x in (state.q, state.v)]
-        now, *later = s.batch(times, *held).constraint()
-        opened = np.abs(s.row_units * (np.array(later) - now)).max(initial=0.0)
-        self.way = max(self.way, float(opened) / s.length)
+        opened = openings(s, state, state.t + span * np.array(self.PLACES))
+        self.way = max(self.way, float(opened.max(initial=0.0)) / s.length)
 
     def judged(self, state: State) -> Array:
         """(1), with the state among those that were reached."""

@@ -40,6 +40,7 @@ class Spins:
         """``silent``: of a run that warns of nothing."""
         self.system = system
         self.bodies: list[tuple[int, Any]] = [] if silent else _unstiffened(system)
+        self._slow: dict[int, float] = {}  # of bodies that were looked at, rad/s: below it nothing is to be said of one
 
     def most(self, steps: int) -> int:
         """So many of all steps at most between two looks."""
@@ -49,7 +50,9 @@ class Spins:
         """Warn once of each body whose stress of inertia forces is not small; collective."""
         for k, part in list(self.bodies):
             spin = self._spin(part, state)
-            if spin <= _slowest(part):
+            if k not in self._slow:
+                self._slow[k] = _slowest(part)
+            if spin <= self._slow[k]:
                 continue
             ev = self.system.at(state.t, state.q, state.v)
             first = held_frequency(ev, k, part)

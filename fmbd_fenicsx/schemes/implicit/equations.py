@@ -43,8 +43,8 @@ class Equations(Remembering):
         """Local coordinates about the state."""
         raise NotImplementedError
 
-    def keep_sizes(self) -> None:
-        """Steps keep to a few sizes, those of :meth:`step_size`."""
+    def keep_sizes(self, *, equal: bool) -> None:
+        """Steps keep to a few sizes, those of :meth:`step_size`, or to that of the first one."""
 
     def step_size(self, h: float) -> float:
         """The size (s) that a step of about h has."""

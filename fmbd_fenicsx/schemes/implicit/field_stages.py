@@ -122,6 +122,7 @@ class FieldEquations(Equations):
         self.solvers = FrequencySolvers(system, solver)
         self.trusted = True  # whether exact factors of a frequency need no iteration
         self.size_anchor: float | None = None  # first step of the grid, s
+        self._equal = False  # whether all steps, of which none was made so far, are to have one size
         self._estimates = False  # whether steps end with :meth:`consistent_start`
         self.metric = MASS  # of the corrections N c: the matrix P of the step
         self._last_metric = MASS  # of the step before: its errors across the constraints are of least size in it
@@ -163,9 +164,9 @@ class FieldEquations(Equations):
                 self.consistent_start(state)
         self.origin = state.q
 
-    def keep_sizes(self) -> None:
-        """Steps keep to a few sizes, as :meth:`step_size` does: factors of these pay."""
-        self.solvers.settles = True
+    def keep_sizes(self, *, equal: bool) -> None:
+        """Steps keep to a few sizes, as :meth:`step_size` does, or to that of the first one: factors of these pay."""
+        self.solvers.settles, self._equal = True, equal
 
     def step_size(self, h: float) -> float:
         """The largest step of a geometric grid that is hardly above h (s): few sizes, whose factors are kept."""
@@ -307,4 +308,7 @@ class FieldEquations(Equations):
 
     def pencil(self, tangent: FieldTangent, s: Array, judge: Judge) -> FieldStages:
         """Solver of (2) for the frequencies s, (p,)."""
+        if self._equal:
+            self.solvers.expect(s)
+            self._equal = False
         return FieldStages(self, tangent, s, judge)

@@ -22,17 +22,19 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ...system.tangents.foretold_efforts import foretold_efforts
 from ..consistent import MASS, project, worst_block
-from ..control import ROUNDOFF, STAGNATION, Statistics, StepControl
+from ..control import ROUNDOFF, STAGNATION, Statistics, StepControl, first_step
 from ..dae import Points
 from ..declared import Declared
 from ..error_norm import EPS, ErrorNorm
 from ..newton import Newton
+from ..prescribed_ways import time_for_way
 from .convergence import CAUSES, GOES_ON, Convergence, Rates, judge_increment
 from .implicit_march import ImplicitMarch
 from .stage_iteration import StageIteration
 from .step_equations import step_equations
 
 OPEN = 1e-6  # of the model's length
+FIRST_WAY = 0.5  # of what rtol lets a first step move, as first_step has it
 STILL = 16.0  # roundings of the model's length
 
 
@@ -110,6 +112,13 @@ class ImplicitStepper(ImplicitMarch):
             return within
         closed = project(self.system, within, self.solver, self._metric(h))
         return closed if 1 in levels else replace(closed, v=within.v)
+
+    def _first_size(self, order: float, limit: float) -> float:
+        """The size (s) that a run under error control begins with, of a method of this order; collective."""
+        self.norm.update(self.state, limit)
+        found = first_step(self.norm, self.state, order, limit)
+        way = FIRST_WAY * self.norm.rtol ** (1.0 / order) * self.system.length
+        return time_for_way(self.system, self.state, found, way)
 
     def _metric(self, h: float) -> Weights:
         """In which motions within a step of h (s) are least: that of a step, where bodies deform."""

@@ -33,7 +33,7 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ...system.tangents.step_tangent import StepTangent
 from ..consistent import accelerations
-from ..control import StepControl, first_step, lands, moves, turn_limit, turns_too_far
+from ..control import StepControl, lands, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_tolerance
 from ..implicit.implicit_stepper import ImplicitStepper
@@ -157,8 +157,7 @@ class BDFStepper(Corrector):
         farthest = turn_limit(self.system, s, steps=self.k + 1)
         self.control.span = max(self.control.span, limit)
         if self.proposed is None:
-            self.norm.update(s, limit)
-            self.proposed = 0.1 * first_step(self.norm, s, 2.0, limit)
+            self.proposed = 0.1 * self._first_size(2.0, limit)
             newest = self.past[0]
             self.past = [newest, before(self.system, s, min(self.proposed, limit), newest.mult)]
 

@@ -32,7 +32,7 @@ from ...system.serialisation import Memory, plain
 from ...system.system import State, System
 from ...system.tangents.step_tangent import StepTangent
 from ..consistent import accelerations
-from ..control import StepControl, first_step, lands, moves, turn_limit, turns_too_far
+from ..control import StepControl, lands, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_controlled
 from ..implicit.implicit_stepper import ImplicitStepper
@@ -103,7 +103,7 @@ class RadauStepper(StageNewton):
         self._eta, self._h_rate = 1.0, 0.0
         self._last: tuple[float, Array, Array, Points] | None = None
         self.eq.weigh(state)
-        self.eq.keep_sizes()
+        self.eq.keep_sizes(equal=not self.adaptive)
 
     def remember(self, m: Memory) -> None:
         """With the last collocation polynomial and the tangent, whose factors are made again."""
@@ -139,8 +139,7 @@ class RadauStepper(StageNewton):
         # coordinates on the tangent space of the start end after a quarter turn; many stages share one tangent that long
         farthest = turn_limit(self.system, s, steps=self.turning)
         if self.proposed is None:
-            self.norm.update(s, limit)
-            self.proposed = first_step(self.norm, s, self.control.order, limit)
+            self.proposed = self._first_size(self.control.order, limit)
 
         h, points, error = self._passing(limit, farthest)
         self.local_error = error

@@ -108,7 +108,7 @@ EXPORT int driver_least(System *s, int factored, double t, long count, const dou
     return DONE;
 }
 
-/* The smallest change of twists, in the mass metric, that closes the rows by ``open``: with the factor as it is. */
+/* The smallest change of twists, in the metric of the factor at hand, that closes the rows by ``open``. */
 static double closing_change(System *s, const double *open, double *x, double *y)
 {
     memset(s->b, 0, s->nu * sizeof(double));
@@ -117,18 +117,28 @@ static double closing_change(System *s, const double *open, double *x, double *y
     return largest_of(s->units, x, s->nv);
 }
 
-/* q (``places``), then v, moved onto the constraints in the mass metric, as project() of schemes/consistent.py. The factor of the
-   first configuration serves as long as each correction is a hundred times smaller than the one before. ``room``: nv + rows + nq. */
-EXPORT int driver_close(System *s, int places, double t, double length, double *q, double *v, double *room)
+/* What rows leave open at a state, and, ``anew``, the factor of M + cd C + ck K there, without reactions. ``room``: nv + rows. */
+static int look_at(System *s, int anew, double cd, double ck, double t, const double *q, const double *v, double *room)
+{
+    const int strained = cd != 0.0 || ck != 0.0;
+    int verdict;
+    memset(room, 0, (s->nv + s->rows) * sizeof(double));
+    if (anew && strained && (verdict = evaluate(s, q, v, room, room + s->nv, t))) return verdict;
+    if ((verdict = place(s, q, v))) return verdict;
+    drift(s);
+    return anew ? prepare(s, q, cd, ck, room + s->nv, 0, t) : DONE;
+}
+
+/* q (``places``), then v, moved onto the constraints in the metric of M + cd C + ck K, as project() of schemes/consistent.py. The factor
+   of the first configuration serves as long as each correction is a hundred times smaller than the one before. ``room``: nv + rows + nq. */
+EXPORT int driver_close(System *s, int places, double t, double length, double cd, double ck, double *q, double *v, double *room)
 {
     double *x = room, *y = x + s->nv, *moved = y + s->rows, asked = NAN, last = INFINITY, size;
     int verdict = sample(s, t, &asked), anew = 1;
     if (verdict) return verdict;
 
     for (int k = 0; places && k < CLOSED; k++) {
-        if ((verdict = place(s, q, v))) return verdict;
-        drift(s);
-        if (anew && (verdict = prepare(s, q, 0.0, 0.0, y, 0, t))) return verdict;
+        if ((verdict = look_at(s, anew, cd, ck, t, q, v, room))) return verdict;
         size = closing_change(s, s->gap, x, y);
         if (!(size < INFINITY)) return NEWTON;
         configuration(s, q, x, moved);
@@ -141,9 +151,7 @@ EXPORT int driver_close(System *s, int places, double t, double length, double *
 
     last = INFINITY;
     for (int k = 0; k < CLOSED; k++) {
-        if ((verdict = place(s, q, v))) return verdict;
-        drift(s);
-        if (anew && (verdict = prepare(s, q, 0.0, 0.0, y, 0, t))) return verdict;
+        if ((verdict = look_at(s, anew, cd, ck, t, q, v, room))) return verdict;
         size = closing_change(s, s->slip, x, y);
         if (!(size < INFINITY)) return NEWTON;
         add(v, 1.0, x, s->nv);
@@ -157,7 +165,7 @@ EXPORT int driver_close(System *s, int places, double t, double length, double *
 /* The end of a step: q and v moved onto the constraints, then a and lambda there; ``room`` as of both. */
 EXPORT int driver_arrive(System *s, int places, double t, double length, double *q, double *v, double *a, double *lam, double *room)
 {
-    int verdict = driver_close(s, places, t, length, q, v, room);
+    int verdict = driver_close(s, places, t, length, 0.0, 0.0, q, v, room);
     return verdict ? verdict : accelerate(s, t, length, q, v, a, lam, room, 0);
 }
 

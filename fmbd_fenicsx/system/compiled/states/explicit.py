@@ -76,11 +76,11 @@ class ExplicitStates:
         states.hold(t, q, np.zeros(states.system.n_v), new=not known)
         return lam
 
-    def closed(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
-        """q, then v, moved onto the constraints by the smallest change in the mass metric."""
+    def closed(self, t: float, q: Array, v: Array, cd: float = 0.0, ck: float = 0.0) -> tuple[Array, Array] | None:
+        """q, then v, moved onto the constraints by the smallest change in the metric M + cd C + ck K."""
         twin = self.states.twin
         q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
-        made = self._ask(self.states.library.driver_close, (True, t, self.system.length), (q, v))
+        made = self._ask(self.states.library.driver_close, (True, t, self.system.length, cd, ck), (q, v))
         return (twin.places(q), twin.forces(v)) if made else None
 
     def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
