@@ -16,12 +16,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..rotations import Array
+from ..system.compiled.declarations import constants, enumeration
 from ..system.system import System
 
-POOR = 0.1  # an increment of the tangent, over the one made before, above which (1) is taken
-DEPTH = 10  # pairs at most
-ALIKE = 1e-6  # share of an image that the earlier ones do not have, below which it tells nothing
-LEARNT = 4  # pairs without which the rate tells nothing of the tangent
+# an increment of the tangent, over the one made before, above which (1) is taken; share of an image that the earlier ones do not
+# have, below which it tells nothing
+POOR, ALIKE = constants("secants.c", "POOR", "ALIKE")
+DEPTH, LEARNT = enumeration("PAIRS", "secants.c").values()  # pairs at most; those without which the rate tells nothing
 
 
 class Secants:

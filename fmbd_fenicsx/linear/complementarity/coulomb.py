@@ -20,17 +20,18 @@ import numpy as np
 
 from ...errors import ConvergenceError
 from ...rotations import Array
+from ...system.compiled.declarations import constants
 from .active_set import ContactCounts, solve_least
 
 ATTEMPTS = ((0, 0.0), (0, 1e-4), (8, 1e-4), (16, 1e-4))
 """Tried in turn: facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""
-FOUND = 1e-12  # residual of a solution, of the largest force
-ACCEPTED = 1e-10  # the same where roundoff in W (an elastic step of many wave transits) allows no better
+# residual of a solution, of the largest force; the same where roundoff in W (an elastic step of many wave transits) allows no
+# better; share of a Newton step below which the line search takes it
+FOUND, ACCEPTED, SHORTEST = constants("friction.c", "FOUND", "ACCEPTED", "SHORTEST")
 PAINLEVE = (
     " With large friction coefficients no solution with finite forces may exist (Painleve); use the Moreau scheme, which has "
     "impacts, or a smaller dt."
 )
-SHORTEST = 1e-2  # share of a Newton step below which the line search takes it
 
 
 def solve_friction(

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from functools import cache
 
-from ...system.compiled.declarations import fields_of
+from ...system.compiled.declarations import fields_of, structure_of
 
 SOURCE, PARTS = "contact.c", "parts.h"
 
@@ -60,7 +59,6 @@ class Contacts(ctypes.Structure):
     )  # fmt: skip
 
 
-@cache
 def structure(name: str, dim: int) -> type[ctypes.Structure]:
     """The structures ``Mover`` and ``Pair``, in the plane or in space."""
-    return type(name, (ctypes.Structure,), {"_fields_": fields_of(SOURCE, name, dim)})
+    return structure_of(SOURCE, name, dim)

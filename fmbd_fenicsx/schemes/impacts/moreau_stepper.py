@@ -14,6 +14,7 @@ from ...linear.condensation import StepSolver, Weights
 from ...linear.redundancy import least
 from ...mechanics.contact.rows import Rows, tangents_of
 from ...rotations import Array
+from ...system.compiled.declarations import constants, enumeration
 from ...system.sensors.contact import forces_of
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
@@ -25,13 +26,14 @@ from .contact_newton import ContactStep, openings
 from .contact_stepper import ContactStepper
 from .restitution import Impact
 
-IMPACT = 1e-9  # length of an impact, as a share of the step
-TOUCH = 1e-9  # gap of a closed contact, as a share of the model's length
+# length of an impact, as a share of the step; gap of a closed contact, as a share of the model's length; rate of a contact that
+# does not leave: this share of the model's length in a flight is roundoff
+IMPACT, TOUCH, STILL = constants("flights.c", "INSTANT", "TOUCHING", "STILL")
 DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
-DEEP = 1e-4  # approach in a step from which on a touch is an impact also where a closed contact would only drift
-SLOW = 1e-8  # approach of a resting contact: this share of the model's length in a step
-STILL = 1e-13  # rate of a contact that does not leave: this share of the model's length in a flight is roundoff
-LOCATING = 6  # attempts to end a step where a contact closes
+# approach in a step from which on a touch is an impact also where a closed contact would only drift; that of a resting contact:
+# this share of the model's length in a step
+DEEP, SLOW = constants("moreau.c", "DEEP", "APPROACH")
+LOCATING = enumeration("LOCATING", "flights.c")["LOCATING"]  # attempts to end a step where a contact closes
 
 
 class MoreauStepper(ContactStepper):

@@ -24,11 +24,12 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
+from ...system.compiled.declarations import constants, enumeration
 
-ADDED = 1e-9  # work in an impact, of its terms, that is more than roundoff, and than what a Newton iteration changes
-CLOSE = 1e-10  # the same where a share is found
-NARROW = 1e-12  # shares of the rebound that are one
-TRIED = 40  # shares of the rebound at most
+# work in an impact, of its terms, that is more than roundoff, and than what a Newton iteration changes; the same where a share is
+# found; shares of the rebound that are one
+ADDED, CLOSE, NARROW = constants("impulses.c", "ADDED", "CLOSE", "NARROW")
+TRIED = enumeration("TRIED", "impulses.c")["TRIED"]  # shares of the rebound at most
 
 
 @dataclass

@@ -18,6 +18,7 @@ from ...linear.residual import Judge
 from ...linear.saddle.pencil import Pencil
 from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
+from ...system.compiled.declarations import constants
 from ...system.compiled.states.points import Metric
 from ...system.compiled.states.stage_patterns import StageStructure
 from ...system.compiled.states.stages import StageRoom
@@ -31,7 +32,7 @@ from ...system.tangents.step_tangent import StepTangent
 from ...system.tangents.stiff_ties import StiffTies
 from ..dae import Form
 
-TURNED = 1e-6  # rad and m, of differences of rates
+(TURNED,) = constants("tangent.c", "TURNED")  # rad and m, of differences of rates
 Lower = Callable[[EvaluationBatch], Array]  # the lower rows of many states
 
 

@@ -1,4 +1,4 @@
-"""What the sources of the driver declare, read from them: the numbers of enumerations, the fields of structures.
+"""What the sources of the driver declare, read from them: the numbers of enumerations, constants, the fields of structures.
 
 Each of these is written once, in C.
 """
@@ -21,6 +21,7 @@ _NUMBERS = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_doubl
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _BY_DIMENSION = re.compile(r"#if DIM == 3\n(.*?)#else\n(.*?)#endif", re.DOTALL)
 _ENUMERATION = re.compile(r"\benum \{([^}]*)\}")
+_REAL = re.compile(r"static const double ([^;{]*);")
 _STRUCTURE = re.compile(r"typedef struct\b[^{}]*\{([^{}]*)\} (\w+);")
 _FUNCTION = re.compile(r"\(\*(\w+)\)\(")
 _DECLARATION = re.compile(r"(?:(?:const|struct|signed|unsigned)\s+)*(\w+)\s*(.*)", re.DOTALL)
@@ -75,6 +76,18 @@ def enumeration(first: str, file: str = TABLES) -> dict[str, int]:
     return _enumerations(file, 3)[first]
 
 
+@cache
+def _reals(file: str) -> dict[str, str]:
+    """The constants of a source that are real numbers, as they are written."""
+    pairs = (one.split("=") for group in _REAL.findall(_text(file, 3)) for one in group.split(","))
+    return {name.strip(): value.strip() for name, value in pairs}
+
+
+def constants(file: str, *names: str) -> tuple[float, ...]:
+    """Real numbers that an algorithm in Python shares with the one in a source."""
+    return tuple(float(_reals(file)[name]) for name in names)
+
+
 def fields_of(file: str, name: str, dim: int = 3, **parts: Any) -> list[tuple[str, Any]]:
     """Names and types of the fields of a structure; ``parts``: the types of structures within it, by their names in C."""
     known = {**_constants(TABLES, dim), **_constants(file, dim)}
@@ -92,3 +105,9 @@ def fields_of(file: str, name: str, dim: int = 3, **parts: Any) -> list[tuple[st
             kind: Any = ctypes.c_void_p if pointer else _NUMBERS.get(declared[1]) or parts[declared[1]]
             fields.append((field, kind * _value(size, known) if size else kind))
     return fields
+
+
+@cache
+def structure_of(file: str, name: str, dim: int = 3) -> type[ctypes.Structure]:
+    """A structure without others in it, in the plane or in space."""
+    return type(name, (ctypes.Structure,), {"_fields_": fields_of(file, name, dim)})

@@ -14,7 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LANES = 4  # columns of fronts begin at whole vectors of the processor
+from .declarations import enumeration
+
+LANES = enumeration("LANES", "factor.c")["LANES"]  # columns of fronts begin at whole vectors of the processor
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..system import State, System
 from .blocks import block_size, state_of
-from .declarations import TABLES, fields_of
+from .declarations import TABLES, fields_of, structure_of
 from .tables.structures import address_of, zeros_of
 
 if TYPE_CHECKING:
@@ -155,14 +155,8 @@ class _Tape(ctypes.Structure):
     _fields_ = fields_of(TABLES, "Tape")
 
 
-# what events are about, ``Crossing`` of tables.h
-INTEGERS, NUMBERS = ("stride", "direction"), ("scale", "level", "before")
-CROSSING = np.dtype([("at", np.uintp), *((x, int) for x in INTEGERS), *((x, float) for x in NUMBERS)])
-
-# what grows with every record, ``Series`` of tables.h
-SERIES = np.dtype(
-    [("at", np.uintp), *((x, int) for x in ("stride", "apart", "width")), ("scale", float), ("to", np.uintp)]
-)
+# what events are about, and what grows with every record
+CROSSING, SERIES = (np.dtype(structure_of(TABLES, name)) for name in ("Crossing", "Series"))
 KINDS = "kinetic", "elastic", "weight", "springs"  # of energies
 MOST = 10_000_000  # records between two visits where all goes into series
 

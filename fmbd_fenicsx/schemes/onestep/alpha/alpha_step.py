@@ -13,6 +13,7 @@ from ....errors import LinearSolveError
 from ....linear.condensation import StepSolver, Weights
 from ....mechanics.forces.force_elements import ScalarLoads
 from ....rotations import Array
+from ....system.compiled.declarations import constants
 from ....system.evaluation import Evaluation
 from ....system.speed_rows import gaps, speed_rows
 from ....system.system import State
@@ -25,7 +26,7 @@ from ...secants import Secants
 FAR = 1e-4
 # rate above which force elements get a new tangent: a stiff spring has its true tension, and with it its
 # stiffness across, only after the first increment
-SLOW_TURN = 0.01
+(SLOW_TURN,) = constants("alpha.c", "SLOW_TURN")
 SLOW = 0.1  # rate above which gaps of roundoff may be what keeps increments from falling
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
 

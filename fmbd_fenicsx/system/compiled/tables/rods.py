@@ -9,12 +9,14 @@ import numpy as np
 
 from ....mechanics.rods.elements import RodElements
 from ....mechanics.rods.sections import LinearLaw
+from ..declarations import enumeration
 from .structures import structure
 
 if TYPE_CHECKING:
     from .tables import Tables
 
-LOADED = 12  # numbers of a load on a node: force, moment in world axes, then in axes of its section
+# numbers of a load on a node: force, moment in world axes, then in axes of its section
+LOADED = enumeration("NODES", "rods.c")["LOADED"]
 
 
 class RodTable:

@@ -13,13 +13,12 @@ import numpy as np
 from ....kernel_cache import address_of as address_of
 from ....kernel_cache import addresses_of as addresses_of
 from ....rotations import Array
-from ..declarations import TABLES, fields_of
+from ..declarations import TABLES, enumeration, structure_of
 
 
-@cache
 def structure(name: str, dim: int) -> type[ctypes.Structure]:
     """``Batch``, ``Surface``, ``Body``, ``Front``, ``Rod`` .. or ``System`` of the driver in ``dim`` dimensions."""
-    return type(name, (ctypes.Structure,), {"_fields_": fields_of(TABLES, name, dim)})
+    return structure_of(TABLES, name, dim)
 
 
 @cache
@@ -29,7 +28,9 @@ def array_of(kind: type[ctypes.Structure], count: int) -> Any:
 
 
 LANES = 8  # numbers in a line of the cache
-SECANTS = 23  # vectors of ``driver/secants.c``: of ten pairs, and three more
+SECANTS = (
+    2 * enumeration("PAIRS", "secants.c")["PAIRS"] + 3
+)  # vectors of ``driver/secants.c``: of pairs, and three more
 
 
 def zeros_of(sizes: Mapping[str, int | tuple[int, ...]]) -> dict[str, tuple[Array, int]]:
