@@ -5,6 +5,9 @@ import pytest
 from scipy.optimize import fsolve
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.analysis.vibration.perturbation import Perturbation
+from fmbd_fenicsx.system.compiled.choice import use_driver
+from fmbd_fenicsx.system.system import State
 
 SPAN = 0.8  # between the anchors of a string of length 1, m
 
@@ -79,3 +82,37 @@ def test_chains_hang_straight_down(kind: str, lowest: int, count: int) -> None:
     found = fmbd.equilibrium(scene)
     assert found["end"] == pytest.approx((0.0, -1.0 if kind == "beads" else -1.0 + 0.5 / count), abs=1e-8)
     assert found["pin"] == pytest.approx((0.0, -9.81 * masses.sum()), rel=1e-8, abs=1e-5 * masses.sum())
+
+
+def pushed_rod(push: float, elements: int = 3) -> fmbd.Scene:
+    """A clamped rod whose end is pushed across by a force that turns with it, growing in time."""
+    section = fmbd.RodSection(stiffness=(1e6, 1e6, 1e6, 10.0, 10.0, 10.0), mass=1.0, inertia=(1e-4, 5e-5, 5e-5))
+    rod = fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0)], section, elements=elements, degree=2)
+    scene = fmbd.Scene("pushed", gravity=(0.0, 0.0, -1.0))
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start"), center=(0, 0, 0)))
+    scene.add(fmbd.force("push", rod.surface("end"), lambda t: (0.0, push * t, 0.0), follower=True))
+    scene.sensor("tip", fmbd.position(rod.surface("end")))
+    return scene
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_the_stiffness_of_all_coordinates_is_asked_for_at_once(driven: bool) -> None:
+    """It is that of one after the other, by one call in place of four for each coordinate."""
+    system, given, _ = pushed_rod(80.0).build()
+    if driven:
+        use_driver(system)
+    rng, n = np.random.default_rng(0), system.n_v
+    q = system.compose(given.q, 0.01 * rng.normal(size=n))
+    about = Perturbation(system, State(1.0, q, np.zeros(n), np.zeros(n), rng.normal(size=system.n_lam)))
+    columns = np.diag(1.0 / system.units)
+    each = np.array([about.stiffness(y) for y in columns.T]).T
+    np.testing.assert_allclose(about.stiffness_matrix(columns), each, rtol=0, atol=1e-12 * np.abs(each).max())
+
+
+def test_loads_that_turn_are_raised_step_by_step() -> None:
+    """From the straight rod in one go there is no way, and the message says which there is."""
+    with pytest.raises(fmbd.errors.ConvergenceError, match="LoadSteps"):
+        fmbd.equilibrium(pushed_rod(80.0, elements=2), t=1.0)
+    found = fmbd.equilibrium(pushed_rod(80.0, elements=2), path=fmbd.LoadSteps(tuple(np.linspace(0.1, 1.0, 10))))
+    assert found["tip"][1] == pytest.approx(0.63, abs=0.05)
+    assert repr(found).startswith('<Equilibrium of "pushed": t = 1 s, 11 points of a path, ')

@@ -22,6 +22,7 @@ import numpy as np
 
 from ...errors import ConvergenceError
 from ...rotations import Array
+from ...system.compiled.choice import use_driver
 from ...system.evaluation import Evaluation
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
@@ -54,6 +55,7 @@ def descend(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
     assert not isinstance(spin, BodySpin)
     place = _Place(system, t, _closed(system, t, start.q, np.ones(system.n_v)), spin)
     radius, last = FIRST * system.length, np.inf
+    use_driver(system)
 
     for _ in range(TRIES):
         newton.iterations += 1
@@ -137,6 +139,8 @@ class _Place:
         """By increments as lengths, (n_v, n_v)."""
         about = Perturbation(self.system, State(self.t, self.q, *self._rates, self.lam), self.spin)
         units = self.system.units
+        if self.spin is None:  # at rest: all places at once
+            return about.stiffness_matrix(np.diag(1.0 / units)) / units[:, None]
         return np.array([about.stiffness(e) / units for e in np.diag(1.0 / units)]).T
 
     @cached_property

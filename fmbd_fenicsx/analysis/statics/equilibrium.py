@@ -45,7 +45,7 @@ SAME = 1e-3  # relative change of the force along a free motion there
 PERIODS = 300.0  # of the preconditioner's step, over a bound of elastic periods
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Equilibrium:
     """A scene in equilibrium; sensors are read with ``equilibrium["name"]``.
 
@@ -62,6 +62,13 @@ class Equilibrium:
     spin: Spin | BodySpin | None = None
     path: Path | None = None
     counters: dict[str, int] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        along = "" if self.path is None else f", {len(self.path.points)} points of a path"
+        return (
+            f'<Equilibrium of "{self.scene.name}": t = {self.state.t:g} s{along}, {self.counters["newton_iterations"]} Newton '
+            f"iterations; sensors {', '.join(self.scene.sensors) or 'none'}>"
+        )
 
     def __getitem__(self, sensor: str) -> Array:
         """Value of a sensor, (size,); collective."""
@@ -348,7 +355,8 @@ def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriu
         )
     return (
         f"No static equilibrium was found from the given placement: {error}. The load may be above its limit: "
-        "follow the equilibria with path=fmbd.ArcLength(...), or give a start nearer to the solution."
+        "follow the equilibria with path=fmbd.ArcLength(...); loads that turn with bodies want to grow by themselves, from small "
+        "ones on: path=fmbd.LoadSteps(...). Or give a start nearer to the solution."
     )
 
 

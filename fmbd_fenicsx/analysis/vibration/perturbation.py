@@ -59,6 +59,21 @@ class Perturbation:
         zero = np.zeros_like(y)
         return self._difference(y, (y, self.velocity(y, zero), self.acceleration(y, zero, zero)))
 
+    def stiffness_matrix(self, columns: Array) -> Array:
+        """K Y for columns Y (n_v, m), all states in one call; about a state at rest without contact."""
+        s, m = self.state, columns.shape[1]
+        sizes = np.array([self.system.max_abs(y) for y in columns.T])
+        h = SHIFT * self.system.length / sizes
+        sides, weights = (np.array(x) for x in zip(*SIDES, strict=True))
+        steps = (np.outer(sides, h)[..., None] * columns.T).reshape(len(sides) * m, -1)
+
+        # each column at all of its places
+        count = len(steps)
+        v, a, lam = (np.broadcast_to(x, (count, len(x))) for x in (s.v, s.a, s.lam))
+        ev = self.system.batch(np.full(count, s.t), self.system.compose(s.q, steps), v)
+        forces = ev.balance(a, lam).reshape(len(sides), m, -1)
+        return np.asarray((np.einsum("i,ijk->jk", weights, forces) / (12.0 * h)[:, None]).T)
+
     def damping(self, rate: Array) -> Array:
         """C y', like v: dampers, gyroscopic terms."""
         zero = np.zeros_like(rate)
