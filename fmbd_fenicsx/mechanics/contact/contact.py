@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -148,7 +149,7 @@ class Contact(ScenePart):
     search: float | None = None
     redistribute_mass: bool = True
 
-    @property
+    @cached_property
     def bounces(self) -> bool:
         """Whether its points carry inertia that cannot be taken off: those of rigid bodies, of rods, and of modes."""
         touching = [self.slave, *([self.master] if isinstance(self.master, Surface) else [])]

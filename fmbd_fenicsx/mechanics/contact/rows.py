@@ -243,17 +243,26 @@ class ContactSet:
     @cached_property
     def thickness(self) -> Array:
         """Shortest way through the master of each candidate, m, (m,)."""
-        return np.concatenate([np.full(p.count, p.thickness) for p in self.pairs])
+        return np.array([p.thickness for p in self.pairs])[self.pair]
 
     def pressures(self, force: Array) -> Array:
         """Pressures of normal forces on all candidates, (m,)."""
-        ends = np.cumsum([p.count for p in self.pairs])[:-1]
-        return np.concatenate([p.pressures(f) for p, f in zip(self.pairs, np.split(force, ends), strict=True)])
+        out = force.copy()
+        for p, at in self._on_surfaces:
+            out[at] = p.pressures(force[at])
+        return out
+
+    @cached_property
+    def _on_surfaces(self) -> list[tuple[Any, slice]]:
+        """Pairs whose forces are spread over surfaces, and their candidates."""
+        ends = np.cumsum([p.count for p in self.pairs])
+        pairs = zip(self.pairs, ends, strict=True)
+        return [(p, slice(end - p.count, end)) for p, end in pairs if p.slave.surface is not None]
 
     @cached_property
     def pair(self) -> np.ndarray:
         """Number of the pair of each candidate, (m,)."""
-        return np.concatenate([np.full(p.count, i) for i, p in enumerate(self.pairs)])
+        return np.repeat(np.arange(len(self.pairs)), [p.count for p in self.pairs])
 
     def search(self, now: Array, then: Array, length: float) -> Array:
         """Search distances (m,) from the gaps now and one step ahead: twice the approach, or the pair's own

@@ -54,9 +54,10 @@ def refuse_penetration(system: System, contacts: ContactSet, state: State) -> No
     """Raise InputError when bodies overlap at the start, naming pair and depth; collective."""
     contacts.update(system, state.q, 1e-2 * system.length)
     rows = contacts.touch(system, state.t, state.q)
-    for i, name in enumerate(contacts.names):
-        if not np.isfinite(rows.geometric[contacts.pair == i]).any():
-            log.info('contact "%s": the bodies start outside each other\'s search range', name)
+    near = np.zeros(len(contacts.names), dtype=bool)
+    near[contacts.pair[np.isfinite(rows.geometric)]] = True
+    for i in np.flatnonzero(~near):
+        log.info('contact "%s": the bodies start outside each other\'s search range', contacts.names[i])
     worst = int(np.argmin(rows.geometric))
     depth = -float(rows.geometric[worst])
     if depth > ALLOWED * system.length:

@@ -56,11 +56,11 @@ BOUNDED = slots.AM
 MOST = 1024  # contacts closed at once: a step with more is NumPy's
 
 
-def shape_data(shape: Shape, dim: int) -> tuple[int, Array]:
+def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
     """Kind and numbers of a shape as ``driver/contact.c`` reads them."""
     if type(shape) not in KNOWN:
-        return OWN, np.zeros(0)
-    return KNOWN.index(type(shape)), np.concatenate([np.ravel(x) for x in shape.numbers(dim)])
+        return OWN, []
+    return KNOWN.index(type(shape)), [float(x) for part in shape.numbers(dim) for x in np.ravel(part)]
 
 
 def known(contacts: ContactSet, pair: Any) -> bool:
@@ -197,25 +197,22 @@ class ContactDriver:
 
     def _points(self) -> tuple[np.ndarray, Array]:
         """Bodies that the candidates act on, (m, 2), -1 for none, and places of points in the axes of the first, (m, d)."""
-        on, places = [], []
+        first, second, places = [], [], []
         for one, pair in zip(self.pairs, self.contacts.pairs, strict=True):
+            frames, points, other = pair.slave.frames, pair.slave.points, one.carrier
             if isinstance(pair, LimitPair):
                 # stops act on the two bodies of their joint
-                frames = self.tables.frame[[pair.relative.a[0], pair.relative.b[0]]]
-                on.append(np.tile(self.tables.body_of(frames), (pair.count, 1)))
-                places.append(np.zeros((pair.count, self.tables.dim)))
-                continue
-
-            frames, points = pair.slave.frames, pair.slave.points
-            if pair.slave.surface is not None:
+                a, other = self.tables.body_of(self.tables.frame[[pair.relative.a[0], pair.relative.b[0]]])
+                frames, points = np.full(pair.count, a), np.zeros((pair.count, self.tables.dim))
+            elif pair.slave.surface is not None:
                 trace = self.contacts.traces[pair.slave.trace]
-                nodes = pair.slave.surface.nodes
-                frames = np.full(pair.count, trace.frame)
-                points = trace.X[nodes]
+                frames, points = np.full(pair.count, trace.frame), trace.X[pair.slave.surface.nodes]
 
-            on.append(np.stack((frames, np.full(pair.count, one.carrier)), axis=1))
+            first.append(frames)
+            second.append(other)
             places.append(points)
-        return np.concatenate(on), np.concatenate(places)
+        others = np.array(second)[self.contacts.pair]
+        return np.stack((np.concatenate(first), others), axis=1), np.concatenate(places)
 
     def _pairs(self) -> None:
         """The pairs' structures."""
@@ -241,7 +238,7 @@ class ContactDriver:
     def _obstacle(self, one: Any, pair: ObstaclePair) -> None:
         """Shape and carrier of an obstacle, and the modes of the nodes that may touch it."""
         found = shape_data(pair.shape, self.tables.dim)
-        one.shape, one.data[: len(found[1])] = found[0], list(found[1])
+        one.shape, one.data[: len(found[1])] = found
         if not pair.moving and 0 <= pair.carrier.frame < self.system.n_frames:
             one.carrier = pair.carrier.frame
         elif not pair.moving:

@@ -10,7 +10,6 @@ import numpy as np
 
 from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.shapes import KNOWN
-from ...rotations import Array
 
 
 @dataclass(frozen=True)
@@ -62,12 +61,16 @@ def around_points(pair: Any) -> BodySphere | None:
     """
     if not isinstance(pair, ObstaclePair) or pair.moving or type(pair.shape) not in KNOWN:
         return None
-    if pair.slave.surface is not None or len(set(pair.slave.frames)) != 1:
+    frames, points = pair.slave.frames, pair.slave.points
+    if pair.slave.surface is not None or len(set(frames.tolist())) != 1:
         return None
-    points: Array = pair.slave.points
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    extent = float(np.linalg.norm(points - middle, axis=1).max())
-    return BodySphere(int(pair.slave.frames[0]), tuple(float(x) for x in middle), extent, extent + pair.slave.radius)
+
+    # of balls there may be very many
+    middle, extent = points[0], 0.0
+    if len(points) > 1:
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        extent = float(np.linalg.norm(points - middle, axis=1).max())
+    return BodySphere(int(frames[0]), tuple(middle.tolist()), extent, extent + pair.slave.radius)
 
 
 def around_shape(pair: Any, carrier: int, dim: int) -> BodySphere | None:
@@ -76,4 +79,4 @@ def around_shape(pair: Any, carrier: int, dim: int) -> BodySphere | None:
     if held is None:
         return None
     middle, extent, reach = held
-    return BodySphere(carrier, tuple(float(x) for x in middle), extent, reach)
+    return BodySphere(carrier, tuple(middle.tolist()), extent, reach)
