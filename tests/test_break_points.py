@@ -106,6 +106,31 @@ def test_order_of_schemes_for_contact(scheme: Any) -> None:
     assert (seen > 1.9).all(), seen
 
 
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        fmbd.GeneralizedAlpha(),
+        fmbd.Radau(2, rtol=None),
+        fmbd.BDF(2, rtol=None),  # begins with order one
+        fmbd.schemes.Rattle(),
+        fmbd.EnergyMomentum(),
+    ],
+    ids=lambda x: x.name,
+)
+def test_accelerations_within_the_first_step_behind_a_jump(scheme: Any) -> None:
+    """They lie between those behind it and those of the end of the step; with Rattle the ones before the jump were taken."""
+
+    def run(**settings: Any) -> fmbd.Run:
+        scene = kicked_pendulum()
+        scene.sensor("a", fmbd.acceleration(scene.bodies["lower"]))
+        times = (STOPS[0] - 1e-6, STOPS[0] + 1e-4, STOPS[0] + 3e-3)
+        return fmbd.solve(scene, t_end=0.5, output=fmbd.Output(times=times, energy=False, progress=False), **settings)
+
+    exact, found = run(dt=1e-3, scheme=FINE), run(dt=0.01, scheme=scheme)
+    jump = np.abs(exact["a"][1] - exact["a"][0]).max()
+    assert jump > 4.0 and np.abs(found["a"] - exact["a"]).max() < 0.1 * jump
+
+
 def turned_bar(scheme: Any) -> fmbd.Run:
     """A bar on a pin, at rest up to 0.505 s and turned at 1 rad/s behind, as told by its angle alone."""
     bar = fmbd.RigidBody("bar", 1.0, 1 / 12, position=(0.5, 0.0))

@@ -31,6 +31,7 @@ from ...system.evaluation import Evaluation
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.system import State, System
+from ..consistent import consistent
 from ..dae import positions_refused
 from ..marching import MarchingStepper
 from ..newton import Newton
@@ -89,6 +90,12 @@ class RattleStepper(MarchingStepper):
         """The matrix at ev.q: that of the masses serves the end of a step, its accelerations, and the beginning of the next."""
         if not self.solver.holds(ev, weights):
             self.solver.prepare(ev, weights)
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """Go on with the accelerations behind a jump: records within the next step lie between these and those of its end."""
+        self.state = consistent(self.system, start(), self.solver)[0]
+        self.ahead = np.zeros_like(self.state.a), np.zeros_like(self.state.lam)
+        return True
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails, or h is too long."""

@@ -194,10 +194,12 @@ class SharedRuns:
         """The error by the steps from runs with fewer of them, made where there are none; collective.
 
         Nobody has to see the order where half of it would be enough. Where records have kinks they tell it by chance, and a run
-        that they find good enough is compared with one of twice as many steps.
+        that they find good enough is compared with one of twice as many steps; so is one whose order larger ones do not show,
+        because they do not end.
         """
-        found = self._compared(solved, known, allowed)
-        if found.errors and allowed.share(found.errors) <= allowed.room and kinked(solved.run):
+        found, by_chance = self._compared(solved, known, allowed)
+        by_chance |= kinked(solved.run)
+        if by_chance and found.errors and allowed.share(found.errors) <= allowed.room:
             found = self._by_half(solved, found)
         self._seen.update(known_orders(found))
         return found
@@ -213,8 +215,8 @@ class SharedRuns:
             return larger
         return by_half(_expected(solved.problem), given, finer, coarser=coarser, larger=larger)
 
-    def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
-        """See :meth:`time_error`."""
+    def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> tuple[TimeError, bool]:
+        """See :meth:`time_error`; whether no order was seen where it had to be."""
         given, scene = solved.compared, solved.problem.scene
         steps = given.schedule.steps
         have = self._runs.setdefault(id(scene), {})
@@ -222,9 +224,10 @@ class SharedRuns:
         near = [n for n in earlier if n >= steps / FARTHEST]
 
         if not near and (found := self._from_afar(solved, earlier, allowed)) is not None:
-            return found
+            return found, False
 
-        coarser = []
+        coarser: list[Compared] = []
+        unseen = False
         try:
             coarser.append(self._coarser(solved, max(near) if near else self._wanted(steps, known, bool(earlier))))
             first = coarser[0].schedule.steps
@@ -234,12 +237,13 @@ class SharedRuns:
             elif not known.seen:
                 found = self._unseen(solved, coarser[0], allowed)
                 if found is not None:
-                    return found
+                    return found, False
                 coarser.append(self._with(solved, max(first // 2, 1)))
         except UNFIT as error:
             if not coarser:
                 log.warning("no error estimate: the run with larger steps did not end: %s", error)
-                return TimeError({}, {}, given)
+                return TimeError({}, {}, given), False
+            unseen = not known.seen
         orders, seen = _expected(solved.problem), dict(self._seen)
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
         ratio = steps / coarser[0].schedule.steps
@@ -253,7 +257,7 @@ class SharedRuns:
             half = steps // 2
             farther = max((n for n in have if n <= half / NEAREST), default=max(half // 2, 1))
             found = compare_steps(orders, given, [self._with(solved, n) for n in (half, farther)], before=seen)
-        return found
+        return found, unseen and not known_orders(found)
 
     def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
         """The error by the steps from one run with larger ones, where no order has to be seen: half of that of the scheme would
