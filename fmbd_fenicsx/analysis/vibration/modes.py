@@ -276,7 +276,7 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
     if away > NOTHING * system.length:
         raise InputError(
             f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest and are "
-            f"{f'some {away:.2g} m' if away < system.length else 'far'} away. Take the modes about fmbd.equilibrium(scene)."
+            f"{f'some {away:.2g} m' if away < system.length else 'far'} away. Give at=fmbd.equilibrium(scene)."
         )
 
 

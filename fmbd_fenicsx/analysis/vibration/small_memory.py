@@ -114,7 +114,7 @@ def refuse_moving_memory(about: Perturbation, shift: float) -> None:
         if fast.any() and any(system.max_abs(_pushed(about, x)) > 0.0 for x in _steps(system, elements)):
             raise InputError(
                 f'The scene is not in equilibrium at this state: the memory of "{_name(elements)}" changes with '
-                f"{np.abs(rates).max():.3g} 1/s at rest. Take the modes about fmbd.equilibrium(scene)."
+                f"{np.abs(rates).max():.3g} 1/s at rest. Give at=fmbd.equilibrium(scene)."
             )
 
 
