@@ -33,7 +33,7 @@ def check_constraint(law: PortConstraint, body: Any) -> None:
         return
     for q, v in (places := _places(body)):
         z = np.append(q, 0.0)
-        slope = _known(lambda z=z: law.slope(z))
+        slope = _known(law.slope, z)
         if slope is None:
             continue
         # what is roundoff of a derivative by place, by time, and of a second rate
@@ -44,7 +44,7 @@ def check_constraint(law: PortConstraint, body: Any) -> None:
         if law.rate_ is not None:
             _compare(law, "rate", law.rate(q, 0.0), slope[:, -1], none * fast)
         if law.gamma_ is not None:
-            second = _known(lambda z=z, v=v: _second(law, z, v))
+            second = _known(_second, law, z, v)
             _compare(law, "gamma", law.gamma(q, v, 0.0), second, none * fast**2 / aside)
 
 
@@ -53,7 +53,7 @@ def check_force(part: CoordinatePart, slopes: Slopes, tangent: Callable[..., Any
     n = part.n
     for q, v in (places := _places(part.body)):
         z = np.concatenate((q, v, [0.0]))
-        found = _known(lambda z=z: slopes(z))
+        found = _known(slopes, z)
         if found is None:
             continue
         none = ROUNDOFF * float(np.abs(slopes.function(z)).max(initial=0.0))
@@ -84,10 +84,10 @@ def _second(law: PortConstraint, z: Array, v: Array) -> Array:
     return line_rates(lambda x: law.function(x[:-1], x[-1]), z, np.append(v, 1.0))[1]
 
 
-def _known(found: Callable[[], Array]) -> Array | None:
-    """What a function tells of its derivative; None where it has no value there."""
+def _known(derivative: Callable[..., Array], *at: Any) -> Array | None:
+    """What is told of a derivative; None where it has no value there."""
     try:
-        told = np.asarray(found(), dtype=float)
+        told = np.asarray(derivative(*at), dtype=float)
     except (FmbdError, ArithmeticError, ValueError):
         return None
     return told if np.isfinite(told).all() else None

@@ -121,7 +121,8 @@ def _seated(system: System, state: State, closing: Sequence[tuple[int, int]]) ->
 
 def _memory(origin: Origin, keeper: Any) -> Any:
     """What elements remember that were there, all of their kind; None of others, which begin anew."""
-    owners, before = _owners(keeper), set()
+    owners = _owners(keeper)
+    before: set[Any] = set()
     for one, kept in zip(origin.system.keepers, origin.kept, strict=False):
         if type(one) is type(keeper):
             if _owners(one) == owners:
