@@ -219,3 +219,22 @@ def test_equilibria(name: str) -> None:
         assert counters == found[0][0]
         for sensor, x in found[0][1].items():
             assert np.abs(there[sensor] - x).max() <= 1e-8 * np.abs(x).max(), sensor
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(3, rtol=1e-4), fmbd.GeneralizedAlpha(rtol=1e-4)], ids=lambda s: s.name)
+def test_an_orbit_about_the_origin_of_the_ground(scheme: Any) -> None:
+    """No place but that of one body and the origin: its distance is the length of the model, where 1 m was taken, and 2 740
+    steps of an orbit of megametres in place of 60.
+    """
+
+    def run(length: float, time: float) -> tuple[float, np.ndarray]:
+        scene, pull = fmbd.Scene("orbit"), length**3 / time**2
+        moon = fmbd.PointMass("moon", 1.0, (length, 0.0), velocity=(0.0, 0.78 * length / time))
+        scene.add(moon, fmbd.Spring("weight", fmbd.ground, moon, law=lambda x, v, t: pull / x**2))
+        scene.sensor("place", fmbd.position(moon))
+        made = fmbd.solve(scene, t_end=5 * time, scheme=scheme, output=fmbd.Output(energy=False, progress=False))
+        return made.counters["steps"], made["place"][-1] / length
+
+    (steps, place), (far_steps, far_place) = run(1.0, 1.0), run(8e6, 1134.0)
+    assert steps == far_steps
+    np.testing.assert_allclose(far_place, place, atol=1e-9)

@@ -273,7 +273,11 @@ class Builder:
 
         sizes = [0.0]
         for force in self.scene.forces.values():
-            ends = [np.asarray(x, dtype=float) for x in (force.point_a, force.point_b) if x is not None]
+            given = (force.a, force.point_a), (force.b, force.point_b)
+            ends = [np.asarray(x, dtype=float) for _, x in given if x is not None]
+            between = not force.joined and force.coordinate is None
+            if between and any(side is ground and x is None for side, x in given):
+                ends.append(np.zeros(self.m.dim))  # the ground's own, where no point of it is given
             sizes += [float(np.linalg.norm(x[: self.m.dim] - place)) for x in ends]
 
         for c in self.scene.contacts.values():
