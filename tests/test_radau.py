@@ -12,6 +12,7 @@ from dae_problems import march, observed, pendulum, pendulum_at, pendulum_errors
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
 from fmbd_fenicsx.linear.saddle.pencil import _balance
+from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.onestep.collocation import tableau
 from fmbd_fenicsx.schemes.rigid_motions import RigidMotions
 
@@ -310,3 +311,48 @@ def test_rigid_motions_of_rods_are_no_deformations() -> None:
 
     twists[rod, :3] = 0.0
     assert np.abs(motions.rest(twists.ravel()) - twists.ravel()).max() < 0.02
+
+
+def linked(mass: float, dim: int) -> fmbd.Scene:
+    """Two heavy bodies that hang on each other by a link of this mass (kg)."""
+
+    def inertia(m: float) -> Any:
+        return 0.1 * m if dim == 2 else (0.1 * m,) * 3
+
+    def body(name: str, m: float, x: float) -> fmbd.RigidBody:
+        return fmbd.RigidBody(name, m, inertia(m), (x, 0.0, 0.0)[:dim])
+
+    def hinge(name: str, a: Any, b: Any, x: float, axis: tuple[int, int, int]) -> Any:
+        return fmbd.revolute(name, a, b, center=(x, 0.0, 0.0)[:dim], **({"axis": axis} if dim == 3 else {}))
+
+    first, link, last = body("first", 1.0, 0.5), body("link", mass, 1.5), body("last", 1.0, 2.5)
+    scene = fmbd.Scene("linked", gravity=(0.0, -9.81, 0.0)[:dim])
+    scene.add(
+        first, link, last, hinge("pin", fmbd.ground, first, 0.0, (0, 0, 1)), hinge("knee", first, link, 1.0, (0, 0, 1))
+    )
+    scene.add(hinge("wrist", link, last, 2.0, (0, 1, 0)))
+    scene.sensor("angle", fmbd.angle("pin"))
+    scene.sensor("force", fmbd.reaction_force("knee"))
+    return scene
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("form", [fmbd.GGL(), fmbd.Index3()], ids=lambda x: x.name)
+@pytest.mark.parametrize("compiled", [True, False], ids=["C", "steps in turn"])
+def test_a_light_link_takes_no_small_steps(
+    compiled: bool, form: Any, dim: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reactions turn with a link and push nothing by that; steps were a fifteenth, by what they do where they stay."""
+    if not compiled:
+        monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+
+    def run(mass: float, rtol: float, stages: int = 3) -> fmbd.Run:
+        times = tuple(np.linspace(0.0, 0.6, 7))
+        scheme = fmbd.Radau(stages, form=form, rtol=rtol)
+        return fmbd.solve(linked(mass, dim), t_end=0.6, scheme=scheme, output=fmbd.Output(times=times, progress=False))
+
+    heavy, light = (run(mass, 1e-5) for mass in (1.0, 1e-8))
+    assert light.counters["steps"] < 2.0 * heavy.counters["steps"]
+    for name in ("angle", "force"):  # errors are those of heavy links
+        other, error = (np.abs(x[name] - run(m, 1e-8, 5)[name]).max() for m, x in ((1.0, heavy), (1e-8, light)))
+        assert error < 2.0 * other, name

@@ -4,12 +4,13 @@ The solution has kinds of different smoothness. With w_q the tolerances of posit
 a step of size h is the largest of (root mean square over each kind)
 
     e_q / w_q;      index 3:   h e_v / w_q,     h^2 e_a / w_q
-                    index 2:   e_v / w_v,       h e_a / w_v          with e_a = M^-1 G^T e_lambda               (1)
+                    index 2:   e_v / w_v,       h e_a / w_v          with e_a = M^-1 e(G^T lambda)              (1)
                     index 1:   e_v / w_v
 
-so multipliers are measured by the accelerations that they cause: units of forces and moments do not mix. Tolerances are relative
-to sizes that the model gives (length, one radian, the largest value of a coordinate or velocity so far), so that a scene
-in other units takes the same steps.
+so multipliers are measured by the accelerations that they cause: units of forces and moments do not mix. Those of steps turn with
+their joints, e(G^T lambda) = G^T e_lambda + (G^T lambda)_q e_q: by the first term alone a light link would tell huge errors.
+Tolerances are relative to sizes that the model gives (length, one radian, the largest value of a coordinate or velocity so far),
+so that a scene in other units takes the same steps.
 """
 
 from __future__ import annotations

@@ -180,10 +180,10 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
     if (!(judged[0] <= o->convergence->accurate * judged[1])) return NEWTON;
     farthest_apart(judged, work + RESIDUAL);
 
-    memset(push, 0, n * sizeof(double));
-    if (g->levels) apply_real(&g->U, 1.0, y, push);
+    /* what forces are off by pushes; multipliers turn with their joints, whose errors light bodies would tell as huge ones */
+    add(push, -*g->s, change + n, n);
     const double *parts[3] = {change, change + n, push};
-    *error = own_norm(s, g, parts, c->index == 1 ? 2 : 3);
+    *error = own_norm(s, g, parts, c->index == 1 || !g->levels ? 2 : 3);
     return DONE;
 }
 
