@@ -86,9 +86,7 @@ class StepSolver:
 
     @property
     def driver(self) -> DriverSolver | None:
-        """Who solves in compiled code, where that evaluates the system; None where NumPy has to: for compliances of contacts."""
-        if self.system.contacts is not None and not self._apart:
-            return None
+        """Who solves in compiled code, where that evaluates the system; None where NumPy has to."""
         evaluator, solver = self._driver
         if evaluator is not self.system.evaluator:
             solver = driver_solver(self.system, self.core, self.elastic if self.eliminates else None)
@@ -136,16 +134,18 @@ class StepSolver:
     def prepare(self, ev: Evaluation, weights: Weights, *, keep: bool = False, apart: bool = False) -> None:
         """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
 
-        ``keep``: the matrix stays as it is, until :meth:`refresh` takes a new one. The driver's, which it may refuse to
-        make again, is none to stay with. ``apart``: no contact takes part in what is solved.
+        ``keep``: the matrix stays as it is, until :meth:`refresh` takes a new one. ``apart``: no contact takes part in what is
+        solved, whose compliance is that of the matrix, without the moments that are corrected after a solution.
         """
         s = self.system
-        self._apart = apart
-        driver = self.driver
-        if driver is not None and driver.prepare(ev, weights):
+        driver, self._apart = self.driver, apart
+        if keep and driver is not None and driver.ready:
+            return
+        if driver is not None and driver.prepare(ev, weights, sways=apart or s.contacts is None):
             self.weights = weights
             self._look, self._held, self.blocks = False, None, driver.blocks
             self.core.factorisations += driver.new_factors()
+            self.corotations = self._turned(ev) if s.contacts is not None else []
             return
         masses_alone = not s.fields and not (weights.cd or weights.ck)
         if (keep and self._held is not None) or (masses_alone and self.holds(ev, weights)):
@@ -203,13 +203,9 @@ class StepSolver:
             self.core.factor(A, self.jacobian.core)
             return
 
-        # A contact's compliance is that of (1), without the moments that are corrected after a solve.
         corrected = w.ck and self.iterated is None and s.contacts is None
-        local = [s.local_q(ev.q, k) for k, _ in s.fields]
-        self.corotations = [f.corotation(u) for (_, f), u in zip(s.fields, local, strict=True)]
-        self._missing_momenta = [
-            f.missing_momentum(u) if corrected else None for (_, f), u in zip(s.fields, local, strict=True)
-        ]
+        self.corotations = self._turned(ev)
+        self._missing_momenta = [f.missing_momentum(s.local_q(ev.q, k)) if corrected else None for k, f in s.fields]
         ties_apart = self.iterated is not None or self.whole
         self.blocks = self.elastic.of(self.jacobian, w, ties_apart=ties_apart, splits=self.split is not None)
 
@@ -222,6 +218,10 @@ class StepSolver:
         if self.iterated is not None:
             self.iterated.prepare(ev, w, A)
         self._condense(ev, A)
+
+    def _turned(self, ev: Evaluation) -> list[Any]:
+        """Rotations of the factors of fields at a configuration, None for those that do not turn."""
+        return [f.corotation(self.system.local_q(ev.q, k)) for k, f in self.system.fields]
 
     def _core_with_forces(self, ev: Evaluation) -> Any:
         """A of (1) with the tangents of force elements; those on fields become the border."""

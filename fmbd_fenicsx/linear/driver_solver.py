@@ -38,14 +38,17 @@ class DriverSolver:
         self._counted = self._before = 0
         self._weights = MASSES  # of the matrix prepared last
 
-    def prepare(self, ev: Evaluation, weights: Weights) -> bool:
-        """Factor the matrix of a state; False where NumPy has to."""
+    def prepare(self, ev: Evaluation, weights: Weights, *, sways: bool = True) -> bool:
+        """Factor the matrix of a state; False where NumPy has to. ``sways``: whether solutions correct moments of fields that
+        columns of inertia leave out.
+        """
         self.ready = False
         if self.usable is False or weights.cm != 1.0 or not self._takes(weights) or not self._evaluated(ev):
             return False
         if not weights.real and self.usable is None:  # rows are looked at with the masses
             self._usable_at(ev.t, ev.q, ev.alone[2][0])
         self._choose(ev, weights)
+        self.states.sway(sways)
         self._weights = weights
         self.ready = self._looked(ev) and self.states.prepare(ev, weights.cd, weights.ck)
         return self.ready
@@ -175,6 +178,10 @@ class DriverSolver:
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """Increment like v and multipliers (n_lam,) for right-hand sides b and c."""
         return self.states.solve(b, c)
+
+    def answers(self, core: Array, seen: list[Array]) -> tuple[Array, list[Array]]:
+        """Of the core, and of the columns of fields, to forces on both: as DriverStates."""
+        return self.states.answers(core, seen)
 
     def closing(self, C: Array) -> Array:
         """Motions (n_v, k) that open the rows by the columns C (n_lam, k)."""

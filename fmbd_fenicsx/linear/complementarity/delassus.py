@@ -60,20 +60,16 @@ class Compliance(Remembering):
 
     def matrix(self, rows: LinearRows) -> Array:
         """W, (m, m), for the configuration the solver was last prepared for."""
-        s = self.solver.system
-        n = s.n_core
+        system = self.solver.system
         m = rows.core.shape[0]
-        rhs = np.zeros((n + s.n_lam + self.solver.border.count, m))
-        rhs[:n] = rows.core.T
 
-        # fields first: their own compliance C, and how their frames and ports answer
-        local = []
+        # fields first: their own compliance C, and how their frames and ports see forces on the nodes
+        local, seen = {}, [np.zeros((m, block.Y.shape[1])) for block in self.solver.blocks]
         for i, tr in self.contacts.on_fields.items():
-            position = next(j for j, (k, _) in enumerate(s.fields) if k == tr.part)
-            block = self.solver.blocks[position]
+            position = next(j for j, (k, _) in enumerate(system.fields) if k == tr.part)
+            block, turn = self.solver.blocks[position], self.solver.corotations[position]
             N = sp.csr_matrix(rows.field[i])
             # the factor knows the body in the axes of its mean rotation
-            turn = self.solver.corotations[position]
             used = np.unique(N.indices)
             if turn is not None:  # all components of a node
                 used = (np.unique(used // tr.dim)[:, None] * tr.dim + np.arange(tr.dim)).ravel()
@@ -82,25 +78,34 @@ class Compliance(Remembering):
             dense = N[:, used].toarray()
             if turn is not None:
                 dense = (dense.reshape(m, -1, tr.dim) @ turn).reshape(m, -1)
-
             Y = self._rows_of_Y(i, block)[used]
-            S = self.solver.couplings[position]
-            R = self.solver.back_couplings[position]
-            if Y.shape[1]:
-                rhs -= R.T @ (Y.T @ dense.T)
-            local.append((dense, C[np.ix_(used, used)], Y, S))
+            local[position] = dense, C[np.ix_(used, used)], Y
+            seen[position] = dense @ Y
 
         # then the core, with all that fields pass on to it
-        X = self._core(rhs)
-        W = rows.core @ X[:n]
+        X, acting = self._answers(rows.core, seen)
+        W = rows.core @ X.T
 
-        for dense, C, Y, S in local:
-            answer = C @ dense.T
-            if Y.shape[1]:
-                answer -= Y @ (S @ X)
-            W = W + dense @ answer
+        for position, (dense, C, Y) in local.items():
+            W = W + dense @ (C @ dense.T - Y @ acting[position].T)
         # symmetric but for roundoff
         return 0.5 * (W + W.T)
+
+    def _answers(self, core: Array, seen: list[Array]) -> tuple[Array, list[Array]]:
+        """What the core does (m, n_core), and what acts on the columns of each field, S X of (2), under rows of forces on the core
+        and on nodes of the fields, which the columns see as ``seen``.
+        """
+        solver, n, m = self.solver, self.solver.system.n_core, len(core)
+        driver = solver.driver
+        if driver is not None and driver.ready:
+            return driver.answers(core, seen)
+        rhs = np.zeros((n + solver.system.n_lam + solver.border.count, m))
+        rhs[:n] = core.T
+        pairs = zip(solver.back_couplings, seen, strict=True) if solver.system.fields else ()
+        for R, x in pairs:
+            rhs -= R.T @ x.T
+        X = self._core(rhs)
+        return X[:n].T, [(S @ X).T for S in solver.couplings] if solver.system.fields else []
 
     def _by_solves(self, rows: LinearRows) -> Array:
         """W of (1), (m, m), by one solve of the step for each row: where the matrix is not eliminated block by block."""

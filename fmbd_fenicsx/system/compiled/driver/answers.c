@@ -260,6 +260,41 @@ EXPORT int driver_solve(System *s, long count, const double *q, const double *b,
     return verdict;
 }
 
+/* Answers to ``count`` right-hand sides with the factor of this configuration: b on the core, like its velocities, and on nodes, of which
+   the factors of the fields have found H^T z = pz, in their axes; into x what the core does, into f what acts on the columns. */
+EXPORT int driver_columns(System *s, long count, const double *q, const double *still, const double *b, const double *pz, double *x,
+                          double *f)
+{
+    int verdict = place(s, q, still);
+    for (long i = 0; i < count; i++, b += s->core, x += s->core) {
+        memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
+        for (int k = 0; k < s->bodies; k++) {
+            const Body *o = s->body + k;
+            double *to = s->b + o->at_u;
+            memcpy(to, b + TWIST * k, D * sizeof(double));
+            to_world(s->frames + FRAME * k + TURN, b + TWIST * k + D, to + D);
+            if (!o->field) memcpy(to + TWIST, b + o->at_v, o->modes * sizeof(double));
+            else {
+                memcpy(o->field->pz, pz, o->field->solved * sizeof(double));
+                pz += o->field->solved;
+                condense(s, o);
+            }
+        }
+        solve_core(s);
+        for (int k = 0; k < s->bodies; k++) {
+            const Body *o = s->body + k;
+            take_twist(s, k, 0, x);
+            if (!o->field) memcpy(x + o->at_v, s->b + o->at_u + TWIST, o->modes * sizeof(double));
+            else {
+                field_answers(s, o);
+                memcpy(f, o->field->f, o->field->solved * sizeof(double));
+                f += o->field->solved;
+            }
+        }
+    }
+    return verdict;
+}
+
 /* Geometry of many increments. ``step``: numbers from one row of an array to the next, 0 where one row serves all.
 
    q0 o exp(xi): */

@@ -166,23 +166,14 @@ static void apply(const Field *e, const double *A, int rows, int columns, const 
     }
 }
 
-/* The right-hand side of (2) into s->b, whose rows of the frame conditions hold what C^T dU has to be; ``scale`` = 0: no forces. */
-int field_load(System *s, const Body *o, double scale, double t)
+/* The right-hand side of (2) into s->b by the numbers pz; its rows of the frame conditions hold what C^T dU has to be. */
+void condense(System *s, const Body *o)
 {
     const Field *e = o->field;
     const int k = e->solved, m = e->frames, wide = s->nu + s->rows;
     double *b = s->b + o->at_u + TWIST, *wanted = s->b + s->nu + e->row, open[2 * TWIST];
-    int verdict = DONE;
-    if (scale == 0.0) memset(e->z, 0, e->parts * e->n * sizeof(double));
-    else if ((verdict = field_alone(s, o, scale, t))) return verdict;
-
-    for (int part = 0; part < e->parts; part++) {
-        double *z = e->z + part * e->n, *pz = e->pz + part * k;
-        for (int i = 0; i < k; i++) pz[i] = column(e, i, z);
-        for (int r = 0; r < e->bends; r++) e->pull[r] = long_dot(e->held + e->n * r, z, e->n); /* as the factor's columns are bent */
-        for (int i = 0; i < k; i++) pz[i] -= dot(e->N + e->bends * i, e->pull, e->bends);
-        for (int i = 0; i < m; i++) open[part * m + i] = pz[e->frame_slot[i]] - wanted[part * wide + i];
-    }
+    for (int part = 0; part < e->parts; part++)
+        for (int i = 0; i < m; i++) open[part * m + i] = e->pz[part * k + e->frame_slot[i]] - wanted[part * wide + i];
 
     /* h closes the frame conditions */
     apply(e, e->A, m, m, open, e->h);
@@ -195,11 +186,28 @@ int field_load(System *s, const Body *o, double scale, double t)
         add(b + part * wide, 1.0, e->rest + part * k, k);
         for (int i = 0; i < m; i++) wanted[part * wide + i] = 0.0;
     }
-    return DONE;
 }
 
-/* dU and the multipliers of the frame conditions from the numbers p, in s->b; ``x``: like v. */
-void field_increment(System *s, const Body *o, double *x)
+/* The same by the forces on the nodes times -scale; ``scale`` = 0: no forces. */
+int field_load(System *s, const Body *o, double scale, double t)
+{
+    const Field *e = o->field;
+    int verdict = DONE;
+    if (scale == 0.0) memset(e->z, 0, e->parts * e->n * sizeof(double));
+    else if ((verdict = field_alone(s, o, scale, t))) return verdict;
+
+    for (int part = 0; part < e->parts; part++) {
+        double *z = e->z + part * e->n, *pz = e->pz + part * e->solved;
+        for (int i = 0; i < e->solved; i++) pz[i] = column(e, i, z);
+        for (int r = 0; r < e->bends; r++) e->pull[r] = long_dot(e->held + e->n * r, z, e->n); /* as the factor's columns are bent */
+        for (int i = 0; i < e->solved; i++) pz[i] -= dot(e->N + e->bends * i, e->pull, e->bends);
+    }
+    condense(s, o);
+    return verdict;
+}
+
+/* What acts on the columns, and the multipliers of the frame conditions, from the numbers p in s->b. */
+void field_answers(System *s, const Body *o)
 {
     const Field *e = o->field;
     const int k = e->solved, m = e->frames, wide = s->nu + s->rows;
@@ -218,7 +226,14 @@ void field_increment(System *s, const Body *o, double *x)
             lam[part * wide + i] = e->h[part * m + i] - reaction[part * m + i];
             e->f[part * k + e->frame_slot[i]] += lam[part * wide + i];
         }
+}
 
+/* dU and the multipliers of the frame conditions from the numbers p, in s->b; ``x``: like v. */
+void field_increment(System *s, const Body *o, double *x)
+{
+    const Field *e = o->field;
+    const int k = e->solved;
+    field_answers(s, o);
     for (int part = 0; part < e->parts; part++) {
         double *dU = x + part * s->nv + o->at_v;
         memcpy(dU, e->z + part * e->n, e->n * sizeof(double));

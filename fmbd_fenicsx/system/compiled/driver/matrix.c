@@ -143,26 +143,38 @@ int prepare(System *s, const double *q, double cd, double ck, const double *lam,
     return verdict;
 }
 
+/* The twist of body k in a part of the solution in b, into x (like v, body axes). */
+static void take_twist(const System *s, int k, int part, double *x)
+{
+    const double *u = s->b + part * (s->nu + s->rows) + s->body[k].at_u;
+    memcpy(x + TWIST * k, u, D * sizeof(double));
+    to_body(s->frames + FRAME * k + TURN, u + D, x + TWIST * k + D);
+}
+
 /* What a solution in b is of body k, into x (like v, body axes). */
 static void take_body(System *s, int k, double *x)
 {
     const Body *o = s->body + k;
     for (int part = 0; part < s->parts; part++) {
         const double *u = s->b + part * (s->nu + s->rows) + o->at_u;
-        double *to = x + part * s->nv;
-        memcpy(to + TWIST * k, u, D * sizeof(double));
-        to_body(s->frames + FRAME * k + TURN, u + D, to + TWIST * k + D);
-        if (!o->field) memcpy(to + o->at_v, u + TWIST, o->modes * sizeof(double));
+        take_twist(s, k, part, x + part * s->nv);
+        if (!o->field) memcpy(x + part * s->nv + o->at_v, u + TWIST, o->modes * sizeof(double));
     }
     if (o->field) field_increment(s, o, x);
 }
 
-/* The solution x (like v, body axes) and y for the right-hand side in b, which holds it in world axes then. */
-void solution(System *s, double *x, double *y)
+/* The solution for the right-hand side in b, in its place, world axes. */
+static void solve_core(System *s)
 {
     if (s->parts > 1) back_solve_complex(s, s->b);
     else back_solve(s, s->b);
     if (s->links) add_links(s, s->b);
+}
+
+/* The same as x (like v, body axes) and y. */
+void solution(System *s, double *x, double *y)
+{
+    solve_core(s);
     for (int k = 0; k < s->bodies; k++) take_body(s, k, x);
     for (int part = 0; part < s->parts; part++)
         memcpy(y + part * s->rows, s->b + part * (s->nu + s->rows) + s->nu, s->rows * sizeof(double));

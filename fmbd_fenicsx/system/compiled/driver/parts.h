@@ -24,6 +24,8 @@ PART void field_columns(const Body *o, const double *q, const double *v);
 PART int field_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t);
 PART void frame_conditions(System *s, const Body *o, const double *lam);
 PART int field_block(System *s, const Body *o, const double *R, const double *q);
+PART void condense(System *s, const Body *o);
+PART void field_answers(System *s, const Body *o);
 PART int field_load(System *s, const Body *o, double scale, double t);
 PART void field_increment(System *s, const Body *o, double *x);
 PART void field_without_load(const Body *o);

@@ -288,12 +288,32 @@ class DriverStates(CompiledGeometry):
         self.library.driver_solve(self.address, count, *room.at)
         return self.twin.forces(room.arrays[3]).T.copy()
 
+    def sway(self, corrected: bool) -> None:
+        """Nothing sways where there are no fields."""
+
+    def answers(self, core: Array, seen: list[Array]) -> tuple[Array, list[Array]]:
+        """What the core does (k, n_core), and what acts on the columns H of each field (k, ..), under forces on the core (k, n_core)
+        and on nodes, of which the factor of a field has found H^T E^-1 b = ``seen`` (k, ..), in its axes.
+        """
+        assert self._held is not None
+        forces = np.ascontiguousarray(self.twin.velocities(core))
+        seen_at, found = np.concatenate([np.zeros((len(core), 0)), *seen], axis=1), np.empty_like(forces)
+        acting = np.empty_like(seen_at)
+        at_rest = self._given.put(self.twin.configurations(self._held[1]), np.zeros(self.tables.system.n_v))
+        self.library.driver_columns(
+            self.address, len(core), *at_rest, *map(address_of, (forces, seen_at, found, acting))
+        )
+        ends = np.cumsum([x.shape[1] for x in seen])[:-1]
+        return self.twin.forces(found), np.split(acting, ends, axis=1) if seen else []
+
     def independent(self) -> bool:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
         :func:`~fmbd_fenicsx.system.mobility.independent`, with the true inertia.
         """
         assert self._held is not None
         size = np.sqrt(self.tables.arrays["weight"])
+        if not size.any():
+            return True  # conditions of frames, which have no weight, and no other rows
         places = self._given.put(self.twin.configurations(self._held[1]), np.zeros(self.tables.system.n_v))
         below, found = self._given.arrays[2][0], self._found.arrays[1][0]
 

@@ -101,6 +101,11 @@ class FactoredFieldStates(FieldStates):
         super().__init__(states.system, states.library)
         self.tangents = self.newest_tangents  # in the tables
 
+    def sway(self, corrected: bool) -> None:
+        """Whether solutions correct moments on frames that columns of inertia leave out."""
+        for field in self.tables.fields:
+            field.sway(corrected)
+
     def take(self, blocks: Sequence[Block]) -> None:
         """Go on with the factors of another size of step."""
         self.blocks, self.tangents = blocks, self.newest_tangents

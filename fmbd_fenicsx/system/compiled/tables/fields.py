@@ -23,6 +23,7 @@ FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the 
 SIZES = 9  # of steps, whose compliances are kept
 VANISHING = 1e-9  # size of the column of a surface's port, against the largest
 LEAST = 1e-10  # compliance of a combination of columns, against the largest
+ROUNDOFF = 1e-14  # likewise, against that of columns that nothing holds
 
 
 class Block(Protocol):
@@ -199,7 +200,7 @@ class FieldTable:
 
         self.c = structure("Field", d)(
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
-            sways=int(part.shared_columns), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
+            number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
             own=int(not linear_field(part)), force=force, sums=sums, state=self.motion.address,
             inertial=self.inertial, turns=int(self.turns), parts=self.parts, frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
@@ -208,7 +209,12 @@ class FieldTable:
             **self._stiffening(),
         )  # fmt: skip
         self._lend()
+        self.sway(True)
         return self.c
+
+    def sway(self, corrected: bool) -> None:
+        """Whether solutions correct moments on the frame that columns of inertia leave out, see ``driver/condensed.c``."""
+        self.c.sways = int(corrected and self.part.shared_columns)
 
     def _rows_of_nodes(self) -> dict[str, np.ndarray]:
         """M and K by rows of nodes, which all tables of the system share: C only reads them."""
@@ -287,13 +293,13 @@ class Condensed:
 
         if np.iscomplexobj(W):
             left, share, right = np.linalg.svd(scaled)
-            stiffness = 1.0 / np.maximum(share, LEAST * share.max(initial=LEAST))
+            stiffness = 1.0 / np.maximum(share, max(ROUNDOFF, LEAST * share.max(initial=0.0)))
             found = (right.conj().T * stiffness) @ left.conj().T / np.outer(size, size)
             self.indefinite, self.S = False, 0.5 * (found + found.T)
             return
         # negative ones are those of bodies that buckle
         share, directions = np.linalg.eigh(scaled)
-        least = LEAST * np.abs(share).max(initial=LEAST)
+        least = max(ROUNDOFF, LEAST * np.abs(share).max(initial=0.0))
         stiffness = 1.0 / np.where(np.abs(share) > least, share, least)
         self.indefinite = bool((share < -least).any())
         self.S = (directions * stiffness) @ directions.T / np.outer(size, size)
