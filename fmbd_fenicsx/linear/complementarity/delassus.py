@@ -15,7 +15,6 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...errors import require
 from ...mechanics.contact.rows import ContactSet, LinearRows
@@ -68,26 +67,19 @@ class Compliance(Remembering):
         for i, tr in self.contacts.on_fields.items():
             position = next(j for j, (k, _) in enumerate(system.fields) if k == tr.part)
             block, turn = self.solver.blocks[position], self.solver.corotations[position]
-            N = sp.csr_matrix(rows.field[i])
             # the factor knows the body in the axes of its mean rotation
-            used = np.unique(N.indices)
-            if turn is not None:  # all components of a node
-                used = (np.unique(used // tr.dim)[:, None] * tr.dim + np.arange(tr.dim)).ravel()
-
-            C = self._columns(i, block.factor, used)
-            dense = N[:, used].toarray()
-            if turn is not None:
-                dense = (dense.reshape(m, -1, tr.dim) @ turn).reshape(m, -1)
-            Y = self._rows_of_Y(i, block)[used]
-            local[position] = dense, C[np.ix_(used, used)], Y
-            seen[position] = dense @ Y
+            N = rows.field[i].turned(turn)
+            used = (np.unique(N.node)[:, None] * tr.dim + np.arange(tr.dim)).ravel()
+            C, Y = self._columns(i, block.factor, used), self._rows_of_Y(i, block)
+            local[position] = N, C, Y
+            seen[position] = N.columns(Y)
 
         # then the core, with all that fields pass on to it
         X, acting = self._answers(rows.core, seen)
         W = rows.core @ X.T
 
-        for position, (dense, C, Y) in local.items():
-            W = W + dense @ (C @ dense.T - Y @ acting[position].T)
+        for position, (N, C, Y) in local.items():
+            W = W + N.columns(N.columns(C).T - Y @ acting[position].T)
         # symmetric but for roundoff
         return 0.5 * (W + W.T)
 

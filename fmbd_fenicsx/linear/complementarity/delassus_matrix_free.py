@@ -94,7 +94,7 @@ class Applied:
         for i in np.unique(slave):
             tr = contacts.on_fields[i]
             position = next(j for j, (k, _) in enumerate(solver.system.fields) if k == tr.part)
-            N = sp.diags((slave == i).astype(float)) @ sp.csr_matrix(self.rows.field[i])
+            N = sp.diags((slave == i).astype(float)) @ self.rows.field[int(i)].matrix(tr.n)
             turn = solver.corotations[position]
             if turn is not None:
                 N = N @ sp.kron(sp.identity(tr.n), turn)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...rotations import Array
 from ..joints.relative import Relative, Separation
+from .nodal_rows import NodalRows
 from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch
 from .trace import FieldTrace
 
@@ -84,7 +84,7 @@ class LimitPair(Pair):
         one = np.ones(self.count)
         core, fields = self._row(contacts, ev)
         factor = self.lever(system) * self.signs
-        N = LinearRows(factor[:, None] * core, tuple(sp.csr_matrix(factor[:, None] * f) for f in fields))
+        N = LinearRows(factor[:, None] * core, tuple(_alike(factor, f) for f in fields))
 
         # without friction any rows serve as tangents: their forces are zero
         tangents = (N,) * (system.motions.dim - 1) if contacts.frictional else ()
@@ -100,7 +100,7 @@ class LimitPair(Pair):
         )
 
     def _row(self, contacts: ContactSet, ev: Any) -> tuple[Array, list[Array]]:
-        """s' as rows on the velocities of the core, (n_core,), and of the contact nodes of each trace, (n d,)."""
+        """s' as rows on the velocities of the core, (n_core,), and of the contact nodes of each trace, (n, d)."""
         s = ev.system
         n = s.motions.n_twist
         core, port = np.zeros(contacts.n_core), np.zeros(s.n_port)
@@ -117,8 +117,16 @@ class LimitPair(Pair):
             if part.n_port:
                 matrix = part.port_matrix + ev.bent[k].matrix if k in ev.bent else part.port_matrix
                 core[s.slices[1][k]] += port[s.port_slice(k)] @ matrix
-        fields = [np.zeros(tr.n * s.motions.dim) for tr in contacts.traces]
+        fields = [np.zeros((tr.n, s.motions.dim)) for tr in contacts.traces]
         for i, tr in enumerate(contacts.traces):
             if isinstance(tr, FieldTrace):
-                fields[i] = tr.gather(s.parts[tr.part].port_force(port[s.port_slice(tr.part)], ev.t)).ravel()
+                fields[i] = tr.gather(s.parts[tr.part].port_force(port[s.port_slice(tr.part)], ev.t))
         return core, fields
+
+
+def _alike(factor: Array, row: Array) -> NodalRows:
+    """Multiples of one row (n, d) on the nodes of a trace."""
+    nodes = np.flatnonzero(row.any(axis=1))
+    count = len(factor)
+    value = (factor[:, None, None] * row[nodes]).reshape(-1, row.shape[1])
+    return NodalRows(count, np.repeat(np.arange(count), len(nodes)), np.tile(nodes, count), value)

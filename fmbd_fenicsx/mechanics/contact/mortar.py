@@ -28,7 +28,7 @@ from ...fem.traces.multipliers import Continuous, Dual, Ends
 from ...fem.traces.traces import Trace as Facets
 from ...fem.traces.traces import scatter
 from ...rotations import Array, Motions
-from .rows import ContactSet, Here, LinearRows, Rows, Side, Touch, bodies_overlap, tangents_of
+from .rows import ContactSet, Entries, Here, LinearRows, Rows, Side, Touch, bodies_overlap, tangents_of
 from .trace import ContactTrace
 
 COVERED = 0.05  # a multiplier with less than this share of its weight in the overlap is left out
@@ -168,12 +168,11 @@ class MortarPair:
         """Candidates of this pair; collective."""
         p = self._ready(contacts, system, at[1])
         touch = self.touch(contacts, system, at[:2], here)
-        S = _widen(p.slave, self.order[0], contacts.traces[self.slave.trace].n)
-        Q = _widen(p.master, self.order[1], contacts.traces[self.master.trace].n)
+        S, Q = (_entries(W, order) for W, order in zip((p.slave, -p.master), self.order, strict=True))
 
         def linear(direction: Array) -> LinearRows:
             made = contacts.blank(self.count)
-            for side, W in ((self.slave, S), (self.master, -Q)):
+            for side, W in ((self.slave, S), (self.master, Q)):
                 contacts.add_nodes(made, side.trace, (W, direction), here.nodes(side.trace)[1:])
             return LinearRows(made[0], tuple(made[1]))
 
@@ -225,7 +224,6 @@ def _nodal_normals(facets: Facets) -> Array:
     return np.asarray(out / np.linalg.norm(out, axis=1)[:, None])
 
 
-def _widen(W: Any, columns: np.ndarray, n: int) -> Any:
-    """Columns of W at other places of a matrix with n columns."""
-    coo = W.tocoo()
-    return sp.csr_matrix((coo.data, (coo.row, columns[coo.col])), shape=(W.shape[0], n))
+def _entries(W: Any, columns: np.ndarray) -> Entries:
+    """Of a sparse matrix by rows, its columns at other places."""
+    return np.repeat(np.arange(W.shape[0]), np.diff(W.indptr)), columns[W.indices], W.data

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...rotations import Array, Motions
 from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch, tangents_of
@@ -56,14 +55,13 @@ class ObstacleSearch:
         frames = np.concatenate([np.zeros(0, dtype=int), *(s.frames for s in rigid)])
         self.frames, self.on = np.unique(frames, return_inverse=True)
 
-        # nodes of traces: candidates, their nodes, and both as a matrix (m, n_trace)
+        # nodes of traces: candidates, and their nodes
         of_trace = np.repeat([s.trace for s in sides], counts)
-        self.nodes: dict[int, tuple[np.ndarray, np.ndarray, Any]] = {}
+        self.nodes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for i in sorted({s.trace for s in sides if s.surface is not None}):
             at = np.flatnonzero(of_trace == i)
             nodes = np.concatenate([s.surface.nodes for s in sides if s.surface is not None and s.trace == i])
-            picked = sp.csr_matrix((np.ones(len(at)), (at, nodes)), shape=(self.count, traces[i].n))
-            self.nodes[i] = at, nodes, picked
+            self.nodes[i] = at, nodes
         on_field = np.array([*(isinstance(tr, FieldTrace) for tr in traces), False])
         self.multiplier = np.where(on_field[of_trace], of_trace, -1)
 
@@ -86,7 +84,7 @@ class ObstacleSearch:
         origin, turned = own[self.on, :d], m.matrix(own)[self.on]
         x = np.empty((self.count, d))
         x[self.rigid] = origin + (turned @ self.places[:, :, None])[:, :, 0]
-        for trace, (rows, nodes, _) in self.nodes.items():
+        for trace, (rows, nodes) in self.nodes.items():
             x[rows] = here.nodes(trace)[0][nodes]
 
         # distances in the axes of the obstacles
@@ -110,8 +108,8 @@ class ObstacleSearch:
 
         def linear(e: Array) -> LinearRows:
             core, field = contacts.blank(self.count)
-            for trace, (_, _, picked) in self.nodes.items():
-                contacts.add_nodes((core, field), trace, (picked, e), here.nodes(trace)[1:])
+            for trace, (rows, nodes) in self.nodes.items():
+                contacts.add_nodes((core, field), trace, ((rows, nodes, None), e), here.nodes(trace)[1:])
             contacts.add_frames(core, self.rigid, self.frames[self.on], (e[self.rigid], x[self.rigid], origin, turned))
             contacts.add_frames(core, on, self.frame[self.of[on]], (-e[on], x[on], r[on], R[on]))
             return LinearRows(core, tuple(field))

@@ -19,24 +19,27 @@ from itertools import groupby
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...rotations import Array, Motions
+from .nodal_rows import NodalRows
 from .trace import ContactTrace, FieldTrace, ModalTrace, SurfaceNodes
+
+Entries = tuple[np.ndarray, np.ndarray, Array | None]
+"""Of a sparse matrix: rows, columns and values (None: one)."""
 
 
 @dataclass(frozen=True)
 class LinearRows:
-    """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field`` (m, n_trace d) in the body's axes; those of
-    a :class:`ModalTrace` are empty, it acts on the core.
+    """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field``; those of a :class:`ModalTrace` see no node, it acts
+    on the core.
     """
 
     core: Array
-    field: tuple[Any, ...]
+    field: tuple[NodalRows, ...]
 
     def take(self, rows: np.ndarray) -> LinearRows:
         """Some of the rows."""
-        return LinearRows(self.core[rows], tuple(f[rows] for f in self.field))
+        return LinearRows(self.core[rows], tuple(f.take(rows) for f in self.field))
 
 
 @dataclass(frozen=True)
@@ -194,7 +197,6 @@ class ContactSet:
             g for join, some in groupby(pairs, lambda p: p.together) for g in join(list(some), motions, traces)
         ]
         self._chosen = np.array([np.nan if p.search is None else p.search for p in pairs])
-        self._blank: dict[int, list[Any]] = {}
         self._touched: tuple[float, Array, Touch] | None = None  # where :meth:`touch` looked last
 
     # -- kinematics ------------------------------------------------------------------------------------------
@@ -309,7 +311,7 @@ class ContactSet:
         """N v, (m,); collective."""
         out = rows.core @ v[: self.n_core]
         for i, tr in self.on_fields.items():
-            out = out + rows.field[i] @ tr.gather(system.local_v(v, tr.part)).ravel()
+            out = out + rows.field[i].times(tr.gather(system.local_v(v, tr.part)))
         return np.asarray(out)
 
     def transposed(self, system: Any, rows: LinearRows, force: Array) -> Array:
@@ -317,38 +319,34 @@ class ContactSet:
         out = np.zeros(system.n_v)
         out[: self.n_core] = rows.core.T @ force
         for i, tr in self.on_fields.items():
-            system.local_v(out, tr.part)[:] += tr.spread(np.asarray(rows.field[i].T @ force).reshape(-1, self.m.dim))
+            tr.spread(rows.field[i].transposed(force, tr.n), system.local_v(out, tr.part))
         return out
 
     # -- building blocks of rows -----------------------------------------------------------------------------
-    def blank(self, m: int) -> tuple[Array, list[Any]]:
-        """Empty core rows and sparse field rows, these not to be written into."""
-        if m not in self._blank:
-            self._blank[m] = [sp.csr_matrix((m, t.n * self.m.dim)) for t in self.traces]
-        return np.zeros((m, self.n_core)), list(self._blank[m])
+    def blank(self, m: int) -> tuple[Array, list[NodalRows]]:
+        """Empty rows on the core, and on nodes."""
+        return np.zeros((m, self.n_core)), [NodalRows.none(m, self.m.dim) for _ in self.traces]
 
     def add_nodes(
-        self, linear: tuple[Array, list[Any]], trace: int, entries: tuple[Any, Array], at: tuple[Array, Array]
+        self, linear: tuple[Array, list[NodalRows]], trace: int, entries: tuple[Entries, Array], at: tuple[Array, Array]
     ) -> None:
-        """Add rows sum_k W_jk n_j . x_k' of a trace: entries = (W csr (m, n_trace), n (m, d))."""
-        (core, field), (W, direction), (P, R), d = linear, entries, at, self.m.dim
+        """Add rows sum_k W_jk n_j . x_k' of a trace: entries of W, n (m, d)."""
+        (core, field), ((row, node, weight), direction), (P, R) = linear, entries, at
         tr = self.traces[trace]
-        row = np.repeat(np.arange(W.shape[0]), np.diff(W.indptr))
         # of each node: components in world and in body axes
-        world = direction[row] * W.data[:, None]
+        world = direction[row] if weight is None else direction[row] * weight[:, None]
         local = world @ R
-        columns = (W.indices[:, None] * d + np.arange(d, dtype=W.indices.dtype)).ravel()
-        nodal = sp.csr_matrix((local.ravel(), columns, W.indptr * d), shape=(len(core), tr.n * d))
+        nodal = NodalRows(len(core), row, node, local)
 
         if isinstance(tr, ModalTrace):
-            core[:, self.amplitudes[tr.part]] += nodal @ tr.modes
+            core[:, self.amplitudes[tr.part]] += nodal.columns(tr.modes)
         else:
-            field[trace] = field[trace] + nodal if field[trace].nnz else nodal
+            field[trace] = field[trace] + nodal if len(field[trace].row) else nodal
         # what the frame of the body does to its nodes
         n_twist = self.m.n_twist
         if tr.frame * n_twist < self.n_core and tr.frame >= 0 and tr.moving:
             at_frame = slice(tr.frame * n_twist, (tr.frame + 1) * n_twist)
-            block = np.concatenate((world, self.m.moment(P[W.indices], local)), axis=1)
+            block = np.concatenate((world, self.m.moment(P[node], local)), axis=1)
             np.add.at(core[:, at_frame], row, block)
 
     def add_frames(
@@ -383,7 +381,7 @@ def _stack(parts: list[Rows]) -> Rows:
         n = len(linears[0].field)
         return LinearRows(
             np.concatenate([x.core for x in linears]),
-            tuple(sp.vstack([x.field[i] for x in linears], format="csr") for i in range(n)),
+            tuple(NodalRows.stacked([x.field[i] for x in linears]) for i in range(n)),
         )
 
     directions = range(len(parts[0].tangents))

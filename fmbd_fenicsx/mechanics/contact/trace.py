@@ -149,11 +149,9 @@ class FieldTrace(ContactTrace):
         """Values of a nodal vector (n_own d,) of the part at the contact nodes, (n, d), on all ranks; collective."""
         return self._everywhere(w.reshape(-1, self.dim))
 
-    def spread(self, f: Array) -> Array:
-        """Nodal vector (n_own d,) of this rank from values (n, d) at the contact nodes."""
-        out = np.zeros((self.field.n, self.dim))
-        out[self.own] = f.reshape(-1, self.dim)[self.first : self.first + len(self.own)]
-        return out.ravel()
+    def spread(self, f: Array, out: Array) -> None:
+        """Add values (n, d) at the contact nodes to a nodal vector (n_own d,) of this rank."""
+        out.reshape(-1, self.dim)[self.own] += f[self.first : self.first + len(self.own)]
 
     def unit_columns(self, dofs: np.ndarray) -> Array:
         """Unit nodal vectors (n_own d, len(dofs)) of trace unknowns (node d + component)."""

@@ -5,10 +5,10 @@ passing through.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...errors import ConvergenceError, InputError
 from ...log import log
+from ...mechanics.contact.nodal_rows import NodalRows
 from ...mechanics.contact.rows import ContactSet, LinearRows, Rows, Touch, tangents_of
 from ...rotations import Array
 from ...system.system import State, System
@@ -34,11 +34,9 @@ def candidates(system: System, contacts: ContactSet, state: State, h: float, *, 
 def components(rows: Rows) -> LinearRows:
     """Normal and tangential rows of each point after each other, (m d, ...)."""
     parts = [rows.N, *rows.tangents]
-    d, m = len(parts), len(rows.gap)
-    order = np.argsort(np.tile(np.arange(m), d), kind="stable")
-    core = np.concatenate([p.core for p in parts])[order]
+    core = np.stack([p.core for p in parts], axis=1).reshape(len(parts) * len(rows.gap), -1)
     n = len(rows.N.field)
-    return LinearRows(core, tuple(sp.vstack([p.field[i] for p in parts], format="csr")[order] for i in range(n)))
+    return LinearRows(core, tuple(NodalRows.in_turn([p.field[i] for p in parts]) for i in range(n)))
 
 
 def in_world(rows: Rows, force: Array) -> Array:
