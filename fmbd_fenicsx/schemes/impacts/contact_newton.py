@@ -27,18 +27,24 @@ from .contact_detection import components
 from .restitution import Impact
 
 if TYPE_CHECKING:
+    from .contact_problem import CompiledProblem
     from .contact_stepper import ContactStepper
 
 
 class UnilateralForces:
     """Forces ``force`` (m, 1 or d) on the candidates of one step, improved by each call of
-    :meth:`increment`. ``impact``: what bounds rebounds, for impacts.
+    :meth:`increment`. ``problem``: who finds them in compiled code; ``impact``: what bounds rebounds, for impacts.
     """
 
     def __init__(
-        self, compliance: Compliance, counts: ContactCounts, force: Array, impact: Impact | None = None
+        self,
+        compliance: Compliance,
+        counts: ContactCounts,
+        force: Array,
+        problem: CompiledProblem | None = None,
+        impact: Impact | None = None,
     ) -> None:
-        self.impact = impact
+        self.problem, self.impact = problem, impact
         self.compliance, self.counts, self.force = compliance, counts, force
         self.solver, self.contacts = compliance.solver, compliance.contacts
         self.rows: Rows | None = None
@@ -65,6 +71,12 @@ class UnilateralForces:
         gap = u.ravel() + contacts.times(system, L, z)
 
         def solve(gap: Array) -> Array:
+            found = None
+            if self.problem is not None and isinstance(W, np.ndarray):
+                opening = gap.reshape(self.force.shape)
+                found = self.problem.forces(W, opening, rows.friction, self.force, self.counts)
+            if found is not None:
+                return found
             if d > 1:
                 return frictional_forces(W, gap, rows.friction, self.force, self.counts)
             return normal_forces(W, gap, self.force[:, 0], self.counts)[:, None]
@@ -92,7 +104,7 @@ class ContactStep:
     def __init__(self, stepper: ContactStepper, h: float, force: Array) -> None:
         self.p, self.h = stepper, h
         self.lam = stepper.state.lam.copy()
-        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, force)
+        self.contact = UnilateralForces(stepper.compliance, stepper.ledger.counts, force, stepper.problem)
         self.ev: Evaluation = None  # type: ignore[assignment]
         self._prepared = False
 

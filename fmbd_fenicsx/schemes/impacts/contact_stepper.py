@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import ClassVar
 
 from ...linear.complementarity.delassus import Compliance
@@ -13,6 +14,7 @@ from ...system.system import State, System
 from ..newton import Newton
 from ..stepping import TimeStepper
 from .contact_ledger import ContactLedger
+from .contact_problem import CompiledProblem, compiled_problem
 
 
 class ContactStepper(TimeStepper):
@@ -28,6 +30,11 @@ class ContactStepper(TimeStepper):
         self.ledger = ContactLedger(system)
         self.local_error = 0.0
         self.state = self.ledger.open(state)
+
+    @cached_property
+    def problem(self) -> CompiledProblem | None:
+        """Who finds contact forces in compiled code; looked for at the first step, since starts are NumPy's."""
+        return compiled_problem(self.system)
 
     @property
     def counters(self) -> dict[str, float]:

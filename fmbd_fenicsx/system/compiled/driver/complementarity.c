@@ -113,3 +113,6 @@ static int contact_forces(Contacts *c, const Problem *o, int g)
     }
     return 1;
 }
+
+/* The same for a problem of its own, all of whose compliance is known. */
+EXPORT int contact_problem(Contacts *c) { return contact_forces(c, &c->all, 0); }

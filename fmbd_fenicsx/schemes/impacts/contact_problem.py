@@ -1,0 +1,89 @@
+"""The small problem of contacts in compiled code, where its matrix is known: Newton's iteration of ``driver/complementarity.c``.
+
+What this does not solve at once, and contacts that depend on each other, are those of :mod:`...linear.complementarity`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ...linear.complementarity.active_set import ContactCounts
+from ...rotations import Array
+from ...system.compiled.library import CONTACT, driver_library
+from ...system.compiled.states.evaluation import DriverStates
+from ...system.compiled.tables.structures import address_of
+from ...system.system import System
+from .contact_structures import Blocks, Contacts, Problem, Tally
+
+
+class CompiledProblem:
+    """Forces of points in d components, whose openings are q + W f; room for as many points as were asked for so far."""
+
+    def __init__(self, library: Any, d: int) -> None:
+        self.library, self.d, self.room = library, d, 0
+        self.arrays: dict[str, np.ndarray] = {}
+        self.c = Contacts(components=d)
+
+    def forces(self, W: Array, opening: Array, mu: Array, force: Array, counts: ContactCounts) -> Array | None:
+        """Forces (m, d) for the matrix W (m d, m d) and the openings (m, d) under ``force`` (m, d), from which the iteration starts;
+        None where it does not end.
+        """
+        m, d = force.shape
+        if m > self.room:
+            self._make_room(m)
+        row, near, pattern = _everyone(m)
+        blocks, x = W.reshape(m, d, m, d), self.arrays
+        x["own"][: m * d * d] = blocks[range(m), :, range(m)].ravel()
+        x["W"][: len(row) * d * d] = blocks[row, :, near].ravel()
+        x["f"][: m * d], x["u"][: m * d], x["mu"][:m] = force.ravel(), opening.ravel(), mu
+        x["q"][: m * d] = (opening.ravel() - W @ force.ravel())
+        places = {name: address_of(x[name]) for name in ("own", "W", "q", "u", "f", "mu")}
+        self.c.all = Problem(m=m, **{name: address_of(one) for name, one in pattern.items()}, **places)
+        self.c.tally = Tally()
+        if self.library.contact_problem(ctypes.addressof(self.c)):
+            return None
+
+        tally = self.c.tally
+        counts.solves, counts.iterations = counts.solves + tally.solves, counts.iterations + tally.iterations
+        counts.changes, counts.residual = counts.changes + tally.changes, max(counts.residual, tally.residual)
+        found = x["f"][: m * d].reshape(m, d).copy()
+        found[:, 0] = np.maximum(found[:, 0], 0.0)
+        return found
+
+    def _make_room(self, m: int) -> None:
+        """Arrays for m points."""
+        self.room, d = m, self.d
+        square, pairs = d * d, m * (m - 1)
+        sizes = {"own": m * square, "W": pairs * square, "q": m * d, "u": m * d, "f": m * d, "mu": m}
+        sizes |= {"inner": m * square, "size": m, "upper": pairs // 2 * square, "lower": pairs // 2 * square}
+        sizes |= {"least": (3 + 2 * d) * m * d}
+        x = self.arrays = {name: np.zeros(size) for name, size in sizes.items()}
+        x["states"], x["known"] = np.zeros(2 * m, np.int32), np.ones(1, np.int32)
+        self.c.blocks = Blocks(*(address_of(x[name]) for name in ("inner", "size", "upper", "lower")))
+        self.c.least, self.c.states, self.c.known_of = (address_of(x[name]) for name in ("least", "states", "known"))
+
+
+@lru_cache(maxsize=32)
+def _everyone(m: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Pairs of m points that all move each other, and the pattern of their matrix as C reads it."""
+    row, near = np.nonzero(~np.eye(m, dtype=bool))
+    number = np.arange(m + 1)
+    start = number * (m - 1) - number * (number - 1) // 2
+    low, high = np.minimum(row, near), np.maximum(row, near)
+    pattern = {
+        "first": number * (m - 1), "near": near, "slot": start[low] + high - low - 1, "start": start,
+        "behind": np.nonzero(np.triu(np.ones((m, m), dtype=bool), 1))[1],
+    }  # fmt: skip
+    return row, near, {name: x.astype(np.int32) for name, x in pattern.items()}
+
+
+def compiled_problem(system: System) -> CompiledProblem | None:
+    """Of a system with elastic fields that compiled code evaluates; scenes of other bodies are compiled as a whole."""
+    if not system.fields or not isinstance(system.evaluator, DriverStates):
+        return None
+    library = driver_library(system.motions.dim, (CONTACT,))
+    return None if library is None else CompiledProblem(library, system.motions.dim if system.contacts.frictional else 1)
