@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...errors import require
+from ...mechanics.contact.nodal_rows import NodalRows
 from ...mechanics.contact.rows import ContactSet, LinearRows
 from ...rotations import Array
 from ...system.serialisation import Remembering, plain, worker
@@ -63,7 +64,8 @@ class Compliance(Remembering):
         m = rows.core.shape[0]
 
         # fields first: their own compliance C, and how their frames and ports see forces on the nodes
-        local, seen = {}, [np.zeros((m, block.Y.shape[1])) for block in self.solver.blocks]
+        local: dict[int, tuple[NodalRows, Array, Array]] = {}
+        seen: list[Array] = [np.zeros((m, block.Y.shape[1])) for block in self.solver.blocks]
         for i, tr in self.contacts.on_fields.items():
             position = next(j for j, (k, _) in enumerate(system.fields) if k == tr.part)
             block, turn = self.solver.blocks[position], self.solver.corotations[position]
@@ -84,8 +86,8 @@ class Compliance(Remembering):
         return 0.5 * (W + W.T)
 
     def _answers(self, core: Array, seen: list[Array]) -> tuple[Array, list[Array]]:
-        """What the core does (m, n_core), and what acts on the columns of each field, S X of (2), under rows of forces on the core
-        and on nodes of the fields, which the columns see as ``seen``.
+        """What the core does (m, n_core), and what acts on the columns of each field, S X of (2), under rows of forces on the
+        core and on nodes of the fields, which the columns see as ``seen``.
         """
         solver, n, m = self.solver, self.solver.system.n_core, len(core)
         driver = solver.driver

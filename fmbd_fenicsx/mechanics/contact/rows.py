@@ -30,8 +30,8 @@ Entries = tuple[np.ndarray, np.ndarray, Array | None]
 
 @dataclass(frozen=True)
 class LinearRows:
-    """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field``; those of a :class:`ModalTrace` see no node, it acts
-    on the core.
+    """Rows on velocities: ``core`` (m, n_core) and, for each trace, ``field``; those of a :class:`ModalTrace` see no node, as it
+    acts on the core.
     """
 
     core: Array

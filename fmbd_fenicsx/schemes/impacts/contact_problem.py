@@ -29,8 +29,8 @@ class CompiledProblem:
         self.c = Contacts(components=d)
 
     def forces(self, W: Array, opening: Array, mu: Array, force: Array, counts: ContactCounts) -> Array | None:
-        """Forces (m, d) for the matrix W (m d, m d) and the openings (m, d) under ``force`` (m, d), from which the iteration starts;
-        None where it does not end.
+        """Forces (m, d) for the matrix W (m d, m d) and the openings (m, d) under ``force`` (m, d), from which the iteration
+        starts; None where it does not end.
         """
         m, d = force.shape
         if m > self.room:
@@ -40,7 +40,7 @@ class CompiledProblem:
         x["own"][: m * d * d] = blocks[range(m), :, range(m)].ravel()
         x["W"][: len(row) * d * d] = blocks[row, :, near].ravel()
         x["f"][: m * d], x["u"][: m * d], x["mu"][:m] = force.ravel(), opening.ravel(), mu
-        x["q"][: m * d] = (opening.ravel() - W @ force.ravel())
+        x["q"][: m * d] = opening.ravel() - W @ force.ravel()
         places = {name: address_of(x[name]) for name in ("own", "W", "q", "u", "f", "mu")}
         self.c.all = Problem(m=m, **{name: address_of(one) for name, one in pattern.items()}, **places)
         self.c.tally = Tally()
@@ -86,4 +86,6 @@ def compiled_problem(system: System) -> CompiledProblem | None:
     if not system.fields or not isinstance(system.evaluator, DriverStates):
         return None
     library = driver_library(system.motions.dim, (CONTACT,))
-    return None if library is None else CompiledProblem(library, system.motions.dim if system.contacts.frictional else 1)
+    return (
+        None if library is None else CompiledProblem(library, system.motions.dim if system.contacts.frictional else 1)
+    )

@@ -292,8 +292,8 @@ class DriverStates(CompiledGeometry):
         """Nothing sways where there are no fields."""
 
     def answers(self, core: Array, seen: list[Array]) -> tuple[Array, list[Array]]:
-        """What the core does (k, n_core), and what acts on the columns H of each field (k, ..), under forces on the core (k, n_core)
-        and on nodes, of which the factor of a field has found H^T E^-1 b = ``seen`` (k, ..), in its axes.
+        """What the core does (k, n_core), and what acts on the columns H of each field (k, ..), under forces on the core
+        (k, n_core) and on nodes, of which the factor of a field has found H^T E^-1 b = ``seen`` (k, ..), in its axes.
         """
         assert self._held is not None
         forces = np.ascontiguousarray(self.twin.velocities(core))

@@ -103,8 +103,8 @@ class FactoredFieldStates(FieldStates):
 
     def sway(self, corrected: bool) -> None:
         """Whether solutions correct moments on frames that columns of inertia leave out."""
-        for field in self.tables.fields:
-            field.sway(corrected)
+        for one in self.tables.fields:
+            one.sway(corrected)
 
     def take(self, blocks: Sequence[Block]) -> None:
         """Go on with the factors of another size of step."""

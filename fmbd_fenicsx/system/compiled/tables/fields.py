@@ -23,7 +23,7 @@ FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the 
 SIZES = 9  # of steps, whose compliances are kept
 VANISHING = 1e-9  # size of the column of a surface's port, against the largest
 LEAST = 1e-10  # compliance of a combination of columns, against the largest
-ROUNDOFF = 1e-14  # likewise, against that of columns that nothing holds
+ROUNDOFF = 1e-13  # the same where none of them gives way: against those without the frame conditions
 
 
 class Block(Protocol):
@@ -293,16 +293,22 @@ class Condensed:
 
         if np.iscomplexobj(W):
             left, share, right = np.linalg.svd(scaled)
-            stiffness = 1.0 / np.maximum(share, max(ROUNDOFF, LEAST * share.max(initial=0.0)))
+            stiffness = 1.0 / np.maximum(share, _least(share))
             found = (right.conj().T * stiffness) @ left.conj().T / np.outer(size, size)
             self.indefinite, self.S = False, 0.5 * (found + found.T)
             return
         # negative ones are those of bodies that buckle
         share, directions = np.linalg.eigh(scaled)
-        least = max(ROUNDOFF, LEAST * np.abs(share).max(initial=0.0))
+        least = _least(share)
         stiffness = 1.0 / np.where(np.abs(share) > least, share, least)
         self.indefinite = bool((share < -least).any())
         self.S = (directions * stiffness) @ directions.T / np.outer(size, size)
+
+
+def _least(share: Array) -> float:
+    """What counts as a compliance, by those of all combinations of columns, whose sizes are 1 without the frame conditions."""
+    largest = float(np.abs(share).max(initial=0.0))
+    return LEAST * (largest if largest > ROUNDOFF else 1.0)
 
 
 def parts_of(block: Block) -> int:

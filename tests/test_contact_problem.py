@@ -1,0 +1,84 @@
+"""Small problems of contact forces in compiled code, and rows on the nodes of elastic bodies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmbd_fenicsx.linear.complementarity.active_set import ContactCounts
+from fmbd_fenicsx.linear.complementarity.coulomb import solve_friction
+from fmbd_fenicsx.linear.complementarity.normal import solve_normal
+from fmbd_fenicsx.mechanics.contact.nodal_rows import NodalRows
+from fmbd_fenicsx.schemes.impacts.contact_problem import CompiledProblem
+from fmbd_fenicsx.system.compiled.library import CONTACT, driver_library
+
+
+def library(dim: int) -> Any:
+    found = driver_library(dim, (CONTACT,))
+    if found is None:
+        pytest.skip("no compiler")
+    return found
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_compiled_forces_are_those_of_numpy(d: int) -> None:
+    """One object for problems of many sizes, from any forces; openings that it is given are those under them."""
+    rng = np.random.default_rng(d)
+    compiled = CompiledProblem(library(max(d, 2)), d)
+    counts, found = ContactCounts(), 0
+    for m in (1, 7, 3, 12, 40, 12) * 5:
+        A = rng.standard_normal((m * d, m * d))
+        W = A @ A.T / (m * d) + 0.5 * np.eye(m * d)
+        q, mu, start = rng.standard_normal((m, d)), rng.uniform(0.0, 0.4, m), np.abs(rng.standard_normal((m, d)))
+        opening = q + (W @ start.ravel()).reshape(m, d)
+        force = compiled.forces(W, opening, mu, start, counts)
+        if force is None:  # that is for NumPy
+            continue
+        found += 1
+        if d == 1:
+            expected = solve_normal(W, q[:, 0], start[:, 0] > 0, ContactCounts())[:, None]
+        else:
+            expected = solve_friction(W, q, mu, start, ContactCounts())
+        assert force == pytest.approx(expected, abs=1e-10 * np.abs(expected).max())
+    assert found >= 25
+    assert counts.solves == found
+    assert counts.residual < 1e-12
+
+
+def test_dependent_contacts_are_given_back() -> None:
+    """A plate on four corners: one of the distributions is NumPy's choice."""
+    corners = np.array([(1.0, x, y) for x in (-1, 1) for y in (-1, 1)])
+    W = corners @ corners.T
+    none, counts = np.zeros((4, 1)), ContactCounts()
+    assert CompiledProblem(library(2), 1).forces(W, none - 1.0, none[:, 0], none, counts) is None
+    assert counts.solves == counts.iterations == 0
+
+
+def random_rows(rng: np.random.Generator, count: int, n: int, d: int, *, single: bool) -> NodalRows:
+    row = np.arange(count) if single else np.sort(rng.integers(0, count, 3 * count))
+    return NodalRows(count, row, rng.integers(0, n, len(row)), rng.standard_normal((len(row), d)))
+
+
+@pytest.mark.parametrize("single", [True, False])
+@pytest.mark.parametrize("d", [2, 3])
+def test_rows_on_nodes_are_a_sparse_matrix(d: int, single: bool) -> None:
+    rng, n = np.random.default_rng(7), 9
+    one, two = (random_rows(rng, 5, n, d, single=single) for _ in range(2))
+    w, force, columns = rng.standard_normal((n, d)), rng.standard_normal(5), rng.standard_normal((n * d, 4))
+    turn = np.linalg.qr(rng.standard_normal((d, d)))[0]
+    full, other = one.matrix(n).toarray(), two.matrix(n).toarray()
+
+    assert one.times(w) == pytest.approx(full @ w.ravel(), abs=1e-14)
+    assert one.transposed(force, n).ravel() == pytest.approx(full.T @ force, abs=1e-14)
+    assert one.columns(columns) == pytest.approx(full @ columns, abs=1e-14)
+    assert one.turned(turn).times(w) == pytest.approx(full @ (w @ turn.T).ravel(), abs=1e-14)
+    assert one.turned(None) is one
+    for rows in (np.array([3, 0]), np.array([True, False, True, True, False])):
+        assert one.take(rows).matrix(n).toarray() == pytest.approx(full[rows], abs=1e-14)
+    assert (one + two).times(w) == pytest.approx((full + other) @ w.ravel(), abs=1e-14)
+    assert NodalRows.stacked([one, two]).matrix(n).toarray() == pytest.approx(np.concatenate((full, other)))
+    in_turn = np.stack((full, other), axis=1).reshape(10, -1)
+    assert NodalRows.in_turn([one, two]).matrix(n).toarray() == pytest.approx(in_turn)
+    assert not NodalRows.none(5, d).times(w).any()
