@@ -129,3 +129,26 @@ def test_the_work_of_a_search_does_not_grow_with_the_pairs() -> None:
         sys.setprofile(None)
         calls.append(count[0])
     assert calls[1] == calls[0]
+
+
+def test_poses_of_moving_obstacles_are_asked_for_once_a_time() -> None:
+    """By rows, gaps and drifts alike, whatever the order of the times of a step."""
+    asked: list[float] = []
+
+    def slide(t: float) -> Any:
+        asked.append(t)
+        return (0.1 * t, 0.2 * t, 0.0), None
+
+    body = fmbd.RigidBody("body", 1.0, (0.1, 0.2, 0.3), (0.4, 0.5, 0.8))
+    made = fmbd.Scene("belt")
+    belt = fmbd.Obstacle("belt", fmbd.HalfSpace((0, 0, 0), (0.1, 1, 0)), motion=slide)
+    made.add(body, fmbd.contact("feet", fmbd.corners(body, [(0.2, 0.1, -0.3), (-0.2, 0.3, 0.1)]), belt, friction=0.2))
+    system, state, _ = made.build()
+    asked.clear()
+    gaps = [system.contacts.touch(system, t, state.q.copy()).gap for t in (0.0, 0.1, 0.05, 0.1)]
+    rows = system.contacts.rows(system, 0.05, state.q, since=(0.0, 0.1))
+    assert sorted(asked) == [0.0, 0.05, 0.1]
+    assert gaps[1] == pytest.approx(gaps[3], abs=0.0)
+    assert rows.gap == pytest.approx(gaps[2], abs=0.0)
+    assert not np.allclose(gaps[0], gaps[1])
+    assert np.abs(rows.drift).max() > 1e-3

@@ -410,3 +410,22 @@ def test_tables_share_the_matrices_of_a_field(rod_mesh: Callable[..., Any]) -> N
     use_driver(system)
     one, other = (system.evaluator.tables_of().fields[0].c for _ in range(2))
     assert (one.M, one.K, one.K_column) == (other.M, other.K, other.K_column) and one.z != other.z
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_work_of_forces_is_that_of_numpy(rod_mesh: Callable[..., Any], dim: int) -> None:
+    """Of springs on bodies and on their surfaces, and of a force of time."""
+    scene = swinging(rod_mesh(dim=dim, h=0.25, height=0.2), "mean axes")
+    tip = scene.bodies["rod"].surface("tip")
+    scene.add(fmbd.force("push", tip, lambda t: np.array((1.0 + t, -2.0, 0.5))[:dim]))
+    system, state, _ = scene.build()
+    rng = np.random.default_rng(6)
+    q = system.compose(state.q, 0.02 * rng.standard_normal(system.n_v))
+    v, xi = rng.standard_normal(system.n_v), rng.standard_normal(system.n_v)
+    expected = system.at(0.3, q, v).work(xi)
+    use_driver(system)
+    ev = system.at(0.3, q, v)
+    found = ev.work(xi)
+    assert "kin" not in vars(ev)  # no marker was looked at in NumPy
+    assert found == pytest.approx(expected, rel=1e-10)

@@ -169,6 +169,10 @@ class Evaluation:
         """Generalised forces of wrenches on the markers: the transpose of the marker Jacobians, like v."""
         return self.gather(*self.on_ports(wrench))
 
+    def work(self, xi: Array) -> float:
+        """Work of the applied forces along an increment xi, like v."""
+        return float(self.system.dot(self.spread(self.wrenches()), xi))
+
     def on_ports(self, wrench: Array) -> tuple[Array, Array]:
         """Forces of wrenches on the frames, and on the ports (n_port,)."""
         s, markers = self.system, self.system.markers

@@ -182,9 +182,8 @@ def _integrate(
     f, g, x, y = f[near], g[near], x[near], y[near]
 
     # the blocks of (1), facet by facet
-    test = shape_functions(m, degree, x)
-    own = np.einsum("n,q,nqa,nqb->nab", weight, w, test, shape_functions(m, slave.degree, x), optimize=True)
-    other = np.einsum("n,q,nqa,nqb->nab", weight, w, test, shape_functions(m, master.degree, y), optimize=True)
+    test = np.swapaxes(weight[:, None, None] * w[:, None] * shape_functions(m, degree, x), 1, 2)
+    own, other = test @ shape_functions(m, slave.degree, x), test @ shape_functions(m, master.degree, y)
     return np.stack((f, g), axis=1), own, other, weight, np.abs(distance[near]).max(axis=1, initial=0.0)
 
 

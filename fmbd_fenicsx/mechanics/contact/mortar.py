@@ -39,7 +39,7 @@ class Pairing:
     """(1), (2) of one step: rows S (m, slave nodes) and Q (m, master nodes), both divided by w; n (m, d); ``on`` (m,) bool.
 
     ``offset`` (m,) m: overlap at the start of the step that came from the new pairing, not pushed out again. Candidates are in
-    the order of the trace.
+    the order of the trace. ``entries`` of S and -Q, by nodes of the traces.
     """
 
     slave: Any
@@ -47,6 +47,7 @@ class Pairing:
     normal: Array
     on: np.ndarray
     offset: Array
+    entries: tuple[Entries, Entries]
 
 
 class MortarPair:
@@ -143,7 +144,9 @@ class MortarPair:
                 S, Q = (inverse @ D).tocsr(), (inverse @ M).tocsr()
 
         overlap_now = (-normal * (S @ xs - Q @ xm)).sum(1)
-        self.pairing = Pairing(S, Q, -normal, on, np.where(on & keep, np.minimum(overlap_now, 0.0), 0.0))
+        offset = np.where(on & keep, np.minimum(overlap_now, 0.0), 0.0)
+        entries = _entries(S, self.order[0]), _entries(-Q, self.order[1])
+        self.pairing = Pairing(S, Q, -normal, on, offset, entries)
 
     def _ready(self, contacts: ContactSet, system: Any, q: Array) -> Pairing:
         if self.pairing is None:
@@ -168,7 +171,7 @@ class MortarPair:
         """Candidates of this pair; collective."""
         p = self._ready(contacts, system, at[1])
         touch = self.touch(contacts, system, at[:2], here)
-        S, Q = (_entries(W, order) for W, order in zip((p.slave, -p.master), self.order, strict=True))
+        S, Q = p.entries
 
         def linear(direction: Array) -> LinearRows:
             made = contacts.blank(self.count)

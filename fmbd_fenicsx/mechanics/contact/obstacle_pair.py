@@ -11,6 +11,8 @@ from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch, tangents_of
 from .shapes import distances
 from .trace import ContactTrace, FieldTrace
 
+TOLD = 8  # times at which poses of moving obstacles are kept: those of a step
+
 
 class ObstaclePair(Pair):
     """A slave, points or nodes, against an obstacle."""
@@ -45,6 +47,10 @@ class ObstacleSearch:
         self.frame = np.array([c.frame for c in carriers])
         self.carried = np.flatnonzero(self.frame >= 0)
         self.pushed = np.flatnonzero(self.frame[self.of] >= 0)
+        self._asked: dict[float, list[Array]] = {}  # of prescribed ones, by time
+        self._still: tuple[Array, Array] | None = None  # where all are at rest
+        if not (self.prescribed or len(self.carried)):
+            self._still = self.at_rest[self.of, : motions.dim], motions.matrix(self.at_rest)[self.of]
         self.shapes = distances([p.shape for p in pairs], self.of, motions.dim)
 
         # points of frames
@@ -71,29 +77,49 @@ class ObstacleSearch:
         """Where all candidates stand, and the frames that this was found with; collective."""
         t, q = at
         m, poses = contacts.m, system.poses(q)
-        d = m.dim
-
-        obstacles = self.at_rest.copy()
-        obstacles[self.carried] = poses[self.frame[self.carried]]
-        for i, motion in self.prescribed:
-            obstacles[i] = motion(t)
-        r, R = obstacles[self.of, :d], m.matrix(obstacles)[self.of]
+        r, R = self._obstacles(m, t, poses)
 
         # points of the slaves
-        own = poses[self.frames]
-        origin, turned = own[self.on, :d], m.matrix(own)[self.on]
-        x = np.empty((self.count, d))
-        x[self.rigid] = origin + (turned @ self.places[:, :, None])[:, :, 0]
+        x = np.empty((self.count, m.dim))
+        origin, turned = poses[self.frames][self.on, : m.dim], m.matrix(poses[self.frames])[self.on]
+        if len(self.rigid):
+            x[self.rigid] = origin + (turned @ self.places[:, :, None])[:, :, 0]
         for trace, (rows, nodes) in self.nodes.items():
             x[rows] = here.nodes(trace)[0][nodes]
 
         # distances in the axes of the obstacles
         y = ((x - r)[:, None] @ R)[:, 0]
-        gap, gradient = np.empty(self.count), np.empty_like(x)
-        for rows, told in self.shapes:
-            gap[rows], gradient[rows] = told(y[rows])
+        gap, gradient = self._distances(y)
         normal = (R @ gradient[:, :, None])[:, :, 0]
         return Touch(gap - self.radius, x - self.radius[:, None] * normal, normal, y), (r, R, origin, turned)
+
+    def _obstacles(self, m: Motions, t: float, poses: Array) -> tuple[Array, Array]:
+        """Places (m, d) and rotations (m, d, d) of the obstacles that the candidates may touch."""
+        if self._still is not None:
+            return self._still
+        obstacles = self.at_rest.copy()
+        obstacles[self.carried] = poses[self.frame[self.carried]]
+        if self.prescribed:
+            obstacles[[i for i, _ in self.prescribed]] = self._told(t)
+        return obstacles[self.of, : m.dim], m.matrix(obstacles)[self.of]
+
+    def _told(self, t: float) -> list[Array]:
+        """Poses of obstacles that move as prescribed; those of the times of a step are asked for once."""
+        found = self._asked.get(t)
+        if found is None:
+            found = self._asked[t] = [motion(t) for _, motion in self.prescribed]
+            for old in list(self._asked)[:-TOLD]:
+                del self._asked[old]
+        return found
+
+    def _distances(self, y: Array) -> tuple[Array, Array]:
+        """Distances and gradients at points (m, d) in the axes of their obstacles."""
+        if len(self.shapes) == 1:
+            return self.shapes[0][1](y)
+        gap, gradient = np.empty(self.count), np.empty_like(y)
+        for rows, told in self.shapes:
+            gap[rows], gradient[rows] = told(y[rows])
+        return gap, gradient
 
     def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here) -> Touch:
         """Gaps of all candidates; collective."""
@@ -110,16 +136,19 @@ class ObstacleSearch:
             core, field = contacts.blank(self.count)
             for trace, (rows, nodes) in self.nodes.items():
                 contacts.add_nodes((core, field), trace, ((rows, nodes, None), e), here.nodes(trace)[1:])
-            contacts.add_frames(core, self.rigid, self.frames[self.on], (e[self.rigid], x[self.rigid], origin, turned))
-            contacts.add_frames(core, on, self.frame[self.of[on]], (-e[on], x[on], r[on], R[on]))
+            if len(self.rigid):
+                geometry = e[self.rigid], x[self.rigid], origin, turned
+                contacts.add_frames(core, self.rigid, self.frames[self.on], geometry)
+            if len(on):
+                contacts.add_frames(core, on, self.frame[self.of[on]], (-e[on], x[on], r[on], R[on]))
             return LinearRows(core, tuple(field))
 
         tangents = tangents_of(touch.normal) if contacts.frictional else []
         drift = np.zeros((self.count, len(tangents)))
         if since is not None and tangents:
-            for i, motion in self.prescribed:
+            ends = zip(self._told(since[0]), self._told(since[0] + since[1]), strict=True)
+            for (i, _), (before, after) in zip(self.prescribed, ends, strict=True):
                 rows = self.of == i
-                before, after = motion(since[0]), motion(since[0] + since[1])
                 turn = contacts.m.matrix(after) - contacts.m.matrix(before)
                 moved = (after - before)[: contacts.m.dim] + touch.relative[rows] @ turn.T
                 drift[rows] = np.stack([(e[rows] * moved).sum(1) for e in tangents], axis=1)

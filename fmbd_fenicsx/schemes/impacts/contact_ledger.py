@@ -86,7 +86,7 @@ class ContactLedger(Remembering):
         # what is left of the change of energy is numerical
         energy, springs = self._energy(state)
         if system.forces:
-            works[2] = system.dot(ev.spread(ev.wrenches()), xi) + springs - self.springs
+            works[2] = ev.work(xi) + springs - self.springs
         if system.n_lam:
             works[3] = -float(lam @ ev.jacobian.times(xi))
         works[4] = energy - self.energy - works[:4].sum()

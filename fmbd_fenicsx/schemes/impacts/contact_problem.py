@@ -26,6 +26,7 @@ class CompiledProblem:
     def __init__(self, library: Any, d: int) -> None:
         self.library, self.d, self.room = library, d, 0
         self.arrays: dict[str, np.ndarray] = {}
+        self.everyone = _everyone(0)
         self.c = Contacts(components=d)
 
     def forces(self, W: Array, opening: Array, mu: Array, force: Array, counts: ContactCounts) -> Array | None:
@@ -33,16 +34,14 @@ class CompiledProblem:
         starts; None where it does not end.
         """
         m, d = force.shape
-        if m > self.room:
-            self._make_room(m)
-        row, near, pattern = _everyone(m)
+        if m != self.c.all.m:
+            self._take_size(m)
+        row, near, _ = self.everyone
         blocks, x = W.reshape(m, d, m, d), self.arrays
         x["own"][: m * d * d] = blocks[range(m), :, range(m)].ravel()
         x["W"][: len(row) * d * d] = blocks[row, :, near].ravel()
         x["f"][: m * d], x["u"][: m * d], x["mu"][:m] = force.ravel(), opening.ravel(), mu
         x["q"][: m * d] = opening.ravel() - W @ force.ravel()
-        places = {name: address_of(x[name]) for name in ("own", "W", "q", "u", "f", "mu")}
-        self.c.all = Problem(m=m, **{name: address_of(one) for name, one in pattern.items()}, **places)
         self.c.tally = Tally()
         if self.library.contact_problem(ctypes.addressof(self.c)):
             return None
@@ -53,6 +52,14 @@ class CompiledProblem:
         found = x["f"][: m * d].reshape(m, d).copy()
         found[:, 0] = np.maximum(found[:, 0], 0.0)
         return found
+
+    def _take_size(self, m: int) -> None:
+        """Problems of m points come next."""
+        if m > self.room:
+            self._make_room(m)
+        self.everyone = _everyone(m)  # C reads it
+        places = {name: self.arrays[name] for name in ("own", "W", "q", "u", "f", "mu")} | self.everyone[2]
+        self.c.all = Problem(m=m, **{name: address_of(one) for name, one in places.items()})
 
     def _make_room(self, m: int) -> None:
         """Arrays for m points."""

@@ -122,6 +122,20 @@ EXPORT int driver_constraints(System *s, long count, const double *t, const doub
     return DONE;
 }
 
+/* The work of force elements in a state along an increment xi, like v. */
+EXPORT int driver_work(System *s, double t, const double *q, const double *v, const double *xi, double *work)
+{
+    double last = NAN, *none = s->work;
+    int verdict = sample(s, t, &last);
+    if (verdict || (verdict = place(s, q, v))) return verdict;
+    memset(none, 0, s->rows * sizeof(double));
+    memset(s->residual, 0, s->nu * sizeof(double));
+    if ((verdict = acting(s, none, t))) return verdict;
+    turn_velocity(s, xi);
+    *work = -dot(s->residual, s->velocity, s->nu);
+    return DONE;
+}
+
 /* What judges ask of a state: ``found`` has the largest open constraint, the largest rate at which one opens, the largest of what of
    these depends on time only, as lengths by ``units``; how far places are from the origin; the largest velocity, acceleration and
    multiplier. ``energy``: 4, and ``sums`` of the balance, where asked for, else NULL; ``room``: 2 rows. */

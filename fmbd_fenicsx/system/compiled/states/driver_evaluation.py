@@ -85,6 +85,11 @@ class DriverEvaluation(_Constraints, Evaluation):
         self.forces = a, lam
         return found[0]
 
+    def work(self, xi: Array) -> float:
+        """Work of the applied forces along an increment xi, like v."""
+        found = self.states.work(self.alone, xi)
+        return super().work(xi) if found is None else found
+
     def _found_energies(self) -> dict[str, float]:
         found = self.states.energies(self.alone)
         if found is None:

@@ -190,6 +190,14 @@ class DriverStates(CompiledGeometry):
         asked = self.ask(self.library.driver_energies, *room.at, room.places["energies"])
         return room.energies[: room.count].copy() if asked else None
 
+    def work(self, at: Configurations, xi: Array) -> float | None:
+        """Work of force elements in one configuration along an increment xi; None as above."""
+        room = self._room(at)
+        room.a[0] = self.twin.velocities(xi)
+        of_state = room.places["q"], room.places["v"], room.places["a"], room.places["energies"]
+        asked = self.ask(self.library.driver_work, float(at[0][0]), *of_state)
+        return float(room.energies[0, 0]) if asked else None
+
     def _room(self, at: Configurations) -> Room:
         """Arrays for so many configurations, with these in them."""
         (t, q, v), twin = at, self.twin
