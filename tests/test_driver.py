@@ -489,9 +489,9 @@ def test_a_step_goes_on_where_the_driver_refuses_a_matrix(monkeypatch: pytest.Mo
         kept.append(keep)
         of_solver(solver, *given, keep=keep)
 
-    def once_a_step(solver: DriverSolver, *given: Any) -> bool:
+    def once_a_step(solver: DriverSolver, *given: Any, **more: Any) -> bool:
         solver.ready = False
-        return not kept[-1] and of_driver(solver, *given)
+        return not kept[-1] and of_driver(solver, *given, **more)
 
     monkeypatch.setattr(StepSolver, "prepare", told)
     monkeypatch.setattr(DriverSolver, "prepare", once_a_step)

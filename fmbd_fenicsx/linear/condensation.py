@@ -134,12 +134,12 @@ class StepSolver:
     def prepare(self, ev: Evaluation, weights: Weights, *, keep: bool = False, apart: bool = False) -> None:
         """Set up (1) for a configuration; elastic factors are kept from earlier calls with the same weights.
 
-        ``keep``: the matrix stays as it is, until :meth:`refresh` takes a new one. ``apart``: no contact takes part in what is
-        solved, whose compliance is that of the matrix, without the moments that are corrected after a solution.
+        ``keep``: the matrix stays until :meth:`refresh` takes a new one; the driver's, which it may refuse to make again, only
+        with compliances of contacts. ``apart``: no contact takes part; else solutions correct no moments, as compliances do not.
         """
         s = self.system
         driver, self._apart = self.driver, apart
-        if keep and driver is not None and driver.ready:
+        if keep and s.contacts is not None and driver is not None and driver.ready:
             return
         if driver is not None and driver.prepare(ev, weights, sways=apart or s.contacts is None):
             self.weights = weights
