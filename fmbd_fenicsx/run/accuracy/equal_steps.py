@@ -105,8 +105,8 @@ def by_half(
     |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     p the order of the scheme in the sensor, at most 2            (1)
 
     For motion of order one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks
-    may leave about the same in both: what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this, and all of it
-    where the error is uncertain (:func:`.orders.irregular`).
+    may leave about the same in both: what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this, and up to
+    the range of the sensor where the error is uncertain (:func:`.orders.irregular`).
     """
     orders = compare_steps(expected, finer, [given, *coarser]).orders
     errors = _left_by(given, finer.recorder, expected)
@@ -114,7 +114,8 @@ def by_half(
         for name, span in moving(given.recorder.series, given.recorder.scene.sensors).items():
             share, other = errors[name].size / span, larger.errors[name]
             doubted = irregular((expected[name], given.scheme.order), orders[name], max(share, other.size / span))
-            errors[name] = at_least(errors[name], other, np.inf if doubted else FURTHER)
+            most = max(FURTHER, 1.0 / share) if doubted and share > 0.0 else FURTHER
+            errors[name] = at_least(errors[name], other, most)
     return TimeError(errors, orders, given, halved=True)
 
 
