@@ -21,21 +21,21 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..errors import InputError, LinearSolveError, require
-from ..mechanics.placements import DistributedPart
-from ..rotations import Array, rotate_nodal
+from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.evaluator import Evaluator
 from ..system.system import System
 from ..system.tangents.force_tangent import force_tangent
-from ..system.tangents.foreshortened_ports import tangent_ports
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
-from .border import AroundSolver, Border
+from .border import Border
 from .configuration import MatrixConfiguration
 from .configuration_warnings import CLOSE, NearSingular, mover, rows_depend
-from .core import ADVICE, TIE_LIMIT, CoreSolver, dense
+from .core import ADVICE, TIE_LIMIT, CoreSolver
 from .core_matrix import core_matrix
 from .driver_solver import DriverSolver, driver_solver
+from .field_couplings import FieldCouplings
+from .prepared import Condensed, CoreAlone, Prepared, Tied, Whole
 from .residual import Judge
 
 __all__ = ["StepSolver", "Weights"]
@@ -44,9 +44,11 @@ __all__ = ["StepSolver", "Weights"]
 class StepSolver:
     """Solves cm M + cd C + ck K with the constraints of a system; one object for a whole run; collective.
 
-    After :meth:`prepare`, for each field of the configuration: ``blocks``, ``corotations`` (the rotation T of its factor, or
-    None), ``couplings`` S as its balance sees the core and ``back_couplings`` S as the core sees it; ``jacobian`` is G.
+    After :meth:`prepare`, for each field of the configuration: ``blocks`` and ``corotations`` (the rotation T of its factor, or
+    None).
     """
+
+    prepared: Prepared  # for the matrix prepared last, where that is not the driver's
 
     def __init__(self, system: System, *, linear: Any = None, prefix: str = "fmbd_") -> None:
         """``linear``: how elastic blocks are solved, an object of :mod:`fmbd_fenicsx.solvers` (None: Cholesky factors). PETSc's
@@ -65,7 +67,6 @@ class StepSolver:
         self.weights = Weights(1.0, 0.0, 0.0)  # of the matrix prepared last, of that of a start before any
         self.split: Any = None if linear is None else linear.split(system, prefix)
         self.iterated = self._iterated_ties()
-        self.direct: Any = slice(None) if self.iterated is None else self.iterated.direct
 
     def _iterated_ties(self) -> Any:
         """What iterates on the multipliers of surface ties where they are many; None where the dense core takes them."""
@@ -154,7 +155,7 @@ class StepSolver:
 
         self.look_for_dependent_rows(ev)
         try:
-            self._assemble(ev)
+            self.prepared = self._prepared(ev)
         except LinearSolveError as error:
             if error.motion is None:
                 raise
@@ -194,65 +195,47 @@ class StepSolver:
         moving = None if ev.v is None or not (weights.cd or weights.ck) else ev.v.copy()
         return MatrixConfiguration(ev.t, ev.q.copy(), moving, weights, versions)
 
-    def _assemble(self, ev: Evaluation) -> None:
+    def _prepared(self, ev: Evaluation) -> Prepared:
         """The matrices of (1), and the factor of the core."""
         s, w = self.system, self.weights
-        self.jacobian = ev.jacobian
-        A = self._core_with_forces(ev)
+        A, border = self._core_with_forces(ev)
         if not s.fields:
-            self.core.factor(A, self.jacobian.core)
-            return
+            self.core.factor(A, ev.jacobian.core)
+            return CoreAlone(s, self.core)
 
-        corrected = w.ck and self.iterated is None and s.contacts is None
         self.corotations = self._turned(ev)
-        self._missing_momenta = [f.missing_momentum(s.local_q(ev.q, k)) if corrected else None for k, f in s.fields]
         ties_apart = self.iterated is not None or self.whole
-        self.blocks = self.elastic.of(self.jacobian, w, ties_apart=ties_apart, splits=self.split is not None)
+        self.blocks = self.elastic.of(ev.jacobian, w, ties_apart=ties_apart, splits=self.split is not None)
+        fields = FieldCouplings.of(ev, w, self.blocks, self.corotations, border)
 
         A = A.toarray() if sp.issparse(A) else A.copy()
         if self.whole:
             self._refuse_redundant()
-            self.split.prepare(self, A, [self._coupling(ev, i) for i in range(len(self.blocks))])
-            self._around = AroundSolver(self.border, self.split.solve)
-            return
+            self.split.prepare(fields, A)
+            return Whole(s, border, self.split.solve)
         if self.iterated is not None:
             self.iterated.prepare(ev, w, A)
-        self._condense(ev, A)
+            nothing = [None] * len(self.blocks)
+            return Tied(Condensed(fields, self.core, A, self.iterated.direct, nothing), self.iterated)
+        corrected = w.ck and s.contacts is None
+        momenta = [f.missing_momentum(s.local_q(ev.q, k)) if corrected else None for k, f in s.fields]
+        return Condensed(fields, self.core, A, slice(None), momenta)
 
     def _turned(self, ev: Evaluation) -> list[Any]:
         """Rotations of the factors of fields at a configuration, None for those that do not turn."""
         return [f.corotation(self.system.local_q(ev.q, k)) for k, f in self.system.fields]
 
-    def _core_with_forces(self, ev: Evaluation) -> Any:
-        """A of (1) with the tangents of force elements; those on fields become the border."""
+    def _core_with_forces(self, ev: Evaluation) -> tuple[Any, Border]:
+        """A of (1) with the tangents of force elements, and the border of those on fields."""
         s, w = self.system, self.weights
         A = core_matrix(ev, w)
         has_tangent = (s.forces or s.elements) and (w.cd or w.ck)
         applied = force_tangent(ev, w.cd, w.ck) if has_tangent else None
         # cheap tangents of rigid bodies are renewed by the schemes
         self._pushed = applied is not None and bool(s.fields)
-        self.border = Border.of(s, applied, ev.t)
-
         if applied is not None and applied.core is not None:
             A = A + applied.core
-        return A
-
-    def _condense(self, ev: Evaluation, A: Array) -> None:
-        """Factor A - S^T W S of (1), with the constraint rows held by the core and the rows of the border."""
-        n = self.system.n_core
-        left, right = self.border.on_core()
-        joints = dense(self.jacobian.core)[self.direct]
-        lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
-        C = np.diag(np.repeat((0.0, -1.0), (len(joints), self.border.count)))
-
-        pairs = [self._couplings(ev, i) for i in range(len(self.blocks))]
-        self.couplings = [S for S, _ in pairs]
-        self.back_couplings = [R for _, R in pairs]
-        for block, (S, R) in zip(self.blocks, pairs, strict=True):
-            WS = block.seen_by(R, S)
-            A, C = A - WS[:n, :n], C - WS[n:, n:]
-            lower, upper = lower - WS[n:, :n], upper - WS[:n, n:]
-        self.core.factor(A, lower, C, upper)
+        return A, Border.of(s, applied, ev.t)
 
     @property
     def whole(self) -> bool:
@@ -275,75 +258,23 @@ class StepSolver:
             self._masses = core_matrix(ev, Weights(1.0, 0.0, 0.0))
         return self._masses
 
-    def _coupling(self, ev: Evaluation, i: int) -> Array:
-        """S of distributed part i: (inertia columns + used ports, n_core + n_lam)."""
-        s, block, cm = self.system, self.blocks[i], self.weights.cm
-        k, f = s.fields[i]
-        c, d = f.inertia_columns.shape[1], s.motions.dim
-        S = np.zeros((c + len(block.used), s.n_core + s.n_lam))
-
-        if c:  # the twist of its frame: translations in world axes, rotations in body axes
-            at = f.frame * c
-            S[:d, at : at + d] = cm * ev.rotation[f.frame].T
-            S[d:c, at + d : at + c] = cm * np.eye(c - d)
-        if f.shared_columns:
-            rows = s.frame_rows[k]
-            S[:c, s.n_core + rows.start : s.n_core + rows.stop] = np.eye(c)
-
-        ports = s.port_slice(k).start + block.used
-        S[c:, s.n_core :] = dense(self.jacobian.port[:, ports]).T
-        S[c:] = self._corotated_ports(i, S[c:])
-        return S
-
-    def _couplings(self, ev: Evaluation, i: int) -> tuple[Array, Array]:
-        """S of part i with the rows of the core and those of the border: what its balance sees, what the others see of it."""
-        n, k = self.system.n_core, self.system.fields[i][0]
-        S = self._coupling(ev, i)
-        if self.iterated is not None:
-            S = np.concatenate((S[:, :n], S[:, n:][:, self.direct]), axis=1)
-        if not self.border.count:
-            return S, S
-
-        used = self.blocks[i].used
-        inertia = np.zeros((len(S) - len(used), self.border.count))
-        left, right = (np.concatenate((inertia, self._corotated_ports(i, x))) for x in self.border.on_ports(k, used))
-        return np.concatenate((S, left), axis=1), np.concatenate((S, right), axis=1)
-
-    def _corotated_ports(self, i: int, rows: Array) -> Array:
-        """Rows (used ports, columns) of part i in the axes of its factor."""
-        T = self.corotations[i]
-        if T is None or not len(rows):
-            return rows
-        points = rows.reshape(len(rows) // len(T), len(T), rows.shape[1])  # there may be no columns
-        return np.asarray((T.T @ points).reshape(rows.shape))
-
     # -- solution -----------------------------------------------------------------------------------------------
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """Increment like v and multiplier increment (n_lam,) for right-hand sides b (like v) and c (n_lam,), complex ones too."""
-        s = self.system
         driver = self.driver
         if driver is not None and driver.ready:
             return driver.solve(b, c)
         if b.dtype.kind == "c" and self.weights.real:
             (x, y), (u, w) = self.solve(b.real, c.real), self.solve(b.imag, c.imag)
             return x + 1j * u, y + 1j * w
-        if not s.fields:
-            return self.core.solve(b, c)
-        if self.whole:
-            return self._around.solve(b, c)
-        if self.iterated is not None:
-            return self.iterated.solve(self._solve_direct, b, c)
-        return self._solve_direct(b, c)
+        return self.prepared.solve(b, c)
 
     def closing(self, C: Array) -> Array:
         """Motions (n_v, k) that open the constraints by the columns C (n_lam, k) and are least in the metric of the matrix."""
         driver = self.driver
         if driver is not None and driver.ready:
             return driver.closing(C)
-        if self.whole or self.iterated is not None or not self.system.fields:
-            nothing = np.zeros(self.system.n_v)
-            return np.stack([self.solve(nothing, c)[0] for c in C.T], axis=1)
-        return self._solve_direct(None, C)[0]
+        return self.prepared.closing(C)
 
     def step(self, ev: Evaluation, b: Array, c: Array) -> tuple[Array, Array]:
         """As :meth:`solve`, for an increment of Newton's iteration from a state: the pressures that bodies carry move along.
@@ -365,58 +296,6 @@ class StepSolver:
         fields = [f.field for _, f in self.system.fields if f.field.carried]
         for field, p in zip(fields, values, strict=True):
             field.pressure_values = p  # type: ignore[attr-defined]
-
-    def _solve_direct(self, b: Array | None, c: Array) -> tuple[Array, Array]:
-        """The same with the rows that the core holds: all, or those of no surface tie where these are iterated. No b: zero.
-        c may be columns where there is no b.
-        """
-        s = self.system
-        n, columns = s.n_core, c.shape[1:]
-        core = self.core.solve_columns if columns else self.core.solve
-
-        # z = E^-1 b of each field, and what is left for the core
-        rhs = np.concatenate(
-            (np.zeros((n, *columns)) if b is None else b[:n], c, np.zeros((self.border.count, *columns)))
-        )
-        zs: list[Any] = [0.0] * len(self.blocks)
-        for i, ((k, f), block) in enumerate(zip(s.fields, self.blocks, strict=True)):
-            if b is not None:
-                zs[i] = block.factor.solve(rotate_nodal(s.local_v(b, k), self.corotations[i], back=True))
-                rhs -= self.back_couplings[i].T @ self._project(f, block, zs[i])
-        x = np.concatenate(core(rhs[:n], rhs[n:]))
-        parts = [z - block.Y @ (S @ x) for S, block, z in zip(self.couplings, self.blocks, zs, strict=True)]
-
-        # Moments that the constant columns of inertia leave out: a second solve with the core's factor, no back-solve.
-        moments = self._moments_left_out(parts)
-        if moments is not None:
-            more = np.concatenate(core(moments, np.zeros((len(x) - n, *columns))))
-            x += more
-            for part, S, block in zip(parts, self.couplings, self.blocks, strict=True):
-                part -= block.Y @ (S @ more)
-
-        local = [rotate_nodal(part, T) for part, T in zip(parts, self.corotations, strict=True)]
-        return np.concatenate([x[:n], *local]), x[n : n + len(c)]
-
-    def _project(self, f: DistributedPart, block: FactoredField, z: Array) -> Array:
-        """H^T z of a field."""
-        ports = tangent_ports(f, z, self.jacobian.t)
-        q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
-        return np.concatenate((q, ports[block.used]))
-
-    def _moments_left_out(self, increments: list[Array]) -> Array | None:
-        """Moments, (n_core, ..), that increments dU of fields have about their frames by M (e x U): -cm (M U) x dU.
-
-        Without them a light axis of a slender body slows Newton's iteration. None where there are none.
-        """
-        if all(MU is None for MU in self._missing_momenta):
-            return None
-        s, m = self.system, self.system.motions
-        out: Array = np.zeros((s.n_core, *increments[0].shape[1:]), np.result_type(*increments))
-        for (_, f), rows, dU in zip(s.fields, self._missing_momenta, increments, strict=True):
-            if rows is not None:
-                at = f.frame * m.n_twist
-                out[at + m.dim : at + m.n_twist] -= self.weights.cm * f.field.total(rows @ dU)
-        return out
 
     def refresh(self, ev: Evaluation, increment: Array | None = None) -> bool:
         """New tangents of nonlinear parts and forces, and rows, at a state; False when all are constant. Collective.

@@ -22,6 +22,7 @@ from ...mechanics.contact.rows import ContactSet, LinearRows
 from ...rotations import Array
 from ...system.serialisation import Remembering, plain, worker
 from ..condensation import StepSolver
+from ..prepared import Condensed
 from .delassus_matrix_free import MANY, Applied, SlaveBlocks
 
 CHUNK = 64  # columns solved together
@@ -93,13 +94,15 @@ class Compliance(Remembering):
         driver = solver.driver
         if driver is not None and driver.ready:
             return driver.answers(core, seen)
-        rhs = np.zeros((n + solver.system.n_lam + solver.border.count, m))
+        prepared = solver.prepared
+        if not isinstance(prepared, Condensed):  # no fields
+            return self._core(np.concatenate((core.T, np.zeros((solver.system.n_lam, m)))))[:n].T, []
+        rhs = np.zeros((n + solver.system.n_lam + prepared.fields.border.count, m))
         rhs[:n] = core.T
-        pairs = zip(solver.back_couplings, seen, strict=True) if solver.system.fields else ()
-        for R, x in pairs:
+        for R, x in zip(prepared.back_couplings, seen, strict=True):
             rhs -= R.T @ x.T
         X = self._core(rhs)
-        return X[:n].T, [(S @ X).T for S in solver.couplings] if solver.system.fields else []
+        return X[:n].T, [(S @ X).T for S in prepared.couplings]
 
     def _by_solves(self, rows: LinearRows) -> Array:
         """W of (1), (m, m), by one solve of the step for each row: where the matrix is not eliminated block by block."""

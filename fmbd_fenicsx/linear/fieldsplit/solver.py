@@ -25,6 +25,8 @@ from ...log import together
 from ...rotations import Array
 from ...system.system import System
 from ..blocks.elastic_blocks import Bddc, Cholesky
+from ..blocks.field_blocks import Weights
+from ..field_couplings import FieldCouplings
 from ..iterated_multipliers import CHANGED
 from ..options import check_options, set_from_options
 from ..residual import Judge, KrylovTest
@@ -66,19 +68,19 @@ class SplitSolver:
         self._own: list[Any] = []
 
     # -- set-up -------------------------------------------------------------------------------------------------
-    def prepare(self, solver: Any, A: Array, couplings: list[Array]) -> None:
-        """Take a configuration of a :class:`~..condensation.StepSolver`: A of (1), and its S for each field."""
+    def prepare(self, fields: FieldCouplings, A: Array) -> None:
+        """Take a configuration: A of (1), and its fields."""
         self._refuse_unsymmetric(A)
         n = self.system.n_core
-        fields = zip(couplings, self.system.fields, strict=True)
-        twists = [S[: f.inertia_columns.shape[1], :n] for S, (_, f) in fields]
-        self.matrix = StepMatrix(self.layout, A, solver.jacobian, twists, solver.blocks, solver.corotations)
+        pairs = zip(fields.couplings, self.system.fields, strict=True)
+        twists = [S[: f.inertia_columns.shape[1], :n] for S, (_, f) in pairs]
+        self.matrix = StepMatrix(self.layout, A, fields.jacobian, twists, fields.blocks, fields.corotations)
 
-        made = tuple(b.factor for b in solver.blocks), A, solver.jacobian.core, solver.jacobian.port
+        made = tuple(b.factor for b in fields.blocks), A, fields.jacobian.core, fields.jacobian.port
         if self._made is None or self._far(made):
             self._release()
             self._made = made
-            self._build(solver, couplings)
+            self._build(fields.weights, fields.couplings)
 
     def _refuse_unsymmetric(self, A: Array) -> None:
         """MINRES is for symmetric matrices."""
@@ -97,11 +99,11 @@ class SplitSolver:
         pairs = zip(now[1:], self._made[1:], strict=True)
         return any(min(x.shape) and abs(x - y).max() > CHANGED * abs(y).max() for x, y in pairs)
 
-    def _build(self, solver: Any, couplings: list[Array]) -> None:
+    def _build(self, weights: Weights, couplings: list[Array]) -> None:
         """The splits of (2), and the Krylov method."""
         from petsc4py import PETSc
 
-        splits = Preconditioner(self.matrix, couplings, solver.weights, self.preset.multiplier)
+        splits = Preconditioner(self.matrix, couplings, weights, self.preset.multiplier)
         self.bounds = splits.bounds
         matrix = PETSc.Mat().createPython(splits.P.getSizes(), _Product(self), comm=self.system.comm)
         matrix.setUp()

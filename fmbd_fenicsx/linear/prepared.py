@@ -1,0 +1,153 @@
+"""Ways to solve the system of a step, prepared for one configuration: by the core alone, by fields condensed onto it, with ties
+iterated around these, or as a whole. Equation (1) is that of :mod:`.condensation`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..mechanics.placements import DistributedPart
+from ..rotations import Array, rotate_nodal
+from ..system.system import System
+from ..system.tangents.foreshortened_ports import tangent_ports
+from .blocks.field_blocks import FactoredField
+from .border import AroundSolver, Border
+from .core import CoreSolver, dense
+from .field_couplings import FieldCouplings
+
+if TYPE_CHECKING:
+    from .iterated_multipliers import IteratedMultipliers
+
+
+class Prepared:
+    """A matrix that can be solved with; collective."""
+
+    system: System
+
+    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """Increment like v and multipliers for right-hand sides b (like v) and c."""
+        raise NotImplementedError
+
+    def closing(self, C: Array) -> Array:
+        """Motions (n_v, k) that open the constraints by the columns C (n_lam, k) and are least in the metric of the matrix."""
+        nothing = np.zeros(self.system.n_v)
+        return np.stack([self.solve(nothing, c)[0] for c in C.T], axis=1)
+
+
+class CoreAlone(Prepared):
+    """Of systems without fields."""
+
+    def __init__(self, system: System, core: CoreSolver) -> None:
+        self.system, self.core = system, core
+
+    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """As :meth:`Prepared.solve`."""
+        return self.core.solve(b, c)
+
+
+class Condensed(Prepared):
+    """Fields are eliminated with their factors: for each the ``couplings`` S as its balance sees the core, and ``back_couplings``
+    as the core sees it.
+    """
+
+    def __init__(self, fields: FieldCouplings, core: CoreSolver, A: Array, direct: Any, momenta: list[Any]) -> None:
+        """``A``: of the core; ``direct``: the constraint rows that it holds; ``momenta``: of each field what its constant columns
+        leave out of the moments of inertia, None where that is not corrected.
+        """
+        self.fields, self.core, self.momenta, self.system = fields, core, momenta, fields.system
+        self.couplings, self.back_couplings = fields.with_border(direct)
+        self._factor(A, dense(fields.jacobian.core)[direct])
+
+    def _factor(self, A: Array, joints: Array) -> None:
+        """Factor A - S^T W S of (1), with the constraint rows held by the core and the rows of the border."""
+        n, border = self.system.n_core, self.fields.border
+        left, right = border.on_core()
+        lower, upper = np.concatenate((joints, right)), np.concatenate((joints.T, left), axis=1)
+        C = np.diag(np.repeat((0.0, -1.0), (len(joints), border.count)))
+
+        for block, S, R in zip(self.fields.blocks, self.couplings, self.back_couplings, strict=True):
+            WS = block.seen_by(R, S)
+            A, C = A - WS[:n, :n], C - WS[n:, n:]
+            lower, upper = lower - WS[n:, :n], upper - WS[:n, n:]
+        self.core.factor(A, lower, C, upper)
+
+    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """As :meth:`Prepared.solve`; c of the rows that the core holds."""
+        return self._solve(b, c)
+
+    def closing(self, C: Array) -> Array:
+        """As :meth:`Prepared.closing`, all columns together."""
+        return self._solve(None, C)[0]
+
+    def _solve(self, b: Array | None, c: Array) -> tuple[Array, Array]:
+        """The same. No b: zero; c may be columns then."""
+        s, blocks, turns = self.system, self.fields.blocks, self.fields.corotations
+        n, columns = s.n_core, c.shape[1:]
+        core = self.core.solve_columns if columns else self.core.solve
+
+        # z = E^-1 b of each field, and what is left for the core
+        first = np.zeros((n, *columns)) if b is None else b[:n]
+        rhs = np.concatenate((first, c, np.zeros((self.fields.border.count, *columns))))
+        zs: list[Any] = [0.0] * len(blocks)
+        for i, ((k, f), block) in enumerate(zip(s.fields, blocks, strict=True)):
+            if b is not None:
+                zs[i] = block.factor.solve(rotate_nodal(s.local_v(b, k), turns[i], back=True))
+                rhs -= self.back_couplings[i].T @ self._project(f, block, zs[i])
+        x = np.concatenate(core(rhs[:n], rhs[n:]))
+        parts = [z - block.Y @ (S @ x) for S, block, z in zip(self.couplings, blocks, zs, strict=True)]
+
+        # Moments that the constant columns of inertia leave out: a second solve with the core's factor, no back-solve.
+        moments = self._moments_left_out(parts)
+        if moments is not None:
+            more = np.concatenate(core(moments, np.zeros((len(x) - n, *columns))))
+            x += more
+            for part, S, block in zip(parts, self.couplings, blocks, strict=True):
+                part -= block.Y @ (S @ more)
+
+        local = [rotate_nodal(part, T) for part, T in zip(parts, turns, strict=True)]
+        return np.concatenate([x[:n], *local]), x[n : n + len(c)]
+
+    def _project(self, f: DistributedPart, block: FactoredField, z: Array) -> Array:
+        """H^T z of a field."""
+        ports = tangent_ports(f, z, self.fields.jacobian.t)
+        q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
+        return np.concatenate((q, ports[block.used]))
+
+    def _moments_left_out(self, increments: list[Array]) -> Array | None:
+        """Moments, (n_core, ..), that increments dU of fields have about their frames by M (e x U): -cm (M U) x dU.
+
+        Without them a light axis of a slender body slows Newton's iteration. None where there are none.
+        """
+        if all(MU is None for MU in self.momenta):
+            return None
+        s, m = self.system, self.system.motions
+        out: Array = np.zeros((s.n_core, *increments[0].shape[1:]), np.result_type(*increments))
+        for (_, f), rows, dU in zip(s.fields, self.momenta, increments, strict=True):
+            if rows is not None:
+                at = f.frame * m.n_twist
+                out[at + m.dim : at + m.n_twist] -= self.fields.weights.cm * f.field.total(rows @ dU)
+        return out
+
+
+class Tied(Prepared):
+    """Fields are condensed with few rows of constraints, and the many of surface ties iterated on."""
+
+    def __init__(self, condensed: Condensed, ties: IteratedMultipliers) -> None:
+        self.condensed, self.ties, self.system = condensed, ties, condensed.system
+
+    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """As :meth:`Prepared.solve`."""
+        return self.ties.solve(self.condensed.solve, b, c)
+
+
+class Whole(Prepared):
+    """The matrix is solved as it stands, by its blocks (:mod:`.fieldsplit.solver`); force elements on fields around it."""
+
+    def __init__(self, system: System, border: Border, solve: Any) -> None:
+        self.system, self.around = system, AroundSolver(border, solve)
+
+    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
+        """As :meth:`Prepared.solve`."""
+        return self.around.solve(b, c)
