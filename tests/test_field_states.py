@@ -15,6 +15,7 @@ from fmbd_fenicsx.fem.factors import factor
 from fmbd_fenicsx.linear import condensation
 from fmbd_fenicsx.linear.complementarity.delassus import Compliance
 from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.prepared import Condensed
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.mechanics.contact.rows import ContactSet
 from fmbd_fenicsx.schemes.impacts.contact_detection import components
@@ -286,9 +287,9 @@ def test_steps_are_solved_in_the_driver(
 
     def run() -> tuple[fmbd.Run, int]:
         found: list[Any] = []
-        condense = StepSolver._condense
+        condense = Condensed._factor
         with monkeypatch.context() as patch:
-            patch.setattr(StepSolver, "_condense", lambda *given: (found.append(1), condense(*given))[1])
+            patch.setattr(Condensed, "_factor", lambda *given: (found.append(1), condense(*given))[1])
             made = fmbd.solve(scene(), t_end=20 * dt, dt=dt, scheme=scheme, output=fmbd.Output(progress=False))
         return made, len(found)
 
@@ -320,9 +321,9 @@ def test_steps_with_contact_are_solved_in_the_driver(
     def run(below: float) -> tuple[fmbd.Run, int, int]:
         condensed: list[Any] = []
         looked: list[Any] = []
-        condense, look = StepSolver._condense, ContactSet._looked_at
+        condense, look = Condensed._factor, ContactSet._looked_at
         with monkeypatch.context() as patch:
-            patch.setattr(StepSolver, "_condense", lambda *given: (condensed.append(1), condense(*given))[1])
+            patch.setattr(Condensed, "_factor", lambda *given: (condensed.append(1), condense(*given))[1])
             patch.setattr(ContactSet, "_looked_at", lambda *given: (looked.append(1), look(*given))[1])
             made = fmbd.solve(scene(below), t_end=0.04, dt=1e-3, scheme=scheme, output=fmbd.Output(progress=False))
         return made, len(condensed), len(looked)

@@ -212,8 +212,8 @@ def test_dependent_rows_on_fields_are_solved_in_compiled_code(
 ) -> None:
     """States and smallest multipliers of NumPy, which makes some matrices at the start."""
     made: list[int] = []
-    assemble = StepSolver._assemble
-    monkeypatch.setattr(StepSolver, "_assemble", lambda *given: (made.append(1), assemble(*given))[1])
+    prepared = StepSolver._prepared
+    monkeypatch.setattr(StepSolver, "_prepared", lambda *given: (made.append(1), prepared(*given))[1])
     run = lambda: fmbd.solve(twice_hinged(body), t_end=30 * dt, dt=dt, scheme=scheme).state  # noqa: E731
 
     fast = run()
