@@ -13,8 +13,11 @@ def poses(system, q):
 def panels(file, content, title):
     """Pictures side by side: title -> [(rod, poses of its nodes), ...], from light (early) to dark (late)."""
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    page = Figure(figsize=(5.5 * len(content), 4.5), layout="constrained")
+    # names of axes in space reach beyond their panel
+    layout = ConstrainedLayoutEngine(rect=(0.0, 0.0, 0.95, 1.0))
+    page = Figure(figsize=(5.5 * len(content), 4.5), layout=layout)
     page.suptitle(title, fontsize=10)
     for k, (name, shapes) in enumerate(content.items()):
         axes = page.add_subplot(1, len(content), k + 1, projection="3d")
