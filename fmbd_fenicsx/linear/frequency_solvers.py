@@ -21,9 +21,8 @@ from .condensation import StepSolver
 
 DECADE = 3  # real factors for a decade of frequencies
 SAME = 1e-8  # relative difference below which frequencies are the same: steps of one size differ by roundoff
-SETTLED = (
-    4  # times that a frequency is asked for before it gets own factors, which cost what one to five steps gain by them
-)
+# times that a frequency is asked for before it gets own factors, which cost what one to five steps gain by them
+SETTLED = 4
 MANY = 32  # frequencies that are remembered
 KEPT = 12  # sets of elastic factors, that of the mass included
 LARGE_KEPT = 5  # the same of large bodies: those of a decade, one more and the mass

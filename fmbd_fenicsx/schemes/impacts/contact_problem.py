@@ -93,6 +93,6 @@ def compiled_problem(system: System) -> CompiledProblem | None:
     if not system.fields or not isinstance(system.evaluator, DriverStates):
         return None
     library = driver_library(system.motions.dim, (CONTACT,))
-    return (
-        None if library is None else CompiledProblem(library, system.motions.dim if system.contacts.frictional else 1)
-    )
+    if library is None:
+        return None
+    return CompiledProblem(library, system.motions.dim if system.contacts.frictional else 1)

@@ -52,10 +52,8 @@ LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
-FEW, REFUSED = (
-    4,
-    0.1,
-)  # steps that are refused on the way to a first size, and share of others, beyond which motion is not smooth
+FEW = 4  # steps that are refused on the way to a first size
+REFUSED = 0.1  # share of others beyond which motion is not smooth
 LOW_ORDER = 2  # of schemes that pass kinks without being stopped by them
 HALF_MORE = 1.5  # ratio of steps of the run with a smaller tolerance that is to tell an error
 
