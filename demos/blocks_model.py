@@ -13,7 +13,7 @@ from fmbd_fenicsx.fem.fields import ElasticForms, Field
 from fmbd_fenicsx.fem.traces.mortar import mortar
 from fmbd_fenicsx.fem.traces.multipliers import default_space
 from fmbd_fenicsx.fem.traces.traces import trace_of
-from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.presets.krylov import Direct
 from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, tie
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)

@@ -18,7 +18,7 @@ from fmbd_fenicsx.fem.fields import ElasticForms, Field
 from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
 from fmbd_fenicsx.fem.traces.stability import infsup
 from fmbd_fenicsx.fem.traces.traces import trace_of
-from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.presets.krylov import Direct
 from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, hold
 from fmbd_fenicsx.post.demo import Check
 

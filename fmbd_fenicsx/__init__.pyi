@@ -20,7 +20,7 @@ from .analysis.vibration.linear_model import frequency_response as frequency_res
 from .analysis.vibration.linear_model import linearise as linearise
 from .analysis.vibration.modes import Modes as Modes
 from .analysis.vibration.modes import modes as modes
-from .analysis.statics.steady import Spin as Spin
+from .analysis.small_motions.steady import Spin as Spin
 from .energies import MixedEnergy as MixedEnergy
 from .energies import ViscousForm as ViscousForm
 from .fem.loads import Load as Load
@@ -35,12 +35,12 @@ from .fem.traces.multipliers import Dual as Dual
 from .fem.traces.multipliers import Ends as Ends
 from .fem.traces.multipliers import Linear as Linear
 from .fem.traces.stability import infsup as infsup
-from .linear.saddle.presets import Bddc as Bddc
-from .linear.saddle.presets import Cholesky as Cholesky
-from .linear.saddle.presets import Direct as Direct
-from .linear.saddle.presets import FieldSplit as FieldSplit
-from .linear.saddle.presets import Multigrid as Multigrid
-from .linear.saddle.presets import Schur as Schur
+from .linear.blocks.elastic_blocks import Bddc as Bddc
+from .linear.blocks.elastic_blocks import Cholesky as Cholesky
+from .linear.presets.krylov import Direct as Direct
+from .linear.presets.krylov import FieldSplit as FieldSplit
+from .linear.blocks.elastic_blocks import Multigrid as Multigrid
+from .linear.presets.multiplier_schur import Schur as Schur
 from .line_mesh import Line as Line
 from .line_mesh import read_line as read_line
 from .log import say as say

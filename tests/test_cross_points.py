@@ -18,7 +18,7 @@ from fmbd_fenicsx.fem.fields import ElasticForms, Field
 from fmbd_fenicsx.fem.traces.mortar import mortar
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends, default_space
 from fmbd_fenicsx.fem.traces.tie_stability import infsup_together
-from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.presets.krylov import Direct
 from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, tie
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import fsolve
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.analysis.vibration.perturbation import Perturbation
+from fmbd_fenicsx.analysis.small_motions.perturbation import Perturbation
 from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.system import State
 

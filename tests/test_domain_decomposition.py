@@ -12,9 +12,12 @@ from fmbd_fenicsx.fem.fields import ElasticForms, Field
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends
 from fmbd_fenicsx.fem.traces.traces import trace_of
 from fmbd_fenicsx.linear.blocks.domain_decomposition import DualInterface, shared_traces, unassembled
+from fmbd_fenicsx.linear.blocks.elastic_blocks import Bddc, set_bddc
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor
-from fmbd_fenicsx.linear.saddle.presets import Bddc, FieldSplit, Schur, set_bddc
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, elastic_matrix
+from fmbd_fenicsx.linear.presets.krylov import FieldSplit
+from fmbd_fenicsx.linear.presets.multiplier_schur import Schur
+from fmbd_fenicsx.linear.rigid_modes import elastic_matrix
+from fmbd_fenicsx.linear.saddle.saddle import Elastic
 
 KEPT1 = Continuous(1, Ends.KEPT)
 
@@ -109,7 +112,7 @@ def _whole(piece, parts: int, cells: tuple[int, int], cm: float):
     from mpi4py import MPI
 
     from fmbd_fenicsx.fem.traces.mortar import mortar
-    from fmbd_fenicsx.linear.saddle.presets import Direct
+    from fmbd_fenicsx.linear.presets.krylov import Direct
     from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint, hold, tie
 
     bodies = [piece(i, MPI.COMM_SELF) for i in range(parts)]

@@ -8,8 +8,8 @@ from tied import block, manufactured, release, surface, tied
 
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Dual, Ends
-from fmbd_fenicsx.linear.saddle.elimination import Eliminated
-from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.presets.elimination import Eliminated
+from fmbd_fenicsx.linear.presets.krylov import Direct
 from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, hold
 
 

@@ -10,9 +10,11 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, LinearSolveError
 from fmbd_fenicsx.fem.traces.mortar import mortar
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Discontinuous, Dual, Ends, default_space
-from fmbd_fenicsx.linear.blocks.exact import Exact
+from fmbd_fenicsx.linear.blocks.elastic_blocks import Multigrid
+from fmbd_fenicsx.linear.presets.exact import Exact
+from fmbd_fenicsx.linear.presets.krylov import Direct, FieldSplit
+from fmbd_fenicsx.linear.presets.multiplier_schur import Schur
 from fmbd_fenicsx.linear.saddle.precondition import Lumped
-from fmbd_fenicsx.linear.saddle.presets import Direct, FieldSplit, Multigrid, Schur
 from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, slide, stiffen, tie
 
 KEPT1 = Continuous(1, Ends.KEPT)

@@ -9,7 +9,7 @@ from tied import surface
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.fem.fields import ElasticForms, Field
-from fmbd_fenicsx.linear.saddle.presets import Direct
+from fmbd_fenicsx.linear.presets.krylov import Direct
 from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, hold, stiffen
 
 KEPT = fmbd.Continuous(ends=fmbd.Ends.KEPT)

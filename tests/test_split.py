@@ -11,8 +11,9 @@ pytest.importorskip("dolfinx")
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, LinearSolveError
+from fmbd_fenicsx.linear.blocks.elastic_blocks import Bddc, Multigrid
 from fmbd_fenicsx.linear.fieldsplit.solver import SplitSolver
-from fmbd_fenicsx.linear.saddle.presets import Bddc, FieldSplit, Multigrid
+from fmbd_fenicsx.linear.presets.krylov import FieldSplit
 
 ROOT = Path(__file__).resolve().parents[1]
 KIND = {"a": fmbd.AbsoluteBody, "f": fmbd.FloatingBody}

@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline, interp1d
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError
-from fmbd_fenicsx.mechanics.joints import time_derivatives
-from fmbd_fenicsx.mechanics.joints.time_derivatives import KeptSteps, rates
+from fmbd_fenicsx.mechanics.kinds import time_derivatives
+from fmbd_fenicsx.mechanics.kinds.time_derivatives import KeptSteps, rates
 
 LAWS: dict[str, tuple[Callable[[Any], Any], Callable[[float], tuple[float, float]]]] = {
     "powers": (lambda t: 3 * t**3 - t**2 / 4 + 1, lambda t: (9 * t**2 - t / 2, 18 * t - 0.5)),

@@ -22,9 +22,15 @@ from fmbd_fenicsx.fem.fields import Field  # noqa: E402
 from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends  # noqa: E402
 from fmbd_fenicsx.fem.traces.stability import infsup  # noqa: E402
 from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled  # noqa: E402
+from fmbd_fenicsx.linear.blocks.elastic_blocks import Multigrid, set_bddc  # noqa: E402
+from fmbd_fenicsx.linear.presets.krylov import FieldSplit  # noqa: E402
+from fmbd_fenicsx.linear.presets.multiplier_schur import Schur  # noqa: E402
 from fmbd_fenicsx.linear.saddle.precondition import Lumped, ScaledMass  # noqa: E402
-from fmbd_fenicsx.linear.saddle.presets import FieldSplit, Multigrid, Preset, Schur, set_bddc  # noqa: E402
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, elastic_matrix  # noqa: E402
+from fmbd_fenicsx.linear.saddle.saddle import (  # noqa: E402
+    Elastic,
+    Preset,  # noqa: E402
+    elastic_matrix,
+)
 
 SIDES = ("left", "right", "back", "front")
 

@@ -26,11 +26,10 @@ from ...system.compiled.choice import use_driver
 from ...system.evaluation import Evaluation
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
-from ..vibration.basis import RANK
-from ..vibration.perturbation import Perturbation
-from ..vibration.rotors import BodySpin
+from ..small_motions.basis import RANK
+from ..small_motions.perturbation import Perturbation
+from ..small_motions.steady import BodySpin, Spin, steady_rates
 from .static_newton import StaticNewton, StaticPoint
-from .steady import Spin, steady_rates
 
 MOST = 300  # coordinates up to which matrices are dense
 TRIES, CLOSING = 200, 12  # increments, and iterations that close the constraints after each

@@ -30,14 +30,14 @@ from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.spins import Spins
 from ...system.system import State, System
-from ..vibration.basis import free_motions
-from ..vibration.perturbation import Perturbation
-from ..vibration.rotors import BodySpin, body_spin, check_steady
+from ..small_motions.basis import free_motions
+from ..small_motions.perturbation import Perturbation
+from ..small_motions.steady import BodySpin, Residual, Spin, body_spin, steady_rates
 from .arc_length import ArcLength, Path
 from .descent import descend, descends
 from .load_steps import LoadSteps
+from .rotors import check_steady
 from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps, relax
-from .steady import Residual, Spin, steady_rates
 
 FEW = 120  # coordinates up to which stability is looked at
 ASIDE = 0.1  # displacement along a motion that may be free, over the model's length

@@ -24,7 +24,7 @@ from ...system.control.control_memory import Kept
 from ...system.control.controllers import ControlLoads
 from ...system.element_memory import memories, restore
 from ...system.system import State, System
-from ..vibration.small_memory import hold
+from ..small_motions.small_memory import hold
 from .static_newton import StaticNewton, StaticPoint, by_load_steps
 
 LENGTHS = 100.0  # T over the preconditioner's time step

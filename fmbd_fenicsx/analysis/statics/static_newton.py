@@ -28,7 +28,7 @@ from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
 from ...schemes.newton import ExactTangent
 from ...system.speed_rows import speed_rows
-from .steady import Residual
+from ..small_motions.steady import Residual
 
 RELAXED = 150  # iterations of descent from a poor start
 SHORTEST = 1 / 256  # load step, and share of an increment in the line search

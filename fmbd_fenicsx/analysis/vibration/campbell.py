@@ -16,8 +16,8 @@ from ...checks import typed
 from ...errors import require
 from ...rotations import Array
 from ...system.scene.scene import Scene
+from ..small_motions.steady import Spin
 from ..statics.equilibrium import equilibrium
-from ..statics.steady import Spin
 from .modes import modes_of
 
 

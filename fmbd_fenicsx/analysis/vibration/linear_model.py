@@ -1,6 +1,6 @@
 """Linear models of a scene: state space from named inputs to named outputs, and its frequency response.
 
-With y = V z on the basis of :mod:`.basis` and u the inputs,
+With y = V z on the basis of :mod:`..small_motions.basis` and u the inputs,
 
     x = (z, z'),    x' = A x + B u,    o = C x + D u                                                         (1)
 
@@ -26,10 +26,10 @@ from ...mechanics.forces.force_elements import ScalarLoads, TimeLoads
 from ...rotations import Array
 from ...system.scene.scene import Scene
 from ...system.system import State
-from .basis import ProjectedSystem, projected
+from ..small_motions.basis import ProjectedSystem, projected
+from ..small_motions.small_memory import changed, memory_size, pushed_by
 from .first_order import first_order
 from .modes import Linearised, eigenpairs, prepared, readable
-from .small_memory import changed, memory_size, pushed_by
 
 STEP = 1e-4
 AXES = ("x", "y", "z")

@@ -2,8 +2,8 @@
 
     (l^2 M + l C + K) y + G^T mu = 0,    G y = 0                                                              (1)
 
-with all terms of :mod:`.perturbation`. Without velocity-dependent and circulatory terms the problem is symmetric and solved as
-such; otherwise as the eigenvalues of its companion matrix.
+with all terms of :mod:`..small_motions.perturbation`. Without velocity-dependent and circulatory terms the problem is symmetric
+and solved as such; otherwise as the eigenvalues of its companion matrix.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from ...system.own_state import refuse_other_state
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.system import State, System
+from ..small_motions.basis import ProjectedSystem, projected
+from ..small_motions.perturbation import Perturbation
+from ..small_motions.small_memory import refuse_moving_memory, relaxes
+from ..small_motions.steady import BodySpin, Spin
 from ..statics.equilibrium import Equilibrium, static_newton
 from ..statics.static_newton import StaticNewton, StaticPoint
-from ..statics.steady import Spin
-from .basis import ProjectedSystem, projected
 from .first_order import first_order, slowest
-from .perturbation import Perturbation
-from .rotors import BodySpin, check_round
-from .small_memory import refuse_moving_memory, relaxes
+from .rotors import check_round
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
 PLANE = 1e-6  # share of circling motion below which a mode is plane
@@ -192,7 +192,7 @@ def readable(scene: Scene) -> dict[str, Any]:
     if not scene.unilateral:
         return scene.sensors
 
-    from .closed_contacts import without_contact
+    from .contact import without_contact
 
     return without_contact(scene.sensors)
 
@@ -223,7 +223,7 @@ def _about(scene: Scene, at: Any, built: tuple[System, State], solver: StepSolve
 
     closed = None
     if scene.unilateral:
-        from .closed_contacts import closed_contacts, without_forces
+        from .contact import closed_contacts, without_forces
 
         closed = closed_contacts(at, system, solver)
     if system.keepers:

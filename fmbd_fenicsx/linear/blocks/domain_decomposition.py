@@ -31,9 +31,10 @@ from ...fem.traces.multipliers import Multipliers, MultiplierSpace
 from ...fem.traces.traces import Trace
 from ...rotations import Array
 from ..residual import Judge
+from ..rigid_modes import rigid_modes
 from ..saddle.conjugate_gradients import conjugate_gradients
 from ..saddle.precondition import Fractional, rigid_term
-from ..saddle.saddle import Elastic, TraceTie, rigid_modes
+from ..saddle.saddle import Elastic, TraceTie
 from .spd import CholeskyFactor
 
 

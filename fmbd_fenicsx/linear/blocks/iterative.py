@@ -11,7 +11,8 @@ from ...fem.fields import Field
 from ...rotations import Array
 from ..options import check_options
 from ..residual import Judge
-from ..saddle.saddle import Elastic, elastic_matrix
+from ..rigid_modes import elastic_matrix
+from ..saddle.saddle import Elastic
 from .spd import FieldFactor
 
 

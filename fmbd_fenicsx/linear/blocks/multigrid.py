@@ -17,6 +17,7 @@ import numpy as np
 
 from ...fem.fields import Field
 from ...rotations import Array
+from ..rigid_modes import attach_modes
 
 AGGREGATION = (("pc_gamg_threshold", 0.02), ("pc_gamg_coarse_eq_limit", 300))
 
@@ -89,23 +90,3 @@ def _linear(body: Field) -> tuple[Any, Array]:
     modes[:, range(d), range(d)] = 1.0
     modes[:, :, d:] = m.lever(X) / body.size
     return P, modes.reshape(n * d, m.n_twist)
-
-
-def attach_modes(A: Any, modes: Array) -> None:
-    """Columns (rows of this rank, k) as the near-nullspace of A; collective."""
-    from petsc4py import PETSc
-
-    vectors: list[Any] = []
-    for column in modes.T:
-        v = A.createVecRight()
-        v.array[:] = column
-        # PETSc asks for orthonormal vectors (Gram-Schmidt)
-        for w in vectors:
-            v.axpy(-w.dot(v), w)
-        v.normalize()
-        vectors.append(v)
-
-    near = PETSc.NullSpace().create(vectors=vectors, comm=A.getComm())
-    A.setNearNullSpace(near)
-    for obj in (near, *vectors):
-        obj.destroy()

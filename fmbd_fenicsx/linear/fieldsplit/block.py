@@ -9,7 +9,8 @@ import numpy as np
 from ...rotations import Array
 from ..blocks.spd import FieldFactor
 from ..residual import Judge
-from ..saddle.saddle import Elastic, elastic_matrix
+from ..rigid_modes import elastic_matrix
+from ..saddle.saddle import Elastic
 from .layout import split_name
 
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from .saddle import SaddlePoint, rigid_modes
+from ..rigid_modes import rigid_modes
+from .saddle import SaddlePoint
 
 NULL = 1e-7  # |A x| / (|A| |x|) below which x counts as a null vector
 

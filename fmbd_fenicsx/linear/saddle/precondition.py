@@ -33,7 +33,8 @@ import scipy.sparse as sp
 from ...fem.traces.stability import pencil
 from ...fem.traces.traces import Trace
 from ...rotations import Array
-from .saddle import Elastic, SaddlePoint, TraceTie, rigid_modes, share_of
+from ..rigid_modes import rigid_modes
+from .saddle import Elastic, SaddlePoint, TraceTie, share_of
 
 Group = tuple[str, list[int], sp.csr_matrix]
 

@@ -26,8 +26,8 @@ from ...fem.traces.multipliers import Multipliers
 from ...fem.traces.traces import Trace
 from ...log import together
 from ...rotations import Array, motions
-from ..blocks.multigrid import attach_modes
 from ..core import TIE_LIMIT
+from ..rigid_modes import elastic_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,30 +380,6 @@ def share_of(n: int, comm: Any, rank: int | None = None) -> int:
     """Rows of n that a rank holds inside PETSc."""
     r = comm.rank if rank is None else rank
     return n // comm.size + (r < n % comm.size)
-
-
-def elastic_matrix(body: Field, cm: float, ck: float, cd: float = 0.0) -> Any:
-    """cm M + cd D + ck K as a PETSc aij matrix with rigid-body modes for multigrid; collective. The caller destroys it."""
-    from petsc4py import PETSc
-
-    E = body.combination(cm, ck, cd)
-    E.setOption(PETSc.Mat.Option.SPD, cm > 0)
-    E.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    attach_modes(E, rigid_modes(body))
-    return E
-
-
-def rigid_modes(body: Field) -> Array:
-    """Translations and linear rotations at the owned nodes, (n d, n_twist)."""
-    m, d = body.motions, body.dim
-    out = np.zeros((body.n, d, m.n_twist))
-    for k in range(d):
-        out[:, k, k] = 1.0
-    for k in range(m.n_rot):
-        w = np.zeros((1, m.n_rot))
-        w[0, k] = 1.0
-        out[:, :, d + k] = m.spin(w, body.X) / body.size
-    return out.reshape(body.n * d, m.n_twist)
 
 
 def _transposed(B: sp.csr_matrix, share: int, total: int, e: Elastic, comm: Any) -> Any:

@@ -3,7 +3,7 @@
 A complex step is exact to roundoff and cheap. A function that drops the imaginary part on its way (``np.linalg.norm``, ``abs``)
 answers without complaint and has lost its derivative. So :func:`slopes_of` looks once, at the start, which way suits a function:
 the slope along a line is compared with that by jets or by differences, which are free of units
-(:mod:`..joints.time_derivatives`).
+(:mod:`..kinds.time_derivatives`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from ..joints.time_derivatives import AGREES, OUTSIDE, STEPS, Best, Jet, jet, search
+from ..kinds.time_derivatives import AGREES, OUTSIDE, STEPS, Best, Jet, jet, search
 
 _STEP = 1e-30
 SAME = 1e-4  # of a slope: what two ways to find it may differ by

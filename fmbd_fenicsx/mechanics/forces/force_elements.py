@@ -21,7 +21,7 @@ from ...errors import AGREEMENTS, InputError, named
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.relative import Relative, Separation
-from ..joints.time_derivatives import along, rates
+from ..kinds.time_derivatives import along, rates
 from .effort_laws import EffortLaw
 from .formulas import Formula, SampledEffort, formulas_of
 from .laws_together import LawsTogether

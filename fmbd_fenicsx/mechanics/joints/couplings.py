@@ -17,9 +17,9 @@ from ...checks import function as checked_function
 from ...errors import ROUNDINGS, CallbackError, FmbdError, named
 from ...rotations import Array
 from ..frames import Kinematics
+from ..kinds.time_derivatives import KeptSteps, rates
 from .constraints import Batch, Motion, Sides
 from .relative import Relative
-from .time_derivatives import KeptSteps, rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class SmoothMotion:
     """A prescribed motion t -> (s, s', s'') by a function of the user's own. ``of``: what is moved, in messages.
 
     ``function`` gives these three where ``complete``, else s alone; the derivatives are then computed
-    (:mod:`.time_derivatives`), to roundoff where the function is made of NumPy's functions. ``positive``: s is a length.
+    (:mod:`..kinds.time_derivatives`), to roundoff where the function is made of NumPy's functions. ``positive``: s is a length.
     """
 
     name: str

@@ -26,10 +26,10 @@ import numpy as np
 from ...errors import AGREEMENTS, CallbackError, named, require
 from ...log import log
 from ...rotations import Array, Motions, hat
-from ..joints.time_derivatives import rates
 from .derivation import KERNELS, Kind
 from .expressions import ZERO
 from .frames import FRAME
+from .time_derivatives import rates
 
 TINY = 1e-30  # complex steps
 STEP = 1e-5  # of differences: a share of the length, rad

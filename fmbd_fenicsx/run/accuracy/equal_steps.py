@@ -29,15 +29,13 @@ FURTHER = 1.5  # times what half the step tells that larger ones are believed, w
 @dataclass(frozen=True)
 class TimeError:
     """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion;
-    ``halved``: told by one with half the step. ``unseen``: no order was seen where one had to be. ``scatter``: what orders of a
-    sensor by different measures differ by.
+    ``halved``: told by one with half the step. ``scatter``: what orders of a sensor by different measures differ by.
     """
 
     errors: dict[str, Deviation]
     orders: dict[str, float]
     with_others: Compared
     halved: bool = False
-    unseen: bool = False
     scatter: dict[str, float] = field(default_factory=dict)
 
 

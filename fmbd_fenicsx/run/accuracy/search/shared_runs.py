@@ -195,8 +195,8 @@ class SharedRuns:
         that they find good enough is compared with one of twice as many steps; so is one whose order larger ones do not show,
         because they do not end.
         """
-        found = self._compared(solved, known, allowed)
-        by_chance = found.unseen or kinked(solved.run)
+        found, by_chance = self._compared(solved, known, allowed)
+        by_chance |= kinked(solved.run)
         if by_chance and found.errors and allowed.share(found.errors) <= allowed.room:
             found = self._by_half(solved, found)
         self._seen.update(known_orders(found))
@@ -213,8 +213,8 @@ class SharedRuns:
             return larger
         return by_half(_expected(solved.problem), given, finer, coarser=coarser, larger=larger)
 
-    def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
-        """See :meth:`time_error`."""
+    def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> tuple[TimeError, bool]:
+        """See :meth:`time_error`; whether no order was seen where it had to be."""
         given, scene = solved.compared, solved.problem.scene
         steps = given.schedule.steps
         have = self._runs.setdefault(id(scene), {})
@@ -222,7 +222,7 @@ class SharedRuns:
         near = [n for n in earlier if n >= steps / FARTHEST]
 
         if not near and (found := self._from_afar(solved, earlier, allowed)) is not None:
-            return found
+            return found, False
 
         coarser: list[Compared] = []
         unseen = False
@@ -235,12 +235,12 @@ class SharedRuns:
             elif not known.seen:
                 found = self._unseen(solved, coarser[0], allowed)
                 if found is not None:
-                    return found
+                    return found, False
                 coarser.append(self._with(solved, max(first // 2, 1)))
         except UNFIT as error:
             if not coarser:
                 log.warning("no error estimate: the run with larger steps did not end: %s", error)
-                return TimeError({}, {}, given)
+                return TimeError({}, {}, given), False
             unseen = not known.seen
         orders, seen = _expected(solved.problem), dict(self._seen)
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
@@ -255,7 +255,7 @@ class SharedRuns:
             half = steps // 2
             farther = max((n for n in have if n <= half / NEAREST), default=max(half // 2, 1))
             found = compare_steps(orders, given, [self._with(solved, n) for n in (half, farther)], before=seen)
-        return replace(found, unseen=unseen and not known_orders(found))
+        return found, unseen and not known_orders(found)
 
     def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
         """The error by the steps from one run with larger ones, where no order has to be seen: half of that of the scheme would

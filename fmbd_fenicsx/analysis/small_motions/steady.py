@@ -4,24 +4,29 @@
 
 for the origins of all frames and the nodes of absolute bodies; attitudes turn with R^T W in body axes, coordinates in body axes
 stay as they are. The residual of an equilibrium is the balance of forces with these velocities and accelerations.
+
+Or some bodies turn, each about an axis of its own, while all others rest: a rotor in its bearings.
+
+    x' = 0,   omega = rate axis   (the axis fixed in the body),   x'' = 0,   omega' = 0                       (2)
+
+A shaft that sags spins in its bent shape: each section about its own tangent. The motion is steady where nothing changes as these
+bodies turn: they are round about their axes, their mass centres lie on them, loads on them do not turn
+(:mod:`..statics.rotors`). Other than about a rotation of the whole scene, bearings and foundations may have different
+stiffness in different directions, and weights may act across the axis.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...checks import check_fields, vector
-from ...errors import require
+from ...errors import InputError, near, require
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.system import System
-
-if TYPE_CHECKING:
-    from ..vibration.rotors import BodySpin
 
 
 @dataclass(frozen=True)
@@ -29,7 +34,7 @@ class Spin:
     """Rotation of a whole scene, ``rate`` in rad/s, about an ``axis`` (world axes, z in the plane) through ``center`` (m).
 
     ``bodies``: names of bodies that spin instead, each about this axis through its own frame, while all others rest: round rotors
-    in their bearings, see :mod:`..vibration.rotors`.
+    in their bearings, (2) of the module.
     """
 
     rate: float
@@ -80,6 +85,86 @@ class Spin:
                 v[at] = ((x - center) @ W.T).ravel()
                 a[at] = ((x - center) @ W.T @ W.T).ravel()
         return v, a
+
+
+@dataclass(frozen=True, eq=False)
+class BodySpin:
+    """(2) in a system: ``names`` of the bodies, their ``frames`` (k,), and ``axes`` (k, n_rot), unit vectors in body axes."""
+
+    rate: float
+    names: tuple[str, ...]
+    frames: np.ndarray
+    axes: Array
+
+    @property
+    def listed(self) -> str:
+        """The names of the bodies, for messages."""
+        return ", ".join(f'"{name}"' for name in self.names)
+
+    def rates(self, system: System, q: Array) -> tuple[Array, Array]:
+        """v and a of (2), like v."""
+        return self._turns(system, self.rate), np.zeros(system.n_v)
+
+    def turned(self, system: System, q: Array, angle: float) -> Array:
+        """The configuration with these bodies turned by an angle, rad."""
+        return np.asarray(system.compose(q, self._turns(system, angle)))
+
+    def carried(self, system: System, y: Array, angle: float) -> Array:
+        """A motion or force like v, the rotations of these bodies told in axes that have been turned by an angle."""
+        m = system.motions
+        if m.dim == 2:
+            return y
+        out = y.copy()
+        turns = out[: system.n_frames * m.n_twist].reshape(-1, m.n_twist)[:, m.dim :]
+        for i, n in zip(self.frames, self.axes, strict=True):
+            x = turns[i]
+            along = (n @ x) * n
+            turns[i] = along + np.cos(angle) * (x - along) - np.sin(angle) * np.cross(n, x)
+        return out
+
+    def _turns(self, system: System, amount: float) -> Array:
+        """An array like v with rotations by ``amount`` about the axes."""
+        m = system.motions
+        out = np.zeros(system.n_v)
+        twists = out[: system.n_frames * m.n_twist].reshape(-1, m.n_twist)
+        twists[self.frames, m.dim :] = amount * self.axes
+        return out
+
+
+def body_spin(system: System, q: Array, spin: Spin) -> BodySpin:
+    """The rotation of ``spin.bodies`` from the placement q on.
+
+    Raises InputError for bodies that have no axes of their own, and for contact.
+    """
+    require(
+        system.contacts is None,
+        "equilibrium: spin=fmbd.Spin(..., bodies=...) does not take contact or joint limits.",
+    )
+    names = system.frame_names
+    frames = [i for name in spin.bodies for i in _frames_of(name, names)]
+    m = system.motions
+    if m.dim == 2:
+        return BodySpin(spin.rate, tuple(spin.bodies), np.array(frames), np.ones((len(frames), 1)))
+    R = m.matrix(system.poses(q))[frames]
+    axes = np.swapaxes(R, 1, 2) @ np.asarray(spin.axis, dtype=float)
+    return BodySpin(spin.rate, tuple(spin.bodies), np.array(frames), axes)
+
+
+def _frames_of(name: str, names: Sequence[str]) -> list[int]:
+    """The frames of a body: its own, or those of the nodes of a rod."""
+    from ...mechanics.rods.rods import node_name
+
+    if name in names:
+        return [names.index(name)]
+    first = node_name(name, 0)
+    if first not in names:
+        known = dict.fromkeys(x.split(", node ")[0] for x in names)
+        raise InputError(
+            f'Spin: bodies has "{name}", which is no rigid body, rod or body in a moving frame. {near(name, list(known))}'
+        )
+    start = names.index(first)
+    count = next(k for k in range(len(names) + 1) if node_name(name, k) not in names)
+    return list(range(start, start + count))
 
 
 def steady_rates(system: System, q: Array, spin: Spin | BodySpin | None) -> tuple[Array, Array]:

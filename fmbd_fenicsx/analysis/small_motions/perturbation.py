@@ -30,7 +30,7 @@ from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.speed_rows import gaps, speed_rows
 from ...system.system import State, System
-from ..statics.steady import Spin
+from .steady import Spin
 
 if TYPE_CHECKING:
     from .closed_contacts import ClosedContacts

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from ...errors import InputError
 from ...rotations import Array
 from ..residual import Judge
-from .saddle import Preset, SaddlePoint, Solution, TraceTie
+from ..saddle.saddle import Preset, SaddlePoint, Solution, TraceTie
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import scipy.sparse as sp
 
-from ..saddle.multiplier_schur import Schur
 from ..saddle.precondition import Group
 from ..saddle.saddle import SaddlePoint
+from .multiplier_schur import Schur
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
-"""Ways to solve the saddle point of :mod:`.saddle`, as small frozen objects.
+"""The saddle point of :mod:`..saddle.saddle` solved as a whole, by one solver of PETSc.
 
 * :class:`Direct`: one factorisation of the whole (MUMPS, L D L^T).
-* :class:`Schur`: exact Schur complement of the multipliers, see :mod:`.multiplier_schur`.
 * :class:`FieldSplit`: MINRES or FGMRES with the block preconditioner diag(E_k, S~).
 
 Each gives a solver with ``solve(f, g) -> Solution``. Every solve is judged by its own true residual, block by block.
@@ -21,17 +20,16 @@ from ...errors import LinearSolveError, near, require
 from ...fem.fields import Field
 from ...rotations import Array
 from ...system.system import System
-from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver, set_bddc
+from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver
 from ..fieldsplit.block import SplitBlock, split_prefix
 from ..fieldsplit.solver import SplitSolver
 from ..options import check_options, set_from_options
 from ..residual import Judge, KrylovTest
-from .diagnosis import diagnose
-from .multiplier_schur import Schur, check_krylov
-from .precondition import Fractional, MultiplierPreconditioner, to_petsc
-from .saddle import Elastic, Preset, SaddlePoint, SaddleSolver, Solution, elastic_matrix
-
-__all__ = ["Bddc", "Cholesky", "Direct", "FieldSplit", "Multigrid", "Preset", "SaddleSolver", "Schur", "set_bddc"]
+from ..rigid_modes import elastic_matrix
+from ..saddle.diagnosis import diagnose
+from ..saddle.precondition import Fractional, MultiplierPreconditioner, to_petsc
+from ..saddle.saddle import Elastic, Preset, SaddlePoint, Solution
+from .multiplier_schur import check_krylov
 
 METHODS = ("minres", "fgmres", "gmres", "cg")  # PETSc's names
 
@@ -69,8 +67,8 @@ class FieldSplit(Preset):
     """MINRES (or FGMRES) with diag(E_k, S~); ``rtol`` on the preconditioned residual.
 
     ``elastic``: :class:`Cholesky` or :class:`Multigrid`. ``multiplier``: how S~ is made, see
-    :mod:`.precondition`. In scenes: the whole matrix of a step, see
-    :mod:`fmbd_fenicsx.linear.fieldsplit.solver`.
+    :mod:`..saddle.precondition`. In scenes: the whole matrix of a step, see
+    :mod:`..fieldsplit.solver`.
     """
 
     elastic: Cholesky | Multigrid | Bddc = Cholesky()

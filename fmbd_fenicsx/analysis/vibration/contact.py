@@ -1,15 +1,10 @@
-"""Small motions of a scene whose contacts carry forces: points that touch hold, the others are free.
+"""Which contacts hold in small motions of a scene whose contacts carry forces: see :mod:`..small_motions.closed_contacts`.
 
-    (M, C, K) y  with  K including  -d(N^T) Lambda / dq,       G y = 0,     N_c y = 0                         (1)
-
-for the rows N_c of points with forces Lambda > 0 at an equilibrium: motions so small that no point opens or closes. A point that
-touches without force could do both, its motion has no linear model; it is taken as open, with a warning.
+A point that touches without force could open or close, its motion has no linear model; it is taken as open, with a warning.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,66 +12,15 @@ import numpy as np
 from ...errors import InputError, require
 from ...linear.condensation import StepSolver
 from ...log import log
-from ...mechanics.contact.rows import ContactSet, Rows
-from ...rotations import Array
 from ...system.sensors.contact import ContactSensor, LimitEffort
 from ...system.system import State, System
+from ..small_motions.closed_contacts import ClosedContacts
 from ..statics.equilibrium import Equilibrium, static_newton
 from ..statics.static_contact import FLOOR, ContactNewton
 from ..statics.static_newton import StaticPoint
 
 STILL = 1e-6  # increment of the equilibrium, over the model's length, that counts as none
 NO_FORCE = 1e-9  # share of the largest force below which a point carries none
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedContacts:
-    """Points that hold: ``which`` of the candidates, their ``rows`` and forces (k,) N at the equilibrium."""
-
-    system: System
-    t: float
-    which: np.ndarray
-    rows: Rows
-    force: Array
-
-    @property
-    def count(self) -> int:
-        """Number of points."""
-        return len(self.force)
-
-    @property
-    def contacts(self) -> ContactSet:
-        """All contacts of the scene."""
-        return self.system.contacts  # type: ignore[no-any-return]
-
-    def times(self, y: Array) -> Array:
-        """N_c y, (k,); collective."""
-        return self.contacts.times(self.system, self.rows.N, y)
-
-    def pushed(self, q: Array) -> Array:
-        """N_c^T Lambda in a configuration nearby, like v; collective."""
-        there = self.contacts.rows(self.system, self.t, q).take(self.which)
-        return self.contacts.transposed(self.system, there.N, self.force)
-
-    def held(self, solver: StepSolver) -> Callable[[Array, Array], tuple[Array, Array]]:
-        """The prepared solver's inverse with the points held: (b, (g, gaps)) -> increment, (lambda, forces); collective."""
-        system, n = self.system, self.system.n_lam
-        none = np.zeros(n)
-        units = np.eye(self.count)
-        push = [self.contacts.transposed(system, self.rows.N, e) for e in units]
-        answers = np.array([solver.solve(p, none)[0] for p in push]).reshape(self.count, system.n_v)
-        W = np.array([self.times(x) for x in answers]).reshape(self.count, self.count)
-        inverse = np.linalg.pinv(0.5 * (W + W.T), rcond=1e-12, hermitian=True)
-
-        def solve(b: Array, c: Array) -> tuple[Array, Array]:
-            z, lam = solver.solve(b, c[:n])
-            force = inverse @ (c[n:] - self.times(z))
-            if not force.any():
-                return z, np.append(lam, force)
-            dq, lam = solver.solve(b + self.contacts.transposed(system, self.rows.N, force), c[:n])
-            return dq, np.append(lam, -force)
-
-        return solve
 
 
 def closed_contacts(at: Any, system: System, solver: StepSolver) -> ClosedContacts:

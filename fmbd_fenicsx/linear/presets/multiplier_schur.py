@@ -2,8 +2,8 @@
 
     S lam = sum_k B_k E_k^-1 f_k - g,    S = sum_k B_k E_k^-1 B_k^T,    u_k = E_k^-1 (f_k - B_k^T lam)                  (1)
 
-Conjugate gradients on S need about half the iterations of MINRES on the whole with the same S~ (:mod:`.precondition`): the
-spectrum lies on one side of zero. One iteration is one solve with each E_k either way.
+Conjugate gradients on S need about half the iterations of MINRES on the whole with the same S~ (:mod:`..saddle.precondition`):
+the spectrum lies on one side of zero. One iteration is one solve with each E_k either way.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from ...rotations import Array
 from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver
 from ..options import check_options
 from ..residual import Judge
-from .conjugate_gradients import conjugate_gradients
-from .diagnosis import diagnose
-from .precondition import Fractional, MultiplierPreconditioner
-from .saddle import Preset, SaddlePoint, Solution
+from ..saddle.conjugate_gradients import conjugate_gradients
+from ..saddle.diagnosis import diagnose
+from ..saddle.precondition import Fractional, MultiplierPreconditioner
+from ..saddle.saddle import Preset, SaddlePoint, Solution
 
 
 def check_krylov(what: str, rtol: float, most: int) -> None:

@@ -1,0 +1,1 @@
+"""Ways to solve a saddle point, as small frozen objects that a user chooses from."""

@@ -1,0 +1,54 @@
+"""Rigid motions of an elastic field: the near-nullspace of its matrix, the coarse space of multigrid and of the multipliers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..fem.fields import Field
+from ..rotations import Array
+
+
+def elastic_matrix(body: Field, cm: float, ck: float, cd: float = 0.0) -> Any:
+    """cm M + cd D + ck K as a PETSc aij matrix with rigid-body modes for multigrid; collective. The caller destroys it."""
+    from petsc4py import PETSc
+
+    E = body.combination(cm, ck, cd)
+    E.setOption(PETSc.Mat.Option.SPD, cm > 0)
+    E.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    attach_modes(E, rigid_modes(body))
+    return E
+
+
+def rigid_modes(body: Field) -> Array:
+    """Translations and linear rotations at the owned nodes, (n d, n_twist)."""
+    m, d = body.motions, body.dim
+    out = np.zeros((body.n, d, m.n_twist))
+    for k in range(d):
+        out[:, k, k] = 1.0
+    for k in range(m.n_rot):
+        w = np.zeros((1, m.n_rot))
+        w[0, k] = 1.0
+        out[:, :, d + k] = m.spin(w, body.X) / body.size
+    return out.reshape(body.n * d, m.n_twist)
+
+
+def attach_modes(A: Any, modes: Array) -> None:
+    """Columns (rows of this rank, k) as the near-nullspace of A; collective."""
+    from petsc4py import PETSc
+
+    vectors: list[Any] = []
+    for column in modes.T:
+        v = A.createVecRight()
+        v.array[:] = column
+        # PETSc asks for orthonormal vectors (Gram-Schmidt)
+        for w in vectors:
+            v.axpy(-w.dot(v), w)
+        v.normalize()
+        vectors.append(v)
+
+    near = PETSc.NullSpace().create(vectors=vectors, comm=A.getComm())
+    A.setNearNullSpace(near)
+    for obj in (near, *vectors):
+        obj.destroy()
