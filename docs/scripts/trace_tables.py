@@ -13,6 +13,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
+from preconditioners import Lumped, ScaledMass  # noqa: E402
 from test_presets import chain  # noqa: E402
 from tied import block, manufactured, release, tied  # noqa: E402
 
@@ -25,12 +26,7 @@ from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled  # noqa:
 from fmbd_fenicsx.linear.blocks.elastic_blocks import Multigrid, set_bddc  # noqa: E402
 from fmbd_fenicsx.linear.presets.krylov import FieldSplit  # noqa: E402
 from fmbd_fenicsx.linear.presets.multiplier_schur import Schur  # noqa: E402
-from fmbd_fenicsx.linear.saddle.precondition import Lumped, ScaledMass  # noqa: E402
-from fmbd_fenicsx.linear.saddle.saddle import (  # noqa: E402
-    Elastic,
-    Preset,  # noqa: E402
-    elastic_matrix,
-)
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, Preset, elastic_matrix  # noqa: E402
 
 SIDES = ("left", "right", "back", "front")
 

@@ -15,15 +15,16 @@ move it as a whole: its rigid modes R add
 
     sum_k  B_k R (cm R^T M R)^-1 R^T B_k^T                                                                     (3)
 
-and connect the ties of a body, so that counts do not grow with the number of bodies. :class:`Lumped` takes B diag(E)^-1 B^T:
-cheap, but its iterations grow like h^-1/2 outside dt ~ h. Sources: Toselli and Widlund, Domain Decomposition Methods
-(doi:10.1007/b137868), for the Steklov-Poincare operator; Kuchta, Nordaas, Verschaeve, Mortensen and Mardal
-(doi:10.1137/15M1052822) for fractional powers.
+and connect the ties of a body, so that counts do not grow with the number of bodies. Of very many multipliers on one surface
+:func:`lumped` takes B diag(E)^-1 B^T: cheap, but its iterations grow like h^-1/2 outside dt ~ h.
+
+Sources: Toselli and Widlund, Domain Decomposition Methods (doi:10.1007/b137868), for the Steklov-Poincare operator; Kuchta,
+Nordaas, Verschaeve, Mortensen and Mardal (doi:10.1137/15M1052822) for fractional powers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -47,43 +48,12 @@ class MultiplierPreconditioner(Protocol):
         """Groups: name of the split, numbers of the ties, S~ (replicated); collective."""
 
 
-def _each(saddle: SaddlePoint, make: Callable[[int], sp.csr_matrix]) -> list[Group]:
-    return [(t.name, [i], make(i)) for i, t in enumerate(saddle.ties)]
-
-
-@dataclass(frozen=True)
-class Lumped:
-    """B diag(E)^-1 B^T, tie by tie."""
-
-    def groups(self, saddle: SaddlePoint) -> list[Group]:
-        """One group for each tie; collective."""
-        return _each(saddle, lambda i: lumped(saddle, i))
-
-
-@dataclass(frozen=True)
-class ScaledMass:
-    """h M_lambda / G, the h-weighted L2 product, tie by tie; for comparison."""
-
-    def groups(self, saddle: SaddlePoint) -> list[Group]:
-        """One group for each tie; collective."""
-
-        def one(i: int) -> sp.csr_matrix:
-            t = saddle.ties[i]
-            assert t.multipliers is not None
-            scale = sum(
-                t.multipliers.trace.h / (saddle.elastic[k].ck * saddle.elastic[k].modulus) for k, _ in t.columns
-            )
-            return sp.kron(scale * t.multipliers.mass(), sp.identity(t.components), format="csr")
-
-        return _each(saddle, one)
-
-
 @dataclass(frozen=True)
 class Fractional:
     """Equations (2) and (3) for all ties together.
 
     Above ``limit`` multipliers in all, each tie is a group of its own without (3); above ``limit`` functions on one
-    surface (the eigenproblem is dense) its block is :class:`Lumped`. ``layer`` is c, ``grid`` is g (a mesh is stiffer
+    surface (the eigenproblem is dense) its block is :func:`lumped`. ``layer`` is c, ``grid`` is g (a mesh is stiffer
     than the continuum for its shortest waves), ``stiffness`` is s (a half space under normal and tangential forces);
     all three were fitted once to the spectrum of S~^-1 S on a square.
     """
@@ -98,7 +68,7 @@ class Fractional:
         collective.
         """
         if saddle.n_multipliers > self.limit:
-            return _each(saddle, lambda i: self.block(saddle, i))
+            return [(t.name, [i], self.block(saddle, i)) for i, t in enumerate(saddle.ties)]
         # bodies without supports add their rigid motions to all ties at once, (3)
         S = sp.block_diag([self.block(saddle, i) for i in range(len(saddle.ties))]).toarray()
         S += self.rigid(saddle)

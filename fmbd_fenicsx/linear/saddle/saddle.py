@@ -25,7 +25,7 @@ from ...fem.traces.mortar import Mortar
 from ...fem.traces.multipliers import Multipliers
 from ...fem.traces.traces import Trace
 from ...log import together
-from ...rotations import Array, motions
+from ...rotations import Array
 from ..core import TIE_LIMIT
 from ..rigid_modes import elastic_matrix
 
@@ -125,26 +125,6 @@ def hold(name: str, body: int, multipliers: Multipliers) -> TraceTie:
     B = multipliers.coupling()
     sides = ((body, multipliers.trace, B),)
     return TraceTie(name, ((body, _vector(multipliers.trace.columns(B), d)),), multipliers, d, sides)
-
-
-def stiffen(name: str, body: int, multipliers: Multipliers) -> TraceTie:
-    """The surface moves as a rigid one whose translation and (small) rotation are unknowns of their own.
-
-    int mu . (u - r - w x (X - c)) = 0 for all mu with r, w free: these drop out of the rows for multipliers without
-    resultant force and moment, so Q^T B u = 0 with Q an orthonormal basis of those.
-    """
-    t, d = multipliers.trace, multipliers.trace.dim
-    B = multipliers.coupling()
-    m = motions(d)
-    x = t.points - t.points.mean(0)
-    # rigid motions of the surface, and the multipliers that do no work on them
-    R = np.zeros((t.n, d, m.n_twist))
-    R[:, range(d), range(d)] = 1.0
-    R[:, :, d:] = m.lever(x)
-
-    resultants = (B @ R.reshape(t.n, -1)).reshape(multipliers.n * d, m.n_twist)
-    Q = np.linalg.qr(resultants, mode="complete")[0][:, m.n_twist :]
-    return TraceTie(name, ((body, sp.csr_matrix(Q.T) @ _vector(t.columns(B), d)),))
 
 
 def data(multipliers: Multipliers, function: Callable[[Array], Array], degree: int = 6) -> Array:
