@@ -73,3 +73,42 @@ def test_small_beams_rest_as_large_ones(size: float, modulus: float, density: fl
     rest = fmbd.equilibrium(scene)
     np.testing.assert_allclose(rest["tip"] / size, (1.0, 1e-2 / 3), rtol=0.01)
     assert fmbd.modes(scene, 1, at=rest).frequencies[0] > 0.0
+
+
+THIN = [0.02, 0.005]
+
+
+def plate(thickness: float) -> fmbd.FloatingBody:
+    """A square plate of 1 m in hexahedra."""
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 1.0, thickness), counts=(4, 4, 1), quads=True)
+    return fmbd.FloatingBody("plate", mesh, density=2700.0, elastic=fmbd.materials.linear_elastic(7e10, 0.3))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("thickness", THIN)
+def test_thin_plates(thickness: float) -> None:
+    """A plate 50 and 200 times as long as thick, held at its narrow face: by itself and in a scene alike; the first frequency is
+    below that of a clamped plate (3.492 of its unit), as the face may warp, and above that of a strip (3.516 sqrt(1 - nu^2)).
+    """
+    body = plate(thickness)
+    scene = fmbd.Scene("plate")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+    seen = fmbd.modes(scene, 3).frequencies
+    assert body.frequencies(3, held="left") == pytest.approx(seen, rel=1e-5)
+
+    bending = 7e10 * thickness**3 / 12 / (1.0 - 0.3**2)
+    unit = np.sqrt(bending / (2700.0 * thickness)) / (2.0 * np.pi)
+    assert 3.516 * np.sqrt(1.0 - 0.3**2) < seen[0] / unit < 3.492
+
+
+def test_an_attached_frame_has_the_clamped_modes_of_its_joint() -> None:
+    """In the frame of a face, wider than thick, that a joint holds few modes are those of the field: both see one rotation."""
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.3, 0.05), counts=(8, 4, 1), quads=True)
+    steel = fmbd.materials.linear_elastic(7e10, 0.3)
+    bar = fmbd.FloatingBody("bar", mesh, density=2700.0, elastic=steel, frame=fmbd.Attached("left"))
+    found = []
+    for body in (bar, bar.reduced(modes=6)):
+        scene = fmbd.Scene("bar")
+        scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+        found.append(fmbd.modes(scene, 4).frequencies)
+    assert found[1] == pytest.approx(found[0], rel=1e-7)

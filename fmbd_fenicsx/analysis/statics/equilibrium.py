@@ -265,23 +265,19 @@ def state_of(system: System, point: StaticPoint, t: float, spin: Spin | BodySpin
 
 def find(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
     """:func:`by_load_steps` with shorter preconditioning steps where elastic blocks are singular; errors say what moves."""
-    system = newton.residual.system
-    while True:
+    return newton.solvable(lambda: _found(newton, start, t))
+
+
+def _found(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
+    """The same with the preconditioning step as it is."""
+    try:
+        return _stable(newton, start, by_load_steps(newton, start, t), t)
+    # too far away: from the rest of a motion with much damping it may be near
+    except NoEquilibriumError as error:
         try:
-            found = by_load_steps(newton, start, t)
-            return _stable(newton, start, found, t)
-        # too far away: from the rest of a motion with much damping it may be near
-        except NoEquilibriumError as error:
-            try:
-                return _downhill(newton, start, t)
-            except (ConvergenceError, LinearSolveError):
-                raise ConvergenceError(_why(newton, start, t, error)) from None
-        except LinearSolveError:
-            if newton.tau < 1e-4 * float(np.sqrt(system.length)):
-                raise
-            # more inertia in the preconditioner holds what no joint holds
-            newton.tau /= 3.0
-            newton.__post_init__()
+            return _downhill(newton, start, t)
+        except (ConvergenceError, LinearSolveError):
+            raise ConvergenceError(_why(newton, start, t, error)) from None
 
 
 def _downhill(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
@@ -291,8 +287,7 @@ def _downhill(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint
         return descend(newton, start, t)
     if newton.residual.system.contacts is None:
         return by_load_steps(newton, relax(newton, start, t, slow), t)
-    newton.tau = min(newton.tau, slow)
-    newton.__post_init__()
+    newton.last_at_most(slow)
     return by_load_steps(newton, start, t)
 
 

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -37,8 +38,10 @@ EXACT = ExactTangent(rtol=1e-6, max_iterations=60)
 WHOLE, DAMPED = 12, 40  # increments at most, without and with a line search
 TINY = 1e-6  # increments, over the model's length, that ought to become smaller
 LONG = 0.5  # increment that is not taken whole, over the model's length
+SHORTEST_STEP = 1e-4  # of the preconditioner, s, over the root of the model's length
 
 Pair = tuple[Array, Array]
+Found = TypeVar("Found")
 Increment = Callable[["StaticPoint", float, Pair, Pair], Pair | None]  # point, time, residuals, what they are to be
 
 
@@ -68,6 +71,25 @@ class StaticNewton:
 
     def __post_init__(self) -> None:
         self.weights = Weights(1.0 / self.tau**2, 0.0, 1.0)
+
+    def last_at_most(self, tau: float) -> None:
+        """Make the preconditioner's step no longer than ``tau``, s."""
+        self.tau = min(self.tau, tau)
+        self.weights = Weights(1.0 / self.tau**2, 0.0, 1.0)
+
+    def solvable(self, make: Callable[[], Found]) -> Found:
+        """What ``make`` finds, with a shorter preconditioning step where elastic blocks are singular to roundoff; collective.
+
+        A thin body by itself is held by its inertia alone: more of it holds what no joint holds.
+        """
+        least = SHORTEST_STEP * float(np.sqrt(self.residual.system.length))
+        while True:
+            try:
+                return make()
+            except LinearSolveError:
+                if self.tau < least:
+                    raise
+                self.last_at_most(self.tau / 3.0)
 
     # -- one tangent ----------------------------------------------------------------------------------------------
     def take(self, point: StaticPoint, t: float) -> Pair:

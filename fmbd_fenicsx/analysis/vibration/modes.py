@@ -271,8 +271,11 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
         return
 
     # where would a long step bring it?
-    r = newton.take(StaticPoint(state.q, state.lam), state.t)
-    away = system.max_abs(newton.solver.solve(-r[0], -r[1])[0])
+    def step() -> Array:
+        r = newton.take(StaticPoint(state.q, state.lam), state.t)
+        return newton.solver.solve(-r[0], -r[1])[0]
+
+    away = system.max_abs(newton.solvable(step))
     if away > NOTHING * system.length:
         raise InputError(
             f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest and are "

@@ -352,13 +352,12 @@ def attachment(field: Field, surface: str) -> Array:
     m = motions(field.dim)
     d = field.dim
     moments = field.moments(surface)
-    b = moments.reference[1:]  # (k, d)
     C = np.zeros((field.n, d, m.n_twist))
     C[moments.nodes[:, None], range(d), range(d)] = moments.weights[:, :1]
 
-    # rotation: sum of b_k x u_k over the moments of the surface
+    # rotation as joints see it, int (X - c) x u = 0: the sum of e_k x u_k over the moments of the surface
     for c in range(d):
-        turn = m.moment(b, np.eye(d)[c])  # (k, n_rot): b_k x e_c
+        turn = m.moment(np.eye(d), np.eye(d)[c])  # (k, n_rot): e_k x e_c
         C[moments.nodes, c, d:] = moments.weights[:, 1:] @ turn
     return C.reshape(-1, m.n_twist) * field.mass_total
 

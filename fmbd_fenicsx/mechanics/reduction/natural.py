@@ -14,7 +14,7 @@ from ...fem.mixed import make_field
 from ...rotations import Array
 from ..bodies.floating import attachment
 from .craig_bampton import independent
-from .modes import ConditionedBody
+from .modes import ConditionedBody, rigid_fields
 
 
 def natural_frequencies(body: Any, count: int, held: Sequence[str]) -> Array:
@@ -39,7 +39,7 @@ def natural_frequencies(body: Any, count: int, held: Sequence[str]) -> Array:
     try:
         # mean axes: no rigid motion is left
         columns = [attachment(field, name) for name in names] or [field.Q.reshape(field.n * field.dim, -1)]
-        conditioned = ConditionedBody(field, independent(field, [_as_lengths(field, x) for x in columns]))
+        conditioned = ConditionedBody(field, independent(field, [_as_motions(field, x) for x in columns]))
         try:
             return np.asarray(conditioned.vibration_modes(count)[0] / (2.0 * np.pi))
         finally:
@@ -48,8 +48,13 @@ def natural_frequencies(body: Any, count: int, held: Sequence[str]) -> Array:
         field.destroy()
 
 
-def _as_lengths(field: Field, conditions: Array) -> Array:
-    """Conditions on a mean displacement and a mean rotation, as displacements both."""
+def _as_motions(field: Field, conditions: Array) -> Array:
+    """Conditions on a surface in the units of rigid motions: one on each mean displacement (m) and each mean rotation (over the
+    size of the body, m).
+
+    The moments of a thin face are small by the square of its thickness; its rotation is not.
+    """
     unit = np.ones(conditions.shape[1])
     unit[field.dim :] = field.size
-    return conditions / unit
+    rigid = rigid_fields(field) / unit
+    return np.asarray(conditions @ np.linalg.inv(field.total(conditions.T @ rigid)).T)
