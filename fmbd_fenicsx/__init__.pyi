@@ -41,8 +41,8 @@ from .linear.presets.krylov import Direct as Direct
 from .linear.presets.krylov import FieldSplit as FieldSplit
 from .linear.blocks.elastic_blocks import Multigrid as Multigrid
 from .linear.presets.multiplier_schur import Schur as Schur
-from .line_mesh import Line as Line
-from .line_mesh import read_line as read_line
+from .fem.mesh.line import Line as Line
+from .fem.mesh.line import read_line as read_line
 from .log import say as say
 from .mechanics.bodies.beams import Beam as Beam
 from .mechanics.bodies.beams import Section as Section
@@ -114,10 +114,10 @@ from .mechanics.reduction.recovery import stress as stress
 from .mechanics.rods.rods import Rod as Rod
 from .mechanics.rods.rods import RodLoad as RodLoad
 from .mechanics.rods.sections import RodSection as RodSection
-from .mesh import Mesh as Mesh
-from .mesh import read_gmsh as read_gmsh
-from .mesh_files import read_cad as read_cad
-from .mesh_files import read_mesh as read_mesh
+from .fem.mesh.mesh import Mesh as Mesh
+from .fem.mesh.mesh import read_gmsh as read_gmsh
+from .fem.mesh.files import read_cad as read_cad
+from .fem.mesh.files import read_mesh as read_mesh
 from .post.exchange.fmu import write_fmu as write_fmu
 from .post.exchange.interface_model import interface_model as interface_model
 from .post.exchange.interface_model import load_interface_model as load_interface_model
@@ -195,4 +195,4 @@ from .system.sensors.elements import elongation as elongation
 from .system.sensors.elements import tension as tension
 
 __version__: str
-from .versions import about as about
+from .post.versions import about as about

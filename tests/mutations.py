@@ -62,7 +62,7 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
     ("gap of the joints accepted", "schemes/consistent.py", "REFUSED = 1e-3", "REFUSED = 1e3", MECHANICS),
     ("centroid left out of the trace weights", "fem/surfaces.py", "weights(-float(c), axis)", "weights(0.0, axis)", MECHANICS),
     ("symmetry of the elastic form not checked", "fem/field_checks.py", "if abs(vKu - uKv) > 1e-9 * scale:", "if False:", MECHANICS),
-    ("inverted cells not counted", "mesh_checks.py", "        bad += wrong.size", "        bad += 0 * wrong.size", ["test_mesh"]),
+    ("inverted cells not counted", "fem/mesh/checks.py", "        bad += wrong.size", "        bad += 0 * wrong.size", ["test_mesh"]),
     ("sums over ranks in no fixed order (rank 0 last)", "fem/fields.py", "return np.sum(comm.allgather(x), axis=0)",
      "return np.sum(np.roll(comm.allgather(x), comm.rank, axis=0), axis=0)", ["test_ranks"]),
     ("end rule of the multipliers dropped", "fem/traces/multipliers.py", "if ends is Ends.KEPT or len(border) == 0:", "if True:",

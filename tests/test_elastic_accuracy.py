@@ -11,6 +11,7 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.field_checks import SLENDER
+from fmbd_fenicsx.fem.mesh.mesh import Mesh
 from fmbd_fenicsx.fem.mixed import make_field
 from fmbd_fenicsx.materials import (
     linear_elastic,
@@ -19,7 +20,6 @@ from fmbd_fenicsx.materials import (
     plane_stress,
     saint_venant_kirchhoff,
 )
-from fmbd_fenicsx.mesh import Mesh
 from fmbd_fenicsx.rotations import Array
 
 

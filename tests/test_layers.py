@@ -12,14 +12,10 @@ PACKAGE = Path(__file__).resolve().parents[1] / "fmbd_fenicsx"
 FLOORS = [
     {
         "_lazy",
-        "versions",
         "errors",
         "log",
         "rotations",
         "dolfinx_compat",
-        "mesh",
-        "mesh_checks",
-        "line_mesh",
         "materials",
         "energies",
         "kernel_cache",

@@ -12,9 +12,9 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.fem.mesh.mesh import Mesh
 from fmbd_fenicsx.fem.mixed import make_field
 from fmbd_fenicsx.materials import linear_elastic, nearly_incompressible, neo_hookean, neo_hookean_mixed
-from fmbd_fenicsx.mesh import Mesh
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -87,7 +87,7 @@ def test_tiny_surfaces(width: float, refused: bool) -> None:
     from mpi4py import MPI
 
     from fmbd_fenicsx.errors import MeshError
-    from fmbd_fenicsx.mesh import Mesh
+    from fmbd_fenicsx.fem.mesh.mesh import Mesh
 
     here = MPI.COMM_WORLD.rank == 0
     x = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, width], [0.0, 1.0]]) if here else np.zeros((0, 2))

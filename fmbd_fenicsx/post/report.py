@@ -14,7 +14,7 @@ from ..mechanics.joints.constraints import standstill
 from ..run.accuracy.orders import expected_orders
 from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
-from ..versions import short
+from .versions import short
 
 if TYPE_CHECKING:
     from ..run.result import Run

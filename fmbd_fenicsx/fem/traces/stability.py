@@ -29,8 +29,8 @@ import scipy.sparse as sp
 from ... import dolfinx_compat as compat
 from ...checks import shown, typed
 from ...errors import InputError
-from ...mesh import Mesh
 from ...rotations import Array
+from ..mesh.mesh import Mesh
 from .mortar import mortar, refined_coupling
 from .multipliers import Multipliers, MultiplierSpace, default_space
 from .traces import Trace, quadrature, refined, shape_functions, trace_of

@@ -100,7 +100,7 @@ def halved(mesh: Any, surface: str) -> Any:
     """
     from dolfinx import mesh as dmesh
 
-    from ...mesh import Mesh
+    from ..mesh.mesh import Mesh
 
     d = mesh.dim
     coarse = surface_trace(mesh, surface)

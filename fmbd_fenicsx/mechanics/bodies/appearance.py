@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 from ...errors import InputError, require
+from ...fem.mesh.mesh import Mesh
 from ..contact.shapes import Shape
-
-
-def is_mesh(part: Any) -> bool:
-    """Whether it is a mesh of ``read_gmsh``; bodies without one do not load its module, and DOLFINx with it."""
-    mesh = sys.modules.get("fmbd_fenicsx.mesh")
-
-    return mesh is not None and isinstance(part, mesh.Mesh)
 
 
 def check_shape(name: str, shape: Any) -> None:
@@ -24,7 +17,7 @@ def check_shape(name: str, shape: Any) -> None:
         InputError: neither a shape, a mesh nor an STL file; or a file that is not there.
     """
     for part in shape if isinstance(shape, list | tuple) else [shape]:
-        if isinstance(part, Shape) or is_mesh(part):
+        if isinstance(part, Shape | Mesh):
             continue
         require(
             isinstance(part, str | Path),

@@ -228,7 +228,7 @@ class ElasticBody(Body):
 
     def __post_init__(self) -> None:
         """Check density, degree, damping, and one description of elasticity."""
-        from ...mesh import Mesh
+        from ...fem.mesh.mesh import Mesh
 
         n = self.name
         what = f'Body "{n}"'

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...mechanics.bodies.appearance import is_mesh
+from ...fem.mesh.mesh import Mesh
 from ...mechanics.bodies.beams import Beam
 from ...mechanics.bodies.bodies import AbsoluteBody, FloatingBody, RigidBody
 from ...mechanics.bodies.coordinates import CoordinateBody
@@ -182,12 +182,12 @@ def _given_shape(body: RigidBody) -> Solid | None:
 def _one_shape(body: RigidBody, part: Any) -> Solid:
     if isinstance(part, str | Path):
         return read_stl(part)
-    if is_mesh(part):
+    if isinstance(part, Mesh):
         return _mesh_solid(part)
     return shape_solid(part, body.dim)
 
 
-def _mesh_solid(mesh: Any) -> Solid:
+def _mesh_solid(mesh: Mesh) -> Solid:
     from dolfinx import fem
 
     space = fem.functionspace(mesh.dolfinx, ("Lagrange", 1, (mesh.dim,)))
@@ -226,7 +226,7 @@ def _is_cad(shape: Any) -> bool:
     """Whether it is a part drawn elsewhere, which needs no bars."""
     parts = shape if isinstance(shape, list | tuple) else [shape]
 
-    return any(isinstance(p, str | Path) or is_mesh(p) for p in parts)
+    return any(isinstance(p, str | Path | Mesh) for p in parts)
 
 
 def _with_bars(solid: Solid, body: RigidBody, at: Places, symbol: float) -> Solid:

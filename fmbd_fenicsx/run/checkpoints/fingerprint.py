@@ -15,7 +15,7 @@ import numpy as np
 
 from ...checks import OfBody, name_of
 from ...errors import CheckpointError
-from ...mesh import Mesh
+from ...fem.mesh.mesh import Mesh
 from ...rotations import Array
 from ...system.scene.scene import Scene
 from ...system.serialisation import Memory

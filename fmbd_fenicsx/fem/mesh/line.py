@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from .checks import instance, word
-from .errors import MeshError, near
+from ...checks import instance, word
+from ...errors import MeshError, near
+from ...rotations import Array
 from .mesh import require_file
-from .rotations import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ def read_line(source: str | Path, *, line: str | None = None, comm: Any = None) 
     """
     from mpi4py import MPI
 
-    from .log import install_hooks, together
+    from ...log import install_hooks, together
 
     install_hooks()
     path = Path(instance("read_line: source", source, (str, Path)))

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from .checks import instance, number
-from .errors import InputError, MeshError, near
+from ...checks import instance, number
+from ...errors import InputError, MeshError, near
+from ...rotations import Array
+from .checks import check_model
 from .mesh import Mesh, distributed, require_file
-from .mesh_checks import check_model
-from .rotations import Array
 
 Where = Callable[[Array], Any]
 """Which points belong to a surface: x (3, n) in m -> n truth values."""

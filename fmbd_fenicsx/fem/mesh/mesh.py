@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from . import dolfinx_compat as compat
-from .checks import instance, number, vector, word
-from .errors import InputError, MeshError, near
-from .log import install_hooks, together
-from .mesh_checks import check_model
-from .rotations import motions
+from ... import dolfinx_compat as compat
+from ...checks import instance, number, vector, word
+from ...errors import InputError, MeshError, near
+from ...log import install_hooks, together
+from ...rotations import motions
+from .checks import check_model
 
 Loader = Callable[[Any], tuple[int, str, dict[str, int], str]]  # fills a gmsh session: what check_model returns
 SMALLEST = 1e-12  # area of a surface over extent^(d - 1)

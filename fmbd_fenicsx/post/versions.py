@@ -20,7 +20,7 @@ def about() -> str:
 
     Libraries that are not loaded are looked up without loading them.
     """
-    from . import __version__
+    from .. import __version__
 
     rows = [("fmbd_fenicsx", __version__), ("Python", platform.python_version())]
     rows += [(name, version_of(name)) for name in LIBRARIES]
@@ -43,7 +43,7 @@ def version_of(name: str) -> str:
 
 def short() -> str:
     """One line for reports: this package, and of the libraries those that the run has loaded."""
-    from . import __version__
+    from .. import __version__
 
     loaded = [f"{name} {version_of(name)}" for name in ("dolfinx", "petsc4py", "numpy") if name in sys.modules]
     return ", ".join([f"fmbd_fenicsx {__version__}", f"Python {platform.python_version()}", *loaded])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import MeshError, near
+from ...errors import MeshError, near
 
 DEGENERATE = 1e-14  # of the largest Jacobian determinant
 

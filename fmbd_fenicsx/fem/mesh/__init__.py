@@ -1,0 +1,1 @@
+"""Meshes from gmsh, CAD and files, with their named regions."""
