@@ -13,11 +13,11 @@ traction at every interface; the pulse p comes back from the clamp as it is and 
 
 import numpy as np
 from domain_model import LENGTH, WORLD, errors, march, picture, pieces
+from dual_interface import DualInterface, shared_traces
 
 from fmbd_fenicsx import demo
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends
 from fmbd_fenicsx.fem.traces.traces import trace_of
-from fmbd_fenicsx.linear.blocks.domain_decomposition import DualInterface, shared_traces
 from fmbd_fenicsx.post.demo import Check
 
 SPACE = Continuous(1, Ends.KEPT)

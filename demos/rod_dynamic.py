@@ -9,7 +9,7 @@ BeamDyn with rho_inf = 0 and h = 5 ms. Free rod: Simo and Vu-Quoc, doi:10.1016/0
 from pathlib import Path
 
 import numpy as np
-from rod_model import panels, poses
+from rod_model import panels
 from rod_references import COMPOSITE
 
 import fmbd_fenicsx as fmbd
@@ -84,7 +84,7 @@ checks.append(
 )
 
 if args.picture:
-    shapes = [(s.t, (free, poses(run.system, s.q))) for s in run.snapshots]
+    shapes = [(s.t, (free, run.system.frame_poses(s.q))) for s in run.snapshots]
     before, later = ([shape for t, shape in shapes if (t > 5.0) == late] for late in (False, True))
     panels(args.picture, {"free flight, 0 to 5 s": before, "after the loads": later}, args.title)
 if args.animate:

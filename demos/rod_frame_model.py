@@ -15,7 +15,7 @@ LEG = fmbd.RodSection((1e6, 1e6, 1e6, 1e3, 1e3, 1e3), mass=1.0, inertia=(20, 10,
 def poses(system, q, rod):
     """Poses of the nodes of one rod."""
     first = system.frame_names.index(f"{rod.name}, node 1")
-    return q[: system.n_frames * 7].reshape(-1, 7)[first : first + len(rod.nodes)]
+    return system.frame_poses(q)[first : first + len(rod.nodes)]
 
 
 def corner(elements):

@@ -1,13 +1,8 @@
-"""What the demos of rods share: poses of their nodes, and a drawing of rods with their sections."""
+"""A drawing of rods with their sections, for the demos of rods."""
 
 import numpy as np
 
 from fmbd_fenicsx.mechanics.rods.skin import skin
-
-
-def poses(system, q):
-    """Poses of all frames, (n, 7)."""
-    return q[: system.n_frames * 7].reshape(-1, 7)
 
 
 def panels(file, content, title):

@@ -7,7 +7,7 @@ Composite and twisted beam: Wang et al., doi:10.1002/we.2101. Princeton beam: do
 """
 
 import numpy as np
-from rod_model import panels, poses
+from rod_model import panels
 from rod_references import COMPOSITE, COMPOSITE_TIP, HELIX, PRINCETON, TWISTED, TWISTED_TIP
 
 import fmbd_fenicsx as fmbd
@@ -66,7 +66,7 @@ spring, helix = solved(
 error = np.linalg.norm(helix.path.series["tip"][1:] - [row[1:] for row in rows], axis=1).max()
 checks.append(Check(f"helix to {stops[-1] * 10:g} turns, m", error, 0.0, 1e-6 if args.fast else 1e-5))
 
-shapes = [poses(helix.system, point.q) for point in helix.path.points[1:]]
+shapes = [helix.system.frame_poses(point.q) for point in helix.path.points[1:]]
 pose, rng, e = shapes[stops.index(0.1)], np.random.default_rng(0), helix.system.elements[0]
 before = e.strains(pose)
 for _ in range(100):
@@ -78,7 +78,7 @@ checks.append(Check("strain by 100 superposed rotations, 1", np.abs(e.strains(po
 if args.picture:
     rolled, circle = solved(plain, 10.0, 16, torque=(0, 0, 20 * np.pi), stops=(0.25, 0.5, 0.75, 1.0))
     panels(args.picture, {
-        "end moment: 1/4 to 4/4 of a circle": [(rolled, poses(circle.system, p.q)) for p in circle.path.points[1:]],
+        "end moment: 1/4 to 4/4 of a circle": [(rolled, circle.system.frame_poses(p.q)) for p in circle.path.points[1:]],
         "helix: 1/4, 1/2, 1 turn": [(spring, shapes[stops.index(f)]) for f in (0.025, 0.05, 0.1)],
     }, args.title)  # fmt: skip
 finish(checks, None, args)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from test_traces import ROOT
@@ -11,13 +13,16 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.fem.fields import ElasticForms, Field
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends
 from fmbd_fenicsx.fem.traces.traces import trace_of
-from fmbd_fenicsx.linear.blocks.domain_decomposition import DualInterface, shared_traces, unassembled
+from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled
 from fmbd_fenicsx.linear.blocks.elastic_blocks import Bddc, set_bddc
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor
 from fmbd_fenicsx.linear.presets.krylov import FieldSplit
 from fmbd_fenicsx.linear.presets.multiplier_schur import Schur
 from fmbd_fenicsx.linear.rigid_modes import elastic_matrix
 from fmbd_fenicsx.linear.saddle.saddle import Elastic
+
+sys.path.insert(0, str(ROOT / "demos"))
+from dual_interface import DualInterface, shared_traces  # noqa: E402
 
 KEPT1 = Continuous(1, Ends.KEPT)
 
