@@ -66,11 +66,11 @@ from .mechanics.contact.contact import contact as contact
 from .mechanics.contact.contact import corners as corners
 from .mechanics.contact.contact import cylinder_end as cylinder_end
 from .mechanics.contact.obstacles import Obstacle as Obstacle
-from .mechanics.contact.shapes import Box as Box
-from .mechanics.contact.shapes import Cylinder as Cylinder
-from .mechanics.contact.shapes import HalfSpace as HalfSpace
-from .mechanics.contact.shapes import SignedDistance as SignedDistance
-from .mechanics.contact.shapes import Sphere as Sphere
+from .mechanics.shapes import Box as Box
+from .mechanics.shapes import Cylinder as Cylinder
+from .mechanics.shapes import HalfSpace as HalfSpace
+from .mechanics.shapes import SignedDistance as SignedDistance
+from .mechanics.shapes import Sphere as Sphere
 from .mechanics.forces.expressed import force_element as force_element
 from .mechanics.forces.forces import Spring as Spring
 from .mechanics.forces.forces import Tyre as Tyre

@@ -2,7 +2,7 @@
 
 from .mechanics.contact.contact import along, ball, corners, cylinder_end
 from .mechanics.contact.obstacles import Obstacle
-from .mechanics.contact.shapes import Box, Cylinder, HalfSpace, SignedDistance, Sphere
+from .mechanics.shapes import Box, Cylinder, HalfSpace, SignedDistance, Sphere
 from .schemes.impacts.unilateral import Unilateral
 
 __all__ = [

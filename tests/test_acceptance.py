@@ -9,7 +9,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, FmbdError, InputError
-from fmbd_fenicsx.mechanics.reduction.modes import rigid_fields
+from fmbd_fenicsx.mechanics.elastic.modes import rigid_fields
 from fmbd_fenicsx.run.judges.acceptance import Closed
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import materials
-from fmbd_fenicsx.mechanics.bodies.body import Body, Placed, Site
+from fmbd_fenicsx.mechanics.body import Body, Placed, Site
 from fmbd_fenicsx.mechanics.placements import FrameMotion, Part
 from fmbd_fenicsx.post.report import conservative
 

@@ -13,7 +13,7 @@ from test_ranks import launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.mechanics.bodies.floating import FloatingField
+from fmbd_fenicsx.mechanics.elastic.floating import FloatingField
 from fmbd_fenicsx.schemes.exact_tangent import exact_increment
 from fmbd_fenicsx.schemes.newton import ExactTangent, Newton
 

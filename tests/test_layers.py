@@ -116,6 +116,21 @@ def test_no_circles() -> None:
         raise AssertionError(f"modules import one another in a circle: {' <- '.join(error.args[1])}") from None
 
 
+def test_folders_stand_on_one_another_in_one_direction() -> None:
+    """Of two folders on one floor one uses the other, and is not used by it, not even for types."""
+    uses: dict[tuple[str, str], str] = {}
+    for path in MODULES:
+        here = ".".join(path.relative_to(PACKAGE).parent.parts)
+        for line, parts, _ in imported(path):
+            target = module(parts)
+            there = target if PACKAGE.joinpath(*target.split(".")).is_dir() else target.rpartition(".")[0]
+            apart = not f"{here}.".startswith(f"{there}.") and not f"{there}.".startswith(f"{here}.")
+            if here and there and apart and (room(path), parts[0]) not in DOORS:
+                uses.setdefault((here, there), f"{path.relative_to(PACKAGE)}:{line}")
+    mutual = [f"{a} <-> {b}: {uses[a, b]}, {uses[b, a]}" for a, b in uses if a < b and (b, a) in uses]
+    assert not mutual
+
+
 def test_files_and_functions_are_short() -> None:
     found = []
     for path in MODULES:

@@ -13,7 +13,7 @@ from fmbd_fenicsx.errors import CallbackError, InputError, LawError
 from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.loads import Load, body_force, pressure, thermal_stress, traction
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
-from fmbd_fenicsx.mechanics.bodies.floating import FloatingField
+from fmbd_fenicsx.mechanics.elastic.floating import FloatingField
 from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion, MeanAxis
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 from fmbd_fenicsx.rotations import motions

@@ -13,7 +13,8 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import CraigBampton
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
-from fmbd_fenicsx.mechanics.reduction import craig_bampton, modes
+from fmbd_fenicsx.mechanics.elastic import modes
+from fmbd_fenicsx.mechanics.reduction import craig_bampton
 from fmbd_fenicsx.mechanics.reduction.craig_bampton import FrameModes
 from fmbd_fenicsx.run.accuracy.estimates import SATURATION
 

@@ -13,7 +13,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
 from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import plane_stress
-from fmbd_fenicsx.mechanics.bodies.floating import FloatingField
+from fmbd_fenicsx.mechanics.elastic.floating import FloatingField
 from fmbd_fenicsx.mechanics.placements import Attached, FrameMotion
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 

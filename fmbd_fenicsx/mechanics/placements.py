@@ -1,7 +1,7 @@
 """Placements: how the points of a body move. What every part of a system offers, and all rigid bodies at once.
 
 A rigid body has x = r + R X and the inertia m (r'' - g), J w' + w x J w. Elastic placements have files of their own:
-``mechanics.bodies.floating`` x = r + R (X + u), ``mechanics.bodies.absolute`` x = X + u,
+``mechanics.elastic.floating`` x = r + R (X + u), ``mechanics.elastic.absolute`` x = X + u,
 ``mechanics.reduction.reduced`` x = r + R (X + Phi eta).
 """
 
@@ -18,7 +18,7 @@ from ..rotations import Array, Motions
 
 if TYPE_CHECKING:
     from ..fem.fields import Field
-    from .reduction.foreshortening import Bent, Shortening
+    from .elastic.foreshortening import Bent, Shortening
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,9 @@ from ..system.compiled.recording import on_the_way
 from ..system.system import State, System
 from .newton import Newton
 from .onestep.alpha.alpha_driver import settings
-from .stepping import TimeStepper
+from .stepping import EnergyJudge, JointJudge, TimeStepper
 
 if TYPE_CHECKING:
-    from ..run.judges.acceptance import Closed
-    from ..run.judges.energy_check import Watch
     from ..system.compiled.recording import Openness, Tape
     from ..system.compiled.states.evaluation import DriverStates
     from .onestep.explicit_limit import StepLimit
@@ -91,7 +89,12 @@ class MarchingStepper(TimeStepper):
         return self._used.state(1)
 
     def march(
-        self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None, closed: Closed | None = None
+        self,
+        h: float,
+        steps: int,
+        watch: EnergyJudge | None = None,
+        tape: Tape | None = None,
+        closed: JointJudge | None = None,
     ) -> int:
         """As :meth:`TimeStepper.march`; steps that fail are left to :meth:`advance`."""
         made, limit = 0, self.limit
@@ -127,7 +130,9 @@ class MarchingStepper(TimeStepper):
             settings(self._used.parameters, self.system, self.newton)
         return self._used
 
-    def _made(self, h: float, count: int, most: float, judges: tuple[Watch | None, Tape | None, Closed | None]) -> int:
+    def _made(
+        self, h: float, count: int, most: float, judges: tuple[EnergyJudge | None, Tape | None, JointJudge | None]
+    ) -> int:
         """Up to so many steps in one call, up to a state faster than ``most`` (m/s); how many were made."""
         s, self._stopped = self.state, True
         refused = self._refused is not None and self._refused[0] is s and self._refused[1] == h

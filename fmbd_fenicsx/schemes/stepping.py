@@ -7,7 +7,7 @@ user's own derives from :class:`TimeStepper` and has to say how it advances; all
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ..errors import InputError, require
 from ..system.compiled.choice import use_driver
@@ -17,7 +17,24 @@ from ..system.system import State
 from .declared import Declared
 
 if TYPE_CHECKING:
+    from ..system.compiled.march import JointLimits
     from ..system.compiled.recording import Openness, Tape
+
+
+class EnergyJudge(Protocol):
+    """Who judges the energy of every state: ``limits``, which compiled steps compare with and move on."""
+
+    limits: tuple[float, ...]
+
+
+class JointJudge(Protocol):
+    """Who judges the joints of every state."""
+
+    def limits(self, h: float) -> JointLimits:
+        """By what states of compiled steps of size h (s) are judged."""
+
+    def passed(self, t: float, fastest: float) -> None:
+        """Compiled steps up to time t (s) have passed, with this largest speed (m/s)."""
 
 
 class TimeStepper(Remembering):
@@ -74,7 +91,14 @@ class TimeStepper(Remembering):
         """
         return False
 
-    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None, closed: Any = None) -> int:
+    def march(
+        self,
+        h: float,
+        steps: int,
+        watch: EnergyJudge | None = None,
+        tape: Tape | None = None,
+        closed: JointJudge | None = None,
+    ) -> int:
         """Up to so many steps in one call, recorded on the ``tape``; how many were made. None here: they are made one by one.
 
         ``watch``: judges the energy of every state, ``closed`` its joints where the scheme does not see to them.

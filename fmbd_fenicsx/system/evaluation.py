@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import BalanceError
+from ..mechanics.elastic.foreshortening import Bent
 from ..mechanics.forces.force_elements import Loads
 from ..mechanics.frames import Kinematics
 from ..mechanics.placements import FrameMotion
-from ..mechanics.reduction.foreshortening import Bent
 from ..rotations import Array
 from .tangents.foreshortened_ports import bend, port_bias, port_forces, pulls
 from .tangents.jacobian import Jacobian

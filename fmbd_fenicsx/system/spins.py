@@ -18,9 +18,9 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from ..log import log
-from ..mechanics.bodies.floating import FloatingField
+from ..mechanics.elastic.floating import FloatingField
+from ..mechanics.elastic.modes import first_eigenvalue_bound, first_frequency, rigid_fields
 from ..mechanics.placements import FrameMotion
-from ..mechanics.reduction.modes import first_eigenvalue_bound, first_frequency, rigid_fields
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation

@@ -119,7 +119,7 @@ class System:
 
     @cached_property
     def curved(self) -> tuple[tuple[int, Any], ...]:
-        """Parts whose ports are of second order, with their numbers (:mod:`..mechanics.reduction.foreshortening`)."""
+        """Parts whose ports are of second order, with their numbers (:mod:`..mechanics.elastic.foreshortening`)."""
         return tuple((k, p) for k, p in enumerate(self.parts) if p.shortening is not None)
 
     @cached_property

@@ -19,9 +19,9 @@ from ...errors import ConvergenceError, InputError, LinearSolveError, near, requ
 from ...fem.fields import Field
 from ...linear.condensation import StepSolver
 from ...log import log
+from ...mechanics.elastic.modes import first_eigenvalue_bound
 from ...mechanics.forces.effort_laws import Friction
 from ...mechanics.forces.forces import CoordinateForce
-from ...mechanics.reduction.modes import first_eigenvalue_bound
 from ...mechanics.reduction.reduced import ReducedPart
 from ...ranks import OneAnswer
 from ...rotations import Array

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...errors import InputError, require
 from ...fem.mesh.mesh import Mesh
-from ..contact.shapes import Shape
+from ..shapes import Shape
 
 
 def check_shape(name: str, shape: Any) -> None:

@@ -25,11 +25,11 @@ import numpy as np
 from ...checks import check_fields, number, typed, vector, whole
 from ...errors import InputError, near, require
 from ...rotations import Array
+from ..body import MODES, Body, Placed, Site
 from ..reduction.reduced import ReducedConstants, placed_modes
 from ..torsion import torsion_of_rectangle
 from .beam_elements import BeamElements
 from .bodies import RigidBody, Surface
-from .body import MODES, Body, Placed, Site
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from ...errors import InputError, near, require
 from ...fem.fields import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
+from ..body import FIELDS, ORIGIN, Body, Placed, Site, start_velocity
 from ..placements import Attached, Chord, MeanAxis, Part
-from .body import FIELDS, ORIGIN, Body, Placed, Site, start_velocity
 
 if TYPE_CHECKING:
     from ...fem.traces.stability import OnSurface
@@ -383,7 +383,7 @@ class FloatingBody(ElasticBody):
 
     def placed(self, site: Site) -> Placed:
         """Its field in its frame, with the frame of the start."""
-        from .floating_start import placed_field
+        from ..elastic.floating_start import placed_field
 
         return placed_field(self, site)
 
@@ -419,6 +419,6 @@ class AbsoluteBody(ElasticBody):
 
     def placed(self, site: Site) -> Placed:
         """Its field, with the rigid motion of the start in its rates."""
-        from .absolute import placed_field
+        from ..elastic.absolute import placed_field
 
         return placed_field(self, site)

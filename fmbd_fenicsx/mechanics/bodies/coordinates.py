@@ -19,8 +19,8 @@ import numpy as np
 from ...checks import array, check_fields, vector
 from ...errors import CallbackError, InputError, named, require
 from ...rotations import Array
+from ..body import EQUATIONS, Body, Placed, Site
 from ..placements import FrameMotion, Part
-from .body import EQUATIONS, Body, Placed, Site
 from .own_checks import check_constraint, check_force
 from .own_derivatives import UNUSABLE, Slopes, derivative_many, line_rates, slopes_of
 

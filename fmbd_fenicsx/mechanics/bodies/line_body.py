@@ -25,9 +25,9 @@ from ... import dolfinx_compat as compat
 from ...checks import check_fields, number, whole
 from ...errors import CallbackError, InputError, named, near, require
 from ...rotations import Array
+from ..body import LINES, Body, Placed, Site
 from ..placements import FrameMotion, Part
 from .bodies import Surface
-from .body import LINES, Body, Placed, Site
 
 ENDS = ("start", "end")
 

@@ -21,8 +21,8 @@ import numpy as np
 from ...checks import check_fields, number, whole
 from ...errors import InputError, require
 from ...rotations import Array, motions
-from ..bodies.body import WIRES, Body, Placed, Site
-from ..bodies.field_part import FieldPart
+from ..body import WIRES, Body, Placed, Site
+from ..elastic.field_part import FieldPart
 from ..placements import FrameMotion
 from .line_field import LineField
 

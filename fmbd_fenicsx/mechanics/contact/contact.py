@@ -29,8 +29,8 @@ from ...rotations import Array
 from ..bodies.bodies import RigidBody, Surface
 from ..parts import ScenePart
 from ..rods.rods import Rod, node_name
+from ..shapes import Shape
 from .obstacles import Obstacle
-from .shapes import Shape
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array, Motions
+from ..shapes import distances
 from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch, tangents_of
-from .shapes import distances
 from .trace import ContactTrace, FieldTrace
 
 TOLD = 8  # times at which poses of moving obstacles are kept: those of a step

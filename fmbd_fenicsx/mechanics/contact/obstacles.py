@@ -9,7 +9,7 @@ from typing import Any
 from ...checks import check_fields, instance
 from ...errors import InputError
 from ..bodies.bodies import RigidBody
-from .shapes import Shape
+from ..shapes import Shape
 
 
 @dataclass(frozen=True, eq=False)

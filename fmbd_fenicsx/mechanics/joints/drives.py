@@ -8,12 +8,15 @@ A coordinate is also a sensor (``scene.sensor("phi", phi)``) and what :func:`fmb
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ...checks import instance, number, typed
 from ...errors import InputError, require
+from ...rotations import Motions
 from .constraints import Motion
 from .couplings import lead_ratio, smooth_motion
 from .joints import Joint
@@ -58,6 +61,19 @@ def displacement(joint: Joint) -> JointCoordinate:
             f'Joint "{joint.name}" ({joint.kind}) has no displacement along an axis; prismatic, cylindrical and point on line do.'
         )
     return JointCoordinate(joint, Slide)
+
+
+def relative_of(m: Motions, kind: type[Relative], entries: Iterable[tuple[JointCoordinate, int, int]]) -> Relative:
+    """The batch of joint coordinates of one kind from (coordinate, marker a, marker b)."""
+    found = list(entries)
+    e = [
+        np.zeros(m.dim) if s.joint.axis is None or (kind is RelativeAngle and m.dim == 2) else s.joint.axis
+        for s, _, _ in found
+    ]
+    if kind is Separation:
+        e = [np.zeros(m.dim)] * len(found)
+    a, b = (np.array([entry[i] for entry in found], dtype=int) for i in (1, 2))
+    return kind(m, a, b, np.reshape(e, (len(found), m.dim)))
 
 
 @dataclass(frozen=True)

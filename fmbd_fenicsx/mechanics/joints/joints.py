@@ -33,7 +33,7 @@ from ...checks import number, shown, typed, vector, word
 from ...errors import InputError, require
 from ...rotations import Array, cross3
 from ..bodies.bodies import RigidBody, Surface
-from ..bodies.body import Body
+from ..body import Body
 from ..kinds.derivation import Kind
 from . import constraints as ct
 from .couplings import smooth_motion

@@ -1,1 +1,1 @@
-"""Reduction: modes, reduced bodies, and what large motion adds to them."""
+"""Reduction: reduced bodies by modes of elastic ones, and what they tell of these."""

@@ -24,11 +24,11 @@ from ...fem.fields import Field
 from ...fem.mixed import make_field
 from ...log import log
 from ...rotations import Array
-from ..bodies.body import MODES, Body, Placed, Site
-from ..bodies.floating import attachment, frame_conditions, moment_columns
-from ..bodies.floating_start import framed_start
+from ..body import MODES, Body, Placed, Site
+from ..elastic.floating import attachment, frame_conditions, moment_columns
+from ..elastic.floating_start import framed_start
+from ..elastic.stiffening import Stiffening
 from .reduced import ReducedConstants, SurfaceData, constants_of, placed_modes
-from .stiffening import Stiffening
 
 SMALL = 10_000  # unknowns of a field up to which its matrices and factors, some megabytes, are kept beside its modes
 LEFT_OUT = 1e-4  # share of the mean square of an initial displacement above which modes that miss it are warned of
@@ -77,7 +77,7 @@ class CraigBampton:
 
     def columns(self, field: Field, frame: Array) -> Array:
         """Nodal fields that span the basis, (n d, m)."""
-        from .modes import ConditionedBody
+        from ..elastic.modes import ConditionedBody
 
         C = independent(field, [moment_columns(field, s) for s in self.interfaces])
         body = ConditionedBody(field, C)
@@ -105,7 +105,7 @@ class RefinedBasis:
 
     def columns(self, field: Field, frame: Array, given: Array | None = None) -> Array:
         """Nodal fields that span the basis, (n d, m); ``given``: those of the basis that it contains, where they are known."""
-        from .modes import ConditionedBody
+        from ..elastic.modes import ConditionedBody
 
         given = self.basis.columns(field, frame) if given is None else given
         C = frame
@@ -149,7 +149,7 @@ def independent(field: Field, groups: Sequence[Array]) -> Array:
 
 def _select(field: Field, conditions: Array, wanted: Any) -> Array:
     """Modes by number or by frequency."""
-    from .modes import ConditionedBody
+    from ..elastic.modes import ConditionedBody
 
     if wanted.count == 0:
         return np.zeros((field.n * field.dim, 0))
@@ -312,7 +312,7 @@ def reduce_body(
     Raises:
         InputError: an energy instead of a linear form, or more modes than unknowns.
     """
-    from .modes import orthonormal_modes
+    from ..elastic.modes import orthonormal_modes
 
     if body.elastic is None:
         raise InputError(f'Body "{body.name}": modes need the linear form elastic(u, v, dx), not an energy.')

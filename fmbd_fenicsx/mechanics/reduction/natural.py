@@ -12,9 +12,9 @@ from ...errors import require
 from ...fem.fields import Field
 from ...fem.mixed import make_field
 from ...rotations import Array
-from ..bodies.floating import attachment
+from ..elastic.floating import attachment
+from ..elastic.modes import ConditionedBody, rigid_fields
 from .craig_bampton import independent
-from .modes import ConditionedBody, rigid_fields
 
 
 def natural_frequencies(body: Any, count: int, held: Sequence[str]) -> Array:

@@ -13,7 +13,7 @@ body axes are a + L P + 2 w~ P' + P'', hence
 
 No term is left out: with all modes of a field (2) is the field's inertia. Nothing here knows of a mesh. With no modes at all the
 body is rigid. Stiffening by the stress of the inertia forces and the inertia of second-order displacements are in
-:mod:`.second_order`.
+:mod:`..elastic.second_order`.
 """
 
 from __future__ import annotations
@@ -26,18 +26,19 @@ import numpy as np
 
 from ...errors import ConvergenceError
 from ...rotations import Array, axial, hat, motions, spin_matrix
-from ..bodies.body import Placed, Site
+from ..body import Placed, Site
+from ..elastic.foreshortening import of_constants
+from ..elastic.second_order import Acting, Moments, SecondOrder, load_moment, turning
 from ..placements import FrameMotion, Part
 from ..validity import TOO_LARGE, too_large
-from .foreshortening import of_constants
-from .second_order import Acting, Moments, SecondOrder, load_moment, turning
 
 
 @dataclass(frozen=True)
 class SurfaceData:
     """Moments of a surface as linear functions of the modes: reference (1 + d, d), modes ((1 + d) d, m), centroid (d,).
 
-    ``bend`` (r, m, m): G_r of :mod:`.foreshortening` for unit forces (and moments) on the surface; None without stiffening.
+    ``bend`` (r, m, m): G_r of :mod:`..elastic.foreshortening` for unit forces (and moments) on the surface; None without
+    stiffening.
     """
 
     reference: Array
@@ -198,7 +199,7 @@ class ReducedPart(Part):
         return np.asarray((G @ eta).T)
 
     def _moments(self, bent: Array, local: Sequence[Array]) -> Moments:
-        """Of :mod:`.second_order` and their rates, from the columns :meth:`_bent` of the first of local."""
+        """Of :mod:`..elastic.second_order` and their rates, from the columns :meth:`_bent` of the first of local."""
         z = bent.T @ np.stack(local, axis=1)
         z[:, 0] *= 0.5
         if len(local) > 2:
@@ -206,7 +207,7 @@ class ReducedPart(Part):
         return Moments.of(self._first @ self._with_shape(*local), z, self.dim)
 
     def _acting(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> Acting:
-        """(4) of :mod:`.second_order`, for local coordinates with two rates."""
+        """(4) of :mod:`..elastic.second_order`, for local coordinates with two rates."""
         assert motion.accel is not None
         R = motion.R
         twist, accel = self._in_body(R, motion.twist), self._in_body(R, motion.accel)

@@ -19,7 +19,7 @@ from ...checks import check_fields, number, whole
 from ...errors import InputError, near, require
 from ...rotations import SPACE, Array
 from ..bodies.bodies import RigidBody, Surface, Vector
-from ..bodies.body import Body
+from ..body import Body
 from .curves import Curve, constant_or_along
 from .elements import LineLoad, RodElements
 from .sections import RodSection

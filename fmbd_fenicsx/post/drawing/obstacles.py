@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...mechanics.contact.obstacles import Obstacle
-from ...mechanics.contact.shapes import Box, Cylinder, HalfSpace, Shape, SignedDistance, Sphere
+from ...mechanics.shapes import Box, Cylinder, HalfSpace, Shape, SignedDistance, Sphere
 from ...rotations import Array
 from .level_sets import region
 from .places import Places

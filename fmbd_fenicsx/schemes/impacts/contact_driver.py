@@ -16,8 +16,8 @@ from ...linear.complementarity.active_set import ContactCounts
 from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import ContactSet
-from ...mechanics.contact.shapes import KNOWN, Shape
 from ...mechanics.joints.relative import ExpressedCoordinate
+from ...mechanics.shapes import KNOWN, Shape
 from ...rotations import Array
 from ...system.compiled import march as slots
 from ...system.compiled.blocks import Ring, block_size, state_of

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...mechanics.contact.obstacle_pair import ObstaclePair
-from ...mechanics.contact.shapes import KNOWN
+from ...mechanics.shapes import KNOWN
 
 
 @dataclass(frozen=True)

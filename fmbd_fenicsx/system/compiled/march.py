@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from .declarations import TABLES, enumeration, fields_of
 from .recording import Openness, Tape
 from .tables.structures import address_of
 from .tables.tables import Tables
-
-if TYPE_CHECKING:
-    from ...schemes.onestep.alpha.compiled_control import CompiledControl
 
 # fmt: off
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
@@ -94,10 +91,10 @@ class March:
         c.fastest, c.speed, c.most = limits.fastest, 0.0, most
 
     def steps(
-        self, count: int, tape: Tape | None = None, control: CompiledControl | None = None, *, judged: bool = False
+        self, count: int, tape: Tape | None = None, control: int | None = None, *, judged: bool = False
     ) -> tuple[int, int]:
-        """Make up to so many steps; the number made, and the verdict of the one that stopped them. ``control``: judges errors,
-        ``judged``: whether :meth:`judge` has said how joints are.
+        """Make up to so many steps; the number made, and the verdict of the one that stopped them. ``control``: address of
+        the one that judges errors, ``judged``: whether :meth:`judge` has said how joints are.
         """
         self.parameters[COUNTED] = 0.0
         made = self.library.march(
@@ -109,7 +106,7 @@ class March:
             self.ring.address,
             ctypes.byref(self._verdict),
             None if tape is None else tape.address,
-            None if control is None else control.address,
+            control,
             ctypes.addressof(self.closed) if judged else None,
         )
         return int(made), int(self._verdict.value)

@@ -19,8 +19,8 @@ from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.obstacles import Obstacle
 from ...mechanics.contact.rows import Carrier, ContactSet, Side
 from ...mechanics.contact.trace import BodyNodes, ContactTrace, FieldTrace, ModalTrace, surface_nodes
+from ...mechanics.joints.drives import relative_of
 from ...rotations import Array, Motions
-from .joints import relative_of
 
 
 def check_contacts(scene: Any) -> None:

@@ -10,11 +10,10 @@ from ...errors import InputError, near
 from ...mechanics.forces.expressed import ExpressedForce
 from ...mechanics.forces.force_elements import Loads, ScalarLoads
 from ...mechanics.forces.forces import Force
-from ...mechanics.joints.drives import JointCoordinate
+from ...mechanics.joints.drives import JointCoordinate, relative_of
 from ...mechanics.joints.relative import ExpressedCoordinate, Relative, Separation
 from ...rotations import Motions
 from ..sensors.sensor import Sensor
-from .joints import relative_of
 
 if TYPE_CHECKING:
     from .build import Builder

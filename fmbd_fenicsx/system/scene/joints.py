@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,10 +12,10 @@ from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch, ElementaryConstraint
 from ...mechanics.joints.counted import CountedAngles, turning_freely
 from ...mechanics.joints.couplings import CouplingBatch
-from ...mechanics.joints.drives import Coupling, JointCoordinate
+from ...mechanics.joints.drives import Coupling, JointCoordinate, relative_of
 from ...mechanics.joints.expressed import asked_rows, is_asked
 from ...mechanics.joints.joints import Joint
-from ...mechanics.joints.relative import Relative, RelativeAngle, Separation
+from ...mechanics.joints.relative import Relative, RelativeAngle
 from ...mechanics.kinds.derivation import Kind
 from ...rotations import Array, Motions
 from ..system import RowBlock
@@ -93,19 +93,6 @@ class JointRows:
                 )
             )
         return CouplingBatch(terms, [joint.motion for joint, _ in self._couplings])
-
-
-def relative_of(m: Motions, kind: type[Relative], entries: Iterable[tuple[JointCoordinate, int, int]]) -> Relative:
-    """The batch of joint coordinates of one kind from (coordinate, marker a, marker b)."""
-    found = list(entries)
-    e = [
-        np.zeros(m.dim) if s.joint.axis is None or (kind is RelativeAngle and m.dim == 2) else s.joint.axis
-        for s, _, _ in found
-    ]
-    if kind is Separation:
-        e = [np.zeros(m.dim)] * len(found)
-    a, b = (np.array([entry[i] for entry in found], dtype=int) for i in (1, 2))
-    return kind(m, a, b, np.reshape(e, (len(found), m.dim)))
 
 
 def counted_angles(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, MeshError
-from ...mechanics.bodies.body import Body
+from ...mechanics.body import Body
 from ...mechanics.reduction.reduced import ReducedPart
 from ..sensors.sensor import PartName, named_part
 from ..system import System

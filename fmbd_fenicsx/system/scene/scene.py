@@ -10,7 +10,7 @@ from typing import Any
 from ...checks import check_fields, instance, number, shown, vector, word
 from ...errors import InputError, near, require
 from ...log import log
-from ...mechanics.bodies.body import Body
+from ...mechanics.body import Body
 from ...mechanics.catenary.sliding import SlidingContact
 from ...mechanics.forces.forces import Force
 from ...mechanics.forces.inputs import Input

@@ -11,13 +11,12 @@ import numpy as np
 from ...checks import shown, typed, vector
 from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import RigidBody, Surface
-from ...mechanics.joints.drives import JointCoordinate
+from ...mechanics.joints.drives import JointCoordinate, relative_of
 from ...mechanics.joints.joints import Ground, ground, refuse_no_attachment
 from ...mechanics.joints.relative import Relative
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..scene.joints import relative_of
 from ..system import State, System
 from ..tangents.foreshortened_ports import port_acceleration
 from .sensor import Sensor, named_part

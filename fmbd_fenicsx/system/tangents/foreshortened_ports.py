@@ -1,6 +1,6 @@
 """Ports of second order in a system: what bent bodies add to the ports, their rates and accelerations.
 
-See ``mechanics.reduction.foreshortening``. A system without such parts has none of it.
+See ``mechanics.elastic.foreshortening``. A system without such parts has none of it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...mechanics.reduction.foreshortening import Bent
+from ...mechanics.elastic.foreshortening import Bent
 from ...rotations import Array
 
 if TYPE_CHECKING:

@@ -68,7 +68,7 @@ class AlphaDriver(March):
 
     def march(self, steps: int, tape: Tape | None = None, control: CompiledControl | None = None) -> tuple[int, int]:
         """As :meth:`steps`; raises what a call into Python has raised."""
-        found = self.steps(steps, tape, control)
+        found = self.steps(steps, tape, None if control is None else control.address)
         self.calls.raise_error()
         return found
 

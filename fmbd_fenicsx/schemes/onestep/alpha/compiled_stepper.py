@@ -18,8 +18,8 @@ from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
 from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
 
 if TYPE_CHECKING:
-    from ....run.judges.energy_check import Watch
     from ....system.compiled.recording import Openness, Tape
+    from ...stepping import EnergyJudge, JointJudge
     from .compiled_control import CompiledControl
     from .generalized_alpha import GeneralizedAlpha
 
@@ -160,7 +160,7 @@ class CompiledAlphaStepper(AlphaStepper):
             self._foretold = known = rule.h, super()._first(rule)
         return known[1]
 
-    def _first_march(self, h: float, watch: Watch | None = None, tape: Tape | None = None) -> int:
+    def _first_march(self, h: float, watch: EnergyJudge | None = None, tape: Tape | None = None) -> int:
         """The first step after a consistent start, as :meth:`Stepper._first` prepares it; 1, or 0 where it fails."""
         s = self.state
         start = self._predicted(self.scheme.rule(h))  # which factors the fields
@@ -177,7 +177,12 @@ class CompiledAlphaStepper(AlphaStepper):
         return 0 if self.fresh else 1
 
     def march(
-        self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None, closed: Any = None
+        self,
+        h: float,
+        steps: int,
+        watch: EnergyJudge | None = None,
+        tape: Tape | None = None,
+        closed: JointJudge | None = None,
     ) -> int:
         """Up to so many steps of size h (s) in one call; how many were made.
 
@@ -190,7 +195,7 @@ class CompiledAlphaStepper(AlphaStepper):
         return made
 
     def controlled(
-        self, h: float, steps: int, control: CompiledControl, watch: Watch | None = None, tape: Tape | None = None
+        self, h: float, steps: int, control: CompiledControl, watch: EnergyJudge | None = None, tape: Tape | None = None
     ) -> int:
         """:meth:`march` under error control, up to where the size may change, or a step is refused."""
         if self.fresh or not self._ready(h) or self._is_refused(h):
@@ -216,7 +221,7 @@ class CompiledAlphaStepper(AlphaStepper):
         self.driver.tables.remember()
         return True
 
-    def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+    def _march(self, h: float, steps: int, watch: EnergyJudge | None = None, tape: Tape | None = None) -> int:
         """The same; the memory of elements may be that of a step before."""
         if self._is_refused(h):
             return 0
@@ -238,7 +243,7 @@ class CompiledAlphaStepper(AlphaStepper):
         self,
         h: float,
         steps: int,
-        watch: Watch | None = None,
+        watch: EnergyJudge | None = None,
         tape: Tape | None = None,
         control: CompiledControl | None = None,
     ) -> int:

@@ -13,8 +13,8 @@ from .compiled_stepper import CompiledAlphaStepper
 if TYPE_CHECKING:
     from ....linear.blocks.field_blocks import FactoredField
     from ....rotations import Array
-    from ....run.judges.energy_check import Watch
     from ....system.compiled.recording import Openness, Tape
+    from ...stepping import EnergyJudge
 
 
 NEXT = 3  # block of a ring that a step writes
@@ -34,7 +34,7 @@ class FieldStepper(CompiledAlphaStepper):
         ev.forces = a, lam  # whose stress the tangents take
         return self.solver.renew_fields(ev, increments)
 
-    def _march(self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None) -> int:
+    def _march(self, h: float, steps: int, watch: EnergyJudge | None = None, tape: Tape | None = None) -> int:
         return super()._march(h, steps, watch, tape) if not self.fresh and self._ready(h) else 0
 
     def tape(self, judged: Openness) -> Tape | None:

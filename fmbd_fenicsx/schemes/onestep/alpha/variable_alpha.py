@@ -40,13 +40,12 @@ from ...control import FADING, Statistics, StepControl, first_step, moves, turn_
 from ...dae import GGL
 from ...error_norm import NormOfWays
 from ...newton import Newton
-from ...stepping import TimeStepper
+from ...stepping import EnergyJudge, JointJudge, TimeStepper
 from .look_ahead import LookAhead
 from .size_change import SizeChange
 from .stretch import Stretch, parts
 
 if TYPE_CHECKING:
-    from ....run.judges.energy_check import Watch
     from ....system.compiled.recording import Openness, Tape
     from .compiled_control import CompiledControl, Stay
     from .generalized_alpha import GeneralizedAlpha
@@ -249,7 +248,12 @@ class VariableAlpha(TimeStepper):
         return remembered and len(self.norm.deforming) == len(self.system.parts)
 
     def march(
-        self, h: float, steps: int, watch: Watch | None = None, tape: Tape | None = None, closed: Any = None
+        self,
+        h: float,
+        steps: int,
+        watch: EnergyJudge | None = None,
+        tape: Tape | None = None,
+        closed: JointJudge | None = None,
     ) -> int:
         """Up to so many accepted steps of one size, at most h (s), in one call of compiled code, as :meth:`advance` makes one;
         fewer where the size may change or a step is refused.

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ....mechanics.bodies.absolute import AbsoluteField
+from ....mechanics.elastic.absolute import AbsoluteField
 from ....rotations import Array, rotate_nodal
 from ....system.evaluation import Evaluation
 from ....system.serialisation import Memory

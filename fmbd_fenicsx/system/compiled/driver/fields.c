@@ -1,4 +1,4 @@
-/* Elastic bodies, equations (1) and (2) of mechanics/bodies/floating.py, and how their fields leave the step's matrix.
+/* Elastic bodies, equations (1) and (2) of mechanics/elastic/floating.py, and how their fields leave the step's matrix.
 
    With H = [columns of inertia, ports] and the frame conditions C^T U = 0, C among the columns of H, the rows of a field are
 

@@ -37,7 +37,7 @@ static void bend_modes(const Body *o, const double *eta)
     for (int c = 0; c < D + D * D; c++) by_columns(o->stress + m * m * c, eta, m, o->bent + m * c);
 }
 
-/* (1) of mechanics/reduction/second_order.py for count of eta, eta', eta''; bent is there. */
+/* (1) of mechanics/elastic/second_order.py for count of eta, eta', eta''; bent is there. */
 static void moments_of(const Body *o, const double **local, int count, Moments *z)
 {
     int m = o->modes, k = m + 1, DD = D * D, size = k * DD;

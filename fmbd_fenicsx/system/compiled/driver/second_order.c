@@ -1,4 +1,4 @@
-/* Inertia of the second-order displacements, mechanics/reduction/second_order.py: what reduced bodies and fields have in common. */
+/* Inertia of the second-order displacements, mechanics/elastic/second_order.py: what reduced bodies and fields have in common. */
 
 /* Of displacements p = X + u and their rates, in body axes: int rho p and int rho X p^T; of the second-order ones m2 and P2^T. */
 typedef struct {

@@ -1,4 +1,4 @@
-/* Fields with geometric stiffening: their second-order displacements, and ports of second order, as mechanics/reduction/stiffening.py,
+/* Fields with geometric stiffening: their second-order displacements, and ports of second order, as mechanics/elastic/stiffening.py,
    foreshortening.py and second_order.py.
 
    Every stress acts by one scalar matrix on each component of U alike: those of unit a_c and L_ij, K_c, and those of unit forces on

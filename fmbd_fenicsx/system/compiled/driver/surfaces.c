@@ -5,7 +5,7 @@
 /* Ports that a surface has. */
 static int ports_of(const Surface *k) { return k->sort == INTEGRAL ? D : PORT; }
 
-/* The rates of the ports of a surface at the modes eta: ports - N (G eta), see mechanics/reduction/foreshortening.py. */
+/* The rates of the ports of a surface at the modes eta: ports - N (G eta), see mechanics/elastic/foreshortening.py. */
 static void bend(Surface *k, const double *eta, int m)
 {
     double *slope = k->now + PORT * m;

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....mechanics.reduction.second_order import SecondOrder
+from ....mechanics.elastic.second_order import SecondOrder
 from ....mechanics.rods.elements import RodElements
 from ....mechanics.validity import TOO_LARGE
 from ....rotations import Array

@@ -8,8 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ....errors import ConvergenceError
-from ....mechanics.bodies.field_part import FieldPart
-from ....mechanics.bodies.floating import FloatingField
+from ....mechanics.elastic.field_part import FieldPart
+from ....mechanics.elastic.floating import FloatingField
 from ....mechanics.validity import TOO_LARGE
 from ....rotations import Array
 from .resting import RestingField

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ....mechanics.bodies.absolute import AbsoluteField
-from ....mechanics.bodies.field_part import FieldPart
+from ....mechanics.elastic.absolute import AbsoluteField
+from ....mechanics.elastic.field_part import FieldPart
 from ....mechanics.joints.surface_ties import TiedSide, TraceRows
 from ....mechanics.placements import FrameMotion
 from ....rotations import Array

@@ -16,8 +16,8 @@ import numpy as np
 from ...errors import require
 from ...fem.initial import initial_fields
 from ...rotations import Array
-from ..reduction.modes import rigid_fields
-from .body import Placed, Site
+from ..body import Placed, Site
+from .modes import rigid_fields
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import numpy as np
 
 from ...errors import InputError, near
 from ...rotations import Array, motions
-from ..bodies.bodies import Surface
-from ..bodies.body import MODES, Body, Placed, Site
-from .reduced import ReducedConstants, SurfaceData, placed_modes
+from ..body import MODES, Body, Placed, Site
+from ..reduction.reduced import ReducedConstants, SurfaceData, placed_modes
+from .bodies import Surface
 
 PLAIN = ("mass", "S", "T", "K", "D", "center", "size")
 

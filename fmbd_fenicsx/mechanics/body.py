@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...checks import array, vector
-from ...errors import InputError
-from ...rotations import Array
-from ..placements import Part
+from ..checks import array, vector
+from ..errors import InputError
+from ..rotations import Array
+from .placements import Part
 
 # the order of the parts of a system: equations of the user's own, insides of rigid bodies, lines, modes; then those
 # distributed over ranks, fields and wires

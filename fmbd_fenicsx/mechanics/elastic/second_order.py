@@ -1,6 +1,6 @@
 """Inertia of the second-order displacements: the other half of the stress of the inertia forces.
 
-A body that bends under the geometric stiffness of ``mechanics.reduction.stiffening`` is displaced to second order, too. Let K_c
+A body that bends under the geometric stiffness of ``mechanics.elastic.stiffening`` is displaced to second order, too. Let K_c
 and K_ij be K_g of a unit acceleration a_c and of a unit L_ij. The work of the inertia forces on the second-order displacements
 u2 is that of their stress, which gives the moments
 

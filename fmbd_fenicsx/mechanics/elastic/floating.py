@@ -6,7 +6,7 @@ A flexible body in a moving frame has x = r + R P, P = X + U. Its nodal accelera
 
     translation:  R sum_n F_n        rotation:  sum_n P_n x F_n      field:  F + K U + D U'                  (2)
 
-and, with stiffening, what the second-order displacements add (``reduction.second_order``). Nothing else: no inertia
+and, with stiffening, what the second-order displacements add (:mod:`.second_order`). Nothing else: no inertia
 shape integrals, no gyroscopic terms by hand, because constants and linear functions lie in V_h and M commutes with
 node-wise rotations (Galerkin mass, unlumped).
 """
@@ -19,12 +19,12 @@ from ...errors import ConvergenceError, InputError
 from ...fem.fields import Field
 from ...rotations import Array, axial, motions, spin_matrix
 from ..placements import Attached, Chord, FrameMotion, MeanAxis
-from ..reduction.foreshortening import Bent, Shortening
-from ..reduction.modes import rigid_fields
-from ..reduction.second_order import Acting, Moments, turning
-from ..reduction.stiffening import Stiffening
 from ..validity import TOO_LARGE, too_large
 from .field_part import FieldPart, TangentPoint
+from .foreshortening import Bent, Shortening
+from .modes import rigid_fields
+from .second_order import Acting, Moments, turning
+from .stiffening import Stiffening
 
 
 class FloatingField(FieldPart):
@@ -124,7 +124,7 @@ class FloatingField(FieldPart):
     def _stiffened(
         self, stiffening: Stiffening, motion: FrameMotion, local: tuple[Array, Array, Array]
     ) -> tuple[Array, Array]:
-        """Rows of the frame (body axes) and of the field by (4) of ``reduction.second_order`` and the stress of loads."""
+        """Rows of the frame (body axes) and of the field by (4) of :mod:`.second_order` and the stress of loads."""
         bent, x, load = self._straining(stiffening, motion, local)
         d = self.field.dim
         x.frame[d:] -= stiffening.load_moment(load, bent, local[0])

@@ -12,9 +12,9 @@ Displacements u then work against this stress on the nonlinear part of the strai
 
 It is linear in (a, L, f): d + d^2 constant fields for inertia, d^2 for each load of ``fem.loads``, and one for each unit
 force and moment on every other surface, which joints, springs and forces act on
-(``mechanics.reduction.foreshortening``). Thermal stress is
+(``mechanics.elastic.foreshortening``). Thermal stress is
 left out. a and L are those of the mean motion of the body, and second-order displacements have inertia, too
-(``mechanics.reduction.second_order``). (2) is made from the user's own elastic form a(u, v): in a(u_0, v) each
+(``mechanics.elastic.second_order``). (2) is made from the user's own elastic form a(u, v): in a(u_0, v) each
 grad(v) becomes grad(w)^T grad(v). Without (2) a beam that spins faster
 than its first bending frequency (in the plane of rotation) has no stable linear solution.
 
@@ -144,7 +144,7 @@ class Stiffening:
         return np.concatenate((inertia, *factors))
 
     def shortening(self, surfaces: Sequence[str], first: int, n_port: int) -> Shortening | None:
-        """(1) of ``mechanics.reduction.foreshortening`` for the ports of surfaces in this order, the first at number
+        """(1) of ``mechanics.elastic.foreshortening`` for the ports of surfaces in this order, the first at number
         ``first``.
         """
         m = self.field.motions
@@ -207,7 +207,7 @@ class Stiffening:
         return np.einsum("nk,ce->nekc", weights, np.eye(d)).reshape(f.n * d, -1)
 
     def moments(self, bent: Array, local: Sequence[Array]) -> Moments:
-        """Of ``mechanics.reduction.second_order`` and their rates, from :meth:`bent` of the first of local; collective."""
+        """Of ``mechanics.elastic.second_order`` and their rates, from :meth:`bent` of the first of local; collective."""
         d = self.field.dim
         k = d + d * d
         stacked = np.stack(local, axis=1)

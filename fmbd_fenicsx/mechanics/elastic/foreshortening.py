@@ -2,7 +2,7 @@
 
 A linear field moves a surface by its ports p = B u. A body that bends also gets shorter. Let u_r be the static displacements
 under a unit force or moment r on the surface, with the body held at another, and G_r = K_g(u_r) the geometric stiffness of
-that stress (``mechanics.reduction.stiffening``). Without work of the membrane stress the surface moves by
+that stress (``mechanics.elastic.stiffening``). Without work of the membrane stress the surface moves by
 
     y_r(u) = -1/2 u^T G_r u          along the force r, or turns about the moment r                             (1)
 

@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...checks import check_fields, number, shown, vector
-from ...errors import CallbackError, named, require
-from ...log import log
-from ...rotations import Array, motions
-from ..bodies.body import ORIGIN
+from ..checks import check_fields, number, shown, vector
+from ..errors import CallbackError, named, require
+from ..log import log
+from ..rotations import Array, motions
+from .body import ORIGIN
 
 Vector = Sequence[float] | Array
 

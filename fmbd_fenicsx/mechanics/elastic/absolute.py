@@ -19,9 +19,9 @@ from ...fem.fields import Field
 from ...fem.initial import initial_fields
 from ...fem.mean_forces import MeanForces
 from ...rotations import Array
+from ..body import Placed, Site
 from ..frames import polar_rotation
 from ..placements import FrameMotion
-from .body import Placed, Site
 from .field_part import FieldPart, TangentPoint
 
 
