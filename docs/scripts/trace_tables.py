@@ -26,7 +26,8 @@ from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled  # noqa:
 from fmbd_fenicsx.linear.blocks.elastic_blocks import Multigrid, set_bddc  # noqa: E402
 from fmbd_fenicsx.linear.presets.krylov import FieldSplit  # noqa: E402
 from fmbd_fenicsx.linear.presets.multiplier_schur import Schur  # noqa: E402
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, Preset, elastic_matrix  # noqa: E402
+from fmbd_fenicsx.linear.rigid_modes import elastic_matrix  # noqa: E402
+from fmbd_fenicsx.linear.saddle.saddle import Elastic, Preset  # noqa: E402
 
 SIDES = ("left", "right", "back", "front")
 
