@@ -134,9 +134,14 @@ def far_side(stop: float) -> float:
     return float(stop + SIDE * np.spacing(stop))
 
 
-def step_schedule(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multiple: int = 1) -> StepSchedule:
+def step_schedule(
+    scene: Scene, scheme: Any, t_end: float, dt: float | None, *, multiple: int = 1, at_samples: bool = False
+) -> StepSchedule:
     """Steps of equal size, none above dt (but for roundoff), a ``multiple`` of them between break points; or none for error
     control.
+
+    Samples of controllers are break points, too, where steps of other sizes will be compared with these (``at_samples``), or a
+    ``multiple`` is wanted and steps of one size do not end at them.
     """
     begin = scene.begins
     t_end = number("End time t_end =", t_end, above=begin, unit="s")
@@ -156,7 +161,11 @@ def step_schedule(scene: Scene, scheme: Any, t_end: float, dt: float | None, *, 
         raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
 
     named = any(begin < t < t_end for t in scene.breakpoints)
-    stops = _apart(stops_within(scene, t_end), (begin, t_end), TOGETHER * dt) if named else ()
+    for groups in () if named or at_samples else dict.fromkeys((multiple, 1)):
+        made = StepSchedule(t_end, _count(t_end - begin, dt, groups), largest=dt, begin=begin)
+        if multiple == 1 or not sampled_late(scene, made):
+            return made
+    stops = _apart(stops_within(scene, t_end), (begin, t_end), TOGETHER * dt)
     places = (begin, *stops, t_end)
     counts = tuple(_count(b - a, dt, multiple) for a, b in zip(places[:-1], places[1:], strict=True))
     return StepSchedule(t_end, sum(counts), stops, dt, counts=counts if stops else (), begin=begin)

@@ -22,7 +22,7 @@ from ..log import log
 from ..schemes.stepping import Around, TimeStepper
 from ..system.compiled.recording import Tape
 from ..system.compiled.states.glance import Glance
-from ..system.element_memory import accept, whole_steps
+from ..system.element_memory import accept, samples, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.serialisation import plain, worker
 from ..system.system import State, System
@@ -89,6 +89,7 @@ class ConstantSteps(Around):
         self.stepper, self.system, self.renew, self.watch = stepper, system, renew, watch
         self.most, self.parted = np.inf if most is None else most, 0
         self.judges = judges
+        self.before_sample: Callable[[State], None] | None = None  # who is told that controllers sample in a state next
         self.made = 0  # whole steps of the last call of :meth:`in_turn`
         # who evaluates the system, and who looks at its states in one call
         self._glance: tuple[Any, Glance | None] = None, None
@@ -225,8 +226,11 @@ class ConstantSteps(Around):
         self.local_error = max(self.local_error, self.stepper.local_error)
         if self.judges is not None:
             self.judges.forecast.note(after)
-        # where forces jump the past of the stepper is that of others
-        if self.system.keepers and not self.stepper.note() and accept(self.system, after):
+        if not self.system.keepers or self.stepper.note():
+            return
+        if self.before_sample is not None and samples(self.system, after.t):
+            self.before_sample(after)
+        if accept(self.system, after):
             self._begin(after, goes_on=True)  # the past of the stepper is that of other forces
 
     def _look(self, state: State, h: float) -> Sequence[float] | None:
@@ -275,16 +279,14 @@ class ConstantSteps(Around):
 
     def restart(self, t: float) -> None:
         """Go on at t, behind a jump of forces."""
-        state = replace(self.stepper.state, t=t)
-        if self.renew is not None:
-            self._begin(state, goes_on=True)
-        elif not self.stepper.begin_anew(lambda: state):
-            self.stepper.state = state  # its steps remember nothing of forces
+        self._begin(replace(self.stepper.state, t=t), goes_on=True)
 
     def _begin(self, state: State, *, goes_on: bool = False) -> None:
         """A new stepper from a state; ``goes_on``: the one before serves, its steps did not fail."""
         if self.renew is None:
-            self.stepper.state = state
+            # steps that remember nothing of forces; accelerations may be those before a jump
+            if not (goes_on and self.stepper.begin_anew(lambda: state)):
+                self.stepper.state = state
         else:
             before, counted, self._size = self.stepper, self._sum(), None
             try:

@@ -10,7 +10,7 @@ from ..errors import ConvergenceError
 from ..linear.condensation import StepSolver
 from ..log import StopRequests, log
 from ..ranks import OneAnswer
-from ..system.element_memory import accept, reset
+from ..system.element_memory import accept, reset, samples
 from ..system.evaluation import Evaluation
 from ..system.spins import Spins
 from ..system.system import State
@@ -115,6 +115,9 @@ class Loop:
         self.spins = Spins(system, silent=problem.warned is None)
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
+        self._sampled = False  # whether controllers have sampled in the newest state
+        if isinstance(self.stepper, ConstantSteps):
+            self.stepper.before_sample = self._before_sample
         self.calls = CompiledCalls(self.stepper, schedule, self.recorder, refuses=self._refuses, events=self.events)
         # whether somebody looks at every step, or ranks have to agree on how many they make
         self._shown = output.on_step is not None or self.events is not None
@@ -150,6 +153,9 @@ class Loop:
                 if self._ends_by_event():
                     break
 
+                # records show the efforts of a sample with the accelerations under them
+                if self._sampled:
+                    self._pass_kink()
                 self._record(made, seen)
                 self._pass_kink()
                 if stop.asked if keeper is None else keeper.after_step(self.progress, stop):
@@ -215,9 +221,19 @@ class Loop:
         self.state = self.stepper.state
         if self.motions is not None:
             self.motions.look(self.state.t)
-        accept(system, self.state)  # equal steps note their parts one by one
         self.judges.forecast.note(self.state)
-        return 1, seen
+
+        # equal steps note their parts one by one
+        if samples(system, self.state.t):
+            self._before_sample(self.state)
+        accept(system, self.state)
+        return 1, None if self._sampled else seen
+
+    def _before_sample(self, state: State) -> None:
+        """Controllers sample in the state at the end of a step: values within it are those of the efforts up to now."""
+        made = self.stepper.made if isinstance(self.stepper, ConstantSteps) else 0
+        self.recorder.take_within(self.progress.done + made + 1, state, self.stepper)
+        self._sampled = True
 
     def _refuses(self, h: float) -> bool:
         """Whether the newest state, after compiled steps, is to be taken back for want of balance: so are steps under error
@@ -268,12 +284,16 @@ class Loop:
             self.progress.first = self.solver.back_solves
 
     def _pass_kink(self) -> None:
-        """Begin anew behind a break point."""
-        kink = self.schedule.broken(self.state.t, self.progress.done) if self.schedule.stops else None
-        if kink is not None:
+        """Begin anew behind a break point, or under own steps behind a sample, where that has not been done."""
+        t, sampled = self.state.t, self._sampled
+        kink = self.schedule.broken(t, self.progress.done) if self.schedule.stops else None
+        if kink is None and sampled and not self.schedule.steps:
+            kink = t
+        if kink is not None and (sampled or kink != t):
             self.stepper.restart(kink)
             self.state = self.stepper.state
             self.recorder.go_on(self.state)
+        self._sampled = False
 
     # -- what is left -----------------------------------------------------------------------------------------------
     def named(self, error: ConvergenceError) -> ConvergenceError:

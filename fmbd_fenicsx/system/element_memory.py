@@ -45,6 +45,11 @@ def whole_steps(system: System, t: float, h: float) -> float:
     return float(np.floor((due - t) / h - 1e-6)) if np.isfinite(due) else np.inf
 
 
+def samples(system: System, t: float) -> bool:
+    """Whether a controller takes a sample in an accepted state at a time t, s."""
+    return any(loads.due <= t for loads in system.keepers)
+
+
 def accept(system: System, state: State) -> bool:
     """Note a step that was accepted and ended in ``state``; whether forces have jumped with it. Collective."""
     keepers = system.keepers

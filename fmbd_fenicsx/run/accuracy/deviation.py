@@ -59,6 +59,13 @@ def at_least(deviation: Deviation, other: Deviation, most: float) -> Deviation:
     return scaled(deviation, min(other.size / size, most)) if other.size > size > 0.0 else deviation
 
 
+def alignment(a: Deviation, b: Deviation) -> float:
+    """The cosine between two deviations at the times of ``b``: 1 where these are the same function of time but for their size."""
+    x, y = a.at(b.times), b.values
+    size = float(np.linalg.norm(x) * np.linalg.norm(y))
+    return float(np.vdot(x, y)) / size if size > 0.0 else 1.0
+
+
 def sizes(found: dict[str, Deviation]) -> dict[str, float]:
     """Sensor -> largest error."""
     return {name: deviation.size for name, deviation in found.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ..recording.recorder import Recorder
 from ..schedule import StepSchedule, step_schedule
 from .certificate import moving
 from .companion_runs import UNFIT, Compared, StoppedError, again, companion
-from .deviation import Deviation, at_least, scaled
+from .deviation import Deviation, alignment, at_least, scaled
 from .jumps_in_time import with_break_points
 from .orders import expected_orders, irregular, of_the_scheme, order_seen, resolved, scattered_order, usable_order
 
@@ -22,21 +22,21 @@ NEARBY = 0.1  # share of the run about the largest difference in which that with
 FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an order
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 MATTERS = 1e-6  # the same of its range, below which nobody minds which one it is
-SCATTERED = 0.5  # orders of one sensor that differ by more agree with that of the scheme by chance
+ALIGNED = 0.5  # cosine between differences of runs below which they are not what one motion leaves by its steps
 FURTHER = 1.5  # times what half the step tells that larger ones are believed, where they tell more
 
 
 @dataclass(frozen=True)
 class TimeError:
     """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion;
-    ``halved``: told by one with half the step. ``scatter``: what orders of a sensor by different measures differ by.
+    ``halved``: told by one with half the step. ``by_chance``: sensors whose orders are, see :func:`compare_steps`.
     """
 
     errors: dict[str, Deviation]
     orders: dict[str, float]
     with_others: Compared
     halved: bool = False
-    scatter: dict[str, float] = field(default_factory=dict)
+    by_chance: frozenset[str] = frozenset()
 
 
 def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule, *, kinked: bool = False) -> TimeError:
@@ -72,8 +72,9 @@ def _irregular(highest: int, expected: Mapping[str, int], made: Recorder, found:
     """Whether the order of a sensor that moves is not that of the scheme in it, or by chance, and its error matters."""
     spans = moving(made.series, made.scene.sensors)
     seen = [n for n, span in spans.items() if found.errors[n].size > MATTERS * span]
-    by_chance = any(found.scatter.get(n, 0.0) > SCATTERED for n in seen)
-    return by_chance or not all(of_the_scheme((expected[n], highest), found.orders[n]) for n in seen)
+    return not found.by_chance.isdisjoint(seen) or not all(
+        of_the_scheme((expected[n], highest), found.orders[n]) for n in seen
+    )
 
 
 def _by_smaller_steps(
@@ -155,13 +156,17 @@ def compare_steps(
     p the smallest one of those in the maximum over time, in the mean square, and about the largest |x_h - x_H|: a start that
     shakes for some steps is not told by the slow motion after it. It counts as :func:`usable_order` says.
 
+    What steps leave of a motion that they follow is h^p e(t), whatever h is: the two differences are the same function of time
+    but for their size. Where they are not (a cosine below :data:`ALIGNED`), as of motion that no run follows, or with kinks, the
+    order is seen by chance.
+
     Where fast motion is not resolved (say, gravity switched on at once) the observed order is below the scheme's, and the
     estimate larger. From one run alone p is the ``known`` one, sensor -> p, or the ``expected`` one. Orders of such motion
     scatter: one that is not regular counts as its mean with a lower one that was seen ``before``, with larger steps.
     """
     fine, coarse = given.recorder, coarser[0].recorder
     ratio = given.schedule.steps / coarser[0].schedule.steps
-    errors, orders, scatter = {}, {}, {}
+    errors, orders, by_chance = {}, {}, set()
     for name in fine.series:
         apart = _deviation(fine, coarse, name)
         p = float("nan") if known is None else known.get(name, float("nan"))
@@ -170,8 +175,9 @@ def compare_steps(
             far = _deviation(coarse, coarser[1].recorder, name)
             here = far.near(apart.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
             ratios = far.size / apart.size, far.mean / apart.mean, here / apart.size
-            measured = [order_seen(*steps, x) for x in ratios]
-            p, scatter[name] = min(measured), max(measured) - min(measured)
+            p = min(order_seen(*steps, x) for x in ratios)
+            if alignment(apart, far) < ALIGNED:
+                by_chance.add(name)
             p = scattered_order(p, expected[name], None if before is None else before.get(name))
         errors[name], orders[name] = scaled(apart, 1.0 / (ratio ** usable_order(p, expected[name]) - 1.0)), p
 
@@ -179,7 +185,7 @@ def compare_steps(
     seen = {n: orders[n] for n in moves}
     follows = bool(seen) and resolved(seen, expected) and (len(coarser) > 1 or known is not None)
     others = [made for made in coarser if follows and made.schedule.steps >= FEWEST]
-    return TimeError(errors, orders, others[-1] if others else given, scatter=scatter)
+    return TimeError(errors, orders, others[-1] if others else given, by_chance=frozenset(by_chance))
 
 
 def of_order(

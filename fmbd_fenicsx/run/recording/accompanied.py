@@ -56,6 +56,11 @@ class Accompanied(Recorder):
         self.beside.go_on(state)
         super().go_on(state)
 
+    def take_within(self, n: int, state: State, stepper: Any) -> None:
+        """The same for both."""
+        self.beside.take_within(n, state, stepper)
+        super().take_within(n, state, stepper)
+
     def take(self, n: int, state: State, seen: Evaluation | None = None, stepper: Any = None) -> None:
         """Record step n, and the times that it has passed."""
         self.beside.take(n, state, seen, stepper)

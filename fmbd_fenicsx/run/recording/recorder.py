@@ -178,6 +178,13 @@ class Recorder:
         if self._wanted is not None:
             self._before = state
 
+    def take_within(self, n: int, state: State, stepper: Any) -> None:
+        """Record the times within step n, which a ``stepper`` made up to a state, before controllers sample in it: their efforts
+        are others then; collective.
+        """
+        if self._wanted is not None:
+            self._take_up_to(state.t - 1e-9 * self.t_end, n, state, stepper)
+
     def take_until(self, n: int, state: State, met: State, stepper: Any) -> None:
         """Record step n up to the state at which an event has ended the run, it included; collective."""
         rounding = 1e-9 * self.t_end
@@ -188,18 +195,20 @@ class Recorder:
 
     def _take_between(self, n: int, state: State, stepper: Any, rounding: float) -> None:
         """Record the times that the last step has passed."""
+        if self._take_up_to(state.t + rounding, n, state, stepper):
+            self._judge(n, state, self.system.at(state.t, state.q, state.v))
+        self._before = state
+
+    def _take_up_to(self, last: float, n: int, state: State, stepper: Any) -> bool:
+        """Record the times up to the ``last`` one (s) on the way to the state that step n has ended in; whether there are any."""
         assert self._wanted is not None
-        passed = bool(self._wanted) and self._wanted[0] <= state.t + rounding
-        while self._wanted and self._wanted[0] <= state.t + rounding:
-            t = self._wanted.pop(0)
-            at = state
+        passed, rounding = False, 1e-9 * self.t_end
+        while self._wanted and self._wanted[0] <= last:
+            t, at, passed = self._wanted.pop(0), state, True
             if abs(t - state.t) > rounding and self._before is not None:
                 at = state_between(self.system, self._before, state, t, stepper)
             self._record(n, at, None, between=True)
-
-        if passed:
-            self._judge(n, state, self.system.at(state.t, state.q, state.v))
-        self._before = state
+        return passed
 
     def _record(self, n: int, state: State, seen: Evaluation | None, *, between: bool = False) -> None:
         """Sensors, drift and energies of a state; joints of one ``between`` the ends of a step are as open as the polynomial

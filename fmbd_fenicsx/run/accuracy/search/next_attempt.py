@@ -271,7 +271,7 @@ def ending_at(plan: AttemptPlan, jumps: tuple[float, ...], shared: SharedSpaces)
     if not plan.steps:
         dt = largest if np.isfinite(largest) else None
         return replace(made, schedule=step_schedule(scene, plan.scheme, t_end, dt))
-    schedule = step_schedule(scene, plan.scheme, t_end, plan.step, multiple=4)
+    schedule = step_schedule(scene, plan.scheme, t_end, plan.step, multiple=4, at_samples=True)
     shared.grain = max(round(plan.grain * schedule.steps / plan.steps), 1)
     return replace(made, schedule=schedule, grain=shared.grain)
 

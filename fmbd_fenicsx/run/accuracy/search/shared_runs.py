@@ -196,7 +196,7 @@ class SharedRuns:
         because they do not end.
         """
         found, by_chance = self._compared(solved, known, allowed)
-        by_chance |= kinked(solved.run)
+        by_chance |= kinked(solved.run) or not found.by_chance.isdisjoint(allowed.sensors)
         if by_chance and found.errors and allowed.share(found.errors) <= allowed.room:
             found = self._by_half(solved, found)
         self._seen.update(known_orders(found))
@@ -246,8 +246,10 @@ class SharedRuns:
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
         ratio = steps / coarser[0].schedule.steps
         near_by = ratio < TWICE and not resolved(known_orders(found), orders)
-        another = astray(given, coarser[0], allowed.sensors) or any(
-            found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors
+        another = (
+            not found.by_chance.isdisjoint(allowed.sensors)
+            or astray(given, coarser[0], allowed.sensors)
+            or any(found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors)
         )
         far_off = ratio > MORE_THAN_TWICE and another
         if near_by or far_off:
@@ -283,7 +285,8 @@ class SharedRuns:
             return None
         found = compare_steps(orders, given, [have[known[0]], have[max(below)]])
         seen = known_orders(found)
-        return found if seen and resolved(seen, orders, REGULAR) else None
+        regular = resolved(seen, orders, REGULAR) and found.by_chance.isdisjoint(allowed.sensors)
+        return found if seen and regular else None
 
     def _wanted(self, steps: int, known: Orders, earlier: bool) -> int:
         """How many steps a run to compare with is made of: as few as tell the error, half as many where no order was seen."""

@@ -273,7 +273,7 @@ def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Attempt
     look = FEWEST if spaces and dt is None and not modal_bodies(scene) and not slender(scene) else 0
     scout = SCOUT_SLENDER if slender(scene) else SCOUT
     dt = t_end / (scout if spaces else START) if dt is None else dt
-    schedule = step_schedule(scene, scheme, t_end, dt, multiple=4)
+    schedule = step_schedule(scene, scheme, t_end, dt, multiple=4, at_samples=True)
     # few steps share half of their ends with those of the next attempts, so that there are enough to be compared
     grain = schedule.steps // (2 if schedule.steps <= SCOUT else 4)
     return beginning(AttemptPlan(scene, scheme, schedule, grain, orders=Orders(follow=look)))

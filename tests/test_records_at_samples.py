@@ -1,0 +1,86 @@
+"""Records about the samples of controllers: every scheme shows the same side of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+
+NEAR = 1e-5  # s
+SCHEMES = [
+    fmbd.GeneralizedAlpha(),
+    fmbd.GeneralizedAlpha(rtol=1e-5),
+    fmbd.EnergyMomentum(),
+    fmbd.Rattle(),
+    fmbd.HalfExplicit(rtol=None),
+    fmbd.HalfExplicit(),
+    fmbd.ExplicitRungeKutta(),
+    fmbd.Radau(2, rtol=None),
+    fmbd.Radau(3),
+    fmbd.BDF(2, rtol=None),
+    fmbd.BDF(),
+]
+
+
+def held_arm(breakpoints: tuple[float, ...] = ()) -> fmbd.Scene:
+    """Two links swing from the horizontal, the first one held by a slow controller."""
+    scene, last = fmbd.Scene("held arm", gravity=(0.0, -9.81), breakpoints=breakpoints), fmbd.ground
+    for k in range(2):
+        link = fmbd.RigidBody(f"link {k}", 1.0, 1 / 12, (k + 0.5, 0.0))
+        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(float(k), 0.0)))
+        last = link
+    turn = fmbd.angle(scene.joints["pin 0"])
+    reads = {"phi": turn, "rate": fmbd.joint_rate(turn)}
+    law = fmbd.controller(
+        "hold", reads=reads, acts=turn, law=lambda t, y, z: 6 * (0.3 - y["phi"][0]) - y["rate"][0], every=0.1
+    )
+    scene.add(law)
+    scene.sensor("effort", fmbd.element_effort(law))
+    scene.sensor("acceleration", fmbd.acceleration(last))
+    scene.sensor("pin", fmbd.reaction("pin 0"))
+    return scene
+
+
+def solved(scheme: Any, *, breakpoints: tuple[float, ...] = (), **output: Any) -> fmbd.Run:
+    """Half a second of it."""
+    own = getattr(scheme, "rtol", None) is not None
+    given = {"scheme": scheme, "output": fmbd.Output(energy=False, progress=False, **output)}
+    return fmbd.solve(held_arm(breakpoints), t_end=0.5, **given, **({} if own else {"dt": 0.01}))
+
+
+@pytest.fixture(scope="module")
+def exact() -> fmbd.Run:
+    """Values just behind a sample, and at the end of the run behind the one there."""
+    return solved(fmbd.Radau(5, rtol=1e-9), times=(0.2 - NEAR, 0.2 + NEAR, 0.5))
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name} {getattr(s, 'rtol', None)}")
+@pytest.mark.parametrize("breakpoints", [(), (0.2,)], ids=["", "named"])
+def test_records_at_a_sample_show_what_is_behind_it(
+    scheme: Any, breakpoints: tuple[float, ...], exact: fmbd.Run
+) -> None:
+    """Efforts, accelerations and reactions jump there together, and values just before are those of the old effort."""
+    within = solved(scheme, breakpoints=breakpoints, times=(0.2 - NEAR, 0.2, 0.2 + NEAR, 0.5))
+    ends = solved(scheme, breakpoints=breakpoints)
+    row = int(np.argmin(np.abs(ends.times - 0.2)))
+    for name, jump in (("effort", 1.4), ("acceleration", 0.5), ("pin", 1.7)):
+        before, behind, last = exact[name]
+        assert np.abs(behind - before).max() > jump  # so that sides can be told
+        shown = {"before": within[name][0] - before, "at": within[name][1] - behind, "behind": within[name][2] - behind}
+        shown |= {"end of a step": ends[name][row] - behind, "last": ends[name][-1] - last}
+        assert all(np.abs(x).max() < 0.25 * jump for x in shown.values()), (name, shown)
+
+
+@pytest.mark.parametrize("scheme", [fmbd.EnergyMomentum(), fmbd.Rattle()], ids=lambda s: s.name)
+def test_errors_of_reactions_between_samples_are_told(scheme: Any) -> None:
+    """Values within the step behind a sample lay between those of the old effort and of the next end."""
+    times = tuple(np.linspace(0.0, 0.5, 84))
+    run = solved(scheme, times=times, estimate_error=True)
+    exact = solved(fmbd.Radau(5, rtol=1e-9), times=times)
+    for name in ("effort", "acceleration", "pin"):
+        true = np.abs(run[name] - exact[name]).max()
+        assert true < 0.02 * np.ptp(exact[name], axis=0).max()
+        assert 0.5 < run.certificate[name].total / true < 3, name
