@@ -60,7 +60,6 @@ class StepSolver:
         self._held: MatrixConfiguration | None = None  # that of the matrices
         self._pushed = False  # forces have tangents in them
         self._driver: tuple[Evaluator | None, DriverSolver | None] = None, None
-        self._apart = False  # nobody asks for the compliance of contacts in the matrix prepared last
         self.core = CoreSolver(Judge("the core of the system"))
         self.elastic = FieldBlocks(system, linear, prefix)
         self.blocks: list[FactoredField] = []
@@ -139,7 +138,7 @@ class StepSolver:
         with compliances of contacts. ``apart``: no contact takes part; else solutions correct no moments, as compliances do not.
         """
         s = self.system
-        driver, self._apart = self.driver, apart
+        driver = self.driver
         if keep and s.contacts is not None and driver is not None and driver.ready:
             return
         if driver is not None and driver.prepare(ev, weights, sways=apart or s.contacts is None):
@@ -297,15 +296,16 @@ class StepSolver:
         for field, p in zip(fields, values, strict=True):
             field.pressure_values = p  # type: ignore[attr-defined]
 
-    def refresh(self, ev: Evaluation, increment: Array | None = None) -> bool:
+    def refresh(self, ev: Evaluation, increment: Array | None = None, *, apart: bool = False) -> bool:
         """New tangents of nonlinear parts and forces, and rows, at a state; False when all are constant. Collective.
 
-        ``increment``: Newton's, like v, that led there, where stresses are to be those that it foretold.
+        ``increment``: Newton's, like v, that led there, where stresses are to be those that it foretold. ``apart``: as for
+        :meth:`prepare`.
         """
         known = {} if increment is None else {k: self.system.local_v(increment, k) for k, _ in self.system.fields}
         changed = ev.take_tangents(increments=self._exact(known))
         if changed or self._pushed:
-            self.prepare(ev, self.weights, apart=self._apart)
+            self.prepare(ev, self.weights, apart=apart)
         return changed or self._pushed
 
     def renew_fields(self, ev: Evaluation, increments: Mapping[int, Array]) -> list[FactoredField]:

@@ -120,13 +120,18 @@ class ContactStep:
         """What is said of an iteration that does not converge."""
         return ADVICE
 
+    @property
+    def _apart(self) -> bool:
+        """Whether no contact takes part."""
+        return not len(self.contact.force)
+
     def increment(self) -> float:
         """One Newton step; returns its size over the tolerance."""
         raise NotImplementedError
 
     def renew(self) -> bool:
         """A new tangent where the last increment began; whether there is one."""
-        renewed = self.p.solver.refresh(self.ev)
+        renewed = self.p.solver.refresh(self.ev, apart=self._apart)
         if renewed:
             self.contact.renew()
         return renewed
@@ -135,8 +140,7 @@ class ContactStep:
         """Forces out of balance at (t, q, v) under accelerations a; with the first of a step its matrix is prepared there."""
         ev = self.ev = self.p.system.at(*at)
         forces = ev.balance(a, self.lam)
-        apart = not len(self.contact.force)
-        self.p.solver.prepare(ev, weights, keep=self._prepared, apart=apart)
+        self.p.solver.prepare(ev, weights, keep=self._prepared, apart=self._apart)
         self._prepared = True
         return forces
 
