@@ -17,7 +17,6 @@ from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.drives import JointCoordinate
 from ..joints.relative import Relative
-from .effort_laws import DRY
 from .force_elements import Loads, MarkerTangent, ScalarLoads
 from .forces import Force
 from .formulas import MEMORY, Formula, table
@@ -41,7 +40,7 @@ class DryFrictionLoads(ScalarLoads):
             self.kept = memory[:, 0].copy()
 
         numbers = table(list(zip(self.k, self.c, self.limit, strict=True)))
-        return [Formula(self.relative, DRY, np.arange(len(self.k)), numbers, kept=kept, keep=keep)]
+        return [Formula(self.relative, "DRY", np.arange(len(self.k)), numbers, kept=kept, keep=keep)]
 
     def effort(self, s: Array, rate: Array, t: float) -> Array:
         """N of (1), (m,)."""

@@ -15,8 +15,6 @@ import numpy as np
 from ...checks import LARGEST
 from ...errors import require
 
-SERVO, PID, DRY, SMOOTH, STOP, POTENTIAL = range(6)  # formulas of compiled steps, as in formulas.c
-
 
 @dataclass(frozen=True)
 class Held:
@@ -38,8 +36,8 @@ class EffortLaw:
     conserves: ClassVar[bool] = False
 
     @property
-    def formula(self) -> tuple[int, tuple[float, ...]] | None:
-        """Which formula of compiled steps it follows, with its numbers; None: it is called."""
+    def formula(self) -> tuple[str, tuple[float, ...]] | None:
+        """Which formula of compiled steps it follows, by its name in ``formulas.c``, with its numbers; None: it is called."""
         return None
 
     def __call__(self, s: float, rate: float, t: float) -> float:
@@ -72,9 +70,9 @@ class Friction(EffortLaw):
     viscous: float
 
     @property
-    def formula(self) -> tuple[int, tuple[float, ...]]:
+    def formula(self) -> tuple[str, tuple[float, ...]]:
         """Smooth friction."""
-        return SMOOTH, (self.coulomb, self.speed, self.static, self.stribeck, self.viscous)
+        return "SMOOTH", (self.coulomb, self.speed, self.static, self.stribeck, self.viscous)
 
     def __call__(self, s: float, rate: float, t: float) -> float:
         """N of (1)."""
@@ -107,9 +105,9 @@ class ElasticStop(EffortLaw):
     width: float
 
     @property
-    def formula(self) -> tuple[int, tuple[float, ...]]:
+    def formula(self) -> tuple[str, tuple[float, ...]]:
         """Stops."""
-        return STOP, (self.lower, self.upper, self.stiffness, self.damping, self.width)
+        return "STOP", (self.lower, self.upper, self.stiffness, self.damping, self.width)
 
     def _depth(self, s: float) -> float:
         """Signed depth: positive above ``upper``, negative below ``lower``."""
@@ -150,9 +148,9 @@ class Feedback(EffortLaw):
     limit: float = np.inf
 
     @property
-    def formula(self) -> tuple[int, tuple[float, ...]]:
+    def formula(self) -> tuple[str, tuple[float, ...]]:
         """A motor with a target, which is taken at the start."""
-        return SERVO, (self.proportional, self.derivative, self.limit, 0.0, *self.target(0.0)[:2])
+        return "SERVO", (self.proportional, self.derivative, self.limit, 0.0, *self.target(0.0)[:2])
 
     def _free(self, s: float, rate: float, t: float) -> float:
         wanted, speed, _ = self.target(t)

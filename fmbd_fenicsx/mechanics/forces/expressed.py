@@ -19,7 +19,7 @@ from ..joints.expressed import start_place
 from ..joints.joints import dimension
 from ..kinds.expressions import Expression, Program, gradient, symbol
 from ..kinds.own import OwnTerm, finite_at, own_term, traced
-from .effort_laws import POTENTIAL, EffortLaw
+from .effort_laws import EffortLaw
 from .force_elements import Loads, ScalarLoads
 from .forces import Force, Law, Point
 
@@ -34,9 +34,9 @@ class OfPotential(EffortLaw):
     conserves = True
 
     @property
-    def formula(self) -> tuple[int, tuple[float, ...]]:
+    def formula(self) -> tuple[str, tuple[float, ...]]:
         """1 in compiled steps."""
-        return POTENTIAL, ()
+        return "POTENTIAL", ()
 
     def __call__(self, s: float, rate: float, t: float) -> float:
         """1."""

@@ -21,14 +21,14 @@ TARGET = 4  # of SERVO and PID: where the target and its rate stand
 
 @dataclass(frozen=True)
 class Formula:
-    """The formula of some elements of a batch on its coordinates ``on``: numbers ``which`` (n,) in the batch, ``constants``
-    (n, WIDTH), and the targets of motors.
+    """The formula of some elements of a batch on its coordinates ``on``: its name ``kind`` in ``formulas.c``, numbers ``which``
+    (n,) in the batch, ``constants`` (n, WIDTH), and the targets of motors.
 
     ``kept``: the memory (n, MEMORY) of these elements, and ``keep`` takes it back; None without one.
     """
 
     on: Any
-    kind: int
+    kind: str
     which: np.ndarray
     constants: Array
     targets: list[Any] = field(default_factory=list)

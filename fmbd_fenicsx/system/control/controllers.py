@@ -22,7 +22,6 @@ import numpy as np
 
 from ...checks import function, instance, typed, vector
 from ...errors import CallbackError, InputError, LawError, named, near, require
-from ...mechanics.forces.effort_laws import PID
 from ...mechanics.forces.force_elements import Loads, MarkerTangent
 from ...mechanics.forces.forces import Force
 from ...mechanics.forces.formulas import Formula, SampledEffort, table
@@ -242,7 +241,7 @@ class ControlLoads(Loads):
 
         kp, ki, kd = law.gains
         numbers = table([(kp, kd, law.limit, ki, *law.target(0.0)[:2])])
-        return [Formula(self.acts[0], PID, np.zeros(1, dtype=int), numbers, [law.target], kept, keep)]
+        return [Formula(self.acts[0], "PID", np.zeros(1, dtype=int), numbers, [law.target], kept, keep)]
 
     # -- memory -----------------------------------------------------------------------------------------------------
     def first(self, ev: Any, state: Any) -> Kept:

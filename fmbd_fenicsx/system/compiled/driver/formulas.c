@@ -2,7 +2,7 @@
    and the unit effort of a coordinate that is an energy. The formulas are
    those of mechanics/forces/effort_laws.py, mechanics/forces/dry_friction.py and system/control/controllers.py; x: elongation. */
 
-enum { SERVO, PID, DRY, SMOOTH, STOP, POTENTIAL };         /* as in mechanics/forces/formulas.py */
+enum { SERVO, PID, DRY, SMOOTH, STOP, POTENTIAL };
 enum { FORMULA_WIDTH = 6, MEMORY = 3 };
 
 /* k x + c x' within +- limit, with its slopes. */

@@ -8,6 +8,7 @@ import numpy as np
 
 from ....mechanics.forces.formulas import MEMORY
 from ....rotations import Array
+from ..declarations import enumeration
 from ..places import batch_of
 from .angles import theta_places
 from .items import LAW, READ, ROW, Items
@@ -16,6 +17,7 @@ from .structures import Store
 if TYPE_CHECKING:
     from .tables import Tables
 
+FORMULAS = enumeration("SERVO", "formulas.c")
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
 DIRECTIONS = {  # constants that are directions in the axes of a marker: of which side
@@ -124,7 +126,7 @@ def _formula(store: Store, one: Any, items: Items) -> None:
     """The numbers of a formula, and the memory of its elements."""
     formula = items.formula
     assert formula is not None
-    one.formula = formula.kind
+    one.formula = FORMULAS[formula.kind]
     items.arrays["constants"], one.constants = store.array(formula.constants)
     memory = np.zeros((len(items), MEMORY)) if formula.kept is None else formula.kept()
     items.arrays["kept"], one.kept = store.array(memory)
