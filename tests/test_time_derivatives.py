@@ -16,6 +16,19 @@ from fmbd_fenicsx.errors import FmbdError
 from fmbd_fenicsx.mechanics.kinds import time_derivatives
 from fmbd_fenicsx.mechanics.kinds.time_derivatives import KeptSteps, rates
 
+SIZES, SPEEDS = np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0])
+
+
+def leg(t: float) -> float:
+    """Of the law "length"."""
+    return math.hypot(3 * t, 4 * t - 5)
+
+
+def root(t: float) -> float:
+    """Of the inverse functions of 0.3 t."""
+    return math.sqrt(1 - 0.09 * t * t)
+
+
 LAWS: dict[str, tuple[Callable[[Any], Any], Callable[[float], tuple[float, float]]]] = {
     "powers": (lambda t: 3 * t**3 - t**2 / 4 + 1, lambda t: (9 * t**2 - t / 2, 18 * t - 0.5)),
     "quotient": (lambda t: 1 / (1 + t**2), lambda t: (-2 * t / (1 + t**2) ** 2, (6 * t**2 - 2) / (1 + t**2) ** 3)),
@@ -27,6 +40,24 @@ LAWS: dict[str, tuple[Callable[[Any], Any], Callable[[float], tuple[float, float
     "pieces": (lambda t: t**3 if t > 0.1 else 0.0 * t, lambda t: (3 * t**2, 6 * t) if t > 0.1 else (0.0, 0.0)),
     "where": (lambda t: np.where(t < 0.1, 0.0, (t - 0.1) ** 3), lambda t: (3 * max(t - 0.1, 0) ** 2, 6 * max(t - 0.1, 0))),
     "clipped": (lambda t: np.clip(t, 0.0, 0.2) ** 2 + abs(-t), lambda t: (2 * t + 1, 2.0) if t < 0.2 else (1.0, 0.0)),
+    "series": (
+        lambda t: SIZES @ np.sin(SPEEDS * t) + np.sum(t * SPEEDS) + np.where(t > SPEEDS, 1.0, t)[2],
+        lambda t: (
+            float(SIZES * SPEEDS @ np.cos(SPEEDS * t)) + 6.0 + (t <= 3.0),
+            -float(SIZES * SPEEDS**2 @ np.sin(SPEEDS * t)),
+        ),
+    ),
+    "length": (
+        lambda t: np.linalg.norm(np.stack([3 * t, 4 * t]) @ np.eye(2) - np.array([0.0, 5.0])),
+        lambda t: ((25 * t - 20) / leg(t), 25 / leg(t) - (25 * t - 20) ** 2 / leg(t) ** 3),
+    ),
+    "cross product": (lambda t: np.cross([t, 0, t**2], [1.0, t, 0.0])[2], lambda t: (2 * t, 2.0)),
+    "direction": (lambda t: np.arctan2(np.sin(2 * t), np.cos(2 * t)) + np.arccos(0.0 * t), lambda t: (2.0, 0.0)),
+    "inverse functions": (
+        lambda t: np.arcsin(0.3 * t) - 2 * np.arccos(0.3 * t) + np.log10(t),
+        lambda t: (0.9 / root(t) + 1 / (t * math.log(10)), 0.081 * t / root(t) ** 3 - 1 / (t * t * math.log(10))),
+    ),
+    "polynomial": (lambda t: np.polyval([1, 2, 3], t), lambda t: (2 * t + 2, 2.0)),
     "constant": (lambda t: 2.0, lambda t: (0.0, 0.0)),
 }  # fmt: skip
 

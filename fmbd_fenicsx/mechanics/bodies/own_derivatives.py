@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from ..kinds.time_derivatives import AGREES, OUTSIDE, STEPS, Best, Jet, jet, search
+from ..kinds.jets import Jet, jet
+from ..kinds.time_derivatives import AGREES, OUTSIDE, STEPS, Best, search
 
 _STEP = 1e-30
 SAME = 1e-4  # of a slope: what two ways to find it may differ by

@@ -1,6 +1,6 @@
 """First and second derivatives of a user's function of time, whatever its time scale.
 
-A function made of arithmetic, comparisons and NumPy's functions is called with a :class:`Jet`, a time that carries its
+A function made of arithmetic, comparisons and NumPy's functions is called with a :class:`.Jet`, a time that carries its
 derivatives through every operation: exact to roundoff. Any other function (of ``math``, an interpolation, a table) is
 differenced about t with steps of 2^-39 to 2^18 s, eight times as long from one to the next,
 
@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FmbdError
+from .jets import Jet, jet
 
 EPS = float(np.finfo(float).eps)
 STEPS = tuple(2.0**k for k in range(-39, 19, 3))  # s
@@ -41,197 +42,6 @@ Span = tuple[float, float]  # of time, s
 ALWAYS: Span = -math.inf, math.inf
 
 
-class Jet:
-    """A number x(t) with its first and second derivative, a jet of second order; a time t itself is (t, 1, 0)."""
-
-    __slots__ = ("first", "second", "value")
-
-    def __init__(self, value: float, first: float = 0.0, second: float = 0.0) -> None:
-        self.value, self.first, self.second = value, first, second
-
-    def through(self, f: float, df: float, ddf: float) -> Jet:
-        """f(x) from the value and the derivatives of f at x."""
-        return Jet(f, df * self.first, ddf * self.first**2 + df * self.second)
-
-    # -- arithmetic -----------------------------------------------------------------------------------------------
-    def __add__(self, other: Any) -> Jet:
-        if type(other) is float:
-            return Jet(self.value + other, self.first, self.second)
-        y = jet(other)
-        return Jet(self.value + y.value, self.first + y.first, self.second + y.second)
-
-    def __mul__(self, other: Any) -> Jet:
-        if type(other) is float:
-            return Jet(self.value * other, self.first * other, self.second * other)
-        x, y = self, jet(other)
-        mixed = x.second * y.value + 2 * x.first * y.first + x.value * y.second
-        return Jet(x.value * y.value, x.first * y.value + x.value * y.first, mixed)
-
-    def __pow__(self, power: Any) -> Jet:
-        if isinstance(power, Jet):
-            return _unary("exp", power * _unary("log", self))
-        n, x = float(power), self.value
-        slope = n * x ** (n - 1) if n else 0.0
-        return self.through(x**n, slope, n * (n - 1) * x ** (n - 2) if n * (n - 1) else 0.0)
-
-    def __rpow__(self, base: Any) -> Jet:
-        return _unary("exp", self * math.log(base))
-
-    def __truediv__(self, other: Any) -> Jet:
-        return self * (1.0 / other if type(other) is float and other else jet(other) ** -1.0)
-
-    def __rtruediv__(self, other: Any) -> Jet:
-        return self**-1.0 * other
-
-    def __mod__(self, other: Any) -> Jet:
-        return Jet(self.value % float(other), self.first, self.second)
-
-    def __neg__(self) -> Jet:
-        return Jet(-self.value, -self.first, -self.second)
-
-    def __sub__(self, other: Any) -> Jet:
-        return self + -jet(other)
-
-    def __rsub__(self, other: Any) -> Jet:
-        return -self + other
-
-    def __abs__(self) -> Jet:
-        return -self if self.value < 0 else self
-
-    __radd__, __rmul__ = __add__, __mul__
-
-    # -- comparisons, by the value --------------------------------------------------------------------------------
-    def __lt__(self, other: Any) -> bool:
-        return self.value < jet(other).value
-
-    def __le__(self, other: Any) -> bool:
-        return self.value <= jet(other).value
-
-    def __gt__(self, other: Any) -> bool:
-        return self.value > jet(other).value
-
-    def __ge__(self, other: Any) -> bool:
-        return self.value >= jet(other).value
-
-    def __eq__(self, other: object) -> bool:
-        return self.value == jet(other).value
-
-    def __hash__(self) -> int:
-        return hash((self.value, self.first, self.second))
-
-    def __bool__(self) -> bool:
-        return bool(self.value)
-
-    @property
-    def real(self) -> Jet:
-        """Itself."""
-        return self
-
-    def __format__(self, form: str) -> str:
-        return format(self.value, form)
-
-    # -- NumPy's functions ----------------------------------------------------------------------------------------
-    def __getattr__(self, name: str) -> Any:
-        """What ``np.sin`` asks the entries of an array of jets for."""
-        if name not in _UNARY:
-            raise AttributeError(name)
-        return lambda: _unary(name, self)
-
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **more: Any) -> Any:
-        """``np.sin(t)`` and the like."""
-        if method != "__call__" or more:
-            return NotImplemented
-        name = ufunc.__name__
-        if len(inputs) == 1:
-            return _unary(name, inputs[0])
-        known = _BINARY.get(name)
-        return NotImplemented if known is None else known(*inputs)
-
-    def __array_function__(self, function: Any, types: Any, inputs: Any, more: Any) -> Any:
-        """``np.where`` of one condition, and ``np.clip``."""
-        if function is np.where and len(inputs) == 3:
-            return inputs[1] if inputs[0] else inputs[2]
-        if function is np.clip and len(inputs) == 3 and not more:
-            return min(max(inputs[0], inputs[1]), inputs[2])
-        return NotImplemented
-
-
-def jet(x: Any) -> Jet:
-    """A number as one that does not change; TypeError for anything else."""
-    if isinstance(x, Jet):
-        return x
-    if isinstance(x, np.ndarray) and x.ndim:
-        raise TypeError("arrays are no numbers")
-    return Jet(float(x))
-
-
-def _tan(x: float) -> tuple[float, float, float]:
-    y = math.tan(x)
-    return y, 1 + y * y, 2 * y * (1 + y * y)
-
-
-def _tanh(x: float) -> tuple[float, float, float]:
-    y = math.tanh(x)
-    return y, 1 - y * y, -2 * y * (1 - y * y)
-
-
-def _root(x: float) -> tuple[float, float, float]:
-    y = math.sqrt(x)
-    return y, 0.5 / y, -0.25 / (x * y)
-
-
-# value, first and second derivative of functions of one number
-_UNARY: dict[str, Callable[[float], tuple[float, float, float]]] = {
-    "sin": lambda x: (math.sin(x), math.cos(x), -math.sin(x)),
-    "cos": lambda x: (math.cos(x), -math.sin(x), -math.cos(x)),
-    "tan": _tan,
-    "exp": lambda x: (math.exp(x),) * 3,
-    "expm1": lambda x: (math.expm1(x), math.exp(x), math.exp(x)),
-    "log": lambda x: (math.log(x), 1 / x, -1 / x**2),
-    "log1p": lambda x: (math.log1p(x), 1 / (1 + x), -1 / (1 + x) ** 2),
-    "sqrt": _root,
-    "sinh": lambda x: (math.sinh(x), math.cosh(x), math.sinh(x)),
-    "cosh": lambda x: (math.cosh(x), math.sinh(x), math.cosh(x)),
-    "tanh": _tanh,
-    "arctan": lambda x: (math.atan(x), 1 / (1 + x * x), -2 * x / (1 + x * x) ** 2),
-    "square": lambda x: (x * x, 2 * x, 2.0),
-    "absolute": lambda x: (abs(x), math.copysign(1.0, x), 0.0),
-    "fabs": lambda x: (abs(x), math.copysign(1.0, x), 0.0),
-    "negative": lambda x: (-x, -1.0, 0.0),
-    "positive": lambda x: (x, 1.0, 0.0),
-    "deg2rad": lambda x: (math.radians(x), math.pi / 180, 0.0),
-    "radians": lambda x: (math.radians(x), math.pi / 180, 0.0),
-    "sign": lambda x: (float(np.sign(x)), 0.0, 0.0),
-    "floor": lambda x: (math.floor(x), 0.0, 0.0),
-}
-
-_BINARY: dict[str, Callable[[Any, Any], Any]] = {
-    "add": lambda x, y: jet(x) + y,
-    "subtract": lambda x, y: jet(x) - y,
-    "multiply": lambda x, y: jet(x) * y,
-    "divide": lambda x, y: jet(x) / y,
-    "power": lambda x, y: jet(x) ** y,
-    "hypot": lambda x, y: _unary("sqrt", jet(x) * x + jet(y) * y),
-    "remainder": lambda x, y: jet(x) % y,
-    "minimum": lambda x, y: min(jet(x), jet(y)),
-    "maximum": lambda x, y: max(jet(x), jet(y)),
-    "less": lambda x, y: jet(x) < y,
-    "less_equal": lambda x, y: jet(x) <= y,
-    "greater": lambda x, y: jet(x) > y,
-    "greater_equal": lambda x, y: jet(x) >= y,
-    "equal": lambda x, y: jet(x) == y,
-}
-
-
-def _unary(name: str, x: Jet) -> Any:
-    """A function of one number; TypeError where it is not known."""
-    known = _UNARY.get(name)
-    if known is None:
-        raise TypeError(f"{name} of a moment")
-    return x.through(*known(x.value))
-
-
-# ------------------------------------------------------------------------------------------------------------------ use
 def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: KeptSteps | None = None) -> Rates:
     """s'(t) and s''(t) of ``function``(t) -> s.
 
