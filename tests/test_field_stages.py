@@ -22,6 +22,8 @@ from fmbd_fenicsx.schemes.implicit.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
 from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
 from fmbd_fenicsx.schemes.implicit.stage_krylov import FieldStages
+from fmbd_fenicsx.schemes.multistep.bdf import BDFStepper
+from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
 from fmbd_fenicsx.system.compiled.choice import use_driver
 
 T_END = 0.25  # s
@@ -245,17 +247,10 @@ def test_turning_of_local_coordinates(rod_mesh: Callable[..., Any]) -> None:
     assert np.abs(along(real)).max() > 0.1
 
 
-@compiled
-@pytest.mark.parametrize("form", [fmbd.GGL(), fmbd.Index3(), fmbd.Index2()], ids=lambda form: form.name)
-@pytest.mark.parametrize("dim", [2, 3])
-def test_increments_are_those_of_numpy(
-    rod_mesh: Callable[..., Any], dim: int, form: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A rod that swings with a body that spins, steps of one size: those of NumPy, number by number, in compiled code."""
+def swing(mesh: Any, dim: int, kind: Any = fmbd.FloatingBody) -> fmbd.Scene:
+    """A driven rod that swings with a body that spins."""
     law = linear_elastic(5e6, 0.3)
-    rod = fmbd.FloatingBody(
-        "rod", rod_mesh(dim=dim, h=0.5, height=0.2), density=1000.0, elastic=law, stiffness_damping=1e-3
-    )
+    rod = kind("rod", mesh, density=1000.0, elastic=law, stiffness_damping=1e-3)
     inertia: Any = 0.1 if dim == 2 else (0.1, 0.2, 0.3)
     bob = fmbd.RigidBody(
         "bob", 2.0, inertia, (1.0, 0.1, 0.0)[:dim], angular_velocity=5.0 if dim == 2 else (1.0, 5.0, 2.0)
@@ -267,6 +262,18 @@ def test_increments_are_those_of_numpy(
     scene.add(rod, bob, pin, fmbd.drive("drive", fmbd.angle(pin), lambda t: (t**3, 3 * t**2, 6 * t)))
     scene.add(fmbd.spherical("knee", rod.surface("tip"), bob, center=(1.0, 0.05, 0.0)[:dim]))
     scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    return scene
+
+
+@compiled
+@pytest.mark.parametrize("form", [fmbd.GGL(), fmbd.Index3(), fmbd.Index2()], ids=lambda form: form.name)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_increments_are_those_of_numpy(
+    rod_mesh: Callable[..., Any], dim: int, form: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps of one size: those of NumPy, number by number, in compiled code."""
+    scene = swing(rod_mesh(dim=dim, h=0.5, height=0.2), dim)
+    monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
 
     runs, many = [], []
     increment = StageIteration.increment
@@ -283,6 +290,54 @@ def test_increments_are_those_of_numpy(
     for name in ("q", "v", "lam"):
         wanted = getattr(slow.state, name)
         assert getattr(fast.state, name) == pytest.approx(wanted, rel=1e-8, abs=1e-8 * np.abs(wanted).max()), name
+
+
+SCHEMES = (
+    fmbd.Radau(3, rtol=None),
+    fmbd.Radau(3, fmbd.Index3(), None),
+    fmbd.Radau(2, fmbd.Index2(), None),
+    fmbd.BDF(2, rtol=None),
+    fmbd.BDF(1, fmbd.Index3(), None),
+)
+
+
+# in space a step of BDF(2) fails in either way, with increments that grow
+CASES = [
+    (kind, dim, scheme)
+    for kind, dim in ((fmbd.FloatingBody, 2), (fmbd.FloatingBody, 3), (fmbd.AbsoluteBody, 2))
+    for scheme in SCHEMES
+    if not (dim == 3 and scheme.name.startswith("BDF(2)"))
+]
+
+
+@compiled
+@pytest.mark.parametrize(("kind", "dim", "scheme"), CASES, ids=lambda x: getattr(x, "name", str(x)))
+def test_steps_of_one_size_are_calls_of_compiled_code(
+    rod_mesh: Callable[..., Any], kind: Any, dim: int, scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Many in one, but for the first of BDF; their states are those of steps that Python makes, with as many increments."""
+    scene = swing(rod_mesh(dim=dim, h=0.5, height=0.2), dim, kind)
+    output = fmbd.Output(every=10**9, progress=False)
+    runs: list[Any] = []
+    made: list[int] = []
+    for stepper in (RadauStepper, BDFStepper):
+        in_parts = stepper._constant
+        counted = lambda *given, in_parts=in_parts: (made.append(1), in_parts(*given))[1]  # noqa: E731
+        monkeypatch.setattr(stepper, "_constant", counted)
+
+    for parts in (False, True):
+        made.clear()
+        if parts:
+            monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
+        runs.append(fmbd.solve(scene, t_end=0.2, dt=0.01, scheme=scheme, output=output, newton=fmbd.Newton(1e-9)))
+        assert len(made) >= 20 if parts else len(made) <= 1
+
+    fast, slow = runs
+    assert fast.counters["steps"] == slow.counters["steps"] == 20
+    assert fast.counters["newton_iterations"] <= 1.3 * slow.counters["newton_iterations"]
+    for name in ("q", "v", "a", "lam"):
+        wanted = getattr(slow.state, name)
+        assert getattr(fast.state, name) == pytest.approx(wanted, rel=1e-7, abs=1e-7 * np.abs(wanted).max()), name
 
 
 @compiled

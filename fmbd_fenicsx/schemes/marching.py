@@ -117,10 +117,14 @@ class MarchingStepper(TimeStepper):
         """A step of size h (s) by compiled code; whether it was found."""
         return bool(self._made(h, 1, np.inf, (None, None, None)))
 
+    def _tables_of_steps(self) -> DriverStates | None:
+        """With whose tables whole steps are made from the newest state on; None where steps are made in parts."""
+        driver = self.solver.driver
+        return None if driver is None else driver.whole_steps(self.state)
+
     def _march_of(self) -> March | None:
         """The march of the tables in use; None where steps are made in parts."""
-        driver = self.solver.driver
-        states = None if driver is None else driver.whole_steps(self.state)
+        states = self._tables_of_steps()
         if states is None:
             return None
         if self._used is None or self._used.tables is not states.tables:

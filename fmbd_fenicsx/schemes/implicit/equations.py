@@ -9,6 +9,8 @@ import numpy as np
 from ...linear.condensation import StepSolver, Weights
 from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.compiled.states.evaluation import DriverStates
+from ...system.compiled.states.stages import PointRoom
 from ...system.serialisation import Remembering
 from ...system.system import State, System
 from ..dae import Form, Points, Unconstrained
@@ -113,6 +115,33 @@ class Equations(Remembering):
 
     def _closed_start(self, state: State) -> Start:
         raise NotImplementedError
+
+    # -- whole steps in compiled code -----------------------------------------------------------------------------
+    @property
+    def compiled(self) -> bool:
+        """Whether whole steps of constant size are compiled."""
+        raise NotImplementedError
+
+    def whole_steps(self, state: State) -> DriverStates | None:
+        """With whose tables they are made from a state on; None where they are made in parts."""
+        driver = self.solver.driver
+        return None if driver is None else driver.whole_steps(state)
+
+    def solves_for(self, s: Array) -> bool:
+        """Whether compiled code has matrices of the frequencies s (p,)."""
+        return True
+
+    def room(self, frequencies: int, points: int) -> PointRoom:
+        """Room for so many points of them."""
+        raise NotImplementedError
+
+    def lend(self, room: Any, state: State, tangent: Any) -> None:
+        """What they begin with in a state: the tangent that serves on, None without any."""
+        raise NotImplementedError
+
+    def kept(self, room: Any, judge: Judge, *, known: bool) -> tuple[Any, Any]:
+        """Tangent and factors that they have left, where they are ``known`` to serve on."""
+        return None, None
 
     # -- tangents -----------------------------------------------------------------------------------------------
     def refresh(self, state: State, mult: Array) -> Any:

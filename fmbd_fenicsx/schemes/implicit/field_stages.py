@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...linear.condensation import StepSolver, Weights
-from ...linear.frequency_solvers import DECADE, FrequencySolvers
+from ...linear.frequency_solvers import DECADE, FrequencySolver, FrequencySolvers
 from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
@@ -35,7 +35,7 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
 from ..dae import Form, Points
 from .equations import Equations, Start
-from .stage_krylov import FieldStages
+from .stage_krylov import FieldStages, shares
 
 MASS = Weights(1.0, 0.0, 0.0)
 SHIFT = float(np.sqrt(np.finfo(float).eps))  # of a difference quotient, over the model's length
@@ -114,7 +114,7 @@ class FieldEquations(Equations):
         "solvers": worker,
         "metric": plain(Weights),
     }
-    dense = compiled = False
+    dense = False
 
     def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
         super().__init__(system, form, solver)
@@ -130,6 +130,8 @@ class FieldEquations(Equations):
         self._basis: Evaluation | None = None  # where N is taken
         self._motions: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
         self._room: FieldStageRoom | None = None
+        self._lent: list[FrequencySolver] = []  # who solves in whole steps, and for which frequencies
+        self._lent_for: Array = np.zeros(0)
 
     @property
     def counters(self) -> dict[str, float]:
@@ -256,11 +258,65 @@ class FieldEquations(Equations):
         """Room of compiled code for increments of so many points, their lengths squared by these weights; None without any."""
         states, shape = self.system.evaluator, (frequencies, points)
         many = self.system.n_lam > COLUMNS or 2 in self.form.levels
-        if many or not isinstance(states, DriverStates) or not states.same_rows:
+        if many or not isinstance(states, DriverStates):
             return None
         if self._room is None or self._room.states is not states or self._room.shape != shape:
             self._room = FieldStageRoom(states, self.form.levels, shape, square)
         return self._room
+
+    # -- whole steps --------------------------------------------------------------------------------------------
+    @property
+    def compiled(self) -> bool:
+        """As :attr:`Equations.compiled`: where solutions need no iteration, and matrices are the same all along."""
+        states, fields = self.system.evaluator, self.system.fields
+        same = isinstance(states, DriverStates) and not states.recalls and not self.solver.core.redundant
+        return same and self.trusted and self._covered and not any(part.field.nonlinear for _, part in fields)
+
+    @property
+    def _covered(self) -> bool:
+        """Whether compiled code adds increments of these forms."""
+        return self.system.n_lam <= COLUMNS and 2 not in self.form.levels
+
+    def whole_steps(self, state: State) -> DriverStates | None:
+        """As :meth:`Equations.whole_steps`: matrices have tables of their own."""
+        states = self.system.evaluator
+        return states if isinstance(states, DriverStates) and self.solver.driver is not None else None
+
+    def solves_for(self, s: Array) -> bool:
+        """As :meth:`Equations.solves_for`: matrices are those of the frequencies, in tables of their own; N is of a real one."""
+        self._lent, self._lent_for = self._solvers_of(s), s
+        real = [by.weights.real for by in self._lent]
+        apart = len(set(real)) == len(real) and (self.levels < 2 or any(real))
+        return apart and all(by.exact for by in self._lent)
+
+    def _solvers_of(self, s: Array) -> list[FrequencySolver]:
+        """Who solves for the frequencies s (p,)."""
+        if self._equal:
+            self.solvers.expect(s)
+            self._equal = False
+        return [self.solvers.of(x.real if x.imag == 0 else x) for x in s]
+
+    def room(self, frequencies: int, points: int) -> FieldStageRoom:
+        """As :meth:`Equations.room`."""
+        room = self.stage_room(frequencies, points, shares(self.system) ** 2)
+        assert room is not None
+        return room
+
+    def lend(self, room: FieldStageRoom, state: State, tangent: Any) -> None:
+        """As :meth:`Equations.lend`: the matrices of the frequencies, which steps make anew. Solutions are not iterated on
+        there: an increment more is cheaper.
+        """
+        ev = self.system.at(state.t, state.q, state.v)
+        ev.balance(state.a, state.lam)
+        for by in reversed(self._lent):  # complex ones look at rows with the tables of real ones
+            by.prepare(ev)
+            if by.weights.real:
+                self.metric = by.weights
+        drivers = [by.solver.driver for by in self._lent]
+        ready = [None if driver is None or not driver.ready else driver.states for driver in drivers]
+        room.solve_by(self._lent_for, ready, np.zeros(len(ready)), np.inf)
+        for states in filter(None, ready):
+            states.hold(None)
 
     def prepare(self, ev: Evaluation, weights: Weights) -> None:
         """The matrix of a step, unless it is there."""
@@ -308,7 +364,4 @@ class FieldEquations(Equations):
 
     def pencil(self, tangent: FieldTangent, s: Array, judge: Judge) -> FieldStages:
         """Solver of (2) for the frequencies s, (p,)."""
-        if self._equal:
-            self.solvers.expect(s)
-            self._equal = False
-        return FieldStages(self, tangent, s, judge)
+        return FieldStages(self, tangent, s, self._solvers_of(s), judge)

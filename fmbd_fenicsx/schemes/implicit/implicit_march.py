@@ -20,6 +20,7 @@ from ...system.compiled.march import March
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import Rule
+from ...system.compiled.tables.resting import Twin
 from ...system.element_memory import whole_steps
 from ..control import PATIENCE, REFUSED, TURN, Statistics, StepControl
 from ..error_norm import EPS, ErrorNorm
@@ -84,6 +85,10 @@ class ImplicitMarch(MarchingStepper):
         }  # fmt: skip
         return OwnRoom(self.system, norm.deforming, {**common, **numbers}, error=error, orders=orders)
 
+    def _frequencies(self, h: float) -> Array:
+        """Those of steps of constant size h (s)."""
+        raise NotImplementedError
+
     # -- steps --------------------------------------------------------------------------------------------------------------
     def stride(self, h: float) -> float:
         """As :meth:`TimeStepper.stride`."""
@@ -99,14 +104,16 @@ class ImplicitMarch(MarchingStepper):
     def _in_one_call(self, h: float) -> bool:
         if self.solver.driver is None or self._full or self.scheme.form.projected:
             return False
-        return self._chooses_alike or not self.adaptive
+        if self.adaptive:
+            return self._chooses_alike
+        return not self.system.fields or (self.eq.compiled and self.eq.solves_for(self._frequencies(h)))
 
     @property
     def _chooses_alike(self) -> bool:
         """Whether compiled code may choose the next step."""
         # samples of controllers are taken between steps
         sampled = whole_steps(self.system, self.state.t, 1.0) < np.inf
-        known = self.proposed is not None and not sampled
+        known = self.proposed is not None and not sampled and not self.system.fields
         return known and not (self._refused is not None and self._refused[0] is self.state)
 
     def _made(self, h: float, count: int, most: float, judges: Any) -> int:
@@ -116,6 +123,17 @@ class ImplicitMarch(MarchingStepper):
     def _march_of(self) -> March | None:
         return super()._march_of() if self.eq.compiled else None
 
+    def _tables_of_steps(self) -> DriverStates | None:
+        found: DriverStates | None = self.eq.whole_steps(self.state)
+        return found
+
+    @property
+    def _twin(self) -> Twin:
+        """Between arrays of the system and those of its steps."""
+        states = self.system.evaluator
+        assert isinstance(states, DriverStates)
+        return states.twin
+
     def _room(self, states: DriverStates) -> int:
         self._lent = self._lend()
         return 1
@@ -124,19 +142,15 @@ class ImplicitMarch(MarchingStepper):
         return np.concatenate((work_of(self._theta, known=self._tangent is not None), self._memory()))[None]
 
     def _prepare_room(self, room: Array, *, alone: bool) -> None:
-        lent, tangents = self._lent, self.eq.tangents
+        lent = self._lent
         assert lent is not None
         stages, pencil = lent.stages, self._pencil
         factored = isinstance(pencil, SparsePencil) and pencil.room is stages
         lent.c.factored = self._factored_for() if factored else 0.0
-        if self._tangent is not None and self._tangent is not stages.tangent:
-            stages.structure.data(self._tangent, stages.data)
-
-        tangents.weigh_once(self.solver, self.state)
+        self.eq.lend(stages, self.state, self._tangent)
         convergence, rule = self._settings()
         convergence.accurate = self.judge.tolerance
-        stages.let_depend(redundant=self.solver.core.redundant)
-        stages.lend(rule, np.ones((3, self.system.n_v)))
+        stages.lend(rule, np.ones((3, 1)))
         floor = 64 * EPS * self.system.length
         lent.settle(convergence, {"rtol": self.norm.rtol, "floor": floor, "slow": self.slow, "longer": self.longer})
         room.view(np.uintp)[0] = lent.address
@@ -182,11 +196,7 @@ class ImplicitMarch(MarchingStepper):
         assert lent is not None
         work, stages = own[: slots.WORK], lent.stages
         self._theta = float(work[slots.RATE])
-        self._tangent = self._pencil = None
-        self.eq.tangents.U = stages.tangent.U
-        if work[slots.KNOWN]:
-            self._tangent = stages.tangent
-            self._pencil = SparsePencil(stages.tangent, stages.frequencies, self.judge, stages)
+        self._tangent, self._pencil = self.eq.kept(stages, self.judge, known=bool(work[slots.KNOWN]))
         self._recall(own[slots.WORK :], float(lent.c.factored))
 
     def _count_solves(self, increments: int) -> None:

@@ -32,6 +32,7 @@ import numpy as np
 
 from ...errors import LinearSolveError
 from ...fem.fields import rank_sum
+from ...linear.frequency_solvers import FrequencySolver
 from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.states.convergence import Convergence
@@ -132,12 +133,15 @@ class Directions:
 class FieldStages:
     """The stage systems of frequencies s, (p,) real or complex; what :class:`.Pencil` is for small systems."""
 
-    def __init__(self, equations: FieldEquations, tangent: FieldTangent, s: Array, judge: Judge) -> None:
+    def __init__(
+        self, equations: FieldEquations, tangent: FieldTangent, s: Array, solvers: list[FrequencySolver], judge: Judge
+    ) -> None:
+        """``solvers``: who solves for each of them."""
         self.eq, self.t, self.judge = equations, tangent, judge
         self.s = [x.real if x.imag == 0 else x for x in s]
-        self.by = [equations.solvers.of(x) for x in s]
+        self.by = solvers
         equations.metric = next((by.weights for by in self.by if by.weights.real), equations.metric)
-        self.square = _shares(equations.system) ** 2
+        self.square = shares(equations.system) ** 2
         self.known = [Directions(self._dot, judge.what) for _ in self.s]
         self.before: Array = np.zeros(len(s))  # sizes of the last increments
         self.frequency, self.square_of_s = np.abs(s), np.array(self.s)[:, None] ** 2
@@ -165,7 +169,7 @@ class FieldStages:
         solvers = [driver.states for driver in drivers if driver is not None and driver.ready]
         if len(set(map(id, solvers))) < len(self.by):  # matrices of some are NumPy's, or share their tables
             return
-        room.solve_by(np.array(self.s), solvers, self.before)
+        room.solve_by(np.array(self.s), solvers, self.before, SLOW)
         self.judge.solves += room.iterate(convergence, until)
         self.before = room.known["before"].copy()
 
@@ -310,7 +314,7 @@ class FieldStages:
         return np.asarray((core + rank_sum(system.comm, V[:, n:] @ w[n:])).conj())
 
 
-def _shares(system: System) -> Array:
+def shares(system: System) -> Array:
     """Weights like v that turn increments into lengths, those of a field into its root mean square."""
     if "shares" not in system.cache:
         share = system.units.copy()

@@ -22,6 +22,7 @@ from ...system.compiled.states.couplings import couplings_of
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stage_patterns import StageStructure
+from ...system.compiled.states.stages import StageRoom
 from ...system.evaluation_batch import EvaluationBatch
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import State, System
@@ -84,9 +85,27 @@ class StepEquations(Equations):
 
     @property
     def compiled(self) -> bool:
-        """Whether whole steps of constant size are compiled."""
+        """As :attr:`Equations.compiled`."""
         self._choose()
         return isinstance(self.tangents, SparseTangents) and not self.tangents.told
+
+    def room(self, frequencies: int, points: int) -> StageRoom:
+        """As :meth:`Equations.room`."""
+        assert isinstance(self.tangents, SparseTangents)
+        return self.tangents.room(frequencies, points)
+
+    def lend(self, room: StageRoom, state: State, tangent: Any) -> None:
+        """As :meth:`Equations.lend`."""
+        assert isinstance(self.tangents, SparseTangents)
+        if tangent is not None and tangent is not room.tangent:
+            room.structure.data(tangent, room.data)
+        self.tangents.weigh_once(self.solver, state)
+        room.let_depend(redundant=self.solver.core.redundant)
+
+    def kept(self, room: StageRoom, judge: Judge, *, known: bool) -> tuple[Any, Any]:
+        """As :meth:`Equations.kept`."""
+        self.tangents.U = room.tangent.U
+        return (room.tangent, SparsePencil(room.tangent, room.frequencies, judge, room)) if known else (None, None)
 
     def begin(self, state: State) -> None:
         """Local coordinates about the state."""

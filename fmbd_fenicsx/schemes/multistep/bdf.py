@@ -106,6 +106,8 @@ class BDFStepper(Corrector):
         if self.adaptive:
             self.slow = SLOW
         self.amplification = Amplification(solver)
+        if not self.adaptive:  # with variable ones frequencies hardly come back
+            self.eq.keep_sizes(equal=True)
 
         # the order, and for how many steps it was held with one size
         self.highest = min(scheme.order, STABLE) if system.fields else scheme.order

@@ -17,7 +17,7 @@ from ..control import growth_factor
 from ..implicit.convergence import Rates
 from ..implicit.implicit_stepper import ImplicitStepper
 from .amplification import Amplification
-from .past import Past
+from .past import Past, slopes_at_first
 
 ALONE = np.eye(1)  # one point is coupled with none
 RATES = Rates(limit=0.95, largest=2.0)
@@ -73,7 +73,7 @@ class MultistepMarch(ImplicitStepper):
 
     # -- what a march begins with -----------------------------------------------------------------------------------
     def _lend(self) -> ImplicitRoom:
-        stages, order = self.eq.tangents.room(1, 1), self.scheme.order
+        stages, order = self.eq.room(1, 1), self.scheme.order
         if not self.adaptive:
             return ImplicitRoom(stages, {}, order)
         (shrink, grow), (keep, calm), (nearest, farthest) = WITHIN, CALM, NEAR
@@ -87,15 +87,19 @@ class MultistepMarch(ImplicitStepper):
         return self._convergence(0.0, RATES, 1.0), Rule(ALONE, ALONE, ALONE)
 
     def _memory(self) -> Array:
-        newest, *older = self.past[: self.scheme.order + 1]
-        values = np.zeros((self.scheme.order, 1 + sum(map(len, (newest.q, newest.v, newest.mult)))))
+        (newest, *older), twin = self.past[: self.scheme.order + 1], self._twin
+        values = np.zeros((self.scheme.order, 1 + twin.system.n_q + twin.system.n_v + len(newest.mult)))
         for row, x in zip(values, older, strict=False):
-            np.concatenate(([x.t], x.q, x.v, x.mult), out=row)
+            np.concatenate(([x.t], twin.configurations(x.q), twin.velocities(x.v), x.mult), out=row)
         head = self.k, self.held, self.proposed or 0.0
         return np.concatenate((head, newest.mult, [len(older)], values.ravel()))
 
     def _factored_for(self) -> float:
         return float(self._pencil.s[0])
+
+    def _frequencies(self, h: float) -> Array:
+        times = self.state.t + h, *(x.t for x in self.past[: self.scheme.order])
+        return slopes_at_first(np.array(times))[:1]
 
     def _lend_own(self, own: OwnRoom) -> None:
         super()._lend_own(own)
@@ -111,10 +115,11 @@ class MultistepMarch(ImplicitStepper):
         self.amplification.uses = int(own.orders.uses)
 
     def _recall(self, kept: Array, factored: float) -> None:
-        s, width = self.state, self.eq.n_mult
+        s, width, twin = self.state, self.eq.n_mult, self._twin
         (k, held, proposed), mult, count, values = np.split(kept, np.cumsum([3, width, 1]))
         if self.adaptive:
             self.k, self.held, self.proposed = int(k), int(held), float(proposed)
-        parts = (np.split(x, np.cumsum([1, len(s.q), len(s.v)])) for x in values.reshape(self.scheme.order, -1))
-        older = [Past(float(t[0]), q, v, mult) for t, q, v, mult in parts]
+        ends = np.cumsum([1, twin.system.n_q, twin.system.n_v])
+        parts = (np.split(x, ends) for x in values.reshape(self.scheme.order, -1))
+        older = [Past(float(t[0]), twin.places(q), twin.forces(v), mult) for t, q, v, mult in parts]
         self.past = [Past(s.t, s.q, s.v, mult), *older[: int(count[0])]]

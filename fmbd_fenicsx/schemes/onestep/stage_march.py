@@ -52,7 +52,7 @@ class StageMarch(ImplicitStepper):
     def _lend(self) -> ImplicitRoom:
         tab = self.tab
         coefficients = {name: getattr(tab, name) for name in ("c", "W", "values", "middle", "basis", "stage_basis")}
-        stages = self.eq.tangents.room(len(tab.values), len(tab.c))
+        stages = self.eq.room(len(tab.values), len(tab.c))
         if not self.adaptive:
             return ImplicitRoom(stages, coefficients)
         control = self.control
@@ -67,15 +67,19 @@ class StageMarch(ImplicitStepper):
         return self._convergence(0.0, RATES[self.adaptive], 1.0), Rule(tab.W, tab.inverse, tab.vectors)
 
     def _memory(self) -> Array:
-        s, k, control = self.state, len(self.tab.c), self.control
+        s, k, control, twin = self.state, len(self.tab.c), self.control, self._twin
         h, q, v, points = self._last or (0.0, s.q, s.v, None)
-        none = np.zeros(k * len(v))
+        none = np.zeros((k, len(v)))
         xi, vs, mult = (none, none, np.tile(self.mult, k)) if points is None else (points.xi, points.v, points.mult)
         head = self._eta, self._h_rate, self.proposed or 0.0, control.h_old, control.error_old, h
+        q, v, xi, vs = twin.configurations(q), *map(twin.velocities, (v, xi, vs))
         return np.concatenate((head, q, v, xi.ravel(), vs.ravel(), mult.ravel()))
 
     def _factored_for(self) -> float:
         return self._h_factor
+
+    def _frequencies(self, h: float) -> Array:
+        return self.tab.values / h
 
     # -- what it leaves ---------------------------------------------------------------------------------------------
     def _take_march(self, march: March, made: int) -> None:
@@ -87,12 +91,15 @@ class StageMarch(ImplicitStepper):
         self.judge.solves += made + int(own.c.refused)  # of the estimates
 
     def _recall(self, kept: Array, factored: float) -> None:
-        n, n_q, k = self.system.n_v, self.system.n_q, len(self.tab.c)
+        assert self._lent is not None
+        twin, k = self._twin, len(self.tab.c)
+        n, n_q = self._lent.stages.c.n, twin.system.n_q
         head, q, v, *stages = np.split(kept, np.cumsum([6, n_q, n, k * n, k * n]))
         self._eta, self._h_rate, proposed, h_old, error_old, h = map(float, head)
         if self.adaptive:
             self.proposed, self.control.h_old, self.control.error_old = proposed, h_old, error_old
         xi, vs, mult = (x.reshape(k, -1) for x in stages)
+        q, v, xi, vs = twin.places(q), *map(twin.forces, (v, xi, vs))
         W = self.tab.W / h
         self._last = h, q, v, Points(xi, W @ xi, vs, W @ (vs - v), mult)
         self.mult, self._h_factor, self._filter = mult[-1], factored, None

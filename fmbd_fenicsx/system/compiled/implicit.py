@@ -12,7 +12,7 @@ from ...rotations import Array
 from ..system import System
 from .declarations import enumeration, fields_of
 from .states.convergence import Convergence
-from .states.stages import StageRoom
+from .states.stages import PointRoom
 from .tables.deflections import deflections_of
 from .tables.structures import Store, address_of
 
@@ -87,19 +87,16 @@ class ImplicitRoom:
     """Lends the ``stages`` of a scheme with its coefficients; ``order``: of multistep ones, ``own``: control of its steps."""
 
     def __init__(
-        self, stages: StageRoom, coefficients: Mapping[str, Array], order: int = 0, own: OwnRoom | None = None
+        self, stages: PointRoom, coefficients: Mapping[str, Array], order: int = 0, own: OwnRoom | None = None
     ) -> None:
-        self.stages, self.own, structure = stages, own, stages.structure
+        self.stages, self.own = stages, own
         stages.weigh_bent(apart=own is not None and own.c.index < 3)
-        system, points = structure.couplings.system, stages.c.points
-        n, n_q, size = structure.n, system.n_q, structure.size
-        mixed = np.empty((max(points, order + 1) + 14) * n + 2 * n_q + 6 * size + stages.states.tables.nu)
+        n, size, points, tables = stages.c.n, stages.c.size, stages.c.points, stages.states.tables
+        mixed = np.empty((max(points, order + 1) + 14) * n + 2 * tables.system.n_q + 6 * size + tables.nu)
         self._kept = [mixed, *(np.ascontiguousarray(x) for x in coefficients.values())]
         self.c = Implicit(
-            stages=stages.address, patterns=structure.address, data=address_of(stages.data),
-            masses=address_of(structure.masses), room=structure.room_address, mixed=address_of(mixed), order=order,
-            own=None if own is None else own.address,
-            **dict(zip(coefficients, map(address_of, self._kept[1:]), strict=True)),
+            stages=stages.address, mixed=address_of(mixed), order=order, own=None if own is None else own.address,
+            **stages.of_tangents(), **dict(zip(coefficients, map(address_of, self._kept[1:]), strict=True)),
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
 

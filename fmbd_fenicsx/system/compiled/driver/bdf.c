@@ -157,8 +157,7 @@ static int end_bdf(System *s, Implicit *o, const double *p, const Block *now, Bl
     if (verdict) return verdict;
     memcpy(made.mult, g->mult, (g->size - g->n) * sizeof(double));
     remember_value(s, o, now, &m, &made);
-    end_implicit(s, o, p, now, g->mult, out);
-    return DONE;
+    return end_implicit(s, o, p, now, g->mult, out);
 }
 
 /* ---- sizes and orders ---- */

@@ -18,6 +18,7 @@
 #include "tangent.c"
 #include "convergence.c"
 #include "stages.c"
+#include "field_steps.c"
 #include "explicit.c"
 #include "secants.c"
 #include "mean.c"

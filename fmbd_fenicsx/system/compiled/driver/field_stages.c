@@ -2,20 +2,21 @@
    are, as long as no solution has to be iterated on. Complex vectors have two parts, all real numbers first. */
 
 static const double SEEN = 0.05;     /* share of an increment above which known parts of rates are seen, SMALL there */
-static const double SLOW_SHARE = 0.3; /* of the increment before, above which solutions are iterated on, SLOW there */
 static const double SHIFTED = 0x1p-26; /* of a difference quotient, over the model's length */
 static const double ROUNDED = 1e-14; /* roundoff of rates, over their largest */
 
 typedef struct FieldStages {
     System **by;                       /* who has the matrix of each frequency */
-    int kinds, *span;                  /* entries like v whose means count by themselves, of the core and of each field: their ends */
+    int kinds, *span, *counted;        /* entries like v whose means count by themselves, of the core and of each field: their ends, and
+                                          how many move */
     double t, length, *q, *v, *a, *lam, *balance; /* the motion where derivatives are taken; balance and rows there */
-    double *N, *turnings;              /* m x n, motions that open single rows; bodies x TWIST x TWIST, d rate / d xi at xi = 0 */
+    double *N, *turnings;              /* m x n, motions that open single rows; bodies x TWIST x TWIST, d rate / d xi at xi = 0, and n */
+    double *units, *reactions;         /* right-hand sides of N, m x n zeros and m x m of the identity; m x m, work */
     double *square, *before, *sizes;   /* n: of the entries of lengths; of the last increments; of these */
     double *kin, *low, *rate, *push;   /* frequencies x 2 n, x 2 size, x 2 n, x 2 n */
     double *x, *y;                     /* frequencies x 4 n, x 2 (size - n): solutions */
     double *b, *c, *given, *found, *room; /* 2 n, 2 n + 2 m; 2 m each; 3 n + size */
-    double solves;
+    double solves, slow;               /* share of the increment before from which on Python iterates on solutions */
 } FieldStages;
 
 static int parts_of(const Stages *o, int f) { return o->s[2 * f + 1] != 0.0 ? 2 : 1; }
@@ -171,7 +172,7 @@ static int field_solutions(System *s, const Stages *o)
             if ((verdict = field_solution(s, o, f, 1, &last))) return verdict;
             size = size_of(o, parts_of(o, f), e->x + (long)f * 4 * o->n);
         }
-        if (!(size < INFINITY) || (before > 0.0 && SLOW_SHARE * before < size)) return LOOK;
+        if (!(size < INFINITY) || (before > 0.0 && e->slow * before < size)) return LOOK;
         e->sizes[f] = size;
     }
     memcpy(e->before, e->sizes, o->frequencies * sizeof(double));

@@ -1,10 +1,10 @@
 /* What steps of Radau (radau.c) and BDF (bdf.c) have in common, many in one call (march.c): in local coordinates about the start of a
-   step, for systems whose stage systems have patterns. */
+   step, for systems whose stage systems have patterns, or whose elastic fields have factors (field_steps.c). */
 
 /* Coefficients are those of the scheme. */
 typedef struct {
     Stages *stages;
-    const Patterns *patterns;
+    const Patterns *patterns;        /* NULL where there are fields, and data, masses and room of a tangent too */
     Convergence *convergence;        /* what it says of the scheme's iterations stays, the rest is of a step */
     double *data, *masses, *room, *mixed; /* of the tangent; of M; work of a tangent and of a step */
     const double *c, *W, *values, *middle, *basis, *stage_basis; /* of Radau */
@@ -32,9 +32,9 @@ static int take_tangent(System *s, Implicit *o, double t, const double *q, const
 {
     o->factored = 0.0;
     o->fresh = 1;
-    int verdict = driver_stage_tangent(s, o->patterns, length, t, q, v, a, lam, o->masses, o->stages->W.data, o->room, o->data);
     work[TANGENTS] += 1.0;
-    return verdict;
+    if (o->stages->fields) return field_tangent(s, o->stages, t, q, v, a, lam);
+    return driver_stage_tangent(s, o->patterns, length, t, q, v, a, lam, o->masses, o->stages->W.data, o->room, o->data);
 }
 
 /* Factors of the frequencies of the stages, which ``key`` stands for. */
@@ -42,7 +42,7 @@ static int take_factors(Implicit *o, double key, double *work)
 {
     if (o->factored == key) return DONE;
     o->factored = 0.0;
-    int verdict = driver_stage_factors(o->stages, o->patterns, o->data);
+    int verdict = o->stages->fields ? field_matrices(o->stages) : driver_stage_factors(o->stages, o->patterns, o->data);
     if (!verdict) o->factored = key;
     work[FACTORED] += o->stages->frequencies;
     return verdict;
@@ -80,7 +80,8 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
         return verdict;
     }
     farthest_apart(judged, work + RESIDUAL);
-    work[KNOWN] = c->theta <= o->slow;
+    work[KNOWN] = c->theta <= o->slow && !o->stages->fields;
+    if (o->stages->fields) sample_point(s, o->stages, o->stages->points - 1, 1); /* derivatives were taken elsewhere */
     p[LEFT] += c->share * c->size;
     return DONE;
 }
@@ -100,7 +101,7 @@ static void combine(int rows, int k, const double *A, int n, const double *x, do
 }
 
 /* The end of a step at the last of the points. */
-static void end_implicit(System *s, const Implicit *o, const double *p, const Block *now, const double *mult, Block out)
+static int end_implicit(System *s, const Implicit *o, const double *p, const Block *now, const double *mult, Block out)
 {
     const Stages *g = o->stages;
     const int n = g->n, last = g->points - 1;
@@ -110,4 +111,8 @@ static void end_implicit(System *s, const Implicit *o, const double *p, const Bl
     memcpy(out.a, g->vd + (long)last * n, n * sizeof(double));
     memcpy(out.lam, mult, s->rows * sizeof(double));
     memset(out.A, 0, n * sizeof(double));
+    if (!turns_freely(s)) return DONE;
+    int verdict = place(s, out.q, out.v);
+    if (!verdict) settle_angles(s, out.q);
+    return verdict;
 }

@@ -103,6 +103,7 @@ static int stages_of_step(System *s, double *p, Implicit *o, const Block *now, B
     rates_of_stages(o, now, change);
     if (work[KNOWN] == 0.0 && (verdict = middle_tangent(s, o, p, now, change, work))) return verdict;
     if ((verdict = take_factors(o, h, work))) return verdict;
+    if (g->fields && (verdict = align_stages(s, g))) return verdict;
     if ((verdict = iterate_step(s, o, p, now, first_share(o, &made, h), work))) return verdict;
     *made.share = o->convergence->share;
     *made.seen = o->convergence->done > 1 ? h : fmax(h, *made.seen);
@@ -137,8 +138,7 @@ static int end_radau(System *s, Implicit *o, const double *p, const Block *now, 
     memcpy(made.xi, g->xi, (size_t)k * n * sizeof(double));
     memcpy(made.vs, g->v, (size_t)k * n * sizeof(double));
     memcpy(made.mult, g->mult, (size_t)k * width * sizeof(double));
-    end_implicit(s, o, p, now, g->mult + (k - 1) * width, out);
-    return DONE;
+    return end_implicit(s, o, p, now, g->mult + (k - 1) * width, out);
 }
 
 /* The error of the stages of a step from a state with these multipliers, over the tolerance. */

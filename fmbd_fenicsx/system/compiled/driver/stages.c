@@ -218,7 +218,7 @@ static double square_of_fields(const Stages *o, int kind, const double *x)
     const double *weigh = o->weigh + (long)kind * o->n;
     double worst = 0.0;
     for (int k = 0, i = 0; k < o->fields->kinds; k++) {
-        const int count = o->fields->span[k] - i;
+        const int count = o->fields->counted[k];
         double sum = 0.0;
         for (; i < o->fields->span[k]; i++) sum += weigh[i] * x[i] * weigh[i] * x[i];
         if (count && !(sum / count <= worst)) worst = sum / count;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from ...system import State
 from ..declarations import fields_of
 from ..tables.structures import address_of, zeros_of
 from .evaluation import DriverStates
-from .stages import POINTS, PointRoom, Stages
+from .stages import POINTS, PointRoom, Rule, Stages
+
+MOVING = ("xi", "rate", "v", "vd")  # of points, like v
 
 
 class _FieldStages(ctypes.Structure):
@@ -26,8 +29,8 @@ class FieldStageRoom(PointRoom):
     """Room for p frequencies and k points of a form with these levels of constraints; ``square``: of the entries of lengths."""
 
     def __init__(self, states: DriverStates, levels: Sequence[int], shape: tuple[int, int], square: Array) -> None:
-        system, (p, k) = states.system, shape
-        self.states, self.shape = states, shape
+        own, system, (p, k) = states.system, states.tables.system, shape
+        self.states, self.shape, self.twin = states, shape, states.twin
         n, m, frames = system.n_v, system.n_lam, system.n_frames
         size, width = n + len(levels) * m, len(levels) * m
         sizes: dict[str, int | tuple[int, ...]] = {
@@ -41,19 +44,22 @@ class FieldStageRoom(PointRoom):
 
         twist = system.motions.n_twist
         of_fields: dict[str, int | tuple[int, ...]] = {
-            "q": system.n_q, "v": n, "a": n, "lam": m, "balance": size, "N": (m, n), "turnings": (frames, twist, twist),
-            "square": n, "before": p, "sizes": p, "kin": p * 2 * n, "low": p * 2 * size, "rate": p * 2 * n, "push": p * 2 * n,
-            "x": p * 4 * n, "y": p * 2 * width, "b": 2 * n, "c": 2 * (n + m), "given": 2 * m, "found": 2 * m,
-            "room": 3 * n + size,
+            "q": system.n_q, "v": n, "a": n, "lam": m, "balance": size, "N": (m, n), "turnings": frames * twist**2 + n,
+            "units": m * (n + m), "reactions": (m, m), "square": n, "before": p, "sizes": p, "kin": p * 2 * n,
+            "low": p * 2 * size, "rate": p * 2 * n, "push": p * 2 * n, "x": p * 4 * n, "y": p * 2 * width, "b": 2 * n,
+            "c": 2 * (n + m), "given": 2 * m, "found": 2 * m, "room": 3 * n + size,
         }  # fmt: skip
         more = zeros_of(of_fields)
         self.known = {name: x for name, (x, _) in more.items()}
-        self.known["square"][:] = square
+        self.known["units"][m * n :] = np.eye(m).ravel()
+        self.known["square"][:] = self.twin.velocities(square)
         ends = [system.n_core, *(system.slices[1][k].stop for k, _ in system.fields)]
         self._span, self._by = np.array(ends, np.int32), np.zeros(p, np.uint64)
+        # frames at rest count for nothing
+        self._counted = np.array([own.n_core, *(part.n for _, part in own.fields)], np.int32)
         self.fields = _FieldStages(
-            by=address_of(self._by), kinds=len(ends), span=address_of(self._span), length=system.length,
-            **{name: address for name, (_, address) in more.items()},
+            by=address_of(self._by), kinds=len(ends), span=address_of(self._span), counted=address_of(self._counted),
+            length=system.length, **{name: address for name, (_, address) in more.items()},
         )  # fmt: skip
         self.c = Stages(
             n=n, m=m, size=size, levels=len(levels), frequencies=p, points=k, first=levels[0] if levels else 0, relax=1.0,
@@ -61,21 +67,36 @@ class FieldStageRoom(PointRoom):
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
 
-    def solve_by(self, s: Array, solvers: Sequence[DriverStates], before: Array) -> None:
-        """Take the frequencies s (p,), those who have their matrices, and the sizes of the increments before (p,)."""
+    def put(self, t: Array, q0: Array, points: Any, rule: Rule, weights: Array) -> None:
+        """As of all points, with the frames at rest."""
+        twin = self.twin
+        wide = replace(points, **{name: twin.velocities(getattr(points, name)) for name in MOVING})
+        super().put(t, twin.configurations(q0), wide, rule, twin.velocities(weights))
+
+    def points(self) -> tuple[Array, ...]:
+        """As of all points, without the frames at rest."""
+        *moving, mult = super().points()
+        return *map(self.twin.forces, moving), mult
+
+    def solve_by(self, s: Array, solvers: Sequence[DriverStates | None], before: Array, slow: float) -> None:
+        """Take the frequencies s (p,), those who have their matrices, the sizes of the increments before (p,), and up to which
+        share of these increments count whose solutions nobody iterates on.
+        """
+        self.fields.slow = slow
         self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
-        self._solvers = solvers
-        self._by[:] = [states.address for states in solvers]
+        self._solvers = [states for states in solvers if states is not None]
+        self._by[:] = [0 if states is None else states.address for states in solvers]
         self.known["before"][:] = before
 
     def derive_at(self, state: State, balance: Array, closing: Array, turnings: Array) -> None:
         """Take the motion where derivatives are taken, balance and rows there, N (n, m), and d rate / d xi of the frames."""
-        known = self.known
+        known, twin, n = self.known, self.twin, len(state.v)
         self.fields.t = state.t
-        for name, value in vars(state).items():
-            if name in ("q", "v", "a", "lam"):
-                known[name][:] = value
-        known["balance"][:], known["N"][:], known["turnings"][:] = balance, closing.T, turnings
+        known["q"][:], known["lam"][:] = twin.configurations(state.q), state.lam
+        known["v"][:], known["a"][:] = twin.velocities(state.v), twin.velocities(state.a)
+        known["balance"][:] = np.concatenate((twin.velocities(balance[:n]), balance[n:]))
+        known["N"][:] = twin.velocities(closing.T)
+        known["turnings"][: turnings.size] = turnings.ravel()
 
     def iterate(self, convergence: Any, until: int) -> int:
         """Increments of the points, up to number ``until`` or to one that has to be iterated on; how often it was solved."""

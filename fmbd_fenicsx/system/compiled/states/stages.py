@@ -13,6 +13,7 @@ from ...sparsity import Pattern
 from ...tangents.step_tangent import StepTangent
 from ..declarations import enumeration, fields_of
 from ..tables.structures import address_of, addresses_of, zeros_of
+from .evaluation import DriverStates
 from .stage_patterns import StageStructure
 
 SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
@@ -58,6 +59,15 @@ class PointRoom:
 
     c: Any
     arrays: dict[str, Array]
+    address: int
+    states: DriverStates
+
+    def of_tangents(self) -> dict[str, int | None]:
+        """Addresses of what whole steps take tangents with, by their names in implicit.c."""
+        return {}
+
+    def weigh_bent(self, *, apart: bool) -> None:
+        """Whether norms weigh deformations of rods apart from their rigid motions."""
 
     def put(self, t: Array, q0: Array, points: Any, rule: Rule, weights: Array) -> None:
         """Points about q0 at the times t (k,), the rule, and weights of increments (3, n)."""
@@ -158,6 +168,12 @@ class StageRoom(PointRoom):
             one.L_row, one.U_row = (address_of(x) for x in self._indices[2 * f : 2 * f + 2])
             one.L, one.U, one.pivot = (address_of(x) for x in self._numbers[3 * f : 3 * f + 3])
         self.c.room, self.c.lower = room, ctypes.addressof(self.lower)
+
+    def of_tangents(self) -> dict[str, int | None]:
+        """As of all points."""
+        o = self.structure
+        masses = address_of(o.masses)
+        return {"patterns": o.address, "data": self._data_at, "masses": masses, "room": o.room_address}
 
     def let_depend(self, *, redundant: bool) -> None:
         """Say whether rows depend on each other."""
