@@ -69,7 +69,7 @@ class StageMarch(ImplicitStepper):
     def _memory(self) -> Array:
         s, k, control, twin = self.state, len(self.tab.c), self.control, self._twin
         h, q, v, points = self._last or (0.0, s.q, s.v, None)
-        none = np.zeros((k, len(v)))
+        none: Array = np.zeros((k, len(v)))
         xi, vs, mult = (none, none, np.tile(self.mult, k)) if points is None else (points.xi, points.v, points.mult)
         head = self._eta, self._h_rate, self.proposed or 0.0, control.h_old, control.error_old, h
         q, v, xi, vs = twin.configurations(q), *map(twin.velocities, (v, xi, vs))
