@@ -97,14 +97,15 @@ def beyond(given: Recorder, before: Compared) -> dict[str, Deviation]:
     return {n: Deviation(beside.times, x - before.recorder.series[n][rows]) for n, x in beside.series.items()}
 
 
-def of_tolerances(apart: dict[str, Deviation], falls: float) -> dict[str, Deviation]:
+def of_tolerances(apart: dict[str, Deviation], most: float, seen: Mapping[str, float]) -> dict[str, Deviation]:
     """Errors from what a run has beyond one with a larger tolerance, where errors fall to 1 / f of their size between them:
 
-    x - x_r ~ (x_r - x_Rr) / (f - 1),     f = R^power, at most (n_r / n_Rr)^p                                        (1)
+    x - x_r ~ (x_r - x_Rr) / (f - 1),     f = R^power = ``most``, at most (n_r / n_Rr)^p = ``seen``                    (1)
 
-    R the ratio of the tolerances, n the steps that the runs took: where these come in a few sizes, they may be nearly as many.
+    R the ratio of the tolerances, n the steps that the runs took, p the order of the scheme in the sensor: steps come in a few
+    sizes, and may be nearly as many; what is of a lower order than they are chosen by falls less. f is :data:`TELLING` at least.
     """
-    return {n: scaled(x, 1.0 / (falls - 1.0)) for n, x in apart.items()}
+    return {n: scaled(x, 1.0 / (max(min(most, seen[n]), TELLING) - 1.0)) for n, x in apart.items()}
 
 
 def looked_at(made: Recorder, most: int = LOOKED_AT) -> np.ndarray:

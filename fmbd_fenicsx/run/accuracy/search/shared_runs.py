@@ -340,14 +340,15 @@ class SharedRuns:
                 pass
 
         order = problem.scheme.order
-        seen = 0.0 if looser is None else grown(looser[1], given) ** order
+        grew = 0.0 if looser is None else grown(looser[1], given)
+        seen = {n: grew**p for n, p in _expected(problem).items()}
         likely: dict[str, Deviation] = {}
         follows = given
-        if looser is not None and seen >= TELLING:
+        if looser is not None and min(seen[n] for n in allowed.sensors) >= TELLING:
             apart, loose = looser
             ratio = loose.scheme.rtol / problem.scheme.rtol
-            falls = (min(ratio**power, seen) for power in (LEAST_POWER, usual_power(order)))
-            least, likely = (of_tolerances(apart, x) for x in falls)
+            powers = LEAST_POWER, usual_power(order)
+            least, likely = (of_tolerances(apart, ratio**power, seen) for power in powers)
             enough = allowed.share(least) <= allowed.room
             if allowed.share(likely) > allowed.room or (enough and not steps_meet_kinks(solved.run)):
                 return TimeError(likely, {}, loose)
