@@ -22,7 +22,7 @@ from ..log import log
 from ..schemes.stepping import Around, TimeStepper
 from ..system.compiled.recording import Tape
 from ..system.compiled.states.glance import Glance
-from ..system.element_memory import accept, samples, whole_steps
+from ..system.element_memory import accept, next_sample, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.serialisation import plain, worker
 from ..system.system import State, System
@@ -228,7 +228,7 @@ class ConstantSteps(Around):
             self.judges.forecast.note(after)
         if not self.system.keepers or self.stepper.note():
             return
-        if self.before_sample is not None and samples(self.system, after.t):
+        if self.before_sample is not None and next_sample(self.system) <= after.t:
             self.before_sample(after)
         if accept(self.system, after):
             self._begin(after, goes_on=True)  # the past of the stepper is that of other forces

@@ -10,7 +10,7 @@ from ..errors import ConvergenceError
 from ..linear.condensation import StepSolver
 from ..log import StopRequests, log
 from ..ranks import OneAnswer
-from ..system.element_memory import accept, reset, samples
+from ..system.element_memory import accept, next_sample, reset
 from ..system.evaluation import Evaluation
 from ..system.spins import Spins
 from ..system.system import State
@@ -224,7 +224,7 @@ class Loop:
         self.judges.forecast.note(self.state)
 
         # equal steps note their parts one by one
-        if samples(system, self.state.t):
+        if next_sample(system) <= self.state.t:
             self._before_sample(self.state)
         accept(system, self.state)
         return 1, None if self._sampled else seen

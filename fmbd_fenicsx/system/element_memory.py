@@ -39,15 +39,15 @@ def reset(system: System, state: State) -> None:
         restore(system, [loads.first(ev, state) if x is None else x for loads, x in zip(keepers, known, strict=True)])
 
 
+def next_sample(system: System) -> float:
+    """When a controller samples next, s; infinite without one."""
+    return float(min((loads.due for loads in system.forces), default=np.inf))
+
+
 def whole_steps(system: System, t: float, h: float) -> float:
     """How many steps of size h (s) from t end before the next sample of a controller; infinite without one."""
-    due = min((loads.due for loads in system.forces), default=np.inf)
+    due = next_sample(system)
     return float(np.floor((due - t) / h - 1e-6)) if np.isfinite(due) else np.inf
-
-
-def samples(system: System, t: float) -> bool:
-    """Whether a controller takes a sample in an accepted state at a time t, s."""
-    return any(loads.due <= t for loads in system.keepers)
 
 
 def accept(system: System, state: State) -> bool:

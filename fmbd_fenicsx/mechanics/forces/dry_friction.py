@@ -25,6 +25,8 @@ from .formulas import MEMORY, Formula, table
 class DryFrictionLoads(ScalarLoads):
     """Elements (1) of one kind of coordinate; ``kept`` (m,): the points p where they stick."""
 
+    by_ends = True
+
     def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: Relative) -> None:
         super().__init__(motions, forces, markers, relative)
         self.limit = np.array([f.limit for f in forces])

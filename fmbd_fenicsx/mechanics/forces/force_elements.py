@@ -98,6 +98,7 @@ class Loads:
         return None
 
     kept: Any = None  # memory of elements that have one: arrays, changed by accepted steps only, see ``accepted``
+    by_ends: bool = False  # whether it is moved by the ends of steps, whatever was between
 
     def first(self, ev: Any, state: Any) -> Any:
         """The memory at the start of a run from a state, evaluated as ``ev``."""

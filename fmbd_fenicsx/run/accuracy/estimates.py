@@ -70,7 +70,7 @@ def tolerance_error(
         except UNFIT as error:
             log.warning("no error estimate: the run with a smaller tolerance did not end: %s", error)
             return {}
-        if grown(given, finer) ** problem.scheme.order >= TELLING or rtol == FINEST:
+        if grown(given, finer) ** max(orders.values(), default=1) >= TELLING or rtol == FINEST:
             break
     left = {n: min(max(grown(given, finer) ** -p, finer_by**FALLS), LEFT) for n, p in orders.items()}
     return {n: scaled(x, 1.0 / (1.0 - left[n])) for n, x in apart.items()}

@@ -15,7 +15,9 @@ from ...system.system import System
 SEEN = 0.75  # share of the expected order above which runs with larger steps follow the same motion
 REGULAR = 0.9  # the same above which an order is what it seems
 LEAST_ORDER = 0.5
-OF_MEMORIES = 2  # the trapezoidal rule of controllers and of arms of rods that relax
+OF_MEMORIES = (
+    2  # the trapezoidal rule of controllers and of arms of rods that relax; friction that knows ends of steps alone
+)
 BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to the expected one; and the most that this may be
 TOO_HIGH = 1.0  # what an order is beyond that of the scheme that belongs to another motion
 LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
@@ -35,7 +37,7 @@ def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]
     """
     orders = Declared.by(scheme).orders if system.blocks else None
     known = (scheme.order,) * 3 if orders is None else orders
-    remembers = any(len(keeper.memory_values()) for keeper in system.keepers)
+    remembers = any(len(keeper.memory_values()) for keeper in system.keepers) or any(f.by_ends for f in system.forces)
     highest = OF_MEMORIES if remembers else max(known)
     return {name: min(known[sensor.derivative], highest) for name, sensor in scene.sensors.items()}
 
