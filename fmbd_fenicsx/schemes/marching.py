@@ -29,20 +29,39 @@ if TYPE_CHECKING:
 AGAIN = (slots.GAIN, slots.DOUBT)  # after these the same step is found once more, by itself
 
 
-class MarchingStepper(TimeStepper):
+class CompiledSteps(TimeStepper):
+    """Of steppers with compiled steps: what these count, and where one was given back, which NumPy makes then."""
+
+    keeps_memories = True
+    newton: Newton
+    _refused: tuple[State, float] | None = None  # from where on, and of which size (s)
+
+    def _refuse(self, h: float) -> None:
+        """Take note that compiled code has found no step of this size from the state on."""
+        self._refused = self.state, h
+
+    def _is_refused(self, h: float) -> bool:
+        """Whether it was, from this state."""
+        return self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
+
+    def _count_increments(self, p: Array, steps: int) -> None:
+        """Take note of Newton's iterations in so many steps."""
+        self.newton.iterations += int(p[slots.ITERATIONS])
+        self.newton.note(float(p[slots.LEFT]), steps)
+        self.newton.theta = float(p[slots.THETA])
+
+
+class MarchingStepper(CompiledSteps):
     """A scheme says how it is called (``maker``) and what it keeps with a state beside the state itself."""
 
     maker: ClassVar[str]
-    keeps_memories = True
 
     system: System
     solver: StepSolver
-    newton: Newton
 
     limit: StepLimit | None = None  # of explicit schemes
     leaves_masses: ClassVar[bool] = True  # whether the factor at the end of a step is that of the masses there
     _used: March | None = None
-    _refused: tuple[State, float] | None = None  # where compiled code found no step of this size
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
     def _room(self, states: DriverStates) -> int:
@@ -63,12 +82,6 @@ class MarchingStepper(TimeStepper):
     def _take_march(self, march: March, made: int) -> None:
         """Take from the newest states what it keeps, after so many steps."""
         raise NotImplementedError
-
-    def _count_increments(self, p: Array, steps: int) -> None:
-        """Take note of Newton's iterations in so many steps."""
-        self.newton.iterations += int(p[slots.ITERATIONS])
-        self.newton.note(float(p[slots.LEFT]), steps)
-        self.newton.theta = float(p[slots.THETA])
 
     # -- steps --------------------------------------------------------------------------------------------------------------
     def stride(self, h: float) -> float:
@@ -139,8 +152,7 @@ class MarchingStepper(TimeStepper):
     ) -> int:
         """Up to so many steps in one call, up to a state faster than ``most`` (m/s); how many were made."""
         s, self._stopped = self.state, True
-        refused = self._refused is not None and self._refused[0] is s and self._refused[1] == h
-        march = None if refused or not self._in_one_call(h) else self._march_of()
+        march = None if self._is_refused(h) or not self._in_one_call(h) else self._march_of()
         driver = self.solver.driver
         if march is None or driver is None:
             return 0
@@ -172,7 +184,3 @@ class MarchingStepper(TimeStepper):
         if verdict and verdict not in (*AGAIN, slots.SIZE):
             self._refuse(h)
         return made
-
-    def _refuse(self, h: float) -> None:
-        """Take note that compiled code has found no step of this size from the state on."""
-        self._refused = self.state, h

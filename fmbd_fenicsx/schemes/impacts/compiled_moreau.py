@@ -13,6 +13,7 @@ from ...system.compiled.recording import on_the_way
 from ...system.sensors.contact import ContactForces, ContactState
 from ...system.serialisation import Memory
 from ...system.system import State, System
+from ..marching import CompiledSteps
 from ..newton import Newton
 from .contact_driver import ContactDriver
 from .contact_structures import Tally
@@ -22,18 +23,15 @@ if TYPE_CHECKING:
     from ...system.compiled.recording import Openness, Tape
 
 
-class CompiledMoreauStepper(MoreauStepper):
+class CompiledMoreauStepper(CompiledSteps, MoreauStepper):
     """Steps by the driver, one or many in a call."""
 
     compiled_whole = True
     path = "compiled (bodies, joints, forces and contacts in C; NumPy for the start and for steps it gives back)"
 
-    keeps_memories = True
-
     def __init__(self, data: tuple[System, StepSolver, Newton, State], impacts: int, driver: ContactDriver) -> None:
         self.driver, self.compiled = driver, 0
         self._tail: State | None = None  # the state that the driver's block holds
-        self._refused: tuple[State, float] | None = None  # where the driver gave a step of this size back
         super().__init__(*data, impacts)
 
     @property
@@ -66,8 +64,7 @@ class CompiledMoreauStepper(MoreauStepper):
 
     def _march(self, h: float, steps: int, tape: Tape | None = None) -> int:
         """The same; the memory of elements is left as it was."""
-        refused = self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
-        if refused:
+        if self._is_refused(h):
             return 0
         self.driver.tables.recall()
         if self._tail is not self.state:
@@ -75,7 +72,9 @@ class CompiledMoreauStepper(MoreauStepper):
         made = self.driver.march(h, steps, self.newton, tape)
         if made:
             self._take_newest(made)
-        self._refused = (self.state, h) if made < steps else None
+        self._refused = None
+        if made < steps:
+            self._refuse(h)
         return made
 
     def tape(self, judged: Openness) -> Tape | None:
@@ -95,7 +94,7 @@ class CompiledMoreauStepper(MoreauStepper):
 
     def _take_newest(self, made: int) -> None:
         """The newest state, impulses, books and counts from the driver."""
-        driver, books, newton = self.driver, self.ledger, self.newton
+        driver, books = self.driver, self.ledger
         x, c, p = driver.arrays, driver.c, driver.parameters
         self.carried = x["held"].reshape(self.carried.shape).copy()
         self.carrying = x["carrying"].astype(bool)
@@ -107,9 +106,7 @@ class CompiledMoreauStepper(MoreauStepper):
 
         self.compiled += made
         self.solver.core.factorisations += made
-        newton.iterations += int(p[slots.ITERATIONS])
-        newton.note(float(p[slots.LEFT]), made)
-        newton.theta = float(p[slots.THETA])
+        self._count_increments(p, made)
         self.local_error = float(p[slots.LOCAL])
         self._count()
 

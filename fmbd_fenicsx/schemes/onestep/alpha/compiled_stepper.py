@@ -13,6 +13,7 @@ from ....system.compiled import march as slots
 from ....system.compiled.recording import on_the_way
 from ....system.system import State
 from ...dae import GGL
+from ...marching import CompiledSteps
 from .alpha_driver import AlphaDriver, settings
 from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
 from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
@@ -24,19 +25,17 @@ if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
 
 
-class CompiledAlphaStepper(AlphaStepper):
+class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
     """Steps by the driver, one or many in a call. Those that fail are NumPy's."""
 
     path = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"
     compiled_whole = True
-    keeps_memories = True
 
     def __init__(self, data: tuple[GeneralizedAlpha, Any, Any, Any, State], driver: AlphaDriver | None) -> None:
         self._driver: AlphaDriver | None = None
         self._tail: State | None = None  # the state of the newest block
         self._driven = False  # the driver made the last step, and has its factor
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
-        self._refused: tuple[State, float] | None = None  # where the driver gave a step of this size back
         self._foretold: tuple[float, StepStart] | None = None  # the first step of a size, s
         super().__init__(*data)
         self.counters["compiled_steps"] = 0.0
@@ -209,10 +208,6 @@ class CompiledAlphaStepper(AlphaStepper):
         """Whether the driver can make steps of size h (s)."""
         return True
 
-    def _is_refused(self, h: float) -> bool:
-        """Whether the driver gave a step of size h (s) from this state back."""
-        return self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
-
     def note(self) -> bool:
         """Elements with a memory keep that of the newest state, which is accepted; whether it is known."""
         known = self._ahead and self._tail is self.state
@@ -268,7 +263,7 @@ class CompiledAlphaStepper(AlphaStepper):
             self._take(made)
         # not again from the same state with the same step: NumPy has it
         if verdict in (slots.NEWTON, slots.SINGULAR):
-            self._refused = self.state, h
+            self._refuse(h)
         return made
 
     def tape(self, judged: Openness) -> Tape | None:
@@ -277,11 +272,10 @@ class CompiledAlphaStepper(AlphaStepper):
 
     def _take(self, made: int) -> None:
         """The newest state, and what the steps counted."""
-        p, newton = self.driver.parameters, self.newton
+        p = self.driver.parameters
         self.counters["compiled_steps"] += made
-        newton.iterations += int(p[slots.ITERATIONS])
-        newton.note(float(p[slots.LEFT]), made)
-        newton.theta, newton.renewals = float(p[slots.THETA]), int(self.driver.tables.c.renewals)
+        self._count_increments(p, made)
+        self.newton.renewals = int(self.driver.tables.c.renewals)
         self.solver.core.factorisations += made
         self.local_error = float(p[slots.LOCAL])
         self._ahead = self._driven = True
