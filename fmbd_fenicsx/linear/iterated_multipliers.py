@@ -29,7 +29,7 @@ from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.system import System
 from .residual import Judge
-from .rigid_modes import rigid_modes
+from .rigid_modes import rigid_mass, rigid_modes
 from .saddle.precondition import Fractional, lumped
 from .saddle.saddle import Elastic, TraceTie
 
@@ -154,8 +154,7 @@ class IteratedMultipliers:
             if p.frame < s.n_frames:
                 continue  # its frame carries the rigid motion
             R = rigid_modes(e.body)
-            MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
-            masses.append(e.cm * e.body.total(R.T @ MR))
+            masses.append(e.cm * rigid_mass(e.body, R))
 
             ports = np.stack([p.ports_of(r, self.G.t) for r in R.T], axis=1)
             columns.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))

@@ -34,6 +34,12 @@ def rigid_modes(body: Field) -> Array:
     return out.reshape(body.n * d, m.n_twist)
 
 
+def rigid_mass(body: Field, modes: Array) -> Array:
+    """R^T M R of the modes R; collective."""
+    MR = np.stack([body.mass(r.reshape(-1, body.dim)).ravel() for r in modes.T], axis=1)
+    return body.total(modes.T @ MR)
+
+
 def attach_modes(A: Any, modes: Array) -> None:
     """Columns (rows of this rank, k) as the near-nullspace of A; collective."""
     from petsc4py import PETSc

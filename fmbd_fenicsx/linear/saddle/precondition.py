@@ -34,7 +34,7 @@ import scipy.sparse as sp
 from ...fem.traces.stability import pencil
 from ...fem.traces.traces import Trace
 from ...rotations import Array
-from ..rigid_modes import rigid_modes
+from ..rigid_modes import rigid_mass, rigid_modes
 from .saddle import Elastic, SaddlePoint, TraceTie, share_of
 
 Group = tuple[str, list[int], sp.csr_matrix]
@@ -126,12 +126,8 @@ class Fractional:
 
 
 def rigid_term(e: Elastic, k: int, ties: Sequence[TraceTie]) -> tuple[Array, Array]:
-    """cm R^T M R and B R of body k, the latter with the rows of all ties; collective over the body's
-    ranks.
-    """
+    """cm R^T M R and B R of body k, the latter with the rows of all ties; collective over the body's ranks."""
     R = rigid_modes(e.body)
-    MR = np.stack([e.body.mass(r.reshape(-1, e.body.dim)).ravel() for r in R.T], axis=1)
-
     first = np.cumsum([0, *(t.rows for t in ties)])
     BR = np.zeros((first[-1], R.shape[1]))
     for i, t in enumerate(ties):
@@ -139,7 +135,7 @@ def rigid_term(e: Elastic, k: int, ties: Sequence[TraceTie]) -> tuple[Array, Arr
             if body == k:
                 BR[first[i] : first[i + 1]] += B @ R
 
-    return e.inertia * e.body.total(R.T @ MR), e.body.total(BR)
+    return e.inertia * rigid_mass(e.body, R), e.body.total(BR)
 
 
 def lumped(saddle: Any, i: int) -> sp.csr_matrix:
