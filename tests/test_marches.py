@@ -90,6 +90,16 @@ def redundant() -> fmbd.Scene:
     return scene
 
 
+@pytest.fixture
+def marches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many steps each march has made."""
+    made: list[int] = []
+    steps = March.steps
+    noted = lambda self, *x, **y: (found := steps(self, *x, **y), made.append(found[0]))[0]  # noqa: E731
+    monkeypatch.setattr(March, "steps", noted)
+    return made
+
+
 MAKERS = {
     "plane": lambda: joint_springs(2),
     "space": lambda: joint_springs(3),
@@ -105,13 +115,11 @@ MAKERS = {
 @compiled
 @pytest.mark.parametrize("name", MAKERS)
 @pytest.mark.parametrize("scheme", SCHEMES, ids=named)
-def test_marches_are_steps_made_in_turn(scheme: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_marches_are_steps_made_in_turn(
+    scheme: Any, name: str, marches: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """120 steps, between which explicit schemes look at stability twice."""
     monkeypatch.setattr(explicit_limit, "AT_MOST", 1.0)
-    marches: list[int] = []
-    steps = March.steps
-    noted = lambda self, *x, **y: (made := steps(self, *x, **y), marches.append(made[0]))[0]  # noqa: E731
-    monkeypatch.setattr(March, "steps", noted)
     output = fmbd.Output(every=120, progress=False)
     once, turn = both(
         monkeypatch, lambda: fmbd.solve(MAKERS[name](), t_end=0.12, dt=1e-3, scheme=scheme, output=output)
@@ -207,12 +215,10 @@ OWN_PAIRS = [
 
 @compiled
 @pytest.mark.parametrize(("scheme", "name"), OWN_PAIRS)
-def test_own_steps_that_march_are_those_of_python(scheme: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_own_steps_that_march_are_those_of_python(
+    scheme: Any, name: str, marches: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Sizes, errors, rejections, increments, tangents, factors; states to roundoff, at the end and where they are recorded."""
-    marches: list[int] = []
-    steps = March.steps
-    noted = lambda self, *x, **y: (made := steps(self, *x, **y), marches.append(made[0]))[0]  # noqa: E731
-    monkeypatch.setattr(March, "steps", noted)
 
     def run(times: Any) -> fmbd.Run:
         scene = OWN_MAKERS[name]()
@@ -268,15 +274,11 @@ LOADS = {
 @pytest.mark.parametrize("name", LOADS)
 @pytest.mark.parametrize("scheme", [fmbd.BDF(), fmbd.BDF(rtol=1e-3), fmbd.Radau()], ids=told)
 def test_steps_that_their_error_refuses_stay_in_compiled_code(
-    scheme: Any, name: str, monkeypatch: pytest.MonkeyPatch
+    scheme: Any, name: str, marches: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As often refused as by Python, with the sizes and orders that follow, and no step by Python but the first, and one whose
     iteration fails.
     """
-    marches: list[int] = []
-    steps = March.steps
-    noted = lambda self, *x, **y: (made := steps(self, *x, **y), marches.append(made[0]))[0]  # noqa: E731
-    monkeypatch.setattr(March, "steps", noted)
     run = lambda: fmbd.solve(hanging(LOADS[name]), t_end=0.25, scheme=scheme)  # noqa: E731
     once = run()
     monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
@@ -313,13 +315,11 @@ GIVEN = {
 
 @compiled
 @pytest.mark.parametrize("name", GIVEN)
-def test_rows_given_in_time_are_judged_at_the_time_of_the_state(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_given_in_time_are_judged_at_the_time_of_the_state(
+    name: str, marches: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """How far they are open in records on the way is what Python's records tell, and nobody warns."""
     scheme, dt = GIVEN[name]
-    marches: list[int] = []
-    steps = March.steps
-    noted = lambda self, *x, **y: (made := steps(self, *x, **y), marches.append(made[0]))[0]  # noqa: E731
-    monkeypatch.setattr(March, "steps", noted)
     run = lambda: fmbd.solve(given_in_time(), t_end=0.3, dt=dt, scheme=scheme)  # noqa: E731
     once = run()
     assert sum(marches) > 0.8 * once.counters["steps"]
