@@ -219,3 +219,48 @@ def test_a_lever_without_stiffness_at_the_start_is_no_free_body() -> None:
     scene.add(body, fmbd.revolute("hinge", fmbd.ground, body, center=(0.0, 0.0)), fmbd.torque("torque", body, 10.0))
     with pytest.raises(ConvergenceError, match="load may be above its limit"):
         fmbd.equilibrium(scene)
+
+
+def folding(second: float) -> fmbd.Scene:
+    """Four links of 1 m on torsional springs under a force that folds them, without weight; ``second``: unit of time, s."""
+    scene, before, k = fmbd.Scene("folding"), fmbd.ground, 1.0 / second**2
+    for i in range(4):
+        link = fmbd.RigidBody(f"link {i}", 1.0, 1.0 / 12, (i + 0.5, 0.0))
+        hinge = fmbd.revolute(f"hinge {i}", before, link, center=(i, 0.0))
+        spring = fmbd.joint_spring(f"spring {i}", fmbd.angle(hinge), stiffness=(1 + 10 * i) * k)
+        scene.add(link, hinge, spring)
+        before = link
+    scene.add(fmbd.force("push", before, (-0.3 * k, 0.4 * k), point=(4.0, 0.0)))
+    scene.sensor("tip", fmbd.position(before, point=(4.0, 0.0)))
+    scene.sensor("pin", fmbd.reaction_force("hinge 0"))
+    return scene
+
+
+@pytest.mark.parametrize("second", [1e-9, 1e-6, 1e6, 1e9])
+def test_equilibria_without_weight_in_any_unit_of_time(second: float) -> None:
+    """The preconditioner's step was 10 s: slow scenes stayed where they were in silence, and masses of fast ones were roundoff of
+    their springs.
+    """
+    usual, other = (fmbd.equilibrium(folding(t)) for t in (1.0, second))
+    np.testing.assert_allclose(other["tip"], usual["tip"], rtol=1e-9)
+    np.testing.assert_allclose(other["pin"] * second**2, (-0.3, 0.4), rtol=1e-9)
+    assert other.counters["tangent_iterations"] < 1.5 * usual.counters["tangent_iterations"]
+
+    rates = [fmbd.modes(folding(t), 4, at=at).frequencies * t for t, at in ((1.0, usual), (second, other))]
+    np.testing.assert_allclose(rates[1], rates[0], rtol=1e-6)
+
+
+def test_a_stiff_mount_does_not_hide_a_soft_balance() -> None:
+    """A lever on a stiff mount turns until a small force along x holds it; the step of the mount's period would take it for
+    balanced where it stands.
+    """
+    mount = fmbd.RigidBody("mount", 1.0, 1.0)
+    lever = fmbd.RigidBody("lever", 1.0, 0.1, (0.3, 0.4))
+    scene = fmbd.Scene("lever")
+    slide = fmbd.prismatic("slide", fmbd.ground, mount, center=(0.0, 0.0), axis=(1.0, 0.0))
+    scene.add(mount, lever, slide, fmbd.revolute("pin", mount, lever, center=(0.0, 0.0)))
+    scene.add(
+        fmbd.joint_spring("stiff", fmbd.displacement(slide), stiffness=1e9), fmbd.force("pull", lever, (1e-3, 0.0))
+    )
+    scene.sensor("lever", fmbd.position(lever))
+    np.testing.assert_allclose(fmbd.equilibrium(scene)["lever"], (0.5, 0.0), atol=1e-8)

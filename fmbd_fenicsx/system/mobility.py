@@ -314,8 +314,8 @@ def check(scene: Any, deep: bool = False) -> Mobility:
         notes.append(f"the constraints are open by {found.open:.2g} m; the start will close them")
 
     # springs on bodies of the mean mass: a time step far longer sees nothing of them
-    rates = [_fastest(loads, system.length) for loads in system.forces if isinstance(loads, ScalarLoads)]
-    fastest = max(rates, default=0.0) / np.sqrt(system.mass / max(len(system.frame_names), 1)) if rates else 0.0
+    stiffest = float(stiffnesses(system).max(initial=0.0))
+    fastest = np.sqrt(stiffest / (system.mass / max(len(system.frame_names), 1)))
     if fastest > 0:
         notes.append(
             f"springs: shortest period about {2 * np.pi / fastest:.2g} s (mean mass of a body, at the model's length from angles)"
@@ -353,10 +353,15 @@ def _pressures(scene: Any) -> list[str]:
     ]
 
 
-def _fastest(loads: ScalarLoads, length: float) -> float:
-    """Square root of the largest stiffness, N/m; that of an angle acts at the end of a lever of this ``length`` (m)."""
-    turning = np.array([f.coordinate is not None and f.coordinate.unit == "rad" for f in loads.forces], dtype=bool)
-    return float(np.sqrt((np.abs(loads.k) / np.where(turning, length**2, 1.0)).max(initial=0.0)))
+def stiffnesses(system: System) -> Array:
+    """Those of linear springs, N/m, without zeros; that of an angle acts at the end of a lever of the model's length."""
+    every = [np.zeros(0)]
+    for loads in system.forces:
+        if isinstance(loads, ScalarLoads):
+            turning = [f.coordinate is not None and f.coordinate.unit == "rad" for f in loads.forces]
+            every.append(np.abs(loads.k) / np.where(turning, system.length**2, 1.0))
+    found = np.concatenate(every)
+    return found[found > 0.0]
 
 
 def _units(system: System) -> list[str]:

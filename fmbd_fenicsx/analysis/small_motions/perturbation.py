@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from .closed_contacts import ClosedContacts
 
 SHIFT = 1e-4  # of a difference, over the model's length
-SEEN, FASTER = 1e-4, 2.0**30  # inertia forces, over all others, that are as exact as these; factor of smaller ones
+FAST = 2.0**100  # m/s^2: inertia forces of it are far above all others, in any units; a power of two rounds nothing
 SIDES = ((1.0, 8.0), (-1.0, -8.0), (2.0, -1.0), (-2.0, 1.0))  # weights over 12 h
 
 
@@ -80,18 +80,9 @@ class Perturbation:
         return self._difference(rate, (None, rate, self.acceleration(zero, rate, zero)))
 
     def mass(self, accel: Array) -> Array:
-        """M y'', like v; of accelerations so large that other forces leave no roundoff in it."""
-        s, factor = self.state, 1.0
-        while True:
-            found: Array = self.here.balance(s.a + factor * accel, s.lam) - self._balance
-            if factor > FASTER**4 or self._force(found) >= SEEN * self._force(self._balance):
-                return found / factor
-            factor *= FASTER
-
-    def _force(self, balance: Array) -> float:
-        """The largest force in an array like v, torques over lengths; collective."""
-        system = self.system
-        return system.max_abs(balance / system.units**2)
+        """M y'', like v; of accelerations so large that other forces, which may cancel each other, leave no roundoff in it."""
+        found: Array = self.here.balance(self.state.a + FAST * accel, self.state.lam) - self._balance
+        return found / FAST
 
     def rows(self, y: Array) -> Array:
         """G y, (row_count,)."""

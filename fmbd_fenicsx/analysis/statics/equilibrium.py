@@ -16,13 +16,10 @@ import numpy as np
 
 from ...checks import typed
 from ...errors import ConvergenceError, InputError, LinearSolveError, near, require
-from ...fem.fields import Field
 from ...linear.condensation import StepSolver
 from ...log import log
-from ...mechanics.elastic.modes import first_eigenvalue_bound
 from ...mechanics.forces.effort_laws import Friction
 from ...mechanics.forces.forces import CoordinateForce
-from ...mechanics.reduction.reduced import ReducedPart
 from ...ranks import OneAnswer
 from ...rotations import Array
 from ...schemes.consistent import worst_block
@@ -38,11 +35,11 @@ from .descent import descend, descends
 from .load_steps import LoadSteps
 from .rotors import check_steady
 from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps, relax
+from .time_scales import long_step
 
 FEW = 120  # coordinates up to which stability is looked at
 ASIDE = 0.1  # displacement along a motion that may be free, over the model's length
 SAME = 1e-3  # relative change of the force along a free motion there
-PERIODS = 300.0  # of the preconditioner's step, over a bound of elastic periods
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,7 +117,7 @@ def equilibrium(
         try:
             # a spin of some bodies turns them in their own frames
             turning = spin if spin is None or not spin.bodies else body_spin(system, given.q, spin)
-            newton = static_newton(system, solver, t, turning)
+            newton = static_newton(system, solver, replace(given, t=t), turning)
             _check_drives(newton.residual, given.q, t)
             point = _with_controllers(newton, StaticPoint(given.q, np.zeros(system.n_lam)), t, path)
             made = None if path is None else path.trace(newton, point, t)
@@ -224,23 +221,17 @@ def _read_along(found: Equilibrium, path: Path) -> None:
 
 def settled(system: System, given: State, solver: StepSolver) -> State:
     """The state at rest in equilibrium near a given one: the start of ``Scene(settle=True)``; collective."""
-    newton = static_newton(system, solver, given.t, None)
+    newton = static_newton(system, solver, given, None)
     return state_of(system, find(newton, StaticPoint(given.q, np.zeros(system.n_lam)), given.t), given.t, None)
 
 
-def static_newton(system: System, solver: StepSolver, t: float, spin: Spin | BodySpin | None) -> StaticNewton:
-    """Newton's method for a system, its preconditioner a step that is long against a pendulum and against elastic periods."""
-    pull = float(np.abs(system.gravity(t)).max(initial=0.0))
-    # long against a pendulum's period, and against the first vibrations of elastic bodies
-    taus = [10.0 * float(np.sqrt(system.length / pull))] if pull else []
-    taus += [
-        PERIODS / float(np.sqrt(first_eigenvalue_bound(p.field)))
-        for _, p in system.fields
-        if isinstance(p.field, Field)
-    ]
-    # without either, what reduced bodies tell of the scene's unit of time
-    reduced = [PERIODS / p.first_frequency for _, p in system.core_parts if isinstance(p, ReducedPart) and p.n]
-    tau = min(taus or reduced, default=10.0)
+def static_newton(
+    system: System, solver: StepSolver, start: State, spin: Spin | BodySpin | None, *, balanced: bool = False
+) -> StaticNewton:
+    """Newton's method near a state, its preconditioner a step that is long against all periods; ``balanced``: whether the state
+    is thought to be an equilibrium. Collective.
+    """
+    tau = long_step(system, start, spin, balanced=balanced)
     if system.contacts is None:
         return StaticNewton(Residual(system, spin), solver, tau)
 

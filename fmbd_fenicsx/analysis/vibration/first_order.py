@@ -99,7 +99,9 @@ def _decays_last(system: FirstOrder, order: np.ndarray, values: Array, vectors: 
     z = vectors[: system.n]
     w = vectors[system.n + system.N.shape[1] :]
     moves = np.abs(w).max(axis=0, initial=0.0) > UNCHANGED * np.abs(z).max(axis=0, initial=0.0)
-    decays = (values.imag == 0.0) & (values.real < 0.0) & moves
+    # equal dashpots may come out as a pair with an imaginary part of roundoff
+    still = np.abs(values.imag) <= ALMOST * np.abs(values)
+    decays = still & (values.real < 0.0) & moves
     return np.concatenate((order[~decays], order[decays]))
 
 
