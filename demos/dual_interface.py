@@ -23,8 +23,8 @@ from fmbd_fenicsx.fem.traces.mortar import Mortar, mortar
 from fmbd_fenicsx.fem.traces.multipliers import Multipliers, MultiplierSpace
 from fmbd_fenicsx.fem.traces.traces import Trace
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor
+from fmbd_fenicsx.linear.presets.multiplier_schur import conjugate_gradients
 from fmbd_fenicsx.linear.residual import Judge
-from fmbd_fenicsx.linear.saddle.conjugate_gradients import conjugate_gradients
 from fmbd_fenicsx.linear.saddle.precondition import Fractional, rigid_term
 from fmbd_fenicsx.linear.saddle.saddle import Elastic, TraceTie
 from fmbd_fenicsx.rotations import Array

@@ -19,13 +19,12 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from ...checks import check_fields, instance
-from ...errors import InputError, LinearSolveError, require
+from ...errors import ConvergenceError, InputError, LinearSolveError, require
 from ...fem.fields import Field
 from ...rotations import Array
 from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver
 from ..options import check_options
 from ..residual import Judge
-from ..saddle.conjugate_gradients import conjugate_gradients
 from ..saddle.diagnosis import diagnose
 from ..saddle.precondition import Fractional, MultiplierPreconditioner
 from ..saddle.saddle import Preset, SaddlePoint, Solution
@@ -177,3 +176,38 @@ def factored(groups: Sequence[tuple[str, list[int], sp.csr_matrix]], saddle: Sad
         return out
 
     return inverse
+
+
+def conjugate_gradients(
+    operator: Callable[[Array], Array],
+    precondition: Callable[[Array], Array],
+    d: Array,
+    *,
+    rtol: float,
+    limit: int = 500,
+) -> tuple[Array, int]:
+    """Preconditioned conjugate gradients on replicated vectors: the same numbers on all ranks; solution and iterations."""
+    lam = np.zeros_like(d)
+    r = d.copy()
+    y = precondition(r)
+    p = y.copy()
+    size = float(r @ y)
+    start = size
+
+    for k in range(limit):
+        if size <= rtol**2 * start or start == 0:
+            return lam, k
+
+        q = operator(p)
+        alpha = size / float(p @ q)
+        lam = lam + alpha * p
+        r = r - alpha * q
+        y = precondition(r)
+
+        size, old = float(r @ y), size
+        p = y + (size / old) * p
+
+    raise ConvergenceError(
+        f"Conjugate gradients on the multipliers did not converge in {limit} iterations (rtol {rtol:g}). "
+        "Try a better preconditioner."
+    )
