@@ -7,8 +7,8 @@ import numpy as np
 from ..log import log
 from ..rotations import Array
 from ..system.evaluation import Evaluation
+from ..system.lengths import Measured
 from ..system.mobility import NEAR_SINGULAR, independent, mobility, nearly_dependent
-from ..system.system import System
 
 CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
 LOOK_LIMIT = 600  # constraint rows up to which dependent ones are looked for
@@ -43,7 +43,7 @@ def _same_everywhere(ev: Evaluation, t: float, q: Array) -> bool:
     return not (fields[0][1].field.total(np.array(float(other))) if fields else other)
 
 
-def warn_of_ties(system: System, shares: dict[str, float]) -> None:
+def warn_of_ties(system: Measured, shares: dict[str, float]) -> None:
     """Say which surface ties depend on each other; their multipliers are then of minimum norm."""
     names = [b.name for b in system.blocks if b.kind == "surface tie" and b.name in shares]
     if names:
@@ -53,7 +53,7 @@ def warn_of_ties(system: System, shares: dict[str, float]) -> None:
         )  # fmt: skip
 
 
-def mover(system: System, motion: Array) -> str:
+def mover(system: Measured, motion: Array) -> str:
     """The body with the largest part in a motion of the core."""
     s = system
     k = int(np.argmax(np.abs(motion)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..rotations import Array
 from ..system.evaluation import Evaluation
-from ..system.system import System
+from ..system.layout import Layout
 from .blocks.field_blocks import FactoredField, Weights
 from .border import Border
 from .core import dense
@@ -21,7 +21,7 @@ class FieldCouplings:
     ``couplings`` (inertia columns + used ports, n_core + n_lam); ``jacobian`` is G, ``border`` that of force elements on them.
     """
 
-    system: System
+    system: Layout
     jacobian: Any
     weights: Weights
     blocks: list[FactoredField]

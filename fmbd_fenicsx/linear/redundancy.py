@@ -7,7 +7,7 @@ stress between the joints that no rigid body feels. Of all multipliers with the 
 
 in every step, for the multiplier itself: increments of minimum norm do not keep it small, since the null space turns with the
 bodies and predictors extrapolate what lies in it. u makes moments comparable with forces
-(:attr:`~fmbd_fenicsx.system.system.System.multiplier_units`): each counts as a pair of forces at the model's length, so the
+(:attr:`~fmbd_fenicsx.system.lengths.Measured.multiplier_units`): each counts as a pair of forces at the model's length, so the
 result does not depend on the system of units.
 """
 

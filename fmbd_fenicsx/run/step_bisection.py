@@ -21,9 +21,9 @@ from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveEr
 from ..log import log
 from ..schemes.stepping import Around, TimeStepper
 from ..system.compiled.recording import Tape
-from ..system.compiled.states.glance import Glance
 from ..system.element_memory import accept, next_sample, whole_steps
 from ..system.evaluation import Evaluation
+from ..system.evaluator import Glance
 from ..system.serialisation import plain, worker
 from ..system.system import State, System
 from .judges.acceptance import Closed, diverged, finite_step

@@ -18,7 +18,8 @@ from ..linear.condensation import StepSolver, Weights
 from ..linear.redundancy import least
 from ..rotations import Array, cross3
 from ..system.evaluation import Evaluation
-from ..system.system import State, System
+from ..system.layout import Layout, State
+from ..system.system import System
 
 MASS = Weights(1.0, 0.0, 0.0)
 CLOSED = 1e-9  # of the model's length: what is open by less is open by roundoff
@@ -183,7 +184,7 @@ def _refined(
     ev: Evaluation, found: tuple[Array, Array], gamma: Array, solver: StepSolver, *, forces: float
 ) -> tuple[Array, Array]:
     """Accelerations and multipliers by iterations with the solver's matrix, down to roundoff; ``forces``: their size."""
-    system, v, (a, lam) = ev.system, ev.v, found
+    system, v, (a, lam) = solver.system, ev.v, found
     assert v is not None
     typical = max(system.max_abs(a), system.max_abs(v) ** 2 / system.length)  # of zero in equilibrium
     last, noise = np.inf, -1.0
@@ -305,7 +306,7 @@ def _refuse_open(system: System, t: float, g: np.ndarray, solver: StepSolver) ->
         )
 
 
-def worst_block(system: System, g: np.ndarray) -> str:
+def worst_block(system: Layout, g: np.ndarray) -> str:
     """The joint or frame with the largest entry of a constraint vector."""
     row = int(np.argmax(np.abs(g)))
     for block in system.blocks:
@@ -346,7 +347,8 @@ def jerk(
         return a, lam, third
 
     turning = any(loads.stiff for loads in system.forces)
-    begin, middle, end, *early = _defects(ev, state, kept, np.array((d, 2 * d, 0.5 * d) if turning else (d, 2 * d)))
+    ahead = np.array((d, 2 * d, 0.5 * d) if turning else (d, 2 * d))
+    begin, middle, end, *early = _defects(solver.system, ev, state, kept, ahead)
     solver.prepare(ev, weights)
     found = rates([begin, middle, end], d)
     if not turning:
@@ -363,11 +365,11 @@ def jerk(
 Defects = tuple[Array, Array, list[Array]]  # of the balance, of the constraints on accelerations, of volumes
 
 
-def _defects(ev: Evaluation, state: State, kept: list[int], ahead: Array) -> list[Defects]:
+def _defects(system: System, ev: Evaluation, state: State, kept: list[int], ahead: Array) -> list[Defects]:
     """What is left of the balance, G a + gamma, and the third rates of the volumes of the parts ``kept``: of a state, evaluated
     as ``ev``, and at times ``ahead`` (k,) of it, s, along its parabola with its accelerations and multipliers; collective.
     """
-    system, s, (a, lam) = ev.system, ahead[:, None], (state.a, state.lam)
+    s, (a, lam) = ahead[:, None], (state.a, state.lam)
     q, v = system.compose(state.q, s * state.v + 0.5 * s * s * a), state.v + s * a
 
     def alone(at: Evaluation, v: Array) -> Defects:

@@ -8,17 +8,13 @@ arrays are many configurations.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..rotations import Array
-
-if TYPE_CHECKING:
-    from .system import System
+from .layout import Layout
 
 
-def _flat(system: System) -> bool:
+def flat(system: Layout) -> bool:
     """Whether configurations are added like vectors: in the plane, without counted angles."""
     return system.counted_angles.stop == system.n_frames * system.motions.n_twist
 
@@ -30,30 +26,22 @@ def _together(*arrays: Array) -> tuple[Array, ...]:
     return tuple(np.broadcast_to(x, (*lead, x.shape[-1])) for x in arrays)
 
 
-def _poses(system: System, q: Array) -> Array:
+def _poses(system: Layout, q: Array) -> Array:
     """Poses of all frames, the ground left out, (..., n_frames, n_pose)."""
     return q[..., : system.counted_angles.start].reshape(*q.shape[:-1], system.n_frames, system.motions.n_pose)
 
 
-def _twists(system: System, v: Array) -> Array:
+def _twists(system: Layout, v: Array) -> Array:
     """Twists of all frames, the ground left out, (..., n_frames, n_twist)."""
     k = system.n_frames * system.motions.n_twist
     return v[..., :k].reshape(*v.shape[:-1], system.n_frames, system.motions.n_twist)
 
 
-def compose(system: System, q: Array, xi: Array) -> Array:
-    """q o exp(xi), by who evaluates the system.
+def composed(system: Layout, q: Array, xi: Array) -> Array:
+    """q o exp(xi).
 
     Collective where surfaces without a frame count their angles; a configuration of the core alone leaves these to :func:`count`.
     """
-    if _flat(system):
-        return q + xi
-
-    return system.evaluator.compose(q, xi)
-
-
-def composed(system: System, q: Array, xi: Array) -> Array:
-    """The same in NumPy."""
     q, xi = _together(q, xi)
     at = system.counted_angles
     lead = q.shape[:-1]
@@ -66,18 +54,8 @@ def composed(system: System, q: Array, xi: Array) -> Array:
     return out
 
 
-def difference(system: System, q0: Array, q1: Array, near: Array | None = None) -> Array:
-    """The increment xi with q0 o exp(xi) = q1, by who evaluates the system: of all rotations the smallest, or the one nearest to
-    that of ``near``.
-    """
-    if _flat(system):
-        return q1 - q0
-
-    return system.evaluator.difference(q0, q1, near)
-
-
-def increment_between(system: System, q0: Array, q1: Array, near: Array | None = None) -> Array:
-    """The same in NumPy."""
+def increment_between(system: Layout, q0: Array, q1: Array, near: Array | None = None) -> Array:
+    """The increment xi with q0 o exp(xi) = q1: of all rotations the smallest, or the one nearest to that of ``near``."""
     q0, q1 = _together(q0, q1)
     at = system.counted_angles
     k = system.n_frames * system.motions.n_twist
@@ -87,15 +65,8 @@ def increment_between(system: System, q0: Array, q1: Array, near: Array | None =
     return np.concatenate((frames.reshape(*q0.shape[:-1], k), q1[..., at.stop :] - q0[..., at.stop :]), axis=-1)
 
 
-def rate(system: System, xi: Array, v: Array) -> Array:
-    """d(xi)/dt of the local coordinates q o exp(xi) for the velocity v, by who evaluates the system."""
-    if system.motions.dim == 2 or not system.n_frames:
-        return v
-    return system.evaluator.rate(xi, v)
-
-
-def rate_of_increment(system: System, xi: Array, v: Array) -> Array:
-    """The same in NumPy."""
+def rate_of_increment(system: Layout, xi: Array, v: Array) -> Array:
+    """d(xi)/dt of the local coordinates q o exp(xi) for the velocity v."""
     xi, v = _together(xi, v)
     m = system.motions
     k = system.n_frames * m.n_twist
@@ -104,11 +75,11 @@ def rate_of_increment(system: System, xi: Array, v: Array) -> Array:
 
 
 # -- counted angles ---------------------------------------------------------------------------------------------------
-def count(system: System, q: Array, xi: Array | None = None) -> None:
+def count(system: Layout, q: Array, xi: Array | None = None) -> None:
     """Put the counted angles in q where the increment xi leads them, then to the nearest values that the attitude allows.
 
     ``q``: the new configuration with the old angles, changed in place. Without an increment only the second is done. Collective
-    as :func:`compose` is.
+    as :func:`composed` is.
     """
     if system.counted is None or not system.counted.count:
         return
@@ -131,7 +102,7 @@ def count(system: System, q: Array, xi: Array | None = None) -> None:
     q[..., at] = system.counted.followed(q[..., at], rotation, surfaces)
 
 
-def _marker_rotations(system: System, q: Array) -> Array:
+def _marker_rotations(system: Layout, q: Array) -> Array:
     """Rotations of all markers, (n, d, d); collective."""
     pose = system.poses(q)
     port = system.ports(q, 0.0)  # markers sit on surfaces, whose ports do not move with time

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,17 +18,15 @@ from ..mechanics.forces.force_elements import Loads
 from ..mechanics.frames import Kinematics
 from ..mechanics.placements import FrameMotion
 from ..rotations import Array
+from .lengths import Measured
 from .tangents.foreshortened_ports import bend, port_bias, port_forces, pulls
 from .tangents.jacobian import Jacobian
-
-if TYPE_CHECKING:
-    from .system import System
 
 
 class Evaluation:
     """Everything that (1) and (2) need at (t, q, v), each computed at most once. Methods are collective."""
 
-    def __init__(self, system: System, t: float, q: Array, v: Array | None) -> None:
+    def __init__(self, system: Measured, t: float, q: Array, v: Array | None) -> None:
         self.system, self.t, self.q, self.v = system, t, q, v
         self.forces: tuple[Array, Array] = np.zeros(system.n_v), np.zeros(system.n_lam)  # a and lambda, for tangents
         self.foretold: dict[Any, Array] = {}  # efforts of springs for the tangent, see foretold_efforts

@@ -16,9 +16,9 @@ import numpy as np
 from ..mechanics.bodies.coordinates import CoordinatePart
 from ..rotations import Array
 from .evaluation import Evaluation
+from .lengths import Measured
 
 if TYPE_CHECKING:
-    from .system import System
     from .tangents.jacobian import Jacobian
 
 
@@ -55,12 +55,12 @@ class FieldJacobians(Jacobians):
 class EvaluationBatch:
     """Configurations evaluated one by one."""
 
-    def __init__(self, system: System, t: Array, q: Array, v: Array) -> None:
+    def __init__(self, system: Measured, t: Array, q: Array, v: Array) -> None:
         self.system, self.t, self.q, self.v = system, t, q, v
 
     @cached_property
     def _each(self) -> list[Evaluation]:
-        return [self.system.at(float(t), self.q[i], self.v[i]) for i, t in enumerate(self.t)]
+        return [Evaluation(self.system, float(t), self.q[i], self.v[i]) for i, t in enumerate(self.t)]
 
     def constraint(self) -> Array:
         """g, (k, n_lam)."""
@@ -133,7 +133,7 @@ class CoordinateBatch(EvaluationBatch):
         return out if lam is None or not lam.size else out + self.jacobian.transposed(lam)
 
 
-def in_coordinates(system: System) -> bool:
+def in_coordinates(system: Measured) -> bool:
     """Whether all is said in coordinates of the user's own: no frames, no forces between markers."""
     plain = not system.n_frames and not system.batches and not system.forces and not system.traces
     return plain and all(isinstance(p, CoordinatePart) for p in system.parts)

@@ -7,16 +7,40 @@ A system has one evaluator; :meth:`.System.at`, :meth:`.System.batch` and the ge
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import NamedTuple, Protocol
 
 from ..rotations import Array
 from .configurations import composed, increment_between, rate_of_increment
 from .evaluation import Evaluation
 from .evaluation_batch import CoordinateBatch, EvaluationBatch, in_coordinates
+from .layout import State
+from .lengths import Measured
 
-if TYPE_CHECKING:
-    from .compiled.states.glance import Glance
-    from .system import System
+
+class Seen(NamedTuple):
+    """Of a state: the largest open constraint, the largest rate at which one opens, the largest of what of these depends on time
+    only, as lengths; how far places are from the origin; the largest velocity, acceleration and multiplier.
+    """
+
+    gap: float
+    slip: float
+    rate: float
+    far: float
+    speed: float
+    acceleration: float
+    multiplier: float
+
+
+class Glance(Protocol):
+    """Looks at states of one system. Of the one looked at last, ``energies`` are kinetic, elastic, of the weight and of springs
+    (J), ``sums`` those of the balance, like v; each None where nobody asks for it, or it does not know all.
+    """
+
+    energies: list[float] | None
+    sums: Array | None
+
+    def of(self, state: State) -> Seen | None:
+        """What a state shows; None where evaluations have to tell."""
 
 
 class Evaluator(Protocol):
@@ -47,7 +71,7 @@ class Evaluator(Protocol):
 class NumPyEvaluator:
     """The reference for all others, which takes every system."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: Measured) -> None:
         self.system = system
 
     def at(self, t: float, q: Array, v: Array | None) -> Evaluation:

@@ -6,10 +6,10 @@ import numpy as np
 
 from ..rotations import Array
 from .evaluation import Evaluation
-from .system import System
+from .layout import Layout
 
 
-def speed_rows(system: System) -> np.ndarray:
+def speed_rows(system: Layout) -> np.ndarray:
     """Numbers of these rows."""
     if "speed rows" not in system.cache:
         found = [rows for batch, rows in system.batches if batch.on_speeds]

@@ -27,8 +27,8 @@ from ...schemes.declared import Declared
 from ...schemes.newton import SHUT
 from ...system.compiled.march import JointLimits
 from ...system.compiled.recording import Openness
-from ...system.compiled.states.glance import Seen
 from ...system.evaluation import Evaluation
+from ...system.evaluator import Seen
 from ...system.lengths import farthest
 from ...system.serialisation import Remembering, plain
 from ...system.system import State, System

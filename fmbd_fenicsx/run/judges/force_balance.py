@@ -41,11 +41,11 @@ from ...linear.core import dense
 from ...linear.core_matrix import core_matrix
 from ...rotations import Array
 from ...schemes.declared import Declared
-from ...system.compiled.states.glance import Seen
 from ...system.evaluation import Evaluation
-from ...system.lengths import farthest
+from ...system.evaluator import Seen
+from ...system.lengths import Measured, farthest
 from ...system.serialisation import Remembering, plain
-from ...system.system import State, System
+from ...system.system import State
 from ...system.tangents.force_tangent import force_tangent
 
 SHARE = 1e-2  # of accelerations
@@ -215,7 +215,7 @@ def _on_fields(ev: Evaluation) -> NDArray[np.bool_]:
     return found
 
 
-def _largest(system: System, forces: Array) -> Array:
+def _largest(system: Measured, forces: Array) -> Array:
     """Forces on the coordinates of each part by the largest of them: modes are no axes of one thing, (n_core,)."""
     out = forces.copy()
     for span in system.slices[1]:
@@ -224,7 +224,7 @@ def _largest(system: System, forces: Array) -> Array:
     return out
 
 
-def _lengths(system: System, left: Array, weight: Array) -> Array:
+def _lengths(system: Measured, left: Array, weight: Array) -> Array:
     """d of (1) as lengths over time, (n_core,)."""
     # no force would change the velocity of a coordinate without inertia and stiffness
     change = np.divide(np.abs(left), weight, out=np.zeros(len(weight)), where=weight > 0)
@@ -236,7 +236,7 @@ def _diagonal(A: Any) -> Array:
     return np.abs(np.asarray(A.diagonal(), dtype=float))
 
 
-def _named(system: System, row: int) -> str:
+def _named(system: Measured, row: int) -> str:
     """Whose balance a row of the core is."""
     n = system.n_frames * system.motions.n_twist
     if row < n:

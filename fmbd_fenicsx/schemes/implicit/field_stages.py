@@ -48,6 +48,7 @@ COLUMNS = 64  # multipliers for which N is kept as a matrix
 class FieldTangent:
     """The motion at which derivatives are taken, and the balance and rows there, (n_v + levels n_lam,)."""
 
+    system: System
     form: Form
     state: State
     ev: Evaluation
@@ -57,7 +58,7 @@ class FieldTangent:
         """Derivative of balance and rows along (dq, dv, da), one direction or many in one evaluation, complex ones by their two
         parts; collective.
         """
-        system, s = self.ev.system, self.state
+        system, s = self.system, self.state
         direction = np.array((dq, dv, da))
         count, wide = direction[0].size // system.n_v, direction.dtype.kind == "c"
         parts = direction.reshape(3, count, -1)
@@ -73,7 +74,7 @@ class FieldTangent:
 
     def _shift(self, place: float, speed: float, push: float) -> float:
         """The length of a difference along a direction with parts of these sizes; collective."""
-        system, s = self.ev.system, self.state
+        system, s = self.system, self.state
         if place == speed == 0.0:  # linear: as large as the accelerations that they are added to
             return (system.max_abs(s.a) or 1.0) / (push or 1.0)
         # lengths: positions, and what velocities move within the time in which they change
@@ -82,7 +83,7 @@ class FieldTangent:
     @cached_property
     def turnings(self) -> Array:
         """Derivatives of rate(xi, v) by xi at xi = 0, frame by frame: (frames, n_twist, n_twist)."""
-        system, count = self.ev.system, self.ev.system.motions.n_twist
+        system, count = self.system, self.system.motions.n_twist
         frames, k = system.n_frames, system.n_frames * count
         if system.motions.dim == 2:
             return np.zeros((frames, count, count))
@@ -94,7 +95,7 @@ class FieldTangent:
 
     def turning(self, d: Array) -> Array | float:
         """Derivative of rate(xi, v) along d (.., n_v) at xi = 0; not collective."""
-        system, k = self.ev.system, self.ev.system.n_frames * self.ev.system.motions.n_twist
+        system, k = self.system, self.system.n_frames * self.system.motions.n_twist
         if system.motions.dim == 2 or not k:
             return 0.0
         found = np.zeros_like(d)
@@ -355,7 +356,7 @@ class FieldEquations(Equations):
         ev = self._basis = self.system.at(state.t, state.q, state.v)
         state = replace(state, lam=mult[: self.system.n_lam])
         low = self.form.lower(ev.balance(state.a, state.lam), ev, state.a)
-        return FieldTangent(self.form, state, ev, low)
+        return FieldTangent(self.system, self.form, state, ev, low)
 
     def inertia(self, tangent: FieldTangent, a: Array) -> Array:
         """M a at the tangent's motion."""

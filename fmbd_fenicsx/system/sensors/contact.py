@@ -13,7 +13,7 @@ from ...mechanics.joints.limits import JointLimit
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..system import State, System
+from ..layout import Layout, State
 from .named import or_name
 from .sensor import Sensor, named_part
 
@@ -98,7 +98,7 @@ class ContactSensor(Sensor):
         """The quantity of the last step."""
         return self._told(forces_of(state))
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """Nothing beside what is told of contacts."""
         return Look()
 
@@ -181,7 +181,7 @@ class LimitEffort(Sensor):
         """Forces on the stops times their levers."""
         return self._told(forces_of(state), ev.system)
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """Nothing beside what is told of contacts."""
         return Look()
 
@@ -189,7 +189,7 @@ class LimitEffort(Sensor):
         """The same in all records."""
         return self._told(seen.contact, seen.system)
 
-    def _told(self, found: ContactForces, system: System) -> Array:
+    def _told(self, found: ContactForces, system: Layout) -> Array:
         """The effort of a step, (1,), or of many, (k, 1)."""
         pair = system.contacts.pairs[found.names.index(self.limit)]
         efforts = pair.lever(system) * pair.signs * found.normal_force[..., found.of(self.limit)]

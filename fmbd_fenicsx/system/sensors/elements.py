@@ -17,13 +17,13 @@ from ...mechanics.forces.forces import Force
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
+from ..layout import Layout, State
 from ..powers import power_of
-from ..system import State, System
 from .named import or_name
 from .sensor import Sensor
 
 
-def find(system: System, name: str) -> tuple[Loads, list[int]]:
+def find(system: Layout, name: str) -> tuple[Loads, list[int]]:
     """The batch of the named element, and where it stands in it.
 
     Raises:
@@ -57,7 +57,7 @@ class ElementScalar(_ElementSensor):
         assert found is not None  # refused when the sensor was made
         return np.asarray(self.sign * found[self.which][at])
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The element."""
         return Look(element=self.element)
 
@@ -91,7 +91,7 @@ class ElementWrench(_ElementSensor):
         d = ev.system.motions.dim
         return np.asarray(wrench[d:] if self.torque else wrench[:d])
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """What the element exerts on the body."""
         return Look(element=self.element, side=int(self.on_b))
 
@@ -113,7 +113,7 @@ class ElementPower(_ElementSensor):
         loads, at = find(ev.system, self.element)
         return np.array([power_of(loads, ev)[at].sum()])
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The element."""
         return Look(element=self.element)
 

@@ -14,7 +14,7 @@ from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..system import State, System
+from ..layout import Layout, State
 from .sensor import BodySensor, Sensor
 
 
@@ -29,7 +29,7 @@ class Largest(BodySensor):
         """The largest value over the body, (1,); collective."""
         return self._told(ev.system, state.q[None])[0]
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The states."""
         return Look(states=True)
 
@@ -37,7 +37,7 @@ class Largest(BodySensor):
         """The largest value in all records, (k, 1)."""
         return self._told(*seen.motion[:2])
 
-    def _told(self, system: System, q: Array) -> Array:
+    def _told(self, system: Layout, q: Array) -> Array:
         """The largest value over the body in states q (k, n_q): (k, 1); collective."""
         key = f"largest {id(self)}"
         if key not in system.cache:
@@ -55,7 +55,7 @@ class Largest(BodySensor):
                 found[i] = expression.eval(mesh, cells).max()
         return np.asarray(np.max(mesh.comm.allgather(found), axis=0))
 
-    def _prepare(self, system: System) -> tuple[Any, ...]:
+    def _prepare(self, system: Layout) -> tuple[Any, ...]:
         import basix
         from dolfinx import fem
 

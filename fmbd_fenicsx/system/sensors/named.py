@@ -10,7 +10,7 @@ from typing import Any
 from ...errors import InputError, near
 from ...rotations import Array
 from ..evaluation import Evaluation
-from ..system import State
+from ..layout import State
 from .sensor import Sensor
 
 

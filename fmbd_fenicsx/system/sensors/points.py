@@ -24,7 +24,7 @@ from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..system import State, System
+from ..layout import Layout, State
 from .sensor import BodySensor, Sensor
 
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # of symmetric tensors
@@ -57,7 +57,7 @@ class PointOfBody:
         return np.asarray(self.point.shape @ self.nodal(local))
 
 
-def find(system: System, body: Any, X: Array) -> PointOfBody:
+def find(system: Layout, body: Any, X: Array) -> PointOfBody:
     """A point of a body in a system; collective."""
     number, part = system.part(body.name)
     reduced = isinstance(body, ReducedBody)
@@ -86,7 +86,7 @@ class PointSensor(BodySensor):
         """Components of a vector."""
         return "xyz"
 
-    def found(self, system: System) -> PointOfBody:
+    def found(self, system: Layout) -> PointOfBody:
         """The point in the system, searched once; collective."""
         key = f"material point {id(self)}"
         if key not in system.cache:
@@ -97,7 +97,7 @@ class PointSensor(BodySensor):
         """The quantity, (size,); collective."""
         return self.told(ev.system, state.q, state.v, state.a)
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The states."""
         return Look(states=True)
 
@@ -105,11 +105,11 @@ class PointSensor(BodySensor):
         """The quantity in all records, (k, size)."""
         return self.told(*seen.motion)
 
-    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
+    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
         """The quantity, (.., size), in states q (.., n_q), v and a (.., n_v); collective."""
         raise NotImplementedError
 
-    def displacements(self, s: System, q: Array) -> Array:
+    def displacements(self, s: Layout, q: Array) -> Array:
         """Displacements (.., k, d) of the nodes of the point's cell, body axes; collective."""
         p = self.found(s)
         return p.nodal(s.local_q(q, p.number))
@@ -121,7 +121,7 @@ class PointMotion(PointSensor):
 
     derivative: int = 0
 
-    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
+    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
         """x, x' or x''."""
         p, s, m = self.found(system), system, system.motions
         k, d = s.parts[p.number].frame, len(self.at)
@@ -152,7 +152,7 @@ def _turned(R: Array, x: Array) -> Array:
 class PointDisplacement(PointSensor):
     """u of the point, axes of the body's frame, (d,)."""
 
-    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
+    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
         """u, m."""
         p = self.found(system)
         return p.value(system.local_q(q, p.number))
@@ -170,7 +170,7 @@ class PointStrain(PointSensor):
         """Components of the tensor."""
         return ["xyz"[i] + "xyz"[j] for i, j in PAIRS[len(self.at)]]
 
-    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
+    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
         """Components of the strain."""
         H = np.swapaxes(self.displacements(system, q), -1, -2) @ self.found(system).point.gradient
         Ht = np.swapaxes(H, -1, -2)
@@ -191,7 +191,7 @@ class PointQuantity(PointSensor):
         """None: a scalar, or numbered components row by row."""
         return ()
 
-    def told(self, system: System, q: Array, v: Array, a: Array) -> Array:
+    def told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
         """The components, row by row; collective."""
         p = self.found(system)
         key = f"point value {id(self)}"

@@ -16,7 +16,7 @@ from ...mechanics.rods.strains import values_at
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..system import State, System
+from ..layout import Layout, State
 from .sensor import Sensor
 
 
@@ -35,7 +35,7 @@ class SectionSensor(Sensor):
             return self._at(rod, rod.strains(ev.pose))
         return self._at(rod, rod.section_forces(ev.t, ev.pose, None if ev.v is None else ev.twist))
 
-    def looks_at(self, system: System, marker: int) -> Look | None:
+    def looks_at(self, system: Layout, marker: int) -> Look | None:
         """The states, where forces are functions of strains."""
         return Look(states=True) if self.strain or self._rod(system).elastic else None
 
@@ -46,7 +46,7 @@ class SectionSensor(Sensor):
         found = rod.strains(s.frame_poses(q))
         return self._at(rod, found if self.strain else np.array([rod.law.stress(e) for e in found]))
 
-    def _rod(self, system: System) -> RodElements:
+    def _rod(self, system: Layout) -> RodElements:
         return next(e for e in system.elements if isinstance(e, RodElements) and e.name == self.rod)
 
     def _at(self, rod: RodElements, found: Array) -> Array:

@@ -14,7 +14,7 @@ from ...mechanics.joints.drives import JointCoordinate
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..system import State, System
+from ..layout import Layout, State
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Sensor:
         """The value, a flat array; collective."""
         raise NotImplementedError
 
-    def looks_at(self, system: System, marker: int) -> Look | None:
+    def looks_at(self, system: Layout, marker: int) -> Look | None:
         """What :meth:`series` needs of records of the compiled loop; None where states are read one by one."""
         return None
 

@@ -17,7 +17,7 @@ from ...mechanics.joints.relative import Relative
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
-from ..system import State, System
+from ..layout import Layout, State
 from ..tangents.foreshortened_ports import port_acceleration
 from .sensor import Sensor, named_part
 
@@ -35,7 +35,7 @@ class Position(_Vector):
         """x, m."""
         return ev.kin.x[marker].copy()
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The marker."""
         return Look(marker)
 
@@ -54,7 +54,7 @@ class Velocity(_Vector):
         assert ev.kin.twist is not None
         return ev.kin.twist[marker, : ev.kin.x.shape[1]].copy()
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The marker."""
         return Look(marker)
 
@@ -73,7 +73,7 @@ class AngularVelocity(_Vector):
         assert ev.kin.twist is not None
         return ev.kin.twist[marker, ev.kin.x.shape[1] :].copy()
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The marker."""
         return Look(marker)
 
@@ -100,7 +100,7 @@ class Acceleration(_Vector):
             out = out + kin.jac_port[on[0]] @ port_acceleration(ev, state.a)[m.port[on[0]]]
         return np.asarray(out[: kin.x.shape[1]])
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The marker."""
         return Look(marker, accelerated=True)
 
@@ -117,7 +117,7 @@ class Rotation(Sensor):
         R = ev.kin.R[marker]
         return np.array([np.arctan2(R[1, 0], R[0, 0])]) if R.shape[0] == 2 else R.ravel().copy()
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The marker."""
         return Look(marker, angled=True)
 
@@ -156,7 +156,7 @@ class Reaction(Sensor):
                 return state.lam[block.rows].copy()
         raise InputError(f'No reaction of "{self.joint}". {near(self.joint, (b.name for b in ev.system.blocks))}')
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """All multipliers."""
         return Look(rows=True)
 
@@ -202,7 +202,7 @@ class ReactionWrench(_Vector):
         )
         return wrench[d:] if self.torque else wrench[:d]
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The joint."""
         return Look(joint=self.joint)
 
@@ -235,7 +235,7 @@ class JointReading(Sensor):
         relative = self._relative(ev.system)
         return relative.rates(ev.kin) if self.derivative else relative.values(ev.kin)
 
-    def _relative(self, s: System) -> Relative:
+    def _relative(self, s: Layout) -> Relative:
         """The coordinate in a system."""
         key = f"reading {id(self)}"
         if key not in s.cache:
@@ -245,7 +245,7 @@ class JointReading(Sensor):
         found: Relative = s.cache[key]
         return found
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The coordinate."""
         return Look(relative=self._relative(system))
 
@@ -276,7 +276,7 @@ class Coordinates(Sensor):
         """The coordinates of the body, or their rates."""
         return self._told(ev.system, state.q, state.v, state.a).copy()
 
-    def looks_at(self, system: System, marker: int) -> Look:
+    def looks_at(self, system: Layout, marker: int) -> Look:
         """The states."""
         return Look(states=True)
 
@@ -284,7 +284,7 @@ class Coordinates(Sensor):
         """The same in all records."""
         return self._told(*seen.motion)
 
-    def _told(self, system: System, q: Array, v: Array, a: Array) -> Array:
+    def _told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:
         for k, part in enumerate(system.parts):
             if part.name == self.body:
                 return system.local_v((v, a)[self.derivative - 1], k) if self.derivative else system.local_q(q, k)

@@ -12,7 +12,7 @@ from ...errors import require
 from ...mechanics.catenary.wires import Wires
 from ...rotations import Array
 from ..evaluation import Evaluation
-from ..system import State
+from ..layout import State
 from .sensor import BodySensor, Sensor
 
 

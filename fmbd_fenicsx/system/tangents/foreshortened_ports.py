@@ -11,13 +11,13 @@ import numpy as np
 
 from ...mechanics.elastic.foreshortening import Bent
 from ...rotations import Array
+from ..layout import Layout
 
 if TYPE_CHECKING:
     from ..evaluation import Evaluation
-    from ..system import System
 
 
-def bend(system: System, q: Array) -> dict[int, Bent]:
+def bend(system: Layout, q: Array) -> dict[int, Bent]:
     """The second order of the ports in a configuration by part."""
     return {k: p.shortening.at(system.local_q(q, k)) for k, p in system.curved}
 

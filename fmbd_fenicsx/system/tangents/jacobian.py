@@ -8,17 +8,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...rotations import Array
+from ..layout import Layout
 
 if TYPE_CHECKING:
     from ..evaluation import Evaluation
-    from ..system import System
 
 DENSE_LIMIT = 20_000  # entries of G up to which it is kept dense
 CORE_LIMIT = 150  # velocities of the core up to which a system with rods is kept dense
 PORT_LIMIT = 4_000_000  # the same for its part on the ports of elastic fields: ties of many multipliers make it sparse
 
 
-def dense_core(system: System) -> bool:
+def dense_core(system: Layout) -> bool:
     """Whether G of a system is kept dense on the core."""
     few = not system.elements or bool(system.fields) or system.n_core <= CORE_LIMIT
     return few and system.n_lam * system.n_core <= DENSE_LIMIT
@@ -27,7 +27,7 @@ def dense_core(system: System) -> bool:
 class Pattern:
     """Where the entries of G's core part go: found at the first assembly, the same ever after."""
 
-    def __init__(self, system: System, rows: np.ndarray, markers: np.ndarray) -> None:
+    def __init__(self, system: Layout, rows: np.ndarray, markers: np.ndarray) -> None:
         m, n = system.markers, system.motions.n_twist
         self.rows, self.markers = rows, markers
         self.shape = (system.n_lam, system.n_core)

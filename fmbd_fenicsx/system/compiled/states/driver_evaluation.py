@@ -156,6 +156,10 @@ class DriverBatch(_Constraints, EvaluationBatch):
         self.states, self.all = states, (t, q, v)
 
     @cached_property
+    def _each(self) -> list[Evaluation]:
+        return [self.states.at(float(t), self.q[i], self.v[i]) for i, t in enumerate(self.t)]
+
+    @cached_property
     def _told(self) -> Array | None:  # type: ignore[override]
         return self.states.constraints(self.all)
 

@@ -24,7 +24,7 @@ from ..tables.tables import Tables
 from .driver_evaluation import DriverBatch, DriverEvaluation
 from .exchange import Exchange, Room
 from .geometry import CompiledGeometry
-from .glance import Glance
+from .glance import DriverGlance
 from .points import LocalPoints, Metric, PointsTold
 
 FEW, ROOMS = 4, 16  # configurations for which arrays are made at least; up to which they are kept
@@ -131,11 +131,11 @@ class DriverStates(CompiledGeometry):
         """What an implicit step asks of points in local coordinates, see :class:`.LocalPoints`."""
         return self._points.told(t, q0, points, forces) if self.same_rows else None
 
-    def glance(self, units: Array, *, energies: bool, balance: bool) -> Glance | None:
+    def glance(self, units: Array, *, energies: bool, balance: bool) -> DriverGlance | None:
         """Who looks at many states for the judges of a run, see :class:`.Glance`; None where rows or forces are NumPy's too."""
         if not self.same_rows or self.system.fields:
             return None
-        return Glance(self, units, energies=energies, balance=balance)
+        return DriverGlance(self, units, energies=energies, balance=balance)
 
     def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""

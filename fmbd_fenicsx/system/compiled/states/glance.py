@@ -2,34 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from ....rotations import Array
+from ...evaluator import Seen
 from ..tables.structures import zeros_of
 
 if TYPE_CHECKING:
-    from ...system import State
+    from ...layout import State
     from .evaluation import DriverStates
 
 
-class Seen(NamedTuple):
-    """Of a state: the largest open constraint, the largest rate at which one opens, the largest of what of these depends on time
-    only, as lengths; how far places are from the origin; the largest velocity, acceleration and multiplier.
-    """
-
-    gap: float
-    slip: float
-    rate: float
-    far: float
-    speed: float
-    acceleration: float
-    multiplier: float
-
-
-class Glance:
-    """Looks at states of one system. Of the one looked at last, ``energies`` are kinetic, elastic, of the weight and of springs
-    (J), ``sums`` those of the balance, like v; each None where nobody asks for it, or C does not know all.
-    """
+class DriverGlance:
+    """A :class:`.Glance` of one system."""
 
     def __init__(self, states: DriverStates, units: Array, *, energies: bool, balance: bool) -> None:
         """``units``: what turns values of constraints into lengths, (n_lam,)."""

@@ -1,0 +1,250 @@
+"""Where everything of a scene stands in the arrays of a state. The only home of offsets.
+
+A state is four flat arrays: configuration q, velocity v, acceleration a, multipliers lambda. v and a hold the *core*, equal on
+every rank (the twists of all frames, then the coordinates of small parts such as reduced bodies), then the local
+coordinates of each elastic field (this rank's nodes); q holds poses instead of twists, and after them the counted angles
+(:mod:`..mechanics.joints.counted`), which have no increments of their own. lambda holds the rows of the joints,
+then the frame conditions of the elastic bodies; it is replicated. Velocities are quasi-velocities: angular velocities in
+body axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, near
+from ..fem.fields import rank_sum
+from ..mechanics.bodies.coordinates import PortConstraint
+from ..mechanics.forces.force_elements import Loads
+from ..mechanics.frames import Markers
+from ..mechanics.joints.constraints import Batch
+from ..mechanics.joints.counted import CountedAngles
+from ..mechanics.placements import DistributedPart, FrameElements, Part, RigidBlock, is_distributed
+from ..rotations import Array, Motions
+
+
+@dataclass(frozen=True)
+class State:
+    """One instant: time t (s), configuration q, velocity v, acceleration a, multipliers lam (see the module)."""
+
+    t: float
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+
+
+@dataclass(frozen=True)
+class RowBlock:
+    """Names a block of constraint rows: the joint (or body frame) it comes from, and the joint's two markers."""
+
+    name: str
+    rows: slice
+    kind: str
+    a: int = -1
+    b: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """All bodies, constraints and forces of a scene, and where each stands in the arrays; see the module."""
+
+    motions: Motions
+    frame_names: tuple[str, ...]
+    rigid: RigidBlock | None
+    parts: tuple[Part, ...]  # those in the core first, then the distributed ones
+    markers: Markers
+    batches: tuple[tuple[Batch, np.ndarray], ...]  # with the numbers of their rows in lambda
+    port_constraints: tuple[tuple[PortConstraint, slice], ...]
+    forces: tuple[Loads, ...]
+    gravity: Callable[[float], Array]
+    blocks: tuple[RowBlock, ...]
+    length: float  # characteristic length of the model, m
+    mass: float  # total mass, kg
+    ground: Array = field(repr=False, default_factory=lambda: np.zeros((1, 0)))  # pose of the ground, (1, n_pose)
+    contacts: Any = None  # ContactSet of a scene with contact
+    traces: tuple[tuple[Any, slice], ...] = ()  # ties by field multipliers (TraceRows) and their rows
+    counted: CountedAngles | None = None  # None where nothing depends on an angle beyond a turn
+    elements: tuple[FrameElements, ...] = ()  # between moving frames: rods
+    sensed: tuple[tuple[Any, int], ...] = ()  # sensors of the scene with their markers
+    remembered: tuple[Any, ...] = ()  # what keepers remember at the start, None of those that begin anew; empty: all do
+    cache: dict[Any, Any] = field(repr=False, default_factory=dict)  # patterns found at first use
+
+    def block(self, name: str) -> RowBlock:
+        """The rows of the named joint."""
+        for block in self.blocks:
+            if block.name == name:
+                return block
+        raise InputError(f'No joint "{name}". {near(name, [b.name for b in self.blocks])}')
+
+    def part(self, name: str) -> tuple[int, Any]:
+        """Number and part of the named body."""
+        for k, part in enumerate(self.parts):
+            if part.name == name:
+                return k, part
+        raise InputError(f'Body "{name}" has no part in this system. {near(name, [p.name for p in self.parts])}')
+
+    # -- sizes --------------------------------------------------------------------------------------------------
+    @cached_property
+    def n_frames(self) -> int:
+        """Moving frames."""
+        return len(self.frame_names)
+
+    @cached_property
+    def keepers(self) -> tuple[Any, ...]:
+        """Force elements and elements between frames with a memory, see :mod:`.element_memory`."""
+        return (*(f for f in self.forces if f.kept is not None), *(e for e in self.elements if e.kept is not None))
+
+    @cached_property
+    def fields(self) -> tuple[tuple[int, DistributedPart], ...]:
+        """Distributed parts with their numbers."""
+        return tuple((k, p) for k, p in enumerate(self.parts) if is_distributed(p))
+
+    @cached_property
+    def core_parts(self) -> tuple[tuple[int, Part], ...]:
+        """Replicated parts with their numbers."""
+        return tuple((k, p) for k, p in enumerate(self.parts) if not p.distributed)
+
+    @cached_property
+    def curved(self) -> tuple[tuple[int, Any], ...]:
+        """Parts whose ports are of second order, with their numbers (:mod:`..mechanics.elastic.foreshortening`)."""
+        return tuple((k, p) for k, p in enumerate(self.parts) if p.shortening is not None)
+
+    @cached_property
+    def leaves_out(self) -> bool:
+        """Whether Newton's matrix lacks terms of the motion of a part."""
+        return any(p.leaves_out for p in self.parts)
+
+    @cached_property
+    def n_core(self) -> int:
+        """Replicated velocity components: frames and replicated parts."""
+        return self.n_frames * self.motions.n_twist + sum(p.n for _, p in self.core_parts)
+
+    @cached_property
+    def slices(self) -> tuple[list[slice], list[slice], list[slice]]:
+        """Slices of each part in q, in v, and in the ports."""
+        q = self.counted_angles.stop
+        v = self.n_frames * self.motions.n_twist
+        p = 0
+        in_q, in_v, in_p = [], [], []
+        for part in self.parts:
+            in_q.append(slice(q, q + part.n))
+            in_v.append(slice(v, v + part.n))
+            in_p.append(slice(p, p + part.n_port))
+            q, v, p = q + part.n, v + part.n, p + part.n_port
+        return in_q, in_v, in_p
+
+    @cached_property
+    def n_q(self) -> int:
+        """Length of q on this rank."""
+        return self.counted_angles.stop + sum(p.n for p in self.parts)
+
+    @cached_property
+    def counted_angles(self) -> slice:
+        """Slice of the counted angles in q."""
+        poses = self.n_frames * self.motions.n_pose
+        return slice(poses, poses + (0 if self.counted is None else self.counted.count))
+
+    @cached_property
+    def n_v(self) -> int:
+        """Length of v and a on this rank."""
+        return self.n_frames * self.motions.n_twist + sum(p.n for p in self.parts)
+
+    @cached_property
+    def n_port(self) -> int:
+        """Ports of all parts."""
+        return sum(p.n_port for p in self.parts)
+
+    @cached_property
+    def n_rows(self) -> int:
+        """Rows of joints."""
+        shared = {(r.start, r.stop) for _, r in (*self.port_constraints, *self.traces)}  # two laws may share a row
+        return sum(len(r) for _, r in self.batches) + sum(stop - start for start, stop in shared)
+
+    @cached_property
+    def n_lam(self) -> int:
+        """Multipliers: joint rows and frame conditions."""
+        return self.n_rows + sum(p.n_frame_rows for p in self.parts)
+
+    @cached_property
+    def frame_rows(self) -> list[slice]:
+        """Rows of the frame conditions of each part."""
+        out, k = [], self.n_rows
+        for f in self.parts:
+            out.append(slice(k, k + f.n_frame_rows))
+            k += f.n_frame_rows
+        return out
+
+    @cached_property
+    def comm(self) -> Any:
+        """Communicator of the elastic fields, None when there are none."""
+        return self.fields[0][1].comm if self.fields else None
+
+    # -- parts of the arrays --------------------------------------------------------------------------------------
+    def poses(self, q: Array) -> Array:
+        """Poses of all frames, the ground last, (n_frames + 1, n_pose)."""
+        n = self.n_frames * self.motions.n_pose
+        return np.concatenate((q[:n].reshape(-1, self.motions.n_pose), self.ground))
+
+    def frame_poses(self, q: Array) -> Array:
+        """Poses of the moving frames in arrays q (.., n_q): (.., n_frames, n_pose)."""
+        n = self.motions.n_pose
+        return q[..., : self.n_frames * n].reshape(*q.shape[:-1], self.n_frames, n)
+
+    def twists(self, v: Array) -> Array:
+        """Twists (or their rates) of all frames, the ground last, (n_frames + 1, n_twist)."""
+        out = np.zeros((self.n_frames + 1, self.motions.n_twist))
+        out[:-1] = v[: self.n_frames * self.motions.n_twist].reshape(-1, self.motions.n_twist)
+        return out
+
+    def pose_of(self, q: Array, k: int) -> Array:
+        """Pose of frame k, or of the ground behind the last, in arrays q (.., n_q): (.., n_pose)."""
+        n = self.motions.n_pose
+        if k < self.n_frames:
+            return q[..., n * k : n * (k + 1)]
+        return np.broadcast_to(self.ground[0], (*q.shape[:-1], n))
+
+    def twist_of(self, v: Array, k: int) -> Array:
+        """Twist of the same frame in arrays v (.., n_v), or its rate: (.., n_twist)."""
+        n = self.motions.n_twist
+        return v[..., n * k : n * (k + 1)] if k < self.n_frames else np.zeros((*v.shape[:-1], n))
+
+    def local_q(self, q: Array, k: int) -> Array:
+        """Local coordinates of part k in q, (.., n)."""
+        return q[..., self.slices[0][k]]
+
+    def local_v(self, v: Array, k: int) -> Array:
+        """Local coordinates of part k in v or a, (.., n)."""
+        return v[..., self.slices[1][k]]
+
+    def ports(self, x: Array, t: float, *, rates: bool = False) -> Array:
+        """Ports of all parts at time t (s) for an array like q, or their ``rates`` for one like v; collective."""
+        out = np.zeros(self.n_port)
+        in_q, in_v, in_p = self.slices
+        for f, s, p in zip(self.parts, in_v if rates else in_q, in_p, strict=True):
+            out[p] = f.ports_of(x[s], t)
+            if not rates:
+                out[p] += f.reference
+        return out
+
+    def port_slice(self, k: int) -> slice:
+        """Ports of part k."""
+        return self.slices[2][k]
+
+    # -- inner products over all ranks -----------------------------------------------------------------------------
+    def dot(self, x: Array, y: Array) -> float:
+        """x . y for arrays like v; collective."""
+        core = float(x[: self.n_core] @ y[: self.n_core])
+        if not self.fields:
+            return core
+        return core + float(rank_sum(self.comm, np.array(x[self.n_core :] @ y[self.n_core :])))
+
+    def finite(self, *given: Array) -> bool:
+        """Whether all numbers of some arrays are finite; collective."""
+        local = all(map(np.logical_and.reduce, map(np.isfinite, given)))
+        return local if not self.fields or self.comm.size == 1 else all(self.comm.allgather(local))
