@@ -53,13 +53,13 @@ class Evaluator(Protocol):
         """Many configurations at the times t (k,): q (k, n_q), v (k, n_v)."""
 
     def compose(self, q: Array, xi: Array) -> Array:
-        """q o exp(xi), leading axes broadcast, see :func:`.configurations.compose`."""
+        """q o exp(xi), leading axes broadcast, see :func:`.configurations.composed`."""
 
     def difference(self, q0: Array, q1: Array, near: Array | None) -> Array:
-        """The increment from q0 to q1, likewise, see :func:`.configurations.difference`."""
+        """The increment from q0 to q1, likewise, see :func:`.configurations.increment_between`."""
 
     def rate(self, xi: Array, v: Array) -> Array:
-        """d(xi)/dt for the velocity v, likewise, see :func:`.configurations.rate`."""
+        """d(xi)/dt for the velocity v, likewise, see :func:`.configurations.rate_of_increment`."""
 
     def glance(self, units: Array, *, energies: bool, balance: bool) -> Glance | None:
         """Who looks at states for the judges of a run in one call each, see :class:`.Glance`; None: evaluations tell them."""
