@@ -268,10 +268,10 @@ class FieldEquations(Equations):
     # -- whole steps --------------------------------------------------------------------------------------------
     @property
     def compiled(self) -> bool:
-        """As :attr:`Equations.compiled`: where solutions need no iteration, and matrices are the same all along."""
-        states, fields = self.system.evaluator, self.system.fields
+        """As :attr:`Equations.compiled`: where solutions need no iteration, and rows do not depend on each other."""
+        states = self.system.evaluator
         same = isinstance(states, DriverStates) and not states.recalls and not self.solver.core.redundant
-        return same and self.trusted and self._covered and not any(part.field.nonlinear for _, part in fields)
+        return same and self.trusted and self._covered
 
     @property
     def _covered(self) -> bool:
