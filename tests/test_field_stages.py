@@ -256,7 +256,7 @@ def absolute(mesh: Any) -> Any:
 
 
 def stretched(mesh: Any) -> Any:
-    return fmbd.AbsoluteBody("rod", mesh, density=1000.0, energy=saint_venant_kirchhoff(5e6, 0.3), quadrature=4)
+    return fmbd.AbsoluteBody("rod", mesh, density=1000.0, energy=saint_venant_kirchhoff(5e7, 0.3), quadrature=4)
 
 
 def swing(mesh: Any, dim: int, made: Any = floating) -> fmbd.Scene:

@@ -25,6 +25,7 @@ FILES = (
     "compiled_recording",
     "compiled_ties",
     "field_means",
+    "field_stages",
     "field_states",
     "marches",
     "stage_systems",
