@@ -173,5 +173,9 @@ def test_what_a_scene_that_goes_on_refuses() -> None:
         fmbd.solve(scene, t_end=1.0, dt=1e-2, output=fmbd.Output(times=(0.05, 0.5)))
     with pytest.raises(fmbd.errors.InputError, match="t_end"):
         fmbd.solve(scene, t_end=0.05, dt=1e-2)
+    released = run.next_scene()
+    del released.joints["hinge"]
+    with pytest.raises(fmbd.errors.InputError, match=r'no joint "hinge" .* del scene.sensors\["phi"\]'):
+        fmbd.solve(released, t_end=0.5, dt=1e-2)
     told = fmbd.solve(scene, t_end=0.5, dt=1e-2, output=fmbd.Output(estimate_error=True))
     assert 0.0 < told.error_estimate["a"] < 1e-3

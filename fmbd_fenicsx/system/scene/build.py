@@ -231,7 +231,8 @@ class Builder:
                 another = here is not None and getattr(wanted, "part", here) is not here  # ties have rows alone
                 if wanted not in known or another:
                     raise InputError(
-                        f'Sensor "{name}": there is no {what} "{wanted}" in the scene. {near(wanted, known)}'
+                        f'Sensor "{name}": there is no {what} "{wanted}" in the scene. {near(wanted, known)} '
+                        f'Where it was taken out, its sensors go too: del scene.sensors["{name}"].'
                     )
 
     def _surfaces_in_use(self) -> dict[str, list[str]]:
