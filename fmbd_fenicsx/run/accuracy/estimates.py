@@ -42,6 +42,9 @@ TENTH = 0.1  # of a tolerance
 # power of tolerances that errors are thought to fall with at most, and the most that a finer run is thought to have left of one
 FALLS, LEFT = 0.7, 0.6
 TELLING = 1.5  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
+FEW = 4  # steps that are refused on the way to a first size
+REFUSED = 0.1  # share of others beyond which motion is not smooth
+LOW_ORDER = 2  # of schemes that pass kinks without being stopped by them
 DECADES = 3  # of tolerances that are tried for it
 SHOWN = 4  # jumps in a message
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
@@ -120,6 +123,15 @@ def usual_power(order: int) -> float:
     plus one.
     """
     return min(order / (order + 1.0), STEEPEST)
+
+
+def steps_meet_kinks(run: Run) -> bool:
+    """Whether steps of own choice may have met forces that jump, or whose slopes do, by chance well or badly.
+
+    Schemes of high order refuse their steps there again and again, of smooth motion a few; those of order two see little of it.
+    """
+    refused = run.counters.get("rejected: error estimate", 0.0)
+    return refused > FEW + REFUSED * run.counters["steps"] or run.scheme.order <= LOW_ORDER
 
 
 def _from_tolerance(

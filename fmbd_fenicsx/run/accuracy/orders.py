@@ -66,12 +66,17 @@ def usable_order(p: float, order: int) -> float:
     Below that of the scheme p is a mixture: slow motion has the order of the scheme, fast motion is off by about its own size
     with the larger steps, so that its differences do not grow with them. Errors by p and by the order of the scheme differ by a
     factor of up to seven, with the truth between them; an order between them is not far from either. Above it motion may converge
-    faster than the scheme has to (that for impacts, between them), or differences cancel by chance: half of one more counts.
+    faster than the scheme has to (that for impacts, between them), or larger steps do not follow it yet: what is more than a half
+    above counts, up to a half.
     """
     if np.isnan(p):
         return order
     low = max(p, LEAST_ORDER)
-    return low + min(BETWEEN * (order - low), MOST_BETWEEN) if low < order else order + 0.5 * min(low - order, 1.0)
+    return (
+        low + min(BETWEEN * (order - low), MOST_BETWEEN)
+        if low < order
+        else order + max(min(low - order, 1.0) - 0.5, 0.0)
+    )
 
 
 def kink(t: Array, x: Array, order: float, derivative: int) -> tuple[float, float]:

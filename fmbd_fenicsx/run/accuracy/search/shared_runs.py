@@ -21,7 +21,6 @@ from ....system.scene.scene import Scene
 from ...built import Built, build
 from ...problem import Problem
 from ...recording.output import Output
-from ...result import Run
 from ...schedule import StepSchedule
 from ...single_run import Solved, Task, run_once
 from ..certificate import kinked
@@ -38,6 +37,7 @@ from ..estimates import (
     looser_run,
     of_tolerances,
     run_like,
+    steps_meet_kinks,
     tolerance_error,
     usual_power,
 )
@@ -52,9 +52,6 @@ LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
-FEW = 4  # steps that are refused on the way to a first size
-REFUSED = 0.1  # share of others beyond which motion is not smooth
-LOW_ORDER = 2  # of schemes that pass kinks without being stopped by them
 HALF_MORE = 1.5  # ratio of steps of the run with a smaller tolerance that is to tell an error
 
 
@@ -90,6 +87,7 @@ class SharedRuns:
         self._newest: Problem | None = None  # of a run: others have its scheme and settings
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
         self._parted: dict[int, int] = {}  # the most steps with which a run of a scene failed, or only went on in parts
+        self._kinked: dict[int, bool] = {}  # whether the last attempt of a scene had kinks
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
@@ -196,11 +194,20 @@ class SharedRuns:
         because they do not end.
         """
         found, by_chance = self._compared(solved, known, allowed)
-        by_chance |= kinked(solved.run) or not found.by_chance.isdisjoint(allowed.sensors)
+        by_chance |= self._meets_kinks(solved) or not found.by_chance.isdisjoint(allowed.sensors)
         if by_chance and found.errors and allowed.share(found.errors) <= allowed.room:
             found = self._by_half(solved, found)
         self._seen.update(known_orders(found))
         return found
+
+    def _meets_kinks(self, solved: Solved) -> bool:
+        """Whether records of a run have kinks, or those of the attempt before, which tells its error: what is short beside the
+        steps of that one, as a stiff contact, may be smooth in smaller ones.
+        """
+        scene = id(solved.problem.scene)
+        now, before = kinked(solved.run), self._kinked.get(scene, False)
+        self._kinked[scene] = now
+        return now or before
 
     def _by_half(self, solved: Solved, larger: TimeError) -> TimeError:
         """The error by one with half the step, beside what ``larger`` ones tell, which counts alone where that does not end."""
@@ -376,15 +383,6 @@ def astray(given: Compared, coarser: Compared, sensors: Sequence[str]) -> bool:
     series = given.recorder.series
     apart = between(given.recorder, coarser.recorder, sensors)
     return any(x.size > ASTRAY * np.ptp(series[name], axis=0).max(initial=0.0) for name, x in apart.items())
-
-
-def steps_meet_kinks(run: Run) -> bool:
-    """Whether steps of own choice may have met forces that jump, or whose slopes do, by chance well or badly.
-
-    Schemes of high order refuse their steps there again and again, of smooth motion a few; those of order two see little of it.
-    """
-    refused = run.counters.get("rejected: error estimate", 0.0)
-    return refused > FEW + REFUSED * run.counters["steps"] or run.scheme.order <= LOW_ORDER
 
 
 def doubt(order: int) -> float:
