@@ -14,6 +14,7 @@ from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.fields import ElasticForms, Field
 from fmbd_fenicsx.post.drawing.draw import draw
 from fmbd_fenicsx.post.drawing.level_sets import region
+from fmbd_fenicsx.post.drawing.render import strobe
 from fmbd_fenicsx.post.drawing.scene_graph import Drawing, Piece, Role
 from fmbd_fenicsx.post.drawing.skins import skin
 from fmbd_fenicsx.post.drawing.solids import arrow, box, cylinder, hull, read_stl, sphere
@@ -336,3 +337,21 @@ def test_an_arrow_is_as_long_and_as_thick_as_it_should_be() -> None:
     assert (x[:, 0].min(), x[:, 0].max()) == (0.0, 1.0)
     assert across[x[:, 0] == 0.0].max() == pytest.approx(0.05) and across[x[:, 0] == 1.0].max() == 0.0
     assert across.max() == pytest.approx(2.6 * 0.05)
+
+
+@pytest.mark.parametrize("size", [(0.3, 0.3, 3.0), (3.0, 0.3, 0.3), (1.0, 1.0, 1.0), (0.3, 3.0, 0.3)])
+def test_all_of_a_scene_in_space_is_seen(size: tuple[float, ...]) -> None:
+    """Nothing is cut off at the edges of the image, and the scene fills it from side to side or from top to bottom."""
+    block = fmbd.RigidBody(
+        "block", 1.0, (1.0, 1.0, 1.0), shape=fmbd.contacts.Box(size), angular_velocity=(0.0, 1.0, 0.5)
+    )
+    scene = fmbd.Scene("in flight")
+    scene.add(block)
+    drawing = draw(fmbd.solve(scene, t_end=1.0, dt=0.1, output=few()))
+    picture = strobe(drawing, fmbd.View(), None, width=400)
+
+    drawn = (picture.image < 255).any(axis=2)
+    drawn[-100:, :80] = False  # the axes in the corner
+    assert not (drawn[[0, -1]].any() or drawn[:, [0, -1]].any())
+    share = [np.ptp(np.flatnonzero(drawn.any(axis=k))) / drawn.shape[1 - k] for k in (0, 1)]
+    assert max(share) > 0.75

@@ -28,6 +28,7 @@ ARROWS = ("#d62728", "#1f5fd6", "#c218a5")  # applied forces, reactions, contact
 BODIES = ("#4c78a8", "#72b7b2", "#eeca3b", "#b279a2", "#9d755d", "#54a24b", "#e08b3e", "#8cb4d9")
 SLACK = "#e45756"
 SUPERSAMPLING = 2.5  # widths of lines that look the same with and without it
+MARGIN = 1.08  # of the image in space, over what is seen
 LIGHT = {"ambient": 0.35, "smooth_shading": False}
 
 
@@ -155,8 +156,22 @@ class Renderer:
 
         box = np.column_stack((self.low, self.high)).ravel()
         self.plotter.reset_camera(bounds=tuple(box))
-        camera.zoom(1.25 * self.view.zoom)
+        camera.view_angle = self._angle(np.asarray(camera.position), middle, up) / self.view.zoom
         self.plotter.add_axes(line_width=3)
+
+    def _angle(self, eye: Array, middle: Array, up: Array) -> float:
+        """The angle of view, degrees from top to bottom, into which everything fits at all instants with a margin."""
+        ahead = (middle - eye) / np.linalg.norm(middle - eye)
+        right = np.cross(ahead, up)
+        right /= np.linalg.norm(right)
+        axes = np.stack((right, np.cross(right, ahead), ahead), axis=1)
+
+        width, height = self.plotter.window_size
+        half = 0.0
+        for place in self.drawing.places():
+            across, above, depth = ((place - eye) @ axes).T
+            half = max(half, float((np.maximum(np.abs(across) * height / width, np.abs(above)) / depth).max()))
+        return float(2.0 * np.degrees(np.arctan(MARGIN * (half or 0.25))))
 
     def image(self) -> Picture:
         """What is seen now."""

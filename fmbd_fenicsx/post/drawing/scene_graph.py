@@ -11,7 +11,7 @@ All points are in space, (n, 3); a plane scene lies in z = 0. Lengths in m, worl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Protocol
@@ -172,12 +172,16 @@ class Drawing:
 
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest corner of everything but the ground's patches over all instants, (3,) each."""
-        shown = [p for p in self.pieces if p.role is not Role.GROUND] or list(self.pieces)
-        boxes = [(x.min(0), x.max(0)) for p in shown for k in range(len(self.times)) if len(x := p.at(k))]
+        boxes = [(x.min(0), x.max(0)) for x in self.places()]
         if not boxes:
             return -np.ones(3), np.ones(3)
         low, high = zip(*boxes, strict=True)
         return np.min(low, axis=0), np.max(high, axis=0)
+
+    def places(self) -> Iterator[Array]:
+        """Points (n, 3) of each piece but the ground's patches at each instant."""
+        shown = [p for p in self.pieces if p.role is not Role.GROUND] or list(self.pieces)
+        return (x for p in shown for k in range(len(self.times)) if len(x := p.at(k)))
 
     @property
     def span(self) -> tuple[float, float]:
