@@ -24,13 +24,15 @@ def panels(file, content, title):
             axes.plot_surface(*np.moveaxis(rings, -1, 0), color=color, rstride=1, cstride=1, linewidth=0)
         axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
         axes.set_title(name, y=0.96)
-        axes.set_aspect("equal")
         axes.locator_params(nbins=4)
 
-        # no numbers along a side where they would lie over each other, and names beyond the numbers
+        # to scale, with room for names of axes below what is high
         widths = {c: np.ptp(getattr(axes, f"get_{c}lim")()) for c in "xyz"}
+        axes.set_box_aspect(tuple(widths.values()), zoom=1 - 0.2 * widths["z"] / max(widths.values()))
+
+        # no numbers along a side where they would lie over each other, and names beyond the numbers
         flat = [c for c, width in widths.items() if width < 0.15 * max(widths.values())]
         for c in flat:
             axes.set(**{f"{c}ticks": [], f"{c}label": ""})
-        axes.xaxis.labelpad = axes.yaxis.labelpad = 26 if "y" in flat else 14
+        axes.xaxis.labelpad = axes.yaxis.labelpad = 26 if flat else 14
     page.savefig(file, dpi=120)
