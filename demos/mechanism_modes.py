@@ -13,8 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.post.demo import Check
+from fmbd_fenicsx import Check, demo, plot
 
 G = 9.81
 
@@ -23,8 +22,7 @@ def chain(n, dim=2):
     """n hanging links in the plane or in space."""
     scene, before = fmbd.Scene("chain", gravity=(0.0, -G, 0.0)[:dim]), fmbd.ground
     for i in range(n):
-        inertia = 1e-12 if dim == 2 else (1e-8,) * 3
-        mass = fmbd.RigidBody(f"mass {i}", 1.0, inertia, position=(0.0, -1.0 - i, 0.0)[:dim])
+        mass = fmbd.RigidBody(f"mass {i}", 1.0, 1e-12 if dim == 2 else (1e-8,) * 3, position=(0.0, -1.0 - i, 0.0)[:dim])
         scene.add(mass, fmbd.revolute(f"pin {i}", before, mass, center=(0.0, -float(i), 0.0)[:dim]))
         before = mass
     return scene
@@ -59,42 +57,32 @@ def fitted(run, guess):
     x = x / np.abs(x).max(axis=0)
 
     def left(omega):
-        waves = [np.ones_like(t), *(wave(w * t) for w in omega for wave in (np.cos, np.sin))]
-        A = np.column_stack(waves)
+        A = np.column_stack([np.ones_like(t), *(wave(w * t) for w in omega for wave in (np.cos, np.sin))])
         return (x - A @ np.linalg.lstsq(A, x, rcond=None)[0]).ravel()
 
     return least_squares(left, guess, x_scale=1e-3).x
 
 
-def main():
-    """Frequencies against closed forms, between the plane and space, and against a run."""
-    args = demo.arguments(__doc__)
-    n = 4 if args.fast else 10
-    exact = np.sqrt(G * np.polynomial.laguerre.lagroots([0] * n + [1]))
-    plane, space = (fmbd.modes(s, n, at=fmbd.equilibrium(s)) for s in (chain(n), chain(n, 3)))
+args = demo.arguments(__doc__)
+n = 4 if args.fast else 10
+exact = np.sqrt(G * np.polynomial.laguerre.lagroots([0] * n + [1]))
+plane, space = (fmbd.modes(s, n, at=fmbd.equilibrium(s)) for s in (chain(n), chain(n, 3)))
 
-    hanging = fmbd.equilibrium(four_bar())
-    found = fmbd.modes(hanging.scene, 3, at=hanging)
-    whole = fmbd.equilibrium(four_bar(full=True))
-    run = fmbd.solve(four_bar(0.2), t_end=4.0, dt=5e-4, scheme=fmbd.GeneralizedAlpha(0.95))
-    seen = fitted(run, 1.003 * found.omega[:2])
-    checks = [
-        Check("chain, largest relative error", np.abs(plane.omega / exact - 1.0).max(), 0.0, 1e-8),
-        Check("plane against space", np.abs(space.omega / plane.omega - 1.0).max(), 0.0, 1e-6),
-        Check.relative("four-bar, swing in a run (rad/s)", seen[0], found.omega[0], 1e-4),
-        Check.relative("four-bar, bending in a run (rad/s)", seen[1], found.omega[1], 1e-4),
-        Check.relative(
-            "bending without reduction (rad/s)", fmbd.modes(whole.scene, 2, at=whole).omega[1], found.omega[1], 1e-4
-        ),
-    ]
-    if args.picture:
-        with plot.figure(args.picture, title=args.title) as axes:
-            for k in range(min(n, 5)):
-                shape = np.real(plane.shapes[k].reshape(n, 3)[:, 0])
-                axes.plot(np.r_[0, shape] + 2.5 * k, -np.arange(n + 1), "o-", label=f"{plane.omega[k]:.3f} rad/s")
-            axes.set(ylabel="height (m)", xlabel="shapes of a chain, one beside the other, of any size", xticks=[])
-    demo.finish(checks, None, args)
-
-
-if __name__ == "__main__":
-    main()
+reduced, whole = (fmbd.equilibrium(four_bar(full=full)) for full in (False, True))
+found, field = (fmbd.modes(at.scene, count, at=at) for at, count in ((reduced, 3), (whole, 2)))
+run = fmbd.solve(four_bar(0.2), t_end=4.0, dt=5e-4, scheme=fmbd.GeneralizedAlpha(0.95))
+seen = fitted(run, 1.003 * found.omega[:2])
+checks = [
+    Check("chain, largest relative error", np.abs(plane.omega / exact - 1.0).max(), 0.0, 1e-8),
+    Check("plane against space", np.abs(space.omega / plane.omega - 1.0).max(), 0.0, 1e-6),
+    Check.relative("four-bar, swing in a run (rad/s)", seen[0], found.omega[0], 1e-4),
+    Check.relative("four-bar, bending in a run (rad/s)", seen[1], found.omega[1], 1e-4),
+    Check.relative("bending without reduction (rad/s)", field.omega[1], found.omega[1], 1e-4),
+]
+if args.picture:
+    with plot.figure(args.picture, title=args.title) as axes:
+        for k in range(min(n, 5)):
+            shape = np.real(plane.shapes[k].reshape(n, 3)[:, 0])
+            axes.plot(np.r_[0, shape] + 2.5 * k, -np.arange(n + 1), "o-", label=f"{plane.omega[k]:.3f} rad/s")
+        axes.set(ylabel="height (m)", xlabel="shapes of a chain, one beside the other, of any size", xticks=[])
+demo.finish(checks, None, args)

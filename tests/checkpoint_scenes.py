@@ -70,6 +70,12 @@ def floating() -> Case:
     return scene, {"t_end": 0.04, "dt": 0.005}
 
 
+def past() -> Case:
+    """The same by BDF, which remembers states of the field."""
+    scene, arguments = floating()
+    return scene, {**arguments, "scheme": fmbd.BDF(2, rtol=None)}
+
+
 def space() -> Case:
     """A floating rod in space, of degree 3 with its two nodes on each edge."""
     body = fmbd.FloatingBody("rod", rod(3, 0.5, 0.4), degree=3, density=1000.0, elastic=linear_elastic(5e6, 0.3))
@@ -206,6 +212,7 @@ SCENES: dict[str, Callable[[], Case]] = {
     "links": links,
     "wheel": wheel,
     "floating": floating,
+    "past": past,
     "space": space,
     "blade": blade,
     "modes": lambda: blade(modes=3),

@@ -90,6 +90,20 @@ def test_step_control_goes_on(tmp_path: Path) -> None:
     assert whole.counters["rejections"] > 1
 
 
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=None), fmbd.Radau(rtol=1e-4), fmbd.BDF(rtol=1e-4)])
+def test_implicit_steps_of_elastic_fields_go_on(scheme: Any, tmp_path: Path) -> None:
+    """With frequencies whose factors pay, real and complex, past values, and starts by the matrix of the step before."""
+    scene, _ = SCENES["floating"]()
+    steps: dict[str, Any] = {"t_end": 0.04, "dt": 0.004}
+    whole = fmbd.solve(scene, **steps, scheme=scheme, checkpoint=fmbd.Checkpoint(tmp_path, every=1, keep=1000))
+    for step in (3, 8):
+        taken_up = fmbd.solve(scene, **steps, scheme=scheme, restart=next(tmp_path.glob(f"*_step{step}")))
+        # factors that were kept for other sizes are made again
+        assert np.array_equal(whole.times, taken_up.times)
+        assert np.array_equal(whole["tip"], taken_up["tip"])
+        assert np.array_equal(whole.state.lam, taken_up.state.lam)
+
+
 def test_the_rate_of_newtons_iteration_goes_on(tmp_path: Path) -> None:
     """At a loose tolerance a step takes one or two increments, as the rate of the step before tells."""
     scheme = fmbd.GeneralizedAlpha(0.8, compiled=False)
@@ -123,7 +137,7 @@ def test_a_tangent_found_indefinite_is_remembered() -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", ["floating", "rubber", "glued", "impact, midpoint"])
+@pytest.mark.parametrize("name", ["floating", "past", "rubber", "glued", "impact, midpoint"])
 def test_on_another_number_of_ranks(name: str, shared_tmp: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From one rank to all, and from all to one."""
     if world_size() == 1:

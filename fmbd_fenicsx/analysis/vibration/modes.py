@@ -313,9 +313,17 @@ def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: 
 
 
 def _zeros(small: ProjectedSystem, values: Array, vectors: Array) -> Array:
-    """Which eigenvalues l are zero but for roundoff, (m,): l^2 M y and l C y, so K y too, are nothing beside the size of K."""
-    rate, size = np.abs(values), np.linalg.norm(small.K, 2) * np.linalg.norm(vectors, axis=0)
-    left = rate * rate * np.linalg.norm(small.M @ vectors, axis=0) + rate * np.linalg.norm(small.C @ vectors, axis=0)
+    """Which eigenvalues l are zero but for roundoff, (m,): y* (l^2 M + l C) y, so y* K y too, is nothing beside the size of K.
+
+    Powers, not forces: what turns freely about the axis of a spin has a double zero, which roundoff of size e parts by its root,
+    and the Coriolis force of l y, of that size, widens the body.
+    """
+
+    def power(A: Array) -> Array:
+        return np.abs(np.sum(vectors.conj() * (A @ vectors), axis=0))
+
+    rate, size = np.abs(values), np.linalg.norm(small.K, 2) * np.sum(np.abs(vectors) ** 2, axis=0)
+    left = rate * rate * power(small.M) + rate * power(small.C)
     return np.asarray(left <= 1e3 * np.finfo(float).eps * size)
 
 

@@ -160,6 +160,9 @@ def pack(x: Any, arrays: dict[str, Array]) -> Any:
         arrays[name] = np.asarray(x)
         return {"array" if isinstance(x, np.ndarray) else "number": name}
 
+    if type(x) is complex:
+        return {"complex": [x.real, x.imag]}
+
     # containers say what they were: JSON knows lists and names only
     if isinstance(x, Counter):
         return {"counter": [[k, n] for k, n in x.items()]}
@@ -178,6 +181,8 @@ def unpack(x: Any, arrays: Any) -> Any:
     ((kind, value),) = x.items()
     if kind in ("array", "number"):
         return arrays[value] if kind == "array" else arrays[value][()]
+    if kind == "complex":
+        return complex(*value)
     if kind == "counter":
         return Counter(dict(value))
     if kind == "dict":

@@ -111,9 +111,11 @@ class FieldEquations(Equations):
     """
 
     keeps: ClassVar = {
-        **dict.fromkeys(("residuals", "jacobians", "krylov", "trusted", "size_anchor"), plain()),
+        **dict.fromkeys(
+            ("residuals", "jacobians", "krylov", "trusted", "size_anchor", "_equal", "_estimates"), plain()
+        ),
         "solvers": worker,
-        "metric": plain(Weights),
+        **dict.fromkeys(("metric", "_last_metric"), plain(Weights)),
     }
     dense = False
 

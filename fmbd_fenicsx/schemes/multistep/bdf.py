@@ -87,6 +87,15 @@ class BDF(OfForm):
         return BDFStepper(self, system, solver, newton, state)
 
 
+def _keep_past(m: Memory, name: str, past: list[Past]) -> list[Past]:
+    """Past values, in an order that does not depend on the ranks."""
+    items = [] if m.reading else [(p.t, p.q, p.v, p.mult) for p in past]
+    return [
+        Past(i("t", t), i.like_q("q", q), i.like_v("v", v), i("mult", mult))
+        for i, (t, q, v, mult) in m.each(name, items, 4)
+    ]
+
+
 class BDFStepper(Corrector):
     """Advances a consistent state; holds the past values, tangent, factor and the choice of step and order."""
 
@@ -94,7 +103,7 @@ class BDFStepper(Corrector):
     lost = 1e-5
     keeps: ClassVar = {
         **ImplicitStepper.keeps,
-        "past": plain(Past),
+        "past": _keep_past,
         **dict.fromkeys(("k", "held"), plain()),
         "amplification": worker,
         "_starter": worker,
@@ -132,9 +141,10 @@ class BDFStepper(Corrector):
         self._begin()
 
     def remember(self, m: Memory) -> None:
-        """With the tangent, whose factor is made again."""
+        """With the tangent, whose factor is made again; of elastic fields every step takes its own."""
+        kept = self._pencil if self.eq.dense else None
         self._tangent, self.judge = m("tangent", (self._tangent, self.judge), StepTangent, Judge)
-        factored = m("factored", None if self._pencil is None else (self._pencil.t, self._pencil.s), StepTangent)
+        factored = m("factored", None if kept is None else (kept.t, kept.s), StepTangent)
         if m.reading:
             self._pencil = None if factored is None else self.eq.pencil(factored[0], factored[1], self.judge)
         super().remember(m)
