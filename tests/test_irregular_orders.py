@@ -117,16 +117,19 @@ def falling_net() -> fmbd.Scene:
         }
         scene.add(fmbd.Spring(f"spring {k}", a, b, stiffness=300.0, damping=0.1, length=0.35, **ends))
     scene.sensor("corner", fmbd.position(bodies[3]))
+    scene.sensor("spin", fmbd.angular_velocity(bodies[0]))
     return scene
 
 
 @pytest.mark.parametrize(
     ("scheme", "share"),
-    [(fmbd.GeneralizedAlpha(), 2e-3), (fmbd.EnergyMomentum(), 1e-2)],
-    ids=["generalized-alpha", "energy-momentum"],
+    [(fmbd.GeneralizedAlpha(), 2e-3), (fmbd.EnergyMomentum(), 1e-2), (fmbd.Rattle(), 2e-2), (fmbd.Radau(3), 2e-2)],
+    ids=lambda x: getattr(x, "name", str(x)),
 )
 def test_differences_of_runs_that_are_unlike_show_no_order(scheme: Any, share: float) -> None:
-    """Three runs differed as motion of order two does, at other times each: 0.3 and 0.1 of the error was stated."""
+    """Three runs differed as motion of order two does, at other times each: 0.3 and 0.1 of the error was stated. Two runs
+    agreed in the place alone, with spins that are apart by their range (Rattle, 0.17 of the error; Radau, 0.36).
+    """
     run = fmbd.solve(falling_net(), t_end=1.5, scheme=scheme, tol={"corner": fmbd.relative(share)}, output=OUTPUT)
     exact = fmbd.solve(falling_net(), t_end=1.5, scheme=fmbd.Radau(5, rtol=1e-9), output=OUTPUT)
     true, span = np.abs(run["corner"] - exact["corner"]).max(), np.ptp(exact["corner"], axis=0).max()

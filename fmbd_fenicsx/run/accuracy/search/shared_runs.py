@@ -23,7 +23,7 @@ from ...problem import Problem
 from ...recording.output import Output
 from ...schedule import StepSchedule
 from ...single_run import Solved, Task, run_once
-from ..certificate import kinked
+from ..certificate import kinked, moving
 from ..companion_runs import UNFIT, Compared, again, steps_beside
 from ..deviation import Deviation, at_least
 from ..equal_steps import FEWEST, FURTHER, TimeError, between, by_half, compare_steps, of_order
@@ -255,7 +255,7 @@ class SharedRuns:
         near_by = ratio < TWICE and not resolved(known_orders(found), orders)
         another = (
             not found.by_chance.isdisjoint(allowed.sensors)
-            or astray(given, coarser[0], allowed.sensors)
+            or astray(given, between(given.recorder, coarser[0].recorder, allowed.sensors))
             or any(found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors)
         )
         far_off = ratio > MORE_THAN_TWICE and another
@@ -268,7 +268,8 @@ class SharedRuns:
 
     def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
         """The error by the steps from one run with larger ones, where no order has to be seen: half of that of the scheme would
-        be enough, or the whole is not, and the run will not be the last; None else.
+        be enough, or the whole is not, and the run will not be the last; None else, and where some sensor goes astray: others may
+        agree by chance.
 
         What is stated goes with three quarters of the order, at least one: neither half nor all of it is far from that.
         """
@@ -276,7 +277,8 @@ class SharedRuns:
         whole = compare_steps(orders, given, [coarser])
         if allowed.rough and allowed.share(whole.errors) > allowed.room:
             return replace(whole, with_others=coarser)
-        if allowed.share(of_order(orders, given, coarser, 0.5)) > allowed.room:
+        apart = between(given.recorder, coarser.recorder, orders)
+        if allowed.share(of_order(orders, given, coarser, 0.5)) > allowed.room or astray(given, apart):
             return None
         # where bodies touch, when they do depends on the steps
         follows = coarser.schedule.steps >= FEWEST and not solved.problem.scene.contacts
@@ -288,7 +290,7 @@ class SharedRuns:
         orders, have = _expected(solved.problem), self._runs[id(scene)]
         known = sorted(n for n in earlier if n >= given.schedule.steps / BEYOND)[::-1]
         below = [n for n in earlier if known and n <= known[0] / NEAREST]
-        if not below or astray(given, have[known[0]], allowed.sensors):
+        if not below or astray(given, between(given.recorder, have[known[0]].recorder, allowed.sensors)):
             return None
         found = compare_steps(orders, given, [have[known[0]], have[max(below)]])
         seen = known_orders(found)
@@ -357,7 +359,9 @@ class SharedRuns:
             powers = LEAST_POWER, usual_power(order)
             least, likely = (of_tolerances(apart, ratio**power, seen) for power in powers)
             enough = allowed.share(least) <= allowed.room
-            if allowed.share(likely) > allowed.room or (enough and not steps_meet_kinks(solved.run)):
+            if allowed.share(likely) > allowed.room or (
+                enough and not steps_meet_kinks(solved.run) and not astray(given, apart)
+            ):
                 return TimeError(likely, {}, loose)
             follows = loose if enough else given
 
@@ -378,11 +382,10 @@ def _expected(problem: Problem) -> dict[str, int]:
     return expected_orders(problem.scheme, problem.scene, problem.system)
 
 
-def astray(given: Compared, coarser: Compared, sensors: Sequence[str]) -> bool:
-    """Whether a run with larger steps is so far from a given one, in some sensors, that an order by it is chance."""
-    series = given.recorder.series
-    apart = between(given.recorder, coarser.recorder, sensors)
-    return any(x.size > ASTRAY * np.ptp(series[name], axis=0).max(initial=0.0) for name, x in apart.items())
+def astray(given: Compared, apart: Mapping[str, Deviation]) -> bool:
+    """Whether a run is so far ``apart`` from a given one, in some sensor that moves, that agreement of others is chance."""
+    spans = moving(given.recorder.series, given.recorder.scene.sensors)
+    return any(apart[name].size > ASTRAY * span for name, span in spans.items() if name in apart)
 
 
 def doubt(order: int) -> float:
