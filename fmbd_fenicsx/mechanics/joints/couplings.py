@@ -98,6 +98,17 @@ class SmoothMotion:
             )
 
 
+@dataclass(frozen=True)
+class Constant:
+    """A motion that stands at a value: the length of a rope over pulleys."""
+
+    value: float
+
+    def __call__(self, t: float) -> tuple[float, float, float]:
+        """s, s', s'' at any time."""
+        return self.value, 0.0, 0.0
+
+
 def _with_its_derivatives(function: Callable[[float], Any]) -> Callable[[float], Any]:
     """An interpolation that knows its derivatives, by ``derivative(order)`` as SciPy's do, as t -> (s, s', s'') by these;
     any other function as it is.

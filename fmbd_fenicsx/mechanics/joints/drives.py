@@ -18,7 +18,7 @@ from ...checks import instance, number, typed
 from ...errors import InputError, require
 from ...rotations import Motions
 from .constraints import Motion
-from .couplings import lead_ratio, smooth_motion
+from .couplings import Constant, lead_ratio, smooth_motion
 from .joints import Joint
 from .relative import Relative, RelativeAngle, Separation, Slide
 
@@ -165,10 +165,8 @@ def couple(
     factors = [(s, number(f'Joint "{name}": factor of joint "{s.joint.name}"', c)) for s, c in terms.items()]
     require(all(c != 0.0 for _, c in factors), f'Joint "{name}": a factor is 0; leave that coordinate out.')
     start = sum(c * s.joint.length for s, c in factors if s.kind is Separation)
-    if motion is None and start != 0.0:
-        motion = lambda t: (start, 0.0, 0.0)  # noqa: E731
-    given = None if motion is None else smooth_motion(name, motion)
-    return _coupling(name, "coupling", factors, given)
+    stands = None if start == 0.0 else Constant(start)
+    return _coupling(name, "coupling", factors, stands if motion is None else smooth_motion(name, motion))
 
 
 @typed

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import ConvergenceError, LinearSolveError
 from ...mechanics.forces.formulas import TARGET
 from ...mechanics.forces.laws_together import mean_effort
-from ...mechanics.joints.couplings import SmoothMotion
+from ...mechanics.joints.couplings import Constant, SmoothMotion
 from ...mechanics.kinds.asked import AskedKind
 from .declarations import PYTHON, enumeration
 from .tables.item_batches import turned, turning
@@ -46,6 +46,11 @@ class Calls:
         for items in (x for x in tables.sources if x.drive):
             place = items.kind.place("drive").start
             self.prescribed += zip(items.drive, items.table[:, place : place + 3], strict=True)
+        for motion, value in self.prescribed:
+            if isinstance(motion, Constant):  # told once
+                value[:] = motion(0.0)
+        self.prescribed = [x for x in self.prescribed if not isinstance(x[0], Constant)]
+        self._write_motions()
         self.loaded = [_load_of(tables, x) for x in tables.sources if x.load is not None]
         self.given = [x for x in tables.sources if x.role == GIVEN and x.given is not None]
         ramp = bool((self.system.gravity(0.0) != self.system.gravity(np.inf)).any())
@@ -157,7 +162,10 @@ class Calls:
                 value[0] = motion.place(t)
             else:
                 value[1:] = motion.rates(t)
+        self._write_motions()
 
+    def _write_motions(self) -> None:
+        """Those of rows, where C finds them."""
         arrays = self.tables.arrays
         for (rows, _, factor), values in zip(self.moving, self.of_rows, strict=True):
             for name, given in zip(MOTIONS, values.T, strict=True):
