@@ -29,13 +29,15 @@ FURTHER = 1.5  # times what half the step tells that larger ones are believed, w
 @dataclass(frozen=True)
 class TimeError:
     """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion;
-    ``halved``: told by one with half the step. ``by_chance``: sensors whose orders are, see :func:`compare_steps`.
+    ``halved``: told by one with half the step. ``unseen``: no order was seen where one had to be. ``by_chance``: sensors whose
+    orders are, see :func:`compare_steps`.
     """
 
     errors: dict[str, Deviation]
     orders: dict[str, float]
     with_others: Compared
     halved: bool = False
+    unseen: bool = False
     by_chance: frozenset[str] = frozenset()
 
 

@@ -193,8 +193,8 @@ class SharedRuns:
         that they find good enough is compared with one of twice as many steps; so is one whose order larger ones do not show,
         because they do not end.
         """
-        found, by_chance = self._compared(solved, known, allowed)
-        by_chance |= self._meets_kinks(solved) or not found.by_chance.isdisjoint(allowed.sensors)
+        found = self._compared(solved, known, allowed)
+        by_chance = self._meets_kinks(solved) or found.unseen or not found.by_chance.isdisjoint(allowed.sensors)
         if by_chance and found.errors and allowed.share(found.errors) <= allowed.room:
             found = self._by_half(solved, found)
         self._seen.update(known_orders(found))
@@ -220,8 +220,8 @@ class SharedRuns:
             return larger
         return by_half(_expected(solved.problem), given, finer, coarser=coarser, larger=larger)
 
-    def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> tuple[TimeError, bool]:
-        """See :meth:`time_error`; whether no order was seen where it had to be."""
+    def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
+        """See :meth:`time_error`."""
         given, scene = solved.compared, solved.problem.scene
         steps = given.schedule.steps
         have = self._runs.setdefault(id(scene), {})
@@ -229,7 +229,7 @@ class SharedRuns:
         near = [n for n in earlier if n >= steps / FARTHEST]
 
         if not near and (found := self._from_afar(solved, earlier, allowed)) is not None:
-            return found, False
+            return found
 
         coarser: list[Compared] = []
         unseen = False
@@ -242,12 +242,12 @@ class SharedRuns:
             elif not known.seen:
                 found = self._unseen(solved, coarser[0], allowed)
                 if found is not None:
-                    return found, False
+                    return found
                 coarser.append(self._with(solved, max(first // 2, 1)))
         except UNFIT as error:
             if not coarser:
                 log.warning("no error estimate: the run with larger steps did not end: %s", error)
-                return TimeError({}, {}, given), False
+                return TimeError({}, {}, given)
             unseen = not known.seen
         orders, seen = _expected(solved.problem), dict(self._seen)
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
@@ -264,7 +264,7 @@ class SharedRuns:
             half = steps // 2
             farther = max((n for n in have if n <= half / NEAREST), default=max(half // 2, 1))
             found = compare_steps(orders, given, [self._with(solved, n) for n in (half, farther)], before=seen)
-        return found, unseen and not known_orders(found)
+        return replace(found, unseen=unseen and not known_orders(found))
 
     def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
         """The error by the steps from one run with larger ones, where no order has to be seen: half of that of the scheme would
