@@ -170,16 +170,15 @@ class MoreauStepper(ContactStepper):
         Flights between them, each e times as long as the one before, take 2 e u / (1 - e) / a: u is the speed of the impact,
         and a the acceleration that the last flight presses with.
         """
-        s, contacts = self.state, self.contacts
+        s = self.state
         at, pressing = (s.t, s.q, s.v), self._pressing
         if step is not None:
             way = step.h * (s.v + 0.5 * (step.v - s.v))
             at, pressing = (s.t + step.h, self.system.compose(s.q, way), step.v), (step.v - s.v) / step.h
 
-        rows = contacts.rows(self.system, *at[:2], since=(at[0], h)).take(chosen)
+        rows, rate = self._rows_and_rates(chosen, at, h)
         e, out = rows.restitution, np.zeros_like(chosen)
-        rate = self._rates(chosen, at, h)[chosen]
-        out[chosen] = -2.0 * e * rate <= -(1.0 - e) * h * contacts.times(self.system, rows.N, pressing)
+        out[chosen] = -2.0 * e * rate <= -(1.0 - e) * h * self.contacts.times(self.system, rows.N, pressing)
         return out
 
     def _classical(self, left: float) -> _Step:
@@ -236,12 +235,16 @@ class MoreauStepper(ContactStepper):
     def _rates(self, chosen: np.ndarray, at: tuple[float, Array, Array], h: float) -> Array:
         """Rates of the gaps of the chosen contacts (m,) bool at (t, q, v), zero elsewhere, m/s, (m,)."""
         rates = np.zeros(len(chosen))
-        t, q, v = at
         if chosen.any():
-            contacts, system = self.contacts, self.system
-            rows = contacts.rows(system, t, q, since=(t, h)).take(chosen)
-            rates[chosen] = contacts.times(system, rows.N, v) + contacts.gap_rate(system, t, q, h)[chosen]
+            rates[chosen] = self._rows_and_rates(chosen, at, h)[1]
         return rates
+
+    def _rows_and_rates(self, chosen: np.ndarray, at: tuple[float, Array, Array], h: float) -> tuple[Rows, Array]:
+        """Rows of the chosen contacts alone, and the rates of their gaps, m/s."""
+        contacts, system = self.contacts, self.system
+        t, q, v = at
+        rows = contacts.rows(system, t, q, since=(t, h)).take(chosen)
+        return rows, contacts.times(system, rows.N, v) + contacts.gap_rate(system, t, q, h)[chosen]
 
     def _start_rates(self, closed: np.ndarray, h: float, normal: Array) -> Array:
         """Rates of the gaps of closed contacts, m/s, and slips across ``normal`` (m, d), at the start of a flight of length h.
