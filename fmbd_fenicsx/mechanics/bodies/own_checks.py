@@ -59,13 +59,12 @@ def check_force(part: CoordinatePart, slopes: Slopes, tangent: Callable[..., Any
         none = ROUNDOFF * float(np.abs(slopes.function(z)).max(initial=0.0))
         sizes = np.abs(places[-1][0]).max(), np.abs(v).max()
         for k, (given, by) in enumerate(zip(tangent(q, v, 0.0), ("q", "q'"), strict=True)):
-            said, told = np.reshape(np.asarray(given, dtype=float), (n, n)), found[:, n * k : n * (k + 1)]
-            place = _worst(said, told, none / sizes[k])
-            if place is not None:
+            said = np.reshape(np.asarray(given, dtype=float), (n, n))
+            if differs := _difference(said, found[:, n * k : n * (k + 1)], none / sizes[k]):
                 log.warning(
-                    'body "%s": force_jacobian has %g for the derivative of force %d by %s %d, the force itself tells %g: '
+                    'body "%s": force_jacobian by %s is not that of the force: %s. '
                     "Newton's iteration is slow by it, and modes and linear models are those of other forces",
-                    part.name, said[place], place[0], by, place[1], told[place],
+                    part.name, by, differs,
                 )  # fmt: skip
                 return
 
@@ -93,13 +92,16 @@ def _known(derivative: Callable[..., Array], *at: Any) -> Array | None:
     return told if np.isfinite(told).all() else None
 
 
-def _worst(given: Array, found: Array, none: float) -> tuple[int, ...] | None:
-    """Where two derivatives differ most, against the largest of their row, but for what is ``none``; None where they agree."""
-    size = np.maximum(np.abs(given), np.abs(found))
+def _difference(said: Array, told: Array, none: float) -> str:
+    """Where two derivatives differ most, against the largest of their row, but for what is ``none``; empty where they agree."""
+    size = np.maximum(np.abs(said), np.abs(told))
     row = size.max(axis=-1, keepdims=True) if size.ndim > 1 else size
-    apart = np.abs(given - found)
+    apart = np.abs(said - told)
     beyond = np.where(apart > SAME * row + none, apart, 0.0)
-    return tuple(int(i) for i in np.unravel_index(int(beyond.argmax()), beyond.shape)) if beyond.any() else None
+    if not beyond.any():
+        return ""
+    place = tuple(int(i) for i in np.unravel_index(int(beyond.argmax()), beyond.shape))
+    return f"entry {place} is {said[place]:g}, the function itself tells {told[place]:g}"
 
 
 def _compare(law: PortConstraint, what: str, said: Array, told: Array | None, none: float) -> None:
@@ -108,9 +110,8 @@ def _compare(law: PortConstraint, what: str, said: Array, told: Array | None, no
         return
     if said.shape != told.shape:
         raise InputError(f'Body "{law.name}": {what} has shape {said.shape}, expected {told.shape}.')
-    place = _worst(said, told, none)
-    if place is not None:
+    if differs := _difference(said, told, none):
         raise InputError(
-            f'Body "{law.name}": {what} is not that of its constraint: entry {place} is {said[place]:g}, the constraint itself '
-            f"tells {told[place]:g}. Leave it out, and it is found from the constraint."
+            f'Body "{law.name}": {what} is not that of its constraint: {differs}. '
+            "Leave it out, and it is found from the constraint."
         )
