@@ -26,10 +26,8 @@ from ...rotations import Array
 from .user_laws import Repeatable
 
 FEW = 8  # numbers: below it Python is faster with each of them
-STEP, LEAST = (
-    1e-6,
-    1e-3,
-)  # of differences, relative to s and s'; the least size of these (of the model, and that a second)
+STEP = 1e-6  # of differences, relative to s and s'
+LEAST = 1e-3  # size of these (of the model, and that a second)
 SAME = 1e-9  # relative, of arrays against numbers: their functions may round in other ways
 GAUSS = (0.5 - 0.15**0.5, 5 / 18), (0.5, 4 / 9), (0.5 + 0.15**0.5, 5 / 18)  # points and weights, of means over a step
 _content = attrgetter("cell_contents")
