@@ -98,8 +98,9 @@ class StageMarch(ImplicitStepper):
         self._eta, self._h_rate, proposed, h_old, error_old, h = map(float, head)
         if self.adaptive:
             self.proposed, self.control.h_old, self.control.error_old = proposed, h_old, error_old
-        xi, vs, mult = (x.reshape(k, -1) for x in stages)
-        q, v, xi, vs = twin.places(q), *map(twin.forces, (v, xi, vs))
+        each: list[Array] = [x.reshape(k, -1) for x in stages]
+        q, mult = twin.places(q), each[2]
+        v, xi, vs = map(twin.forces, (v, *each[:2]))
         W = self.tab.W / h
         self._last = h, q, v, Points(xi, W @ xi, vs, W @ (vs - v), mult)
         self.mult, self._h_factor, self._filter = mult[-1], factored, None
