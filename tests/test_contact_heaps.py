@@ -80,3 +80,16 @@ def test_slow_touches_of_a_heap_need_no_time_of_their_own() -> None:
     total = sum(run.energy.values())
     assert np.diff(total).max() <= 1e-9 * abs(total[0])
     assert run.state.contact.gap.min() > -1e-3 * R
+
+
+def test_a_heap_settles_in_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Just before balls rest, which of their contacts carry is a matter of slips that no velocity is known to: forces are found
+    to what is accepted, or to rates that Newton's iteration leaves, and none of Python's pivoting, which takes minutes, is asked.
+    """
+    asked: list[int] = []
+    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: asked.append(m))
+    run = fmbd.solve(hopper(25), t_end=0.9, dt=1e-3, scheme=fmbd.Moreau(), output=fmbd.Output(every=50, progress=False))
+    assert not asked
+    assert run.counters["compiled_steps"] == run.counters["steps"]
+    assert np.diff(sum(run.energy.values())).max() <= 1e-9 * abs(sum(run.energy.values())[0])
+    assert run.state.contact.gap.min() > -1e-3 * R

@@ -101,6 +101,7 @@ typedef struct {
     double *old;                              /* impulses before an iteration */
     double *least;                            /* room for vectors of forces; */
     int *states;                              /* of contacts, twice */
+    double rough;                             /* m/s: what iterations leave of velocities, and so of rates of gaps and slips */
     double *ahead, *xi, *kept;                /* like q, like v, like lambda */
     double *saved;                            /* held, impulse, works and energies at the start of a step, of what is near */
     int *was;                                 /* carrying then */

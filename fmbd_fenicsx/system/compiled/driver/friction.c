@@ -1,28 +1,39 @@
 /* Coulomb friction where contacts depend on each other, or Newton's plain iteration does not converge: proximal points, by Newton with a
    line search, as linear/complementarity/coulomb.py, equations (1) to (3); from the last forces, then from those of interior.c. What
-   these do not solve is Python's: pivoting. */
+   these leave is taken where the law is missed by rates that the step's own iteration does not know; else it is Python's: pivoting. */
 
 static const double FOUND = 1e-12, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
 static const double ACCEPTED = 1e-10; /* where no attempt finds better; as there */
 enum { DIRECTIONS = 12 }; /* of a solution at most */
 enum { SHORT = 5, LONG = 8 }; /* iterations of an attempt before each has to halve the residual */
-enum { PLAIN = 40, POINTS = 40, AHEAD = 5 }; /* iterations, proximal points at most; whole steps before one is made shorter */
+enum { PLAIN = 40, FEW = 8, MANY = 40, STAYS = 8 }; /* iterations at most; proximal points at most, and without half of what is left */
 
-/* Proximal points: from which forces, the first rho, and iterations of a problem before each has to halve the residual. */
+/* Proximal points: from which forces, the first rho, iterations of a problem before each has to halve the residual, points at most,
+   and whole steps before one is made shorter. */
 typedef struct {
     int from;
     double rho;
-    int patience;
+    int patience, points, ahead;
 } Attempt;
 
-enum { LAST, WITHIN, NONE }; /* those of sweeps from the last ones, of interior points, none */
-static const Attempt ATTEMPTS[] = {{LAST, 1e-6, SHORT}, {WITHIN, 1e-8, LONG}, {LAST, 1e-10, LONG}, {NONE, 1e-9, LONG}, {LAST, 1e-4, LONG}};
-enum { TRIES = sizeof ATTEMPTS / sizeof *ATTEMPTS };
+/* Those of sweeps from the last ones, of interior points, none. Which contacts carry a heap the last forces tell soon or not at all.
+   Where one attempt fails another does not: they fail in few problems, and in others each. */
+enum { LAST, WITHIN, NONE };
+static const Attempt ATTEMPTS[] = {{LAST, 1e-6, SHORT, FEW, 3},
+                                   {WITHIN, 1e-7, LONG, MANY, 5},
+                                   {LAST, 1e-10, LONG, MANY, 8},
+                                   {NONE, 1e-9, LONG, MANY, 8},
+                                   {LAST, 1e-4, LONG, MANY, 8},
+                                   {WITHIN, 1e-9, LONG, MANY, 12},
+                                   {NONE, 1e-6, LONG, MANY, 12},
+                                   {WITHIN, 1e-5, LONG, MANY, 12}};
+enum { TRIES = sizeof ATTEMPTS / sizeof *ATTEMPTS, SHARPENING = 2 }; /* behind so many what is accepted ends the search */
 
 /* A problem (3) with the compliance and the friction of ``of``, and the iterate that was evaluated last. */
 typedef struct {
     const Problem *of;
-    int m, n, patience;                       /* patience: iterations before each has to halve the residual */
+    int m, n;
+    const Attempt *with;
     double *q, *shift, *x, *u, *F, *dx, *du; /* n; dx, du: blocks d x d by point */
     int *state, *before;                      /* of points */
 } Friction;
@@ -151,7 +162,7 @@ static int searched(Contacts *c, Friction *o, double *work)
     arrived(c, o);
     for (int k = 0; k < PLAIN; k++) {
         size = residual_of(o, d);
-        if (size <= ENOUGH || !isfinite(size) || (k > o->patience && size > 0.5 * best)) break;
+        if (size <= ENOUGH || !isfinite(size) || (k > o->with->patience && size > 0.5 * best)) break;
         best = fmin(best, size);
 
         double norm = dot(o->F, o->F, n), share = 1.0, falls = (1.0 - 1e-4) * (1.0 - 1e-4);
@@ -165,7 +176,7 @@ static int searched(Contacts *c, Friction *o, double *work)
         /* whole steps, one behind the other, before one is made shorter: see _searched of coulomb.py */
         double reached = arrived(c, o);
         memcpy(full, o->u, n * sizeof(double));
-        for (int left = AHEAD; !(reached <= falls * norm) && isfinite(reached) && --left;) {
+        for (int left = o->with->ahead; !(reached <= falls * norm) && isfinite(reached) && --left;) {
             if (force_step(c, o, rest, rest + n)) break;
             add(o->x, 1.0, rest, n);
             reached = arrived(c, o);
@@ -192,7 +203,7 @@ static double attempt(Contacts *c, const Problem *problem, const Attempt *with, 
     const int m = problem->m, d = c->components, n = m * d;
     double rho = with->rho;
     double *none = best + n, *work = none + n;
-    Friction o = {.of = problem, .m = m, .n = n, .patience = with->patience, .state = c->states, .before = c->states + m}, whole;
+    Friction o = {.of = problem, .m = m, .n = n, .with = with, .state = c->states, .before = c->states + m}, whole;
     double **places[] = {&o.q, &o.shift, &o.x, &o.u, &o.F};
     for (int k = 0; k < 5; k++, work += n) *places[k] = work;
     o.dx = work;
@@ -204,14 +215,14 @@ static double attempt(Contacts *c, const Problem *problem, const Attempt *with, 
     whole.q = problem->q;
     whole.shift = none;
 
-    for (int k = 0; k < POINTS; k++) {
+    for (int k = 0, idle = 0; k < with->points; k++) {
         for (int i = 0; i < n; i++) {
             double cn, ct;
             scales(problem, i / d, d, &cn, &ct);
             o.shift[i] = rho / (i % d ? ct : cn);
             o.q[i] = problem->q[i] - o.shift[i] * o.x[i];
         }
-        int found = searched(c, &o, work);
+        const int found = searched(c, &o, work);
         gaps_under(&whole, d, o.x, o.u);
         evaluated(c, &whole);
         const double size = residual_of(&whole, d), before = least;
@@ -219,12 +230,29 @@ static double attempt(Contacts *c, const Problem *problem, const Attempt *with, 
             least = size;
             memcpy(best, o.x, n * sizeof(double));
         }
-        /* what has been found gets as sharp as it does at once */
-        if (size <= ENOUGH || !isfinite(size) || (least <= FOUND && size > 0.5 * before)) break;
+        /* what has been found gets as sharp as it does at once, what is accepted as it does soon */
+        idle = size > 0.5 * before ? idle + 1 : 0;
+        if (size <= ENOUGH || !isfinite(size) || (idle && least <= FOUND) || (idle > STAYS && least <= ACCEPTED)) break;
         rho = found ? 0.1 * rho : 10.0 * rho;
         rho = rho > 1.0 ? with->rho : rho;
     }
     return least;
+}
+
+/* Whether forces x miss the law by rates only that are not known; openings and slips under them are in o->u then. */
+static int within_rates(const Contacts *c, const Problem *o, const double *x)
+{
+    const int d = c->components;
+    moved_by(o, d, x, o->u);
+    add(o->u, 1.0, o->q, o->m * d);
+    for (int i = 0; i < o->m; i++) {
+        double cn, ct, F[D], dx[D * D], du[D * D];
+        scales(o, i, d, &cn, &ct);
+        coulomb(x + i * d, o->u + i * d, cn, ct, o->mu[i], d, F, dx, du);
+        for (int k = 0; k < d; k++)
+            if (!(fabs(F[k]) <= c->rough * (k ? ct : cn))) return 0;
+    }
+    return 1;
 }
 
 /* Forces of a group from those in the problem; 1 where none of the attempts finds them, with nothing counted. */
@@ -234,20 +262,19 @@ static int frictional_forces(Contacts *c, const Problem *o)
     Tally before = c->tally;
     double *last = c->least, *best = last + n, *work = best + n, size = INFINITY;
     memcpy(last, o->f, n * sizeof(double));
-    for (const Attempt *k = ATTEMPTS; k < ATTEMPTS + TRIES && !(size <= FOUND); k++) {
+    for (const Attempt *k = ATTEMPTS; k < ATTEMPTS + TRIES && !(size <= (k < ATTEMPTS + SHARPENING ? FOUND : ACCEPTED)); k++) {
         c->tally.cycles += k > ATTEMPTS;
-        if (k->from == WITHIN) inner_forces(c, o, work);
+        if (k->from == WITHIN) inner_forces(c, o, work), sweep_forces(o, d, o->f);
         else if (k->from == LAST) memcpy(o->f, last, n * sizeof(double));
         else memset(o->f, 0, n * sizeof(double));
         size = attempt(c, o, k, best, size);
     }
-    memcpy(o->f, size <= ACCEPTED ? best : last, n * sizeof(double));
-    if (!(size <= ACCEPTED)) {
+    const int found = within_rates(c, o, best) || size <= ACCEPTED;
+    memcpy(o->f, found ? best : last, n * sizeof(double));
+    if (!found) {
         c->tally = before;
         return 1;
     }
-    moved_by(o, d, o->f, o->u);
-    add(o->u, 1.0, o->q, n);
     c->tally.residual = fmax(c->tally.residual, size);
     c->tally.solves++;
     return 0;

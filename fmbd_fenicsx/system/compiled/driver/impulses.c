@@ -1,6 +1,7 @@
 /* Velocities and impulses of a part of a Moreau step, equations (1) to (3) of schemes/impacts/moreau.py, and the works of both. */
 
 static const double ADDED = 1e-9, CLOSE = 1e-10, NARROW = 1e-12; /* as in restitution.py */
+static const double SHARPLY = 1e-4; /* of the tolerance: what iterations leave of velocities */
 enum { TRIED = 40 };
 
 /* The turns of all bodies in the place of those that compliances were found at, and back. */
@@ -136,9 +137,11 @@ static int lawful_impulses(Contacts *c, const double *start, double t)
 static int velocities(System *s, Contacts *c, double *p, Block now, Block out, int m, double h, double span)
 {
     const int n = m * c->components, d = c->components, *closed = c->closed;
+    const double speed = fmax(largest_of(s->units, now.v, s->nv), 1e-6 * p[LENGTH] / span);
     double *kept = c->kept;
     const double middle = *now.t + 0.5 * h;
     c->all.m = m;
+    c->rough = SHARPLY * p[TOL] * speed;
     double *vm = s->work, *xi = vm + s->nv, *x = xi + s->nv, *y = x + s->nv, sizes[MOST], left = 0.0;
     int done = 0, verdict, converged = 0;
 
@@ -181,8 +184,8 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
 
         add(out.v, 1.0, x, s->nv);
         add(out.lam, 1.0 / h, y, s->rows);
-        double size_v = fmax(fmax(largest_of(s->units, out.v, s->nv), largest_of(s->units, now.v, s->nv)), 1e-6 * p[LENGTH] / span);
-        sizes[done++] = largest_of(s->units, x, s->nv) / (1e-4 * p[TOL] * size_v);
+        const double size_v = fmax(largest_of(s->units, out.v, s->nv), speed);
+        sizes[done++] = largest_of(s->units, x, s->nv) / (SHARPLY * p[TOL] * size_v);
         converged = judge(p, sizes, done, &left);
         if (s->redundant && done == 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
         if (converged < 0) return NEWTON;

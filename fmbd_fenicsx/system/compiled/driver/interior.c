@@ -8,7 +8,7 @@
    doi:10.1016/S0895-7177(98)00119-8) is |u_t| then. Steps in the scaling of Nesterov and Todd (doi:10.1137/S1052623495290209), with
    Mehrotra's corrector. */
 
-enum { INNER = 60 };                   /* iterations at most */
+enum { INNER = 60, STALLED = 10 };     /* iterations at most; those without half of what is left */
 static const double BEHIND = 0.1;      /* x . u is not led below this share of what (1) lacks: else steps get short */
 static const double SHARP = 1e-12;      /* of the forces: what (1) lacks is not known to less */
 static const double NEARLY = 0.995;    /* share of the way to the boundary */
@@ -201,8 +201,9 @@ static void inner_forces(const Contacts *c, const Problem *of, double *work)
     size = fmax(largest(o.q, n), 1e-300);
     for (int i = 0; i < n; i++) o.q[i] /= size;
 
-    for (int round = 0; round < INNER; round++) {
+    for (int round = 0, stalls = 0; round < INNER && stalls < STALLED; round++) {
         most = lacking(of, &o, &gap);
+        stalls = fmax(most, gap) < 0.5 * best ? 0 : stalls + 1;
         if (fmax(most, gap) < best) {
             best = fmax(most, gap);
             for (int i = 0; i < n; i++) of->f[i] = size * o.T[i] * o.x[i];
