@@ -103,7 +103,9 @@ class Modes:
         out = np.zeros(len(self.shapes))
         for k in range(len(out)):
             y: Array = self.shapes[k]
-            moves = [y[:held].reshape(-1, n)[:, :d]]
+            twists = y[:held].reshape(-1, n)
+            # in space an axis that tilts circles as well: an antisymmetric mode leaves the middle of a shaft at rest
+            moves = [twists[:, :d], s.length * twists[:, d:]] if d == 3 else [twists[:, :d]]
             local = [s.local_v(y, i).reshape(-1, d) for i, p in s.fields if p.frame == s.n_frames]
             sums = _circling(moves, axis)
             if s.comm is not None:
