@@ -104,9 +104,9 @@ def test_an_order_that_no_run_shows_is_not_that_of_the_scheme() -> None:
 
 def falling_net() -> fmbd.Scene:
     """Four small bodies that fall and tumble on springs between them: places are nearly those of the fall alone."""
-    scene, bodies = fmbd.Scene("falling net", gravity=(0, 0, -9.81)), []
+    scene, bodies = fmbd.Scene("falling net", gravity=(0, 0, -9.81)), list[fmbd.RigidBody]()
     for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        spin = {"angular_velocity": (1.0 * i, 0.5, 2.0 * j)}
+        spin: dict[str, Any] = {"angular_velocity": (1.0 * i, 0.5, 2.0 * j)}
         bodies.append(fmbd.RigidBody(f"body {i}{j}", 0.3, (1e-3, 2e-3, 1.5e-3), (0.4 * i, 0.4 * j, 0.1 * i), **spin))
     scene.add(*bodies)
     for k, (i, j) in enumerate(((0, 1), (1, 3), (3, 2), (2, 0), (0, 3))):

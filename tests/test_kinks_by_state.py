@@ -95,7 +95,10 @@ def hammer() -> fmbd.Scene:
 
 def test_contacts_shorter_than_the_steps_of_the_attempt_before_are_told_by_half_the_step() -> None:
     """Smooth in 2 800 steps and an impact in 700, which showed order two with 350: a quarter of the error was stated."""
-    given = {"t_end": 1.2, "output": fmbd.Output(times=tuple(np.linspace(0.0, 1.2, 81)), energy=False, progress=False)}
+    given: dict[str, Any] = {
+        "t_end": 1.2,
+        "output": fmbd.Output(times=tuple(np.linspace(0.0, 1.2, 81)), energy=False, progress=False),
+    }
     run = fmbd.solve(hammer(), scheme=fmbd.GeneralizedAlpha(), tol={"pin": 90.0}, **given)  # N, of 4 500
     exact = fmbd.solve(hammer(), scheme=EXACT, **given)
     true = np.abs(run["pin"] - exact["pin"]).max()

@@ -47,8 +47,8 @@ def held_arm(breakpoints: tuple[float, ...] = ()) -> fmbd.Scene:
 def solved(scheme: Any, *, breakpoints: tuple[float, ...] = (), **output: Any) -> fmbd.Run:
     """Half a second of it."""
     own = getattr(scheme, "rtol", None) is not None
-    given = {"scheme": scheme, "output": fmbd.Output(energy=False, progress=False, **output)}
-    return fmbd.solve(held_arm(breakpoints), t_end=0.5, **given, **({} if own else {"dt": 0.01}))
+    given: dict[str, Any] = {"scheme": scheme, "output": fmbd.Output(energy=False, progress=False, **output)}
+    return fmbd.solve(held_arm(breakpoints), t_end=0.5, dt=None if own else 0.01, **given)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,10 @@ def test_errors_of_reactions_between_samples_are_told(scheme: Any) -> None:
 @pytest.mark.parametrize("name", ["acceleration", "pin"])
 def test_looser_tolerances_tell_what_is_of_a_lower_order_than_steps_are_chosen_by(name: str) -> None:
     """Accelerations within steps fall with the square of these, places with the fifth power: 0.22 of the error was stated."""
-    given = {"t_end": 1.0, "output": fmbd.Output(times=tuple(np.linspace(0.0, 1.0, 91)), energy=False, progress=False)}
+    given: dict[str, Any] = {
+        "t_end": 1.0,
+        "output": fmbd.Output(times=tuple(np.linspace(0.0, 1.0, 91)), energy=False, progress=False),
+    }
     run = fmbd.solve(held_arm(), scheme=fmbd.Radau(3), tol={name: fmbd.relative(2e-2)}, **given)
     exact = fmbd.solve(held_arm(), scheme=fmbd.Radau(5, rtol=1e-9), **given)
     true = np.abs(run[name] - exact[name]).max()
