@@ -10,6 +10,7 @@ import numpy as np
 
 from ..mechanics.placements import DistributedPart
 from ..rotations import Array, rotate_nodal
+from ..system.layout import Layout
 from ..system.system import System
 from ..system.tangents.foreshortened_ports import tangent_ports
 from .blocks.field_blocks import FactoredField
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 class Prepared:
     """A matrix that can be solved with; collective."""
 
-    system: System
+    system: Layout
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """Increment like v and multipliers for right-hand sides b (like v) and c."""
