@@ -101,6 +101,27 @@ def test_thin_plates(thickness: float) -> None:
     assert 3.516 * np.sqrt(1.0 - 0.3**2) < seen[0] / unit < 3.492
 
 
+def clamped(thickness: float) -> float:
+    """The first frequency of the plate in a scene, in its unit."""
+    body = plate(thickness)
+    scene = fmbd.Scene("plate")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+    unit = np.sqrt(7e10 * thickness**3 / 12 / (1.0 - 0.3**2) / (2700.0 * thickness)) / (2.0 * np.pi)
+    return float(fmbd.modes(scene, 3).frequencies[0] / unit)
+
+
+def test_modes_of_very_thin_plates(caplog: pytest.LogCaptureFixture) -> None:
+    """At 1 : 1000 the space of motions has to grow beyond its usual size (3.464 within it); where roundoff leaves nothing to
+    settle by, it is said.
+    """
+    usual = clamped(0.002)
+    assert not [x for x in caplog.messages if "settle" in x]
+    assert clamped(0.001) == pytest.approx(usual, rel=1e-3)
+
+    clamped(0.0002)
+    assert [x for x in caplog.messages if "did not settle" in x]
+
+
 def test_an_attached_frame_has_the_clamped_modes_of_its_joint() -> None:
     """In the frame of a face, wider than thick, that a joint holds few modes are those of the field: both see one rotation."""
     mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.3, 0.05), counts=(8, 4, 1), quads=True)

@@ -11,9 +11,8 @@ from ..errors import InputError
 from ..log import log
 from ..rotations import Array
 
-SLENDER = (
-    50.0  # length over height of first-order cells above which bending is far too stiff (1:1000 measured: 280 times)
-)
+# length over height of first-order cells above which bending is far too stiff (1:1000 measured: 280 times)
+SLENDER = 50.0
 
 
 def check_field(field: Any) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...errors import InputError, LinearSolveError
 from ...linear.condensation import StepSolver, Weights
+from ...log import log
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
 from ...schemes.newton import ExactTangent
@@ -24,6 +25,7 @@ from .small_memory import SmallMemory, small_memory
 
 RANK = 1e-9  # singular values of the scaled G below this share of the largest are zero
 BLOCK, MORE = 3, 24  # start vectors, and vectors beyond those asked for
+LARGEST = 3  # times as many where modes do not settle: those of thin bodies are slow beside the inertia that holds them
 ENLARGED = 1e-2  # share of a vector that must be new for its violation of the constraints to stay roundoff
 NEW = 1e-5  # share of a vector that must be new: below it stands the noise of GMRES, which no constraint holds
 DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
@@ -173,8 +175,8 @@ def _krylov(
     enough: Callable[[ProjectedSystem], bool] | None,
 ) -> ProjectedSystem:
     """The matrices on an orthonormal basis of a block Krylov space; where it ends early others go on beside it."""
-    about, basis = space.about, space.vectors
-    limit = min(3 * count + MORE, _freedom(about))
+    about, basis, freedom = space.about, space.vectors, _freedom(space.about)
+    limit = min((3 * count + MORE) * (1 if enough is None else LARGEST), freedom)
     started = known = done = 0  # random starts; vectors whose own answers are left out; those that were answered
 
     def starts() -> list[Array]:
@@ -203,6 +205,14 @@ def _krylov(
         made = _new_part(about, basis, waiting.pop(0), inverse)
         if made is not None:
             space.add(made)
+    else:
+        if enough is not None and limit < freedom:
+            log.warning(
+                "The first %d modes did not settle among %d motions: their frequencies are uncertain, as those of very thin "
+                "solids; take beams, rods, or thicker cells",
+                count,
+                limit,
+            )
     return space.projected()
 
 

@@ -33,9 +33,8 @@ from ..kinds.own import OwnTerm
 # coordinates of second order in x and R, whose rows at the mean are exact; distances: that of the mean points over the mean one;
 # others: by their difference (POINT, of efforts: taken at the mean)
 POINT, SQUARE, DISTANCE, QUOTIENT = range(4)
-UNMOVED = (
-    1e-6  # of the change that a motion by the model's length makes: rows of smaller ones are as exact as a quotient
-)
+# of the change that a motion by the model's length makes: rows of smaller ones are as exact as a quotient
+UNMOVED = 1e-6
 
 
 def nearest(angle: Array, wanted: Array) -> Array:

@@ -15,9 +15,8 @@ from ...system.system import System
 SEEN = 0.75  # share of the expected order above which runs with larger steps follow the same motion
 REGULAR = 0.9  # the same above which an order is what it seems
 LEAST_ORDER = 0.5
-OF_MEMORIES = (
-    2  # the trapezoidal rule of controllers and of arms of rods that relax; friction that knows ends of steps alone
-)
+# the trapezoidal rule of controllers and of arms of rods that relax; friction that knows ends of steps alone
+OF_MEMORIES = 2
 BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to the expected one; and the most that this may be
 TOO_HIGH = 1.0  # what an order is beyond that of the scheme that belongs to another motion
 LARGE = 0.02  # error of time over the range of a sensor below which such an order does not matter
@@ -72,11 +71,9 @@ def usable_order(p: float, order: int) -> float:
     if np.isnan(p):
         return order
     low = max(p, LEAST_ORDER)
-    return (
-        low + min(BETWEEN * (order - low), MOST_BETWEEN)
-        if low < order
-        else order + max(min(low - order, 1.0) - 0.5, 0.0)
-    )
+    if low < order:
+        return low + min(BETWEEN * (order - low), MOST_BETWEEN)
+    return order + max(min(low - order, 1.0) - 0.5, 0.0)
 
 
 def kink(t: Array, x: Array, order: float, derivative: int) -> tuple[float, float]:
