@@ -18,10 +18,11 @@ from fmbd_fenicsx.system.compiled.states import convergence, field_stages, stage
 from fmbd_fenicsx.system.compiled.tables.structures import structure
 
 OF_TABLES = "Surface Body Told Field Batch Front Angle Rod Reaction Deflection Control System".split()
-OF_CORE: dict[str, Any] = {
-    "Symmetric": Symmetric, "Implicit": implicit.Implicit, "OwnSteps": implicit.OwnSteps, "Orders": implicit.Orders,
-    "Closed": march._Closed, "Tape": recording._Tape, "Convergence": convergence.Convergence, "Sparse": stages.SparseRows,
-    "Lower": stages.Lower, "Stages": stages.Stages, "Product": stage_patterns.ProductPairs,
+OF_CORE: dict[str, Any] = {"Symmetric": Symmetric, "Closed": march._Closed, "Tape": recording._Tape}
+OF_IMPLICIT: dict[str, Any] = {
+    "Implicit": implicit.Implicit, "OwnSteps": implicit.OwnSteps, "Orders": implicit.Orders,
+    "Convergence": convergence.Convergence, "Sparse": stages.SparseRows, "Lower": stages.Lower, "Stages": stages.Stages,
+    "Product": stage_patterns.ProductPairs,
     "Patterns": stage_patterns.Patterns, "FieldStages": field_stages._FieldStages,
 }  # fmt: skip
 OF_CONTACT: dict[str, Any] = {
@@ -32,9 +33,10 @@ OF_CONTACT: dict[str, Any] = {
 
 def told(dim: int, unit: str) -> dict[str, Any]:
     """The structures of a unit that Python knows."""
-    if unit == CORE:
-        return {**OF_CORE, **{name: structure(name, dim) for name in OF_TABLES}}
-    return {**OF_CONTACT, **{name: contact.structure(name, dim) for name in ("Mover", "Pair")}}
+    if unit == CONTACT:
+        return {**OF_CONTACT, **{name: contact.structure(name, dim) for name in ("Mover", "Pair")}}
+    own = {"driver": OF_CORE, "implicit_schemes": OF_IMPLICIT}.get(unit, {})
+    return {**own, **{name: structure(name, dim) for name in OF_TABLES}}
 
 
 def statements(name: str, kind: type[ctypes.Structure]) -> list[str]:
@@ -45,7 +47,7 @@ def statements(name: str, kind: type[ctypes.Structure]) -> list[str]:
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("unit", [CORE, CONTACT])
+@pytest.mark.parametrize("unit", [*CORE, CONTACT])
 def test_structures_are_those_of_the_compiler(dim: int, unit: str, tmp_path: Path) -> None:
     claims = [x for name, kind in told(dim, unit).items() for x in statements(name, kind)]
     source = tmp_path / "claims.c"

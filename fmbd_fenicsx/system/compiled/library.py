@@ -1,7 +1,7 @@
 """The driver as a shared library, built at first use and kept (:mod:`fmbd_fenicsx.kernel_cache`).
 
-It is made of units: the core, and what a scene may lack, which is compiled and linked only for systems that have it. Without a C
-compiler there is none, which is said once; everything then runs in NumPy.
+It is made of units: the core and its schemes, and what a scene may lack, which is compiled and linked only for systems that have
+it. Without a C compiler there is none, which is said once; everything then runs in NumPy.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ FLAGS = (
     ),
     "-std=gnu11",
 )
-CORE = "driver"
+CORE = ("implicit_schemes", "schemes", "driver")  # units of every scene, to be compiled side by side, the longest first
 CONTACT = "moreau"
 EXPORTED = re.compile(r"^EXPORT (\w+) (\w+)\((.*?)\)", re.MULTILINE | re.DOTALL)
 TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double, "void": None}
@@ -57,7 +57,7 @@ def units_of(system: System) -> tuple[str, ...]:
 @cache
 def driver_library(dim: int, units: tuple[str, ...] = ()) -> Any:
     """The driver for the plane or for space, of the core and some units; None where it cannot be had."""
-    names = (CORE, *units)
+    names = (*CORE, *units)
     library = kernel_cache.Library(f"driver_{dim}d", tuple(_unit(dim, name) for name in names))
     loaded = kernel_cache.load_library(library, beside=(package_kernels(dim),))
     return None if loaded is None else _typed(loaded, dim, names)

@@ -7,7 +7,7 @@ static const double WORTH = 1e3;      /* first increments, over the tolerance, t
 enum { RENEWALS = 10 };               /* of tangents of fields in a step at most */
 
 /* Weights of the parabola through the last steps (less at the start) at the time t. */
-static void predictor(const Block *past, int known, double t, double *w)
+void predictor(const Block *past, int known, double t, double *w)
 {
     for (int i = 0; i <= known; i++) {
         w[i] = 1.0;

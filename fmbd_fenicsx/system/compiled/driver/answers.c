@@ -2,7 +2,7 @@
    rotations in body axes. */
 
 /* What depends on time only, at t; ``last``: when it was asked for before. */
-static int sample(System *s, double t, double *last)
+int sample(System *s, double t, double *last)
 {
     if (!s->samples || t == *last) return DONE;
     s->calls++;
@@ -12,7 +12,7 @@ static int sample(System *s, double t, double *last)
 }
 
 /* Numbers that a sample writes. */
-static long sample_size(const System *s)
+long sample_size(const System *s)
 {
     long n = 0;
     for (int i = 0; i < s->timed; i++) n += s->timed_size[i];
@@ -20,7 +20,7 @@ static long sample_size(const System *s)
 }
 
 /* What was sampled last into ``kept``, or back to where it belongs. */
-static void keep_sample(const System *s, double *kept, int back)
+void keep_sample(const System *s, double *kept, int back)
 {
     for (int i = 0; i < s->timed; kept += s->timed_size[i++])
         if (back) memcpy(s->timed_at[i], kept, s->timed_size[i] * sizeof(double));
@@ -28,7 +28,7 @@ static void keep_sample(const System *s, double *kept, int back)
 }
 
 /* The residual evaluated last, in the order of the unknowns and in world axes, as an array like v. */
-static void like_v(const System *s, const double *u, double *x)
+void like_v(const System *s, const double *u, double *x)
 {
     for (int k = 0; k < s->bodies; k++) {
         const Body *o = s->body + k;
@@ -84,7 +84,7 @@ static void biases(const System *s, const Batch *k, double *second)
 }
 
 /* What of the rates of the constraints depends on time only, and their second derivatives at constant twists. */
-static void derivatives_in_time(System *s, double *partial, double *second)
+void derivatives_in_time(System *s, double *partial, double *second)
 {
     for (int i = 0; i < s->rows; i++) partial[i] = -s->motion_rate[i];
     for (int i = 0; i < s->rows; i++) second[i] = -s->motion_second[i];
@@ -188,7 +188,7 @@ static void add_row(const System *s, int body, const double *rates, int modes, d
 }
 
 /* ``factor`` times the row of one item, as its kernel left it, added to one like v. */
-static void item_row(System *s, const Batch *k, long i, double factor, double *row)
+void item_row(System *s, const Batch *k, long i, double factor, double *row)
 {
     const double *out = k->out + 1 + i * k->outputs;
     double both[2 * TWIST] = {0.0};
@@ -214,7 +214,7 @@ static void add_rows(System *s, const Batch *k, const double *mu, double *G)
 }
 
 /* G, or G^T mu, where frames are placed. */
-static void all_rows(System *s, const double *mu, double *G)
+void all_rows(System *s, const double *mu, double *G)
 {
     memset(G, 0, (size_t)(mu ? 1 : s->rows) * s->nv * sizeof(double));
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {

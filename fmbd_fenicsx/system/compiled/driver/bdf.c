@@ -285,7 +285,7 @@ static int own_bdf_step(System *s, double *p, Implicit *o, const Block *now, Blo
 }
 
 /* One step, as a Maker of march.c. */
-static int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out)
+int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out)
 {
     Implicit *o = implicit_in(room);
     const Block *now = past;

@@ -1,5 +1,6 @@
-/* The core of the driver: the evaluation, the solver and generalized-alpha. What a scene may lack are units of their own, compiled
-   and linked where it is there (library.py), and so are the kernels of kinds. For the plane (-DDIM=2) and for space (-DDIM=3). */
+/* The core of the driver: the evaluation, its records, the solver. Beside it, compiled at the same time, stand schemes.c and
+   implicit_schemes.c; what a scene may lack are units of their own, compiled and linked where it is there (library.py), and so
+   are the kernels of kinds. For the plane (-DDIM=2) and for space (-DDIM=3). */
 
 #include "tables.h"
 #include "rotations.c"
@@ -15,23 +16,6 @@
 #include "states.c"
 #include "record.c"
 #include "answers.c"
-#include "tangent.c"
-#include "convergence.c"
-#include "stages.c"
-#include "field_steps.c"
-#include "explicit.c"
-#include "secants.c"
-#include "mean.c"
-#include "alpha.c"
-#include "rattle.c"
-#include "runge_kutta.c"
-#include "mean_steps.c"
-#include "implicit.c"
-#include "own_steps.c"
-#include "radau.c"
-#include "bdf.c"
-#include "control.c"
-#include "march.c"
 
 /* The evaluation, the factor and a solution for Python: what other schemes and tests call. */
 EXPORT int driver_evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t)

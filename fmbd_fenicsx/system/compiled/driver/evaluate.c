@@ -57,7 +57,7 @@ void turn_velocity(System *s, const double *v)
 }
 
 /* Forces of inertia and weight, and those within bodies. */
-static int body_forces(System *s, const double *q, const double *v, const double *a, double t)
+int body_forces(System *s, const double *q, const double *v, const double *a, double t)
 {
     int verdict = DONE;
     for (int b = 0; b < s->bodies; b++) {
@@ -89,7 +89,7 @@ int inertia(System *s, const double *q, const double *v, const double *a, double
 }
 
 /* Coordinates s, rates s' and efforts of a batch; what a law in Python gives comes with one call for all items. */
-static int efforts(System *s, Batch *k, double t)
+int efforts(System *s, Batch *k, double t)
 {
     const double *out = k->out;
     const int *at = k->at;
@@ -106,7 +106,7 @@ static int efforts(System *s, Batch *k, double t)
     return s->python(EFFORT, k->number, t) ? FAILED : DONE;
 }
 
-static int items(System *s, Batch *k, const double *lam, double t)
+int items(System *s, Batch *k, const double *lam, double t)
 {
     if (k->role == READ && !k->told) return DONE;
     if (k->role == MOUNT) {
@@ -136,7 +136,7 @@ static int items(System *s, Batch *k, const double *lam, double t)
 }
 
 /* What constraints and efforts do, added to the forces of inertia and to those within bodies; open constraints. */
-static int acting(System *s, const double *lam, double t)
+int acting(System *s, const double *lam, double t)
 {
     int verdict;
     memset(s->residual + s->nu, 0, TWIST * s->surfaces * sizeof(double));

@@ -7,8 +7,6 @@
 typedef double lanes __attribute__((vector_size(32), aligned(8), may_alias));
 enum { LANES = 4 };
 
-static const double SOFT = 1e-9; /* epsilon of dependent rows, of the largest compliance of one */
-
 static void clear(System *s)
 {
     memset(s->L, 0, (size_t)s->storage * sizeof(double));
@@ -54,9 +52,6 @@ static void eliminate_panel(double *F, int ld, int rows, int k, const double *in
    Of a combination of rows with the singular value sigma one solution closes the share k = sigma^2 / (sigma^2 + epsilon), and what
    rows contradict each other in (k = 0) goes to y over epsilon. To ask for what it closed leaves nothing of that in y, to ask then
    for what is open twice closes k^2 (3 - 2 k): further right-hand sides are the softness times y, CORRECTED times. */
-static const double CORRECTED[] = {1.0, -2.0};
-enum { CORRECTIONS = sizeof CORRECTED / sizeof *CORRECTED };
-
 static double softness(const System *s, int row)
 {
     return s->epsilon / (s->multiplier_units[row] * s->multiplier_units[row]);

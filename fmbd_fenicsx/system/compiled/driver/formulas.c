@@ -68,7 +68,7 @@ static double stop_effort(const double *p, double x, double rate, double *k, dou
 }
 
 /* The effort of item i at its s and s', and its slopes. */
-static void formula(Batch *k, long i, double t)
+void formula(Batch *k, long i, double t)
 {
     const double *p = k->constants + FORMULA_WIDTH * i, *kept = k->kept + MEMORY * i;
     double x = k->s[i] - k->free[i], rate = k->rate[i], *slope = k->stiffness + i, *drag = k->damping + i;
@@ -114,7 +114,7 @@ static int surprises(const Batch *k, long i)
 }
 
 /* Whether the slopes at the last evaluation are others than those in the matrix. */
-static int other_slopes(const System *s, double cd, double ck)
+int other_slopes(const System *s, double cd, double ck)
 {
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
         for (long i = 0; k->role == LAW && i < k->n; i++)

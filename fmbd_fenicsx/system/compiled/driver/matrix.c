@@ -118,7 +118,7 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
 }
 
 /* The same for complex weights, each by its two parts; without efforts that answer to more than their own coordinates. */
-static int prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)
+int prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)
 {
     s->imaginary = 1;
     int verdict = entries(s, q, cd[1], ck[1], ck[1], lam, 0, t);
@@ -208,7 +208,7 @@ static void sway(System *s, double *x, double *y)
 }
 
 /* x and y for the right-hand side in b, world axes; the nodes of fields have their forces times -scale. */
-static int with_fields(System *s, double scale, double *x, double *y, double t)
+int with_fields(System *s, double scale, double *x, double *y, double t)
 {
     int verdict, sways = 0;
     for (int b = 0; s->fields && b < s->bodies; b++) {
@@ -239,7 +239,7 @@ static void add_softness(System *s, double times, double *x, double *y)
 }
 
 /* The same where rows depend, with the corrections of soften(); b holds nothing of use then. */
-static int with_all_rows(System *s, double scale, double *x, double *y, double t)
+int with_all_rows(System *s, double scale, double *x, double *y, double t)
 {
     int verdict = with_fields(s, scale, x, y, t);
     if (verdict || !s->redundant) return verdict;
@@ -248,7 +248,7 @@ static int with_all_rows(System *s, double scale, double *x, double *y, double t
 }
 
 /* Newton's increment from -scale times the residuals evaluated last and the open constraints. */
-static int increment(System *s, double scale, double *x, double *y, double t)
+int increment(System *s, double scale, double *x, double *y, double t)
 {
     for (int i = 0; i < s->nu; i++) s->b[i] = -scale * s->residual[i];
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -s->gap[i];
@@ -279,7 +279,7 @@ void slips(System *s, int rates)
 }
 
 /* The increment of the stabilised form: x and y close the constraints on velocities, ``closing`` those on positions. */
-static int stabilised(System *s, double scale, double damp, double *x, double *closing, double *y, double *none, double t)
+int stabilised(System *s, double scale, double damp, double *x, double *closing, double *y, double *none, double t)
 {
     int verdict;
     slips(s, 1);
@@ -323,7 +323,7 @@ static double inertia_of(const System *s, int at)
 }
 
 /* Share of an increment x that may be wrong since springs pull otherwise across, where it leads, than in the matrix. */
-static double other_pulls(System *s, const double *x)
+double other_pulls(System *s, const double *x)
 {
     double worst = 0.0;
     foretell(s, x);
@@ -342,7 +342,7 @@ static double other_pulls(System *s, const double *x)
 }
 
 /* Whether slopes in the matrix misled at the last evaluation. */
-static int misled(const System *s)
+int misled(const System *s)
 {
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
         if (k->role == WHOLE && *k->astray) return 1;
@@ -351,7 +351,7 @@ static int misled(const System *s)
 
 /* The size of accelerations, as System.typical: of frames and modes the largest, of fields without a moving frame the root mean
    square. */
-static double typical(const System *s, const double *a)
+double typical(const System *s, const double *a)
 {
     double found = largest_of(s->units, a, s->core);
     for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
@@ -360,7 +360,7 @@ static double typical(const System *s, const double *a)
 }
 
 /* New tangents of fields from the state evaluated last, where an increment x led; see fields.py. */
-static int take_tangents(System *s, const double *x, double t)
+int take_tangents(System *s, const double *x, double t)
 {
     for (const Body *o = s->body; o < s->body + s->bodies; o++) {
         if (!o->field) continue;

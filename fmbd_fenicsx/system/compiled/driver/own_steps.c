@@ -60,7 +60,7 @@ static int tried_anew(const Implicit *o, int verdict, double *work)
 }
 
 /* The largest step of which ``turning`` together turn none of so many frames in space by more than ``turn`` (rad), as it moves now. */
-static double farthest_turn(int frames, double turn, double turning, const Block *now)
+double farthest_turn(int frames, double turn, double turning, const Block *now)
 {
     double fastest = 0.0;
 #if DIM == 3

@@ -83,6 +83,11 @@ double small(const double *p, double accelerated);
 int judge(double *p, const double *sizes, int done, double *error);
 int lingers(const double *p, int done, double left);
 
+/* Dependent rows, see factor.c: epsilon over the largest compliance of one, and shares of further right-hand sides. */
+static const double SOFT = 1e-9;
+static const double CORRECTED[] = {1.0, -2.0};
+enum { CORRECTIONS = sizeof CORRECTED / sizeof *CORRECTED };
+
 /* Parameters of a march; increments of a step at most. */
 enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,  /* in */
        ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */
@@ -106,6 +111,47 @@ static inline Block block_at(const System *s, double *x)
     b.own = b.lam + s->rows;
     return b;
 }
+
+/* implicit_schemes.c */
+int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out);
+int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out);
+double farthest_turn(int frames, double turn, double turning, const Block *now);
+
+/* schemes.c */
+void predictor(const Block *past, int known, double t, double *w);
+EXPORT int driver_arrive(System *s, int places, double t, double length, double *q, double *v, double *a, double *lam, double *room);
+EXPORT int driver_least(System *s, int factored, double t, long count, const double *q, double *lam, double *room);
+
+/* the core, for schemes */
+int prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t);
+void settle_angles(const System *s, double *q);
+int turns_freely(const System *s);
+void drift(System *s);
+int sample(System *s, double t, double *last);
+long sample_size(const System *s);
+void keep_sample(const System *s, double *kept, int back);
+void like_v(const System *s, const double *u, double *x);
+void item_row(System *s, const Batch *k, long i, double factor, double *row);
+void all_rows(System *s, const double *mu, double *G);
+EXPORT int driver_solve(System *s, long count, const double *q, const double *b, const double *c, double *x, double *y);
+EXPORT void driver_difference(const System *s, long count, const double *q0, long step, const double *q1, long end_step,
+                              const double *near, long near_step, double *xi);
+int acting(System *s, const double *lam, double t);
+int body_forces(System *s, const double *q, const double *v, const double *a, double t);
+void derivatives_in_time(System *s, double *partial, double *second);
+int efforts(System *s, Batch *k, double t);
+double far_from_origin(const System *s, const double *q, double length);
+void formula(Batch *k, long i, double t);
+int increment(System *s, double scale, double *x, double *y, double t);
+int items(System *s, Batch *k, const double *lam, double t);
+int misled(const System *s);
+double other_pulls(System *s, const double *x);
+int other_slopes(const System *s, double cd, double ck);
+int stabilised(System *s, double scale, double damp, double *x, double *closing, double *y, double *none, double t);
+int take_tangents(System *s, const double *x, double t);
+double typical(const System *s, const double *a);
+int with_all_rows(System *s, double scale, double *x, double *y, double t);
+int with_fields(System *s, double scale, double *x, double *y, double t);
 
 long place_on(const Tape *tape);
 int record(System *s, Tape *tape, const Block *now, const double *known); /* the core */

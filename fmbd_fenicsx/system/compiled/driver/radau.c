@@ -250,7 +250,7 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
 }
 
 /* One step, as a Maker of march.c. */
-static int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out)
+int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out)
 {
     Implicit *o = implicit_in(room);
     const Block *now = past;

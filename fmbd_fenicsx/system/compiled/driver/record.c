@@ -2,7 +2,7 @@
    how far the constraints are open. Python reads them many at a time (recording.py). */
 
 /* Open constraints into gap, their rates into slip; frames are placed. */
-static void drift(System *s)
+void drift(System *s)
 {
     slips(s, 1);
     for (int i = 0; i < s->rows; i++) s->gap[i] = -s->motion[i];
@@ -92,7 +92,7 @@ static void reaction(const System *s, const Reaction *o, const double *lam, doub
 }
 
 /* Largest coordinate of a frame, its angle as a length, and of what is counted: see run/judges/acceptance.py. */
-static double far_from_origin(const System *s, const double *q, double length)
+double far_from_origin(const System *s, const double *q, double length)
 {
     double place = 0.0, angle = D == 2 ? 0.0 : 1.0, counted = 0.0;
     for (int b = 0; b < s->bodies; b++) {

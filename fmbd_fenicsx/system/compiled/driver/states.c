@@ -40,7 +40,7 @@ static void count_angles(const System *s, const double *q0, const double *xi, do
     }
 }
 
-static int turns_freely(const System *s)
+int turns_freely(const System *s)
 {
     for (int i = 0; i < s->angles; i++)
         if (s->angle[i].free) return 1;
@@ -48,7 +48,7 @@ static int turns_freely(const System *s)
 }
 
 /* Those of surfaces without a frame; frames are placed. */
-static void settle_angles(const System *s, double *q)
+void settle_angles(const System *s, double *q)
 {
     for (int i = 0; i < s->angles; i++) {
         const Angle *o = s->angle + i;
