@@ -135,7 +135,7 @@ from .post.drawing.view import View as View
 from .run.recording.output import Output as Output
 from .run.recording.output import PerSecond as PerSecond
 from .run.recording.events import Event as Event
-from .run.solve import Run as Run
+from .run.result import Run as Run
 from .run.solve import solve as solve
 from .schemes.dae import Baumgarte as Baumgarte
 from .schemes.dae import GGL as GGL
@@ -186,7 +186,7 @@ from .mechanics.forces.joint_elements import elastic_stop as elastic_stop
 from .mechanics.forces.joint_elements import joint_friction as joint_friction
 from .mechanics.forces.joint_elements import motor as motor
 from .run.stepper import stepper as stepper
-from .run.accuracy.search.tolerance import relative as relative
+from .run.accuracy.shares import relative as relative
 from .system.sensors.elements import element_effort as element_effort
 from .system.sensors.elements import element_force as element_force
 from .system.sensors.elements import element_power as element_power

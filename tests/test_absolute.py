@@ -17,8 +17,8 @@ from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import linear_elastic, neo_hookean, saint_venant_kirchhoff
 from fmbd_fenicsx.rotations import motions
+from fmbd_fenicsx.system.layout import State
 from fmbd_fenicsx.system.powers import powers
-from fmbd_fenicsx.system.system import State
 
 MODULUS, DENSITY = 5e6, 1000.0
 ENERGIES = [saint_venant_kirchhoff(MODULUS, 0.3), neo_hookean(MODULUS, 0.3)]

@@ -17,7 +17,8 @@ from fmbd_fenicsx import materials
 from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.core_matrix import core_matrix
 from fmbd_fenicsx.system.evaluation import Evaluation
-from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 
 WEIGHTS = Weights(1.0, 0.1, 0.01)
 

@@ -15,8 +15,9 @@ from rank_scenes import largest_difference
 from test_ranks import launch
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.blocks.solver_memory import remember_solver
-from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.log import world_size
 from fmbd_fenicsx.system.serialisation import Memory
 

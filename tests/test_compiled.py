@@ -17,7 +17,7 @@ from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.generalized_alpha import GeneralizedAlpha
 from fmbd_fenicsx.system.compiled.library import driver_library
-from fmbd_fenicsx.system.system import State
+from fmbd_fenicsx.system.layout import State
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")

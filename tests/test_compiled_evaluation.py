@@ -20,7 +20,8 @@ from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.dae import Points
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.system.compiled.choice import solves, use_driver
-from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 
 
 def reduced(dim: int) -> fmbd.Scene:

@@ -16,7 +16,8 @@ from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.onestep.conserving.energy_momentum import EnergyMomentumStepper
 from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.states.means import MeanStates
-from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 
 
 def bent(**more: Any) -> fmbd.Scene:

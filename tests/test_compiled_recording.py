@@ -11,9 +11,9 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.system.evaluation import Evaluation
+from fmbd_fenicsx.system.layout import State
 from fmbd_fenicsx.system.sensors.sensor import Sensor
 from fmbd_fenicsx.system.sensors.sensors import Position
-from fmbd_fenicsx.system.system import State
 
 
 class Momentum(Sensor):

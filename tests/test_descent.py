@@ -7,7 +7,7 @@ from scipy.optimize import fsolve
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.analysis.small_motions.perturbation import Perturbation
 from fmbd_fenicsx.system.compiled.choice import use_driver
-from fmbd_fenicsx.system.system import State
+from fmbd_fenicsx.system.layout import State
 
 SPAN = 0.8  # between the anchors of a string of length 1, m
 

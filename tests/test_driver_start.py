@@ -10,13 +10,14 @@ from test_driver import compiled, driven, joint_springs, loaded, redundant, susp
 from test_kernel import flexible
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.driver_solver import DriverSolver
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.schemes.consistent import accelerations, consistent
 from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
-from fmbd_fenicsx.system.system import State
+from fmbd_fenicsx.system.layout import State
 
 MASSES = Weights(1.0, 0.0, 0.0)
 

@@ -13,7 +13,7 @@ from fmbd_fenicsx.errors import CallbackError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.dae import Baumgarte, Overdetermined
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
-from fmbd_fenicsx.system.system import State
+from fmbd_fenicsx.system.layout import State
 
 
 def plane() -> fmbd.Scene:

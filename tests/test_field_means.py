@@ -17,7 +17,8 @@ from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, neo_hookean, sa
 from fmbd_fenicsx.schemes.onestep.conserving.energy_momentum import EnergyMomentumStepper
 from fmbd_fenicsx.schemes.onestep.conserving.tangent_age import TangentAge
 from fmbd_fenicsx.system.compiled.choice import use_driver
-from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 
 pytestmark = compiled
 

@@ -16,7 +16,8 @@ from tolerance_scenes import fe_crank
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, ConvergenceError, InputError
-from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.schemes.implicit.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper

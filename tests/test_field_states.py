@@ -13,8 +13,9 @@ from test_driver import compiled
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.fem.factors import factor
 from fmbd_fenicsx.linear import condensation
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.complementarity.delassus import Compliance
-from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.prepared import Condensed
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
 from fmbd_fenicsx.mechanics.contact.rows import ContactSet

@@ -15,7 +15,7 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.run.judges.energy_check import Guarded, Watch, closed
 from fmbd_fenicsx.run.step_bisection import ConstantSteps
 from fmbd_fenicsx.schemes import TimeStepper
-from fmbd_fenicsx.system.system import State
+from fmbd_fenicsx.system.layout import State
 
 
 def rod() -> fmbd.Scene:

@@ -14,7 +14,8 @@ from fmbd_fenicsx.errors import ConvergenceError, LinearSolveError
 from fmbd_fenicsx.run.judges.energy_check import Watch
 from fmbd_fenicsx.run.step_bisection import ConstantSteps
 from fmbd_fenicsx.schemes import TimeStepper
-from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 
 TOUCH = -0.5  # rad
 

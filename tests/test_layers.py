@@ -131,6 +131,22 @@ def test_folders_stand_on_one_another_in_one_direction() -> None:
     assert not mutual
 
 
+def test_names_are_imported_from_where_they_stand() -> None:
+    """One place for each name: a module hands on nothing that it took from another one."""
+    taken: dict[str, set[str]] = {}
+    for path in MODULES:
+        own = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        taken[own] = {parts[-1] for _, parts, _ in imported(path) if module(parts) != ".".join(parts)}
+
+    handed_on = [
+        f"{path.relative_to(PACKAGE)}:{line} takes {parts[-1]} from {module(parts)}"
+        for path in MODULES
+        for line, parts, _ in imported(path)
+        if module(parts) != ".".join(parts) and parts[-1] in taken.get(module(parts), ())
+    ]
+    assert not handed_on
+
+
 def test_files_and_functions_are_short() -> None:
     found = []
     for path in MODULES:

@@ -15,11 +15,13 @@ from motion import elastic_rod, elastic_scene
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError, LinearSolveError
 from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor, MassInverse
-from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.core import CoreSolver
 from fmbd_fenicsx.linear.residual import Judge
-from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 
 HERE = Path(__file__).resolve().parent
 

@@ -10,7 +10,7 @@ from dae_problems import pendulum as point_pendulum
 from test_variable_alpha import driven_crank, driven_pendulum, knocked, stepper_of
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.condensation import Weights
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 
 
 @pytest.mark.parametrize("make", [driven_crank, lambda: driven_pendulum(1.0), lambda: driven_pendulum(1e-3)])

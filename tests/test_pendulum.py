@@ -17,7 +17,8 @@ from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.schemes.consistent import consistent
-from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 
 LENGTH, DENSITY = 1.0, 1000.0
 

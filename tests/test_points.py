@@ -12,7 +12,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import linear_elastic, neo_hookean
 from fmbd_fenicsx.rotations import Array
-from fmbd_fenicsx.system.system import State
+from fmbd_fenicsx.system.layout import State
 
 LAW = linear_elastic(1e6, 0.3)
 

@@ -14,7 +14,8 @@ from random_scenes import MESHES, SCHEMES, case
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError
-from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 
 
 def everything(system: System, s: State) -> list[np.ndarray]:

@@ -11,7 +11,8 @@ from combinations import BODIES, pinned
 from dae_problems import march, observed, pendulum, pendulum_at, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.newton import Newton

@@ -12,9 +12,8 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.materials import linear_elastic, plane_stress
-from fmbd_fenicsx.mechanics.bodies.bodies import Attached, Chord, MeanAxis
 from fmbd_fenicsx.mechanics.elastic.floating import FloatingField
-from fmbd_fenicsx.mechanics.placements import FrameMotion
+from fmbd_fenicsx.mechanics.placements import Attached, Chord, FrameMotion, MeanAxis
 from fmbd_fenicsx.mechanics.reduction.craig_bampton import FrameModes
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 from fmbd_fenicsx.rotations import motions

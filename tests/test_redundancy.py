@@ -104,7 +104,7 @@ def test_a_stress_between_the_hinges_is_taken_away_and_nothing_else(driven: bool
         use_driver(system)
     solver = StepSolver(system)
     ev = system.at(state.t, state.q, state.v)
-    from fmbd_fenicsx.linear.condensation import Weights
+    from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 
     solver.prepare(ev, Weights(1.0, 0.0, 0.0))
     N = null_space(ev)

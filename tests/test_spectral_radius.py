@@ -16,7 +16,7 @@ from fmbd_fenicsx.errors import StabilityError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.schemes.onestep.rattle import amplification
-from fmbd_fenicsx.system.system import State
+from fmbd_fenicsx.system.layout import State
 
 
 def one_step(scheme: Any, z: float, start: tuple[float, ...]) -> np.ndarray:

@@ -29,7 +29,7 @@ from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.states.convergence import CONVERGED, DIVERGED, GOES_ON, TOO_SLOW, Convergence
 from fmbd_fenicsx.system.compiled.states.couplings import couplings_of
 from fmbd_fenicsx.system.compiled.states.stages import Rule
-from fmbd_fenicsx.system.system import State
+from fmbd_fenicsx.system.layout import State
 
 FORMS = [fmbd.GGL(), fmbd.Index3(), fmbd.Index2()]
 H = 1e-4

@@ -12,9 +12,11 @@ from motion import elastic_scene, first, plane_scene, space_scene
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, InputError
-from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.consistent import consistent, jerk
-from fmbd_fenicsx.system.system import State, System
+from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 
 
 def started(scene: fmbd.Scene) -> tuple[System, State, Any]:

@@ -22,8 +22,8 @@ from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.onestep.explicit_limit import spectral_radius
 from fmbd_fenicsx.schemes.onestep.rattle import amplification
 from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
+from fmbd_fenicsx.system.layout import State
 from fmbd_fenicsx.system.lengths import farthest
-from fmbd_fenicsx.system.system import State
 
 SCHEMES = [
     fmbd.Rattle(),

@@ -38,8 +38,6 @@ from .field_couplings import FieldCouplings
 from .prepared import Condensed, CoreAlone, Prepared, Tied, Whole
 from .residual import Judge
 
-__all__ = ["StepSolver", "Weights"]
-
 
 class StepSolver:
     """Solves cm M + cd C + ck K with the constraints of a system; one object for a whole run; collective.

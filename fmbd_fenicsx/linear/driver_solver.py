@@ -17,7 +17,8 @@ from ..system.compiled.states.explicit import ExplicitStates, Found, Stage, Stag
 from ..system.compiled.states.field_states import FactoredFieldStates, FieldStates
 from ..system.compiled.states.means import MeanStates
 from ..system.evaluation import Evaluation
-from ..system.system import State, System
+from ..system.layout import State
+from ..system.system import System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .core import CoreSolver
 

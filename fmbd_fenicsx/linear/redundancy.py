@@ -17,7 +17,7 @@ import numpy as np
 
 from ..rotations import Array
 from ..system.evaluation import Evaluation
-from ..system.system import State
+from ..system.layout import State
 from .condensation import StepSolver
 from .core import dense
 

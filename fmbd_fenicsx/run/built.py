@@ -10,8 +10,9 @@ from ..linear.condensation import StepSolver
 from ..notices import Gathered
 from ..schemes.consistent import Correction
 from ..schemes.declared import Declared
+from ..system.layout import State
 from ..system.scene.scene import Scene
-from ..system.system import State, System
+from ..system.system import System
 from .problem import begin
 
 

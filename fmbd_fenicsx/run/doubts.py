@@ -20,9 +20,10 @@ from ..linear.condensation import StepSolver
 from ..log import log
 from ..rotations import Array
 from ..system.held_modes import stiff_modes
+from ..system.layout import State
 from ..system.mobility import locked_modes
 from ..system.scene.scene import Scene
-from ..system.system import State, System
+from ..system.system import System
 from .judges.energy_check import closed, strain_energy
 from .recording.recorder import Recorder
 

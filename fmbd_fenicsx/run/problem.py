@@ -15,8 +15,9 @@ from ..schemes.newton import Newton
 from ..schemes.stepping import TimeStepper, made_stepper
 from ..system.compiled.choice import use_driver
 from ..system.element_memory import reset
+from ..system.layout import State
 from ..system.scene.scene import Scene
-from ..system.system import State, System
+from ..system.system import System
 from .judges.acceptance import Closed
 from .judges.energy_check import Guarded, Watch
 from .judges.force_balance import Balanced

@@ -13,11 +13,12 @@ from ..checks import typed, word
 from ..errors import InputError, near
 from ..rotations import Array
 from ..schemes.consistent import Correction
+from ..system.layout import State
 from ..system.own_state import refuse_other_state
 from ..system.scene.going_on import Origin
 from ..system.scene.plan import Plan
 from ..system.scene.scene import Scene
-from ..system.system import State, System
+from ..system.system import System
 from .accuracy.deviation import Deviation, sizes
 from .recording.ledger import Books, Ledger, make_ledger
 from .uncopied import Uncopied

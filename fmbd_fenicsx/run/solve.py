@@ -30,8 +30,6 @@ from .single_run import Task, run_once
 if TYPE_CHECKING:
     from .checkpoints.checkpoint import Checkpoint
 
-__all__ = ["Run", "solve"]
-
 
 def solve(
     scene: Scene,

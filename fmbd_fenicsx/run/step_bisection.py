@@ -24,8 +24,9 @@ from ..system.compiled.recording import Tape
 from ..system.element_memory import accept, next_sample, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.evaluator import Glance
+from ..system.layout import State
 from ..system.serialisation import plain, worker
-from ..system.system import State, System
+from ..system.system import System
 from .judges.acceptance import Closed, diverged, finite_step
 from .judges.energy_check import HALVINGS, Watch
 from .judges.force_balance import Balanced

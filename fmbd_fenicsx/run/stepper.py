@@ -26,9 +26,9 @@ from ..rotations import Array
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..system.element_memory import accept
+from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
-from ..system.system import State
 from .checkpoints.progress import RunProgress
 from .judges.acceptance import attempt
 from .judges.energy_check import closed

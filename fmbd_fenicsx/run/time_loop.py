@@ -12,8 +12,8 @@ from ..log import StopRequests, log
 from ..ranks import OneAnswer
 from ..system.element_memory import accept, next_sample, reset
 from ..system.evaluation import Evaluation
+from ..system.layout import State
 from ..system.spins import Spins
-from ..system.system import State
 from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
 from .judges.acceptance import Closed, attempt_in_balance

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConstraintError, ConvergenceError
+from ..linear.blocks.field_blocks import Weights
 from ..linear.blocks.incompressibility import VolumeMass, kept_volumes, volume_push
-from ..linear.condensation import StepSolver, Weights
+from ..linear.condensation import StepSolver
 from ..linear.redundancy import least
 from ..rotations import Array, cross3
 from ..system.evaluation import Evaluation

@@ -14,7 +14,8 @@ import numpy as np
 
 from ..errors import ConvergenceError
 from ..rotations import Array
-from ..system.system import State, System
+from ..system.layout import State
+from ..system.system import System
 from .error_norm import ErrorNorm
 
 ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ..rotations import Array
-from ..system.system import State, System
+from ..system.layout import State
+from ..system.system import System
 
 Pair = tuple[Array, Array]  # at the two ends of a step
 

@@ -24,8 +24,9 @@ from ..checks import check_fields
 from ..errors import require
 from ..fem.fields import rank_sum
 from ..rotations import Array
+from ..system.layout import State
 from ..system.serialisation import Memory, Remembering, plain
-from ..system.system import State, System
+from ..system.system import System
 from ..system.tangents.linearise import Sizes
 from .prescribed_ways import openings
 from .rigid_motions import RigidMotions

@@ -16,7 +16,8 @@ from ..rotations import Array
 from ..system.compiled import march as slots
 from ..system.compiled.march import March
 from ..system.compiled.recording import on_the_way
-from ..system.system import State, System
+from ..system.layout import State
+from ..system.system import System
 from .newton import Newton
 from .onestep.alpha.alpha_driver import settings
 from .stepping import EnergyJudge, JointJudge, TimeStepper

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..rotations import Array
-from ..system.system import State, System
+from ..system.layout import State
+from ..system.system import System
 
 NEARER = 0.618 ** np.arange(40.0)  # of a span, where drives are looked at
 

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from ..rotations import Array, hat
-from ..system.system import State, System
+from ..system.layout import State
+from ..system.system import System
 
 
 @dataclass(frozen=True, eq=False)

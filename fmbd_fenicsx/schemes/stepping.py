@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 from ..errors import InputError, require
 from ..system.compiled.choice import use_driver
 from ..system.evaluation import Evaluation
+from ..system.layout import State
 from ..system.serialisation import Remembering
-from ..system.system import State
 from .declared import Declared
 
 if TYPE_CHECKING:

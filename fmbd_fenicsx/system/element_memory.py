@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .system import State, System
+from .layout import State
+from .system import System
 
 
 def memories(system: System) -> list[Any]:

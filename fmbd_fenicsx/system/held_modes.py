@@ -14,8 +14,8 @@ from ..mechanics.reduction.craig_bampton import FrameModes, ReducedBody
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation
+from .layout import RowBlock
 from .spins import frequency_by_modes
-from .system import RowBlock
 
 SHARE = 0.02  # of a first frequency that half of the modes may change
 HELD = 1e-6  # part of a rotation in the rows of a joint that is none

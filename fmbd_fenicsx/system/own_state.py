@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError, require
-from .system import State, System
+from .layout import State
+from .system import System
 
 APART = 1e-3  # of the model's length (m, rad): joints that are open by more are those of another scene
 

@@ -15,7 +15,7 @@ from ..mechanics.forces.force_elements import Loads
 from ..mechanics.placements import FrameMotion
 from ..rotations import Array
 from .evaluation import Evaluation
-from .system import State
+from .layout import State
 
 
 def powers(ev: Evaluation, state: State) -> dict[str, float]:

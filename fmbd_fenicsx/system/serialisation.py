@@ -21,7 +21,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..errors import InputError
-from .system import State, System
+from .layout import State
+from .system import System
 
 
 class Memory:

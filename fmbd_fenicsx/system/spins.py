@@ -24,7 +24,8 @@ from ..mechanics.placements import FrameMotion
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation
-from .system import State, System
+from .layout import State
+from .system import System
 
 SHARE = 0.25  # of the stiffness in bending that may be left out
 LOW = 0.05  # of the first frequency of a free body, below which no support brings it

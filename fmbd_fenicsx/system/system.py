@@ -18,10 +18,7 @@ from . import configurations
 from .evaluation import Evaluation
 from .evaluation_batch import EvaluationBatch
 from .evaluator import Evaluator, NumPyEvaluator
-from .layout import RowBlock, State
 from .lengths import Measured
-
-__all__ = ["RowBlock", "State", "System"]
 
 
 class System(Measured):

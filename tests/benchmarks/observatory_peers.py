@@ -25,7 +25,8 @@ from observatory_problem import Problem
 from scipy.integrate import solve_ivp
 
 from fmbd_fenicsx.errors import FmbdError
-from fmbd_fenicsx.linear.condensation import StepSolver, Weights
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.consistent import consistent
 
 MASS = Weights(1.0, 0.0, 0.0)

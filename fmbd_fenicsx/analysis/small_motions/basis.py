@@ -14,7 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...errors import InputError, LinearSolveError
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...log import log
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment

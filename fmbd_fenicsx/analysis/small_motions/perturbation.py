@@ -28,8 +28,9 @@ import numpy as np
 
 from ...rotations import Array
 from ...system.evaluation import Evaluation
+from ...system.layout import State
 from ...system.speed_rows import gaps, speed_rows
-from ...system.system import State, System
+from ...system.system import System
 from .steady import Spin
 
 if TYPE_CHECKING:

@@ -24,8 +24,9 @@ from ...errors import ConvergenceError
 from ...rotations import Array
 from ...system.compiled.choice import use_driver
 from ...system.evaluation import Evaluation
+from ...system.layout import State
 from ...system.speed_rows import speed_rows
-from ...system.system import State, System
+from ...system.system import System
 from ..small_motions.basis import RANK
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.steady import BodySpin, Spin, steady_rates

@@ -23,10 +23,11 @@ from ...mechanics.forces.forces import CoordinateForce
 from ...ranks import OneAnswer
 from ...rotations import Array
 from ...schemes.consistent import worst_block
+from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.spins import Spins
-from ...system.system import State, System
+from ...system.system import System
 from ..small_motions.basis import free_motions
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.steady import BodySpin, Residual, Spin, body_spin, steady_rates

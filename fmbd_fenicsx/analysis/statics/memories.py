@@ -23,7 +23,8 @@ from ...rotations import Array
 from ...system.control.control_memory import Kept
 from ...system.control.controllers import ControlLoads
 from ...system.element_memory import memories, restore
-from ...system.system import State, System
+from ...system.layout import State
+from ...system.system import System
 from ..small_motions.small_memory import hold
 from .static_newton import StaticNewton, StaticPoint, by_load_steps
 

@@ -24,16 +24,17 @@ from typing import Any
 import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError, require
+from ...linear.blocks.field_blocks import Weights
 from ...linear.complementarity.active_set import ContactCounts
 from ...linear.complementarity.delassus import Compliance
 from ...linear.complementarity.normal import solve_normal
-from ...linear.condensation import Weights
 from ...mechanics.contact.rows import ContactSet, Rows
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
+from ...system.layout import State
 from ...system.sensors.contact import WORKS, ContactForces, ContactState
 from ...system.speed_rows import speed_rows
-from ...system.system import State, System
+from ...system.system import System
 from .static_newton import EXACT, LONG, Pair, StaticNewton, StaticPoint
 
 MOST = 40  # increments

@@ -24,7 +24,8 @@ from typing import TypeVar
 import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
 from ...schemes.newton import ExactTangent

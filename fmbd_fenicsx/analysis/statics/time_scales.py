@@ -7,8 +7,9 @@ import numpy as np
 from ...fem.fields import Field
 from ...mechanics.elastic.modes import first_eigenvalue_bound
 from ...mechanics.reduction.reduced import ReducedPart
+from ...system.layout import State
 from ...system.mobility import stiffnesses
-from ...system.system import State, System
+from ...system.system import System
 from ..small_motions.steady import BodySpin, Residual, Spin
 
 PENDULUM = 10.0  # of the step, over sqrt(L / g)

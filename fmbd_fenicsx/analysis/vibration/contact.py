@@ -12,8 +12,9 @@ import numpy as np
 from ...errors import InputError, require
 from ...linear.condensation import StepSolver
 from ...log import log
+from ...system.layout import State
 from ...system.sensors.contact import ContactSensor, LimitEffort
-from ...system.system import State, System
+from ...system.system import System
 from ..small_motions.closed_contacts import ClosedContacts
 from ..statics.equilibrium import Equilibrium, static_newton
 from ..statics.static_contact import FLOOR, ContactNewton

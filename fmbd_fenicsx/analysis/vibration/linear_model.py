@@ -24,8 +24,8 @@ from ...checks import typed
 from ...errors import InputError, near, require
 from ...mechanics.forces.force_elements import ScalarLoads, TimeLoads
 from ...rotations import Array
+from ...system.layout import State
 from ...system.scene.scene import Scene
-from ...system.system import State
 from ..small_motions.basis import ProjectedSystem, projected
 from ..small_motions.small_memory import changed, memory_size, pushed_by
 from .first_order import first_order

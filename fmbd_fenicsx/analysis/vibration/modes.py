@@ -25,10 +25,11 @@ from ...ranks import OneAnswer
 from ...rotations import Array
 from ...schemes.consistent import consistent
 from ...system.held_modes import stiff_modes
+from ...system.layout import State
 from ...system.own_state import refuse_other_state
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
-from ...system.system import State, System
+from ...system.system import System
 from ..small_motions.basis import ProjectedSystem, projected
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.small_memory import refuse_moving_memory, relaxes

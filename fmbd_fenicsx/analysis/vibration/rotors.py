@@ -6,7 +6,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...rotations import Array
-from ...system.system import State
+from ...system.layout import State
 from ..small_motions.basis import random_motion
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.steady import BodySpin

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from ...system.layout import State
 from ...system.serialisation import Memory
-from ...system.system import State
-from ..condensation import StepSolver, Weights
+from ..condensation import StepSolver
+from .field_blocks import Weights
 
 
 def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:

@@ -224,6 +224,3 @@ def contact(
             raise InputError(f'Contact "{name}": contact of "{slave.body.name}" with itself is not offered.')
 
     return Contact(name, slave, master, float(friction), float(restitution), search, redistribute_mass)
-
-
-__all__ = ["Contact", "RigidPoints", "RodPoints", "along", "ball", "contact", "corners", "cylinder_end"]

@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import InputError, require
 from ...rotations import Array
 from ...run.result import Run
-from ...system.system import State
+from ...system.layout import State
 from . import rods  # noqa: F401, registers what rods look like
 from .bodies import LARGEST, pieces_of
 from .connections import connection_pieces

@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import require
 from ...rotations import Array
 from ...run.result import Run
-from ...system.system import State
+from ...system.layout import State
 
 
 @dataclass(frozen=True, eq=False)

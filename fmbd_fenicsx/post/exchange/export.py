@@ -16,7 +16,7 @@ from ...errors import require
 from ...log import on_root
 from ...mechanics.reduction.recovery import displacement_field, within_cells
 from ...run.result import Run
-from ...system.system import State
+from ...system.layout import State
 from ..drawing.draw import draw
 from ..drawing.view import View
 from ..plot import components

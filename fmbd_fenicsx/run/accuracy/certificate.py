@@ -18,7 +18,7 @@ from .deviation import together
 from .orders import expected_orders, irregular, kink, rough
 
 if TYPE_CHECKING:
-    from ..solve import Run
+    from ..result import Run
 
 KINDS = ("space", "time", "modes", "algebra")
 UNRESOLVED = 0.5  # error by spaces or modes over the range of a sensor above which no rate can be taken for granted

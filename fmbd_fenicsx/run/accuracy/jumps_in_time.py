@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...rotations import Array
+from ...system.layout import State
 from ...system.scene.scene import Scene
-from ...system.system import State, System
+from ...system.system import System
 from ..judges.energy_check import closed
 from ..result import Run
 from ..schedule import StepSchedule, far_side, near_side

@@ -17,9 +17,10 @@ from ...checks import OfBody, name_of
 from ...errors import CheckpointError
 from ...fem.mesh.mesh import Mesh
 from ...rotations import Array
+from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.serialisation import Memory
-from ...system.system import State, System
+from ...system.system import System
 
 SAME = 1e-6  # relative difference of forces and energies
 NOTHING = 1e-6  # of the largest force: what is smaller is measured by this, SAME * NOTHING being well above roundoff

@@ -29,9 +29,10 @@ from ...system.compiled.march import JointLimits
 from ...system.compiled.recording import Openness
 from ...system.evaluation import Evaluation
 from ...system.evaluator import Seen
+from ...system.layout import State
 from ...system.lengths import farthest
 from ...system.serialisation import Remembering, plain
-from ...system.system import State, System
+from ...system.system import System
 from .force_balance import Balanced
 
 OPEN = SHUT  # of the model's length

@@ -25,9 +25,10 @@ from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import ScalarLoads
 from ...schemes.stepping import Around, TimeStepper
 from ...system.evaluation import Evaluation
+from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.serialisation import Remembering, plain, worker
-from ...system.system import State, System
+from ...system.system import System
 from .acceptance import attempt
 
 if TYPE_CHECKING:

@@ -36,16 +36,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import ConvergenceError
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...linear.core import dense
 from ...linear.core_matrix import core_matrix
 from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.evaluation import Evaluation
 from ...system.evaluator import Seen
+from ...system.layout import State
 from ...system.lengths import Measured, farthest
 from ...system.serialisation import Remembering, plain
-from ...system.system import State
 from ...system.tangents.force_tangent import force_tangent
 
 SHARE = 1e-2  # of accelerations

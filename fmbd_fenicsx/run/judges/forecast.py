@@ -17,8 +17,8 @@ import numpy as np
 from ...linear.condensation import StepSolver
 from ...linear.configuration_warnings import CLOSE
 from ...log import log
+from ...system.layout import State
 from ...system.mobility import nearly_dependent
-from ...system.system import State
 from ...system.tangents.force_tangent import force_tangent
 
 EVERY = 100  # steps

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...log import log
 from ...schemes.consistent import Correction
-from ...system.system import State, System
+from ...system.layout import State
+from ...system.system import System
 
 CHANGED = 0.01
 

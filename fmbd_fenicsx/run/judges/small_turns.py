@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ...log import log
-from ...system.system import State, System
+from ...system.layout import State
+from ...system.system import System
 
 SMALL = 0.05  # rad
 LOOKS = 128  # at a run of equal steps, at least

@@ -26,8 +26,9 @@ from ...linear.core import dense
 from ...log import log
 from ...rotations import Array
 from ...schemes.declared import Declared
+from ...system.layout import State
 from ...system.speed_rows import speed_rows
-from ...system.system import State, System
+from ...system.system import System
 
 LARGEST = 150  # replicated coordinates up to which the angle is looked at
 RANK = 1e-9  # singular values of rows below this share of the largest are zero

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...system.compiled.recording import Recorded
 from ...system.evaluation import Evaluation
-from ...system.system import State
+from ...system.layout import State
 from .output import Output
 from .recorder import Recorder
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from ...schemes.dense_output import place_within, state_within
 from ...schemes.stepping import TimeStepper
-from ...system.system import State, System
+from ...system.layout import State
+from ...system.system import System
 
 
 def state_between(system: System, before: State, after: State, t: float, stepper: TimeStepper | None = None) -> State:

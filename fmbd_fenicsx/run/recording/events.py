@@ -21,8 +21,9 @@ from ...checks import check_fields, number
 from ...errors import InputError, near, require
 from ...schemes.stepping import TimeStepper
 from ...system.compiled.recording import CROSSING, Recorded, Tape
+from ...system.layout import State
 from ...system.scene.scene import Scene
-from ...system.system import State, System
+from ...system.system import System
 from .between import state_between
 from .moment import Moment
 

@@ -9,8 +9,9 @@ from ...errors import InputError, near
 from ...rotations import Array
 from ...system.compiled.recording import Recorded
 from ...system.evaluation import Evaluation
+from ...system.layout import State
 from ...system.scene.scene import Scene
-from ...system.system import State, System
+from ...system.system import System
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from ...notices import Gathered
 from ...rotations import Array
 from ...system.compiled.recording import Openness, Recorded
 from ...system.evaluation import Evaluation
+from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.serialisation import Memory
-from ...system.system import State, System
+from ...system.system import System
 from ..judges.acceptance import Closed
 from .between import state_between
 from .ledger import Books

@@ -10,9 +10,10 @@ from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled import march as slots
 from ...system.compiled.recording import on_the_way
+from ...system.layout import State
 from ...system.sensors.contact import ContactForces, ContactState
 from ...system.serialisation import Memory
-from ...system.system import State, System
+from ...system.system import System
 from ..marching import CompiledSteps
 from ..newton import Newton
 from .contact_driver import ContactDriver

@@ -20,14 +20,16 @@ from typing import ClassVar
 import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError
+from ...linear.blocks.field_blocks import Weights
 from ...linear.blocks.incompressibility import move_pressures, volume_gaps, volume_push
-from ...linear.condensation import StepSolver, Weights
+from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...rotations import Array
+from ...system.layout import State
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.speed_rows import gaps
-from ...system.system import State, System
+from ...system.system import System
 from ..consistent import Correction
 from ..newton import Newton
 from ..onestep.alpha.generalized_alpha import GeneralizedAlpha

@@ -11,7 +11,8 @@ from ...log import log
 from ...mechanics.contact.nodal_rows import NodalRows
 from ...mechanics.contact.rows import ContactSet, LinearRows, Rows, Touch, tangents_of
 from ...rotations import Array
-from ...system.system import State, System
+from ...system.layout import State
+from ...system.system import System
 
 ALLOWED = 1e-8  # penetration at the start, as a share of the model's length
 

@@ -27,8 +27,9 @@ from ...system.compiled.library import CONTACT, driver_library, units_of
 from ...system.compiled.tables.bodies import covers_bodies
 from ...system.compiled.tables.items import covers
 from ...system.compiled.tables.tables import Tables
+from ...system.layout import State
 from ...system.speed_rows import speed_rows
-from ...system.system import State, System
+from ...system.system import System
 from ..onestep.alpha.alpha_driver import settings
 from .contact_detection import tell_rest
 from .contact_newton import frictional_forces, normal_forces

@@ -13,9 +13,10 @@ from ...linear.complementarity.active_set import ContactCounts
 from ...mechanics.contact.rows import Rows, Touch
 from ...rotations import Array
 from ...system.evaluation import Evaluation
+from ...system.layout import State
 from ...system.sensors.contact import WORKS, ContactForces, ContactState, forces_of
 from ...system.serialisation import Memory, Remembering, plain
-from ...system.system import State, System
+from ...system.system import System
 from .contact_detection import in_world
 
 SHORT = 3  # steps in contact that do not resolve an impact

@@ -26,13 +26,15 @@ import numpy as np
 
 from ...checks import check_fields
 from ...errors import require
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...log import log
 from ...rotations import Array
+from ...system.layout import State
 from ...system.scene.contents import Contents
 from ...system.speed_rows import gaps, speed_rows
-from ...system.system import State, System
+from ...system.system import System
 from ..consistent import Correction, consistent, widest
 from ..dense_output import state_within
 from ..newton import Newton

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...linear.blocks.field_blocks import Weights
 from ...linear.complementarity.active_set import ContactCounts
 from ...linear.complementarity.delassus import Compliance
 from ...linear.complementarity.normal import solve_normal
-from ...linear.condensation import Weights
 from ...mechanics.contact.rows import ContactSet, Rows
 from ...rotations import Array
 from ...system.evaluation import Evaluation

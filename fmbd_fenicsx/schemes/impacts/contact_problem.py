@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from ...kernel_cache import address_of
 from ...linear.complementarity.active_set import ContactCounts
 from ...rotations import Array
 from ...system.compiled.library import CONTACT, driver_library
 from ...system.compiled.states.evaluation import DriverStates
-from ...system.compiled.tables.structures import address_of
 from ...system.system import System
 from .contact_structures import Blocks, Contacts, Problem, Tally
 

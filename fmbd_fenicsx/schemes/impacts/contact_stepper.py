@@ -8,9 +8,10 @@ from typing import ClassVar
 from ...linear.complementarity.delassus import Compliance
 from ...linear.condensation import StepSolver
 from ...mechanics.contact.rows import ContactSet
+from ...system.layout import State
 from ...system.sensors.contact import ContactState
 from ...system.serialisation import Memory, plain, worker
-from ...system.system import State, System
+from ...system.system import System
 from ..newton import Newton
 from ..stepping import TimeStepper
 from .contact_ledger import ContactLedger

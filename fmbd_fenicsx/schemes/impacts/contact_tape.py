@@ -11,8 +11,9 @@ from ...mechanics.contact.rows import ContactSet
 from ...rotations import Array
 from ...system.compiled.recording import Openness, Recorded, Tape
 from ...system.compiled.tables.tables import Tables
+from ...system.layout import State
 from ...system.sensors.contact import WORKS, ContactForces, ContactState
-from ...system.system import State, System
+from ...system.system import System
 
 
 class ContactTape(Tape):

@@ -30,9 +30,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ...checks import whole
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
+from ...system.layout import State
 from ...system.scene.contents import Contents
-from ...system.system import State, System
+from ...system.system import System
 from ..consistent import Correction, consistent
 from ..newton import Newton
 from .contact_detection import refuse_penetration

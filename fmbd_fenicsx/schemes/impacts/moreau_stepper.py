@@ -10,14 +10,16 @@ from typing import ClassVar
 import numpy as np
 
 from ...errors import FmbdError
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...mechanics.contact.rows import Rows, tangents_of
 from ...rotations import Array
 from ...system.compiled.declarations import constants, enumeration
+from ...system.layout import State
 from ...system.sensors.contact import forces_of
 from ...system.serialisation import Memory, plain
-from ...system.system import State, System
+from ...system.system import System
 from ..dense_output import place_within, state_within
 from ..newton import Newton
 from .contact_detection import candidates, tell_rest

@@ -16,8 +16,9 @@ import numpy as np
 from ...errors import require
 from ...linear.condensation import StepSolver
 from ...mechanics.catenary.sliding import HeadSide, WireSide
+from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
-from ...system.system import State, System
+from ...system.system import System
 from ..consistent import accelerations, project
 from ..declared import Declared, checked_scheme
 from ..newton import Newton

@@ -6,13 +6,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import PointRoom
+from ...system.layout import State
 from ...system.serialisation import Remembering
-from ...system.system import State, System
+from ...system.system import System
 from ..dae import Form, Points, Unconstrained
 
 Start = tuple[Array, Array, Array]  # an increment of q, v and a

@@ -23,7 +23,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...linear.frequency_solvers import DECADE, FrequencySolver, FrequencySolvers
 from ...linear.residual import Judge
 from ...rotations import Array
@@ -31,8 +32,9 @@ from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.compiled.states.points import PointsTold
 from ...system.evaluation import Evaluation
+from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
-from ...system.system import State, System
+from ...system.system import System
 from ..dae import Form, Points
 from .equations import Equations, Start
 from .stage_krylov import FieldStages, shares

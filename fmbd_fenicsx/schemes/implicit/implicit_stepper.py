@@ -12,14 +12,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...linear.residual import Judge
 from ...log import log
 from ...rotations import Array
+from ...system.compiled.states.convergence import GOES_ON, Convergence
 from ...system.compiled.states.stages import Rule
+from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
-from ...system.system import State, System
+from ...system.system import System
 from ...system.tangents.foretold_efforts import foretold_efforts
 from ..consistent import MASS, project, worst_block
 from ..control import ROUNDOFF, STAGNATION, Statistics, StepControl, first_step
@@ -28,7 +31,7 @@ from ..declared import Declared
 from ..error_norm import EPS, ErrorNorm
 from ..newton import Newton
 from ..prescribed_ways import time_for_way
-from .convergence import CAUSES, GOES_ON, Convergence, Rates, judge_increment
+from .convergence import CAUSES, Rates, judge_increment
 from .implicit_march import ImplicitMarch
 from .stage_iteration import StageIteration
 from .step_equations import step_equations

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
+from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
 from ..dae import Points
-from .convergence import Convergence
 
 Increments = tuple[Array, Array, Array]  # of xi, v and of multipliers
 

@@ -24,8 +24,9 @@ from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stage_patterns import StageStructure
 from ...system.compiled.states.stages import StageRoom
 from ...system.evaluation_batch import EvaluationBatch
+from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
-from ...system.system import State, System
+from ...system.system import System
 from ...system.tangents.stiff_ties import stiff_ties
 from ..consistent import arrived
 from ..dae import Form, Points

@@ -24,9 +24,10 @@ from ...system.compiled.states.stage_patterns import StageStructure
 from ...system.compiled.states.stages import StageRoom
 from ...system.compiled.tables.told import is_told
 from ...system.evaluation_batch import EvaluationBatch
+from ...system.layout import State
 from ...system.serialisation import Remembering, plain
 from ...system.sparsity import Pattern
-from ...system.system import State, System
+from ...system.system import System
 from ...system.tangents.linearise import at_once, differences
 from ...system.tangents.step_tangent import StepTangent
 from ...system.tangents.stiff_ties import StiffTies

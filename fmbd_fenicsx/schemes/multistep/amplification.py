@@ -21,14 +21,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...linear.core import dense
 from ...linear.core_matrix import core_matrix
 from ...rotations import Array
 from ...system.compiled.declarations import enumeration
 from ...system.evaluation import Evaluation
+from ...system.layout import State
 from ...system.serialisation import Remembering, plain
-from ...system.system import State
 from ...system.tangents.force_tangent import force_tangent
 
 GROWTH = 5e-3  # in a step, that an order may have

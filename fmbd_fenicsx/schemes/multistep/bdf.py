@@ -28,9 +28,10 @@ from ...errors import require
 from ...linear.condensation import StepSolver
 from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.layout import State
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
-from ...system.system import State, System
+from ...system.system import System
 from ...system.tangents.step_tangent import StepTangent
 from ..consistent import accelerations
 from ..control import StepControl, lands, moves, turn_limit, turns_too_far

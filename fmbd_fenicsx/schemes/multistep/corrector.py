@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...rotations import Array
+from ...system.compiled.states.convergence import CONVERGED
 from ...system.compiled.states.stages import Rule
-from ...system.system import State
+from ...system.layout import State
 from ..dae import Points
-from ..implicit.convergence import CONVERGED
 from ..newton import strayed
 from .multistep_march import ALONE, NEAR, RATES, MultistepMarch
 from .past import local, slopes_at_first, weights

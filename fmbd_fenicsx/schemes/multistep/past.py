@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...rotations import Array
-from ...system.system import State, System
+from ...system.layout import State
+from ...system.system import System
 
 LONGEST = 8  # values that are kept
 

@@ -23,9 +23,11 @@ from math import hypot, sqrt
 import numpy as np
 
 from ...errors import ConvergenceError, StabilityError
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...rotations import Array
-from ...system.system import State, System
+from ...system.layout import State
+from ...system.system import System
 
 MASS = Weights(1.0, 0.0, 0.0)
 SMALL = 1e-7  # displacements, of the model's length

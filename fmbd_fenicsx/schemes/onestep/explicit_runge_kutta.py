@@ -24,7 +24,8 @@ from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled.march import March
 from ...system.compiled.states.explicit import Tableau
-from ...system.system import State, System
+from ...system.layout import State
+from ...system.system import System
 from ..consistent import accelerations
 from ..newton import Newton
 from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified

@@ -19,8 +19,9 @@ from ...rotations import Array
 from ...system.compiled.march import March
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.explicit import Tableau
+from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
-from ...system.system import State, System
+from ...system.system import System
 from ..consistent import accelerations, arrived
 from ..control import Statistics, StepControl, first_step, lands, turn_limit, turns_too_far
 from ..error_norm import ErrorNorm, check_tolerance

@@ -21,12 +21,14 @@ from functools import lru_cache
 import numpy as np
 
 from ...errors import ConvergenceError
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled.march import ITERATIONS, March
 from ...system.compiled.states.explicit import Found, Stages, Tableau
+from ...system.layout import State
 from ...system.speed_rows import speed_rows
-from ...system.system import State, System
+from ...system.system import System
 from ..consistent import accelerations
 from ..newton import Newton
 from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified

@@ -28,8 +28,9 @@ from ...linear.condensation import StepSolver
 from ...linear.residual import Judge
 from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
+from ...system.layout import State
 from ...system.serialisation import Memory, plain
-from ...system.system import State, System
+from ...system.system import System
 from ...system.tangents.step_tangent import StepTangent
 from ..consistent import accelerations
 from ..control import StepControl, lands, moves, turn_limit, turns_too_far

@@ -21,16 +21,18 @@ from typing import ClassVar
 import numpy as np
 
 from ...errors import BalanceError, ConvergenceError
-from ...linear.condensation import StepSolver, Weights
+from ...linear.blocks.field_blocks import Weights
+from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.compiled.march import LEFT, MAXIT, NEW_TANGENT, PARAMETERS, SLOW, THETA, TOL, March
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.explicit import Stage
 from ...system.evaluation import Evaluation
+from ...system.layout import State
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
-from ...system.system import State, System
+from ...system.system import System
 from ..consistent import consistent
 from ..dae import positions_refused
 from ..marching import MarchingStepper

@@ -17,7 +17,7 @@ from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.saddle.pencil import Pencil, cuts_of, stacked
 from ...rotations import Array
 from ...system.compiled.states.stages import Rule
-from ...system.system import State
+from ...system.layout import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
 from .stage_march import LONGER, RATES, StageMarch

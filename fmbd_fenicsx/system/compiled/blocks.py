@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...kernel_cache import address_of
 from ...rotations import Array
-from ..system import State, System
-from .tables.structures import address_of
+from ..layout import State
+from ..system import System
 
 Block = tuple[float, Array, Array, Array, Array, Array]  # t, q, v, a, A, lambda
 

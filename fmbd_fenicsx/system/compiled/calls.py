@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import ConvergenceError, LinearSolveError
+from ...kernel_cache import address_of
 from ...mechanics.forces.formulas import TARGET
 from ...mechanics.forces.laws_together import mean_effort
 from ...mechanics.joints.couplings import Constant, SmoothMotion
@@ -18,7 +19,6 @@ from ...mechanics.kinds.asked import AskedKind
 from .declarations import PYTHON, enumeration
 from .tables.item_batches import turned, turning
 from .tables.items import GIVEN, Items
-from .tables.structures import address_of
 from .tables.tables import MOTIONS, Tables
 from .tables.tied import motions_of_ties
 

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from ...kernel_cache import address_of
 from ...rotations import Array
 from ..system import System
 from .declarations import enumeration, fields_of
 from .states.convergence import Convergence
 from .states.stages import PointRoom
 from .tables.deflections import deflections_of
-from .tables.structures import Store, address_of
+from .tables.structures import Store
 
 # what a state keeps first
 RATE, KNOWN, TANGENTS, FACTORED, INCREMENTS, RESIDUAL, RESIDUAL_SCALE, WORK = enumeration("RATE", "implicit.c").values()

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from ...kernel_cache import address_of
 from ...rotations import Array
-from ..system import State, System
+from ..layout import State
+from ..system import System
 from .blocks import Block, Ring
 from .calls import Calls
 from .declarations import TABLES, enumeration, fields_of
 from .recording import Openness, Tape
-from .tables.structures import address_of
 from .tables.tables import Tables
 
 # fmt: off

@@ -18,16 +18,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...kernel_cache import address_of
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
 from ...mechanics.frames import SeenKinematics
 from ...mechanics.joints.relative import Relative
 from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
-from ..system import State, System
+from ..layout import State
+from ..system import System
 from .blocks import block_size, state_of
 from .declarations import TABLES, fields_of, structure_of
-from .tables.structures import address_of, zeros_of
+from .tables.structures import zeros_of
 
 if TYPE_CHECKING:
     from ..evaluation import Evaluation

@@ -19,8 +19,9 @@ from ...mechanics.joints.joints import Joint, ground
 from ...mechanics.rods.rods import Rod
 from ...rotations import Array, Motions, motions
 from ..configurations import count
+from ..layout import RowBlock, State
 from ..sensors.sensor import Sensor
-from ..system import RowBlock, State, System
+from ..system import System
 from .break_points import tell_break_points
 from .force_batches import build_loads
 from .going_on import go_on

@@ -23,7 +23,8 @@ from ...mechanics.joints.drives import Coupling
 from ...mechanics.joints.joints import Joint
 from ...rotations import Array
 from ..configurations import count
-from ..system import State, System
+from ..layout import State
+from ..system import System
 
 if TYPE_CHECKING:
     from .scene import Scene

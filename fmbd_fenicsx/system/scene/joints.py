@@ -18,7 +18,7 @@ from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.relative import Relative, RelativeAngle
 from ...mechanics.kinds.derivation import Kind
 from ...rotations import Array, Motions
-from ..system import RowBlock
+from ..layout import RowBlock
 
 
 @dataclass

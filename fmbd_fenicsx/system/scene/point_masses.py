@@ -16,7 +16,7 @@ from ...mechanics.joints.couplings import CouplingBatch
 from ...mechanics.joints.joints import Joint, Row, ground
 from ...mechanics.kinds.evaluation import KindItems
 from ...rotations import Array
-from ..system import RowBlock
+from ..layout import RowBlock
 
 if TYPE_CHECKING:
     from .scene import Scene

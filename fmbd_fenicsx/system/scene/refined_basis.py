@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...mechanics.reduction.reduced import ReducedPart, reduced_part
-from ..system import State, System
+from ..layout import State
+from ..system import System
 
 
 def finer_system(system: System, state: State) -> tuple[System, State] | None:

@@ -18,10 +18,11 @@ from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.limits import JointLimit
 from ...mechanics.parts import ScenePart
+from ..layout import State
 from ..mobility import Mobility, check, loose_bodies
 from ..sensors.sensor import Sensor
 from ..sensors.sensors import JointReading
-from ..system import State, System
+from ..system import System
 from .build import Builder
 from .going_on import Origin
 

@@ -38,11 +38,9 @@ from ..shares import (
     AIM,
     SAFE,
     WHOLE,
-    Relative,
     Tolerance,
     check_tolerances,
     largest_share,
-    relative,
     safe,
     worst,
 )
@@ -60,8 +58,6 @@ from .next_attempt import (
 )
 from .shared_runs import Allowed, Orders, known_orders
 from .shared_spaces import SharedSpaces
-
-__all__ = ["Attempt", "Relative", "relative", "solve_within"]
 
 ATTEMPTS = 12
 START = 100  # steps of the first attempt where no dt is given

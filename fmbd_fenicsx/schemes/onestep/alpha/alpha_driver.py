@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....kernel_cache import address_of
 from ....rotations import Array
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import STORAGE_LIMIT, solves
@@ -22,9 +23,9 @@ from ....system.compiled.tables.bodies import covers_bodies
 from ....system.compiled.tables.fields import Block
 from ....system.compiled.tables.items import covers
 from ....system.compiled.tables.resting import twin_of
-from ....system.compiled.tables.structures import address_of
 from ....system.compiled.tables.tables import Tables
-from ....system.system import State, System
+from ....system.layout import State
+from ....system.system import System
 
 if TYPE_CHECKING:
     from ....system.compiled.states.evaluation import DriverStates

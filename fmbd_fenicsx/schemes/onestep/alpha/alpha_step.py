@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ....errors import LinearSolveError
-from ....linear.condensation import StepSolver, Weights
+from ....linear.blocks.field_blocks import Weights
+from ....linear.condensation import StepSolver
 from ....mechanics.forces.force_elements import ScalarLoads
 from ....rotations import Array
 from ....system.compiled.declarations import constants
 from ....system.evaluation import Evaluation
+from ....system.layout import State
 from ....system.speed_rows import gaps, speed_rows
-from ....system.system import State
 from ....system.tangents.foretold_efforts import foretold_efforts
 from ...exact_tangent import Pair, exact_increment
 from ...newton import ExactTangent, Newton, above_roundoff, known_gaps

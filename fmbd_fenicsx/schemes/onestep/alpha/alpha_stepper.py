@@ -26,9 +26,10 @@ from ....linear.blocks.incompressibility import volume_push
 from ....linear.condensation import StepSolver
 from ....linear.redundancy import least
 from ....rotations import Array
+from ....system.layout import State
 from ....system.serialisation import Memory, plain
 from ....system.speed_rows import speed_rows
-from ....system.system import State, System
+from ....system.system import System
 from ...consistent import jerk, spin_of_acceleration, widest
 from ...dae import GGL
 from ...dense_output import cubic, place_within, state_within

@@ -11,7 +11,7 @@ import numpy as np
 from ....rotations import Array
 from ....system.compiled import march as slots
 from ....system.compiled.recording import on_the_way
-from ....system.system import State
+from ....system.layout import State
 from ...dae import GGL
 from ...marching import CompiledSteps
 from .alpha_driver import AlphaDriver, settings

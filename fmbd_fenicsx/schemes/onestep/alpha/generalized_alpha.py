@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING, Any
 
 from ....errors import require
 from ....linear.condensation import StepSolver
-from ....system.system import State, System
+from ....system.layout import State
+from ....system.system import System
 from ...dae import GGL, Form, Index3
 from ...error_norm import check_controlled
 from ...newton import Newton

@@ -25,9 +25,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....linear.condensation import StepSolver, Weights
+from ....linear.blocks.field_blocks import Weights
+from ....linear.condensation import StepSolver
 from ....rotations import Array
-from ....system.system import State, System
+from ....system.layout import State
+from ....system.system import System
 from ...error_norm import NormOfWays
 
 LOOKS = (0.118, 0.236, 0.382, 0.5, 0.618, 0.764, 0.882)  # where in a step loads and drives are looked at

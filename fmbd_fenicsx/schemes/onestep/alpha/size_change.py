@@ -14,10 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....errors import LinearSolveError
-from ....linear.condensation import StepSolver, Weights
+from ....linear.blocks.field_blocks import Weights
+from ....linear.condensation import StepSolver
 from ....rotations import Array
 from ....system.evaluation import Evaluation
-from ....system.system import State, System
+from ....system.layout import State
+from ....system.system import System
 from .stretch import DEEPEST, Stretch
 
 FARTHEST = 10.0  # times the least motion that closes constraints: one that bends bodies less may be as large

@@ -29,12 +29,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from ....errors import ConvergenceError, LinearSolveError
-from ....linear.condensation import StepSolver, Weights
+from ....linear.blocks.field_blocks import Weights
+from ....linear.condensation import StepSolver
 from ....rotations import Array
 from ....system.element_memory import whole_steps
 from ....system.evaluation import Evaluation
+from ....system.layout import State
 from ....system.serialisation import plain, worker
-from ....system.system import State, System
+from ....system.system import System
 from ...consistent import consistent
 from ...control import FADING, Statistics, StepControl, first_step, moves, turn_limit
 from ...dae import GGL

@@ -17,8 +17,9 @@ import numpy as np
 from ....mechanics.elastic.absolute import AbsoluteField
 from ....rotations import Array, rotate_nodal
 from ....system.evaluation import Evaluation
+from ....system.layout import State
 from ....system.serialisation import Memory
-from ....system.system import State, System
+from ....system.system import System
 
 
 @dataclass(frozen=True)

@@ -48,9 +48,10 @@ from ....rotations import Array
 from ....system.compiled.march import HISTORY, H, March
 from ....system.compiled.states.evaluation import DriverStates
 from ....system.compiled.states.means import Ends
+from ....system.layout import State
 from ....system.scene.contents import Contents
 from ....system.serialisation import Memory, plain, worker
-from ....system.system import State, System
+from ....system.system import System
 from ...consistent import accelerations, consistent
 from ...newton import Newton
 from .past_means import PastMeans

@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 
 from ....errors import ConvergenceError, LinearSolveError
-from ....linear.condensation import StepSolver, Weights
+from ....linear.blocks.field_blocks import Weights
+from ....linear.condensation import StepSolver
 from ....linear.redundancy import scaled_solution
 from ....rotations import Array
 from ....system.compiled.states.means import Ends, MeanStates, rate_of
 from ....system.configurations import count
+from ....system.layout import State
 from ....system.speed_rows import speed_rows
-from ....system.system import State, System
+from ....system.system import System
 from ...marching import MarchingStepper
 from ...newton import Newton
 from .discrete_gradient import GradientEnd, Mean

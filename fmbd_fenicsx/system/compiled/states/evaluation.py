@@ -14,12 +14,12 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
+from ....kernel_cache import address_of
 from ....rotations import Array
 from ...evaluation import Evaluation
 from ...mobility import certainly_regular
 from ...system import System
 from ..calls import Calls
-from ..tables.structures import address_of
 from ..tables.tables import Tables
 from .driver_evaluation import DriverBatch, DriverEvaluation
 from .exchange import Exchange, Room

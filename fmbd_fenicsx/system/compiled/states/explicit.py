@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....kernel_cache import address_of, addresses_of
 from ....rotations import Array
-from ...system import State
-from ..tables.structures import address_of, addresses_of
+from ...layout import State
 
 if TYPE_CHECKING:
     from .evaluation import DriverStates

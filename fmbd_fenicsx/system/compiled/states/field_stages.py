@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from ....kernel_cache import address_of
 from ....rotations import Array
-from ...system import State
+from ...layout import State
 from ..declarations import fields_of
-from ..tables.structures import address_of, zeros_of
+from ..tables.structures import zeros_of
 from .evaluation import DriverStates
 from .stages import POINTS, PointRoom, Rule, Stages
 

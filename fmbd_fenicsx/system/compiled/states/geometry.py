@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from ....kernel_cache import addresses_of
 from ....rotations import Array
 from ...evaluator import NumPyEvaluator
 from ...system import System
-from ..tables.structures import addresses_of
 
 NOWHERE = (None, 0)  # an array that is not given
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....kernel_cache import address_of
 from ....rotations import Array
-from ..tables.structures import address_of
 from .explicit import ExplicitStates
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from ....kernel_cache import address_of
 from ....rotations import Array
 from ...sparsity import Pattern
-from ..tables.structures import address_of
 from .exchange import Exchange
 
 if TYPE_CHECKING:

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....kernel_cache import address_of, addresses_of
 from ....rotations import Array
 from ...sparsity import Pattern, Product
 from ...tangents.step_tangent import StepTangent
 from ..declarations import fields_of
-from ..tables.structures import address_of, addresses_of
 from .couplings import Couplings
 from .exchange import Exchange
 
 if TYPE_CHECKING:
-    from ...system import State
+    from ...layout import State
     from .evaluation import DriverStates
 
 DATA = "J M G U by_q by_v by_a".split()  # of a tangent, one behind the other

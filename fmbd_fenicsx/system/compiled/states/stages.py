@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from ....kernel_cache import address_of, addresses_of
 from ....rotations import Array
 from ...sparsity import Pattern
 from ...tangents.step_tangent import StepTangent
 from ..declarations import enumeration, fields_of
-from ..tables.structures import address_of, addresses_of, zeros_of
+from ..tables.structures import zeros_of
 from .evaluation import DriverStates
 from .stage_patterns import StageStructure
 

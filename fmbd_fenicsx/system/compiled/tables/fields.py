@@ -8,12 +8,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from ....errors import ConvergenceError
+from ....kernel_cache import address_of
 from ....mechanics.elastic.field_part import FieldPart
 from ....mechanics.elastic.floating import FloatingField
 from ....mechanics.validity import TOO_LARGE
 from ....rotations import Array
 from .resting import RestingField
-from .structures import address_of, structure
+from .structures import structure
 from .told import ToldMotion
 
 if TYPE_CHECKING:

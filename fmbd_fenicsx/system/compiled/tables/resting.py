@@ -19,7 +19,8 @@ from ....mechanics.elastic.field_part import FieldPart
 from ....mechanics.joints.surface_ties import TiedSide, TraceRows
 from ....mechanics.placements import FrameMotion
 from ....rotations import Array
-from ...system import State, System
+from ...layout import State
+from ...system import System
 from ..blocks import Block
 
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ....kernel_cache import address_of as address_of
-from ....kernel_cache import addresses_of as addresses_of
+from ....kernel_cache import address_of
 from ....rotations import Array
 from ..declarations import TABLES, enumeration, structure_of
 
