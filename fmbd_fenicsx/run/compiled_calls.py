@@ -7,7 +7,7 @@ from collections.abc import Callable
 from math import inf
 from typing import TYPE_CHECKING
 
-from ..schemes.stepping import TimeStepper
+from ..schemes.stepping import Observers, TimeStepper
 from .judges.force_balance import next_look
 from .recording.recorder import Recorder
 from .schedule import StepSchedule
@@ -107,7 +107,7 @@ class CompiledCalls:
         """
         stepper, schedule = self.stepper, self.schedule
         alone = not self.equal and stepper.unwrapped.lands and schedule.largest < inf  # the most is that of every step
-        made = stepper.march(schedule.next(stepper.state.t), 1 if alone else steps, tape=tape)
+        made = stepper.march(schedule.next(stepper.state.t), 1 if alone else steps, Observers(tape=tape))
         self.local_error = max(self.local_error, stepper.local_error)
 
         # where the scheme ended it, or by number; the clock and records end calls too

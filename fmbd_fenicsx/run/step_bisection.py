@@ -19,8 +19,7 @@ import numpy as np
 
 from ..errors import ConstraintError, ConvergenceError, FmbdError, LinearSolveError, PartsError, StabilityError
 from ..log import log
-from ..schemes.stepping import Around, TimeStepper
-from ..system.compiled.recording import Tape
+from ..schemes.stepping import UNOBSERVED, Around, Observers, TimeStepper
 from ..system.element_memory import accept, next_sample, whole_steps
 from ..system.evaluation import Evaluation
 from ..system.evaluator import Glance
@@ -122,7 +121,7 @@ class ConstantSteps(Around):
         found = self.stepper.counters
         return {k: found.get(k, 0.0) + self._past.get(k, 0.0) for k in {**self._past, **found}}
 
-    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None, closed: Any = None) -> int:
+    def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many whole steps of size h (s) in one call; how many were made, 0 where :meth:`advance` has to."""
         if self._size not in (None, h) or not self.stride(h):
             return 0
@@ -130,8 +129,8 @@ class ConstantSteps(Around):
         # samples are taken by :meth:`advance`
         steps = int(min(steps, whole_steps(self.system, self.stepper.state.t, h)))
         judges = self.judges
-        closed = None if judges is None else judges.closed
-        made = self.stepper.march(h, steps, self.watch, tape, closed) if steps > 0 else 0
+        seen = Observers(self.watch, None if judges is None else judges.closed, observers.tape)
+        made = self.stepper.march(h, steps, seen) if steps > 0 else 0
         if made:
             self._size, self.local_error = h, max(self.local_error, self.stepper.local_error)
             if self.watch is not None:

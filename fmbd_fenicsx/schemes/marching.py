@@ -20,7 +20,7 @@ from ..system.layout import State
 from ..system.system import System
 from .newton import Newton
 from .onestep.alpha.alpha_driver import settings
-from .stepping import EnergyJudge, JointJudge, TimeStepper
+from .stepping import UNOBSERVED, EnergyJudge, Observers, TimeStepper
 
 if TYPE_CHECKING:
     from ..system.compiled.recording import Openness, Tape
@@ -28,6 +28,19 @@ if TYPE_CHECKING:
     from .onestep.explicit_limit import StepLimit
 
 AGAIN = (slots.GAIN, slots.DOUBT)  # after these the same step is found once more, by itself
+
+
+def lend_energies(p: Array, judge: EnergyJudge | None) -> None:
+    """Write into the parameters of compiled steps by what energies are judged, where they are."""
+    p[slots.GUARDED] = judge is not None
+    if judge is not None:
+        p[slots.HIGHEST : slots.SETTLING + 1] = judge.limits
+
+
+def take_energies(p: Array, judge: EnergyJudge | None) -> None:
+    """Give the judge back what steps that were made have moved on."""
+    if judge is not None:
+        judge.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
 
 
 class CompiledSteps(TimeStepper):
@@ -102,14 +115,7 @@ class MarchingStepper(CompiledSteps):
         assert self._used is not None
         return self._used.state(1)
 
-    def march(
-        self,
-        h: float,
-        steps: int,
-        watch: EnergyJudge | None = None,
-        tape: Tape | None = None,
-        closed: JointJudge | None = None,
-    ) -> int:
+    def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """As :meth:`TimeStepper.march`; steps that fail are left to :meth:`advance`."""
         made, limit = 0, self.limit
         while made < steps:
@@ -117,19 +123,19 @@ class MarchingStepper(CompiledSteps):
                 free, most = (np.inf, np.inf) if limit is None else limit.free(self.state, h)
             except StabilityError:  # whoever makes that step says so
                 break
-            now = self._made(h, int(min(steps - made, free)), most, (watch, tape, closed))
+            now = self._made(h, int(min(steps - made, free)), most, observers)
             made += now
             if limit is not None:
                 limit.count(now)
             if now and self._used is not None:
                 self._used.tables.remember()
-            if not now or self._stopped or (tape is not None and tape.c.crossed):
+            if not now or self._stopped or (observers.tape is not None and observers.tape.c.crossed):
                 break
         return made
 
     def _step_in_one_call(self, h: float) -> bool:
         """A step of size h (s) by compiled code; whether it was found."""
-        return bool(self._made(h, 1, np.inf, (None, None, None)))
+        return bool(self._made(h, 1, np.inf, UNOBSERVED))
 
     def _tables_of_steps(self) -> DriverStates | None:
         """With whose tables whole steps are made from the newest state on; None where steps are made in parts."""
@@ -148,9 +154,7 @@ class MarchingStepper(CompiledSteps):
             settings(self._used.parameters, self.system, self.newton)
         return self._used
 
-    def _made(
-        self, h: float, count: int, most: float, judges: tuple[EnergyJudge | None, Tape | None, JointJudge | None]
-    ) -> int:
+    def _made(self, h: float, count: int, most: float, observers: Observers) -> int:
         """Up to so many steps in one call, up to a state faster than ``most`` (m/s); how many were made."""
         s, self._stopped = self.state, True
         march = None if self._is_refused(h) or not self._in_one_call(h) else self._march_of()
@@ -158,29 +162,26 @@ class MarchingStepper(CompiledSteps):
         if march is None or driver is None:
             return 0
 
-        watch, tape, closed = judges
-        p = march.parameters
-        p[slots.H], p[slots.THETA], p[slots.GUARDED] = h, self.newton.theta, watch is not None
-        if watch is not None:
-            p[slots.HIGHEST : slots.SETTLING + 1] = watch.limits
-        if closed is not None:
-            march.judge(closed.limits(h), most)
-        self._prepare_room(march.room, alone=closed is None)
+        p, joints = march.parameters, observers.joints
+        p[slots.H], p[slots.THETA] = h, self.newton.theta
+        lend_energies(p, observers.energy)
+        if joints is not None:
+            march.judge(joints.limits(h), most)
+        self._prepare_room(march.room, alone=joints is None)
         kept = self._own(factored=driver.begin_steps(s))
         march.load([(s.t, s.q, s.v, s.a, np.zeros_like(s.a), s.lam)] * len(kept))
         for i, one in enumerate(kept):
             march.ring.own(i)[:] = one
 
-        made, verdict = march.steps(count, tape, judged=closed is not None)
+        made, verdict = march.steps(count, observers.tape, judged=joints is not None)
         self._stopped = bool(verdict)
         driver.end_steps(march.state() if made and not verdict and self.leaves_masses else None)
         if made:
             self.state = march.state()
             self._take_march(march, made)
-            if watch is not None:
-                watch.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
-            if closed is not None:
-                closed.passed(self.state.t, float(march.closed.fastest))
+            take_energies(p, observers.energy)
+            if joints is not None:
+                joints.passed(self.state.t, float(march.closed.fastest))
         march.calls.forget_error()  # parts of the step meet it again
         if verdict and verdict not in (*AGAIN, slots.SIZE):
             self._refuse(h)

@@ -7,6 +7,7 @@ user's own derives from :class:`TimeStepper` and has to say how it advances; all
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..errors import InputError, require
@@ -35,6 +36,21 @@ class JointJudge(Protocol):
 
     def passed(self, t: float, fastest: float) -> None:
         """Compiled steps up to time t (s) have passed, with this largest speed (m/s)."""
+
+
+@dataclass(frozen=True)
+class Observers:
+    """Who sees every state of steps that are made in one call: judges, and the ``tape`` that records them.
+
+    ``energy`` judges the energy, ``joints`` how open these are, where the scheme does not see to them.
+    """
+
+    energy: EnergyJudge | None = None
+    joints: JointJudge | None = None
+    tape: Tape | None = None
+
+
+UNOBSERVED = Observers()
 
 
 class TimeStepper(Remembering):
@@ -91,18 +107,8 @@ class TimeStepper(Remembering):
         """
         return False
 
-    def march(
-        self,
-        h: float,
-        steps: int,
-        watch: EnergyJudge | None = None,
-        tape: Tape | None = None,
-        closed: JointJudge | None = None,
-    ) -> int:
-        """Up to so many steps in one call, recorded on the ``tape``; how many were made. None here: they are made one by one.
-
-        ``watch``: judges the energy of every state, ``closed`` its joints where the scheme does not see to them.
-        """
+    def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
+        """Up to so many steps in one call; how many were made. None here: they are made one by one."""
         return 0
 
     def stride(self, h: float) -> float:

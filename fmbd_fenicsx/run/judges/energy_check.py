@@ -16,14 +16,14 @@ damping of the scheme then removes it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from ...errors import ConvergenceError
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import ScalarLoads
-from ...schemes.stepping import Around, TimeStepper
+from ...schemes.stepping import UNOBSERVED, Around, Observers, TimeStepper
 from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.scene.scene import Scene
@@ -32,7 +32,7 @@ from ...system.system import System
 from .acceptance import attempt
 
 if TYPE_CHECKING:
-    from ...system.compiled.recording import Tape
+    pass
 
 SHARE = 1e-3
 HALVINGS = 10
@@ -156,9 +156,10 @@ class Guarded(Around):
         """That of the stepper; none while steps have to be smaller than it likes."""
         return self.stepper.stride(h) if h <= self.largest else 0.0
 
-    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None, closed: Any = None) -> int:
+    def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Steps of the stepper that gain no energy."""
-        made = self.stepper.march(h, steps, self.watch, tape) if h <= self.largest else 0
+        guarded = Observers(energy=self.watch, tape=observers.tape)
+        made = self.stepper.march(h, steps, guarded) if h <= self.largest else 0
         if made:
             self.local_error, self.watch.time = self.stepper.local_error, self.state.t
         return made

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ...system.serialisation import Memory
 from ...system.system import System
 from ..marching import CompiledSteps
 from ..newton import Newton
+from ..stepping import UNOBSERVED, Observers
 from .contact_driver import ContactDriver
 from .contact_structures import Tally
 from .moreau_stepper import MoreauStepper
@@ -54,11 +55,11 @@ class CompiledMoreauStepper(CompiledSteps, MoreauStepper):
         """One step of size h (s), as :meth:`Stepper.advance`."""
         return self.state if self._march(h, 1) else super().advance(h)  # who called moves memories on
 
-    def march(self, h: float, steps: int, watch: Any = None, tape: Tape | None = None, closed: Any = None) -> int:
-        """Up to so many steps of size h (s) in one call, recorded on the ``tape``; how many were made: fewer where one is given
+    def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
+        """Up to so many steps of size h (s) in one call; how many were made: fewer where one is given
         back. Elements with a memory have that of the last step.
         """
-        made = 0 if watch is not None else self._march(h, steps, tape)
+        made = 0 if observers.energy is not None else self._march(h, steps, observers.tape)
         if made:
             self.driver.tables.remember()
         return made

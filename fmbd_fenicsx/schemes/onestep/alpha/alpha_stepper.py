@@ -34,7 +34,7 @@ from ...consistent import jerk, spin_of_acceleration, widest
 from ...dae import GGL
 from ...dense_output import cubic, place_within, state_within
 from ...newton import Newton, not_converged, strayed
-from ...stepping import TimeStepper
+from ...stepping import Observers, TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class AlphaStepper(TimeStepper):
         self.newton.theta = 0.5
         return self._step(rule, start, 0)  # stiff springs that turn need Newton's own tangent
 
-    def controlled(self, h: float, steps: int, control: Any, watch: Any = None, tape: Any = None) -> int:
+    def controlled(self, h: float, steps: int, control: Any, observers: Observers) -> int:
         """Up to so many steps under error control in one call of compiled code; none here."""
         return 0
 

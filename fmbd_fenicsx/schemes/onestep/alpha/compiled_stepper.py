@@ -13,14 +13,14 @@ from ....system.compiled import march as slots
 from ....system.compiled.recording import on_the_way
 from ....system.layout import State
 from ...dae import GGL
-from ...marching import CompiledSteps
+from ...marching import CompiledSteps, lend_energies, take_energies
+from ...stepping import UNOBSERVED, Observers
 from .alpha_driver import AlphaDriver, settings
 from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
 from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
 
 if TYPE_CHECKING:
     from ....system.compiled.recording import Openness, Tape
-    from ...stepping import EnergyJudge, JointJudge
     from .compiled_control import CompiledControl
     from .generalized_alpha import GeneralizedAlpha
 
@@ -159,7 +159,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
             self._foretold = known = rule.h, super()._first(rule)
         return known[1]
 
-    def _first_march(self, h: float, watch: EnergyJudge | None = None, tape: Tape | None = None) -> int:
+    def _first_march(self, h: float, observers: Observers = UNOBSERVED) -> int:
         """The first step after a consistent start, as :meth:`Stepper._first` prepares it; 1, or 0 where it fails."""
         s = self.state
         start = self._predicted(self.scheme.rule(h))  # which factors the fields
@@ -171,35 +171,24 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         zero = np.zeros(self.system.n_v)
         before = (s.t - h, place, zero, 2 * s.a - start.a, zero, 2 * s.lam - start.lam)
         self.driver.load([(s.t, s.q, start.v, s.a, start.A, s.lam), before])
-        self.fresh = not self._steps(h, 1, watch, tape)
+        self.fresh = not self._steps(h, 1, observers)
         self.driver.parameters[slots.HISTORY] = 1
         return 0 if self.fresh else 1
 
-    def march(
-        self,
-        h: float,
-        steps: int,
-        watch: EnergyJudge | None = None,
-        tape: Tape | None = None,
-        closed: JointJudge | None = None,
-    ) -> int:
-        """Up to so many steps of size h (s) in one call; how many were made.
-
-        ``watch``: stop before one that gains energy. ``tape``: takes records on the way, one of :meth:`tape`. Elements with a
-        memory have that of the last step.
+    def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
+        """Up to so many steps of size h (s) in one call, up to one that gains energy where that is judged; how many were made.
+        Elements with a memory have that of the last step.
         """
-        made = self._march(h, steps, watch, tape)
+        made = self._march(h, steps, observers)
         if made:
             self.driver.tables.remember()
         return made
 
-    def controlled(
-        self, h: float, steps: int, control: CompiledControl, watch: EnergyJudge | None = None, tape: Tape | None = None
-    ) -> int:
+    def controlled(self, h: float, steps: int, control: CompiledControl, observers: Observers) -> int:
         """:meth:`march` under error control, up to where the size may change, or a step is refused."""
         if self.fresh or not self._ready(h) or self._is_refused(h):
             return 0
-        made = self._steps(h, steps, watch, tape, control)
+        made = self._steps(h, steps, observers, control)
         if made:
             self.driver.tables.remember()
         return made
@@ -216,32 +205,25 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         self.driver.tables.remember()
         return True
 
-    def _march(self, h: float, steps: int, watch: EnergyJudge | None = None, tape: Tape | None = None) -> int:
+    def _march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """The same; the memory of elements may be that of a step before."""
         if self._is_refused(h):
             return 0
 
         # the first step after a consistent start begins with values of its own
         if self.fresh:
-            made = self._first_march(h, watch, tape)
+            made = self._first_march(h, observers)
             largest = self.local_error
-            if not made or steps == 1 or (tape is not None and tape.c.crossed):
+            if not made or steps == 1 or (observers.tape is not None and observers.tape.c.crossed):
                 return made
             self.driver.tables.remember()  # what later steps begin with
-            made += self._steps(h, steps - 1, watch, tape)
+            made += self._steps(h, steps - 1, observers)
             self.local_error = max(self.local_error, largest)
             return made
 
-        return self._steps(h, steps, watch, tape)
+        return self._steps(h, steps, observers)
 
-    def _steps(
-        self,
-        h: float,
-        steps: int,
-        watch: EnergyJudge | None = None,
-        tape: Tape | None = None,
-        control: CompiledControl | None = None,
-    ) -> int:
+    def _steps(self, h: float, steps: int, observers: Observers, control: CompiledControl | None = None) -> int:
         """The same from the newest blocks."""
         # steps that NumPy made since are given to the driver
         if not self.fresh and self._tail is not self.state:
@@ -249,16 +231,13 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         driver, newton = self.driver, self.newton
         p = driver.parameters
         p[slots.H], p[slots.THETA] = h, newton.theta
-        p[slots.GUARDED] = watch is not None
-        if watch is not None:
-            p[slots.HIGHEST : slots.SETTLING + 1] = watch.limits
+        lend_energies(p, observers.energy)
 
         driver.tables.recall()
         driver.tables.c.renewals = newton.renewals
-        made, verdict = driver.march(steps, tape, control)
-        if made and watch is not None:
-            watch.limits = tuple(p[slots.HIGHEST : slots.SETTLING + 1])
+        made, verdict = driver.march(steps, observers.tape, control)
         if made:
+            take_energies(p, observers.energy)
             self.size = h
             self._take(made)
         # not again from the same state with the same step: NumPy has it

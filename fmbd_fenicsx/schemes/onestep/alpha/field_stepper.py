@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ...stepping import UNOBSERVED, Observers
 from .alpha_driver import AlphaDriver, alpha_driver
 from .compiled_stepper import CompiledAlphaStepper
 
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
     from ....linear.blocks.field_blocks import FactoredField
     from ....rotations import Array
     from ....system.compiled.recording import Openness, Tape
-    from ...stepping import EnergyJudge
 
 
 NEXT = 3  # block of a ring that a step writes
@@ -34,8 +34,8 @@ class FieldStepper(CompiledAlphaStepper):
         ev.forces = a, lam  # whose stress the tangents take
         return self.solver.renew_fields(ev, increments)
 
-    def _march(self, h: float, steps: int, watch: EnergyJudge | None = None, tape: Tape | None = None) -> int:
-        return super()._march(h, steps, watch, tape) if not self.fresh and self._ready(h) else 0
+    def _march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
+        return super()._march(h, steps, observers) if not self.fresh and self._ready(h) else 0
 
     def tape(self, judged: Openness) -> Tape | None:
         """Room for records, as soon as there are factors of a step."""

@@ -42,7 +42,7 @@ from ...control import FADING, Statistics, StepControl, first_step, moves, turn_
 from ...dae import GGL
 from ...error_norm import NormOfWays
 from ...newton import Newton
-from ...stepping import EnergyJudge, JointJudge, TimeStepper
+from ...stepping import UNOBSERVED, Observers, TimeStepper
 from .look_ahead import LookAhead
 from .size_change import SizeChange
 from .stretch import Stretch, parts
@@ -249,14 +249,7 @@ class VariableAlpha(TimeStepper):
         remembered = self.inner.keeps_memories or not self.system.keepers
         return remembered and len(self.norm.deforming) == len(self.system.parts)
 
-    def march(
-        self,
-        h: float,
-        steps: int,
-        watch: EnergyJudge | None = None,
-        tape: Tape | None = None,
-        closed: JointJudge | None = None,
-    ) -> int:
+    def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many accepted steps of one size, at most h (s), in one call of compiled code, as :meth:`advance` makes one;
         fewer where the size may change or a step is refused.
         """
@@ -271,7 +264,7 @@ class VariableAlpha(TimeStepper):
 
         control = self._control()
         control.lend(self._stay(level, place))
-        made: int = self.inner.controlled(size, steps, control, watch, tape)
+        made: int = self.inner.controlled(size, steps, control, observers)
         if made:
             control.take()
             self.peak = control.c.peak
