@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,10 +92,16 @@ def judges_of(problem: Problem, solver: StepSolver, schedule: StepSchedule) -> J
 
 
 def make_stepper(
-    problem: Problem, solver: StepSolver, schedule: StepSchedule, judges: Judges, *, guarded: bool
+    problem: Problem,
+    solver: StepSolver,
+    schedule: StepSchedule,
+    judges: Judges,
+    *,
+    guarded: bool,
+    before_sample: Callable[[State], None] | None = None,
 ) -> TimeStepper:
     """The stepper from the consistent start: constant steps in parts where that must be, under the energy guard where that makes
-    sense.
+    sense. ``before_sample``: who is told before controllers sample at the end of a constant step.
     """
     system = problem.system
     start = problem.start
@@ -110,7 +117,8 @@ def make_stepper(
 
     said = Declared.by(problem.scheme)
     goes_on = said.start is not None or said.free_steps
-    return ConstantSteps(made, system, None if goes_on else renew, watch, judges, problem.most_parts)
+    renews = None if goes_on else renew
+    return ConstantSteps(made, system, renews, watch, judges, most=problem.most_parts, before_sample=before_sample)
 
 
 def _made_anew(problem: Problem, solver: StepSolver, before: TimeStepper | None, state: State, h: float) -> TimeStepper:

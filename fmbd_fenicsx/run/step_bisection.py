@@ -68,7 +68,8 @@ class ConstantSteps(Around):
 
     ``renew`` makes a stepper from a state, or takes one that goes on behind a jump of forces; None: the stepper goes on with
     another size. ``watch``: the energy guard, if any.
-    ``most``: times that steps and parts may be halved, None: as often as that helps.
+    ``most``: times that steps and parts may be halved, None: as often as that helps. ``before_sample``: is told of a state in
+    which controllers sample next.
     """
 
     keeps: ClassVar = {
@@ -84,12 +85,13 @@ class ConstantSteps(Around):
         renew: Callable[..., TimeStepper] | None,
         watch: Watch | None,
         judges: Judges | None = None,
+        *,
         most: float | None = None,
+        before_sample: Callable[[State], None] | None = None,
     ) -> None:
         self.stepper, self.system, self.renew, self.watch = stepper, system, renew, watch
         self.most, self.parted = np.inf if most is None else most, 0
-        self.judges = judges
-        self.before_sample: Callable[[State], None] | None = None  # who is told that controllers sample in a state next
+        self.judges, self.before_sample = judges, before_sample
         self.made = 0  # whole steps of the last call of :meth:`in_turn`
         # who evaluates the system, and who looks at its states in one call
         self._glance: tuple[Any, Glance | None] = None, None

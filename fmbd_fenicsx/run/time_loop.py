@@ -101,7 +101,9 @@ class Loop:
         # who makes the steps, and who records them
         guarded = output.energy and closed(problem.scene, system)
         self.judges = judges_of(problem, solver, schedule)
-        self.stepper = make_stepper(problem, solver, schedule, self.judges, guarded=guarded)
+        self.stepper = make_stepper(
+            problem, solver, schedule, self.judges, guarded=guarded, before_sample=self._before_sample
+        )
         self.recorder = self._recorder()
         self.progress = RunProgress(system, solver, problem.newton, self.stepper, self.recorder, self.judges.balanced)
         if keeper is not None:
@@ -116,8 +118,6 @@ class Loop:
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
         self._sampled = False  # whether controllers have sampled in the newest state
-        if isinstance(self.stepper, ConstantSteps):
-            self.stepper.before_sample = self._before_sample
         self.calls = CompiledCalls(self.stepper, schedule, self.recorder, refuses=self._refuses, events=self.events)
         # whether somebody looks at every step, or ranks have to agree on how many they make
         self._shown = output.on_step is not None or self.events is not None
