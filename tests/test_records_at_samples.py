@@ -98,3 +98,9 @@ def test_looser_tolerances_tell_what_is_of_a_lower_order_than_steps_are_chosen_b
     true = np.abs(run[name] - exact[name]).max()
     print(run.certificate[name].total / true)
     assert 0.5 < run.certificate[name].total / true < 3
+
+
+def test_ends_of_steps_are_not_recorded_where_samples_jump() -> None:
+    """Kinks are looked for in records of every step but where forces are sampled: these were made one by one for nothing."""
+    run = solved(fmbd.GeneralizedAlpha(), times=(0.0, 0.25, 0.5), estimate_error=True)
+    assert run.at_steps is None and run.error_estimate

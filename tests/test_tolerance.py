@@ -132,6 +132,17 @@ def test_one_rule_tells_whether_a_sensor_moves() -> None:
     assert set(moving(series, sensors)) == {"slide", "angle"}
 
 
+def test_a_share_of_roundoff_is_no_tolerance() -> None:
+    """The reaction of a body that hangs at rest varies by its last digit: the search ended at the finest of all tolerances."""
+    scene, body = fmbd.Scene("at rest", gravity=(0.0, -9.81)), fmbd.RigidBody("bob", 1.0, 0.1, (0.0, -0.5))
+    scene.add(body, fmbd.revolute("pin", fmbd.ground, body, center=(0, 0)))
+    scene.sensor("pin", fmbd.reaction("pin"))
+    output = fmbd.Output(times=tuple(np.linspace(0.0, 1.0, 81)), progress=False)
+    run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(3), tol={"pin": fmbd.relative(1e-3)}, output=output)
+    assert 0.0 < np.ptp(run["pin"][:, 1]) < 1e-13
+    assert [a.then for a in run.history] == ["done"]
+
+
 def test_meshes_are_looked_at_with_few_steps() -> None:
     """A block with singular corners: errors fall more slowly than expected, which is seen before a whole run is spent."""
     case = CASES["near-incompressible block"]

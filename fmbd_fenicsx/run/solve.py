@@ -92,7 +92,9 @@ def solve(
     halvings = output.estimate_error and not Declared.by(scheme).adaptive
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4 if halvings else 1)
     beside = (
-        steps_beside(output, schedule) if output.estimate_error and checkpoint is None and restart is None else None
+        steps_beside(scene, output, schedule)
+        if output.estimate_error and checkpoint is None and restart is None
+        else None
     )
     task = Task(scene, scheme, schedule, newton, linear, output, beside=beside)
     solved = run_once(task, build(scene), checkpoint=checkpoint, restart=restart)

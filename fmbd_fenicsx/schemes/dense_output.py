@@ -1,7 +1,8 @@
 """States within a step from those at its ends.
 
-Positions follow a cubic in the local coordinates of the step's start, accelerations and multipliers the straight lines between
-their ends, and velocities too where a scheme does not know better.
+Positions follow a cubic in the local coordinates of the step's start; accelerations and multipliers, and velocities where a
+scheme does not know better, parabolas through both ends and the beginning of the step before. Straight lines are as far off as
+the steps of most schemes, by where in a step an instant falls: what runs with other steps tell by chance.
 """
 
 from __future__ import annotations
@@ -30,12 +31,24 @@ def place_within(system: System, before: State, after: State, t: float, slopes: 
     return system.compose(before.q, cubic((t - before.t) / h, h, (0.0 * moved, moved), local))
 
 
-def state_within(before: State, after: State, t: float, q: Array) -> State:
-    """The state at a time t (s) with this q; all else from the straight lines between its ends."""
-    x = (t - before.t) / (after.t - before.t)
+def state_within(before: State, after: State, t: float, q: Array, earlier: State | None = None) -> State:
+    """The state at a time t (s) with this q; all else from the parabolas through its ends and the ``earlier`` one, from which the
+    step before led to its beginning, or from straight lines.
+    """
+    h = after.t - before.t
+    x, y = (t - before.t) / h, (after.t - t) / h
 
-    def line(a: Array, b: Array) -> Array:
-        return (1 - x) * a + x * b
+    def bent(a: Array, b: Array, past: Array) -> Array:
+        line = y * a + x * b
+        if earlier is None:
+            return line
+        slopes = (b - a) / h, (a - past) / (before.t - earlier.t)
+        return line - x * y * h * h * (slopes[0] - slopes[1]) / (after.t - earlier.t)
 
-    v, a, lam = line(before.v, after.v), line(before.a, after.a), line(before.lam, after.lam)
+    begin = earlier or before
+    v, a, lam = (
+        bent(before.v, after.v, begin.v),
+        bent(before.a, after.a, begin.a),
+        bent(before.lam, after.lam, begin.lam),
+    )
     return replace(after, t=t, q=q, v=v, a=a, lam=lam)

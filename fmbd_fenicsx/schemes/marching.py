@@ -115,6 +115,12 @@ class MarchingStepper(CompiledSteps):
         assert self._used is not None
         return self._used.state(1)
 
+    @property
+    def earlier(self) -> State | None:
+        """As :meth:`TimeStepper.earlier`."""
+        newest = self._used is not None and self._used.state().t == self.state.t  # else made in parts
+        return self.origin if newest else None
+
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """As :meth:`TimeStepper.march`; steps that fail are left to :meth:`advance`."""
         made, limit = 0, self.limit

@@ -133,6 +133,11 @@ class TimeStepper(Remembering):
         raise NotImplementedError(f"{_kind(self)} has no origin.")
 
     @property
+    def earlier(self) -> State | None:
+        """The state that the newest of the steps that :meth:`march` has made began with; None where it is not known."""
+        return None
+
+    @property
     def kinks(self) -> tuple[float, ...]:
         """Times (s) within the last step at which velocities may jump."""
         return ()

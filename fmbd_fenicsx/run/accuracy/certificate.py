@@ -25,6 +25,7 @@ UNRESOLVED = 0.5  # error by spaces or modes over the range of a sensor above wh
 HIDDEN = 2.0  # error that a kink may leave over the stated one, above which this says too little
 TAKEN_OUT = 1e-6  # amplitude over the range of a sensor below which differences tell of Newton's iteration, too
 STILL = 1e-9  # range over the largest value of its unit below which a sensor does not move
+FLOOR = 1e-12  # the same that roundoff leaves; and share of the range of a sensor that it does
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Statement:
     modes: float | None
     algebra: float | None
     total: float  # of all at once: see deviation.together
-    span: float  # largest less smallest value of the component that moves most
+    span: float  # largest less smallest value of the component that moves most, 0 of one that does not
 
     @property
     def sum(self) -> float:
@@ -124,9 +125,9 @@ def stated_of(run: Run, sensors: Iterable[str]) -> Certificate:
     if reduced and not run.reduction_error:
         unstated["modes"] = "not asked for: Output(estimate_reduction=True)"
 
-    made = []
+    made, spans = [], moving(run.series, run.scene.sensors, FLOOR)
     for name in sensors:
-        span = float(np.ptp(run.series[name], axis=0).max(initial=0.0)) if len(run.series[name]) else 0.0
+        span = spans.get(name, 0.0)
         space = run.space_error.get(name) if meshed else 0.0
         modes = run.reduction_error.get(name) if reduced else 0.0
         # with error control Newton's share is a part of the tolerance, and in the error of time
@@ -152,16 +153,16 @@ def uncertain_of(run: Run, stated: Certificate) -> dict[str, str]:
     return {name: ". ".join(why) for name, why in reasons.items() if why}
 
 
-def moving(series: Mapping[str, Array], sensors: Mapping[str, Any]) -> dict[str, float]:
-    """Ranges of the sensors that move: more than roundoff of the largest value of all with their unit, as a gap in contact
-    moves by the roundoff of places.
+def moving(series: Mapping[str, Array], sensors: Mapping[str, Any], still: float = STILL) -> dict[str, float]:
+    """Ranges of the sensors that move: more than roundoff, a share ``still``, of the largest value of all with their unit, as a
+    gap in contact moves by the roundoff of places.
     """
     largest: dict[str, float] = {}
     for name, x in series.items():
         unit = sensors[name].unit
         largest[unit] = max(largest.get(unit, 0.0), float(np.abs(x).max(initial=0.0)))
     spans = {name: float(np.ptp(x, axis=0).max(initial=0.0)) if len(x) else 0.0 for name, x in series.items()}
-    return {name: span for name, span in spans.items() if span > STILL * largest[sensors[name].unit]}
+    return {name: span for name, span in spans.items() if span > still * largest[sensors[name].unit]}
 
 
 def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...errors import ConvergenceError, InputError, LinearSolveError
+from ...system.scene.scene import Scene
 from ..built import Built
 from ..problem import Problem, make_solver
 from ..recording.output import Output
 from ..recording.recorder import Recorder
 from ..schedule import StepSchedule, sampled_late
 from ..time_loop import March, march
+from .certificate import struck_or_sampled
 
 # of runs that only tell an error: with larger steps forces may have no value
 UNFIT = (ConvergenceError, LinearSolveError, InputError)
@@ -73,9 +75,9 @@ def companion(problem: Problem, schedule: StepSchedule, output: Output, of: Buil
     return marched
 
 
-def steps_beside(output: Output, schedule: StepSchedule) -> Output | None:
+def steps_beside(scene: Scene, output: Output, schedule: StepSchedule) -> Output | None:
     """Sensors at ends of equal steps, beside records at given times: they tell of jumps within steps."""
-    at_times = output.times is not None and schedule.steps
+    at_times = output.times is not None and schedule.steps and not struck_or_sampled(scene)
     return Output(every=output.every, energy=False, progress=False) if at_times else None
 
 

@@ -10,14 +10,12 @@ import numpy as np
 
 from ...checks import typed
 from ...errors import InputError, near, require
-from ...rotations import Array
 from ...system.scene.scene import Scene
-from .certificate import Certificate, Statement
+from .certificate import FLOOR, Certificate, Statement
 from .deviation import Deviation
 
 AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
 WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be
-FLOOR = 1e-12  # share of the range of a sensor that roundoff leaves
 UNKNOWN = ("", "-", "?")  # units that are none
 
 Tolerance = Mapping[str, Any]  # sensor -> number in its unit, or Relative
@@ -67,13 +65,13 @@ def check_tolerances(scene: Scene, tol: Tolerance) -> None:
         )
 
 
-def check_floor(scene: Scene, series: Mapping[str, Array], tol: Tolerance) -> None:
-    """Tolerances not below roundoff, whose share of the range of a sensor a run tells.
+def check_floor(scene: Scene, spans: Mapping[str, float], tol: Tolerance) -> None:
+    """Tolerances not below roundoff, whose share of the range of a sensor a run tells; ``spans``: of those that move.
 
     Raises InputError where one is below.
     """
     for name, value in tol.items():
-        _above_floor(name, scene.sensors[name].unit, value, _span(series[name]))
+        _above_floor(name, scene.sensors[name].unit, value, spans.get(name, 0.0))
 
 
 def _limit(statement: Statement, value: Any) -> float:
@@ -91,20 +89,15 @@ def _above_floor(sensor: str, unit: str, value: Any, span: float) -> float:
     return limit
 
 
-def _span(series: Array) -> float:
-    """Largest less smallest value of the component that moves most."""
-    return float(np.ptp(series, axis=0).max(initial=0.0))
-
-
 def _plain(value: Any, span: float) -> float:
     """The tolerance of a sensor with this range, in its unit."""
     limit = value.share * span if isinstance(value, Relative) else float(value)
     return limit if limit > 0 else np.inf  # a sensor that does not move has no error to speak of
 
 
-def largest_share(errors: Mapping[str, Deviation], series: Mapping[str, Array], tol: Tolerance) -> float:
-    """The largest of some errors over its tolerance, sensor by sensor; ``series``: of a run, whose ranges shares refer to."""
-    return max(errors[n].size / _plain(x, _span(series[n])) for n, x in tol.items())
+def largest_share(errors: Mapping[str, Deviation], spans: Mapping[str, float], tol: Tolerance) -> float:
+    """The largest of some errors over its tolerance, sensor by sensor; ``spans``: of those that move, which shares refer to."""
+    return max(errors[n].size / _plain(x, spans.get(n, 0.0)) for n, x in tol.items())
 
 
 def share(made: Certificate, sensor: str, value: Any, kind: str) -> float:

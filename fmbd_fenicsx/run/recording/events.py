@@ -109,7 +109,7 @@ class EventWatch:
         span = after.t - before.t
 
         def at(t: float) -> State:
-            return after if t >= after.t else state_between(self.system, before, after, t, stepper)
+            return after if t >= after.t else state_between(self.system, (before, after), t, stepper)
 
         # with error control steps are long: a value may cross and come back within one
         # and at an impact it turns

@@ -59,7 +59,10 @@ class Recorder:
         self.values: dict[str, Rows] = {n: Rows() for n in self.scene.sensors}
         times = self.output.times
         self._wanted = None if times is None else [float(t) for t in times if t <= self.t_end * (1 + ROUNDING)]
+        # the end of the last step, its number, and the state that this began with where forces are smooth since then
         self._before: State | None = None
+        self._earlier: State | None = None
+        self._number, self._smooth = -1, True
         self.straight = Straight(self)
         self._due = self.output.due(self.scene.begins, self.t_end)
 
@@ -177,7 +180,7 @@ class Recorder:
     def go_on(self, state: State) -> None:
         """The next step begins in another state than the last one ended in: behind a jump of forces."""
         if self._wanted is not None:
-            self._before = state
+            self._before, self._earlier = state, None
 
     def take_within(self, n: int, state: State, stepper: Any) -> None:
         """Record the times within step n, which a ``stepper`` made up to a state, before controllers sample in it: their efforts
@@ -185,6 +188,7 @@ class Recorder:
         """
         if self._wanted is not None:
             self._take_up_to(state.t - 1e-9 * self.t_end, n, state, stepper)
+            self._smooth = False
 
     def take_until(self, n: int, state: State, met: State, stepper: Any) -> None:
         """Record step n up to the state at which an event has ended the run, it included; collective."""
@@ -198,7 +202,9 @@ class Recorder:
         """Record the times that the last step has passed."""
         if self._take_up_to(state.t + rounding, n, state, stepper):
             self._judge(n, state, self.system.at(state.t, state.q, state.v))
-        self._before = state
+        began = self._before if n == self._number + 1 else stepper.unwrapped.earlier
+        self._earlier, self._before, self._number = began if self._smooth else None, state, n
+        self._smooth = True
 
     def _take_up_to(self, last: float, n: int, state: State, stepper: Any) -> bool:
         """Record the times up to the ``last`` one (s) on the way to the state that step n has ended in; whether there are any."""
@@ -207,7 +213,7 @@ class Recorder:
         while self._wanted and self._wanted[0] <= last:
             t, at, passed = self._wanted.pop(0), state, True
             if abs(t - state.t) > rounding and self._before is not None:
-                at = state_between(self.system, self._before, state, t, stepper)
+                at = state_between(self.system, (self._before, state), t, stepper, earlier=self._earlier)
             self._record(n, at, None, between=True)
         return passed
 
@@ -293,7 +299,9 @@ class Recorder:
 
         self._wanted = m("wanted", self._wanted)
         if self._wanted is not None:
-            self._before = m.state("before", self._before)
+            self._before, earlier = m.state("before", self._before), m.state("earlier", self._earlier)
+            self._earlier = None if earlier is None or earlier.t is None else earlier
+            self._number, self._smooth = m("before number", (self._number, self._smooth))
         self.snapshots = [i.state("state", s) for i, (s,) in m.each("snapshots", [(s,) for s in self.snapshots], 1)]
 
     @property

@@ -27,7 +27,7 @@ from ....system.scene.scene import Scene
 from ...recording.output import Output
 from ...result import Run
 from ...schedule import StepSchedule, step_schedule
-from ..certificate import KINDS, Certificate
+from ..certificate import FLOOR, KINDS, Certificate, moving
 from ..companion_runs import UNFIT
 from ..deviation import Deviation
 from ..equal_steps import FEWEST
@@ -129,15 +129,15 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted:
 
     output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
     seen = shared.look(plan.scene, plan.scheme, plan.schedule.with_steps(few), output)
-    series, limit = seen.recorder.series, space_limit(plan.scene)
-    check_floor(plan.scene, series, tol)
+    spans, limit = moving(seen.recorder.series, plan.scene.sensors, FLOOR), space_limit(plan.scene)
+    check_floor(plan.scene, spans, tol)
     errors, unstated = shared.space_error(
-        plan.scene, [seen], plan.below, lambda x: largest_share(x, series, tol) <= limit
+        plan.scene, [seen], plan.below, lambda x: largest_share(x, spans, tol) <= limit
     )
     if unstated or not errors:
         return None
 
-    over = shared.looked[id(plan.scene)] = largest_share(errors, series, tol)
+    over = shared.looked[id(plan.scene)] = largest_share(errors, spans, tol)
     if over <= limit or (plan.before is not None and over > plan.before[1] / FALLS):
         return None  # fine enough, or no better than coarser ones: the whole attempt tells what is the matter
     try:

@@ -125,7 +125,7 @@ class SharedRuns:
         collective.
         """
         parts, before = PARTED * schedule.steps if parted else 0.0, self._before(scene, scheme, schedule)
-        beside = steps_beside(output, schedule)
+        beside = steps_beside(scene, output, schedule)
         if before is not None:
             beside = Output(
                 energy=False, progress=False, times=tuple(before.recorder.times[looked_at(before.recorder)])

@@ -28,7 +28,7 @@ from ...result import Run
 from ...schedule import StepSchedule, step_schedule
 from ...settings import check_tangent, default_scheme
 from ...single_run import Solved
-from ..certificate import Certificate, stated_of
+from ..certificate import FLOOR, Certificate, moving, stated_of
 from ..companion_runs import UNFIT, Compared
 from ..damped import damped_vibrations
 from ..deviation import Deviation
@@ -298,10 +298,11 @@ def _state_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solve
 def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> TimeError:
     """The error by the steps, or by the scheme's tolerance; collective."""
     run, alone = solved.run, not meshed_bodies(plan.scene) and not modal_bodies(plan.scene)
+    spans = moving(run.series, run.scene.sensors, FLOOR)
     looked = bool(plan.orders.follow) and not plan.orders.seen  # at spaces, with few steps
 
     def share_of(errors: dict[str, Deviation]) -> float:
-        return largest_share(errors, run.series, tol)
+        return largest_share(errors, spans, tol)
 
     room = WHOLE - _reserved(plan, shared, share_of) if plan.steps and not alone else SAFE if alone else WHOLE
     allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked)
@@ -339,9 +340,9 @@ def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solve
         run.seconds["reduction estimate"] = clock.perf_counter() - begun
     begun = clock.perf_counter()
     if meshed_bodies(plan.scene) and "space" not in known:
-        series, limit = run.series, space_limit(plan.scene)
+        spans, limit = moving(run.series, run.scene.sensors, FLOOR), space_limit(plan.scene)
         in_space, run.space_unstated = shared.space_error(
-            plan.scene, steps, plan.below, lambda found: largest_share(found, series, tol) <= limit
+            plan.scene, steps, plan.below, lambda found: largest_share(found, spans, tol) <= limit
         )
         run.state_error("space", in_space)
         run.seconds["space estimate"] = clock.perf_counter() - begun
