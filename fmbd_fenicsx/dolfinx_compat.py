@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -114,6 +115,21 @@ class _Modules:
         self._loaded: dict[tuple[Any, ...], Any] = {}
         self.missed: Callable[[], None] = lambda: None
         jit.get_cached_module = self._of
+        self._make: Callable[..., Any] = jit._compile_objects
+        jit._compile_objects = self._made
+
+    def _made(self, *given: Any, **more: Any) -> Any:
+        """As FFCx's own. What is no Exception would leave the source that others wait for, and ranks beside this one waiting."""
+        from ufl.algorithms.check_arities import ArityMismatch
+
+        try:
+            return self._make(*given, **more)
+        except ArityMismatch as error:
+            raise ValueError(str(error)) from error
+        except KeyboardInterrupt:
+            _, _, _, module_name, _, cache_dir = given[:6]
+            Path(cache_dir, f"{module_name}.c").unlink(missing_ok=True)
+            raise
 
     def _of(self, module_name: str, object_names: Any, cache_dir: Any, timeout: Any) -> Any:
         """As FFCx's own; asked once a module."""

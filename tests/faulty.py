@@ -16,6 +16,9 @@ FAULTS = {
     "not finite": r'volume "plate".*not finite',
     "solid forgotten": r"dimension 3 but the highest physical group has dimension 2",
     "two parts": r'volume "plate" consists of 2 separate parts .\d+ nodes about \[0.5\d*, 0.\d+, 0.0\], \d+ nodes about \[2.\d+',
+    "hinged": r'volume "plate" consists of 2 separate parts, hinged on each other',
+    "two kinds": r'volume "plate" has cells of several kinds: \d+ of kind \w+ \w+ and \d+ of kind',
+    "not flat": r'volume "plate".*is not flat: z reaches from 0.00\d+ to 0.47',
     "two volumes": r"several volumes.*Choose one",
     "empty surface": r'surface "end" has no facets',
     "raises": r"ValueError: wrong radius",
@@ -39,6 +42,11 @@ def build(gmsh: Any, fault: str) -> None:
     plates = [occ.addRectangle(0, 0, 0, 1, 1)]
     if fault in ("two parts", "two volumes"):
         plates.append(occ.addRectangle(2, 0, 0, 1, 1))
+    if fault in ("hinged", "two kinds"):
+        more = occ.addRectangle(1, float(fault == "hinged"), 0, 1, 1)
+        plates = [tag for _, tag in occ.fragment([(2, plates[0])], [(2, more)])[0]]
+    if fault == "not flat":
+        occ.rotate([(2, plates[0])], 0, 0, 0, 1, 0, 0, 0.5)
     if fault == "lone point":  # no fault: construction points belong to no cell
         occ.addPoint(5, 5, 0)
     occ.synchronize()
@@ -55,6 +63,10 @@ def build(gmsh: Any, fault: str) -> None:
     gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
     if fault == "no cells":
         return
+    if fault == "two kinds":
+        model.mesh.setRecombine(2, plates[0])
+    if fault == "lone point":
+        model.addPhysicalGroup(0, [1], name="corner")
     model.mesh.generate(2)
     if fault == "inverted":
         invert(model, plates[0])

@@ -106,6 +106,28 @@ def test_forms_that_take_long_are_said(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert len(said) == 1
 
 
+def test_an_interrupt_leaves_no_source_that_others_wait_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import ufl
+    from dolfinx.mesh import create_unit_interval
+    from ffcx.codegeneration import jit
+    from mpi4py import MPI
+
+    from fmbd_fenicsx import dolfinx_compat as compat
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(compat.JIT_OPTIONS, "cache_dir", str(tmp_path))
+    x = ufl.SpatialCoordinate(create_unit_interval(MPI.COMM_SELF, 2))[0]
+    compat.form(x * ufl.dx)
+    with monkeypatch.context() as during:
+        during.setattr(jit.cffi, "FFI", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            compat.form(x**4 * ufl.dx)
+    left = [path for path in tmp_path.glob("*.c") if not path.with_suffix(".c.cached").exists()]
+    assert not left
+
+
 def test_a_form_that_was_loaded_is_not_looked_for_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Of the same form on another mesh the module is remembered; another form is looked for."""
     import ufl

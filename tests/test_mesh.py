@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from faulty import FAULTS
 from motion import elastic_rod
 from mpi4py import MPI
@@ -91,6 +92,28 @@ def test_missing_file_and_wrong_arguments() -> None:
         read_gmsh(FAULTY, fault="two volumes", volume="body")
     with pytest.raises(MeshError, match="no function build"):
         read_gmsh(HERE / "motion.py")
+
+
+@pytest.mark.mpi
+def test_a_group_that_is_no_surface_says_why() -> None:
+    mesh = read_gmsh(FAULTY, fault="lone point")
+    with pytest.raises(MeshError, match=r'No surface "corner".* holds points: surfaces hold curves.*Known: "end"'):
+        mesh.surface_tag("corner")
+    body = fmbd.FloatingBody("plate", mesh, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3))
+    with pytest.raises(InputError, match='Body "plate": no surface "corner".* holds points'):
+        body.surface("corner")
+
+
+@pytest.mark.mpi
+def test_a_form_that_is_not_linear_is_an_input_error(rod_mesh: Callable[..., Any]) -> None:
+    """UFL's own exception for it is none that `except Exception` sees."""
+
+    def elastic(u: Any, v: Any, dx: Any) -> Any:
+        return (1 + u[0] ** 2) * ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) * dx
+
+    body = fmbd.FloatingBody("rod", rod_mesh(dim=2, h=0.1), density=1.0, elastic=elastic)
+    with pytest.raises(InputError, match='Body "rod".*did not give a bilinear UFL form'):
+        body.frequencies(1)
 
 
 @pytest.mark.mpi

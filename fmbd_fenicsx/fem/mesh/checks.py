@@ -22,11 +22,19 @@ class Group:
     name: str
 
 
-def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, dict[str, int], str]:
-    """Check physical groups and cells of a meshed gmsh model; drop the groups of other bodies. Rank 0 only.
+@dataclass(frozen=True)
+class Checked:
+    """What a model is after its checks: ``surfaces`` name -> tag; ``others``: name of a group that is no surface -> why."""
 
-    Returns dimension, name of the volume, name -> tag of its surfaces, and the label.
-    """
+    dim: int
+    volume: str
+    surfaces: dict[str, int]
+    label: str
+    others: dict[str, str]
+
+
+def check_model(model: Any, label: str, volume: str | None) -> Checked:
+    """Check physical groups and cells of a meshed gmsh model; drop the groups of other bodies. Rank 0 only."""
     groups = _named_groups(model, label)
     solid = _solid(model, groups, label, volume)
     for other in groups:
@@ -38,7 +46,16 @@ def check_model(model: Any, label: str, volume: str | None) -> tuple[int, str, d
     around = [g for g in groups if g.dim == solid.dim - 1]
     surfaces = _surfaces(model, around, entities, label)
     _drop_others(model, solid.dim, entities)
-    return solid.dim, solid.name, surfaces, label
+    others = {g.name: _why_none(g, solid) for g in groups if g.dim < solid.dim and g.name not in surfaces}
+    return Checked(solid.dim, solid.name, surfaces, label, others)
+
+
+def _why_none(group: Group, solid: Group) -> str:
+    """Why a group is no surface of the solid."""
+    if group.dim == solid.dim - 1:
+        return f'The group of this name does not lie on the boundary of volume "{solid.name}".'
+    kinds = ("points", "curves")[group.dim], ("curves", "faces")[solid.dim - 2]
+    return f"The group of this name holds {kinds[0]}: surfaces hold {kinds[1]}, small ones where a point or an edge is meant."
 
 
 # -- physical groups ------------------------------------------------------------------------------------------------
@@ -125,8 +142,9 @@ def _drop_others(model: Any, dim: int, entities: list[int]) -> None:
 # -- cells ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Cells:
-    """Cells of one kind in one entity: their numbers, nodes (n, k), determinants (n, p) at points (n, p, 3)."""
+    """Cells of one kind (gmsh's number of it) in one entity: numbers, nodes (n, k), determinants (n, p) at points (n, p, 3)."""
 
+    kind: int
     numbers: np.ndarray
     nodes: np.ndarray
     det: np.ndarray
@@ -149,6 +167,7 @@ def _cells(model: Any, dim: int, entities: list[int]) -> Iterator[Cells]:
 
             per = len(points) // 3
             yield Cells(
+                int(kind),
                 numbers,
                 np.asarray(cell_nodes, dtype=np.int64).reshape(len(numbers), -1),
                 np.asarray(det).reshape(-1, per),
@@ -157,10 +176,13 @@ def _cells(model: Any, dim: int, entities: list[int]) -> Iterator[Cells]:
 
 
 def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: str) -> None:
-    """One sign of the Jacobian determinant in all cells, no zero volumes, none twice, one connected part."""
+    """One kind of cells and sign of the Jacobian determinant, no zero volumes, none twice, one connected part."""
     cells = list(_cells(model, dim, entities))
     if not sum(len(c.numbers) for c in cells):
         raise MeshError(f'{label}: volume "{name}" has no cells. Call gmsh.model.mesh.generate({dim}).')
+    sides = _sides(model, cells, label, name)
+    if dim == 2:
+        _check_plane(cells, label, name)
     _check_signs(cells, label, name)
     for c in cells:
         twice = len(c.nodes) - len(np.unique(np.sort(c.nodes, axis=1), axis=0))
@@ -168,7 +190,42 @@ def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: st
             raise MeshError(
                 f'{label}: {twice} cells of volume "{name}" are there twice. Remove the duplicates, or mesh anew.'
             )
-    _check_connected(model, [c.nodes for c in cells], label, name)
+    _check_connected(model, np.concatenate([c.nodes for c in cells]), sides, f'{label}: volume "{name}"')
+
+
+def _sides(model: Any, cells: list[Cells], label: str, name: str) -> np.ndarray:
+    """Corners of the facets of a cell, (facets, corners): cells of a body are of one kind."""
+    counts: dict[int, int] = {}
+    for c in cells:
+        counts[c.kind] = counts.get(c.kind, 0) + len(c.numbers)
+    kinds = {kind: model.mesh.getElementProperties(kind) for kind in counts}
+    listing = " and ".join(f"{count} of kind {kinds[kind][0]}" for kind, count in counts.items())
+    if len(counts) > 1:
+        raise MeshError(
+            f'{label}: volume "{name}" has cells of several kinds: {listing}. A body has one kind: '
+            "let gmsh recombine all of its surfaces or none, or give each kind its own volume and tie the bodies."
+        )
+    _, dim, _, _, _, corners = kinds[cells[0].kind]
+    if (dim, corners) not in FACETS:
+        raise MeshError(
+            f'{label}: volume "{name}" has cells that a body cannot have: {listing}. Take triangles or quadrilaterals, '
+            "in space tetrahedra or hexahedra."
+        )
+    return np.array(FACETS[dim, corners])
+
+
+FLAT = 1e-9  # of the size of a plane body: how far its points may leave their plane
+
+
+def _check_plane(cells: list[Cells], label: str, name: str) -> None:
+    """Cells of a plane body lie in one plane z = const: gmsh's z is dropped, so others would be shortened."""
+    x = np.concatenate([c.points.reshape(-1, 3) for c in cells])
+    low, high = x.min(axis=0), x.max(axis=0)
+    if high[2] - low[2] > FLAT * (high - low)[:2].max():
+        raise MeshError(
+            f'{label}: volume "{name}" has plane cells and is not flat: z reaches from {low[2]:g} to {high[2]:g}. '
+            "A body in the plane lies in x and y; a shell in space has to be meshed as a solid."
+        )
 
 
 def _check_signs(cells: list[Cells], label: str, name: str) -> None:
@@ -229,25 +286,28 @@ def _check_facets(facets: set[tuple[int, ...]], edges: set[tuple[int, ...]], wha
         )
 
 
-def _check_connected(model: Any, links: list[np.ndarray], label: str, name: str) -> None:
-    """A body is one piece: cells joined through nodes."""
+def _check_connected(model: Any, cells: np.ndarray, sides: np.ndarray, what: str) -> None:
+    """A body is one piece: cells joined through facets. Parts that meet in a node, or in an edge in space, are hinged there."""
     import scipy.sparse as sp
     from scipy.sparse.csgraph import connected_components
 
-    top = max(int(c.max()) for c in links) + 1
-    rows = np.concatenate([np.repeat(c[:, 0], c.shape[1] - 1) for c in links])
-    cols = np.concatenate([c[:, 1:].ravel() for c in links])
-    graph = sp.coo_matrix((np.ones(len(rows)), (rows, cols)), shape=(top, top))
-    used = np.unique(np.concatenate([c.ravel() for c in links]))
-    count, part = connected_components(graph, directed=False)
-    parts = np.unique(part[used])
-    if len(parts) > 1:
-        nodes, x, _ = model.mesh.getNodes()
-        place = np.zeros((top, 3))
-        place[nodes[nodes < top]] = np.asarray(x).reshape(-1, 3)[nodes < top]
-        found = [used[part[used] == p] for p in parts]
-        listing = ", ".join(f"{len(n)} nodes about {place[n].mean(0).round(4).tolist()}" for n in found[:8])
-        raise MeshError(
-            f'{label}: volume "{name}" consists of {len(parts)} separate parts ({listing}). '
-            "Fuse them in gmsh, or give each its own physical group and body."
-        )
+    facets = np.sort(cells[:, sides].reshape(-1, sides.shape[1]), axis=1)
+    _, facet = np.unique(facets, axis=0, return_inverse=True)
+    cell = np.repeat(np.arange(len(cells)), len(sides))
+    links = sp.csr_matrix((np.ones(len(cell)), (cell, facet.ravel())))
+    count, part = connected_components(links @ links.T, directed=False)
+    if count == 1:
+        return
+
+    tags, x, _ = model.mesh.getNodes()
+    place = np.zeros((int(tags.max()) + 1, 3))
+    place[tags] = np.asarray(x).reshape(-1, 3)
+    found = [np.unique(cells[part == p]) for p in range(count)]
+    listing = ", ".join(f"{len(n)} nodes about {place[n].mean(0).round(4).tolist()}" for n in found[:8])
+    # nodes that several parts have
+    hinged = sum(map(len, found)) > len(np.unique(cells))
+    meet = ", hinged on each other at single nodes or edges" if hinged else ""
+    raise MeshError(
+        f"{what} consists of {count} separate parts{meet} ({listing}). "
+        "Fuse them in gmsh, or give each its own physical group and body."
+    )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
@@ -23,9 +23,9 @@ from ...checks import instance, number, vector, word
 from ...errors import InputError, MeshError, near
 from ...log import install_hooks, together
 from ...rotations import motions
-from .checks import check_model
+from .checks import Checked, check_model
 
-Loader = Callable[[Any], tuple[int, str, dict[str, int], str]]  # fills a gmsh session: what check_model returns
+Loader = Callable[[Any], Checked]  # fills a gmsh session
 SMALLEST = 1e-12  # area of a surface over extent^(d - 1)
 
 
@@ -68,7 +68,7 @@ class FinishedMesh:
         """The mesh with every edge halved; collective."""
         count = self.halvings + 1
 
-        def load(gmsh: Any) -> tuple[int, str, dict[str, int], str]:
+        def load(gmsh: Any) -> Checked:
             found = self.load(gmsh)
             for _ in range(count):
                 gmsh.model.mesh.refine()
@@ -90,7 +90,8 @@ class Mesh:
     """A distributed mesh of one body with named surfaces.
 
     Attributes: ``dolfinx`` the mesh, ``facet_tags`` its MeshTags, ``surfaces`` name -> tag, ``volume`` name of the solid group,
-    ``label`` what messages call it, ``recipe`` how it was made, where that is known.
+    ``label`` what messages call it, ``recipe`` how it was made, where that is known, ``others`` name of a group that is no
+    surface -> why.
     """
 
     dolfinx: Any
@@ -99,6 +100,7 @@ class Mesh:
     volume: str
     label: str
     recipe: Recipe | FinishedMesh | None = None
+    others: dict[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         cells = self.dolfinx.topology.index_map(self.dim).size_global
@@ -133,8 +135,13 @@ class Mesh:
     def surface_tag(self, name: str) -> int:
         """Tag of a named surface."""
         if name not in self.surfaces:
-            raise MeshError(f'No surface "{name}" in {self.label}. {near(name, self.surfaces)}')
+            raise MeshError(f"No{self.missing(name)[2:]}")
         return self.surfaces[name]
+
+    def missing(self, name: str) -> str:
+        """That there is no such surface, why, and which there are."""
+        why = f" {self.others[name]}" if name in self.others else ""
+        return f'no surface "{name}" in {self.label}.{why} {near(name, self.surface_names)}'
 
     @cached_property
     def extent(self) -> float:
@@ -234,16 +241,17 @@ def distributed(load: Loader, label: str, comm: Any = None) -> Mesh:
     try:
         # gmsh gives its model to the ranks; the others need a session for that
         together(comm, error)
-        dim, name, groups, label = comm.bcast(found)
+        found = comm.bcast(found)
         if not gmsh.isInitialized():
             gmsh.initialize(interruptible=False)
-        msh, _, facets = compat.model_to_mesh(gmsh.model, comm, dim)
+        msh, _, facets = compat.model_to_mesh(gmsh.model, comm, found.dim)
     finally:
         if gmsh.isInitialized():
             gmsh.finalize()
 
-    msh.topology.create_connectivity(dim - 1, dim)
-    return Mesh(msh, facets, groups, name, label, FinishedMesh(load, comm))
+    msh.topology.create_connectivity(found.dim - 1, found.dim)
+    made_by = FinishedMesh(load, comm)
+    return Mesh(msh, facets, found.surfaces, found.volume, found.label, made_by, found.others)
 
 
 def require_file(path: Path) -> None:
@@ -252,10 +260,8 @@ def require_file(path: Path) -> None:
         raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
 
 
-def _load(
-    gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | None, scale: float
-) -> tuple[int, str, dict[str, int], str]:
-    """Rank 0: build or open the model, check it, keep one body; returns dimension, volume name, surface tags, label."""
+def _load(gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | None, scale: float) -> Checked:
+    """Rank 0: build or open the model, check it, keep one body."""
     require_file(path)
 
     if path.suffix == ".py":

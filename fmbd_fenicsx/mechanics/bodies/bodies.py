@@ -15,7 +15,7 @@ import numpy as np
 
 from ...checks import array, check_fields, instance, number, vector, whole, word
 from ...energies import Hooke, MixedEnergy, SheetEnergy, StoredEnergy, ViscousForm
-from ...errors import InputError, near, require
+from ...errors import InputError, require
 from ...fem.fields import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
@@ -297,7 +297,7 @@ class ElasticBody(Body):
         known = self.mesh.surface_names
         word(f'Body "{self.name}": name of a surface', name)
         if name not in known:
-            raise InputError(f'Body "{self.name}": no surface "{name}" in {self.mesh.label}. {near(name, known)}')
+            raise InputError(f'Body "{self.name}": {self.mesh.missing(name)}')
         return Surface(self, name)
 
     def forms(self) -> ElasticForms:
