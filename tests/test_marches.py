@@ -290,6 +290,24 @@ def test_steps_that_their_error_refuses_stay_in_compiled_code(
     assert once.state.q == pytest.approx(turn.state.q, rel=1e-9, abs=1e-10)
 
 
+@compiled
+@pytest.mark.parametrize("largest", [0.002, 0.02])
+@pytest.mark.parametrize("scheme", [fmbd.BDF(), fmbd.Radau()], ids=told)
+def test_a_largest_step_is_kept_within_a_call(
+    scheme: Any, largest: float, marches: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is below most steps, and one that a few reach: the steps of Python, many in each call."""
+    run = lambda: fmbd.solve(joint_springs(3), t_end=0.5, dt=largest, scheme=scheme)  # noqa: E731
+    once, calls = run(), len(marches)
+    monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+    turn = run()
+    assert np.diff(turn.times).max() <= largest * (1 + 1e-12)
+    assert once.counters == turn.counters
+    assert once.times == pytest.approx(turn.times, rel=1e-6)
+    assert once.state.q == pytest.approx(turn.state.q, rel=1e-8, abs=1e-9)
+    assert calls < 0.1 * turn.counters["steps"]
+
+
 def given_in_time() -> fmbd.Scene:
     """A bead whose speed is given by time and place, and a slide whose place is given by time."""
     scene = fmbd.Scene("given in time")

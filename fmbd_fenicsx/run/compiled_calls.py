@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from math import inf
 from typing import TYPE_CHECKING
 
 from ..schemes.stepping import Observers, TimeStepper
@@ -106,12 +105,17 @@ class CompiledCalls:
         follow.
         """
         stepper, schedule = self.stepper, self.schedule
-        alone = not self.equal and stepper.unwrapped.lands and schedule.largest < inf  # the most is that of every step
-        made = stepper.march(schedule.next(stepper.state.t), 1 if alone else steps, Observers(tape=tape))
+        t, scheme = stepper.state.t, stepper.unwrapped
+        if scheme.lands and not self.equal:
+            scheme.longest = schedule.largest
+            reach = schedule.ahead(t)
+        else:
+            reach = schedule.next(t)
+        made = stepper.march(reach, steps, Observers(tape=tape))
         self.local_error = max(self.local_error, stepper.local_error)
 
         # where the scheme ended it, or by number; the clock and records end calls too
-        ended = not self.equal and (alone or made < steps)
+        ended = not self.equal and made < steps
         if made and (ended or done + made == self.next_look(done)) and self.refuses(h):
             stepper.step_back()
             if tape is not None:

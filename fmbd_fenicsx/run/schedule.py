@@ -48,13 +48,16 @@ class StepSchedule:
         """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""
         if self.steps:
             return self._sizes[bisect_right(self.stops, t)] if self.stops else self.span / self.steps
-        # steps that the scheme chooses: up to the next break point, on its near side
+        return min(self.ahead(t), self.largest)
+
+    def ahead(self, t: float) -> float:
+        """How far it is to where steps that the scheme chooses have to end: the near side of the next break point, s."""
         left = self.t_end - t
         for places in (self.stops, self.marks):
-            ahead = next((x for x in places if x - 4 * SIDE * np.spacing(x) > t), self.t_end)
-            if ahead < self.t_end:
-                left = min(left, near_side(ahead) - t)
-        return min(left, self.largest)
+            place = next((x for x in places if x - 4 * SIDE * np.spacing(x) > t), self.t_end)
+            if place < self.t_end:
+                left = min(left, near_side(place) - t)
+        return left
 
     def left(self, done: int) -> int:
         """How many equal steps of one size there are after so many."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..errors import InputError, require
@@ -62,7 +63,8 @@ class TimeStepper(Remembering):
         counters: work so far and statistics, name -> number, for the report.
         path: who makes the steps, for the report.
         compiled_whole: its steps are compiled from end to end, and ask for no evaluations.
-        lands: :meth:`march` under error control ends at the most that its first step may be, as at a time that is to be hit.
+        lands: :meth:`march` under error control may be told how far it is to a time that is to be hit, at which it ends.
+        longest: the most that each step of such a march may be (s).
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
         keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
     """
@@ -72,6 +74,7 @@ class TimeStepper(Remembering):
     path: str = "NumPy"
     compiled_whole: bool = False
     lands: bool = False
+    longest: float = inf
     keeps_memories: bool = False
 
     @property

@@ -160,10 +160,12 @@ class ImplicitMarch(MarchingStepper):
     def _lend_own(self, own: OwnRoom) -> None:
         """What error control has seen so far, and where the steps of a call end."""
         assert self.proposed is not None
-        control, norm, t, (limit, count) = self.control, self.norm, self.state.t, self._ahead
+        control, norm, t, (reach, count) = self.control, self.norm, self.state.t, self._ahead
+        limit = min(reach, self.longest)
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
-        own.c.until, own.c.tiny, own.c.worst, own.c.refused = t + limit, control.tiny, 0.0, 0.0
+        own.c.until, own.c.longest, own.c.tiny = t + reach, self.longest, control.tiny
+        own.c.worst, own.c.refused = 0.0, 0.0
         own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
 
     def _take_march(self, march: March, made: int) -> None:

@@ -23,19 +23,17 @@ if TYPE_CHECKING:
     from ..system import System
 
 FLAGS = (
-    *(
-        "-O3",
-        "-march=native",
-        "-fno-math-errno",
-        "-ffp-contract=off",
-        "-fcx-limited-range",
-        "-shared",
-        "-fPIC",
-        "-fvisibility=hidden",
-    ),
+    "-march=native",
+    "-fno-math-errno",
+    "-ffp-contract=off",
+    "-fcx-limited-range",
+    "-fPIC",
+    "-fvisibility=hidden",
     "-std=gnu11",
 )
-CORE = ("implicit_schemes", "schemes", "driver")  # units of every scene, to be compiled side by side, the longest first
+CORE = ("schemes", "driver", "implicit_schemes")  # units of every scene, to be compiled side by side, the longest first
+# whose loops are short or jump: vectors gain nothing there, and double the time to compile
+SPARSE = ("implicit_schemes",)
 CONTACT = "moreau"
 EXPORTED = re.compile(r"^EXPORT (\w+) (\w+)\((.*?)\)", re.MULTILINE | re.DOTALL)
 TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double, "void": None}
@@ -69,7 +67,7 @@ def _unit(dim: int, name: str) -> kernel_cache.SourceUnit:
     definitions = Path(strains.__file__).parents[1] / "kinds"
     files = [*sorted(definitions.glob("*.py")), Path(strains.__file__)] if name == "rods" else []
     text = b"".join(path.read_bytes() for path in files) + _source(dim, name, generated=False).encode()
-    flags = (*FLAGS, f"-DDIM={dim}")
+    flags = ("-O2" if name in SPARSE else "-O3", *FLAGS, f"-DDIM={dim}")
     return kernel_cache.SourceUnit(
         f"{name}_{dim}d", lambda: _source(dim, name), flags, text + processor().encode(), shared=True
     )

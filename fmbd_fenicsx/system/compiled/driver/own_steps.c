@@ -8,7 +8,8 @@ typedef struct OwnSteps {
     double *sizes, *speeds, *scale;    /* largest so far, of coordinates and velocities; work; each like v */
     double rtol, atol, length, turn;
     double safety, harsh, mild;        /* of a refused step: least and most that is left of its size */
-    double until, last, tiny;          /* a time that is hit; until when steps may begin; a size that is too small; s */
+    double until, longest, last, tiny; /* a time that is hit; the most a step may be; until when steps may begin; a size that is too */
+                                       /* small; s */
     double worst, refused;             /* of a march: the largest error, and how many were too large */
     double turning, order, shrink, grow, least, most; /* of Radau: steps are to turn by so much less; of the controller; least */
                                        /* error that it remembers; increments, twice */
@@ -23,10 +24,13 @@ typedef struct {
     int refused;
 } Passing;
 
+/* The most that the next step from a state on may be, s. */
+static double left_for(const OwnSteps *c, const Block *now) { return fmin(c->until - *now->t, c->longest); }
+
 /* The size of the next step from a state on, where so much is proposed and no more than ``most`` possible; 0: it is none. */
 static double own_size(const OwnSteps *c, const Block *now, double proposed, double most)
 {
-    const double left = c->until - *now->t;
+    const double left = left_for(c, now);
     double h = fmin(proposed, most);
     if (h >= left * (1.0 - 1e-10)) h = left;
     else if (h > 0.5 * left) h = 0.5 * left;

@@ -233,7 +233,7 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
 {
     OwnSteps *c = o->own;
     const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
-    const double left = c->until - *now->t;
+    const double left = left_for(c, now);
     Passing found = {*last.next, 0.0, 0};
     int verdict;
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
