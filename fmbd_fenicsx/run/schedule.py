@@ -9,7 +9,7 @@ two break points, of a size that fits: as near to the one that is asked for as w
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 from typing import Any
@@ -58,6 +58,10 @@ class StepSchedule:
             if place < self.t_end:
                 left = min(left, near_side(place) - t)
         return left
+
+    def below(self, size: float) -> StepSchedule:
+        """The same with steps of a scheme's choice that are none above a size, s."""
+        return replace(self, largest=min(self.largest, size))
 
     def left(self, done: int) -> int:
         """How many equal steps of one size there are after so many."""

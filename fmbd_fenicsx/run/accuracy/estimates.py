@@ -29,7 +29,7 @@ from .damped import damped_vibrations
 from .deviation import Deviation, scaled
 from .equal_steps import equal_steps_error
 from .jumps_in_time import jumps_about_kinks, jumps_ahead
-from .orders import expected_orders
+from .orders import expected_orders, seen_by_ends
 from .search.space_levels import finer_scene, space_deviations, unended
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ FALLS, LEFT = 0.7, 0.6
 TELLING = 1.5  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
 FEW = 4  # steps that are refused on the way to a first size
 REFUSED = 0.1  # share of others beyond which motion is not smooth
+SHORT = 0.25  # of the mean step, where the tolerance does not choose them
 LOW_ORDER = 2  # of schemes that pass kinks without being stopped by them
 DECADES = 3  # of tolerances that are tried for it
 SHOWN = 4  # jumps in a message
@@ -128,10 +129,12 @@ def usual_power(order: int) -> float:
 def steps_meet_kinks(run: Run) -> bool:
     """Whether steps of own choice may have met forces that jump, or whose slopes do, by chance well or badly.
 
-    Schemes of high order refuse their steps there again and again, of smooth motion a few; those of order two see little of it.
+    Schemes of high order refuse their steps there again and again, of smooth motion a few; those of order two see little of it,
+    and none what elements moved by the ends of steps alone miss between these.
     """
     refused = run.counters.get("rejected: error estimate", 0.0)
-    return refused > FEW + REFUSED * run.counters["steps"] or run.scheme.order <= LOW_ORDER
+    often = refused > FEW + REFUSED * run.counters["steps"]
+    return often or run.scheme.order <= LOW_ORDER or seen_by_ends(run.system)
 
 
 def _from_tolerance(
@@ -146,9 +149,10 @@ def _from_tolerance(
     rows = looked_at(recorder, most)
     instants = tuple(recorder.times[rows])
     wanted = Output(energy=False, progress=False, times=instants)
-    other = replace(problem, scheme=replace(problem.scheme, rtol=rtol))
-    ahead = Declared.by(problem.scheme).ends_ahead and rtol < problem.scheme.rtol
-    landing = replace(schedule, marks=instants) if ahead else schedule
+    other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
+    landing = replace(schedule, marks=instants) if finer and Declared.by(problem.scheme).ends_ahead else schedule
+    if finer and seen_by_ends(problem.system):
+        landing = landing.below(SHORT * schedule.span / int(recorder.indices[-1]))
     made = Compared(companion(other, landing, wanted).recorder, schedule, other.scheme)
     apart = {n: Deviation(made.recorder.times, x - recorder.series[n][rows]) for n, x in made.recorder.series.items()}
     return apart, made

@@ -36,9 +36,16 @@ def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]
     """
     orders = Declared.by(scheme).orders if system.blocks else None
     known = (scheme.order,) * 3 if orders is None else orders
-    remembers = any(len(keeper.memory_values()) for keeper in system.keepers) or any(f.by_ends for f in system.forces)
+    remembers = any(len(keeper.memory_values()) for keeper in system.keepers) or seen_by_ends(system)
     highest = OF_MEMORIES if remembers else max(known)
     return {name: min(known[sensor.derivative], highest) for name, sensor in scene.sensors.items()}
+
+
+def seen_by_ends(system: System) -> bool:
+    """Whether elements are moved by the ends of steps alone: the error that chooses steps does not know what they miss between,
+    as a rod that slides on, stops and slides back within one.
+    """
+    return any(f.by_ends for f in system.forces)
 
 
 def resolved(seen: Mapping[str, float], expected: Mapping[str, int], share: float = SEEN) -> bool:

@@ -33,7 +33,7 @@ from ..deviation import Deviation
 from ..equal_steps import FEWEST
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, jumps_ahead, with_break_points
-from ..orders import expected_orders, resolved
+from ..orders import expected_orders, resolved, seen_by_ends
 from ..shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .shared_runs import Orders, doubt
 from .shared_spaces import SharedSpaces
@@ -192,6 +192,10 @@ def next_plan(
     made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
     if not made.steps and made.scheme.rtol <= FINEST:
         return None, "the scheme's tolerance is at roundoff"
+    if not made.steps and seen_by_ends(run.system):  # which its tolerance does not choose
+        made = replace(
+            made, schedule=made.schedule.below(max(factor, NEAR) * plan.schedule.span / run.counters["steps"])
+        )
     return made, " and ".join([*done, "finer steps"])
 
 
