@@ -433,7 +433,7 @@ def test_a_state_that_is_refused_on_the_way_is_refused_in_turn(scheme: Any, monk
         patch.setattr(
             acceptance.Closed,
             "openness",
-            property(lambda self: fmbd.system.compiled.recording.Openness(self.units, 1e-30, 0.0)),
+            property(lambda self: fmbd.system.compiled.tape.Openness(self.units, 1e-30, 0.0)),
         )
         words = both(patch, lambda: said(run))
     assert words[0] == words[1] and "is open by" in words[0]

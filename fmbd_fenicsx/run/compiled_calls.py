@@ -12,7 +12,7 @@ from .recording.recorder import Recorder
 from .schedule import StepSchedule
 
 if TYPE_CHECKING:
-    from ..system.compiled.recording import Tape
+    from ..system.compiled.tape import Tape
     from .recording.events import EventWatch
 
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop

@@ -15,7 +15,7 @@ from ..linear.condensation import StepSolver
 from ..rotations import Array
 from ..system.compiled import march as slots
 from ..system.compiled.march import March
-from ..system.compiled.recording import on_the_way
+from ..system.compiled.tape import on_the_way
 from ..system.layout import State
 from ..system.system import System
 from .newton import Newton
@@ -23,8 +23,8 @@ from .onestep.alpha.alpha_driver import settings
 from .stepping import UNOBSERVED, EnergyJudge, Observers, TimeStepper
 
 if TYPE_CHECKING:
-    from ..system.compiled.recording import Openness, Tape
     from ..system.compiled.states.evaluation import DriverStates
+    from ..system.compiled.tape import Openness, Tape
     from .onestep.explicit_limit import StepLimit
 
 AGAIN = (slots.GAIN, slots.DOUBT)  # after these the same step is found once more, by itself

@@ -20,7 +20,7 @@ from .declared import Declared
 
 if TYPE_CHECKING:
     from ..system.compiled.march import JointLimits
-    from ..system.compiled.recording import Openness, Tape
+    from ..system.compiled.tape import Openness, Tape
 
 
 class EnergyJudge(Protocol):

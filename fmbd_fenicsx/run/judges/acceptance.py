@@ -26,7 +26,7 @@ from ...schemes.consistent import worst_block
 from ...schemes.declared import Declared
 from ...schemes.newton import SHUT
 from ...system.compiled.march import JointLimits
-from ...system.compiled.recording import Openness
+from ...system.compiled.tape import Openness
 from ...system.evaluation import Evaluation
 from ...system.evaluator import Seen
 from ...system.layout import State

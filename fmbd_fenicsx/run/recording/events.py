@@ -20,7 +20,8 @@ from scipy.optimize import brentq
 from ...checks import check_fields, number
 from ...errors import InputError, near, require
 from ...schemes.stepping import TimeStepper
-from ...system.compiled.recording import CROSSING, Recorded, Tape
+from ...system.compiled.recording import Recorded
+from ...system.compiled.tape import CROSSING, Tape
 from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.system import System

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...notices import Gathered
 from ...rotations import Array
-from ...system.compiled.recording import Openness, Recorded
+from ...system.compiled.recording import Recorded
+from ...system.compiled.tape import Openness
 from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.scene.scene import Scene

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from ...system.compiled.recording import Numbers, Recorded, Tape
+from ...system.compiled.recording import Numbers, Recorded
+from ...system.compiled.tape import Tape
 from .rows import Rows
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled import march as slots
-from ...system.compiled.recording import on_the_way
+from ...system.compiled.tape import on_the_way
 from ...system.layout import State
 from ...system.sensors.contact import ContactForces, ContactState
 from ...system.serialisation import Memory
@@ -22,7 +22,7 @@ from .contact_structures import Tally
 from .moreau_stepper import MoreauStepper
 
 if TYPE_CHECKING:
-    from ...system.compiled.recording import Openness, Tape
+    from ...system.compiled.tape import Openness, Tape
 
 
 class CompiledMoreauStepper(CompiledSteps, MoreauStepper):

@@ -48,7 +48,7 @@ from .contact_tape import ContactTape
 from .contact_trees import trees_of
 
 if TYPE_CHECKING:
-    from ...system.compiled.recording import Openness, Tape
+    from ...system.compiled.tape import Openness, Tape
     from ..newton import Newton
 
 POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = enumeration("POSE_OF", SOURCE).values()

@@ -9,8 +9,9 @@ import numpy as np
 
 from ...mechanics.contact.rows import ContactSet
 from ...rotations import Array
-from ...system.compiled.recording import Openness, Recorded, Tape
-from ...system.compiled.tables.tables import Tables
+from ...system.compiled.recording import Recorded
+from ...system.compiled.tables.layout import TableLayout
+from ...system.compiled.tape import Openness, Tape
 from ...system.layout import State
 from ...system.sensors.contact import WORKS, ContactForces, ContactState
 from ...system.system import System
@@ -19,7 +20,7 @@ from ...system.system import System
 class ContactTape(Tape):
     """Room for the records of one march."""
 
-    def __init__(self, tables: Tables, judged: Openness, contacts: ContactSet, system: System) -> None:
+    def __init__(self, tables: TableLayout, judged: Openness, contacts: ContactSet, system: System) -> None:
         """``system``: with its contacts, which that of the tables lacks."""
         m = len(contacts.pair)
         pairs = len(contacts.pairs)
@@ -41,7 +42,7 @@ class ContactRecorded(Recorded):
     """Records with contact; ``contact``: its :class:`ContactForces`, with the record as the first axis of all arrays."""
 
     def __init__(self, found: Recorded, tape: ContactTape) -> None:
-        super().__init__(found.tables, found.arrays, found.doubt)
+        super().__init__(found.twin, found.looks, found.arrays, found.doubt)
         self.system, self.tape = tape.whole_system, tape
         self._split()
 

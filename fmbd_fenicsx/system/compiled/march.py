@@ -16,8 +16,8 @@ from ..system import System
 from .blocks import Block, Ring
 from .calls import Calls
 from .declarations import TABLES, enumeration, fields_of
-from .recording import Openness, Tape
 from .tables.tables import Tables
+from .tape import Openness, Tape
 
 # fmt: off
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,

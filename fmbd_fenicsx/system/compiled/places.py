@@ -7,66 +7,18 @@ put their own data in. C only reads what is shared.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...mechanics.kinds.derivation import KERNELS, Kind
 from ...mechanics.kinds.library import kernel_address
-from .order import Fronts, RowGroup
 from .tables.items import GIVEN, READ, ROW, Items
-from .tables.structures import Store, structure
-
-if TYPE_CHECKING:
-    from .tables.tables import Tables
-
-STRUCTURES = 16  # that are kept
+from .tables.layout import TableLayout
+from .tables.structures import structure
 
 
-@dataclass(frozen=True)
-class MatrixShape:
-    """The structure of a scene's matrix: widths of the bodies' blocks, groups of rows, ``pairs`` of bodies that forces couple."""
-
-    widths: tuple[int, ...]
-    groups: tuple[RowGroup, ...]
-    pairs: frozenset[tuple[int, int]]
-
-
-class Structure:
-    """The fronts of one shape, and the places that were found in them."""
-
-    def __init__(self, shape: MatrixShape) -> None:
-        ends = np.cumsum(shape.widths, dtype=int)
-        count = int(ends[-1]) if len(ends) else 0
-        unknowns = [np.arange(end - width, end) for end, width in zip(ends, shape.widths, strict=True)]
-        unknowns += [count + np.array(group.rows) for group in shape.groups]
-        self.shape = shape
-        self.fronts = Fronts(unknowns, list(shape.groups), set(shape.pairs))
-        self.store = Store()
-        self._found: dict[Any, Any] = {}
-
-    def once(self, key: Any, find: Callable[[], Any]) -> Any:
-        """What ``find`` returns, found once for a key."""
-        if key not in self._found:
-            self._found[key] = find()
-        return self._found[key]
-
-
-structures_kept: dict[tuple[Any, ...], Structure] = {}  # the newest, by what acts between which frames
-
-
-def structure_of(connections: tuple[Any, ...], shape: Callable[[], MatrixShape]) -> Structure:
-    """The structure of scenes with these connections, made once, from their ``shape``."""
-    found = structures_kept.pop(connections, None) or Structure(shape())
-    structures_kept[connections] = found
-    if len(structures_kept) > STRUCTURES:
-        del structures_kept[next(iter(structures_kept))]
-    return found
-
-
-def batch_of(tables: Tables, items: Items) -> Any:
+def batch_of(tables: TableLayout, items: Items) -> Any:
     """A structure Batch of items, its places filled in, its data to follow."""
     rows = b"" if items.row is None else items.row.tobytes()
     key = items.kind, items.role, items.frames.tobytes(), rows
@@ -76,7 +28,7 @@ def batch_of(tables: Tables, items: Items) -> Any:
     return made
 
 
-def _batch(tables: Tables, items: Items, frames: np.ndarray) -> Any:
+def _batch(tables: TableLayout, items: Items, frames: np.ndarray) -> Any:
     kind = items.kind
     n = len(items)
     store = tables.structure.store
@@ -113,7 +65,7 @@ def _pattern(kind: Kind) -> np.ndarray:
 
 
 def _plain_places(
-    tables: Tables, one: Any, batch: tuple[Items, np.ndarray], places: np.ndarray, live: np.ndarray
+    tables: TableLayout, one: Any, batch: tuple[Items, np.ndarray], places: np.ndarray, live: np.ndarray
 ) -> None:
     """Where the entries of a batch go in the fronts: of rows, of products of rows, of geometric stiffness."""
     (items, frames), store, fronts = batch, tables.structure.store, tables.fronts
@@ -134,7 +86,7 @@ def _plain_places(
         one.product_to = store.integers(fronts.place(places[:, components[first]], places[:, components[second]]))
 
 
-def _mapped_places(tables: Tables, one: Any, batch: tuple[Items, np.ndarray]) -> None:
+def _mapped_places(tables: TableLayout, one: Any, batch: tuple[Items, np.ndarray]) -> None:
     """The same for items with frames on surfaces, whose rows act on all rates of the bodies."""
     (items, frames), store, fronts = batch, tables.structure.store, tables.fronts
     pattern = _pattern(items.kind)
@@ -156,12 +108,12 @@ def _mapped_places(tables: Tables, one: Any, batch: tuple[Items, np.ndarray]) ->
         one.row_to = store.integers(np.concatenate(to))
 
 
-def fronts_of(tables: Tables) -> Any:
+def fronts_of(tables: TableLayout) -> Any:
     """All structures Front, one array."""
     return tables.structure.once("fronts", lambda: _fronts(tables))
 
 
-def _fronts(tables: Tables) -> Any:
+def _fronts(tables: TableLayout) -> Any:
     fronts, store = tables.fronts, tables.structure.store
     kind, made = structure("Front", tables.dim), []
     for k, f in enumerate(fronts.fronts):
@@ -175,7 +127,7 @@ def _fronts(tables: Tables) -> Any:
     return (kind * max(len(made), 1))(*made)
 
 
-def pivots_of(tables: Tables) -> tuple[int, int]:
+def pivots_of(tables: TableLayout) -> tuple[int, int]:
     """Addresses of the places of the rows' pivots, and of the signs of all pivots."""
 
     def find() -> tuple[int, int]:
@@ -188,7 +140,7 @@ def pivots_of(tables: Tables) -> tuple[int, int]:
     return found
 
 
-def rigid_places(tables: Tables, first: np.ndarray) -> tuple[int, int]:
+def rigid_places(tables: TableLayout, first: np.ndarray) -> tuple[int, int]:
     """Address of the places of the blocks of rigid bodies whose unknowns begin at ``first`` (n,), and bytes from one to the next.
 
     Translations and rotations of a rigid body do not meet about its centre of mass.

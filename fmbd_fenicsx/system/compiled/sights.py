@@ -10,17 +10,17 @@ import numpy as np
 from .tables.structures import structure
 
 if TYPE_CHECKING:
-    from .tables.tables import Tables
+    from .tables.layout import TableLayout
 
 
-def seen_places(tables: Tables) -> int:
+def seen_places(tables: TableLayout) -> int:
     """The address of places (d) of the markers that sensors look at in their frames, and of how they are turned (d x d)."""
     mk, seen = tables.system.markers, tables.looks.markers
     place = np.where((tables.frame[seen] > tables.nb)[:, None], 0.0, mk.position[seen])
     return tables.store.address(np.concatenate((place, mk.rotation[seen].reshape(len(seen), tables.dim**2)), axis=1))
 
 
-def reaction_of(tables: Tables, name: str, side: int) -> Any:
+def reaction_of(tables: TableLayout, name: str, side: int) -> Any:
     """One structure Reaction: the items of a joint's rows on the side of its first body, or of an element on a side."""
     marker, found = _of_joint(tables, name) if side < 0 else _of_element(tables, tables.looks.slots[name].start, side)
     batch, item, sides = np.array(found, dtype=int).reshape(-1, 3).T
@@ -33,7 +33,7 @@ def reaction_of(tables: Tables, name: str, side: int) -> Any:
     )  # fmt: skip
 
 
-def _of_joint(tables: Tables, joint: str) -> tuple[int, list[tuple[int, int, int]]]:
+def _of_joint(tables: TableLayout, joint: str) -> tuple[int, list[tuple[int, int, int]]]:
     """The marker of a joint on its first body; number of the batch, of the item, and side of the items that act there."""
     block = tables.system.block(joint)
     found = []
@@ -45,7 +45,7 @@ def _of_joint(tables: Tables, joint: str) -> tuple[int, list[tuple[int, int, int
     return block.a, found
 
 
-def _of_element(tables: Tables, slot: int, side: int) -> tuple[int, list[tuple[int, int, int]]]:
+def _of_element(tables: TableLayout, slot: int, side: int) -> tuple[int, list[tuple[int, int, int]]]:
     """The same of an element that is read, on one of its sides."""
     for number, items in enumerate(tables.sources):
         if items.slot is not None and slot in items.slot:

@@ -97,7 +97,7 @@ class ElementWrench(_ElementSensor):
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """Components in world axes, (k, d or n_rot)."""
-        d = seen.tables.dim
+        d = seen.dim
         wrench = seen.wrench(self.element, int(self.on_b))
         return wrench[:, d:] if self.torque else wrench[:, :d]
 

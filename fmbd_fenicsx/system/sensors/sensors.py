@@ -123,7 +123,7 @@ class Rotation(Sensor):
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """Angle or rotation matrix."""
-        return seen.angle(marker) if seen.tables.dim == 2 else seen.rotation(marker)
+        return seen.angle(marker) if seen.dim == 2 else seen.rotation(marker)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,12 @@ from ....system.compiled.calls import Calls
 from ....system.compiled.choice import STORAGE_LIMIT, solves
 from ....system.compiled.library import driver_library, units_of
 from ....system.compiled.march import CEILING, FLOOR, LENGTH, MAXIT, NEW_TANGENT, SLOW, TOL, March
-from ....system.compiled.recording import Tape
 from ....system.compiled.tables.bodies import covers_bodies
 from ....system.compiled.tables.fields import Block
 from ....system.compiled.tables.items import covers
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.tables import Tables
+from ....system.compiled.tape import Tape
 from ....system.layout import State
 from ....system.system import System
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ....rotations import Array
 from ....system.compiled import march as slots
-from ....system.compiled.recording import on_the_way
+from ....system.compiled.tape import on_the_way
 from ....system.layout import State
 from ...dae import GGL
 from ...marching import CompiledSteps, lend_energies, take_energies
@@ -20,7 +20,7 @@ from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
 from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
 
 if TYPE_CHECKING:
-    from ....system.compiled.recording import Openness, Tape
+    from ....system.compiled.tape import Openness, Tape
     from .compiled_control import CompiledControl
     from .generalized_alpha import GeneralizedAlpha
 

@@ -14,7 +14,7 @@ from .compiled_stepper import CompiledAlphaStepper
 if TYPE_CHECKING:
     from ....linear.blocks.field_blocks import FactoredField
     from ....rotations import Array
-    from ....system.compiled.recording import Openness, Tape
+    from ....system.compiled.tape import Openness, Tape
 
 
 NEXT = 3  # block of a ring that a step writes

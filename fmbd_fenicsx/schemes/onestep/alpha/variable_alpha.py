@@ -48,7 +48,7 @@ from .size_change import SizeChange
 from .stretch import Stretch, parts
 
 if TYPE_CHECKING:
-    from ....system.compiled.recording import Openness, Tape
+    from ....system.compiled.tape import Openness, Tape
     from .compiled_control import CompiledControl, Stay
     from .generalized_alpha import GeneralizedAlpha
 

@@ -12,7 +12,7 @@ from .structures import structure
 
 if TYPE_CHECKING:
     from .items import Items
-    from .tables import Tables
+    from .layout import TableLayout
 
 
 def theta_places(system: System, items: Items) -> np.ndarray:
@@ -26,7 +26,7 @@ def theta_places(system: System, items: Items) -> np.ndarray:
     return np.array([first + number[int(i), int(j)] for i, j in items.markers])
 
 
-def angles(tables: Tables) -> list[Any]:
+def angles(tables: TableLayout) -> list[Any]:
     """Structures Angle of all counted angles, in the order of q; those of surfaces that turn as a whole have these for frames."""
     s, d = tables.system, tables.dim
     mk, counted = s.markers, s.counted

@@ -20,13 +20,13 @@ from .tied import Integral, covers_ties
 from .told import can_be_told, is_told
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .layout import TableLayout
 
 
 SORTS = enumeration("MEAN")  # of surfaces
 
 
-def rigid_bodies(tables: Tables) -> dict[int, Any]:
+def rigid_bodies(tables: TableLayout) -> dict[int, Any]:
     """The structures Body of all rigid bodies, by their frames."""
     block, d = tables.system.rigid, tables.dim
     if block is None:
@@ -48,7 +48,7 @@ def rigid_bodies(tables: Tables) -> dict[int, Any]:
     return out
 
 
-def reduced_body(tables: Tables, b: int) -> Any:
+def reduced_body(tables: TableLayout, b: int) -> Any:
     """The structure Body of the frame b, a reduced body."""
     system, store, d = tables.system, tables.store, tables.dim
     k, part = tables.parts[b]
@@ -93,7 +93,7 @@ def modal_arrays(constants: Any, m: int, d: int) -> dict[str, Array]:
     return arrays
 
 
-def surface(tables: Tables, marker: int) -> Any:
+def surface(tables: TableLayout, marker: int) -> Any:
     """The structure Surface of a marker on a reduced or floating body; its map is kept in ``tables.maps``."""
     system, store, d = tables.system, tables.store, tables.dim
     markers = system.markers
@@ -122,7 +122,7 @@ def surface(tables: Tables, marker: int) -> Any:
     return one
 
 
-def _integral(tables: Tables, marker: int, seen: Integral) -> Any:
+def _integral(tables: TableLayout, marker: int, seen: Integral) -> Any:
     """The structure Surface of what a tie sees of a body by one function."""
     system, store, d = tables.system, tables.store, tables.dim
     body = int(system.markers.frame[marker])
@@ -140,7 +140,7 @@ def _integral(tables: Tables, marker: int, seen: Integral) -> Any:
     return one
 
 
-def _add_map(tables: Tables, one: Any, body: int) -> None:
+def _add_map(tables: TableLayout, one: Any, body: int) -> None:
     """Room for the map of a surface from the rates of its body."""
     surface_map, one.map = tables.store.array(np.zeros((tables.twist, tables.width[body])))
     tables.maps.append(surface_map)

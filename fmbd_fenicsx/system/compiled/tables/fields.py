@@ -18,7 +18,7 @@ from .structures import structure
 from .told import ToldMotion
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .layout import TableLayout
 
 FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the driver's copies of the matrices memory
 SIZES = 9  # of steps, whose compliances are kept
@@ -44,7 +44,7 @@ class FieldTable:
     Columns of H: those of inertia, the ports that the factor has solved for, then ports that are only read.
     """
 
-    def __init__(self, tables: Tables, number: int, k: int, block: Block) -> None:
+    def __init__(self, tables: TableLayout, number: int, k: int, block: Block) -> None:
         system = tables.system
         self.tables, self.number, self.k, self.block = tables, number, k, block
         self.parts = parts_of(block)

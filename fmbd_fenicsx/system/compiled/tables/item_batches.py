@@ -15,7 +15,7 @@ from .items import LAW, READ, ROW, Items
 from .structures import Store
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .layout import TableLayout
 
 FORMULAS = enumeration("SERVO", "formulas.c")
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
@@ -35,7 +35,7 @@ DIRECTIONS = {  # constants that are directions in the axes of a marker: of whic
 OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
 
 
-def of_one_sort(tables: Tables, items: Items) -> list[Items]:
+def of_one_sort(tables: TableLayout, items: Items) -> list[Items]:
     """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces."""
     sorts = tables.structure.once(("sorts", items.frames.tobytes()), lambda: _sorts(tables.nb, items.frames))
     return [items] if len(sorts) == 1 else [items.part(which) for which in sorts]
@@ -47,7 +47,7 @@ def _sorts(ground: int, frames: np.ndarray) -> list[np.ndarray]:
     return [np.flatnonzero(sort == k) for k in np.unique(sort)]
 
 
-def _constants(tables: Tables, items: Items, P: Array) -> None:
+def _constants(tables: TableLayout, items: Items, P: Array) -> None:
     """Fill the table of constants, (n, width), in the axes of the frames."""
     mk = tables.system.markers
     n = len(items)
@@ -74,7 +74,7 @@ def _constants(tables: Tables, items: Items, P: Array) -> None:
             P[:, kind.place(name)] = turned(tables, items, name, values)
 
 
-def turned(tables: Tables, items: Items, name: str, values: Array) -> Array:
+def turned(tables: TableLayout, items: Items, name: str, values: Array) -> Array:
     """Constants of items, directions turned from the axes of their markers into those of the frames; (n, size)."""
     values = np.asarray(values, dtype=float).reshape(len(items), -1)
     R = turning(tables, items, name)
@@ -83,13 +83,13 @@ def turned(tables: Tables, items: Items, name: str, values: Array) -> Array:
     return np.asarray((R @ values[..., None])[..., 0])
 
 
-def turning(tables: Tables, items: Items, name: str) -> Array | None:
+def turning(tables: TableLayout, items: Items, name: str) -> Array | None:
     """Rotations (n, dim, dim) from the axes of the markers in which a constant is a direction; None for other constants."""
     side = DIRECTIONS.get(items.kind.name, {}).get(name)
     return None if side is None else np.asarray(tables.system.markers.rotation[items.markers[:, side]])
 
 
-def item_batch(tables: Tables, items: Items, number: int) -> Any:
+def item_batch(tables: TableLayout, items: Items, number: int) -> Any:
     """One structure Batch."""
     kind, n, store = items.kind, len(items), tables.store
     one = batch_of(tables, items)

@@ -18,7 +18,7 @@ from ...control.controllers import ControlLoads, Reading
 from .items import LAW, READ, Items, of_source
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .layout import TableLayout
 
 
 def _key(t: float, y: dict[str, Array]) -> Any:
@@ -28,7 +28,7 @@ def _key(t: float, y: dict[str, Array]) -> Any:
 class Listener:
     """One controller: ``items`` of what it reads, then of what it acts on; ``loads``: it, with the memory of steps in C."""
 
-    def __init__(self, tables: Tables, loads: ControlLoads) -> None:
+    def __init__(self, tables: TableLayout, loads: ControlLoads) -> None:
         self.tables, self.origin, self.loads = tables, loads, copy(loads)
         self.told: list[Items | None] = []  # of each reading; None of a marker's motion
         known: dict[Any, Items] = {}
@@ -203,6 +203,6 @@ class Listener:
         return kin
 
 
-def listeners(tables: Tables) -> list[Listener]:
+def listeners(tables: TableLayout) -> list[Listener]:
     """Those of all controllers whose law is called at every evaluation."""
     return [Listener(tables, f) for f in tables.system.forces if isinstance(f, ControlLoads) and f.called]

@@ -11,12 +11,12 @@ from ..declarations import enumeration
 from .structures import structure
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .layout import TableLayout
 
 MOUNT = enumeration("ROW")["MOUNT"]  # the role
 
 
-def squares(tables: Tables, frames: np.ndarray) -> tuple[int, int]:
+def squares(tables: TableLayout, frames: np.ndarray) -> tuple[int, int]:
     """Addresses of where the places of each pair of frames (n, 2) begin, and of places of the lower halves of their blocks."""
     rates = [np.concatenate([tables.rates(int(f)) for f in pair]) for pair in frames]
     counts = np.array([len(x) * (len(x) + 1) // 2 for x in rates])
@@ -28,7 +28,7 @@ def squares(tables: Tables, frames: np.ndarray) -> tuple[int, int]:
     return tables.store.array(first, np.int64)[1], tables.store.integers(np.concatenate(found))
 
 
-def mount_batch(tables: Tables, loads: Loads) -> Any:
+def mount_batch(tables: TableLayout, loads: Loads) -> Any:
     """One structure Batch of role MOUNT for bushings; its constants are places, turns, K and C, as mounts.c reads them."""
     mk = tables.system.markers
     store = tables.store

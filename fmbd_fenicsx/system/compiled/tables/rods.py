@@ -13,7 +13,7 @@ from ..declarations import enumeration
 from .structures import structure
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .layout import TableLayout
 
 # numbers of a load on a node: force, moment in world axes, then in axes of its section
 LOADED = enumeration("NODES", "rods.c")["LOADED"]
@@ -22,7 +22,7 @@ LOADED = enumeration("NODES", "rods.c")["LOADED"]
 class RodTable:
     """One rod as a structure of ``driver/tables.h``; ``c`` is the structure, the arrays are those that C reads."""
 
-    def __init__(self, tables: Tables, rod: RodElements, number: int) -> None:
+    def __init__(self, tables: TableLayout, rod: RodElements, number: int) -> None:
         self.rod, store = rod, tables.store
         self.own = not isinstance(rod.law, LinearLaw)
         m, q = rod.weights.shape
@@ -41,7 +41,7 @@ class RodTable:
             rate=store.address(np.zeros((m, q, 6))),
         )  # fmt: skip
 
-    def _places(self, tables: Tables) -> np.ndarray:
+    def _places(self, tables: TableLayout) -> np.ndarray:
         """Where the lower half of each element's block goes in the fronts, node by node."""
         frames = self.rod.frames
         unknowns = tables.at_u[frames][..., None] + np.arange(6)

@@ -14,27 +14,25 @@ from ....mechanics.joints.relative import Relative
 from ....mechanics.kinds.frames import FRAME
 from ....rotations import Array
 from ...system import System
-from ..order import Fronts, RowGroup
-from ..places import MatrixShape, Structure, fronts_of, pivots_of, structure_of
-from ..recording import Looks
+from ..matrix_structure import MatrixShape, structure_of
+from ..order import RowGroup
+from ..places import fronts_of, pivots_of
 from ..sights import reaction_of, seen_places
 from .angles import angles, free_markers
 from .bodies import reduced_body, rigid_bodies, surface
 from .fields import Block, FieldTable
 from .item_batches import item_batch, of_one_sort
-from .items import READ, ROW, Items, items_of, other_loads
+from .items import READ, ROW, items_of, other_loads
+from .layout import TableLayout
 from .listening import listeners
 from .mounts import mount_batch
-from .resting import twin_of
 from .rods import RodTable, rod_pairs
-from .structures import SECANTS, Store, array_of, structure
-from .tied import TiedPoints
+from .structures import SECANTS, array_of, structure
 from .told import ToldPart, is_told
 from .whole import WholeLoads
 
 MOTIONS = "motion", "motion_rate", "motion_second"  # of rows: s, s' and s'' of what is prescribed
 LINKS_LIMIT = 1_000_000  # entries of the rows of efforts that answer to more than their own coordinate
-ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
 
 
 def _bytes(x: np.ndarray | None) -> bytes:
@@ -42,16 +40,9 @@ def _bytes(x: np.ndarray | None) -> bytes:
     return b"" if x is None else x.tobytes()
 
 
-class Tables:
-    """All tables of one system; ``c`` is the driver's System, ``batches`` the items behind its batches."""
+class Tables(TableLayout):
+    """All tables of one system; ``batches`` are those of the driver."""
 
-    width: np.ndarray  # of the bodies' blocks
-    at_u: np.ndarray  # where they begin among the unknowns
-    nu: int
-    rows: int
-    c: Any  # the structure System
-    structure: Structure
-    fronts: Fronts
     # fields with new tangents: at t, increments that led there
     renewed: Callable[[float, dict[int, Array]], Sequence[Block]]
 
@@ -61,30 +52,22 @@ class Tables:
         """``blocks``: factors and columns of the floating fields for the size of a step; ``coordinates``: one item each that
         nothing acts on, for :meth:`coordinate`.
         """
-        self.twin = twin_of(system)
-        self.tied = TiedPoints(self.twin.system)
-        # with a frame for each absolute body, and with what ties see of bodies among the markers
-        self.system = system = self.tied.system
-        self.store = Store()
-        self.dim = system.motions.dim
-        self.nb = system.n_frames
-        self.twist = system.motions.n_twist
-        reduced: tuple[Any, ...] = system.parts
-        self.parts: dict[int, tuple[int, Any]] = {p.frame: (k, p) for k, p in enumerate(reduced)}
+        super().__init__(system)
+        system = self.system
         numbered = enumerate(zip(system.fields, blocks, strict=True))
         self.blocks = blocks
         self.user: Any = None  # the stepper whose steps were made last
         self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
         self.floating = {field.part.frame: field for field in self.fields}
-        self.looks = Looks(system)
         self.listeners = listeners(self)
         control = [x for one in self.listeners for x in one.items]
         self.items = self.tied.items + items_of(system, self.looks, control, coordinates)
         self.loads = other_loads(system)
         self.mounts = [f for f in system.forces if f.mounts() is not None]
-        self.maps: list[Array] = []  # of surfaces: twist from the rates of the body
         self._lay_out()
-        self._place_surfaces()
+        self._place_surfaces(self._acted_on())
+        for items in self.items:
+            items.frames = self._frames_of(items)
         if sum(one.links for one in self.listeners) * self.nu > LINKS_LIMIT:
             for one in self.listeners:
                 one.unlink()
@@ -103,66 +86,14 @@ class Tables:
         self.rods = [RodTable(self, rod, number) for number, rod in enumerate(rods)]
         self._system(redundant)
 
-    # -- unknowns ----------------------------------------------------------------------------------------------------------
-    def _lay_out(self) -> None:
-        """Widths of the bodies' blocks and where they begin; the rows come behind."""
-        modes = [self.parts[b][1].n if b in self.parts else 0 for b in range(self.nb)]
-        for frame, field in self.floating.items():
-            modes[frame] = field.count
-        self.modes = np.array(modes, dtype=int)
-        self.width = self.twist + self.modes
-        self.at_u = np.cumsum(self.width) - self.width
-        self.nu, self.rows = int(self.width.sum()), self.system.n_lam
-
-    def _place_surfaces(self) -> None:
-        """The markers on surfaces that something acts on, each a frame behind the ground."""
-        mk = self.system.markers
+    def _acted_on(self) -> np.ndarray:
+        """The markers that something acts on or looks at."""
         used: list[np.ndarray] = [items.markers.ravel() for items in self.items]
         used += [x for f in (*self.loads, *self.mounts) for x in (f.a, f.b)]
         used.append(np.array(self.looks.markers, dtype=int))
         used += free_markers(self.system)
         used += [np.array(one.markers, dtype=int) for one in self.listeners]
-        self.surfaces = (
-            np.intersect1d(np.concatenate(used), mk.surface).astype(int) if mk.surface.size else np.zeros(0, int)
-        )
-        self.frame = mk.frame.copy()
-        self.frame[self.surfaces] = self.nb + 1 + np.arange(len(self.surfaces))
-        for items in self.items:
-            items.frames = self._frames_of(items)
-        self.nothing = self.nu + self.twist * len(self.surfaces)  # place of what the ground would have
-
-    def body_of(self, frame: np.ndarray) -> np.ndarray:
-        """The body of frames, -1 for the ground."""
-        on = np.append(np.arange(self.nb), -1)
-        on = np.append(on, self.system.markers.frame[self.surfaces])
-        return np.asarray(on[frame])
-
-    def port_matrix(self, body: int) -> Array:
-        """Rates of the ports of a body from those of its modes, (ports, modes)."""
-        part: Any = self.floating.get(body) or self.parts[body][1]
-        matrix: Array = part.port_matrix
-        return matrix
-
-    def twist_places(self, frame: np.ndarray) -> np.ndarray:
-        """Places of the twists of frames in arrays of velocities, (..., n_twist)."""
-        first = np.concatenate((self.at_u, [self.nothing], self.nu + self.twist * np.arange(len(self.surfaces))))
-        places = first[frame][..., None] + np.arange(self.twist)
-        return np.where((frame == self.nb)[..., None], self.nothing, places)
-
-    def rates(self, frame: int) -> np.ndarray:
-        """The unknowns that move a frame."""
-        body = int(self.body_of(np.array(frame)))
-        if body < 0:
-            return np.zeros(0, int)
-        width = self.twist if frame < self.nb else self.width[body]
-        return np.asarray(self.at_u[body] + np.arange(width))
-
-    def _frames_of(self, items: Items) -> np.ndarray:
-        """Frames of both sides, (n, 2); loads have the ground for their first."""
-        frames = self.frame[items.markers]
-        if items.kind.name in ONE_SIDED:
-            frames[:, 0] = self.nb
-        return frames
+        return np.concatenate(used)
 
     # -- order ---------------------------------------------------------------------------------------------------------------
     def _connections(self) -> tuple[Any, ...]:
@@ -320,11 +251,6 @@ class Tables:
     def remembering(self) -> list[Any]:
         """Items with a memory."""
         return [items for items in self.sources if items.remembers]
-
-    @cached_property
-    def sampled(self) -> list[Any]:
-        """Items whose efforts stay the same between samples."""
-        return [items for items in self.sources if items.sampled is not None]
 
     def recall(self) -> None:
         """Take the memory of elements that have one."""

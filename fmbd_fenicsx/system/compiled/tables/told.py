@@ -13,7 +13,7 @@ from .resting import RestingPart
 from .structures import structure
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .layout import TableLayout
 
 
 def is_told(part: Any) -> bool:
@@ -31,7 +31,7 @@ def can_be_told(part: Any) -> bool:
 class ToldMotion:
     """The motion of a part with n coordinates, as C leaves it in ``state``; ``address``: of this array."""
 
-    def __init__(self, tables: Tables, n: int) -> None:
+    def __init__(self, tables: TableLayout, n: int) -> None:
         d, twist, pose = tables.dim, tables.twist, tables.system.motions.n_pose
         sizes = (d * d, twist, twist, pose, d, n, n, n)
         state, self.address = tables.store.array(np.zeros(sum(sizes)))
@@ -47,7 +47,7 @@ class ToldMotion:
 class ToldPart:
     """One such part, number ``k`` of the system, as the structure Told of ``driver/tables.h``."""
 
-    def __init__(self, tables: Tables, number: int, k: int) -> None:
+    def __init__(self, tables: TableLayout, number: int, k: int) -> None:
         self.tables, self.number, self.k = tables, number, k
         self.part: Any = tables.system.parts[k]
         self.rests = isinstance(self.part, RestingPart)

@@ -14,7 +14,7 @@ from .mounts import squares
 from .structures import structure
 
 if TYPE_CHECKING:
-    from .tables import Tables
+    from .layout import TableLayout
 
 WHOLE = enumeration("ROW")["WHOLE"]  # the role
 
@@ -26,7 +26,7 @@ class WholeLoads:
     ``K``, ``B`` (m, 2 n, 2 n): over their displacements and velocities, n = d + n_rot; world axes.
     """
 
-    def __init__(self, tables: Tables, loads: Loads, number: int) -> None:
+    def __init__(self, tables: TableLayout, loads: Loads, number: int) -> None:
         store, d, n = tables.store, tables.dim, tables.twist
         pairs = np.stack((loads.a, loads.b), axis=1).astype(int)
         count = len(loads.a)
@@ -54,7 +54,7 @@ class WholeLoads:
         self._kin = self._kinematics()
 
     @staticmethod
-    def _constants(tables: Tables, pairs: np.ndarray) -> np.ndarray:
+    def _constants(tables: TableLayout, pairs: np.ndarray) -> np.ndarray:
         """Places and turns of the markers in their frames, (m, 2 (d + d^2)); surfaces are frames themselves."""
         markers, count = tables.system.markers, len(pairs)
         on_surface = (tables.frame[pairs] > tables.nb)[..., None]

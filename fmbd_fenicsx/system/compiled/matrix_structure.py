@@ -1,0 +1,58 @@
+"""What the matrices of scenes have in common: the same bodies, joints and forces between them, in the same order.
+
+Such scenes differ in their data only, and share one :class:`Structure`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .order import Fronts, RowGroup
+from .tables.structures import Store
+
+STRUCTURES = 16  # that are kept
+
+
+@dataclass(frozen=True)
+class MatrixShape:
+    """The structure of a scene's matrix: widths of the bodies' blocks, groups of rows, ``pairs`` of bodies that forces couple."""
+
+    widths: tuple[int, ...]
+    groups: tuple[RowGroup, ...]
+    pairs: frozenset[tuple[int, int]]
+
+
+class Structure:
+    """The fronts of one shape, and the places that were found in them."""
+
+    def __init__(self, shape: MatrixShape) -> None:
+        ends = np.cumsum(shape.widths, dtype=int)
+        count = int(ends[-1]) if len(ends) else 0
+        unknowns = [np.arange(end - width, end) for end, width in zip(ends, shape.widths, strict=True)]
+        unknowns += [count + np.array(group.rows) for group in shape.groups]
+        self.shape = shape
+        self.fronts = Fronts(unknowns, list(shape.groups), set(shape.pairs))
+        self.store = Store()
+        self._found: dict[Any, Any] = {}
+
+    def once(self, key: Any, find: Callable[[], Any]) -> Any:
+        """What ``find`` returns, found once for a key."""
+        if key not in self._found:
+            self._found[key] = find()
+        return self._found[key]
+
+
+structures_kept: dict[tuple[Any, ...], Structure] = {}  # the newest, by what acts between which frames
+
+
+def structure_of(connections: tuple[Any, ...], shape: Callable[[], MatrixShape]) -> Structure:
+    """The structure of scenes with these connections, made once, from their ``shape``."""
+    found = structures_kept.pop(connections, None) or Structure(shape())
+    structures_kept[connections] = found
+    if len(structures_kept) > STRUCTURES:
+        del structures_kept[next(iter(structures_kept))]
+    return found
