@@ -18,6 +18,7 @@ from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.run import compiled_calls
 from fmbd_fenicsx.run.judges.force_balance import Balanced, next_look
+from fmbd_fenicsx.schemes.declared import Declared
 from fmbd_fenicsx.schemes.multistep import bdf
 from fmbd_fenicsx.schemes.onestep import radau
 from fmbd_fenicsx.schemes.onestep.alpha import alpha_stepper
@@ -153,9 +154,9 @@ def test_contact_and_unknown_schemes_are_not_judged() -> None:
     """Contact forces are no part of lambda, and a scheme of a user's own may balance its forces elsewhere."""
     system, _, _ = double_pendulum(1.0, 2.0).build()
     solver = StepSolver(system)
-    assert Balanced.under(solver, fmbd.Moreau(), 1e-6) is None
-    assert Balanced.under(solver, object(), 1e-6) is None
-    assert Balanced.under(solver, fmbd.Radau(rtol=1e-3), 1e-6) is not None
+    assert Balanced.under(solver, Declared.by(fmbd.Moreau()), 1e-6) is None
+    assert Balanced.under(solver, Declared.by(object()), 1e-6) is None
+    assert Balanced.under(solver, Declared.by(fmbd.Radau(rtol=1e-3)), 1e-6) is not None
 
 
 def test_the_step_that_is_refused_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from ..linear.condensation import StepSolver
@@ -46,6 +47,11 @@ class Problem:
     most_parts: float | None = None  # times that steps may be halved; None: as often as that helps
     beside: Output | None = None  # how sensors are recorded beside what the run is asked for
 
+    @cached_property
+    def said(self) -> Declared:
+        """What the scheme says of itself."""
+        return Declared.by(self.scheme)
+
 
 def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:
     """The linear solver of a scene, with its own prefix of PETSc's options; collective."""
@@ -85,8 +91,8 @@ def _begun(
 def judges_of(problem: Problem, solver: StepSolver, schedule: StepSchedule) -> Judges:
     """Who looks at the ends of the steps of a march."""
     return Judges(
-        closed=Closed.under(problem.system, problem.scheme),
-        balanced=Balanced.under(solver, problem.scheme, problem.newton.tolerance),
+        closed=Closed.under(problem.system, problem.said),
+        balanced=Balanced.under(solver, problem.said, problem.newton.tolerance),
         forecast=Forecast(solver, problem.start.t, schedule.t_end, schedule.steps),
     )
 
@@ -115,8 +121,7 @@ def make_stepper(
     def renew(state: State, before: TimeStepper | None = None) -> TimeStepper:
         return _made_anew(problem, solver, before, state, schedule.next(state.t))
 
-    said = Declared.by(problem.scheme)
-    goes_on = said.start is not None or said.free_steps
+    goes_on = problem.said.start is not None or problem.said.free_steps
     renews = None if goes_on else renew
     return ConstantSteps(made, system, renews, watch, judges, most=problem.most_parts, before_sample=before_sample)
 

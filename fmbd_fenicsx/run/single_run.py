@@ -143,7 +143,8 @@ def _finished(
     warn_of_doubts(task.scene, solver, marched.recorder, counters, start.state)
     warn_of_late_samples(task.scene, task.schedule)
     warn_of_dense_break_points(task.schedule)
-    warn_of_turning_rows(solver, task.scheme, (start.state, marched.state), task.schedule.next(task.schedule.begin))
+    first = task.schedule.next(task.schedule.begin)
+    warn_of_turning_rows(solver, problem.said.turn_limit, (start.state, marched.state), first)
     code = None if keeper is None else keeper.exit_code
     methods = solver.elastic.methods
     return FinishedMarch(marched, problem, start, counters, undetermined, methods, (*clocks, ended), code)

@@ -134,7 +134,7 @@ class Loop:
             from .recording.accompanied import Accompanied
 
             recorder = Accompanied(recorder, problem.beside)
-        recorder.closed = Closed.under(problem.system, problem.scheme)
+        recorder.closed = Closed.under(problem.system, problem.said)
         recorder.warned = problem.warned
         recorder.take(0, first, self.stepper.evaluation)
         return recorder

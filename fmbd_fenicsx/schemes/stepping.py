@@ -192,7 +192,7 @@ def made_stepper(scheme: Any, *given: Any) -> TimeStepper:
         f"{_kind(scheme)}.stepper(...) must give a time stepper: let {_kind(made)} derive from fmbd.schemes.TimeStepper, see "
         "docs/contributing.md.",
     )
-    if Declared.by(scheme).compiled and not made.compiled_whole:
+    if not made.compiled_whole and Declared.by(scheme).compiled:
         # schemes in Python ask for evaluations: compiled code gives them
         use_driver(given[0])
     return made  # type: ignore[no-any-return]

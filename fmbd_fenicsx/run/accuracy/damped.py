@@ -36,7 +36,7 @@ def damped_vibrations(problem: Problem, schedule: StepSchedule) -> dict[str, flo
 
     Empty for schemes that damp little, for runs of a few steps, and where one does not end.
     """
-    if not Declared.by(problem.scheme).forgets or schedule.left(0) < 2 * FEW:
+    if not problem.said.forgets or schedule.left(0) < 2 * FEW:
         return {}
     free = _undamped(problem)
     try:

@@ -11,7 +11,6 @@ import numpy as np
 
 from ...log import log
 from ...notices import Gathered
-from ...schemes.declared import Declared
 from ...schemes.error_norm import FINEST
 from ...system.scene.refined_basis import finer_system
 from ...system.scene.scene import Scene
@@ -150,7 +149,7 @@ def _from_tolerance(
     instants = tuple(recorder.times[rows])
     wanted = Output(energy=False, progress=False, times=instants)
     other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
-    landing = replace(schedule, marks=instants) if finer and Declared.by(problem.scheme).ends_ahead else schedule
+    landing = replace(schedule, marks=instants) if finer and problem.said.ends_ahead else schedule
     if finer and seen_by_ends(problem.system):
         landing = landing.below(SHORT * schedule.span / int(recorder.indices[-1]))
     made = Compared(companion(other, landing, wanted).recorder, schedule, other.scheme)

@@ -117,9 +117,8 @@ class Closed(Remembering):
     last: float | None = field(default=None)  # s, time of the state before
 
     @staticmethod
-    def under(system: System, scheme: Any) -> Closed:
-        """For the states of a scheme; one that says nothing of its levels is not judged."""
-        said = Declared.by(scheme)
+    def under(system: System, said: Declared) -> Closed:
+        """For the states of a scheme by what it has said; one that says nothing of its levels is not judged."""
         return Closed(system, said.levels, OPEN if said.rtol is None else max(OPEN, said.rtol))
 
     @cached_property

@@ -90,9 +90,9 @@ class Balanced(Remembering):
     )  # of rigid bodies, on the diagonal, once they were looked at
 
     @staticmethod
-    def under(solver: StepSolver, scheme: Any, tolerance: float) -> Balanced | None:
-        """For the states of a scheme, with Newton's ``tolerance``; None where there is nothing to judge."""
-        said, s = Declared.by(scheme), solver.system
+    def under(solver: StepSolver, said: Declared, tolerance: float) -> Balanced | None:
+        """For the states of a scheme by what it has said, with Newton's ``tolerance``; None where there is nothing to judge."""
+        s = solver.system
         if said.form is None or said.start is not None or not s.n_core:
             return None
         return Balanced(solver, max(SHARE, 100 * tolerance), said.rtol or 0.0, max(KNOWN, 100 * tolerance))

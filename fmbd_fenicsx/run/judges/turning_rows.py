@@ -25,7 +25,6 @@ from ...linear.condensation import StepSolver
 from ...linear.core import dense
 from ...log import log
 from ...rotations import Array
-from ...schemes.declared import Declared
 from ...system.layout import State
 from ...system.speed_rows import speed_rows
 from ...system.system import System
@@ -34,9 +33,8 @@ LARGEST = 150  # replicated coordinates up to which the angle is looked at
 RANK = 1e-9  # singular values of rows below this share of the largest are zero
 
 
-def warn_of_turning_rows(solver: StepSolver, scheme: object, states: Sequence[State], h: float) -> None:
-    """Warn where rows turn beyond the scheme's limit in one of the states; no fields, not collective."""
-    limit = Declared.by(scheme).turn_limit
+def warn_of_turning_rows(solver: StepSolver, limit: float | None, states: Sequence[State], h: float) -> None:
+    """Warn where rows turn beyond the scheme's limit (rad) in one of the states; no fields, not collective."""
     system = solver.system
     if limit is None or system.fields or not 0 < system.n_core <= LARGEST:
         return
