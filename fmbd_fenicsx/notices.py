@@ -92,3 +92,20 @@ class Gathered(logging.Handler):
 
     def __exit__(self, *error: object) -> None:
         logging.getLogger("fmbd_fenicsx").removeHandler(self)
+
+
+class Withheld:
+    """Context in which those who listened before hear no warnings: of attempts only those of the best one are said, later."""
+
+    def __enter__(self) -> None:
+        self._handlers = [*logging.getLogger().handlers, *logging.getLogger("fmbd_fenicsx").handlers]
+        for handler in self._handlers:
+            handler.addFilter(self._passes)
+
+    def __exit__(self, *error: object) -> None:
+        for handler in self._handlers:
+            handler.removeFilter(self._passes)
+
+    def _passes(self, record: logging.LogRecord) -> bool:
+        """Whether it is of another package, or none."""
+        return record.levelno != logging.WARNING or record.name != "fmbd_fenicsx"

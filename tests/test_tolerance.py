@@ -514,3 +514,17 @@ def test_looks_end_where_finer_meshes_do_not_help() -> None:
     assert first is not None and first.plan.meshes > 1
     assert looked((0, 2.0 * first.over)) is not None
     assert looked((0, first.over)) is None
+
+
+def test_advice_is_that_of_the_run_that_is_kept(caplog: pytest.LogCaptureFixture) -> None:
+    """The first attempt halves its steps, and is told to take smaller ones: so does the search, and nobody else has to."""
+    scene, last = fmbd.Scene("whip", gravity=(0.0, -9.81)), fmbd.ground
+    for k in range(2):
+        link = fmbd.RigidBody(f"link {k}", 1.0, 1 / 12, (0.02, k + 0.5))
+        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(0.0, float(k))))
+        last = link
+    scene.sensor("end", fmbd.position(last))
+    run = fmbd.solve(scene, t_end=4.0, dt=0.2, tol={"end": 1e-2})
+    assert run.history[0].worst > 10.0 and run.history[-1].then == "done"
+    assert [x.getMessage() for x in caplog.records if x.levelname == "WARNING"] == run.warnings
+    assert not any("made in parts" in x for x in run.warnings)

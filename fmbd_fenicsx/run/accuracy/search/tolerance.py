@@ -18,6 +18,7 @@ import numpy as np
 from ....checks import number
 from ....errors import ConvergenceError, LinearSolveError
 from ....log import log
+from ....notices import Withheld
 from ....schemes.declared import Declared, checked_scheme
 from ....schemes.onestep.alpha.generalized_alpha import GeneralizedAlpha
 from ....system.scene.refinement import meshed_bodies, modal_bodies, slender
@@ -114,7 +115,15 @@ def solve_within(
     wanted = replace(Output() if wanted is None else wanted, estimate_error=True)
     shared = SharedSpaces(newton, linear, plan.grain)
 
-    found, begun = Search(), clock.perf_counter()
+    found = Search()
+    with Withheld():
+        _attempt(plan, tol, shared, wanted=wanted, found=found)
+    return found.result(scene, tol)
+
+
+def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, *, wanted: Output, found: Search) -> None:
+    """One attempt after another, until nothing is left to be changed; collective."""
+    begun, t_end = clock.perf_counter(), plan.schedule.t_end
     if jumps := jumps_before(plan, shared):
         found.history.append(_of_jumps(plan, jumps, clock.perf_counter() - begun))
         plan = ending_at(plan, jumps, shared)
@@ -131,7 +140,6 @@ def solve_within(
         if plan_next is None:
             break
         plan = plan_next
-    return found.result(scene, tol)
 
 
 @dataclass
@@ -162,8 +170,8 @@ class Search:
         last = coarser[-1]
         return (
             f"errors do not fall with the steps: {last.worst:.2g} times the tolerance with {last.step:.2g} s, {ratio:.2g} times "
-            f"with {plan.step:.2g} s. The sensor jumps, or follows vibrations that no step so far resolves. Give a smaller dt to "
-            "begin with, smooth the load, or take a sensor that is a mean over time or space"
+            f"with {plan.step:.2g} s. The sensor jumps, follows vibrations that no step so far resolves, or moves chaotically. "
+            "Give a smaller dt to begin with, smooth the load, take a sensor that is a mean over time or space, or a shorter run"
         )
 
     def result(self, scene: Scene, tol: Tolerance) -> Run:
@@ -174,6 +182,8 @@ class Search:
         if self.best is None:
             raise ConvergenceError(f'Scene "{scene.name}": no run with tol came to its end: {self.why}')
         over, run = self.best
+        for said in run.warnings:
+            log.warning(said)
         if over > 1.0:
             log.warning(
                 'scene "%s": the tolerance was not reached, %.2g times it is stated: %s.',
