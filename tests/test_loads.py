@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx import dolfinx_compat
 from fmbd_fenicsx.errors import CallbackError, InputError, LawError
 from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.loads import Load, body_force, pressure, thermal_stress, traction
@@ -91,6 +92,30 @@ def test_same_load_on_every_placement(rod_mesh: Callable[..., Any]) -> None:
         assert np.abs(other - tips[0]).max() < 0.01 * size
 
 
+def test_loads_of_other_values_are_the_same_form(rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sweep over a load compiles nothing anew, and may begin at zero."""
+    asked = set()
+    form = dolfinx_compat.form
+
+    def watched(ufl_form: Any) -> Any:
+        asked.add(ufl_form.signature())
+        return form(ufl_form)
+
+    def sums(value: float) -> np.ndarray:
+        loads = traction("tip", (value, 0.0)), body_force((0.0, value)), pressure("pin", value)
+        field = Field("rod", mesh, rod(mesh, *loads).forms())
+        return np.array([b.sum(axis=0) for b in field.loads.vectors])
+
+    mesh = rod_mesh(dim=2, h=0.25)
+    one = sums(1.0)
+    monkeypatch.setattr(dolfinx_compat, "form", watched)
+    np.testing.assert_allclose(sums(0.0), 0.0, atol=1e-15)
+    known = set(asked)
+    np.testing.assert_allclose(sums(2.5), 2.5 * one, rtol=1e-12, atol=1e-15)
+    assert asked == known and len(known) > 3
+
+
+@pytest.mark.mpi
 def test_thermal_stretch(rod_mesh: Callable[..., Any]) -> None:
     """A uniform rise lengthens a free rod by alpha dT L, without stress in its ends' mean distance."""
     strain = 1e-3

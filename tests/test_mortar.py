@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.traces.mortar import mortar
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Discontinuous, Ends
-from fmbd_fenicsx.fem.traces.traces import trace_of
+from fmbd_fenicsx.fem.traces.traces import surface_trace, trace_of
 
 
 def pair(dim: int, slave: int, master: int, degree: int = 1, shift: float = 0.0, gap: float = 0.0):
@@ -37,6 +39,52 @@ def test_polynomials_agree_on_both_sides(dim: int, slave: int, master: int, degr
         assert np.abs(m.slave @ f(a.points) - m.master @ f(b.points)).max() < 2e-15
     assert m.covered == pytest.approx(1.0, abs=1e-12)
     assert abs(m.slave - m.multipliers.coupling()).max() < 1e-15
+
+
+def second_order(folder: Path, mesh: str, **of: Any) -> Any:
+    """A mesh of this clone with cells of the second order."""
+    script = folder / f"second_{mesh}"
+    script.write_text(
+        "import runpy\n\n\ndef build(gmsh, **of):\n"
+        f"    runpy.run_path({str(ROOT / 'meshes' / mesh)!r})['build'](gmsh, **of)\n    gmsh.model.mesh.setOrder(2)\n"
+    )
+    return fmbd.read_gmsh(script, **of)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degree", [1, 2, 3])
+@pytest.mark.parametrize("kinds", [(True, True), (True, False), (False, True)])
+def test_quadrilaterals_and_cells_of_the_second_order_pass_the_patch_test(
+    kinds: tuple[bool, bool], degree: int, shared_tmp: Path
+) -> None:
+    """A bar of two parts whose meshes do not match, pulled: the strain of each is the stress over the modulus."""
+    modulus, pull = 3.0, 0.3
+    law = fmbd.materials.plane_stress(modulus, 0.25)
+    size = {"size": (1.0, 0.5)}
+    left = fmbd.read_gmsh(ROOT / "meshes/block.py", counts=(3, 2), quads=kinds[0], **size)
+    right = second_order(shared_tmp, "block.py", counts=(4, 3), quads=kinds[1], origin=(1.0, 0.0), **size)
+    a = fmbd.FloatingBody("a", left, degree=degree, density=1.0, elastic=law)
+    b = a.with_(name="b", mesh=right, loads=[fmbd.traction("right", (pull, 0.0))])
+    scene = fmbd.Scene("patch")
+    tie = fmbd.tie_surface("tie", *fmbd.finer_first(a.surface("right"), b.surface("left")))
+    scene.add(a, b, tie, fmbd.fixed("clamp", fmbd.ground, a.surface("left")))
+    for name, body in (("a", a), ("b", b)):
+        scene.sensor(name, fmbd.sensors.strain(body, point=(1.02 if name == "b" else 0.97, 0.1)))
+    found = fmbd.equilibrium(scene)
+    for name in ("a", "b"):
+        np.testing.assert_allclose(np.ravel(found[name]), pull / modulus * np.array([1.0, -0.25, 0.0]), atol=1e-9)
+
+
+@pytest.mark.mpi
+def test_facets_without_a_plain_trace_say_what_to_do(shared_tmp: Path) -> None:
+    disk = second_order(shared_tmp, "half_ball.py", dim=2, radius=1.0, h=0.3, near=0.5, coarse=0.3)
+    with pytest.raises(
+        InputError, match=r'surface "contact".*its facets are curved .nodes are up to 0.0\d+ of their size'
+    ):
+        surface_trace(disk, "contact")
+    bricks = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0, 1.0, 1.0), cells=2, quads=True)
+    with pytest.raises(InputError, match='surface "top".*faces of hexahedrons.*tetrahedra, or hold the mean'):
+        surface_trace(bricks, "top")
 
 
 @pytest.mark.parametrize("dim", [2, 3])

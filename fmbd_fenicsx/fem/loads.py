@@ -84,7 +84,7 @@ def traction(surface: str, value: Sequence[float], *, time: Time = steady, follo
     def form(v: Any, dx: Any, ds: Any) -> Any:
         import ufl
 
-        return ufl.inner(_vector(value, v), v) * ds(surface)
+        return ufl.inner(_constant(vector("traction: value", value, size=v.ufl_shape[0]), dx), v) * ds(surface)
 
     return Load(form, time, follower, surface=surface, value=value)
 
@@ -103,7 +103,7 @@ def body_force(value: Sequence[float], *, time: Time = steady, follower: bool = 
     def form(v: Any, dx: Any, ds: Any) -> Any:
         import ufl
 
-        return ufl.inner(_vector(value, v), v) * dx
+        return ufl.inner(_constant(vector("body_force: value", value, size=v.ufl_shape[0]), dx), v) * dx
 
     return Load(form, time, follower, value=value)
 
@@ -121,14 +121,14 @@ def pressure(surface: str, value: float, *, time: Time = steady) -> Load:
     def form(v: Any, dx: Any, ds: Any) -> Any:
         import ufl
 
-        return -value * ufl.inner(ufl.FacetNormal(dx.ufl_domain()), v) * ds(surface)
+        return -_constant(value, dx) * ufl.inner(ufl.FacetNormal(dx.ufl_domain()), v) * ds(surface)
 
     def deformed(u: Any, v: Any, dx: Any, ds: Any) -> Any:
         import ufl
 
         F = ufl.Identity(len(u)) + ufl.grad(u)
         normal = ufl.det(F) * ufl.dot(ufl.inv(F).T, ufl.FacetNormal(dx.ufl_domain()))
-        return -value * ufl.inner(normal, v) * ds(surface)
+        return -_constant(value, dx) * ufl.inner(normal, v) * ds(surface)
 
     return Load(form, time, follower=True, deformed=deformed, surface=surface)
 
@@ -148,10 +148,13 @@ def thermal_stress(stress: Callable[[Any], Any], *, time: Time = steady) -> Load
     return Load(form, time, follower=True, internal=True)
 
 
-def _vector(value: Sequence[float], v: Any) -> Any:
-    import ufl
+def _constant(value: Any, dx: Any) -> Any:
+    """The value of a load as a constant of its form: a number in it would make each value a form of its own, to be compiled,
+    and a value of zero none at all.
+    """
+    from dolfinx import fem
 
-    return ufl.as_vector([float(x) for x in vector("The value of a load", value, size=v.ufl_shape[0])])
+    return fem.Constant(dx.ufl_domain(), np.asarray(value, dtype=float))
 
 
 class AppliedLoads:

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from ...checks import check_fields, whole
 from ...errors import InputError
 from ...rotations import Array
-from .traces import Trace, quadrature, reference_mass, scatter, shape_functions
+from .traces import Trace, quadrature, reference_mass, refined, scatter, shape_functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +287,7 @@ def settled(vectors: Array) -> Array:
 
 
 def default_space(degree: int) -> MultiplierSpace:
-    """Same degree with merged ends beside P1, completed on few facets; P1 beside P2 and higher (measured: ``docs/traces.md``)."""
+    """Same degree with merged ends beside P1, completed on few facets; P1 beside P2, P2 beside P3 (``docs/traces.md``)."""
     return Completed(Continuous()) if degree == 1 else Continuous(degree=degree - 1, ends=Ends.KEPT)
 
 
@@ -295,13 +295,8 @@ def _nodes(trace: Trace, degree: int) -> tuple[np.ndarray, int, np.ndarray, Arra
     """Node numbers of the continuous space of a degree on the trace's facets, their count, border nodes, points."""
     if degree == trace.degree:
         return trace.nodes, trace.n, trace.border, trace.points
-    if degree != 1:
-        raise InputError(
-            f"{trace.label}: multipliers of degree {degree} beside V_h of degree {trace.degree} are not provided."
-        )
-    vertices, number = np.unique(trace.nodes[:, : trace.dim], return_inverse=True)
-    border = np.flatnonzero(np.isin(vertices, trace.border))
-    return number.reshape(-1, trace.dim), len(vertices), border, trace.points[vertices]
+    other, _, _ = refined(trace, 0, degree)
+    return other.nodes, other.n, other.border, other.points
 
 
 def _border_rule(ends: Ends, nodes: np.ndarray, border: np.ndarray, points: Array, degree: int) -> sp.csr_matrix:

@@ -1,9 +1,9 @@
 """Named surfaces of elastic bodies as meshes of their own: the trace of V_h on Gamma.
 
-The trace of a Lagrange space on a flat facet is the Lagrange space of the same degree on the facet, so the whole of it is
-known from the facets' node numbers and points. These few numbers are gathered to all ranks, sorted by place and not by rank:
-multiplier spaces, norms and mortar integrals are then plain arrays, equal on any number of ranks, with or without facets on a
-rank, and on every version of DOLFINx. Only the columns of the coupling matrices are distributed.
+The trace of a Lagrange space on a straight edge or a flat triangle is the Lagrange space of the same degree there, so the
+whole of it is known from the facets' node numbers and points. These few numbers are gathered to all ranks, sorted by place and
+not by rank: multiplier spaces, norms and mortar integrals are then plain arrays, equal on any number of ranks, with or without
+facets on a rank, and on every version of DOLFINx. Only the columns of the coupling matrices are distributed.
 """
 
 from __future__ import annotations
@@ -167,13 +167,21 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     """The trace of a Lagrange space (scalar or vector) on a named surface; collective.
 
     Raises:
-        MeshError: no facets on the boundary, next to no area, or facets that are not straight simplices.
+        MeshError: no facets on the boundary, next to no area, facets that are curved, or quadrilaterals.
     """
+    from dolfinx import fem
+
     d, comm = mesh.dim, mesh.dolfinx.comm
-    degree = int(space.ufl_element().embedded_superdegree)
+    # of tensor products, too: all polynomials of this degree and none higher along an edge
+    degree = int(space.ufl_element().embedded_subdegree)
     label = f'surface "{surface}" of {mesh.label}'
     error, local = None, None
+    sides = int(mesh.dolfinx.ufl_domain().ufl_coordinate_element().embedded_subdegree)
+    shape = fem.functionspace(mesh.dolfinx, ("Lagrange", sides)) if sides > 1 else None
     try:
+        # cells of higher degree may have straight facets there
+        if shape is not None:
+            _own_facets(shape, mesh, mesh.surface_tag(surface), sides)
         local = _own_facets(space, mesh, mesh.surface_tag(surface), degree)
     except MeshError as exc:
         error = MeshError(f"{label}: {exc}")
@@ -223,10 +231,10 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
     topology = msh.topology
     topology.create_connectivity(d - 1, d)
     topology.create_connectivity(d, d - 1)
-    kind = topology.cell_name()
-    if kind not in ("triangle", "tetrahedron") or msh.ufl_domain().ufl_coordinate_element().embedded_superdegree != 1:
+    if topology.cell_name() not in ("triangle", "quadrilateral", "tetrahedron"):
         raise MeshError(
-            f"field multipliers need straight triangles or tetrahedra; this mesh has {kind} cells of its own degree."
+            f"it has the faces of {topology.cell_name()}s; multiplier fields and ties need edges, or triangles. Mesh the body "
+            "with tetrahedra, or hold the mean of the surface by a joint, as fmbd.fixed does."
         )
 
     # own facets of the surface that lie on the boundary
@@ -267,6 +275,9 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
     return ids.astype(np.int64), x, normals
 
 
+STRAIGHT = 1e-6  # of the size of a facet: how far its nodes may lie beside a straight one's
+
+
 def _reference_order(x: Array, degree: int) -> np.ndarray:
     """Permutation of each facet's nodes into the order of the reference element spanned by its first d nodes."""
     n, k, d = x.shape
@@ -276,8 +287,13 @@ def _reference_order(x: Array, degree: int) -> np.ndarray:
     distance = np.linalg.norm(at[:, :, None] - x[:, None, :], axis=3)
     order = distance.argmin(axis=2)
 
-    if (np.sort(order, axis=1) != np.arange(k)).any():
-        raise MeshError("nodes of a facet do not lie at the points of a straight Lagrange facet.")
+    size = distance.max(axis=(1, 2))
+    off = distance.min(axis=2).max(axis=1)
+    if (np.sort(order, axis=1) != np.arange(k)).any() or (off > STRAIGHT * size).any():
+        raise MeshError(
+            f"its facets are curved (nodes are up to {(off / size).max():.2g} of their size off); multiplier fields and ties "
+            "need straight ones. Mesh the surface with cells of the first order."
+        )
     return np.asarray(order)
 
 
