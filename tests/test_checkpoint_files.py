@@ -17,12 +17,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_driver import compiled
 from test_ranks import ROOT, launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CheckpointError, InputError, Stopped
+from fmbd_fenicsx.run import compiled_calls
 from fmbd_fenicsx.run.checkpoints import archive
 from fmbd_fenicsx.schemes import TimeStepper
+from fmbd_fenicsx.system.compiled.march import March
 
 pytestmark = pytest.mark.serial
 
@@ -46,6 +49,13 @@ def run(folder: Path, scene: fmbd.Scene | None = None, **arguments: Any) -> fmbd
 def steps(folder: Path) -> list[int]:
     """Steps of the checkpoints in a folder, oldest first."""
     return [int(p.name.rpartition("_step")[2]) for p in sorted(folder.iterdir()) if not p.name.startswith(".")]
+
+
+@pytest.fixture
+def short_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calls of compiled code end with the step that they are in, as longer ones do after a tenth of a second."""
+    monkeypatch.setattr(compiled_calls, "FIRST", 1)
+    monkeypatch.setattr(compiled_calls, "CHUNK", 1e-9)
 
 
 # -- files -------------------------------------------------------------------------------------------------------
@@ -266,6 +276,7 @@ def asking(folder: Path, how: str) -> Callable[[float], tuple[float, float]]:
 
 
 @pytest.mark.parametrize("how, code", [("file", 75), ("SIGUSR1", 75), ("SIGTERM", 75), ("SIGINT", 130)])
+@pytest.mark.usefixtures("short_calls")
 def test_a_run_that_is_asked_to_stop_can_go_on(
     how: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -280,9 +291,32 @@ def test_a_run_that_is_asked_to_stop_can_go_on(
     assert signal.getsignal(signal.SIGUSR1) == signal.SIG_DFL and not (tmp_path / "run" / "STOP").exists()
 
 
+@pytest.mark.usefixtures("short_calls")
 def test_by_the_clock(tmp_path: Path) -> None:
     run(tmp_path, checkpoint=fmbd.Checkpoint(tmp_path, seconds=1e-9, keep=10))
     assert steps(tmp_path) == [0, 1, 2, 3, 4, 5]
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("scheme", "dt"), [(fmbd.GeneralizedAlpha(), 1e-3), (fmbd.Rattle(), 1e-3), (fmbd.Radau(rtol=1e-9), None)]
+)
+def test_steps_between_checkpoints_are_made_in_one_call(
+    scheme: Any, dt: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As many as without checkpoints, but for those in which a call ends at one; with the same record to the last bit."""
+    calls: list[int] = []
+    march = March.steps
+    monkeypatch.setattr(March, "steps", lambda *x, **y: (found := march(*x, **y), calls.append(found[0]))[0])
+    monkeypatch.setattr(compiled_calls, "CHUNK", 1e3)  # whatever else the machine does
+
+    def found(plan: fmbd.Checkpoint | None) -> tuple[Any, int]:
+        calls.clear()
+        return fmbd.solve(pendulum(), t_end=1.0, dt=dt, scheme=scheme, checkpoint=plan)["tip"], len(calls)
+
+    alone, kept = found(None), found(fmbd.Checkpoint(tmp_path, every=40))
+    assert np.array_equal(alone[0], kept[0])
+    assert kept[1] <= alone[1] + len(alone[0]) // 40 * 3
 
 
 @pytest.mark.parametrize("wrong", [{"every": 0}, {"keep": 0}, {"seconds": 0.0}])

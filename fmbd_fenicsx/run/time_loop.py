@@ -170,9 +170,8 @@ class Loop:
         if self.motions is not None:
             self.motions.look(self.state.t + h)
 
-        # a checkpoint may be due after every step
         done, steps = self.progress.done, self.schedule.steps
-        most = min(self.turns.most(steps), self.spins.most(steps)) if self.keeper is None else 1
+        most = min(self.turns.most(steps), self.spins.most(steps), self._unkept(done))
         made, compiled = 0, bool(self.stepper.stride(h))
         if compiled:
             made = self.calls.make(done, most)
@@ -201,19 +200,22 @@ class Loop:
             self.progress.done += stepper.made
             raise
 
+    def _unkept(self, done: int) -> int:
+        """Steps behind so many up to one after which a checkpoint may be due, it included."""
+        return MOST if self.keeper is None else self.keeper.steps_left(done)
+
     def _chosen_step(self) -> tuple[int, Evaluation | None]:
         """Steps of sizes that the scheme chooses, many in one call or one by itself: how many, and the system in the new state,
         where it is known.
         """
         system = self.problem.system
-        if self.keeper is None:
-            made = self.calls.make(self.progress.done, MOST)
-            if made:
-                self.state = self.stepper.state
-                if self.motions is not None:
-                    self.motions.look(self.state.t, made)
-                self.judges.forecast.note(self.state, made)
-                return made, None
+        made = self.calls.make(self.progress.done, self._unkept(self.progress.done))
+        if made:
+            self.state = self.stepper.state
+            if self.motions is not None:
+                self.motions.look(self.state.t, made)
+            self.judges.forecast.note(self.state, made)
+            return made, None
 
         h = self.schedule.next(self.state.t)
         seen = attempt_in_balance(system, self.stepper, h, balanced=self.judges.balanced)
