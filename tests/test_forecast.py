@@ -61,10 +61,8 @@ def test_small_steps_that_were_asked_for_are_no_news(caplog: Any) -> None:
     solver.destroy()
 
 
-@pytest.mark.parametrize("sprung", [False, True])
-@pytest.mark.parametrize(("lift", "near"), [(1.0, False), (1e-5, True)])
-def test_a_singular_position_is_named(lift: float, near: bool, sprung: bool) -> None:
-    """A parallelogram with its legs up, and with all bars on one line but for 1e-5 rad: no spring is to blame there."""
+def parallelogram(lift: float) -> fmbd.Scene:
+    """Two legs and a bar of one length, the legs turned by ``lift`` (rad) out of the position in which all lie on one line."""
     turn = np.cos(lift), np.sin(lift)
     legs = [fmbd.RigidBody(f"leg {i}", 1.0, 1 / 12, (i + 0.5 * turn[0], 0.5 * turn[1]), lift) for i in range(2)]
     bar = fmbd.RigidBody("bar", 1.0, 1 / 12, (turn[0] + 0.5, turn[1]))
@@ -73,8 +71,17 @@ def test_a_singular_position_is_named(lift: float, near: bool, sprung: bool) -> 
     for i, leg in enumerate(legs):
         scene.add(fmbd.revolute(f"A{i}", fmbd.ground, leg, center=(i, 0.0)))
         scene.add(fmbd.revolute(f"B{i}", leg, bar, center=(i + turn[0], turn[1])))
+    return scene
+
+
+@pytest.mark.parametrize("sprung", [False, True])
+@pytest.mark.parametrize(("lift", "near"), [(1.0, False), (1e-5, True)])
+def test_a_singular_position_is_named(lift: float, near: bool, sprung: bool) -> None:
+    """A parallelogram with its legs up, and with all bars on one line but for 1e-5 rad: no spring is to blame there."""
+    scene = parallelogram(lift)
     if sprung:
-        scene.add(fmbd.Spring("spring", fmbd.ground, bar, (0.0, -1.0), (turn[0] + 0.5, turn[1]), stiffness=1e4))
+        bar = scene.bodies["bar"]
+        scene.add(fmbd.Spring("spring", fmbd.ground, bar, (0.0, -1.0), bar.position, stiffness=1e4))
 
     system, state, _ = scene.build()
     solver = StepSolver(system)
@@ -82,3 +89,27 @@ def test_a_singular_position_is_named(lift: float, near: bool, sprung: bool) -> 
     assert ("singular position: constraints almost depend" in said) == near
     assert not near or "sigma_min/sigma_max" in said and "pring" not in said
     solver.destroy()
+
+
+def test_steps_that_do_not_come_away_from_a_singular_position_end_the_run() -> None:
+    """A thousandth of the pace before, ten millions of steps to go, three looks at such a place: not sooner, not elsewhere."""
+    from dataclasses import replace
+
+    def noted(lift: float, small: float) -> int:
+        system, state, _ = parallelogram(lift).build()
+        solver = StepSolver(system)
+        slow = Forecast(solver, 0.0, 1.0, 0)
+        for k in range(1, 101):
+            slow.note(replace(state, t=1e-3 * k))
+        try:
+            for k in range(1, 1001):
+                slow.note(replace(state, t=0.1 + small * k))
+            return k
+        except fmbd.errors.ConvergenceError as error:
+            assert "Steps do not come away from t = 0.1" in str(error) and "singular position" in str(error)
+            return k
+        finally:
+            solver.destroy()
+
+    assert noted(1e-5, 1e-10) == 300  # by the steps of error control
+    assert noted(1.0, 1e-10) == noted(1e-5, 1e-6) == 1000

@@ -9,7 +9,9 @@ import pytest
 from dae_problems import march, observed, pendulum, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.schemes.consistent import arrived
 from fmbd_fenicsx.schemes.marching import MarchingStepper
+from fmbd_fenicsx.schemes.onestep import explicit_stepper
 from fmbd_fenicsx.schemes.onestep.half_explicit import coefficients
 from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
 
@@ -108,3 +110,40 @@ def test_a_body_that_is_held_has_roundoff_for_accelerations(rtol: float | None) 
     run = fmbd.solve(scene, t_end=20.0, dt=2.0 if rtol is None else None, scheme=fmbd.HalfExplicit(rtol))
     pull = 1e4 * (1.0 - 0.1 / np.sqrt(1.01)) * np.array([0.6, 0.8, -0.1])
     assert run["force"][-1] == pytest.approx(pull + (0.0, -9.81, 0.0), rel=1e-9)
+
+
+def swinging() -> fmbd.Scene:
+    arm = fmbd.RigidBody("arm", 1.0, 1 / 12, (0.5, 0.0))
+    scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81))
+    scene.add(arm, fmbd.revolute("pin", fmbd.ground, arm, center=(0.0, 0.0)))
+    scene.sensor("speed", fmbd.angular_velocity(arm))
+    return scene
+
+
+def test_an_end_that_cannot_be_closed_refuses_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As at singular positions. The motion goes on: half w^2 / 3 is what the weight gave, 9.81 / 2 sin phi."""
+    calls = []
+
+    def closes(*x: Any, **y: Any) -> Any:
+        calls.append(x)
+        if len(calls) == 5:
+            raise fmbd.errors.LinearSolveError("relative residual inf")
+        return arrived(*x, **y)
+
+    scene = swinging()
+    scene.sensor("angle", fmbd.angle("pin"))
+    monkeypatch.setattr(explicit_stepper, "arrived", closes)
+    run = fmbd.solve(scene, t_end=0.5, scheme=fmbd.HalfExplicit(1e-8))
+    assert run.counters["rejected: constraints not closed"] == 1
+    assert run["speed"][-1, 0] ** 2 == pytest.approx(-3.0 * 9.81 * np.sin(run["angle"][-1, 0]), rel=1e-6)
+
+
+def test_a_solve_that_fails_at_last_names_scene_and_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*x: Any, **y: Any) -> Any:
+        raise fmbd.errors.LinearSolveError("relative residual inf")
+
+    monkeypatch.setattr(explicit_stepper, "arrived", never)
+    monkeypatch.setattr(MarchingStepper, "_step_in_one_call", lambda *x: False)
+    monkeypatch.setattr(MarchingStepper, "stride", lambda *x: 0.0)
+    with pytest.raises(fmbd.errors.FmbdError, match='Scene "pendulum", step 1 of 5: .*relative residual inf'):
+        fmbd.solve(swinging(), t_end=0.05, dt=0.01, scheme=fmbd.HalfExplicit(None))

@@ -6,7 +6,7 @@ import time as clock
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
-from ..errors import ConvergenceError
+from ..errors import ConvergenceError, LinearSolveError
 from ..linear.condensation import StepSolver
 from ..log import StopRequests, log
 from ..ranks import OneAnswer
@@ -82,7 +82,7 @@ def march(
     loop = Loop(problem, solver, schedule, output, keeper)
     try:
         loop.run()
-    except ConvergenceError as error:
+    except (ConvergenceError, LinearSolveError) as error:
         raise loop.named(error) from error
     finally:
         loop.bar.close()
@@ -298,7 +298,7 @@ class Loop:
         self._sampled = False
 
     # -- what is left -----------------------------------------------------------------------------------------------
-    def named(self, error: ConvergenceError) -> ConvergenceError:
+    def named(self, error: ConvergenceError | LinearSolveError) -> ConvergenceError | LinearSolveError:
         """The error of a step that failed, with the scene, the number of the step and the newest checkpoint."""
         # a contradiction between drives says more than the joint that it opens
         if self.motions is not None:

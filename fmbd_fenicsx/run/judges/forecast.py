@@ -7,13 +7,15 @@ coordinates, all others held,
 
 with K the stiffness of springs, joint springs and other force elements. Elastic bodies have faster ones of their own. Close to
 a singular position, which the smallest singular value of G over the largest tells, no period is to blame: constraints almost
-depend on each other there, and its inverse amplifies what they are open by.
+depend on each other there, and its inverse amplifies what they are open by. Error control that has fallen to a thousandth of its
+pace there, and would need ten millions of steps, does not come away again: the run ends when that has gone on for some hundreds.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver
 from ...linear.configuration_warnings import CLOSE
 from ...log import log
@@ -24,6 +26,9 @@ from ...system.tangents.force_tangent import force_tangent
 EVERY = 100  # steps
 MANY = 1e5  # steps that a user wants to be told of
 TIMES = 10  # the planned ones, where steps are constant
+HOPELESS = 1e7  # steps that a run at a singular position does not make
+FALLEN = 1e-3  # of the pace before
+PATIENCE = 3  # looks, one after another
 LOOKED_AT = 2000  # constraints up to which their singular values are found
 
 
@@ -34,41 +39,62 @@ class Forecast:
         self.solver, self.t_end, self.planned = solver, t_end, planned
         self.taken, self.since, self.said = 0, t, False
         self.counted = 0  # steps at the time ``since``
+        self.pace = 0.0  # s a step, the largest of all looks
+        self.stuck = 0  # looks
 
     def note(self, state: State, steps: int = 1) -> None:
-        """So many more steps, or parts of steps, the last of which ended in ``state``; collective."""
+        """So many more steps, or parts of steps, the last of which ended in ``state``; collective.
+
+        Raises ConvergenceError where steps of error control do not come away from a singular position.
+        """
         self.taken += steps
         recent = self.taken - self.counted
         if recent < EVERY:
             return
 
         advanced, self.since, self.counted = state.t - self.since, state.t, self.taken
-        if self.said or advanced <= 0:
+        pace = advanced / recent
+        self.pace = max(self.pace, pace)
+        if advanced <= 0:
             return
 
         # as fast as of late up to the end
-        needed = self.taken + (self.t_end - state.t) / advanced * recent
-        if needed < max(MANY, TIMES * self.planned):
-            return
-        self.said = True
-        log.warning(
-            "t = %g s: the last %d steps or parts of steps took %.2g s; at this pace the run needs about %.1e. %s",
-            state.t, recent, advanced, needed, reason(self.solver, state),
-        )  # fmt: skip
+        needed = self.taken + (self.t_end - state.t) / pace
+        if not self.said and needed >= max(MANY, TIMES * self.planned):
+            self.said = True
+            log.warning(
+                "t = %g s: the last %d steps or parts of steps took %.2g s; at this pace the run needs about %.1e. %s",
+                state.t, recent, advanced, needed, reason(self.solver, state),
+            )  # fmt: skip
+
+        hopeless = not self.planned and needed > HOPELESS and pace < FALLEN * self.pace
+        near = singular(self.solver, state) if hopeless else ""
+        self.stuck = self.stuck + 1 if near else 0
+        if self.stuck == PATIENCE:
+            raise ConvergenceError(
+                f"Steps do not come away from t = {state.t:.9g} s: the last {PATIENCE * recent} took {pace:.1e} s each, and the "
+                f"run would need about {needed:.0e}. {near} A form that holds positions passes more easily, such as fmbd.GGL()."
+            )
 
 
 def reason(solver: StepSolver, state: State) -> str:
     """Why steps are small in a state, as far as it tells, as a sentence; collective."""
+    return singular(solver, state) or fastest(solver, state)
+
+
+def singular(solver: StepSolver, state: State) -> str:
+    """That a state is close to a singular position, as sentences, or nothing; collective."""
     s = solver.system
-    if 0 < s.n_lam <= LOOKED_AT:
-        ratio, joint = nearly_dependent(s.at(state.t, state.q, state.v), solver.core.rank or s.n_lam)
-        if ratio < CLOSE:
-            return (
-                f"This is close to a singular position: constraints almost depend on each other (sigma_min/sigma_max = "
-                f'{ratio:.1e}, joint "{joint}"), and small steps feel their roundoff. '
-                "Take a larger rtol, or larger constant steps of fmbd.GeneralizedAlpha(0.9)."
-            )
-    return fastest(solver, state)
+    if not 0 < s.n_lam <= LOOKED_AT:
+        return ""
+    ratio, joint = nearly_dependent(s.at(state.t, state.q, state.v), solver.core.rank or s.n_lam)
+    if ratio >= CLOSE:
+        return ""
+    return (
+        f"This is close to a singular position: constraints almost depend on each other (sigma_min/sigma_max = "
+        f'{ratio:.1e}, joint "{joint}"), and small steps feel their roundoff. '
+        "Take a larger rtol, or larger constant steps of fmbd.GeneralizedAlpha(0.9)."
+    )
 
 
 def fastest(solver: StepSolver, state: State) -> str:

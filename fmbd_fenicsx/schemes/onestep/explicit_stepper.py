@@ -107,9 +107,9 @@ class ExplicitStepper(MarchingStepper):
         self.stats.steps += made
 
     def _constant(self, h: float) -> State:
-        """The state after a step of size h (s), before projection."""
+        """The state after a step of size h (s), on the constraints."""
         try:
-            return self._step(h)[0]
+            return arrived(self.system, self._step(h)[0], self.solver)
         except (CallbackError, LawError) as fault:
             if not isinstance(fault, BalanceError) and not self._has_forces(h):
                 raise
@@ -150,24 +150,25 @@ class ExplicitStepper(MarchingStepper):
         return made
 
     def _attempt(self, h: float) -> tuple[State | None, float, str]:
-        """A step of size h: the state, if there is one, the error over the tolerance, and the cause of a rejection."""
+        """A step of size h: the state, on the constraints where it passes the error test, if there is one, the error over the
+        tolerance, and the cause of a rejection.
+        """
         self.norm.update(self.state, h)
         try:
             made, errors = self._step(h)
             error = self._size(h, errors)
             moved = self.system.difference(self.state.q, made.q, near=h * made.v)
+            if turns_too_far(self.system, moved):
+                return None, np.inf, "turns too far"
+            return made if error > 1.0 else arrived(self.system, made, self.solver), error, "error estimate"
         except (ConvergenceError, LinearSolveError):
             return None, np.inf, "constraints not closed"
         except CallbackError as fault:
             self.control.fault = str(fault)
             return None, np.inf, "forces not finite"
-        if turns_too_far(self.system, moved):
-            return None, np.inf, "turns too far"
-        return made, error, "error estimate"
 
     def _accept(self, made: State) -> State:
-        self.before = self.state
-        self.state = arrived(self.system, made, self.solver)
+        self.before, self.state = self.state, made
         self.stats.steps += 1
         return self.state
 

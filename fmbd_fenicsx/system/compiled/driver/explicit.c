@@ -6,12 +6,20 @@ static const double SAME_FORCES = 1e-8; /* share that the smallest multipliers m
 static const double AT_REST = 1e-13; /* of the forces, that the balance may lack */
 static const double CONTRADICTS = 1e-8; /* of the accelerations, that rows may ask for otherwise than those they depend on */
 
+/* The largest of forces like v, moments as forces at the model's length. */
+static double largest_force(const System *s, const double *f)
+{
+    double found = 0.0;
+    for (int i = 0; i < s->nv; i++)
+        if (found == found && !(fabs(f[i]) <= found * s->units[i])) found = fabs(f[i]) / s->units[i]; /* nan stays */
+    return found;
+}
+
 /* The largest force that the balance evaluated last lacks; on the nodes of fields too. ``x``: room, like v. */
 static double missing(const System *s, double *x)
 {
-    if (!s->fields) return largest(s->residual, s->nu);
     like_v(s, s->residual, x);
-    return largest(x, s->nv);
+    return largest_force(s, x);
 }
 
 /* The largest acceleration that the forces evaluated last would give to an unknown by itself; the matrix is assembled. */
@@ -94,7 +102,7 @@ EXPORT int driver_least(System *s, int factored, double t, long count, const dou
 
     for (long i = 0; i < count; i++, lam += s->rows) {
         all_rows(s, lam, push);
-        double forces = largest(push, s->nv);
+        double forces = largest_force(s, push);
         turn_velocity(s, push);
         memcpy(s->b, s->velocity, s->nu * sizeof(double));
         memset(s->b + s->nu, 0, s->rows * sizeof(double));
@@ -102,7 +110,7 @@ EXPORT int driver_least(System *s, int factored, double t, long count, const dou
 
         add(lam, -1.0, y, s->rows);
         all_rows(s, lam, push);
-        if (!(largest(push, s->nv) <= SAME_FORCES * forces)) return NEWTON;
+        if (!(largest_force(s, push) <= SAME_FORCES * forces)) return NEWTON;
         memcpy(lam, y, s->rows * sizeof(double));
     }
     return DONE;
