@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ..result import Run
 
 STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, as long as nothing was seen
-LOOKED_AT = 50  # instants at which runs of a search with steps of their own choice are compared
+LOOKED_AT = 100  # instants at which runs of a search with steps of their own choice are compared: narrow peaks lie between fewer
 CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and reactions are narrow
 TENTH = 0.1  # of a tolerance
 # power of tolerances that errors are thought to fall with at most, and the most that a finer run is thought to have left of one
