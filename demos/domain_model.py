@@ -5,7 +5,8 @@ from mpi4py import MPI
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
-from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.elastic_forms import ElasticForms
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.linear.saddle.saddle import Elastic
 
 LENGTH, HEIGHT, PULSE, T_END = 2.0, 0.25, 1.2, 5.5  # m, m, s, s

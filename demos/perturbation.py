@@ -18,7 +18,8 @@ from mpi4py import MPI
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import Check, demo, plot
-from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.elastic_forms import ElasticForms
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.traces.traces import trace_of
 
 DELTA, CELLS = 1e-3, 4  # m, m/s or m/s^2

@@ -14,7 +14,8 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot, study
-from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.elastic_forms import ElasticForms
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
 from fmbd_fenicsx.fem.traces.stability import infsup
 from fmbd_fenicsx.fem.traces.traces import trace_of

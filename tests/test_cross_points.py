@@ -14,7 +14,8 @@ from test_traces import ROOT
 from tied import release, surface
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.elastic_forms import ElasticForms
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.traces.mortar import mortar
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends, default_space
 from fmbd_fenicsx.fem.traces.tie_stability import infsup_together

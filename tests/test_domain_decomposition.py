@@ -10,7 +10,8 @@ from test_traces import ROOT
 from tied import block, manufactured, release, surface, tied
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.elastic_forms import ElasticForms
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends
 from fmbd_fenicsx.fem.traces.traces import trace_of
 from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled

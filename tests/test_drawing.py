@@ -11,7 +11,8 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.elastic_forms import ElasticForms
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.post.drawing.draw import draw
 from fmbd_fenicsx.post.drawing.level_sets import region
 from fmbd_fenicsx.post.drawing.render import strobe

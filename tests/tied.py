@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.elastic_forms import ElasticForms
+from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.traces.mortar import mortar
 from fmbd_fenicsx.fem.traces.multipliers import default_space
 from fmbd_fenicsx.fem.traces.traces import trace_of

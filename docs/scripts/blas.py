@@ -17,7 +17,8 @@ from petsc4py import PETSc
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.fem.fields import ElasticForms, Field
+from fmbd_fenicsx.fem.elastic_forms import ElasticForms
+from fmbd_fenicsx.fem.fields import Field
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -12,21 +12,21 @@ replicated numbers are equal on all ranks to the last bit.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .. import dolfinx_compat as compat
-from ..energies import StoredEnergy, ViscousForm
+from ..energies import StoredEnergy
 from ..errors import InputError
 from ..log import together
 from ..rotations import Array, motions
 from .assembly import NodalVector, on_components
+from .elastic_forms import ElasticForms
 from .energy_quadrature import integrated
 from .field_checks import check_field
-from .loads import AppliedLoads, Load
+from .loads import AppliedLoads
 from .rest_damping import RestDamping
 from .rigid_constants import RigidConstants
 from .surfaces import Moments
@@ -41,26 +41,6 @@ def rank_sum(comm: Any, x: Array) -> Array:
     if comm.size == 1:
         return x
     return np.sum(comm.allgather(x), axis=0)
-
-
-@dataclass(frozen=True)
-class ElasticForms:
-    """What a user says of an elastic body: density, degree, Rayleigh damping, and its elasticity.
-
-    Either the bilinear form ``elastic(u, v, dx)``, or an ``energy(u, dx)`` in J, not quadratic in general. ``quadrature`` is the
-    degree of the quadrature of both (None: what UFL estimates). ``viscous(u, v, dx)`` is the form of Kelvin-Voigt damping in
-    the rate u, or a :class:`~fmbd_fenicsx.energies.ViscousForm` of displacement and rate.
-    """
-
-    elastic: Callable[[Any, Any, Any], Any] | None
-    density: float
-    degree: int
-    mass_damping: float = 0.0  # 1/s
-    stiffness_damping: float = 0.0  # s
-    energy: Callable[..., Any] | None = None
-    quadrature: int | None = None
-    loads: tuple[Load, ...] = ()
-    viscous: Callable[[Any, Any, Any], Any] | ViscousForm | None = None
 
 
 class Field:
@@ -89,16 +69,23 @@ class Field:
         self.comm = msh.comm
         self.dim = d = mesh.dim
         self.motions = motions(d)
+
+        # one numbering of nodes for displacements and for what has one component
         self.space = fem.functionspace(msh, ("Lagrange", forms.degree, (d,)))
         self.n = self.space.dofmap.index_map.size_local
+        self.n_global = self.space.dofmap.index_map.size_global * d
         self.scalar_space = scalar = fem.functionspace(msh, ("Lagrange", forms.degree))
         same = np.array_equal(self.space.dofmap.list, scalar.dofmap.list)
         together(self.comm, None if same else RuntimeError("DOLFINx numbered scalar and vector spaces differently"))
+
+        # inertia: the same of every component
         dx = ufl.Measure("dx", domain=msh)
         p, q = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
         rho = fem.Constant(msh, float(forms.density))
         self.M = fp.assemble_matrix(compat.form(rho * p * q * dx))
         self.M.assemble()
+
+        # elasticity, without stress to begin with
         self.elastic_measure = dx if forms.quadrature is None else dx(metadata={"quadrature_degree": forms.quadrature})
         self._elastic_form(self.elastic_measure)
         self.K = fp.create_matrix(self.stiffness_form, "baij")
@@ -107,7 +94,8 @@ class Field:
         self.rest_damping: RestDamping | None = None  # beside a tangent
         self._unstressed: Any = None  # K of the body without stress, where stiffness_damping has to know it
         self.linearise(None)
-        self.n_global = self.space.dofmap.index_map.size_global * d
+
+        # vectors to work in, and what all this says of the body
         self._work = [self.M.createVecRight(), self.M.createVecLeft()]
         self._big = [self.K.createVecRight(), self.K.createVecLeft()]
         self._rigid_properties()
@@ -146,7 +134,9 @@ class Field:
             what = "energy(u, dx) did not give a UFL form of rank 0"
             self._w = fem.Function(self.space)
             density = self.forms.energy
-            energy, self.elastic_measure = integrated(lambda dx: density(self._w, dx), dx, self.forms)
+            energy, self.elastic_measure = integrated(
+                lambda dx: density(self._w, dx), dx, degree=self.forms.degree, chosen=self.forms.quadrature is not None
+            )
             residual = ufl.derivative(energy, self._w, v)
             self._energy_form, self._residual = compat.form(energy), NodalVector(compat.form(residual))
             self.stiffness_form = compat.form(ufl.derivative(residual, self._w, u))

@@ -32,8 +32,9 @@ from ..energies import MixedEnergy
 from ..errors import InputError
 from ..rotations import Array
 from .assembly import NodalVector
+from .elastic_forms import ElasticForms
 from .energy_quadrature import integrated
-from .fields import ElasticForms, Field
+from .fields import Field
 
 if TYPE_CHECKING:
     from .numbering import Numbering
@@ -67,7 +68,12 @@ class MixedField(Field):
         p = ufl.TrialFunction(Q)
         q = ufl.TestFunction(Q)
         try:
-            energy, self.elastic_measure = integrated(lambda dx: self._energy(self._w, self._p, dx), dx, self.forms)
+            energy, self.elastic_measure = integrated(
+                lambda dx: self._energy(self._w, self._p, dx),
+                dx,
+                degree=degree,
+                chosen=self.forms.quadrature is not None,
+            )
             force = ufl.derivative(energy, self._w, v)
             balance = ufl.derivative(energy, self._p, q)
             self._energy_form, self._balance_form = (compat.form(x) for x in (energy, balance))

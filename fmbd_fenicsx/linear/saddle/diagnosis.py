@@ -11,6 +11,7 @@ from ..rigid_modes import rigid_modes
 from .saddle import SaddlePoint
 
 NULL = 1e-7  # |A x| / (|A| |x|) below which x counts as a null vector
+SHIFT = 1e-9  # of the scaled matrix, which can be factored then
 
 
 def diagnose(saddle: SaddlePoint) -> str:
@@ -47,46 +48,67 @@ def diagnose(saddle: SaddlePoint) -> str:
 
 
 def _null_vector(saddle: SaddlePoint) -> tuple[tuple[list[Array], list[Array]], float]:
-    """Blocks of the (scaled) null vector and its relative residual."""
+    """Blocks of the null vector of unit size, and the relative residual of what it is in the scaled matrix."""
+    matrix = saddle.matrix.copy()
+    matrix.convert("aij")
+    scale = _scaled(matrix, sum(saddle.rows[: len(saddle.elastic)]))
+
+    x, size = _inverse_iteration(matrix, saddle.comm)
+    x.array[:] *= scale
+    x.normalize()
+
+    blocks = saddle.blocks(x)
+    for one in (matrix, x):
+        one.destroy()
+    return blocks, size
+
+
+def _scaled(matrix: Any, forces: int) -> Array:
+    """Scale a matrix from both sides in place; by what. Units of forces, the first rows, and of constraints go out of it."""
+    top = matrix.getDiagonal().array[:forces]
+    scale = np.ones(matrix.getLocalSize()[0])
+    scale[:forces] = 1.0 / np.sqrt(np.maximum(np.abs(top), 1e-300))
+    _scale(matrix, scale)
+
+    # constraints have no diagonal, but rows
+    of_rows = np.ones(len(scale))
+    of_rows[forces:] = 1.0 / np.maximum(_row_norms(matrix)[forces:], 1e-300)
+    _scale(matrix, of_rows)
+    return scale * of_rows
+
+
+def _scale(matrix: Any, by: Array) -> None:
+    vector = matrix.createVecRight()
+    vector.array[:] = by
+    matrix.diagonalScale(vector, vector)
+    vector.destroy()
+
+
+def _inverse_iteration(matrix: Any, comm: Any) -> tuple[Any, float]:
+    """A vector x of unit size after four solutions with A + shift from a random one, and |A x|."""
     from petsc4py import PETSc
 
-    A = saddle.matrix.copy()
-    A.convert("aij")
-    scale = A.createVecRight()
-    top = A.getDiagonal().array
-    n = sum(saddle.rows[: len(saddle.elastic)])
-    d = np.ones(len(top))
-    d[:n] = 1.0 / np.sqrt(np.maximum(np.abs(top[:n]), 1e-300))
-    scale.array[:] = d
-    A.diagonalScale(scale, scale)
-    norms = _row_norms(A)
-    d2 = np.ones(len(d))
-    d2[n:] = 1.0 / np.maximum(norms[n:], 1e-300)
-    extra = A.createVecRight()
-    extra.array[:] = d2
-    A.diagonalScale(extra, extra)
-    shifted = A.copy()
-    shifted.shift(1e-9)
-    ksp = PETSc.KSP().create(saddle.comm)
+    shifted = matrix.copy()
+    shifted.shift(SHIFT)
+    ksp = PETSc.KSP().create(comm)
     ksp.setOperators(shifted)
     ksp.setType("preonly")
     ksp.getPC().setType("lu")
     ksp.getPC().setFactorSolverType("mumps")
-    x, y = A.createVecRight(), A.createVecRight()
-    x.array[:] = np.random.default_rng(3 + saddle.comm.rank).standard_normal(len(d))
+
+    x, y = matrix.createVecs()
+    x.array[:] = np.random.default_rng(3 + comm.rank).standard_normal(x.getLocalSize())
     for _ in range(4):
         x.normalize()
         ksp.solve(x, y)
         y.copy(x)
     x.normalize()
-    A.mult(x, y)
+
+    matrix.mult(x, y)
     size = y.norm() if np.isfinite(x.norm()) else np.inf
-    x.array[:] *= d * d2
-    x.normalize()
-    blocks = saddle.blocks(x)
-    for obj in (A, shifted, ksp, x, y, scale, extra):
-        obj.destroy()
-    return blocks, size
+    for one in (shifted, ksp, y):
+        one.destroy()
+    return x, size
 
 
 def _row_norms(A: Any) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from ...checks import array, check_fields, instance, number, vector, whole, word
 from ...energies import Hooke, MixedEnergy, SheetEnergy, StoredEnergy, ViscousForm
 from ...errors import InputError, require
-from ...fem.fields import ElasticForms
+from ...fem.elastic_forms import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
 from ..body import FIELDS, ORIGIN, Body, Placed, Site, start_velocity

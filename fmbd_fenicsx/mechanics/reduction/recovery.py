@@ -28,12 +28,11 @@ def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
         raise InputError(
             f"displacement_field takes a run and an elastic body of it; found {shown(run)} and {shown(body)}."
         ) from error
-    for k, part in enumerate(system.parts):  # noqa: B007, used below
-        if part.name == name:
-            break
-    else:
+
+    numbers = {part.name: k for k, part in enumerate(system.parts)}
+    if name not in numbers:
         raise InputError(f'Body "{name}" is no elastic body of the run.')
-    local = system.local_q(state.q, k)
+    part, local = system.parts[numbers[name]], system.local_q(state.q, numbers[name])
     if isinstance(body, ReducedBody):
         space = body.reduction.space
         values = body.reduction.phi @ local
@@ -41,6 +40,7 @@ def displacement_field(run: Any, body: Any, state: Any = None) -> Any:
         space, values = part.field.space, local
     else:
         raise InputError(f'Body "{body.name}" has no displacement field on a mesh.')
+
     u = fem.Function(space, name="displacement")
     u.x.array[: len(values)] = values
     u.x.scatter_forward()

@@ -190,8 +190,6 @@ class Tables(TableLayout):
             array = array_of(structure(name.capitalize(), self.dim), max(len(made), 1))(*made)
             self.store.kept.append(array)
             counts[plural], addresses[name] = len(made), ctypes.addressof(array)
-            if name == "body":
-                self.body_array = array
         return counts, addresses
 
     @property
