@@ -136,73 +136,89 @@ static void second_block(const Body *o, const double *R, const double *eta)
         }
 }
 
-/* Verdict LOOK outside of the range of the reduction. */
-int reduced_force(const Body *o, const double *R, const double *q, const double *v, const double *a, const double *w,
-                         const double *gravity, const double *accel, double *f, double *rows)
+/* Moments at the coordinates and along their two rates, local[0..2]: S(p), S'(p'), S'(p'') and, transposed, T(p, p), T(p, p'),
+   T(p, p''). */
+static void moments_along(const Body *o, const double **local, double S[3][D], double T[3][D * D])
 {
-    int m = o->modes, k = m + 1, DD = D * D, size = k * DD;
-    const double *eta = q + o->at_q, *rate = v + o->at_v, *second = a + o->at_v, *alpha = accel + D;
-    double *U = o->U, *Vp = U + size, *Me = Vp + ROT * k;
-    double free_[D], acc[D], W[D * D], L[D * D], Sp[3][D], T0[D * D], T1[D * D], T2[D * D], N[D * D];
-
-    for (int i = 0; i < D; i++) free_[i] = accel[i] - gravity[i];
-    transposed(R, free_, acc);
-    hat(w, W);
-    product(W, W, L);
-    hat(alpha, N);
-    add(L, 1.0, N, DD);
-
-    modal_moments(o, eta);
-    memset(Vp, 0, (ROT * k + 2 * m) * sizeof(double));
-    for (int c = 0; c < m; c++) add(Vp, rate[c], o->V + ROT * k * (c + 1), ROT * k);
-    for (int i = 0; i < D; i++) {
-        const double *S = o->S + k * i;
-        Sp[0][i] = S[0] + dot(S + 1, eta, m);
-        Sp[1][i] = dot(S + 1, rate, m);
-        Sp[2][i] = dot(S + 1, second, m);
-    }
-
-    /* T(p, p), T(p, p')^T, T(p, p'')^T */
-    memcpy(T0, U, sizeof T0);
-    memset(T1, 0, sizeof T1);
-    memset(T2, 0, sizeof T2);
-    for (int c = 0; c < m; c++) {
-        const double *Uc = U + DD * (c + 1);
-        add(T0, eta[c], Uc, DD);
-        add(T1, rate[c], Uc, DD);
-        add(T2, second[c], Uc, DD);
-    }
-
-    double part[D * D], L1[D], W1[D], sum[D], local[ROT], more[D] = {0.0};
-    product_transposed(T0, L, N);
-    for (int i = 0; i < D; i++)
-        for (int j = 0; j < D; j++) {
-            double twice = 0.0;
-            for (int c = 0; c < D; c++) twice += T1[D * c + i] * W[D * j + c];
-            part[D * i + j] = N[D * i + j] + 2.0 * twice + T2[D * j + i] + Sp[0][i] * acc[j];
+    int m = o->modes, k = m + 1, DD = D * D;
+    for (int r = 0; r < 3; r++) {
+        for (int i = 0; i < D; i++) {
+            const double *at_rest = o->S + k * i;
+            S[r][i] = (r ? 0.0 : at_rest[0]) + dot(at_rest + 1, local[r], m);
         }
-    const double *rates[] = {eta, rate, second};
-    if (o->stress) stiffened(o, rates, W, alpha, acc, more, part, Me + m);
-    axial(part, local);
-    to_world(R, local, f + D);
-    times(L, Sp[0], L1);
-    times(W, Sp[1], W1);
-    for (int i = 0; i < D; i++) sum[i] = more[i] + o->mass * acc[i] + L1[i] + 2.0 * W1[i] + Sp[2][i];
-    times(R, sum, f);
+        if (r) memset(T[r], 0, DD * sizeof(double));
+        else memcpy(T[r], o->U, DD * sizeof(double));
+        for (int c = 0; c < m; c++) add(T[r], local[r][c], o->U + DD * (c + 1), DD);
+    }
+}
 
-    double *elastic = Me + m;
+/* Rows of the coordinates: inertia, of the frame's acceleration acc and its turn L = alpha^ + w^ w^ too, stiffness and damping;
+   ``elastic`` begins with what stiffens. Returns the square of deformations by which the range of the reduction is told. */
+static double modal_rows(const Body *o, const double **local, const double *acc, const double *L, const double *w, double *elastic,
+                         double *rows)
+{
+    int m = o->modes, k = m + 1, DD = D * D;
+    double *Vp = o->U + k * DD, *inertia = Vp + ROT * k;
+
+    memset(Vp, 0, ROT * k * sizeof(double));
+    memset(inertia, 0, m * sizeof(double));
     for (int c = 0; c < m; c++) {
-        add(Me, eta[c], o->modal + m * c, m);
-        add(elastic, second[c], o->modal + m * c, m);
-        add(elastic, eta[c], o->K + m * c, m);
-        add(elastic, rate[c], o->C + m * c, m);
+        add(Vp, local[1][c], o->V + ROT * k * (c + 1), ROT * k);
+        add(inertia, local[0][c], o->modal + m * c, m);
+        add(elastic, local[2][c], o->modal + m * c, m);
+        add(elastic, local[0][c], o->K + m * c, m);
+        add(elastic, local[1][c], o->C + m * c, m);
     }
     for (int i = 0; i < m; i++) {
-        double force = dot(U + DD * (i + 1), L, DD) + 2.0 * dot(Vp + ROT * (i + 1), w, ROT) + elastic[i];
+        double force = dot(o->U + DD * (i + 1), L, DD) + 2.0 * dot(Vp + ROT * (i + 1), w, ROT) + elastic[i];
         for (int j = 0; j < D; j++) force += acc[j] * o->S[k * j + i + 1];
         rows[i] = force;
     }
-    return dot(eta, Me, m) <= o->large ? DONE : LOOK;
+    return dot(local[0], inertia, m);
+}
+
+/* M a + h of the frame (f, world axes) and of the coordinates (rows), of a body that turns with w (body axes). Verdict LOOK outside
+   of the range of the reduction. */
+int reduced_force(const Body *o, const double *R, const double *q, const double *v, const double *a, const double *w,
+                         const double *gravity, const double *accel, double *f, double *rows)
+{
+    const double *local[] = {q + o->at_q, v + o->at_v, a + o->at_v}, *alpha = accel + D;
+    double apart[D], acc[D], W[D * D], L[D * D], S[3][D], T[3][D * D], N[D * D];
+
+    /* the motion of the frame in body axes: x'' - g, w^ and L = alpha^ + w^ w^ */
+    for (int i = 0; i < D; i++) apart[i] = accel[i] - gravity[i];
+    transposed(R, apart, acc);
+    hat(w, W);
+    product(W, W, L);
+    hat(alpha, N);
+    add(L, 1.0, N, D * D);
+
+    modal_moments(o, local[0]);
+    moments_along(o, local, S, T);
+
+    /* moments of inertia forces about the frame, as a matrix whose axial vector they are */
+    double turning[D * D], of_frame[D], of_rates[D], more[D] = {0.0}, moment[ROT], sum[D];
+    product_transposed(T[0], L, N);
+    for (int i = 0; i < D; i++)
+        for (int j = 0; j < D; j++) {
+            double twice = 0.0;
+            for (int c = 0; c < D; c++) twice += T[1][D * c + i] * W[D * j + c];
+            turning[D * i + j] = N[D * i + j] + 2.0 * twice + T[2][D * j + i] + S[0][i] * acc[j];
+        }
+
+    double *elastic = o->U + (o->modes + 1) * (D * D + ROT) + o->modes;
+    memset(elastic, 0, o->modes * sizeof(double));
+    if (o->stress) stiffened(o, local, W, alpha, acc, more, turning, elastic);
+    axial(turning, moment);
+    to_world(R, moment, f + D);
+
+    /* and their sum */
+    times(L, S[0], of_frame);
+    times(W, S[1], of_rates);
+    for (int i = 0; i < D; i++) sum[i] = more[i] + o->mass * acc[i] + of_frame[i] + 2.0 * of_rates[i] + S[2][i];
+    times(R, sum, f);
+
+    return modal_rows(o, local, acc, L, w, elastic, rows) <= o->large ? DONE : LOOK;
 }
 
 /* The lower half of M in the block, world axes. */
