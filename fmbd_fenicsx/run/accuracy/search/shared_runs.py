@@ -52,6 +52,7 @@ LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
+DOUBTED = 3.0  # times the room up to which an error that is told by chance is asked again: it may be a tenth
 HALF_MORE = 1.5  # ratio of steps of the run with a smaller tolerance that is to tell an error
 
 
@@ -190,12 +191,12 @@ class SharedRuns:
         """The error by the steps from runs with fewer of them, made where there are none; collective.
 
         Nobody has to see the order where half of it would be enough. Where records have kinks they tell it by chance, and a run
-        that they find good enough is compared with one of twice as many steps; so is one whose order larger ones do not show,
-        because they do not end.
+        that they find good enough, or nearly, is compared with one of twice as many steps; so is one whose order larger ones do
+        not show, because they do not end.
         """
         found = self._compared(solved, known, allowed)
         by_chance = self._meets_kinks(solved) or found.unseen or not found.by_chance.isdisjoint(allowed.sensors)
-        if by_chance and found.errors and allowed.share(found.errors) <= allowed.room:
+        if by_chance and found.errors and allowed.share(found.errors) <= DOUBTED * allowed.room:
             found = self._by_half(solved, found)
         self._seen.update(known_orders(found))
         return found
