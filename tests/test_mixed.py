@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -15,6 +16,7 @@ from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.mesh.mesh import Mesh
 from fmbd_fenicsx.fem.mixed import make_field
 from fmbd_fenicsx.materials import linear_elastic, nearly_incompressible, neo_hookean, neo_hookean_mixed
+from fmbd_fenicsx.mechanics.elastic.modes import quadratic_fields
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -125,6 +127,47 @@ def test_every_placement(rod_mesh: Callable[..., Any], nu: float) -> None:
     if nu == 0.3:
         same = fmbd.solve(pendulum(floating(mesh, linear_elastic(MODULUS, nu))), t_end=0.05, dt=2.5e-3)["tip"]
         assert np.abs(same - tips[0]).max() < 2e-5
+
+
+def soft_beside_stiff(u: Any, v: Any, dx: Any) -> Any:
+    """Half a rod of the modulus, half of a million times that."""
+    x = ufl.SpatialCoordinate(dx.ufl_domain())
+    modulus = ufl.conditional(x[0] < 0.5, MODULUS, 1e6 * MODULUS)
+    return modulus * ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) * dx
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("law", [nearly_incompressible(MODULUS, 0.5), soft_beside_stiff])
+def test_static_modes_where_rayleigh_quotients_are_far_too_high(rod_mesh: Callable[..., Any], law: Any) -> None:
+    """A modulus of compression or a stiff part, a million times the rest and more, do not keep static modes from being found."""
+    body = floating(rod_mesh(dim=2, h=0.1), law)
+    few = body.reduced(basis=fmbd.CraigBampton(("pin", "tip"), 4))
+    found = []
+    for placed in (body, few, body.with_(frame=fmbd.Attached("pin"), stiffening=True)):
+        scene = fmbd.Scene("clamped")
+        scene.add(placed, fmbd.fixed("clamp", fmbd.ground, placed.surface("pin")))
+        found.append(fmbd.modes(scene, 1).frequencies[0])
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
+    assert found[2] == pytest.approx(found[0], rel=1e-5)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_quadratic_trial_bends_and_keeps_its_volume(dim: int) -> None:
+    """One of the trials has no strain but that of bending with nu = 1/2, or 1 in the plane: trace and shear vanish."""
+    x, e = np.random.default_rng(4).standard_normal((5, dim)), 1e-4
+    least = np.inf
+    for bent in range(len(list(quadratic_fields(x)))):
+
+        def u(at: np.ndarray, which: int = bent) -> np.ndarray:
+            return list(quadratic_fields(at))[which]
+
+        grad = np.stack([(u(x + e * d) - u(x - e * d)) / (2 * e) for d in np.eye(dim)], axis=2)
+        strain = 0.5 * (grad + np.swapaxes(grad, 1, 2))
+        diagonal = np.einsum("nii->ni", strain)
+        off = np.abs(strain - np.einsum("ni,ij->nij", diagonal, np.eye(dim))).max()
+        least = min(least, float(np.abs(diagonal.sum(axis=1)).max() + off))
+        assert np.abs(strain).max() > 0.1
+    assert least < 1e-8
 
 
 def test_large_strain_limit(rod_mesh: Callable[..., Any]) -> None:

@@ -14,6 +14,8 @@ Source: Craig and Bampton, doi:10.2514/3.4741.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,8 @@ from ...fem.fields import Field
 from ...rotations import Array
 
 SHIFT = 1e-3  # of an upper bound of the first eigenvalue
+SLOW = 20  # refinements after which the shift is taken for too large
+LOWER = 3  # times that it is made smaller
 
 
 def rigid_fields(field: Field) -> Array:
@@ -36,30 +40,46 @@ def rigid_fields(field: Field) -> Array:
     return Z.reshape(-1, m.n_twist)
 
 
-def first_eigenvalue_bound(field: Field) -> float:
-    """Rayleigh quotients of quadratic displacements without their rigid part: an upper bound.
+def quadratic_fields(X: Array) -> Iterator[Array]:
+    """Quadratic displacements (n, d) at points X (n, d): e_k X_i X_j, and bending without shear.
 
-    Bending u_k = X_i^2, u_i = -2 X_i X_k has no shear and comes close for slender bodies; e_k X_i X_j for the others.
+    Bending is u_k = X_i^2, u_i = -2 X_i X_k, whose section stays as it is, and beside it that whose section strains across by as
+    much as keeps the volume: bodies that keep theirs resist all others by their modulus of compression.
     """
+    d = X.shape[1]
+    for k, i, j in itertools.product(range(d), repeat=3):
+        if j < i:
+            continue
+        u = np.zeros(X.shape)
+        u[:, k] = X[:, i] * X[:, j]
+        if i != j or i == k:
+            yield u
+            continue
+
+        u[:, i] = -2.0 * X[:, i] * X[:, k]
+        yield u
+        u = u.copy()
+        u[:, k] += X[:, k] ** 2 / (d - 1)
+        for across in set(range(d)) - {i, k}:
+            u[:, k] -= X[:, across] ** 2 / (d - 1)
+            u[:, across] = 2.0 * X[:, across] * X[:, k] / (d - 1)
+        yield u
+
+
+def first_eigenvalue_bound(field: Field) -> float:
+    """Rayleigh quotients of quadratic displacements without their rigid part: an upper bound, close for slender bodies."""
     f, d = field, field.dim
-    X = f.X / f.size
     Z = rigid_fields(f)
     G = f.total(Z.T @ f.Q)
 
     best = np.inf
-    for k in range(d):
-        for i in range(d):
-            for j in range(i, d):
-                u = np.zeros((f.n, d))
-                u[:, k] = X[:, i] * X[:, j]
-                if i == j != k:
-                    u[:, i] = -2.0 * X[:, i] * X[:, k]
-                # less its rigid part
-                u = u.ravel() - Z @ np.linalg.solve(G, f.total(f.Q.T @ u.ravel()))
-                # Rayleigh's quotient
-                kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, d)).ravel()]))
-                if mm > 0:  # contact nodes may carry no inertia
-                    best = min(best, float(kk / mm))
+    for shape in quadratic_fields(f.X / f.size):
+        # less its rigid part
+        u = shape.ravel() - Z @ np.linalg.solve(G, f.total(f.Q.T @ shape.ravel()))
+        # Rayleigh's quotient
+        kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, d)).ravel()]))
+        if mm > 0:  # contact nodes may carry no inertia
+            best = min(best, float(kk / mm))
     return best
 
 
@@ -90,7 +110,12 @@ class ConditionedBody:
 
     def __init__(self, field: Field, conditions: Array) -> None:
         self.field, self.C = field, conditions
-        self.shift = SHIFT * first_eigenvalue_bound(field)
+        self._shifted(SHIFT * first_eigenvalue_bound(field))
+
+    def _shifted(self, shift: float) -> None:
+        """Factor K + s M, and the answers to the conditions."""
+        field, conditions = self.field, self.C
+        self.shift = shift
         kept = field.kept_factors
         known = None if kept is None else kept.get(self.shift)
         self.factor = Factor(field, self.shift, 1.0) if known is None else known
@@ -118,9 +143,13 @@ class ConditionedBody:
         U, mu = self._bordered(B, C)
         # the factor is that of K + s M: corrections of the residual of K
         before, left = np.full(B.shape[1], np.inf), np.arange(B.shape[1])
-        for _ in range(100):
+        for count in range(100):
             if not len(left):
                 return U  # to roundoff: corrections do not fall any more
+            # the bound is far above the first eigenvalue where a soft part stands beside a stiff one
+            if count and count % SLOW == 0 and count <= LOWER * SLOW:
+                self.destroy()
+                self._shifted(SHIFT * self.shift)
             u = U[:, left]
             forces = np.stack([f.stiffness(x) for x in np.ascontiguousarray(u.T)], axis=1)
             du, dmu = self._bordered(B[:, left] - forces - self.C @ mu[:, left], C[:, left] - f.total(self.C.T @ u))
