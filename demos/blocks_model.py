@@ -15,7 +15,9 @@ from fmbd_fenicsx.fem.traces.mortar import mortar
 from fmbd_fenicsx.fem.traces.multipliers import default_space
 from fmbd_fenicsx.fem.traces.traces import trace_of
 from fmbd_fenicsx.linear.presets.krylov import Direct
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, tie
+from fmbd_fenicsx.linear.saddle.elastic import Elastic
+from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
+from fmbd_fenicsx.linear.saddle.ties import data, hold, tie
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)
 BEND = lambda x, f: (f.sin(2 * x[0]) * f.exp(x[1] / 2) / 5, f.cos(x[0] + x[1]) * x[1] / 5)

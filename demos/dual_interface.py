@@ -25,8 +25,9 @@ from fmbd_fenicsx.fem.traces.traces import Trace
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor
 from fmbd_fenicsx.linear.presets.multiplier_schur import conjugate_gradients
 from fmbd_fenicsx.linear.residual import Judge
+from fmbd_fenicsx.linear.saddle.elastic import Elastic
 from fmbd_fenicsx.linear.saddle.precondition import Fractional, rigid_term
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, TraceTie
+from fmbd_fenicsx.linear.saddle.ties import TraceTie
 from fmbd_fenicsx.rotations import Array
 
 FRACTIONAL = Fractional()

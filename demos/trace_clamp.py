@@ -20,7 +20,9 @@ from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Disconti
 from fmbd_fenicsx.fem.traces.stability import infsup
 from fmbd_fenicsx.fem.traces.traces import trace_of
 from fmbd_fenicsx.linear.presets.krylov import Direct
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, hold
+from fmbd_fenicsx.linear.saddle.elastic import Elastic
+from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
+from fmbd_fenicsx.linear.saddle.ties import hold
 from fmbd_fenicsx.post.demo import Check
 
 KEPT, P1 = Continuous(ends=Ends.KEPT), Continuous(1, Ends.KEPT)

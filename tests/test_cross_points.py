@@ -20,7 +20,9 @@ from fmbd_fenicsx.fem.traces.mortar import mortar
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends, default_space
 from fmbd_fenicsx.fem.traces.tie_stability import infsup_together
 from fmbd_fenicsx.linear.presets.krylov import Direct
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, tie
+from fmbd_fenicsx.linear.saddle.elastic import Elastic
+from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
+from fmbd_fenicsx.linear.saddle.ties import data, hold, tie
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)
 # name -> (origin, size, cells along x); ties (finer, coarser): block and face

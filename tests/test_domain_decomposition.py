@@ -20,7 +20,7 @@ from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor
 from fmbd_fenicsx.linear.presets.krylov import FieldSplit
 from fmbd_fenicsx.linear.presets.multiplier_schur import Schur
 from fmbd_fenicsx.linear.rigid_modes import elastic_matrix
-from fmbd_fenicsx.linear.saddle.saddle import Elastic
+from fmbd_fenicsx.linear.saddle.elastic import Elastic
 
 sys.path.insert(0, str(ROOT / "demos"))
 from dual_interface import DualInterface, shared_traces  # noqa: E402
@@ -119,7 +119,8 @@ def _whole(piece, parts: int, cells: tuple[int, int], cm: float):
 
     from fmbd_fenicsx.fem.traces.mortar import mortar
     from fmbd_fenicsx.linear.presets.krylov import Direct
-    from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint, hold, tie
+    from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
+    from fmbd_fenicsx.linear.saddle.ties import hold, tie
 
     bodies = [piece(i, MPI.COMM_SELF) for i in range(parts)]
     ties = [hold("clamp", 0, KEPT1.on(surface(bodies[0], "left")))]

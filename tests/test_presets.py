@@ -14,7 +14,9 @@ from fmbd_fenicsx.fem.traces.multipliers import Continuous, Discontinuous, Dual,
 from fmbd_fenicsx.linear.blocks.elastic_blocks import Multigrid
 from fmbd_fenicsx.linear.presets.krylov import Direct, FieldSplit
 from fmbd_fenicsx.linear.presets.multiplier_schur import Schur
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, data, hold, slide, tie
+from fmbd_fenicsx.linear.saddle.elastic import Elastic
+from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
+from fmbd_fenicsx.linear.saddle.ties import data, hold, slide, tie
 
 KEPT1 = Continuous(1, Ends.KEPT)
 

@@ -13,7 +13,9 @@ from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.traces.mortar import mortar
 from fmbd_fenicsx.fem.traces.multipliers import default_space
 from fmbd_fenicsx.fem.traces.traces import trace_of
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, SaddlePoint, hold, tie
+from fmbd_fenicsx.linear.saddle.elastic import Elastic
+from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
+from fmbd_fenicsx.linear.saddle.ties import hold, tie
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -26,8 +26,9 @@ from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled  # noqa:
 from fmbd_fenicsx.linear.blocks.elastic_blocks import Multigrid, set_bddc  # noqa: E402
 from fmbd_fenicsx.linear.presets.krylov import FieldSplit  # noqa: E402
 from fmbd_fenicsx.linear.presets.multiplier_schur import Schur  # noqa: E402
+from fmbd_fenicsx.linear.presets.preset import Preset  # noqa: E402
 from fmbd_fenicsx.linear.rigid_modes import elastic_matrix  # noqa: E402
-from fmbd_fenicsx.linear.saddle.saddle import Elastic, Preset  # noqa: E402
+from fmbd_fenicsx.linear.saddle.elastic import Elastic  # noqa: E402
 
 SIDES = ("left", "right", "back", "front")
 

@@ -30,8 +30,9 @@ from ..system.evaluation import Evaluation
 from ..system.system import System
 from .residual import Judge
 from .rigid_modes import rigid_mass, rigid_modes
+from .saddle.elastic import Elastic
 from .saddle.precondition import Fractional, lumped
-from .saddle.saddle import Elastic, TraceTie
+from .saddle.ties import TraceTie
 
 CONTACT_RTOL = 1e-13  # of scenes with contact, whose own iteration needs products of that accuracy
 CHANGED = 0.1  # relative change of G after which S~ is made anew

@@ -35,7 +35,7 @@ def check_settings(scene: Any, newton: Any, output: Any, restart: Any) -> None:
 def check_ways(linear: Any, checkpoint: Any) -> None:
     """The same for what is loaded only where it is given: the linear solver, and checkpoints."""
     if linear is not None:
-        from ..linear.saddle.saddle import Preset
+        from ..linear.presets.preset import Preset
 
         instance("solve: linear", linear, Preset)
     if checkpoint is not None:

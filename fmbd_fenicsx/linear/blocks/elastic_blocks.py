@@ -7,7 +7,7 @@ from typing import Any
 
 from ...checks import check_fields, number, whole
 from ...fem.fields import Field
-from ..saddle.saddle import Elastic
+from ..saddle.elastic import Elastic
 from .iterative import ConjugateGradients
 from .spd import CholeskyFactor
 

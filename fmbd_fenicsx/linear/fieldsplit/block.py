@@ -10,7 +10,7 @@ from ...rotations import Array
 from ..blocks.spd import FieldFactor
 from ..residual import Judge
 from ..rigid_modes import elastic_matrix
-from ..saddle.saddle import Elastic
+from ..saddle.elastic import Elastic
 from .layout import split_name
 
 

@@ -27,9 +27,11 @@ from ..options import check_options, set_from_options
 from ..residual import Judge, KrylovTest
 from ..rigid_modes import elastic_matrix
 from ..saddle.diagnosis import diagnose
+from ..saddle.elastic import Elastic
 from ..saddle.precondition import Fractional, MultiplierPreconditioner, to_petsc
-from ..saddle.saddle import Elastic, Preset, SaddlePoint, Solution
+from ..saddle.saddle import SaddlePoint, Solution
 from .multiplier_schur import check_krylov
+from .preset import Preset
 
 METHODS = ("minres", "fgmres", "gmres", "cg")  # PETSc's names
 

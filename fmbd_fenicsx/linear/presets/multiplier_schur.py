@@ -27,7 +27,8 @@ from ..options import check_options
 from ..residual import Judge
 from ..saddle.diagnosis import diagnose
 from ..saddle.precondition import Fractional, MultiplierPreconditioner
-from ..saddle.saddle import Preset, SaddlePoint, Solution
+from ..saddle.saddle import SaddlePoint, Solution
+from .preset import Preset
 
 
 def check_krylov(what: str, rtol: float, most: int) -> None:

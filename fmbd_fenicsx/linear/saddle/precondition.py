@@ -35,7 +35,9 @@ from ...fem.traces.stability import pencil
 from ...fem.traces.traces import Trace
 from ...rotations import Array
 from ..rigid_modes import rigid_mass, rigid_modes
-from .saddle import Elastic, SaddlePoint, TraceTie, share_of
+from .elastic import Elastic
+from .saddle import SaddlePoint, share_of
+from .ties import TraceTie
 
 Group = tuple[str, list[int], sp.csr_matrix]
 

@@ -11,176 +11,19 @@ which are the names of the splits under ``-<prefix>fieldsplit_<name>_...``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from ...errors import InputError
-from ...fem.fields import Field
-from ...fem.traces.mortar import Mortar
-from ...fem.traces.multipliers import Multipliers
-from ...fem.traces.traces import Trace
 from ...log import together
 from ...rotations import Array
-from ..core import TIE_LIMIT
 from ..rigid_modes import elastic_matrix
-
-
-@dataclass(frozen=True, eq=False)
-class Elastic:
-    """The block cm M + ck K of one body."""
-
-    body: Field
-    cm: float = 0.0
-    ck: float = 1.0
-    stand_in: float = 0.0  # set by SaddlePoint for bodies without inertia
-
-    @property
-    def name(self) -> str:
-        """Name of the block."""
-        return f"{self.body.name}.u"
-
-    @property
-    def rows(self) -> int:
-        """Rows on this rank."""
-        return self.body.n * self.body.dim
-
-    @property
-    def size(self) -> float:
-        """Diameter of the body, m."""
-        return self.body.size
-
-    @cached_property
-    def moduli(self) -> tuple[float, float]:
-        """Mean moduli of shear and of uniaxial strain, Pa: the elastic energies of such deformations over
-        the volume.
-        """
-        b, d = self.body, self.body.dim
-        shear: list[float] = []
-        axial: list[float] = []
-        for i in range(d):
-            for j in range(d):
-                # unit strains e_i x_j; two stretches against each other are a shear, too
-                u = np.zeros((b.n, d))
-                u[:, i] = b.X[:, j]
-                (axial if i == j else shear).append(float(u.ravel() @ b.stiffness(u.ravel())))
-                if i == j:
-                    k = (i + 1) % d
-                    u[:, k] = -b.X[:, k]
-                    shear.append(float(u.ravel() @ b.stiffness(u.ravel())) / 4.0)
-
-        volume = b.mass_total / b.forms.density
-        return tuple(float(x) for x in b.total(np.array([np.mean(shear), np.mean(axial)])) / volume)  # type: ignore[return-value]
-
-    @property
-    def modulus(self) -> float:
-        """Mean shear modulus, Pa."""
-        return self.moduli[0]
-
-    @property
-    def inertia(self) -> float:
-        """cm, or in statics a stand-in for preconditioners."""
-        return self.cm if self.cm > 0 else self.stand_in
-
-    @property
-    def static_inertia(self) -> float:
-        """The cm for which waves cross the body in about one step."""
-        return float(0.1 * self.ck * self.modulus / (self.body.forms.density * self.body.size**2))
-
-    @property
-    def depth(self) -> float:
-        """Length sqrt(ck G / (cm rho)) over which a surface force reaches into the body within a step, m."""
-        return float(np.sqrt(self.ck * self.modulus / (self.inertia * self.body.forms.density)))
-
-
-@dataclass(frozen=True, eq=False)
-class TraceTie:
-    """Rows of (1): sum_k B_k u_k = g, with the multipliers' space where the rows come from one.
-
-    ``columns``: (number of the body, B_k (rows, n_owned d) on this rank); ``multipliers`` and ``components`` say that
-    the rows are the functions of a space times that many components (d for a full tie, 1 for a normal one); None for
-    other rows. ``sides``: (number of the body, its surface, scalar coupling with all nodes of the surface), for
-    preconditioners.
-    """
-
-    name: str
-    columns: tuple[tuple[int, sp.csr_matrix], ...]
-    multipliers: Multipliers | None = None
-    components: int = 1
-    sides: tuple[tuple[int, Trace, sp.csr_matrix], ...] = ()
-
-    @property
-    def rows(self) -> int:
-        """Rows, the same on all ranks."""
-        return int(self.columns[0][1].shape[0])
-
-
-def hold(name: str, body: int, multipliers: Multipliers) -> TraceTie:
-    """int mu . u = g on a surface: weak Dirichlet data; g = :func:`data`."""
-    d = multipliers.trace.dim
-    B = multipliers.coupling()
-    sides = ((body, multipliers.trace, B),)
-    return TraceTie(name, ((body, _vector(multipliers.trace.columns(B), d)),), multipliers, d, sides)
-
-
-def data(multipliers: Multipliers, function: Callable[[Array], Array], degree: int = 6) -> Array:
-    """g = int mu . f for a function of points (n, d) -> (n, d) or scalar (n,); (rows,)."""
-    from ...fem.traces.traces import quadrature, scatter, shape_functions
-
-    t = multipliers.trace
-    m = t.dim - 1
-    q, w = quadrature(m, degree + multipliers.degree)
-    values = np.asarray(function(t.place(q).reshape(-1, t.dim))).reshape(len(t.nodes), len(q), -1)
-
-    psi = shape_functions(m, multipliers.degree, q)
-    blocks = np.einsum("f,q,qa,fqc->fac", t.sizes, w, psi, values, optimize=True)
-    k, c = blocks.shape[1:]
-    rows = np.arange(len(t.nodes) * k).reshape(len(t.nodes), k)
-    one = scatter(blocks, rows, np.broadcast_to(np.arange(c), (len(rows), c)), (rows.size, c))
-    return np.asarray((multipliers.basis @ one).toarray()).ravel()
-
-
-def tie(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
-    """int mu . (u_slave - u_master o pi) = 0 over the overlap."""
-    d = coupling.slave_trace.dim
-    own = _vector(coupling.slave_trace.columns(coupling.slave), d)
-    other = _vector(coupling.master_trace.columns(coupling.master), d)
-    return TraceTie(name, _merged(slave, own, master, -other), coupling.multipliers, d, _sides(slave, master, coupling))
-
-
-def slide(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
-    """int mu n . (u_slave - u_master o pi) = 0: normal only, n the mean normal of the slave (flat surfaces).
-
-    Raises:
-        InputError: the surface is curved, so that no single normal exists.
-    """
-    t = coupling.slave_trace
-    n = (t.sizes[:, None] * t.normals).sum(0) / t.sizes.sum()
-    if np.linalg.norm(n) < 1 - 1e-6:
-        raise InputError(
-            f'Tie "{name}": {t.label} is curved (mean normal of length {np.linalg.norm(n):.3f}); a sliding '
-            "tie needs a flat surface."
-        )
-    N = sp.csr_matrix(n[None, :])
-    own = sp.kron(t.columns(coupling.slave), N, format="csr")
-    other = sp.kron(coupling.master_trace.columns(coupling.master), N, format="csr")
-    return TraceTie(name, _merged(slave, own, master, -other), coupling.multipliers, 1, _sides(slave, master, coupling))
-
-
-def _sides(slave: int, master: int, c: Mortar) -> tuple[tuple[int, Trace, sp.csr_matrix], ...]:
-    return ((slave, c.slave_trace, c.slave), (master, c.master_trace, c.master))
-
-
-def _merged(a: int, A: sp.csr_matrix, b: int, B: sp.csr_matrix) -> tuple[tuple[int, sp.csr_matrix], ...]:
-    return ((a, (A + B).tocsr()),) if a == b else ((a, A), (b, B))
-
-
-def _vector(B: sp.csr_matrix, d: int) -> sp.csr_matrix:
-    return sp.kron(B, sp.identity(d), format="csr")
+from .elastic import Elastic
+from .ties import TraceTie
 
 
 @dataclass
@@ -330,30 +173,6 @@ class SaddleSolver(Protocol):
 
     def destroy(self) -> None:
         """Free PETSc objects; collective."""
-
-
-class Preset:
-    """A way to solve linear systems, of statics by :meth:`solver` and of the steps of a scene by the others.
-
-    ``limit``: multipliers of surface ties in a scene that its dense core takes. ``multiplier``: the preconditioner with which
-    more of them are iterated on to the relative residual ``rtol``; None refuses them.
-    """
-
-    limit: int = TIE_LIMIT
-    multiplier: Any = None
-    rtol: float = 0.0
-
-    def solver(self, saddle: SaddlePoint, prefix: str = "fmbd_") -> SaddleSolver:
-        """Set up for a saddle point; collective."""
-        raise NotImplementedError
-
-    def block(self, field: Field, weights: tuple[float, float, float], prefix: str) -> Any:
-        """The solver of cm M + cd D + ck K, weights (cm, cd, ck), of one body in a scene; collective."""
-        raise NotImplementedError
-
-    def split(self, system: Any, prefix: str) -> Any:
-        """The solver of the whole matrix of a scene's step; None where fields are eliminated one by one. Collective."""
-        return None
 
 
 def share_of(n: int, comm: Any, rank: int | None = None) -> int:
