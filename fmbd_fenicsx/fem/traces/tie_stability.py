@@ -148,6 +148,8 @@ def infsup_together(ties: Sequence[Any]) -> Together:
     length = max(b.mesh.extent for b in bodies.values())
     norms = {name: BodyNorm(b.mesh, b.degree, length=length) for name, b in bodies.items()}
     spaces = {name: fem.functionspace(b.mesh.dolfinx, ("Lagrange", b.degree)) for name, b in bodies.items()}
+
+    # rows of all ties on each body, and the norms of their multipliers
     rows: dict[str, list[Any]] = {name: [] for name in bodies}
     duals, counts = [], []
     for t in ties:
@@ -157,13 +159,18 @@ def infsup_together(ties: Sequence[Any]) -> Together:
         for name, body in bodies.items():
             found = [trace.columns(B) for side, trace, B in sides if side == body.name]
             rows[name].append(sum(found) if found else sp.csr_matrix((mu.n, norms[name].fixed.size)))
+
     S = np.sum([norms[name].product(sp.vstack(rows[name], format="csr")) for name in bodies], axis=0)
     for norm in norms.values():
         norm.destroy()
+
+    # beta^2 are the eigenvalues of S beside the norms, of which sliding ties have one component
     P, owner = _components(ties, counts)
     d = P.shape[0] // len(S)
     values, vectors = sl.eigh(P.T @ np.kron(S, np.eye(d)) @ P, P.T @ np.kron(sl.block_diag(*duals), np.eye(d)) @ P)
     beta, zero = smallest(values)
+
+    # whose multipliers the weakest are
     weak = (vectors[:, : max(zero, 1)] ** 2).sum(1)
     shares = {t.name: float(weak[owner == i].sum() / weak.sum()) for i, t in enumerate(ties)}
     return Together(beta, zero, P.shape[1], shares)

@@ -87,6 +87,7 @@ def active_set(problem: Any, start: np.ndarray, counts: ContactCounts) -> Array:
         fresh = L - c * g > 0
         # a point that just touches without force stays as it is: roundoff must not toggle it
         fresh = np.where(np.abs(L - c * g) <= problem.noise * problem.size, active, fresh)
+
         changed = int((fresh != active).sum())
         counts.iterations += 1
         if changed == 0:
@@ -94,6 +95,8 @@ def active_set(problem: Any, start: np.ndarray, counts: ContactCounts) -> Array:
                 continue
             break
         counts.changes += changed
+
+        # a set that was there before comes again and again
         key = fresh.tobytes()
         if key in seen and problem.sharpen():
             seen.clear()
@@ -103,6 +106,7 @@ def active_set(problem: Any, start: np.ndarray, counts: ContactCounts) -> Array:
             break
         seen.add(key)
         active = fresh
+
     counts.solves += 1
     L = np.maximum(L, 0.0)
     scale = np.abs(L).max(initial=0.0)

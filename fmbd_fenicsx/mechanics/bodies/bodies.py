@@ -69,18 +69,22 @@ class RigidBody(Body):
             from .appearance import check_shape
 
             check_shape(self.name, self.shape)
+
         what = f'Body "{self.name}"'
         check_fields(self, what)
         number(f"{what}: mass", self.mass, above=0.0, unit="kg")
         J = array(f"{what}: inertia", self.inertia, shape="a number (plane), (3,) or (3, 3) finite numbers (space)")
         object.__setattr__(self, "dim", 2 if J.ndim == 0 else 3)
         self._check_start(what)
+
+        # in space there is a body with this inertia
         if self.dim == 2:
             number(f"{what}: inertia", J, above=0.0, unit="kg m^2; a mass at a point is a fmbd.PointMass")
             return
         require(J.shape in ((3,), (3, 3)), f"{what}: inertia must have shape (3,) or (3, 3), found {J.shape}.")
         if J.ndim == 2 and not (np.abs(J - J.T) <= 1e-12 * (np.abs(J).max() + np.abs(J.T))).all():
             raise InputError(f'Body "{self.name}": inertia is not symmetric: {J.tolist()}.')
+
         p = np.sort(J) if J.ndim == 1 else np.linalg.eigvalsh(J)
         if not p[0] > 0:
             raise InputError(
@@ -232,6 +236,7 @@ class ElasticBody(Body):
 
         n = self.name
         what = f'Body "{n}"'
+
         # materials in each other's place, before their arguments are counted
         require(
             not isinstance(self.elastic, StoredEnergy), f"{what}: elastic is a stored energy; give it as energy=..."
@@ -239,6 +244,8 @@ class ElasticBody(Body):
         require(not isinstance(self.energy, Hooke), f"{what}: energy is a bilinear form; give it as elastic=...")
         check_fields(self, what)
         instance(f"{what}: mesh", self.mesh, Mesh)
+
+        # one description of elasticity
         require(
             (self.elastic is None) != (self.energy is None),
             f'Body "{n}": give either elastic(u, v, dx), a bilinear form, or energy(u, dx), in J.',
@@ -252,6 +259,8 @@ class ElasticBody(Body):
                 f"{what}: materials.{given.name} is a law of sheets in the plane, and {self.mesh.label} is in space. Take "
                 "materials.linear_elastic, or an energy such as materials.neo_hookean."
             )
+
+        # numbers
         number(f"{what}: density", self.density, above=0.0, unit="kg/m^3" if self.dim == 3 else "kg/m^2")
         require(1 <= self.degree <= HIGHEST_DEGREE, f"{what}: degree {self.degree} must be 1, 2 or 3.")
         if self.quadrature is not None:
@@ -262,6 +271,7 @@ class ElasticBody(Body):
         )
         number(f"{what}: mass_damping", self.mass_damping, least=0.0, unit="1/s")
         number(f"{what}: stiffness_damping", self.stiffness_damping, least=0.0, unit="s")
+
         self.start_twist()
         for load in self.loads:
             load.check(self)

@@ -193,6 +193,7 @@ def contact(
     if search is not None:
         number(f"{what}: search", search, above=0.0, unit="m")
 
+    # each side by itself
     for side in (slave, master):
         if isinstance(side, Surface) and not side.body.meshed:
             raise InputError(
@@ -200,6 +201,7 @@ def contact(
                 "AbsoluteBody and their reduced bodies, points of a RigidBody (fmbd.contacts.corners, ball, cylinder_end), and "
                 "rods (fmbd.contacts.along)."
             )
+
     if isinstance(master, RodPoints):
         raise InputError(
             f'{what}: rod "{master.body.name}" cannot be the master: contact between rods is not offered. Rods touch obstacles, '
@@ -209,6 +211,8 @@ def contact(
         require(not slave.body.locked, f'{what}: the slave body "{slave.body.name}" is locked; it cannot move.')
     if isinstance(master, Shape):
         master = Obstacle(name, master)
+
+    # and both together
     if isinstance(master, Obstacle):
         master.shape.check(what, slave.dim)
     if isinstance(master, Surface):

@@ -179,9 +179,11 @@ class BDFStepper(Corrector):
             moves(s.t, h, self.control.fault)
             self.solver.near_singular.begin_trial()
             self.norm.update(s, h)
+
             found = self._newton(h, self.k)
             if not isinstance(found, str) and turns_too_far(self.system, found.xi):
                 found = "turns too far"
+
             if isinstance(found, str):
                 cause, error = found, np.inf
                 stale = self._tangent is not None and not self._fresh

@@ -37,6 +37,8 @@ class Calls:
         self.tables, self.system = tables, tables.system
         self.error: Exception | None = None
         self.sampled, self.trusted = np.nan, False  # s, the time of what depends on time only; whether it is so still
+
+        # prescribed motions: those that stand still are told once
         self.moving = _motions(self.system)
         # motions with places (3,) for their s, s' and s'': of rows and of drives
         self.of_rows = [np.zeros((len(motions), 3)) for _, motions, _ in self.moving]
@@ -51,10 +53,11 @@ class Calls:
                 value[:] = motion(0.0)
         self.prescribed = [x for x in self.prescribed if not isinstance(x[0], Constant)]
         self._write_motions()
+
+        # loads, gravity and targets of laws, as far as these depend on time
         self.loaded = [_load_of(tables, x) for x in tables.sources if x.load is not None]
         self.given = [x for x in tables.sources if x.role == GIVEN and x.given is not None]
-        ramp = bool((self.system.gravity(0.0) != self.system.gravity(np.inf)).any())
-        self.ramp = ramp
+        self.ramp = bool((self.system.gravity(0.0) != self.system.gravity(np.inf)).any())
         formulas = ((x.arrays, x.formula) for x in tables.sources if x.formula is not None)
         self.targets = [
             (arrays["constants"], [_moving(x) for x in formula.targets])
@@ -62,11 +65,13 @@ class Calls:
             if formula.moves
         ]
 
+        # functions of the user's own, and how often C asks
         self.asked = [items.kind.function for items in tables.items if isinstance(items.kind, AskedKind)]
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
         timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
         slower = any(_differentiated(motion) for motion, _ in self.prescribed)
-        tables.c.samples = int(ramp or any(timed)) + int(slower)
+        tables.c.samples = int(self.ramp or any(timed)) + int(slower)
+
         self.written: int = self._list_timed()  # numbers
         self.answers = self._answers()
         self.function = PYTHON(self.answer)

@@ -27,6 +27,7 @@ from .force_batches import build_loads
 from .going_on import go_on
 from .gravity import gravity_of
 from .joints import JointRows, counted_angles
+from .model_length import model_length
 from .point_masses import at_its_place, attitude_of, refuse_angles, refuse_turning
 from .rods import RodNodes
 from .wires import slider_rows
@@ -71,6 +72,8 @@ class Builder:
         self._check()
         if scene.breakpoints:
             tell_break_points(scene)
+
+        # bodies
         points = [b for b in scene.bodies.values() if not b.turns]
         if points:
             refuse_angles(scene)
@@ -81,11 +84,13 @@ class Builder:
         self._add_frames(moving)
         self._add_parts(moving, self._surfaces_in_use())
 
+        # what acts between them, and who looks at them
         traces = self._surface_ties()
         batches, port_rows, blocks = self._constraints(traces)
         forces = build_loads(self)
         if points:
             refuse_turning([p.body for p in self.places], batches, blocks, forces)
+
         self._check_sensors({b.name for b in blocks})
         sensor_markers = {n: self.sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
@@ -111,6 +116,7 @@ class Builder:
             elements=tuple(self.nodes.elements),
             sensed=tuple((s, sensor_markers[n]) for n, s in scene.sensors.items()),
         )
+
         given = self._state(system)
         if scene.origin is not None:
             system, given = go_on(scene.origin, system, given, self.closing)
@@ -258,40 +264,8 @@ class Builder:
         return self.nodes.mass + sum(b.mass for b in rigid) + sum(p.mass_total for p in self.fields)
 
     def length(self) -> float:
-        """The characteristic length of the model, m: how far it spreads, or that of bodies in one place."""
-        points = [q[: self.m.dim] for q in self.poses]
-        for joint in self.scene.joints.values():
-            points += [x for x in (joint.center_a, joint.center_b) if x is not None]
-        if not points:
-            points = [np.zeros(self.m.dim)]
-
-        spread = float(np.linalg.norm(np.ptp(np.array(points), axis=0)))
-        largest = max([spread, *(p.size for p in self.fields)])
-        return largest or self._length_about(points[0])
-
-    def _length_about(self, place: Array) -> float:
-        """That of bodies in one place: how far away forces act or contact points spread, or else a radius of gyration."""
-        from ...mechanics.contact.contact import RigidPoints
-
-        sizes = [0.0]
-        for force in self.scene.forces.values():
-            given = (force.a, force.point_a), (force.b, force.point_b)
-            ends = [np.asarray(x, dtype=float) for _, x in given if x is not None]
-            between = not force.joined and force.coordinate is None
-            if between and any(side is ground and x is None for side, x in given):
-                ends.append(np.zeros(self.m.dim))  # the ground's own, where no point of it is given
-            sizes += [float(np.linalg.norm(x[: self.m.dim] - place)) for x in ends]
-
-        for c in self.scene.contacts.values():
-            if isinstance(c.slave, RigidPoints):
-                spread = np.ptp(c.slave.points, axis=0)
-                sizes.append(float(np.linalg.norm(spread)) + 2 * c.slave.radius)
-
-        radii = [0.0]
-        for body in self.scene.bodies.values():
-            if isinstance(body, RigidBody) and body.turns and body.mass > 0.0:
-                radii.append(float(np.sqrt(np.abs(body.inertia).max() / body.mass)))
-        return max(sizes) or max(radii) or 1.0  # 1 m where nothing has a size
+        """The characteristic length of the model, m."""
+        return model_length(self.scene, [q[: self.m.dim] for q in self.poses], [p.size for p in self.fields])
 
     # -- markers ------------------------------------------------------------------------------------------------
     def _marker(self, side: Any, point: Array | None) -> int:

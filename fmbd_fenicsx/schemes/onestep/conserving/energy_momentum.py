@@ -147,14 +147,10 @@ class EnergyMomentumStepper(StepsInParts):
         ends = self._ends(h)
         guess = self._guess(h, ends)
 
-        tried = False
-        if (
-            driver is not None
-            and means is not None
-            and not self.age.apart
-            and (self._kept is None or self._kept[0] != h)
-        ):
-            tried = True
+        # in compiled code first, but for a step that was found in parts before
+        tried = driver is not None and means is not None and not self.age.apart and self._in_one_call(h)
+        if tried:
+            assert driver is not None and means is not None
             found = means.step((s.t, s.q, s.v), h, guess, ends, old=self.age.due)
             self.newton.iterations += len(found.sizes)
             self.solver.core.factorisations += driver.new_factors()
