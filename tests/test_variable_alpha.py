@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from dae_problems import pendulum as point_pendulum
 from dae_problems import pendulum_at, spinning_top, state_errors
+from test_driver import compiled, joint_springs
 from test_field_stages import pendulum
 
 import fmbd_fenicsx as fmbd
@@ -22,6 +23,7 @@ from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.run.single_run import Task, run_once
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
+from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.stretch import parts
 from fmbd_fenicsx.schemes.onestep.alpha.variable_alpha import VariableAlpha
 from fmbd_fenicsx.system.compiled.tables.tables import Tables
@@ -275,6 +277,41 @@ def test_a_push_that_comes_and_goes_within_the_first_step_is_seen(rtol: float) -
     scene.sensor("x", fmbd.position(body))
     run = fmbd.solve(scene, t_end=10.0, scheme=fmbd.GeneralizedAlpha(rtol=rtol))
     assert run["x"][-1, 0] == pytest.approx(0.375 * 7.5, rel=10 * rtol)
+
+
+def pushed(push: Callable[[float], float]) -> fmbd.Scene:
+    """A mass without weight that a force pushes."""
+    scene = fmbd.Scene("pushed")
+    mass = fmbd.RigidBody("mass", 2.0, 0.1)
+    scene.add(mass, fmbd.force("push", mass, lambda t: (push(t), 0.0)))
+    return scene
+
+
+def test_a_push_is_seen_while_many_small_steps_are_looked_at_together() -> None:
+    """It comes after 50 steps at rest, within one whose ends know nothing of it, and is gone before the next."""
+    push = lambda t: 100.0 if 0.5041 < t < 0.5079 else 0.0  # noqa: E731
+    run = fmbd.solve(pushed(push), t_end=1.0, dt=0.01, scheme=fmbd.GeneralizedAlpha(rtol=1e-4))
+    assert run.state.v[0] == pytest.approx(100.0 * 0.0038 / 2.0, rel=0.02)
+    assert run.counters["rejected: a load within the step"] > 0
+
+
+@compiled
+def test_a_largest_step_is_kept_within_a_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where all steps are as large as they may be and nothing comes, many are made in a call: those that a look at each makes."""
+    calls, controlled = [], CompiledAlphaStepper.controlled
+    monkeypatch.setattr(CompiledAlphaStepper, "controlled", lambda *x: (made := controlled(*x), calls.append(made))[0])
+
+    def run() -> fmbd.Run:
+        calls.clear()
+        return fmbd.solve(joint_springs(2), t_end=0.5, dt=5e-4, scheme=fmbd.GeneralizedAlpha(rtol=1e-2))
+
+    once, made = run(), list(calls)
+    monkeypatch.setattr(VariableAlpha, "_look_far", lambda self, h: False)
+    turn = run()
+    assert np.array_equal(once.times, turn.times) and np.array_equal(once.state.q, turn.state.q)
+    assert once.counters["rejections"] == turn.counters["rejections"]
+    assert sum(made) > 0.9 * once.counters["steps"] > 800
+    assert len(made) < 0.05 * once.counters["steps"]
 
 
 def test_a_look_ahead_that_cannot_be_solved_is_a_step_too_large(

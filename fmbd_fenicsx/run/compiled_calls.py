@@ -47,7 +47,10 @@ class CompiledCalls:
         watched = self.shown or self.events is not None
         if watched and not self.equal:
             return 0
-        h = self.stepper.stride(self.schedule.next(self.stepper.state.t))
+        t, scheme = self.stepper.state.t, self.stepper.unwrapped
+        if not self.equal:
+            scheme.longest, scheme.until = self.schedule.largest, t + self.schedule.ahead(t)
+        h = self.stepper.stride(self.schedule.next(t))
         if not h:
             return 0
 
@@ -105,13 +108,7 @@ class CompiledCalls:
         follow.
         """
         stepper, schedule = self.stepper, self.schedule
-        t, scheme = stepper.state.t, stepper.unwrapped
-        if scheme.lands and not self.equal:
-            scheme.longest = schedule.largest
-            reach = schedule.ahead(t)
-        else:
-            reach = schedule.next(t)
-        made = stepper.march(reach, steps, Observers(tape=tape))
+        made = stepper.march(schedule.next(stepper.state.t), steps, Observers(tape=tape))
         self.local_error = max(self.local_error, stepper.local_error)
 
         # where the scheme ended it, or by number; the clock and records end calls too

@@ -63,8 +63,8 @@ class TimeStepper(Remembering):
         counters: work so far and statistics, name -> number, for the report.
         path: who makes the steps, for the report.
         compiled_whole: its steps are compiled from end to end, and ask for no evaluations.
-        lands: :meth:`march` under error control may be told how far it is to a time that is to be hit, at which it ends.
-        longest: the most that each step of such a march may be (s).
+        longest: the most that a step of :meth:`march` under error control may be, s.
+        until: when such a march ends, as it hits that time, s.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
         keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
     """
@@ -73,8 +73,8 @@ class TimeStepper(Remembering):
     local_error: float = 0.0
     path: str = "NumPy"
     compiled_whole: bool = False
-    lands: bool = False
     longest: float = inf
+    until: float = -inf
     keeps_memories: bool = False
 
     @property

@@ -35,7 +35,6 @@ class ImplicitMarch(MarchingStepper):
     """
 
     leaves_masses = False
-    lands = True
     slow: float
     longer: ClassVar[float] = 1.0  # see implicit.c
     scheme: Any
@@ -160,11 +159,10 @@ class ImplicitMarch(MarchingStepper):
     def _lend_own(self, own: OwnRoom) -> None:
         """What error control has seen so far, and where the steps of a call end."""
         assert self.proposed is not None
-        control, norm, t, (reach, count) = self.control, self.norm, self.state.t, self._ahead
-        limit = min(reach, self.longest)
+        control, norm, t, (limit, count) = self.control, self.norm, self.state.t, self._ahead
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
-        own.c.until, own.c.longest, own.c.tiny = t + reach, self.longest, control.tiny
+        own.c.until, own.c.longest, own.c.tiny = max(self.until, t + limit), self.longest, control.tiny
         own.c.worst, own.c.refused = 0.0, 0.0
         own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
 

@@ -25,7 +25,8 @@ class Stay:
 
     ``place``: the present one, in steps of h; ``count`` of them are a ``stretch`` (s), up to ``end`` (s);
     ``ratio``: of the next larger size, which begins at its multiples, 0 without one;
-    ``keeps``: share of h that a proposal must have; ``calm``: error below which loads are looked at; ``until``: a time, s;
+    ``keeps``: share of h that a proposal must have; ``calm``: error below which loads are looked at behind the time ``quiet``;
+    ``until``: a time, s;
     ``peak``: the largest error of late.
     """
 
@@ -36,6 +37,7 @@ class Stay:
     ratio: int
     keeps: float
     calm: float
+    quiet: float
     until: float
     peak: float
 
@@ -77,7 +79,7 @@ class CompiledControl:
         c.way, c.error, c.largest, c.peak = norm.way, control.error_old, 0.0, stay.peak
 
         c.place, c.count, c.stretch, c.end = stay.place, stay.count, stay.stretch, stay.end
-        c.ratio, c.calm, c.until = stay.ratio, stay.calm, stay.until
+        c.ratio, c.calm, c.quiet, c.until = stay.ratio, stay.calm, stay.quiet, stay.until
         c.high = min(control.pressure(stay.keeps), 1.0)
         c.low = control.pressure(stay.ratio) if stay.ratio else 0.0
 

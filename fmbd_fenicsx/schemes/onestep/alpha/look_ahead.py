@@ -53,16 +53,14 @@ class LookAhead:
         if not system.n_lam:
             return h
         ways = h * np.sort(np.concatenate((FINER, LOOKS, (1.0,))))
-        held = [np.tile(x, (1 + len(ways), 1)) for x in (s.q, np.zeros_like(s.v))]
-        states = system.batch(s.t + np.concatenate(([0.0], ways)), *held)
-        now, *later = states.constraint()
-        if not (np.array(later) - now).any():
+        moved = self._driven(s, ways)
+        if not moved.any():
             return h
 
         at_rest = system.at(s.t, s.q, np.zeros_like(s.v))
         rates = at_rest.opening(), at_rest.gamma()
         parabola = ways[:, None] * rates[0] + 0.5 * ways[:, None] ** 2 * rates[1]
-        missed = 0.5 * np.abs(system.row_units * (np.array(later) - now - parabola)).max(axis=1)
+        missed = 0.5 * np.abs(system.row_units * (moved - parabola)).max(axis=1)
         errors = self.norm.of_lengths(missed)
 
         # steps that follow all up to their end, or what errors of third order tell
@@ -72,21 +70,37 @@ class LookAhead:
         foretold = float((ways * np.maximum(errors, 1.0) ** (-1.0 / 3.0)).min())
         return max(SAFETY * foretold, float(ways[followed - 1]) if followed else 0.0)
 
-    def loads(self, s: State, h: float) -> float:
-        """The norm of (1) for a step of size h (s), or the way of (3) over the length of the model where that is above one."""
-        # all at once, with the state held
-        shares = np.array([0.0, *LOOKS, 1.0])
-        q, v, a, lam = (np.tile(x, (len(shares), 1)) for x in (s.q, s.v, s.a, s.lam))
-        first, *inner, last = self.system.batch(s.t + h * shares, q, v).balance(a, lam)
+    def drives(self, s: State, h: float, steps: int) -> bool:
+        """Whether what drives prescribe depends on time within so many steps of size h (s)."""
+        return bool(self.system.n_lam and self._driven(s, h * _shares(steps)).any())
 
-        way = self._at_most(s, h, 0.5 * h * h * (last - first), self._way)
+    def _driven(self, s: State, ways: Array) -> Array:
+        """By how much constraints open in times (s) from now, the state held, (n, n_lam)."""
+        held = [np.tile(x, (1 + len(ways), 1)) for x in (s.q, np.zeros_like(s.v))]
+        now, *later = self.system.batch(s.t + np.concatenate(([0.0], ways)), *held).constraint()
+        return np.array(later) - now
+
+    def loads(self, s: State, h: float, steps: int = 1) -> float:
+        """The norm of (1) for the worst of so many steps of size h (s), or the way of (3) over the length of the model where that
+        is above one.
+        """
+        # all at once, with the state held
+        shares = _shares(steps)
+        q, v, a, lam = (np.tile(x, (len(shares), 1)) for x in (s.q, s.v, s.a, s.lam))
+        forces = np.array(self.system.batch(s.t + h * shares, q, v).balance(a, lam))
+        looked = forces[:-1].reshape(steps, 1 + len(LOOKS), -1)
+        ends = np.concatenate((looked[:, 0], forces[-1:]))
+        jumps = np.diff(ends, axis=0)
+
+        way = self._at_most(s, h, 0.5 * h * h * _largest(jumps), self._way)
         if way > 1.0:
             return way
 
-        between = [f - (1.0 - k) * first - k * last for k, f in zip(LOOKS, inner, strict=True)]
+        shares = np.array(LOOKS)[:, None]
+        between = looked[:, 1:] - (1.0 - shares) * ends[:-1, None] - shares * ends[1:, None]
         # what the ends of the step differ by is seen by the error of the step
-        unseen = [np.sign(f) * np.maximum(np.abs(f) - np.abs(last - first), 0.0) for f in between]
-        worst = h * h / 6.0 * max(unseen, key=lambda f: float(np.abs(f).max(initial=0.0)))
+        unseen = np.sign(between) * np.maximum(np.abs(between) - np.abs(jumps[:, None]), 0.0)
+        worst = h * h / 6.0 * _largest(unseen.reshape(-1, forces.shape[1]))
         self.norm.update(s, h)
         return self._at_most(s, h, worst, lambda e: self.norm(h, e, np.zeros_like(e)))
 
@@ -108,3 +122,14 @@ class LookAhead:
         ev.forces = s.a, s.lam
         self.solver.prepare(ev, weights)
         return self.solver.solve(force, np.zeros(self.system.n_lam))[0]
+
+
+def _shares(steps: int) -> Array:
+    """Where in so many steps loads and drives are looked at, in steps; the ends of all are among these."""
+    each = np.array([0.0, *LOOKS])
+    return np.append((np.arange(float(steps))[:, None] + each).ravel(), steps)
+
+
+def _largest(forces: Array) -> Array:
+    """The row with the largest entry."""
+    return np.asarray(forces[np.abs(forces).max(axis=1, initial=0.0).argmax()])

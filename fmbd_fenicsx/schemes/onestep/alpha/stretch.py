@@ -50,6 +50,20 @@ class Stretch(Remembering):
             self.length = left
         self.done, self.end = Fraction(0), t + left
 
+    def go_on(self, made: int, level: int) -> None:
+        """So many parts of a level are done, in this stretch and in others as long behind it."""
+        count = parts(level)
+        done = int(self.done * count) + made
+        while done > count:
+            done -= count
+            self.end += self.length
+        self.done = Fraction(done, count)
+
+    def left(self, level: int, until: float) -> int:
+        """How many parts of a level there are up to the end of the last of such stretches that ends at a time (s) or before."""
+        more = max(int((until - self.end) / self.length * (1 + SAME) + SAME), 0)
+        return int((1 + more - self.done) * parts(level))
+
     def size(self, level: int) -> float:
         """Of the parts of a level, s."""
         return self.length / parts(level)

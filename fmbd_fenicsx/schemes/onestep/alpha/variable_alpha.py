@@ -45,7 +45,7 @@ from ...newton import Newton
 from ...stepping import UNOBSERVED, Observers, TimeStepper
 from .look_ahead import LookAhead
 from .size_change import SizeChange
-from .stretch import Stretch, parts
+from .stretch import SAME, Stretch, parts
 
 if TYPE_CHECKING:
     from ....system.compiled.tape import Openness, Tape
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 
 KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
 CALM = 0.01  # errors of late over what is allowed, below which nothing happens
+FARTHEST = 64  # steps whose loads are looked at together
 # share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
 KEEPS = 0.93
 
@@ -67,7 +68,7 @@ class VariableAlpha(TimeStepper):
         "control": plain(StepControl),
         "stats": plain(Statistics),
         "stretch": worker,
-        **dict.fromkeys(("proposed", "size", "largest", "local_error", "error", "peak"), plain()),
+        **dict.fromkeys(("proposed", "size", "largest", "quiet", "far", "local_error", "error", "peak"), plain()),
     }
 
     def __init__(
@@ -93,6 +94,8 @@ class VariableAlpha(TimeStepper):
         self.size: float | None = None  # of the last step, s
         self._seen: tuple[State, Evaluation] | None = None
         self.largest = 0.0  # step in which loads were looked at, s
+        self.quiet = 0.0, -np.inf  # size of steps that were looked at ahead, and until when, s
+        self.far = 1  # of how many steps loads are looked at next
 
         # sizes come back: factors of the last few are kept
         solver.elastic.kept = max(solver.elastic.kept, KEPT)
@@ -162,7 +165,7 @@ class VariableAlpha(TimeStepper):
             level = self.stretch.coarsest(min(self.proposed, farthest), s.t)
             h = self.stretch.size(level)
             moves(s.t, h)
-            if not self._is_looked_at(h):
+            if not (self._is_looked_at(h) or self._look_far(h)):
                 farthest = min(farthest, self.look.farthest(s, h))
                 if farthest < h:
                     continue
@@ -180,11 +183,12 @@ class VariableAlpha(TimeStepper):
             self.proposed = min(self.control.rejected(s.t, h, error, cause), 0.9 * h)
 
         self.local_error, self.peak = error, max(error, FADING * self.peak)
-        self._count(h, error, Fraction(1, parts(level)))
+        self._count(h, error)
+        self.stretch.go_on(1, level)
         return self.state
 
-    def _count(self, h: float, error: float, way: Fraction, steps: int = 1) -> None:
-        """So many accepted steps of size h (s), which are a share of the stretch; the error of the newest."""
+    def _count(self, h: float, error: float, steps: int = 1) -> None:
+        """So many accepted steps of size h (s); the error of the newest."""
         self.stats.steps += steps
         self.error, self.proposed = error, self.control.accepted(h, error)
         # errors of vibrations pass through zero: no sign that larger steps will do
@@ -192,7 +196,6 @@ class VariableAlpha(TimeStepper):
             self.proposed = max(h, min(self.proposed, self.control.largest(h, self.peak)))
         if KEEPS * h <= self.proposed < h:  # the next smaller size is a half or a third
             self.proposed = h
-        self.stretch.done += way
 
     def _losing(self, h: float, failure: LinearSolveError) -> str:
         """A step of size h (s) in which M is lost beside s K, and with it the motion of a free body: how that is counted."""
@@ -225,7 +228,23 @@ class VariableAlpha(TimeStepper):
 
     def _is_looked_at(self, h: float) -> bool:
         """Whether loads within a step of size h (s) need no look."""
-        return h <= self.largest and self.peak > CALM
+        looked_ahead = self.state.t + h <= self._quiet_for(h)
+        return looked_ahead or (h <= self.largest and self.peak > CALM)
+
+    def _quiet_for(self, h: float) -> float:
+        """Up to when loads within steps of size h (s) have been looked at, s."""
+        size, end = self.quiet
+        return end if h == size else -np.inf
+
+    def _look_far(self, h: float) -> bool:
+        """Whether nothing comes within several steps of size h (s), twice as many as the last time."""
+        s, left = self.state, max(self.until - self.state.t, 0.0)
+        steps = int(min(self.far, left / h))
+        if steps < 2 or self.look.drives(s, h, steps) or not self.look.loads(s, h, steps) <= 1.0:
+            self.far = 1 if self.far > 1 else 2  # the step behind one that failed is looked at alone
+            return False
+        self.quiet, self.far = (h, s.t + steps * h * (1 + SAME)), min(2 * self.far, FARTHEST)
+        return True
 
     # -- many steps in compiled code ------------------------------------------------------------------------------------
     def stride(self, h: float) -> float:
@@ -256,20 +275,20 @@ class VariableAlpha(TimeStepper):
         level = self._next_level(h)
         if level is None:
             return 0
-        count, size = parts(level), self.stretch.size(level)
-        place = int(self.stretch.done * count)
-        steps = int(min(steps, count - place, whole_steps(self.system, self.state.t, size)))
+        size, left = self.stretch.size(level), self.stretch.left(level, self.until)
+        steps = int(min(steps, left, whole_steps(self.system, self.state.t, size)))
         if steps <= 0:
             return 0
 
         control = self._control()
-        control.lend(self._stay(level, place))
+        control.lend(self._stay(level))
         made: int = self.inner.controlled(size, steps, control, observers)
         if made:
             control.take()
             self.peak = control.c.peak
             self.local_error = max(self.local_error, control.c.largest)
-            self._count(size, control.c.error, Fraction(made, count), made)
+            self._count(size, control.c.error, made)
+            self.stretch.go_on(made, level)
             self._arrive(self.stretch.done)
         return made
 
@@ -281,8 +300,8 @@ class VariableAlpha(TimeStepper):
             self._compiled = CompiledControl(self.norm, self.control)
         return self._compiled
 
-    def _stay(self, level: int, place: int) -> Stay:
-        """Up to when steps keep the present size, that of the parts of a level, of which ``place`` are behind."""
+    def _stay(self, level: int) -> Stay:
+        """Up to when steps keep the present size, that of the parts of a level."""
         from .compiled_control import Stay
 
         stretch, count = self.stretch, parts(level)
@@ -290,7 +309,8 @@ class VariableAlpha(TimeStepper):
         if ratio and stretch.loses(stretch.size(level - 1), self.state.t):
             assert stretch.lost is not None
             ratio, until = 0, stretch.lost[1]
-        return Stay(place, count, stretch.length, stretch.end, ratio, KEEPS, CALM, until, self.peak)
+        place, quiet = int(stretch.done * count), self._quiet_for(stretch.size(level))
+        return Stay(place, count, stretch.length, stretch.end, ratio, KEEPS, CALM, quiet, until, self.peak)
 
     @property
     def path(self) -> str:  # type: ignore[override]

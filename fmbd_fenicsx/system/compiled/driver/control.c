@@ -86,8 +86,12 @@ static int judged(System *s, const double *p, Control *c, const Block *now, cons
 }
 
 /* Give an accepted state the time that the parts of the stretch tell. */
-static void arrive(const Control *c, Block *out)
+static void arrive(Control *c, Block *out)
 {
+    if (c->place == c->count) { /* the next one is as long */
+        c->place = 0;
+        c->end += c->stretch;
+    }
     *out->t = c->end - c->stretch * ((double)(c->count - c->place - 1) / (double)c->count);
 }
 
@@ -96,6 +100,7 @@ static int stays(const double *p, Control *c, const Block *now)
 {
     double pressure = fmax(c->error, c->error * c->error / c->before), far = farthest_turn((int)c->frames, c->turn, 1.0, now);
     c->place++;
-    if (pressure > c->high || c->peak <= c->calm || p[H] > far || *now->t >= c->until) return 0;
+    int unseen = c->peak <= c->calm && *now->t + p[H] > c->quiet;
+    if (pressure > c->high || unseen || p[H] > far || *now->t >= c->until) return 0;
     return !(c->ratio && c->place % c->ratio == 0 && fmax(pressure, c->peak) <= c->low && c->ratio * p[H] <= far);
 }

@@ -302,6 +302,7 @@ typedef struct {
     long count;                        /* of steps of this size in the stretch */
     double stretch, end;               /* its length and its end, s */
     double calm, floor, turn, until;   /* error below which nothing happens; least error that is remembered; rad; s */
+    double quiet;                      /* up to when loads have been looked at, s */
     double error, before, largest;     /* of the newest step, of the one before, of all of a march */
     double peak, fading;               /* the largest of late, which fades by this factor from step to step */
     double *e, *y, *a, *missed;        /* work: like v, the rows, like v twice */
