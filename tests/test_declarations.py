@@ -12,13 +12,13 @@ import pytest
 
 from fmbd_fenicsx.linear.blocks.complex_factor import Symmetric
 from fmbd_fenicsx.schemes.impacts import contact_structures as contact
-from fmbd_fenicsx.system.compiled import declarations, implicit, march, recording
+from fmbd_fenicsx.system.compiled import declarations, implicit, march, tape
 from fmbd_fenicsx.system.compiled.library import CONTACT, CORE, _source
 from fmbd_fenicsx.system.compiled.states import convergence, field_stages, stage_patterns, stages
 from fmbd_fenicsx.system.compiled.tables.structures import structure
 
 OF_TABLES = "Surface Body Told Field Batch Front Angle Rod Reaction Deflection Control System".split()
-OF_CORE: dict[str, Any] = {"Symmetric": Symmetric, "Closed": march._Closed, "Tape": recording._Tape}
+OF_CORE: dict[str, Any] = {"Symmetric": Symmetric, "Closed": march._Closed, "Tape": tape._Tape}
 OF_IMPLICIT: dict[str, Any] = {
     "Implicit": implicit.Implicit, "OwnSteps": implicit.OwnSteps, "Orders": implicit.Orders,
     "Convergence": convergence.Convergence, "Sparse": stages.SparseRows, "Lower": stages.Lower, "Stages": stages.Stages,
