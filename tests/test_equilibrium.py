@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
@@ -127,6 +128,23 @@ def test_large_deflection_of_an_absolute_rod(rod_mesh: Any) -> None:
         assert np.abs(found["force"][:2]) == pytest.approx((0.0, 100.0), abs=1e-5)
     assert ends[0][1] < -0.3
     assert np.abs(ends[0] - ends[1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("strain", [0.0002, 0.02, 0.2])
+def test_a_body_whose_initial_strain_would_buckle_it_takes_its_length(rod_mesh: Any, strain: float) -> None:
+    """Where it starts the strip is compressed so much that it buckles: the stiffness there is not positive, nor a time unit."""
+
+    def energy(u: Any, dx: Any) -> Any:
+        one = ufl.Identity(2)
+        F = one + ufl.grad(u)
+        green = 0.5 * (F.T * F - one) - strain * one
+        return 0.5e6 * ufl.inner(green, green) * dx
+
+    body = fmbd.AbsoluteBody("strip", rod_mesh(dim=2, h=0.1), density=1e3, energy=energy)
+    scene = fmbd.Scene("swollen")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("pin")))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    assert fmbd.equilibrium(scene)["tip"][0] == pytest.approx(np.sqrt(1 + 2 * strain), rel=1e-9)
 
 
 def test_bad_input() -> None:

@@ -88,7 +88,7 @@ class StaticNewton:
             try:
                 return make()
             except LinearSolveError:
-                if self.tau < least:
+                if not self.tau >= least:  # what is no number is not above it either
                     raise
                 self.last_at_most(self.tau / 3.0)
 

@@ -24,7 +24,8 @@ def long_step(system: System, start: State, spin: Spin | BodySpin | None, *, bal
     # long against a pendulum's period, and against the first vibrations of elastic bodies
     taus = [PENDULUM * float(np.sqrt(system.length / pull))] if pull else []
     taus += [
-        PERIODS / float(np.sqrt(first_eigenvalue_bound(p.field)))
+        # less than nothing where prestress makes the body buckle: so it does as fast
+        PERIODS / float(np.sqrt(abs(first_eigenvalue_bound(p.field))))
         for _, p in system.fields
         if isinstance(p.field, Field)
     ]
