@@ -233,8 +233,8 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
     topology.create_connectivity(d, d - 1)
     if topology.cell_name() not in ("triangle", "quadrilateral", "tetrahedron"):
         raise MeshError(
-            f"it has the faces of {topology.cell_name()}s; multiplier fields and ties need edges, or triangles. Mesh the body "
-            "with tetrahedra, or hold the mean of the surface by a joint, as fmbd.fixed does."
+            f"it has the faces of {topology.cell_name()}s; multiplier fields, ties and contact of two elastic surfaces need "
+            "edges, or triangles. Mesh the body with tetrahedra, or hold the mean of the surface by a joint, as fmbd.fixed does."
         )
 
     # own facets of the surface that lie on the boundary
@@ -291,8 +291,8 @@ def _reference_order(x: Array, degree: int) -> np.ndarray:
     off = distance.min(axis=2).max(axis=1)
     if (np.sort(order, axis=1) != np.arange(k)).any() or (off > STRAIGHT * size).any():
         raise MeshError(
-            f"its facets are curved (nodes are up to {(off / size).max():.2g} of their size off); multiplier fields and ties "
-            "need straight ones. Mesh the surface with cells of the first order."
+            f"its facets are curved (nodes are up to {(off / size).max():.2g} of their size off); multiplier fields, ties "
+            "and contact of two elastic surfaces need straight ones. Mesh the surface with cells of the first order."
         )
     return np.asarray(order)
 
