@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..rotations import Array
+from ..system.compiled.states.field_states import FactoredFieldStates
 from ..system.evaluation import Evaluation
 from ..system.serialisation import Remembering, plain
 from ..system.system import System
@@ -44,6 +45,13 @@ class FrequencySolver:
         """For the matrix of a frequency."""
         used = s if s.imag else s.real
         return cls(solver, Weights(1.0, 1.0 / used, 1.0 / used**2), exact)
+
+    @property
+    def tables(self) -> FactoredFieldStates | None:
+        """Those of compiled code that have the matrix prepared last; None where it is NumPy's."""
+        driver = self.solver.driver
+        states = driver.states if driver is not None and driver.ready else None
+        return states if isinstance(states, FactoredFieldStates) else None
 
     def prepare(self, ev: Evaluation) -> None:
         """The matrix of a configuration, unless it is there; collective."""
@@ -82,7 +90,15 @@ class FrequencySolvers(Remembering):
 
     def expect(self, s: Array) -> None:
         """Frequencies (p,) that every step will ask for: they get their own factors at once."""
-        self.asked += [(complex(x), SETTLED) for x in s]
+        for x in s:
+            first, _ = self._noted(complex(x))
+            self.asked[-1] = first, max(SETTLED, self.asked[-1][1])
+
+    def settled(self, s: complex) -> bool:
+        """Whether who asks for a frequency next gets its own factors; this is no such question."""
+        nearest = self._on_grid(abs(s))
+        known = max((count for known, count in self.asked if abs(known - s) <= SAME * abs(s)), default=0)
+        return self.settles and (abs(s - nearest) <= SAME * nearest or known >= SETTLED)
 
     def _noted(self, s: complex) -> tuple[complex, int]:
         """A frequency as it was asked for first, and how often it has been, with this time."""

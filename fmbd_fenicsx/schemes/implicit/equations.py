@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
@@ -53,6 +54,11 @@ class Equations(Remembering):
     def step_size(self, h: float) -> float:
         """The size (s) that a step of about h has."""
         return h
+
+    @property
+    def size_grid(self) -> dict[str, float]:
+        """The sizes that steps keep to, as own_steps.c has them; none: any size will do."""
+        return {}
 
     def metric_of(self, h: float) -> Weights:
         """The matrix of a step of h (s), in which motions are least that do not bend what is stiff there."""
@@ -137,9 +143,14 @@ class Equations(Remembering):
         """Room for so many points of them."""
         raise NotImplementedError
 
-    def lend(self, room: Any, state: State, tangent: Any) -> None:
-        """What they begin with in a state: the tangent that serves on, None without any."""
+    def lend(self, room: Any, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
+        """What they begin with in a state: the tangent that serves on, None without any; ``matrices``: who lends those that
+        compiled code asks for.
+        """
         raise NotImplementedError
+
+    def lend_matrices(self, room: Any, state: State, s: Array) -> None:
+        """Give compiled code the matrices of the frequencies s (p,) at a state; LinearSolveError where it goes without."""
 
     def kept(self, room: Any, judge: Judge, *, known: bool) -> tuple[Any, Any]:
         """Tangent and factors that they have left, where they are ``known`` to serve on."""

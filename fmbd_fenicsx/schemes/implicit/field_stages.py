@@ -17,12 +17,14 @@ Source of the forms: :mod:`..dae`. Newton-Krylov methods: Knoll and Keyes, doi:1
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ...errors import LinearSolveError
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...linear.frequency_solvers import DECADE, FrequencySolver, FrequencySolvers
@@ -136,7 +138,6 @@ class FieldEquations(Equations):
         self._motions: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
         self._room: FieldStageRoom | None = None
         self._lent: list[FrequencySolver] = []  # who solves in whole steps, and for which frequencies
-        self._lent_for: Array = np.zeros(0)
 
     @property
     def counters(self) -> dict[str, float]:
@@ -162,12 +163,12 @@ class FieldEquations(Equations):
         return m("h", h), m.like_q("q", q), m.like_v("v", v), points
 
     # -- residuals ----------------------------------------------------------------------------------------------
-    def begin(self, state: State) -> None:
-        """Local coordinates about the state."""
+    def begin(self, state: State, *, closed: bool = True) -> None:
+        """Local coordinates about the state; ``closed``: with :meth:`consistent_start`, where that is asked for."""
         if self._begun is not state:
             self._begun, self._basis = state, None
             self._last_metric = self.metric
-            if self._estimates:  # while the matrix is at hand
+            if self._estimates and closed:  # while the matrix is at hand
                 self.consistent_start(state)
         self.origin = state.q
 
@@ -181,6 +182,16 @@ class FieldEquations(Equations):
             self.size_anchor = h
         places = np.floor(DECADE * np.log10(ROUNDED_UP * h / self.size_anchor))
         return float(self.size_anchor * 10.0 ** (places / DECADE))
+
+    @property
+    def size_grid(self) -> dict[str, float]:
+        """As :meth:`Equations.size_grid`."""
+        return {"first": self.size_anchor or 0.0, "places_of_decade": DECADE, "longer": ROUNDED_UP}
+
+    def expect(self, s: Array) -> None:
+        """Frequencies s (p,) get factors of their own at once."""
+        self.solvers.settles = True
+        self.solvers.expect(s)
 
     def metric_of(self, h: float) -> Weights:
         """The one that is at hand."""
@@ -289,7 +300,7 @@ class FieldEquations(Equations):
 
     def solves_for(self, s: Array) -> bool:
         """As :meth:`Equations.solves_for`: matrices are those of the frequencies, in tables of their own; N is of a real one."""
-        self._lent, self._lent_for = self._solvers_of(s), s
+        self._lent = self._solvers_of(s)
         real = [by.weights.real for by in self._lent]
         apart = len(set(real)) == len(real) and (self.levels < 2 or any(real))
         return apart and all(by.exact for by in self._lent)
@@ -307,20 +318,27 @@ class FieldEquations(Equations):
         assert room is not None
         return room
 
-    def lend(self, room: FieldStageRoom, state: State, tangent: Any) -> None:
-        """As :meth:`Equations.lend`: the matrices of the frequencies, which steps make anew. Solutions are not iterated on
-        there: an increment more is cheaper.
-        """
+    def lend(self, room: FieldStageRoom, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
+        """As :meth:`Equations.lend`: steps take derivatives of their own, and ask for the matrices of their frequencies."""
+        self.begin(state, closed=False)
+        known = room.lent and self.metric in [by.weights for by in self._lent]
+        room.begin(matrices, self.consistent_start(state) if self._estimates and not known else None)
+
+    def lend_matrices(self, room: FieldStageRoom, state: State, s: Array) -> None:
+        """As :meth:`Equations.lend_matrices`. Solutions are not iterated on there: an increment more is cheaper."""
+        if not (all(self.solvers.settled(complex(x)) for x in s) and self.solves_for(s)):
+            raise LinearSolveError("frequencies that come once have no factors.")
         ev = self.system.at(state.t, state.q, state.v)
         ev.balance(state.a, state.lam)
         for by in reversed(self._lent):  # complex ones look at rows with the tables of real ones
             by.prepare(ev)
             if by.weights.real:
                 self.metric = by.weights
-        drivers = [by.solver.driver for by in self._lent]
-        ready = [None if driver is None or not driver.ready else driver.states for driver in drivers]
-        room.solve_by(self._lent_for, ready, np.zeros(len(ready)), np.inf)
-        for states in filter(None, ready):
+        ready = [tables for by in self._lent if (tables := by.tables) is not None]
+        if len(ready) < len(s):
+            raise LinearSolveError("the matrix of a frequency is NumPy's.")
+        room.solve_by(s, ready, np.zeros(len(s)), np.inf)
+        for states in ready:
             states.hold(None)
 
     def prepare(self, ev: Evaluation, weights: Weights) -> None:

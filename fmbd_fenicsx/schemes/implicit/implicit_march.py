@@ -82,10 +82,14 @@ class ImplicitMarch(MarchingStepper):
             "index": form.index, "places": 0 in form.levels, "rtol": norm.rtol, "atol": norm.atol or 0.0, "length": length,
             "turn": TURN, "safety": self.control.safety, "harsh": harsh, "mild": mild, "patience": PATIENCE,
         }  # fmt: skip
-        return OwnRoom(self.system, norm.deforming, {**common, **numbers}, error=error, orders=orders)
+        return OwnRoom(self._twin, norm.deforming, {**common, **numbers}, error=error, orders=orders)
 
     def _frequencies(self, h: float) -> Array:
         """Those of steps of constant size h (s)."""
+        raise NotImplementedError
+
+    def _lend_matrices(self, key: float) -> None:
+        """Those of what factors are for, as compiled code says it."""
         raise NotImplementedError
 
     # -- steps --------------------------------------------------------------------------------------------------------------
@@ -112,7 +116,9 @@ class ImplicitMarch(MarchingStepper):
         """Whether compiled code may choose the next step."""
         # samples of controllers are taken between steps
         sampled = whole_steps(self.system, self.state.t, 1.0) < np.inf
-        known = self.proposed is not None and not sampled and not self.system.fields
+        # matrices of fields leave no means of rods beside their rigid motions
+        weighed = not (self.system.fields and self.system.elements)
+        known = self.proposed is not None and not sampled and weighed
         return known and not (self._refused is not None and self._refused[0] is self.state)
 
     def _made(self, h: float, count: int, most: float, judges: Any) -> int:
@@ -146,7 +152,7 @@ class ImplicitMarch(MarchingStepper):
         stages, pencil = lent.stages, self._pencil
         factored = isinstance(pencil, SparsePencil) and pencil.room is stages
         lent.c.factored = self._factored_for() if factored else 0.0
-        self.eq.lend(stages, self.state, self._tangent)
+        self.eq.lend(stages, self.state, self._tangent, self._lend_matrices)
         convergence, rule = self._settings()
         convergence.accurate = self.judge.tolerance
         stages.lend(rule, np.ones((3, 1)))

@@ -165,8 +165,7 @@ class FieldStages:
         assert room is not None
         for by in reversed(self.by):  # complex ones look at rows with the tables of real ones
             by.prepare(self.t.ev)
-        drivers = [by.solver.driver for by in self.by]
-        solvers = [driver.states for driver in drivers if driver is not None and driver.ready]
+        solvers = [tables for by in self.by if (tables := by.tables) is not None]
         if len(set(map(id, solvers))) < len(self.by):  # matrices of some are NumPy's, or share their tables
             return
         room.solve_by(np.array(self.s), solvers, self.before, SLOW)

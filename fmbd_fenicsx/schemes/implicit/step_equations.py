@@ -6,6 +6,7 @@ They are (1), (2) of :mod:`..dae`, with efforts of stiff springs as unknowns bes
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -95,7 +96,7 @@ class StepEquations(Equations):
         assert isinstance(self.tangents, SparseTangents)
         return self.tangents.room(frequencies, points)
 
-    def lend(self, room: StageRoom, state: State, tangent: Any) -> None:
+    def lend(self, room: StageRoom, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
         """As :meth:`Equations.lend`."""
         assert isinstance(self.tangents, SparseTangents)
         if tangent is not None and tangent is not room.tangent:

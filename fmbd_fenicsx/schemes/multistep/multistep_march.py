@@ -101,6 +101,11 @@ class MultistepMarch(ImplicitStepper):
         times = self.state.t + h, *(x.t for x in self.past[: self.scheme.order])
         return slopes_at_first(np.array(times))[:1]
 
+    def _lend_matrices(self, frequency: float) -> None:
+        assert self._lent is not None
+        self.eq.expect(np.array([frequency]))
+        self.eq.lend_matrices(self._lent.stages, self.state, np.array([frequency]))
+
     def _lend_own(self, own: OwnRoom) -> None:
         super()._lend_own(own)
         assert own.orders is not None

@@ -58,7 +58,7 @@ class StageMarch(ImplicitStepper):
         control = self.control
         own = self._own_room(
             error=tab.error, turning=self.turning, order=control.order, shrink=control.shrink, grow=control.grow,
-            least=LEAST_ERROR, most=2.0 * self.newton.max_iterations,
+            least=LEAST_ERROR, most=2.0 * self.newton.max_iterations, **self.eq.size_grid,
         )  # fmt: skip
         return ImplicitRoom(stages, coefficients, own=own)
 
@@ -80,6 +80,10 @@ class StageMarch(ImplicitStepper):
 
     def _frequencies(self, h: float) -> Array:
         return self.tab.values / h
+
+    def _lend_matrices(self, h: float) -> None:
+        assert self._lent is not None
+        self.eq.lend_matrices(self._lent.stages, self.state, self._frequencies(h))
 
     # -- what it leaves ---------------------------------------------------------------------------------------------
     def _take_march(self, march: March, made: int) -> None:

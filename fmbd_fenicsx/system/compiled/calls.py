@@ -26,7 +26,16 @@ ASKED = enumeration("SAMPLE")  # what C asks for
 OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer
 WHOLE_SAMPLE, PLACES, RATES = enumeration("WHOLE_SAMPLE").values()
 NUMPYS = tuple(
-    ASKED[what] for what in ("FIELD", "FIELD_FORCES", "FIELD_MEANS", "FIELD_TANGENTS", "PART_FORCES", "PART_TANGENTS")
+    ASKED[what]
+    for what in (
+        "FIELD",
+        "FIELD_FORCES",
+        "FIELD_MEANS",
+        "FIELD_TANGENTS",
+        "PART_FORCES",
+        "PART_TANGENTS",
+        "FREQUENCIES",
+    )
 )  # where these fail NumPy makes the step
 
 
@@ -123,6 +132,7 @@ class Calls:
             "FIELD_MEANS": lambda number, t: tables.fields[number].mean_forces(t),
             "FIELD_ENERGIES": lambda number, t: tables.fields[number].energies(t),
             "FIELD_TANGENTS": lambda number, t: tables.renew_fields(t),
+            "FREQUENCIES": lambda number, key: tables.frequencies(key),
             "PART_FORCES": lambda number, t: tables.told[number].forces(t),
             "PART_ENERGIES": lambda number, t: tables.told[number].energies(t),
             "PART_TANGENTS": lambda number, t: tables.told[number].tangents(t),

@@ -10,11 +10,11 @@ import numpy as np
 
 from ...kernel_cache import address_of
 from ...rotations import Array
-from ..system import System
 from .declarations import enumeration, fields_of
 from .states.convergence import Convergence
 from .states.stages import PointRoom
 from .tables.deflections import deflections_of
+from .tables.resting import Twin
 from .tables.structures import Store
 
 # what a state keeps first
@@ -54,14 +54,16 @@ class OwnRoom:
 
     def __init__(
         self,
-        system: System,
+        twin: Twin,
         deforming: list[tuple[int, Any]],
         numbers: Mapping[str, float],
         *,
         error: Array | None = None,
         orders: Orders | None = None,
     ) -> None:
-        self._store, self.orders = Store(), orders
+        self._store, self.orders, self._twin = Store(), orders, twin
+        system, own = twin.system, twin.original
+        self._fields = own.n_v - own.n_core  # coordinates
         self._deflections = deflections_of(system, deforming, self._store)
         self._arrays = {name: self._store.zeros({name: system.n_v})[name] for name in ("sizes", "speeds", "scale")}
         self.c = OwnSteps(
@@ -74,13 +76,15 @@ class OwnRoom:
 
     def lend(self, sizes: Array, speeds: Array, deflections: Array) -> None:
         """The largest sizes so far."""
-        self._arrays["sizes"][0][:], self._arrays["speeds"][0][:] = sizes, speeds
+        for name, values in (("sizes", sizes), ("speeds", speeds)):
+            self._arrays[name][0][:] = self._twin.velocities(np.append(values, np.zeros(self._fields)))
         for one, size in zip(self._deflections, deflections, strict=True):
             one.size = size
 
     def told(self) -> tuple[Array, Array, Array]:
         """The same behind a march."""
-        sizes, speeds = (self._arrays[name][0].copy() for name in ("sizes", "speeds"))
+        core = self._twin.original.n_core
+        sizes, speeds = (self._twin.forces(self._arrays[name][0])[:core].copy() for name in ("sizes", "speeds"))
         return sizes, speeds, np.array([one.size for one in self._deflections])
 
 

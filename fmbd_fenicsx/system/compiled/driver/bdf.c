@@ -118,17 +118,14 @@ static void remember_value(const System *s, const Implicit *o, const Block *now,
 }
 
 /* Factors for the frequency c_0 of a step; those of steps that error control chooses serve others too, by a correction. */
-static int point_factors(Implicit *o, double c0, double *work)
+static int point_factors(System *s, Implicit *o, double c0, double *work)
 {
     Stages *g = o->stages;
-    const double ratio = o->factored > 0.0 ? c0 / o->factored : 0.0;
-    if (o->own && ratio >= o->own->orders->nearest && ratio <= o->own->orders->farthest) {
-        g->relax = 2.0 / (1.0 + ratio);
-        return DONE;
-    }
-    g->relax = 1.0;
-    g->s[0] = c0;
-    return take_factors(o, c0, work);
+    const double known = g->fields ? g->fields->lent : o->factored, ratio = known > 0.0 ? c0 / known : 0.0;
+    const int near = o->own && ratio >= o->own->orders->nearest && ratio <= o->own->orders->farthest;
+    g->relax = near ? 2.0 / (1.0 + ratio) : 1.0;
+    g->s[0] = near ? known : c0;
+    return take_factors(s, o, g->s[0], work);
 }
 
 /* The point of a step of order k, by Newton's iteration. */
@@ -143,7 +140,7 @@ static int point_of_step(System *s, double *p, Implicit *o, const Block *now, in
         configuration(s, now->q, g->xi, q);
         if ((verdict = take_tangent(s, o, t, q, g->v, g->vd, g->mult, p[LENGTH], work))) return verdict;
     }
-    if ((verdict = point_factors(o, g->couple[0], work))) return verdict;
+    if ((verdict = point_factors(s, o, g->couple[0], work))) return verdict;
     return iterate_step(s, o, p, now, 1.0, work);
 }
 

@@ -10,6 +10,11 @@ typedef struct FieldStages {
     int kinds, *span, *counted;        /* entries like v whose means count by themselves, of the core and of each field: their ends, and
                                           how many move */
     double t, length, *q, *v, *a, *lam, *balance; /* the motion where derivatives are taken; balance and rows there */
+    double *sampled, sampled_at;       /* what depends on time only there, and its time; other: it was not asked for */
+    int aligned;                       /* whether that of the points was asked for, too */
+    double lent;                       /* what the matrices are for, as Implicit has it: 0: none is there */
+    int begun;                         /* whether the next step's start is closed */
+    double *closed;                    /* that: dq, v, a */
     double *N, *turnings;              /* m x n, motions that open single rows; bodies x TWIST x TWIST, d rate / d xi at xi = 0, and n */
     double *units, *reactions;         /* right-hand sides of N, m x n zeros and m x m of the identity; m x m, work */
     double *square, *before, *sizes;   /* n: of the entries of lengths; of the last increments; of these */
@@ -69,6 +74,21 @@ static void lacking(System *s, const Stages *o)
     }
 }
 
+/* What depends on time only where derivatives are taken, in the tables of the balance or of a matrix. */
+static int sample_middle(System *s, const Stages *o, System *by)
+{
+    FieldStages *e = o->fields;
+    double last = NAN;
+    int verdict = DONE;
+    if (s->samples && e->sampled_at != e->t) {
+        if ((verdict = sample(s, e->t, &last))) return verdict;
+        keep_sample(s, e->sampled, 0);
+        e->sampled_at = e->t;
+    }
+    if (by->samples) keep_sample(by, e->sampled, 1);
+    return verdict;
+}
+
 /* low += the derivative of balance and rows along (0, rate, push). */
 static int add_along(System *s, const Stages *o, int parts, const double *rate, const double *push, double *low)
 {
@@ -94,7 +114,7 @@ static int add_along(System *s, const Stages *o, int parts, const double *rate, 
 }
 
 /* Known parts of rates and of accelerations of frequency f, slips among the multipliers: what they have of the increment, at most. */
-static int known_parts(System *s, const Stages *o, int f, double *last, double *acts)
+static int known_parts(System *s, const Stages *o, int f, double *acts)
 {
     const FieldStages *e = o->fields;
     const int n = o->n, m = o->m, size = o->size, parts = parts_of(o, f);
@@ -104,7 +124,7 @@ static int known_parts(System *s, const Stages *o, int f, double *last, double *
 
     memcpy(rate, kin, parts * n * sizeof(double));
     for (int i = 0; i < parts * n && !moves; i++) moves = kin[i] != 0.0;
-    if (o->levels > 1 && moves && (verdict = sample(s, e->t, last))) return verdict;
+    if (o->levels > 1 && moves && (verdict = sample_middle(s, o, s))) return verdict;
     for (int part = 0; part < parts && o->levels > 1; part++) {
         const double *at = low + part * size + n, *other = low + (1 - part) * size + n;
         double *slip = opened + part * m;
@@ -126,7 +146,7 @@ static int known_parts(System *s, const Stages *o, int f, double *last, double *
 }
 
 /* x and y of frequency f for its residuals; ``known``: with what known parts add to these. */
-static int field_solution(System *s, const Stages *o, int f, int known, double *last)
+static int field_solution(System *s, const Stages *o, int f, int known)
 {
     FieldStages *e = o->fields;
     const int n = o->n, m = o->m, size = o->size, parts = parts_of(o, f);
@@ -139,7 +159,7 @@ static int field_solution(System *s, const Stages *o, int f, int known, double *
     int verdict;
 
     if (known) {
-        if ((verdict = sample(s, e->t, last))) return verdict;
+        if ((verdict = sample_middle(s, o, s))) return verdict;
         if ((verdict = add_along(s, o, parts, e->rate + (long)f * 2 * n, e->push + (long)f * 2 * n, low))) return verdict;
     }
     for (int part = 0; part < parts; part++) {
@@ -156,25 +176,33 @@ static int field_solution(System *s, const Stages *o, int f, int known, double *
     return DONE;
 }
 
-/* Solutions of all frequencies; LOOK where one has to be iterated on. */
+/* The solution of frequency f behind one of size ``before``, 0: it is the first; LOOK where it has to be iterated on. */
+static int trusted_solution(System *s, const Stages *o, int f, double before)
+{
+    const FieldStages *e = o->fields;
+    const double *x = e->x + (long)f * 4 * o->n;
+    double acts;
+    int verdict;
+    if ((verdict = known_parts(s, o, f, &acts))) return verdict;
+    if ((verdict = field_solution(s, o, f, before > 0.0 && acts > SEEN * before))) return verdict;
+
+    double size = size_of(o, parts_of(o, f), x);
+    if (before == 0.0 && acts > SEEN * size) {
+        if ((verdict = field_solution(s, o, f, 1))) return verdict;
+        size = size_of(o, parts_of(o, f), x);
+    }
+    if (!(size < INFINITY) || (before > 0.0 && e->slow * before < size)) return LOOK;
+    e->sizes[f] = size;
+    return DONE;
+}
+
+/* Solutions of all frequencies, likewise. */
 static int field_solutions(System *s, const Stages *o)
 {
     const FieldStages *e = o->fields;
-    double last = NAN, acts;
     int verdict;
-    for (int f = 0; f < o->frequencies; f++) {
-        const double before = e->before[f];
-        if ((verdict = known_parts(s, o, f, &last, &acts))) return verdict;
-        if ((verdict = field_solution(s, o, f, before > 0.0 && acts > SEEN * before, &last))) return verdict;
-
-        double size = size_of(o, parts_of(o, f), e->x + (long)f * 4 * o->n);
-        if (before == 0.0 && acts > SEEN * size) {
-            if ((verdict = field_solution(s, o, f, 1, &last))) return verdict;
-            size = size_of(o, parts_of(o, f), e->x + (long)f * 4 * o->n);
-        }
-        if (!(size < INFINITY) || (before > 0.0 && e->slow * before < size)) return LOOK;
-        e->sizes[f] = size;
-    }
+    for (int f = 0; f < o->frequencies; f++)
+        if ((verdict = trusted_solution(s, o, f, e->before[f]))) return verdict;
     memcpy(e->before, e->sizes, o->frequencies * sizeof(double));
     return DONE;
 }

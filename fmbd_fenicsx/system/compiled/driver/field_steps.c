@@ -1,19 +1,31 @@
 /* What whole steps of Radau and BDF ask for where there are elastic fields (field_stages.c): derivatives and matrices at a motion within
    the step, and stages whose velocities go with their places. Factors of fields are those of a size of step, and stay. */
 
-/* The matrices of all frequencies at the motion where derivatives are taken, and N by the real one of them. */
-static int field_matrices(const Stages *o)
+/* Ask Python for the matrices of what ``key`` stands for; LOOK where it has none. */
+static int ask_matrices(System *s, FieldStages *e, double key)
 {
-    const FieldStages *e = o->fields;
-    int verdict;
+    if (e->lent == key) return DONE;
+    e->lent = 0.0;
+    s->calls++;
+    int told = s->python(FREQUENCIES, 0, key);
+    if (told) return told == OUTSIDE ? LOOK : FAILED;
+    e->lent = key;
+    return DONE;
+}
+
+/* The matrices of all frequencies at the motion where derivatives are taken, and N by the real one of them. */
+static int field_matrices(System *s, const Stages *o, double key)
+{
+    FieldStages *e = o->fields;
+    int verdict = ask_matrices(s, e, key);
+    if (verdict) return verdict;
+    memset(e->before, 0, o->frequencies * sizeof(double));
     for (int f = 0; f < o->frequencies; f++) {
-        System *by = e->by[f]; /* NULL: the matrix is NumPy's */
-        const double *s = o->s + 2 * f, square = dot(s, s, 2);
-        const double damped[2] = {s[0] / square, -s[1] / square};
+        System *by = e->by[f];
+        const double *frequency = o->s + 2 * f, square = dot(frequency, frequency, 2);
+        const double damped[2] = {frequency[0] / square, -frequency[1] / square};
         const double bent[2] = {damped[0] * damped[0] - damped[1] * damped[1], 2.0 * damped[0] * damped[1]};
-        double last = NAN;
-        if (!by) return LOOK;
-        if ((verdict = sample(by, e->t, &last))) return verdict;
+        if ((verdict = sample_middle(s, o, by))) return verdict;
         verdict = evaluate(by, e->q, e->v, e->a, e->lam, e->t);
         if (verdict && verdict != LOOK) return verdict;
         verdict = parts_of(o, f) > 1 ? prepare_complex(by, e->q, damped, bent, e->lam, e->t)
@@ -31,17 +43,16 @@ static int field_matrices(const Stages *o)
 static int field_tangent(System *s, const Stages *o, double t, const double *q, const double *v, const double *a, const double *lam)
 {
     FieldStages *e = o->fields;
-    double last = NAN;
     int verdict;
     e->t = t;
+    e->sampled_at = NAN;
     memcpy(e->q, q, s->nq * sizeof(double));
     memcpy(e->v, v, o->n * sizeof(double));
     memcpy(e->a, a, o->n * sizeof(double));
     memcpy(e->lam, lam, o->m * sizeof(double));
-    memset(e->before, 0, o->frequencies * sizeof(double));
     memset(e->room, 0, o->n * sizeof(double));
 
-    if ((verdict = sample(s, t, &last))) return verdict;
+    if ((verdict = sample_middle(s, o, s))) return verdict;
     verdict = evaluate(s, q, v, a, lam, t);
     if (verdict && verdict != LOOK) return verdict;
     like_v(s, s->residual, e->balance);
@@ -73,6 +84,7 @@ static int align_stages(System *s, const Stages *o)
         drift(s);
         level_rows(s, 0, m, 2, 0, low);
     }
+    o->fields->aligned = o->levels > 1;
     for (int j = 0; o->levels > 1 && j < k; j++) {
         double *slip = o->mult + (long)j * (o->size - n) + m, *low = o->low + (long)j * o->size + n, *moved = o->dv + (long)j * n;
         double *opened = o->fields->given;
@@ -84,5 +96,103 @@ static int align_stages(System *s, const Stages *o)
     }
     for (int j = 0; j < k; j++)
         for (int i = 0; i < k; i++) add(o->vd + (long)j * n, o->couple[j * k + i], o->dv + (long)i * n, n);
+    return DONE;
+}
+
+/* The frequency that is real, which the others' matrices need too. */
+static int real_frequency(const Stages *o)
+{
+    int f = 0;
+    while (f < o->frequencies - 1 && parts_of(o, f) > 1) f++;
+    return f;
+}
+
+/* The least motion by the matrix of a frequency, at q, that opens its rows by ``opened``, which is lost; added to x. */
+static int close_rows(System *by, const double *q, double *opened, double *none, double *y, double *x)
+{
+    double *moved = none + by->nv;
+    for (int i = 0; i < by->rows; i++) opened[i] = -opened[i];
+    memset(none, 0, by->nv * sizeof(double));
+    int verdict = driver_solve(by, 1, q, none, opened, moved, y);
+    add(x, 1.0, moved, by->nv);
+    return verdict == LOOK ? DONE : verdict;
+}
+
+/* What depends on time only at the start of a step, which the last point of the one before knows, in the tables of a matrix. */
+static int sample_start(System *s, const Stages *o, double t, System *by)
+{
+    const int end = o->points - 1;
+    double last = NAN;
+    int verdict;
+    if (!by->samples) return DONE;
+    if (o->t[end] != t) {
+        if ((verdict = sample(s, t, &last))) return verdict;
+        keep_sample(s, o->sampled + end * sample_size(s), 0);
+    }
+    keep_sample(by, o->sampled + end * sample_size(s), 1);
+    return DONE;
+}
+
+/* The start of a step on the constraints, by the matrix of the step before: what moves it (where rows hold ``places``), v and a. */
+static int close_start(System *s, const Stages *o, int places, const Block *now)
+{
+    FieldStages *e = o->fields;
+    const int n = o->n, real = real_frequency(o);
+    System *by = e->by[real]; /* of the step before */
+    double *dq = e->closed, *v = dq + n, *a = v + n, *none = e->b, *opened = e->given, *q = o->local, w = o->s[2 * real];
+    int verdict;
+    if (e->begun) return DONE;
+    if (e->lent == 0.0) return LOOK;
+    memset(dq, 0, n * sizeof(double));
+    memcpy(v, now->v, n * sizeof(double));
+    memcpy(a, now->a, n * sizeof(double));
+
+    memset(e->c, 0, (n + o->m) * sizeof(double)); /* neither accelerations nor reactions */
+    if ((verdict = sample_start(s, o, *now->t, by))) return verdict;
+    verdict = evaluate(by, now->q, v, e->c, e->c + n, *now->t);
+    if (verdict && verdict != LOOK) return verdict;
+    if ((verdict = prepare(by, now->q, 1.0 / w, 1.0 / (w * w), e->c + n, 0, *now->t))) return verdict;
+
+    if ((verdict = place(by, now->q, v))) return verdict;
+    drift(by);
+    memcpy(opened, by->gap, o->m * sizeof(double));
+    if (places && (verdict = close_rows(by, now->q, opened, none, e->found, dq))) return verdict;
+
+    configuration(by, now->q, dq, q);
+    if ((verdict = place(by, q, v))) return verdict;
+    slips(by, 1);
+    memcpy(opened, by->slip, o->m * sizeof(double));
+    if ((verdict = close_rows(by, now->q, opened, none, e->found, v))) return verdict;
+
+    if ((verdict = place(by, q, v))) return verdict;
+    derivatives_in_time(by, e->found, e->found + o->m);
+    memcpy(opened, e->found + o->m, o->m * sizeof(double));
+    turn_velocity(by, a);
+    slips(by, 0);
+    add(opened, 1.0, by->slip, o->m);
+    if ((verdict = close_rows(by, now->q, opened, none, e->found, a))) return verdict;
+    e->begun = 1;
+    return DONE;
+}
+
+/* Errors of places and velocities, 2 n of ``change``, from the defects of a step: ``kin``, and ``push`` of the accelerations. */
+static int field_errors(System *s, const Stages *o, const double *kin, const double *push, double *change)
+{
+    const FieldStages *e = o->fields;
+    const int n = o->n, f = real_frequency(o);
+    double *low = e->low + (long)f * 2 * o->size;
+    int verdict;
+    memcpy(e->kin + (long)f * 2 * n, kin, n * sizeof(double));
+    memset(low, 0, o->size * sizeof(double));
+    if ((verdict = sample_middle(s, o, s))) return verdict;
+    memset(e->c, 0, n * sizeof(double));
+    memset(e->b, 0, n * sizeof(double));
+    add(e->b, -1.0, push, n);
+    if ((verdict = add_along(s, o, 1, e->c, e->b, low))) return verdict;
+    memset(low + n, 0, (o->size - n) * sizeof(double)); /* rows of places and velocities */
+
+    if ((verdict = trusted_solution(s, o, f, 0.0))) return verdict;
+    memcpy(change, e->x + (long)f * 4 * n, n * sizeof(double));
+    field_velocities(s, o, f, change, change + n);
     return DONE;
 }

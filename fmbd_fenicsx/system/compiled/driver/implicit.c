@@ -38,11 +38,11 @@ static int take_tangent(System *s, Implicit *o, double t, const double *q, const
 }
 
 /* Factors of the frequencies of the stages, which ``key`` stands for. */
-static int take_factors(Implicit *o, double key, double *work)
+static int take_factors(System *s, Implicit *o, double key, double *work)
 {
     if (o->factored == key) return DONE;
     o->factored = 0.0;
-    int verdict = o->stages->fields ? field_matrices(o->stages) : driver_stage_factors(o->stages, o->patterns, o->data);
+    int verdict = o->stages->fields ? field_matrices(s, o->stages, key) : driver_stage_factors(o->stages, o->patterns, o->data);
     if (!verdict) o->factored = key;
     work[FACTORED] += o->stages->frequencies;
     return verdict;

@@ -8,6 +8,8 @@ typedef struct OwnSteps {
     double *sizes, *speeds, *scale;    /* largest so far, of coordinates and velocities; work; each like v */
     double rtol, atol, length, turn;
     double safety, harsh, mild;        /* of a refused step: least and most that is left of its size */
+    double first, places_of_decade, longer; /* where sizes keep to a grid: one of them, 0: any size will do; how many of a decade; what */
+                                       /* a step may be longer than proposed */
     double until, longest, last, tiny; /* a time that is hit; the most a step may be; until when steps may begin; a size that is too */
                                        /* small; s */
     double worst, refused;             /* of a march: the largest error, and how many were too large */
@@ -32,6 +34,7 @@ static double own_size(const OwnSteps *c, const Block *now, double proposed, dou
 {
     const double left = left_for(c, now);
     double h = fmin(proposed, most);
+    if (c->first > 0.0) h = c->first * pow(10.0, floor(c->places_of_decade * log10(c->longer * h / c->first)) / c->places_of_decade);
     if (h >= left * (1.0 - 1e-10)) h = left;
     else if (h > 0.5 * left) h = 0.5 * left;
     return *now->t + h == *now->t ? 0.0 : h;
@@ -98,7 +101,7 @@ static int turn_too_far(const System *s, const OwnSteps *c, const Stages *g)
 static void take_sizes(const System *s, const OwnSteps *c, Stages *g, const Block *now, double h)
 {
     g->span = h;
-    const int n = g->n;
+    const int n = g->fields ? g->fields->span[0] : g->n, every = g->n; /* fields count by what they bend */
     double *scale = c->scale, fastest[2] = {0.0, 0.0};
     position_sizes(s, c->length, now->q, scale);
     for (int i = 0; i < n; i++) {
@@ -112,17 +115,17 @@ static void take_sizes(const System *s, const OwnSteps *c, Stages *g, const Bloc
     for (int i = 0; i < n; i++) {
         double place = c->rtol * scale[i] + c->atol, rate = c->rtol * c->speeds[i] + 1e-4 * place / h;
         g->weigh[i] = 1.0 / place;
-        g->weigh[n + i] = c->index == 3 ? h / place : 1.0 / rate;
-        g->weigh[2 * n + i] = c->index == 3 ? h * h / place : h / rate;
+        g->weigh[every + i] = c->index == 3 ? h / place : 1.0 / rate;
+        g->weigh[2 * every + i] = c->index == 3 ? h * h / place : h / rate;
     }
     for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
         x->size = fmax(x->size, 1e-2 * c->length);
-        for (int i = 0; i < x->n; i++) x->size = fmax(x->size, fabs(now->q[x->at_q + i] * x->rms[i]));
+        for (int i = 0; i < x->n; i++) x->size = fmax(x->size, fabs(now->q[x->at_q + i]) * (x->rms ? x->rms[i] : 1.0));
         for (int i = 0; i < x->n; i++) {
-            double place = c->rtol * x->size / x->rms[i] + c->atol, *w = g->weigh + x->at_v + i;
+            double place = c->rtol * x->size / (x->rms ? x->rms[i] : 1.0) + c->atol, *w = g->weigh + x->at_v + i;
             w[0] = 1.0 / place;
-            w[n] = h / place;
-            w[2 * n] = h * h / place;
+            w[every] = h / place;
+            w[2 * every] = h * h / place;
         }
     }
 }

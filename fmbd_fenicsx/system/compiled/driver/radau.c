@@ -102,7 +102,7 @@ static int stages_of_step(System *s, double *p, Implicit *o, const Block *now, B
     foretell_stages(s, o, h, now, &last);
     rates_of_stages(o, now, change);
     if (work[KNOWN] == 0.0 && (verdict = middle_tangent(s, o, p, now, change, work))) return verdict;
-    if ((verdict = take_factors(o, h, work))) return verdict;
+    if ((verdict = take_factors(s, o, h, work))) return verdict;
     if (g->fields && (verdict = align_stages(s, g))) return verdict;
     if ((verdict = iterate_step(s, o, p, now, first_share(o, &made, h), work))) return verdict;
     *made.share = o->convergence->share;
@@ -141,24 +141,60 @@ static int end_radau(System *s, Implicit *o, const double *p, const Block *now, 
     return end_implicit(s, o, p, now, g->mult + (k - 1) * width, out);
 }
 
+/* The start of a step on its constraints: v, a, and what moves the places, dq, each like v. ``room``: nq and that of driver_arrive(). */
+static int start_on_rows(System *s, const Implicit *o, const Block *now, double *v, double *a, double *dq, double *room)
+{
+    const OwnSteps *c = o->own;
+    const Stages *g = o->stages;
+    const int n = g->n;
+    double *q = room, *lam = q + s->nq;
+    memcpy(v, now->v, n * sizeof(double));
+    memcpy(a, now->a, n * sizeof(double));
+    memset(dq, 0, n * sizeof(double));
+    if (c->index == 1 || !g->levels) return DONE;
+    if (g->fields) {
+        memcpy(dq, g->fields->closed, n * sizeof(double));
+        memcpy(v, g->fields->closed + n, n * sizeof(double));
+        memcpy(a, g->fields->closed + 2 * n, n * sizeof(double));
+        return DONE;
+    }
+    memcpy(q, now->q, s->nq * sizeof(double));
+    int verdict = driver_arrive(s, c->places, *now->t, c->length, q, v, a, lam, lam + s->rows);
+    if (!verdict && c->places) driver_difference(s, 1, now->q, 0, q, 0, NULL, 0, dq);
+    return verdict;
+}
+
+/* Errors of places and of velocities, in ``change``, and what forces are off by, in ``push``, from the defects of a step: ``kin``, and
+   ``push`` of the accelerations. Filtered: components that the step does not resolve would be overestimated. ``room``: 2 sizes of a point. */
+static int filtered(System *s, const Implicit *o, const double *kin, double *push, double *change, double *work, double *room)
+{
+    const Stages *g = o->stages;
+    const int n = g->n;
+    const Sparse masses = {n, g->W.start, g->W.on, o->masses};
+    double *low = room, *y = low + g->size, judged[2];
+    if (g->fields) return field_errors(s, g, kin, push, change);
+
+    memset(low, 0, g->size * sizeof(double));
+    apply_real(&masses, -1.0, push, low);
+    resolve_real(g, 0, kin, low, change, y, judged);
+    if (!(judged[0] <= o->convergence->accurate * judged[1])) return NEWTON;
+    farthest_apart(judged, work + RESIDUAL);
+    /* what forces are off by pushes; multipliers turn with their joints, whose errors light bodies would tell as huge ones */
+    add(push, -*g->s, change + n, n);
+    return DONE;
+}
+
 /* The error of the stages of a step from a state with these multipliers, over the tolerance. */
 static int own_error(System *s, Implicit *o, double h, const Block *now, const double *mult, double *work, double *error)
 {
     const OwnSteps *c = o->own;
     const Stages *g = o->stages;
-    const int n = g->n, k = g->points, m = g->m, free = c->index == 1 || !g->levels;
-    double *q = o->mixed, *v = q + s->nq, *a = v + n, *lam = a + n, *dq = lam + m, *kin = dq + n, *push = kin + n, *low = push + n;
-    double *change = low + g->size, *y = change + 2 * n, *rest = y + g->size, judged[2];
+    const int n = g->n, k = g->points, kinds = c->index == 1 || !g->levels || g->fields ? 2 : 3;
+    double *v = o->mixed, *a = v + n, *dq = a + n, *kin = dq + n, *push = kin + n, *change = push + n, *rest = change + 2 * n;
     int verdict;
 
     /* what the start of the step leaves of the constraints is no error of the step */
-    memcpy(q, now->q, s->nq * sizeof(double));
-    memcpy(v, now->v, n * sizeof(double));
-    memcpy(a, now->a, n * sizeof(double));
-    memset(dq, 0, n * sizeof(double));
-    if (!free && (verdict = driver_arrive(s, c->places, *now->t, c->length, q, v, a, lam, rest))) return verdict;
-    if (!free && c->places) driver_difference(s, 1, now->q, 0, q, 0, NULL, 0, dq);
-
+    if ((verdict = start_on_rows(s, o, now, v, a, dq, rest))) return verdict;
     memcpy(kin, v, n * sizeof(double));
     memcpy(push, a, n * sizeof(double));
     for (int j = 0; j < k; j++) {
@@ -169,21 +205,13 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
             push[i] += share * (g->v[j * n + i] - v[i] - slope * dq[i]);
         }
     }
-    if (g->levels > 1) apply_real(&g->U, -1.0, mult + m, kin);
-
-    /* filtered: components that the step does not resolve would be overestimated */
-    const Sparse masses = {n, g->W.start, g->W.on, o->masses};
-    memset(low, 0, g->size * sizeof(double));
-    apply_real(&masses, -1.0, push, low);
     for (int i = 0; i < n; i++) kin[i] = -kin[i];
-    resolve_real(g, 0, kin, low, change, y, judged);
-    if (!(judged[0] <= o->convergence->accurate * judged[1])) return NEWTON;
-    farthest_apart(judged, work + RESIDUAL);
+    if (g->levels > 1 && g->fields) add_closing(g, mult + g->m, kin);
+    else if (g->levels > 1) apply_real(&g->U, 1.0, mult + g->m, kin);
 
-    /* what forces are off by pushes; multipliers turn with their joints, whose errors light bodies would tell as huge ones */
-    add(push, -*g->s, change + n, n);
+    if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
     const double *parts[3] = {change, change + n, push};
-    *error = own_norm(s, g, parts, c->index == 1 || !g->levels ? 2 : 3);
+    *error = own_norm(s, g, parts, kinds);
     return DONE;
 }
 
@@ -238,6 +266,7 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
     int verdict;
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
     if ((verdict = take_bases(s, o->stages, now->q, now->v))) return verdict;
+    if (o->stages->fields && o->stages->levels && (verdict = close_start(s, o->stages, c->places, now))) return verdict;
     if ((verdict = passing_stages(s, p, o, now, out, &found))) return verdict;
 
     /* the error went back to the start of the step, in time too */
@@ -246,6 +275,7 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
     *made.missed = fmax(found.error, 1e-10);
     *made.next = next_size(o, &last, &made, &found, left);
     note_passing(c, &found);
+    if (o->stages->fields) o->stages->fields->begun = 0;
     return end_radau(s, o, p, now, out);
 }
 

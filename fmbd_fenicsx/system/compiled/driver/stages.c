@@ -194,11 +194,12 @@ static int sample_point(System *s, const Stages *o, int j, int increments)
 /* What the points leave of the equations after so many increments: kin, points x n, and low, points x size. */
 static int stage_residuals(System *s, const Stages *o, int increments)
 {
-    const int n = o->n, m = o->m, size = o->size;
+    const int n = o->n, m = o->m, size = o->size, known = increments || (o->fields && o->fields->aligned);
     int verdict;
+    if (o->fields) o->fields->aligned = 0;
     for (int j = 0; j < o->points; j++) {
         double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
-        if ((verdict = sample_point(s, o, j, increments))) return verdict;
+        if ((verdict = sample_point(s, o, j, known))) return verdict;
         verdict = local_point(s, &o->W, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult,
                               o->levels > 1 && !o->fields ? mult + m : NULL, kin, low, o->local);
         if (verdict) return verdict;

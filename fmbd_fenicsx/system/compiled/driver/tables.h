@@ -311,7 +311,7 @@ typedef struct {
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
        FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, LINKS,
-       FIELD_MEANS, EFFORT_MEANS };
+       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES };
 enum { OUTSIDE = 2 };
 
 /* Parts of a SAMPLE: all of it, all but the rates of motions, these alone. */

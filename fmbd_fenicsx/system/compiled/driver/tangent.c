@@ -114,7 +114,7 @@ static void position_sizes(const System *s, double length, const double *q, doub
     for (int b = 0; b < s->bodies; b++) {
         const Body *o = s->body + b;
         for (int i = 0; i < TWIST; i++) sizes[TWIST * b + i] = i < D ? length : 1.0;
-        if (o->modes) own_sizes(o->modes, s->units + o->at_v, q + o->at_q, 1e-3, 1e-3 * length, 1.0, sizes + o->at_v);
+        if (o->modes && !o->field) own_sizes(o->modes, s->units + o->at_v, q + o->at_q, 1e-3, 1e-3 * length, 1.0, sizes + o->at_v);
     }
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from ...layout import State
 from ..declarations import fields_of
 from ..tables.structures import zeros_of
 from .evaluation import DriverStates
+from .field_states import FactoredFieldStates
 from .stages import POINTS, PointRoom, Rule, Stages
 
 MOVING = ("xi", "rate", "v", "vd")  # of points, like v
@@ -49,6 +50,7 @@ class FieldStageRoom(PointRoom):
             "units": m * (n + m), "reactions": (m, m), "square": n, "before": p, "sizes": p, "kin": p * 2 * n,
             "low": p * 2 * size, "rate": p * 2 * n, "push": p * 2 * n, "x": p * 4 * n, "y": p * 2 * width, "b": 2 * n,
             "c": 2 * (n + m), "given": 2 * m, "found": 2 * m, "room": 3 * n + size,
+            "closed": (3, n), "sampled": states.calls.written,
         }  # fmt: skip
         more = zeros_of(of_fields)
         self.known = {name: x for name, (x, _) in more.items()}
@@ -79,20 +81,39 @@ class FieldStageRoom(PointRoom):
         *moving, mult = super().points()
         return *map(self.twin.forces, moving), mult
 
-    def solve_by(self, s: Array, solvers: Sequence[DriverStates | None], before: Array, slow: float) -> None:
+    @property
+    def lent(self) -> bool:
+        """Whether the matrices that were lent last are there."""
+        return self.fields.lent != 0.0 and all(
+            states.blocks is blocks and states.tangents == states.newest_tangents
+            for states, blocks in zip(self._solvers, self._blocks, strict=True)
+        )
+
+    def begin(self, frequencies: Callable[[float], None], start: tuple[Array, ...] | None) -> None:
+        """Steps begin: who lends matrices, see tables.py; what closes the start of the first, dq, v and a; None: the matrices
+        that were lent last tell.
+        """
+        self.states.tables.frequencies = frequencies
+        self.arrays["t"][:] = np.nan
+        self.fields.begun = start is not None
+        if start is not None:
+            self.fields.lent = 0.0
+            self.known["closed"][:] = self.twin.velocities(np.array(start))
+
+    def solve_by(self, s: Array, solvers: Sequence[FactoredFieldStates], before: Array, slow: float) -> None:
         """Take the frequencies s (p,), those who have their matrices, the sizes of the increments before (p,), and up to which
         share of these increments count whose solutions nobody iterates on.
         """
-        self.fields.slow = slow
+        self.fields.slow, self.fields.lent = slow, 0.0
         self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
-        self._solvers = [states for states in solvers if states is not None]
-        self._by[:] = [0 if states is None else states.address for states in solvers]
+        self._solvers, self._blocks = solvers, [states.blocks for states in solvers]
+        self._by[:] = [states.address for states in solvers]
         self.known["before"][:] = before
 
     def derive_at(self, state: State, balance: Array, closing: Array, turnings: Array) -> None:
         """Take the motion where derivatives are taken, balance and rows there, N (n, m), and d rate / d xi of the frames."""
         known, twin, n = self.known, self.twin, len(state.v)
-        self.fields.t = state.t
+        self.fields.t, self.fields.sampled_at = state.t, np.nan
         known["q"][:], known["lam"][:] = twin.configurations(state.q), state.lam
         known["v"][:], known["a"][:] = twin.velocities(state.v), twin.velocities(state.a)
         known["balance"][:] = np.concatenate((twin.velocities(balance[:n]), balance[n:]))

@@ -45,6 +45,8 @@ class Tables(TableLayout):
 
     # fields with new tangents: at t, increments that led there
     renewed: Callable[[float, dict[int, Array]], Sequence[Block]]
+    # lends the matrices of what a number stands for; LinearSolveError where there are none
+    frequencies: Callable[[float], None]
 
     def __init__(
         self, system: System, *, redundant: bool, blocks: Sequence[Block] = (), coordinates: Sequence[Relative] = ()

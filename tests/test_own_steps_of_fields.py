@@ -1,0 +1,97 @@
+"""Own steps of Radau and BDF on elastic fields: calls of compiled code, which asks Python for the factors of each size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from profiled import calls_of
+from test_driver import compiled
+from test_field_stages import absolute, floating
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
+from fmbd_fenicsx.schemes.multistep.bdf import BDFStepper
+from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
+
+
+def pendulum_of(mesh: Any, kind: Any, ramp: float = 0.1) -> fmbd.Scene:
+    """A rod on a pin, released under gravity that comes within so many seconds."""
+    rod = kind(mesh)
+    dim = rod.dim
+    scene = fmbd.Scene("released", gravity=(0.0, -9.81, 0.0)[:dim], gravity_ramp=ramp)
+    axis = {} if dim == 2 else {"axis": (0, 0, 1)}
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0, 0)[:dim], **axis))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    return scene
+
+
+SAME = {"q": 0.1, "v": 0.5, "a": 20.0, "lam": 20.0}  # of the tolerance, what states may differ by
+MOVED = {"q": 5.0, "v": 20.0, "a": 100.0, "lam": 100.0}
+OWN = (
+    fmbd.Radau(3, rtol=1e-6),
+    fmbd.Radau(3, fmbd.Index3(), 1e-5),
+    fmbd.Radau(3, fmbd.Index2(), 1e-5),
+    fmbd.BDF(2, rtol=1e-4),
+)
+
+
+@compiled
+@pytest.mark.parametrize("scheme", OWN, ids=lambda scheme: scheme.name)
+@pytest.mark.parametrize(("kind", "dim"), [(floating, 2), (floating, 3), (absolute, 2)])
+def test_steps_of_a_size_of_their_own_are_calls_of_compiled_code(
+    rod_mesh: Callable[..., Any], kind: Any, dim: int, scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All but those of sizes that come a few times; as many as Python makes, of the same sizes, with the same states."""
+    scene = pendulum_of(rod_mesh(dim=dim, h=0.5, height=0.2), kind)
+    output = fmbd.Output(every=10**9, progress=False)
+    seen: list[tuple[float, float]] = []  # time, and the error of the step that led there
+    for stepper in (RadauStepper, BDFStepper):
+
+        def counted(self: Any, limit: float, in_parts: Any = stepper._controlled) -> Any:
+            seen.append((self.state.t, self.control.error_old))
+            return in_parts(self, limit)
+
+        monkeypatch.setattr(stepper, "_controlled", counted)
+
+    runs, in_python = [], []
+    for parts in (False, True):
+        seen.clear()
+        if parts:
+            monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
+        runs.append(fmbd.solve(scene, t_end=0.3, scheme=scheme, output=output))
+        in_python.append(np.array(seen))
+
+    fast, slow = runs
+    steps = slow.counters["steps"]
+    assert len(in_python[1]) == steps
+    # the first, those of a size up to the fourth, and the last
+    assert len(in_python[0]) <= min(12, 0.4 * steps)
+    assert abs(fast.counters["steps"] - steps) <= 1
+    # of BDF one step in another place moves all later ones
+    close = MOVED if scheme.name.startswith("BDF") else SAME
+    for name, share in close.items():
+        wanted, allowed = getattr(slow.state, name), share * scheme.rtol
+        assert getattr(fast.state, name) == pytest.approx(wanted, rel=0, abs=allowed * np.abs(wanted).max()), name
+    if fast.counters["steps"] == steps and isinstance(scheme, fmbd.Radau):
+        (t, error), told = in_python[0][-2], in_python[1][-2]
+        assert (t, error) == pytest.approx(told, rel=1e-3)
+
+
+@compiled
+@pytest.mark.parametrize(("scheme", "most"), [(fmbd.Radau(3, rtol=1e-7), 40), (fmbd.BDF(2, rtol=1e-5), 60)], ids=str)
+def test_steps_of_a_size_of_their_own_enter_python_for_factors(
+    rod_mesh: Callable[..., Any], scheme: Any, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Calls of Python a step, by runs of two lengths: up to 1 500 where Python makes the steps."""
+    scene = pendulum_of(rod_mesh(h=0.5, height=0.2), floating, ramp=0.0)
+    output = fmbd.Output(every=10**9, progress=False)
+    found = []
+    for t_end in (0.1, 0.3):
+        solved = lambda t_end=t_end: fmbd.solve(scene, t_end=t_end, scheme=scheme, output=output)  # noqa: E731
+        found.append((calls_of(solved), solved().counters["steps"]))
+    (few, short), (many, long) = found
+    assert long - short > 50
+    assert many - few < most * (long - short)
