@@ -188,7 +188,7 @@ class SharedRuns:
 
     # -- errors of time -----------------------------------------------------------------------------------------------
     def time_error(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
-        """The error by the steps from runs with fewer of them, made where there are none; collective.
+        """The error by the steps from runs with fewer of them, or with twice as many where these do not end; collective.
 
         Nobody has to see the order where half of it would be enough. Where records have kinks they tell it by chance, and a run
         that they find good enough, or nearly, is compared with one of twice as many steps; so is one whose order larger ones do
@@ -210,7 +210,7 @@ class SharedRuns:
         self._kinked[scene] = now
         return now or before
 
-    def _by_half(self, solved: Solved, larger: TimeError) -> TimeError:
+    def _by_half(self, solved: Solved, larger: TimeError | None = None) -> TimeError:
         """The error by one with half the step, beside what ``larger`` ones tell, which counts alone where that does not end."""
         given = solved.compared
         steps, have = given.schedule.steps, self._runs[id(solved.problem.scene)]
@@ -218,7 +218,7 @@ class SharedRuns:
         try:
             finer = self._with(solved, 2 * steps)
         except UNFIT:
-            return larger
+            return larger or TimeError({}, {}, given)
         return by_half(_expected(solved.problem), given, finer, coarser=coarser, larger=larger)
 
     def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
@@ -247,8 +247,9 @@ class SharedRuns:
                 coarser.append(self._with(solved, max(first // 2, 1)))
         except UNFIT as error:
             if not coarser:
-                log.warning("no error estimate: the run with larger steps did not end: %s", error)
-                return TimeError({}, {}, given)
+                log.info("the run with larger steps did not end: %s", error)
+                in_parts = solved.run.counters.get("halved_steps")
+                return TimeError({}, {}, given) if in_parts else self._by_half(solved)
             unseen = not known.seen
         orders, seen = _expected(solved.problem), dict(self._seen)
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
