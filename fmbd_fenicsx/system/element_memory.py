@@ -51,6 +51,14 @@ def whole_steps(system: System, t: float, h: float) -> float:
     return float(np.floor((due - t) / h - 1e-6)) if np.isfinite(due) else np.inf
 
 
+def overran(system: System, state: State, h: float) -> bool:
+    """Whether a step of h (s) to ``state``, chosen by its error, was too long for an element with a memory; collective."""
+    if not system.keepers:
+        return False
+    ev = system.at(state.t, state.q, state.v)
+    return any(loads.overran(ev, h) for loads in system.keepers)
+
+
 def accept(system: System, state: State) -> bool:
     """Note a step that was accepted and ended in ``state``; whether forces have jumped with it. Collective."""
     keepers = system.keepers

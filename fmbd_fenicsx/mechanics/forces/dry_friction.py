@@ -75,6 +75,13 @@ class DryFrictionLoads(ScalarLoads):
         """p where the joint is: it starts without friction force."""
         return self.relative.values(ev.kin)
 
+    def overran(self, ev: Any, h: float) -> bool:
+        """Whether friction pushes along the motion: that turned within the step, by more than the spring before sliding gives."""
+        s, rate, _, _ = self._state(ev.kin)
+        trial = self._trial(s, rate)
+        wrong = (np.abs(trial) > self.limit) & (trial * rate < 0) & (self.k * np.abs(rate) * h > self.limit)
+        return bool(wrong.any())
+
     def accepted(self, ev: Any, state: Any) -> Array:
         """p after a step, (m,)."""
         return self._dragged(ev.kin, ev.t)

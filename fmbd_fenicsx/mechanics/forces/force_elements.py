@@ -108,6 +108,10 @@ class Loads:
         """The memory after a step that ended in a state, evaluated as ``ev``."""
         return self.kept
 
+    def overran(self, ev: Any, h: float) -> bool:
+        """Whether a step of h (s) that ended in a state, evaluated as ``ev``, was too long for the memory to follow."""
+        return False
+
     @property
     def due(self) -> float:
         """When the memory jumps next, s."""

@@ -27,6 +27,7 @@ from ...schemes.declared import Declared
 from ...schemes.newton import SHUT
 from ...system.compiled.march import JointLimits
 from ...system.compiled.tape import Openness
+from ...system.element_memory import overran
 from ...system.evaluation import Evaluation
 from ...system.evaluator import Seen
 from ...system.layout import State
@@ -39,6 +40,7 @@ OPEN = SHUT  # of the model's length
 SLIP = 1e-4  # of the velocities
 IN_A_STEP = 1e-2  # of the gap that is allowed: how far velocities may open a joint in one step
 REPEATS = 4  # of a step with error control that has no balance, each a quarter of the one before
+FOLLOWED = 10  # the same, that a memory could not follow
 ROUNDOFF = 100 * float(np.finfo(float).eps)
 
 
@@ -67,31 +69,36 @@ def finite_step(system: System, stepper: Any, h: float) -> State:
 
 
 def attempt_in_balance(system: System, stepper: Any, h: float, *, balanced: Balanced | None) -> Evaluation | None:
-    """One step with error control of at most h (s), repeated in smaller ones where its forces are not in balance; collective.
+    """One step with error control of at most h (s), repeated in smaller ones where its forces are not in balance, or a memory
+    could not follow it; collective.
 
-    Returns the system in the new state, where it is known. Steps of elements with a memory are not judged: it is that of the new
-    state already.
+    Returns the system in the new state, where it is known. The balance of elements with a memory is not judged: that may be of
+    the new state already.
 
     Raises:
         ConvergenceError: the step fails, or has no balance in 1/4^4 of its size either.
     """
     before = stepper.state
-    for left in range(REPEATS, -1, -1):
+    for left in range(FOLLOWED if system.keepers else REPEATS, -1, -1):
         state = attempt(system, stepper, h)
-        if balanced is None or system.keepers:
+        made = state.t - before.t
+        if system.keepers:
+            if not left or not overran(system, state, made):
+                return stepper.evaluation
+        elif balanced is None:
             return stepper.evaluation
-
-        seen = stepper.evaluation or system.at(state.t, state.q, state.v)
-        try:
-            balanced.check(seen, state, state.t - before.t)
-            return seen
-        except ConvergenceError:
-            if not left:
-                raise
+        else:
+            seen = stepper.evaluation or system.at(state.t, state.q, state.v)
+            try:
+                balanced.check(seen, state, made)
+                return seen
+            except ConvergenceError:
+                if not left:
+                    raise
+            balanced.repeated += 1
 
         # back to the state before: a quarter of the step that the scheme chose
-        balanced.repeated += 1
-        h = 0.25 * (state.t - before.t)
+        h = 0.25 * made
         stepper.unwrapped.state = before
         stepper.restart(before.t)
     return None

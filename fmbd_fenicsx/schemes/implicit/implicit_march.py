@@ -16,7 +16,7 @@ from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.compiled import implicit as slots
 from ...system.compiled.implicit import ImplicitRoom, Orders, OwnRoom, work_of
-from ...system.compiled.march import March
+from ...system.compiled.march import CHOSEN, March
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import Rule
@@ -159,6 +159,8 @@ class ImplicitMarch(MarchingStepper):
         floor = 64 * EPS * self.system.length
         lent.settle(convergence, {"rtol": self.norm.rtol, "floor": floor, "slow": self.slow, "longer": self.longer})
         room.view(np.uintp)[0] = lent.address
+        assert self._used is not None
+        self._used.parameters[CHOSEN] = self.adaptive
         if lent.own is not None:
             self._lend_own(lent.own)
 

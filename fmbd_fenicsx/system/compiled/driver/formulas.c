@@ -92,6 +92,14 @@ static double dragged(const Batch *k, long i)
     return x - (k->effort[i] - p[1] * k->rate[i]) / p[0];
 }
 
+/* Whether dry friction pushes along the motion at the end of a step of h: it turned within, by more than its spring gives. */
+static int overruns(const Batch *k, long i, double h)
+{
+    const double *p = k->constants + FORMULA_WIDTH * i, rate = k->rate[i];
+    double effort = p[0] * (k->s[i] - k->free[i] - k->kept[MEMORY * i]) + p[1] * rate;
+    return fabs(effort) > p[2] && effort * rate < 0.0 && p[0] * fabs(rate) * h > p[2];
+}
+
 /* What item i stores at the s, s' and effort of the last evaluation, J. */
 static double stored(const Batch *k, long i)
 {

@@ -60,6 +60,7 @@ static int judge_state(System *s, const Watch *w, double *p, const Block *past, 
     if (w->closed && !(placed && passes(s, w->closed, out, p[H]))) return DOUBT;
     if (guarded && placed && gained(s, p, out, e)) return GAIN;
     if ((s->remembers || recorded) && !placed) return LOOK;
+    if (p[CHOSEN] != 0.0 && s->remembers && friction_overran(s, *out->t, *out->t - *past->t)) return LOOK;
     if (recorded) verdict = record(s, w->tape, out, guarded ? e : 0);
     if (!verdict && s->remembers) verdict = keep(s, *out->t);
     return verdict;

@@ -77,6 +77,7 @@ void slips(System *s, int rates);
 void configuration(const System *s, const double *q0, const double *xi, double *q);
 void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out);
 int keep(System *s, double t);
+int friction_overran(System *s, double t, double h);
 double largest(const double *x, int n);
 double largest_of(const double *units, const double *x, int n);
 double small(const double *p, double accelerated);
@@ -91,7 +92,7 @@ enum { CORRECTIONS = sizeof CORRECTED / sizeof *CORRECTED };
 /* Parameters of a march; increments of a step at most. */
 enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,  /* in */
        ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */
-       STABILISED, PARAMETERS };                                                                                       /* in: the GGL form */
+       STABILISED, CHOSEN, PARAMETERS };                                               /* in: the GGL form; sizes by error control */
 enum { MOST = 64 };
 
 /* A state as one block of numbers: t, q (nq), v (nv), a (nv), A (nv), lambda (rows), and what a scheme keeps of its own. */

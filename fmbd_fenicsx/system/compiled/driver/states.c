@@ -90,6 +90,19 @@ void energies(System *s, double t, const double *q, const double *v, const doubl
     for (Rod *k = s->rod; k < s->rod + s->rods; k++) out[1] += rod_energy(s, k);
 }
 
+/* Whether a step of h to a state whose frames are placed is too long for dry friction that turned within. */
+int friction_overran(System *s, double t, double h)
+{
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->told || k->role != FORMULA || k->formula != DRY) continue;
+        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        efforts(s, k, t);
+        for (long i = 0; i < k->n; i++)
+            if (overruns(k, i, h)) return 1;
+    }
+    return 0;
+}
+
 /* Formulas and controllers with a memory take up an accepted step, whose frames are placed. */
 int keep(System *s, double t)
 {
