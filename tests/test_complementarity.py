@@ -171,6 +171,20 @@ def test_heaps_that_do_not_touch_are_problems_of_their_own(d: int, monkeypatch: 
     assert sizes == [3, 2, 1]
 
 
+def test_pivoting_is_for_few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tableau of 50 contacts takes minutes: a problem that nothing else solves is refused, and the step made shorter."""
+    failed = lambda problem, x, rho, counts: (1.0, x)  # noqa: E731
+    sizes: list[int] = []
+    pivoted = coulomb._pivoted
+    monkeypatch.setattr(coulomb, "_proximal_points", failed)
+    monkeypatch.setattr(coulomb, "_pivoted", lambda p, facets: (sizes.append(len(p.q)), pivoted(p, facets))[1])
+    for count in (2, 50):
+        W, q = matrix(1, 3 * count), -np.ones((count, 3))
+        with pytest.raises(ConvergenceError):
+            solve_friction(W, q, np.full(count, 0.3), np.zeros((count, 3)), ContactCounts())
+    assert sizes == [2, 2]
+
+
 def test_what_compiled_code_has_tried_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a problem that it refused: pivoting before proximal points from the forces given."""
     tried = []

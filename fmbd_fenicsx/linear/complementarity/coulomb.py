@@ -25,6 +25,7 @@ from .active_set import ContactCounts, solve_least
 
 ATTEMPTS = ((0, 0.0), (0, 1e-4), (8, 1e-4), (16, 1e-4))
 """Tried in turn: facets of the pyramid whose pivoting gives the start (0: the forces given); rho_0."""
+PIVOTED = 30  # points at most: a tableau of many takes minutes, where half a step takes moments
 # residual of a solution, of the largest force; the same where roundoff in W (an elastic step of many wave transits) allows no
 # better; share of a Newton step below which the line search takes it
 FOUND, ACCEPTED, SHORTEST = constants("friction.c", "FOUND", "ACCEPTED", "SHORTEST")
@@ -77,7 +78,7 @@ def solved(problem: Coulomb, start: Array, counts: ContactCounts) -> Array:
 
     # the cheapest start first, and the best answer of all counts
     for facets, rho in problem.attempts:
-        if facets and not problem.mu.any():
+        if facets and (not problem.mu.any() or len(problem.q) > PIVOTED):
             continue
         x0 = _pivoted(problem, facets) if facets else start
         size, x = _proximal_points(problem, x0, rho, counts)

@@ -3,10 +3,11 @@
    these leave is taken where the law is missed by rates that the step's own iteration does not know; else it is Python's: pivoting. */
 
 static const double FOUND = 1e-12, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
-static const double ACCEPTED = 1e-10; /* where no attempt finds better; as there */
+static const double ACCEPTED = 1e-10, SETTLED = 1e-9; /* where the attempt before finds no better; in groups that are not SMALL */
 enum { DIRECTIONS = 12 }; /* of a solution at most */
 enum { SHORT = 5, LONG = 8 }; /* iterations of an attempt before each has to halve the residual */
 enum { PLAIN = 40, FEW = 8, MANY = 40, STAYS = 8 }; /* iterations at most; proximal points at most, and without half of what is left */
+enum { SMALL = 40 }; /* contacts of a group which begins at its last forces, and whose accepted ones are made sharper; see ATTEMPTS */
 
 /* Proximal points: from which forces, the first rho, iterations of a problem before each has to halve the residual, points at most,
    and whole steps before one is made shorter. */
@@ -16,18 +17,20 @@ typedef struct {
     int patience, points, ahead;
 } Attempt;
 
-/* Those of sweeps from the last ones, of interior points, none. Which contacts carry a heap the last forces tell soon or not at all.
+/* Those of sweeps from the last ones, of interior points, none. Which contacts carry a heap interior points tell in the most problems, and
+   large groups begin there; small ones begin at the last forces, which tell how dependent contacts share a load.
    Where one attempt fails another does not: they fail in few problems, and in others each. */
 enum { LAST, WITHIN, NONE };
 static const Attempt ATTEMPTS[] = {{LAST, 1e-6, SHORT, FEW, 3},
-                                   {WITHIN, 1e-7, LONG, MANY, 5},
+                                   {WITHIN, 1e-7, LONG, FEW, 5},
+                                   {WITHIN, 1e-5, LONG, FEW, 12},
+                                   {NONE, 1e-9, LONG, FEW, 8},
                                    {LAST, 1e-10, LONG, MANY, 8},
-                                   {NONE, 1e-9, LONG, MANY, 8},
-                                   {LAST, 1e-4, LONG, MANY, 8},
                                    {WITHIN, 1e-9, LONG, MANY, 12},
-                                   {NONE, 1e-6, LONG, MANY, 12},
-                                   {WITHIN, 1e-5, LONG, MANY, 12}};
+                                   {NONE, 1e-6, LONG, MANY, 12}};
 enum { TRIES = sizeof ATTEMPTS / sizeof *ATTEMPTS, SHARPENING = 2 }; /* behind so many what is accepted ends the search */
+
+static double accepted_in(int m) { return m > SMALL ? SETTLED : ACCEPTED; }
 
 /* A problem (3) with the compliance and the friction of ``of``, and the iterate that was evaluated last. */
 typedef struct {
@@ -232,7 +235,7 @@ static double attempt(Contacts *c, const Problem *problem, const Attempt *with, 
         }
         /* what has been found gets as sharp as it does at once, what is accepted as it does soon */
         idle = size > 0.5 * before ? idle + 1 : 0;
-        if (size <= ENOUGH || !isfinite(size) || (idle && least <= FOUND) || (idle > STAYS && least <= ACCEPTED)) break;
+        if (size <= ENOUGH || !isfinite(size) || (idle && least <= FOUND) || (idle > (m <= SMALL ? STAYS : 1) && least <= accepted_in(m))) break;
         rho = found ? 0.1 * rho : 10.0 * rho;
         rho = rho > 1.0 ? with->rho : rho;
     }
@@ -259,17 +262,24 @@ static int within_rates(const Contacts *c, const Problem *o, const double *x)
 static int frictional_forces(Contacts *c, const Problem *o)
 {
     const int d = c->components, n = o->m * d;
+    const Attempt *begin = ATTEMPTS + (o->m > SMALL), *sharp = ATTEMPTS + SHARPENING;
     Tally before = c->tally;
-    double *last = c->least, *best = last + n, *work = best + n, size = INFINITY;
+    double *last = c->least, *within = last + n, *best = within + n, *work = best + n, size = INFINITY;
+    int known = 0;
     memcpy(last, o->f, n * sizeof(double));
-    for (const Attempt *k = ATTEMPTS; k < ATTEMPTS + TRIES && !(size <= (k < ATTEMPTS + SHARPENING ? FOUND : ACCEPTED)); k++) {
-        c->tally.cycles += k > ATTEMPTS;
-        if (k->from == WITHIN) inner_forces(c, o, work), sweep_forces(o, d, o->f);
-        else if (k->from == LAST) memcpy(o->f, last, n * sizeof(double));
-        else memset(o->f, 0, n * sizeof(double));
+    for (const Attempt *k = begin; k < ATTEMPTS + TRIES && !(size <= (k < sharp ? FOUND : accepted_in(o->m))); k++) {
+        c->tally.cycles += k > begin;
+        if (k->from == WITHIN && !known) {
+            inner_forces(c, o, work);
+            sweep_forces(o, d, o->f);
+            memcpy(within, o->f, n * sizeof(double));
+            known = 1;
+        }
+        if (k->from == NONE) memset(o->f, 0, n * sizeof(double));
+        else memcpy(o->f, k->from == WITHIN ? within : last, n * sizeof(double));
         size = attempt(c, o, k, best, size);
     }
-    const int found = within_rates(c, o, best) || size <= ACCEPTED;
+    const int found = size <= accepted_in(o->m) || within_rates(c, o, best);
     memcpy(o->f, found ? best : last, n * sizeof(double));
     if (!found) {
         c->tally = before;

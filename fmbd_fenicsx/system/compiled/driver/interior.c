@@ -8,10 +8,11 @@
    doi:10.1016/S0895-7177(98)00119-8) is |u_t| then. Steps in the scaling of Nesterov and Todd (doi:10.1137/S1052623495290209), with
    Mehrotra's corrector. */
 
-enum { INNER = 60, STALLED = 10 };     /* iterations at most; those without half of what is left */
+enum { INNER = 60, STALLED = 5 };      /* iterations at most; those without half of what is left */
 static const double BEHIND = 0.1;      /* x . u is not led below this share of what (1) lacks: else steps get short */
 static const double SHARP = 1e-12;      /* of the forces: what (1) lacks is not known to less */
-static const double NEARLY = 0.995;    /* share of the way to the boundary */
+static const double NEARLY = 0.9;      /* share of the way to the boundary: nearer to it more problems end at kinks of |u_t| */
+static const double SUFFICES = 1e-10;  /* of both that (1) lacks: the friction's states are right then, and Newton's iteration goes on */
 
 /* An iterate of m contacts in d components: all of them m x d, N of Nesterov and Todd m x d x d. */
 typedef struct {
@@ -179,7 +180,7 @@ static int inner_step(const Problem *of, Interior *o, double gap, double most, d
 }
 
 /* Forces of a problem by interior points in place of o->f, as near as they come. ``work``: room for 9 vectors and 4 arrays of blocks. */
-static void inner_forces(const Contacts *c, const Problem *of, double *work)
+static void inner_forces(Contacts *c, const Problem *of, double *work)
 {
     const int m = of->m, d = c->components, n = m * d;
     Blocks blocks = c->blocks;
@@ -208,6 +209,7 @@ static void inner_forces(const Contacts *c, const Problem *of, double *work)
             best = fmax(most, gap);
             for (int i = 0; i < n; i++) of->f[i] = size * o.T[i] * o.x[i];
         }
-        if (!(gap > 1e-24) || inner_step(of, &o, gap, most, right)) break;
+        if (!(best > SUFFICES) || inner_step(of, &o, gap, most, right)) break;
+        c->tally.iterations++;
     }
 }
