@@ -91,5 +91,6 @@ def test_a_heap_settles_in_compiled_code(monkeypatch: pytest.MonkeyPatch) -> Non
     run = fmbd.solve(hopper(25), t_end=0.9, dt=1e-3, scheme=fmbd.Moreau(), output=fmbd.Output(every=50, progress=False))
     assert not asked
     assert run.counters["compiled_steps"] == run.counters["steps"]
+    assert run.counters["cycles_broken"] <= 120  # forces sought a second time (289 where all began at the last forces)
     assert np.diff(sum(run.energy.values())).max() <= 1e-9 * abs(sum(run.energy.values())[0])
     assert run.state.contact.gap.min() > -1e-3 * R
