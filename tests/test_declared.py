@@ -51,12 +51,19 @@ def rolling(mesh: Any) -> fmbd.Scene:
     return scene(wheel, fmbd.rolling("road", fmbd.ground, wheel, shape=fmbd.Ball(0.1), normal=(0, 0, 1)))
 
 
+def stopped(mesh: Any) -> fmbd.Scene:
+    wheel = fmbd.RigidBody("wheel", 1.0, (1.0, 1.0, 1.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0, 0))
+    return scene(wheel, hinge, fmbd.joint_limit("stop", fmbd.angle(hinge), lower=-0.5))
+
+
 ALPHA, EM = fmbd.GeneralizedAlpha(), fmbd.EnergyMomentum()
 MIDPOINT, CALPHA, MOREAU = fmbd.ContactMidpoint(), fmbd.schemes.ContactAlpha(), fmbd.Moreau()
 GGL = fmbd.forms.GGL
 CASES = [
     (ALPHA, on_the_floor, r'generalized-alpha\(rho_inf=0.8\) does not treat contact, and the scene has "floor"'),
     (fmbd.BDF(), soft_on_the_floor, r'BDF\(5\), GGL does not treat contact, and the scene has "floor"'),
+    (fmbd.Radau(), stopped, r'GGL has no impacts, and the scene has the joint limit "stop". Use fmbd.Moreau\(\), or'),
     (MIDPOINT, on_the_floor, 'Contact "floor" is between rigid .* midpoint has no impact law'),
     (CALPHA, on_the_floor, 'Contact "floor" is between rigid .* generalized-alpha.* has no impact law'),
     (CALPHA, lambda mesh: scene(soft(mesh)), "is a scheme for scenes with contact"),

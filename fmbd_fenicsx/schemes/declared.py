@@ -49,6 +49,11 @@ class Declared:
 
     def refuse(self, name: str, held: Contents) -> str:
         """Why the scheme ``name`` does not take what a scene holds, "" where it does; known before anything is computed."""
+        if held.limits and self.start is None:
+            return (
+                f'{name} has no impacts, and the scene has the joint limit "{held.limits[0]}". Use fmbd.Moreau(), '
+                "or fmbd.elastic_stop in its place."
+            )
         if held.contacts and self.start is None:
             return (
                 f'{name} does not treat contact, and the scene has "{held.contacts[0]}". Use fmbd.ContactMidpoint(), '

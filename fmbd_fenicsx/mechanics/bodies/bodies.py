@@ -79,7 +79,7 @@ class RigidBody(Body):
 
         # in space there is a body with this inertia
         if self.dim == 2:
-            number(f"{what}: inertia", J, above=0.0, unit="kg m^2; a mass at a point is a fmbd.PointMass")
+            number(f"{what}: inertia", J, above=0.0, unit="kg m^2 (a mass at a point is a fmbd.PointMass)")
             return
         require(J.shape in ((3,), (3, 3)), f"{what}: inertia must have shape (3,) or (3, 3), found {J.shape}.")
         if J.ndim == 2 and not (np.abs(J - J.T) <= 1e-12 * (np.abs(J).max() + np.abs(J.T))).all():

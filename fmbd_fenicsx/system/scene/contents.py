@@ -16,6 +16,7 @@ class Contents:
     Attributes:
         bodies: those that can move.
         contacts: pairs that may touch, and joint limits.
+        limits: of these, joint limits.
         bouncing: of these, those with inertia on the points that touch: only a law of impacts makes their rebound certain.
         massless: of these, those of elastic surfaces whose nodes carry no inertia: they take no impulse.
         rolling: joints that hold velocities and no positions, with their kind.
@@ -23,6 +24,7 @@ class Contents:
 
     bodies: tuple[Any, ...]
     contacts: tuple[str, ...]
+    limits: tuple[str, ...]
     bouncing: tuple[str, ...]
     massless: tuple[str, ...]
     rolling: tuple[tuple[str, str], ...]
@@ -46,6 +48,7 @@ def contents_of(scene: Scene) -> Contents:
     return Contents(
         bodies=tuple(b for b in scene.bodies.values() if not b.locked),
         contacts=(*scene.contacts, *limits),
+        limits=limits,
         bouncing=(*(c.name for c in pairs if c.bounces), *limits),
         massless=tuple(c.name for c in pairs if c.massless),
         rolling=tuple((j.name, j.kind) for j in scene.joints.values() if any(row.kind.on_speeds for row in j.rows)),
