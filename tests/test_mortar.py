@@ -60,7 +60,7 @@ def test_quadrilaterals_and_cells_of_the_second_order_pass_the_patch_test(
     """A bar of two parts whose meshes do not match, pulled: the strain of each is the stress over the modulus."""
     modulus, pull = 3.0, 0.3
     law = fmbd.materials.plane_stress(modulus, 0.25)
-    size = {"size": (1.0, 0.5)}
+    size: dict[str, Any] = {"size": (1.0, 0.5)}
     left = fmbd.read_gmsh(ROOT / "meshes/block.py", counts=(3, 2), quads=kinds[0], **size)
     right = second_order(shared_tmp, "block.py", counts=(4, 3), quads=kinds[1], origin=(1.0, 0.0), **size)
     a = fmbd.FloatingBody("a", left, degree=degree, density=1.0, elastic=law)

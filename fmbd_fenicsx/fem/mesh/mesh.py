@@ -241,17 +241,17 @@ def distributed(load: Loader, label: str, comm: Any = None) -> Mesh:
     try:
         # gmsh gives its model to the ranks; the others need a session for that
         together(comm, error)
-        found = comm.bcast(found)
+        checked: Checked = comm.bcast(found)
         if not gmsh.isInitialized():
             gmsh.initialize(interruptible=False)
-        msh, _, facets = compat.model_to_mesh(gmsh.model, comm, found.dim)
+        msh, _, facets = compat.model_to_mesh(gmsh.model, comm, checked.dim)
     finally:
         if gmsh.isInitialized():
             gmsh.finalize()
 
-    msh.topology.create_connectivity(found.dim - 1, found.dim)
+    msh.topology.create_connectivity(checked.dim - 1, checked.dim)
     made_by = FinishedMesh(load, comm)
-    return Mesh(msh, facets, found.surfaces, found.volume, found.label, made_by, found.others)
+    return Mesh(msh, facets, checked.surfaces, checked.volume, checked.label, made_by, checked.others)
 
 
 def require_file(path: Path) -> None:
