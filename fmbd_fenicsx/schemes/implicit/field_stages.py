@@ -321,8 +321,7 @@ class FieldEquations(Equations):
     def lend(self, room: FieldStageRoom, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
         """As :meth:`Equations.lend`: steps take derivatives of their own, and ask for the matrices of their frequencies."""
         self.begin(state, closed=False)
-        known = room.lent and self.metric in [by.weights for by in self._lent]
-        room.begin(matrices, self.consistent_start(state) if self._estimates and not known else None)
+        room.begin(matrices, self.consistent_start(state) if self._estimates else None)
 
     def lend_matrices(self, room: FieldStageRoom, state: State, s: Array) -> None:
         """As :meth:`Equations.lend_matrices`. Solutions are not iterated on there: an increment more is cheaper."""

@@ -64,6 +64,11 @@ class MultistepMarch(ImplicitStepper):
         """The highest order that the next step may be followed by."""
         return min(self.k + 1, self.highest)
 
+    @property
+    def _chooses_alike(self) -> bool:
+        # frequencies of fields hardly come back, and have no factors
+        return not self.system.fields and super()._chooses_alike
+
     def stride(self, h: float) -> float:
         """As :meth:`TimeStepper.stride`."""
         return float(self._starter.stride(h)) if self._starting else super().stride(h)

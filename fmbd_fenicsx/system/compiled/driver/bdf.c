@@ -121,7 +121,7 @@ static void remember_value(const System *s, const Implicit *o, const Block *now,
 static int point_factors(System *s, Implicit *o, double c0, double *work)
 {
     Stages *g = o->stages;
-    const double known = g->fields ? g->fields->lent : o->factored, ratio = known > 0.0 ? c0 / known : 0.0;
+    const double known = o->factored, ratio = known > 0.0 ? c0 / known : 0.0;
     const int near = o->own && ratio >= o->own->orders->nearest && ratio <= o->own->orders->farthest;
     g->relax = near ? 2.0 / (1.0 + ratio) : 1.0;
     g->s[0] = near ? known : c0;

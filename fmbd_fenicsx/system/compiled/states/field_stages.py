@@ -81,23 +81,15 @@ class FieldStageRoom(PointRoom):
         *moving, mult = super().points()
         return *map(self.twin.forces, moving), mult
 
-    @property
-    def lent(self) -> bool:
-        """Whether the matrices that were lent last are there."""
-        return self.fields.lent != 0.0 and all(
-            states.blocks is blocks and states.tangents == states.newest_tangents
-            for states, blocks in zip(self._solvers, self._blocks, strict=True)
-        )
-
     def begin(self, frequencies: Callable[[float], None], start: tuple[Array, ...] | None) -> None:
-        """Steps begin: who lends matrices, see tables.py; what closes the start of the first, dq, v and a; None: the matrices
-        that were lent last tell.
+        """Steps begin: who lends matrices, see tables.py; what closes the start of the first, dq, v and a, or None.
+
+        Matrices of an earlier call do not serve on, so that a run that is taken up makes the same steps.
         """
         self.states.tables.frequencies = frequencies
         self.arrays["t"][:] = np.nan
-        self.fields.begun = start is not None
+        self.fields.lent, self.fields.begun = 0.0, start is not None
         if start is not None:
-            self.fields.lent = 0.0
             self.known["closed"][:] = self.twin.velocities(np.array(start))
 
     def solve_by(self, s: Array, solvers: Sequence[FactoredFieldStates], before: Array, slow: float) -> None:
@@ -106,7 +98,7 @@ class FieldStageRoom(PointRoom):
         """
         self.fields.slow, self.fields.lent = slow, 0.0
         self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
-        self._solvers, self._blocks = solvers, [states.blocks for states in solvers]
+        self._solvers = solvers
         self._by[:] = [states.address for states in solvers]
         self.known["before"][:] = before
 
