@@ -56,7 +56,7 @@ def overran(system: System, state: State, h: float) -> bool:
     if not system.keepers:
         return False
     ev = system.at(state.t, state.q, state.v)
-    return any(loads.overran(ev, h) for loads in system.keepers)
+    return any(loads.overran(ev, h) for loads in system.forces)
 
 
 def accept(system: System, state: State) -> bool:

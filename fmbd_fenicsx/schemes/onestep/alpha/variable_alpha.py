@@ -244,6 +244,7 @@ class VariableAlpha(TimeStepper):
             self.far = 1 if self.far > 1 else 2  # the step behind one that failed is looked at alone
             return False
         self.quiet, self.far = (h, s.t + steps * h * (1 + SAME)), min(2 * self.far, FARTHEST)
+        self.largest = max(self.largest, h)
         return True
 
     # -- many steps in compiled code ------------------------------------------------------------------------------------
