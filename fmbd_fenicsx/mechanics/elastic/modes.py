@@ -28,6 +28,8 @@ from ...rotations import Array
 SHIFT = 1e-3  # of an upper bound of the first eigenvalue
 SLOW = 20  # refinements after which the shift is taken for too large
 LOWER = 3  # times that it is made smaller
+# squares of corrections over a displacement's: those of roundoff, and where parts a million times as stiff leave more
+ROUNDED, ROUGH = 1e-12, 1e-8
 
 
 def rigid_fields(field: Field) -> Array:
@@ -157,7 +159,8 @@ class ConditionedBody:
             mu[:, left] += dmu
 
             size, change = f.total(np.stack(((u * u).sum(axis=0), (du * du).sum(axis=0))))
-            stays = (change >= 0.25 * before[left]) & (change <= 1e-12 * size)
+            small = ROUNDED if count <= LOWER * SLOW else ROUGH
+            stays = (change >= 0.25 * before[left]) & (change <= small * size)
             before[left] = change
             left = left[~((change <= 1e-24 * size) | stays)]
         raise FmbdError(f'Body "{f.name}": static modes did not converge; the conditions do not hold the body.')
