@@ -24,6 +24,7 @@ from fmbd_fenicsx.run.single_run import Task, run_once
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
+from fmbd_fenicsx.schemes.onestep.alpha.look_ahead import LookAhead
 from fmbd_fenicsx.schemes.onestep.alpha.stretch import parts
 from fmbd_fenicsx.schemes.onestep.alpha.variable_alpha import VariableAlpha
 from fmbd_fenicsx.system.compiled.tables.tables import Tables
@@ -330,6 +331,22 @@ def test_a_look_ahead_that_cannot_be_solved_is_a_step_too_large(
     run = fmbd.solve(knocked(rod_mesh(dim=2, h=0.5, height=0.1)), t_end=0.4, scheme=fmbd.GeneralizedAlpha(rtol=1e-3))
     assert refused and run.status == "finished"
     assert run.counters["rejected: linear solve failed"] == len(refused)
+
+
+def test_a_look_at_many_steps_that_cannot_be_solved_refuses_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a look at that one does, and the run goes on."""
+    look, refused = LookAhead.loads, []
+
+    def loads(self: LookAhead, s: Any, h: float, steps: int = 1) -> float:
+        if steps > 8 and not refused:
+            refused.append(h)
+            raise LinearSolveError("the matrix is singular or nearly so")
+        return look(self, s, h, steps)
+
+    monkeypatch.setattr(LookAhead, "loads", loads)
+    run = fmbd.solve(pushed(lambda t: 1.0), t_end=1.0, dt=0.01, scheme=fmbd.GeneralizedAlpha(rtol=1e-2))
+    assert refused and run.status == "finished"
+    assert run.counters["rejected: linear solve failed"] == 1
 
 
 def test_sizes_of_steps_and_runs_of_a_system_share_their_tables(

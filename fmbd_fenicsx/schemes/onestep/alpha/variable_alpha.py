@@ -165,7 +165,7 @@ class VariableAlpha(TimeStepper):
             level = self.stretch.coarsest(min(self.proposed, farthest), s.t)
             h = self.stretch.size(level)
             moves(s.t, h)
-            if not (self._is_looked_at(h) or self._look_far(h)):
+            if not self._is_looked_at(h):
                 farthest = min(farthest, self.look.farthest(s, h))
                 if farthest < h:
                     continue
@@ -221,7 +221,7 @@ class VariableAlpha(TimeStepper):
         """
         if self._is_looked_at(h):
             return 0.0
-        error = self.look.loads(self.state, h)
+        error = 0.0 if self._look_far(h) else self.look.loads(self.state, h)
         if error <= 1.0:
             self.largest = max(self.largest, h)
         return error
@@ -244,7 +244,6 @@ class VariableAlpha(TimeStepper):
             self.far = 1 if self.far > 1 else 2  # the step behind one that failed is looked at alone
             return False
         self.quiet, self.far = (h, s.t + steps * h * (1 + SAME)), min(2 * self.far, FARTHEST)
-        self.largest = max(self.largest, h)
         return True
 
     # -- many steps in compiled code ------------------------------------------------------------------------------------
