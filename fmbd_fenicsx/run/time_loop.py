@@ -202,7 +202,7 @@ class Loop:
 
     def _unkept(self, done: int) -> int:
         """Steps behind so many up to one after which a checkpoint may be due, it included."""
-        return MOST if self.keeper is None else self.keeper.steps_left(done)
+        return MOST if self.keeper is None else int(min(self.keeper.steps_left(done), MOST))
 
     def _chosen_step(self) -> tuple[int, Evaluation | None]:
         """Steps of sizes that the scheme chooses, many in one call or one by itself: how many, and the system in the new state,

@@ -53,8 +53,6 @@ def whole_steps(system: System, t: float, h: float) -> float:
 
 def overran(system: System, state: State, h: float) -> bool:
     """Whether a step of h (s) to ``state``, chosen by its error, was too long for an element with a memory; collective."""
-    if not system.keepers:
-        return False
     ev = system.at(state.t, state.q, state.v)
     return any(loads.overran(ev, h) for loads in system.forces)
 

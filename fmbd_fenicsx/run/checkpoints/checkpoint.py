@@ -15,6 +15,7 @@ import time as clock
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,6 @@ from .progress import RunProgress
 
 STOP = "STOP"  # a file of this name in the folder asks the run to stop
 LOOK = 0.5  # s between looks for it
-MOST = 10_000_000  # steps after which it is asked where only the clock tells
 PATIENCE = 2.0  # s that other ranks give the first one to write what they are to read
 INTERRUPTED, STOPPED = 130, 75  # exit codes after Ctrl-C, and of a run that was asked to stop and can be taken up again
 GO_ON, WRITE, WRITE_AND_STOP = 0, 1, 2
@@ -234,12 +234,12 @@ class Keeper:
                 self._unlink_stop()
         return verdict == WRITE_AND_STOP
 
-    def steps_left(self, done: int) -> int:
-        """Steps behind so many up to one after which it has to be asked, by :meth:`after_step`."""
+    def steps_left(self, done: int) -> float:
+        """Steps behind so many up to one after which it has to be asked, by :meth:`after_step`; infinite: by the clock."""
         if self.shared:  # the ranks agree after each
             return 1
         every = None if self.plan is None else self.plan.every
-        return MOST if every is None else every - done % every
+        return inf if every is None else every - done % every
 
     def _due(self, done: int, plan: Checkpoint) -> int:
         now = clock.monotonic()
