@@ -336,7 +336,7 @@ class FieldEquations(Equations):
         ready = [tables for by in self._lent if (tables := by.tables) is not None]
         if len(ready) < len(s):
             raise LinearSolveError("the matrix of a frequency is NumPy's.")
-        room.solve_by(s, ready, np.zeros(len(s)), np.inf)
+        room.solve_by(ready, np.zeros(len(s)), np.inf)
         for states in ready:
             states.hold(None)
 

@@ -168,7 +168,8 @@ class FieldStages:
         solvers = [tables for by in self.by if (tables := by.tables) is not None]
         if len(set(map(id, solvers))) < len(self.by):  # matrices of some are NumPy's, or share their tables
             return
-        room.solve_by(np.array(self.s), solvers, self.before, SLOW)
+        room.take_frequencies(np.array(self.s))
+        room.solve_by(solvers, self.before, SLOW)
         self.judge.solves += room.iterate(convergence, until)
         self.before = room.known["before"].copy()
 

@@ -92,12 +92,15 @@ class FieldStageRoom(PointRoom):
         if start is not None:
             self.known["closed"][:] = self.twin.velocities(np.array(start))
 
-    def solve_by(self, s: Array, solvers: Sequence[FactoredFieldStates], before: Array, slow: float) -> None:
-        """Take the frequencies s (p,), those who have their matrices, the sizes of the increments before (p,), and up to which
-        share of these increments count whose solutions nobody iterates on.
+    def take_frequencies(self, s: Array) -> None:
+        """Those of stages that Python makes, s (p,); whole steps have their own."""
+        self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
+
+    def solve_by(self, solvers: Sequence[FactoredFieldStates], before: Array, slow: float) -> None:
+        """Take those who have the matrices of the frequencies, the sizes of the increments before (p,), and up to which share of
+        these increments count whose solutions nobody iterates on.
         """
         self.fields.slow, self.fields.lent = slow, 0.0
-        self.arrays["s"][:, 0], self.arrays["s"][:, 1] = s.real, s.imag
         self._solvers = solvers
         self._by[:] = [states.address for states in solvers]
         self.known["before"][:] = before
