@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..energies import ViscousForm
+from .density import Density
 from .loads import Load
 
 
@@ -20,7 +21,7 @@ class ElasticForms:
     """
 
     elastic: Callable[[Any, Any, Any], Any] | None
-    density: float
+    density: Density
     degree: int
     mass_damping: float = 0.0  # 1/s
     stiffness_damping: float = 0.0  # s

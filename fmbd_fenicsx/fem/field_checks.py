@@ -62,6 +62,16 @@ def _check_stiffness(field: Any) -> None:
             "Check the signs of the moduli (E > 0, -1 < nu < 0.5)."
         )
 
+    # a form over some of the volumes leaves the nodes of the others without any
+    bare = ~field.K.getDiagonal().array.reshape(-1, field.dim).any(axis=1)
+    count, nodes = field.total(np.array([bare.sum(), len(bare)]))
+    if count:
+        places = np.concatenate(field.comm.allgather(field.X_world[bare][:1])).round(6).tolist()
+        raise InputError(
+            f'Body "{field.name}": {count} of {nodes} nodes have no stiffness (one at {places[0]}): the elastic '
+            "form or energy leaves out a part of the body. Give a material to each volume of the mesh."
+        )
+
 
 def _warn_of_locking(field: Any) -> None:
     """Poisson's ratio from the energies of a stretch u = X and of a shear u = (y, x, 0); a warning where it is near 1/2."""

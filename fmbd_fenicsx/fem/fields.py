@@ -23,6 +23,7 @@ from ..errors import InputError
 from ..log import together
 from ..rotations import Array, motions
 from .assembly import NodalVector, on_components
+from .density import density_on, mean_density
 from .elastic_forms import ElasticForms
 from .energy_quadrature import integrated
 from .field_checks import check_field
@@ -79,10 +80,10 @@ class Field:
         together(self.comm, None if same else RuntimeError("DOLFINx numbered scalar and vector spaces differently"))
 
         # inertia: the same of every component
-        dx = ufl.Measure("dx", domain=msh)
+        dx = mesh.dx
         p, q = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
-        rho = fem.Constant(msh, float(forms.density))
-        self.M = fp.assemble_matrix(compat.form(rho * p * q * dx))
+        self.rho = density_on(mesh, forms.density)
+        self.M = fp.assemble_matrix(compat.form(self.rho * p * q * dx))
         self.M.assemble()
 
         # elasticity, without stress to begin with
@@ -333,11 +334,14 @@ class Field:
     def mass_form(self) -> Any:
         """The compiled form of M on vectors."""
         import ufl
-        from dolfinx import fem
 
-        msh, u, v = self.mesh.dolfinx, ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        rho = fem.Constant(msh, float(self.forms.density))
-        return compat.form(rho * ufl.inner(u, v) * ufl.Measure("dx", domain=msh))
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        return compat.form(self.rho * ufl.inner(u, v) * self.mesh.dx)
+
+    @cached_property
+    def mean_density(self) -> float:
+        """Mass over volume, kg/m^3; collective."""
+        return mean_density(self)
 
     def combination(self, cm: float, ck: float, cd: float = 0.0) -> Any:
         """The PETSc matrix cm M + cd D + ck K (symmetric, aij) of those that are held; collective. The caller destroys it."""

@@ -171,7 +171,7 @@ class AppliedLoads:
         def ds(surface: str) -> Any:
             return measure(field.mesh.surface_tag(surface))
 
-        self._measures = ufl.Measure("dx", domain=msh), ds
+        self._measures = field.mesh.dx, ds
 
         v = ufl.TestFunction(field.space)
         self.vectors: list[Array | None] = []

@@ -49,8 +49,7 @@ class MeanForces:
         import ufl
 
         v, du = ufl.TestFunction(self.field.space), ufl.TrialFunction(self.field.space)
-        dx = ufl.Measure("dx", domain=self.field.mesh.dolfinx)
-        inertia = 2 * float(self.field.forms.density) / self.h**2 * ufl.inner(du, v) * dx
+        inertia = 2 * self.field.rho / self.h**2 * ufl.inner(du, v) * self.field.mesh.dx
         return compat.form(inertia + ufl.derivative(self.form, self.u1, du))
 
     def _forces(self, v: Any) -> Any:
@@ -58,7 +57,7 @@ class MeanForces:
         import ufl
 
         field, forms = self.field, self.field.forms
-        dx, density = field.elastic_measure, float(forms.density)
+        dx = field.elastic_measure
         mean = 0.5 * (self.u0 + self.u1)
         rate = (self.u1 - self.u0) / self.h
 
@@ -69,7 +68,7 @@ class MeanForces:
             force += forms.viscous(rate, v, dx)
 
         if forms.mass_damping:
-            force += forms.mass_damping * density * ufl.inner(rate, v) * ufl.Measure("dx", domain=field.mesh.dolfinx)
+            force += forms.mass_damping * field.rho * ufl.inner(rate, v) * field.mesh.dx
         if forms.stiffness_damping:
             assert forms.elastic is not None  # an energy is refused by the scheme
             force += forms.stiffness_damping * forms.elastic(rate, v, dx)

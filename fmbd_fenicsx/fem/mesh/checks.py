@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,37 +24,57 @@ class Group:
 
 @dataclass(frozen=True)
 class Checked:
-    """What a model is after its checks: ``surfaces`` name -> tag; ``others``: name of a group that is no surface -> why."""
+    """What a model is after its checks: ``volumes``, ``surfaces`` name -> tag; ``others``: group that is no surface -> why."""
 
     dim: int
-    volume: str
+    volumes: dict[str, int]
     surfaces: dict[str, int]
     label: str
     others: dict[str, str]
 
 
-def check_model(model: Any, label: str, volume: str | None) -> Checked:
+def check_model(model: Any, label: str, volume: str | Sequence[str] | None) -> Checked:
     """Check physical groups and cells of a meshed gmsh model; drop the groups of other bodies. Rank 0 only."""
     groups = _named_groups(model, label)
-    solid = _solid(model, groups, label, volume)
+    solids = _solids(model, groups, label, volume)
+    dim, name = solids[0].dim, name_of_volumes(g.name for g in solids)
     for other in groups:
-        if other.dim == solid.dim and other.name != solid.name:
+        if other.dim == dim and other not in solids:
             model.removePhysicalGroups([(other.dim, other.tag)])
 
-    entities = [int(e) for e in model.getEntitiesForPhysicalGroup(solid.dim, solid.tag)]
-    _check_cells(model, solid.dim, entities, label, solid.name)
-    around = [g for g in groups if g.dim == solid.dim - 1]
+    entities = _entities(model, solids, label)
+    _check_cells(model, dim, entities, label, name)
+    around = [g for g in groups if g.dim == dim - 1]
     surfaces = _surfaces(model, around, entities, label)
-    _drop_others(model, solid.dim, entities)
-    others = {g.name: _why_none(g, solid) for g in groups if g.dim < solid.dim and g.name not in surfaces}
-    return Checked(solid.dim, solid.name, surfaces, label, others)
+    _drop_others(model, dim, entities)
+    others = {g.name: _why_none(g, dim, name) for g in groups if g.dim < dim and g.name not in surfaces}
+    return Checked(dim, {g.name: g.tag for g in solids}, surfaces, label, others)
 
 
-def _why_none(group: Group, solid: Group) -> str:
-    """Why a group is no surface of the solid."""
-    if group.dim == solid.dim - 1:
-        return f'The group of this name does not lie on the boundary of volume "{solid.name}".'
-    kinds = ("points", "curves")[group.dim], ("curves", "faces")[solid.dim - 2]
+def name_of_volumes(names: Iterable[str]) -> str:
+    """What messages call the volumes of one body."""
+    return " + ".join(names)
+
+
+def _entities(model: Any, solids: list[Group], label: str) -> list[int]:
+    """The geometry in some groups, each part in one of them alone: a cell is of one material."""
+    owner: dict[int, str] = {}
+    for g in solids:
+        for e in model.getEntitiesForPhysicalGroup(g.dim, g.tag):
+            if int(e) in owner:
+                raise MeshError(
+                    f'{label}: volumes "{owner[int(e)]}" and "{g.name}" share a part of the geometry (entity {int(e)}). '
+                    "Put each part into one of them."
+                )
+            owner[int(e)] = g.name
+    return list(owner)
+
+
+def _why_none(group: Group, dim: int, name: str) -> str:
+    """Why a group is no surface of the solid of a dimension and name."""
+    if group.dim == dim - 1:
+        return f'The group of this name does not lie on the boundary of volume "{name}".'
+    kinds = ("points", "curves")[group.dim], ("curves", "faces")[dim - 2]
     return f"The group of this name holds {kinds[0]}: surfaces hold {kinds[1]}, small ones where a point or an edge is meant."
 
 
@@ -87,8 +107,8 @@ def _listing(groups: list[Group]) -> str:
     return ", ".join(f'"{g.name}" (dim {g.dim})' for g in groups)
 
 
-def _solid(model: Any, groups: list[Group], label: str, volume: str | None) -> Group:
-    """The group of the body: the one that is asked for, or the only one of the highest dimension."""
+def _solids(model: Any, groups: list[Group], label: str, volume: str | Sequence[str] | None) -> list[Group]:
+    """The groups of the body: those that are asked for, or the only one of the highest dimension."""
     dim = max(g.dim for g in groups)
     geometry = max((k for k, _ in model.getEntities()), default=dim)
     if dim < 2 or dim < geometry:
@@ -99,11 +119,15 @@ def _solid(model: Any, groups: list[Group], label: str, volume: str | None) -> G
 
     solids = [g for g in groups if g.dim == dim]
     names = [g.name for g in solids]
-    if volume is not None and volume not in names:
-        raise MeshError(f'{label}: no volume "{volume}". {near(volume, names)}')
     if volume is None and len(solids) > 1:
-        raise MeshError(f"{label} holds several volumes: {names}. Choose one with volume=...")
-    return next(g for g in solids if volume in (None, g.name))
+        raise MeshError(
+            f"{label} holds several volumes: {names}. Choose one with volume=..., or several as one body with volume=(..., ...)."
+        )
+    wanted = names if volume is None else [volume] if isinstance(volume, str) else list(volume)
+    for name in wanted:
+        if name not in names:
+            raise MeshError(f'{label}: no volume "{name}". {near(name, names)}')
+    return [g for g in solids if g.name in wanted]
 
 
 def _surfaces(model: Any, groups: list[Group], entities: list[int], label: str) -> dict[str, int]:

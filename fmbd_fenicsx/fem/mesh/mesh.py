@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from ... import dolfinx_compat as compat
-from ...checks import instance, number, vector, word
+from ...checks import instance, number, vector, word, words
 from ...errors import InputError, MeshError, near
 from ...log import install_hooks, together
 from ...rotations import motions
-from .checks import Checked, check_model
+from .checks import Checked, check_model, name_of_volumes
 
 Loader = Callable[[Any], Checked]  # fills a gmsh session
 SMALLEST = 1e-12  # area of a surface over extent^(d - 1)
@@ -34,7 +34,7 @@ class Recipe:
     """How a mesh was made by a script, and where it was placed."""
 
     source: Path
-    volume: str | None
+    volume: str | Sequence[str] | None
     comm: Any
     parameters: dict[str, Any]
     scale: float = 1.0
@@ -89,9 +89,9 @@ def _placed(mesh: Mesh, places: tuple[tuple[Any, Any], ...]) -> Mesh:
 class Mesh:
     """A distributed mesh of one body with named surfaces.
 
-    Attributes: ``dolfinx`` the mesh, ``facet_tags`` its MeshTags, ``surfaces`` name -> tag, ``volume`` name of the solid group,
-    ``label`` what messages call it, ``recipe`` how it was made, where that is known, ``others`` name of a group that is no
-    surface -> why.
+    Attributes: ``dolfinx`` the mesh, ``facet_tags`` its MeshTags, ``surfaces`` name -> tag, ``volume`` name of the solid group
+    or groups, ``label`` what messages call it, ``recipe`` how it was made, where that is known, ``others`` name of a group that
+    is no surface -> why; ``volumes`` name -> tag of the solid groups, ``cell_tags`` their MeshTags.
     """
 
     dolfinx: Any
@@ -101,6 +101,8 @@ class Mesh:
     label: str
     recipe: Recipe | FinishedMesh | None = None
     others: dict[str, str] = field(default_factory=dict)
+    volumes: dict[str, int] = field(default_factory=dict)
+    cell_tags: Any = None
 
     def __repr__(self) -> str:
         cells = self.dolfinx.topology.index_map(self.dim).size_global
@@ -138,6 +140,19 @@ class Mesh:
             raise MeshError(f"No{self.missing(name)[2:]}")
         return self.surfaces[name]
 
+    def volume_tag(self, name: str) -> int:
+        """Tag of a named volume: ``dx(mesh.volume_tag("core"))`` is the measure of it in an elastic form of the body."""
+        if name not in self.volumes:
+            raise MeshError(f'No volume "{name}" in {self.label}. {near(name, sorted(self.volumes))}')
+        return self.volumes[name]
+
+    @cached_property
+    def dx(self) -> Any:
+        """UFL's measure of the body, which knows its volumes."""
+        import ufl
+
+        return ufl.Measure("dx", domain=self.dolfinx, subdomain_data=self.cell_tags)
+
     def missing(self, name: str) -> str:
         """That there is no such surface, why, and which there are."""
         why = f" {self.others[name]}" if name in self.others else ""
@@ -172,14 +187,15 @@ class Mesh:
         x = pose[:d] + self.dolfinx.geometry.x[:, :d] @ motion.matrix(pose).T
         mesh = compat.moved(self.dolfinx, x)
         # tags belong to a topology: those of the copy
-        tags = self.facet_tags
-        if tags is not None:
-            tags = meshtags(mesh, tags.dim, tags.indices, tags.values)
+        facets, cells = (
+            None if tags is None else meshtags(mesh, tags.dim, tags.indices, tags.values)
+            for tags in (self.facet_tags, self.cell_tags)
+        )
         # a finer mesh of it is put in the same place
         recipe = self.recipe
         if recipe is not None:
             recipe = replace(recipe, placed=(*recipe.placed, (position, rotation)))
-        return replace(self, dolfinx=mesh, facet_tags=tags, recipe=recipe)
+        return replace(self, dolfinx=mesh, facet_tags=facets, cell_tags=cells, recipe=recipe)
 
     def check_area(self, name: str, area: float) -> None:
         """Refuse a surface without area, or with so little that a joint on it cannot carry a finite force; collective."""
@@ -192,13 +208,19 @@ class Mesh:
 
 
 def read_gmsh(
-    source: str | Path, *, volume: str | None = None, scale: float = 1.0, comm: Any = None, **parameters: Any
+    source: str | Path,
+    *,
+    volume: str | Sequence[str] | None = None,
+    scale: float = 1.0,
+    comm: Any = None,
+    **parameters: Any,
 ) -> Mesh:
     """Read one body from a mesh script (``.py``) or a ``.msh`` file; collective over ``comm`` (default COMM_WORLD).
 
     Args:
         source: path of the script or file.
-        volume: name of the solid's physical group; needed when the file holds several.
+        volume: name of the solid's physical group; needed when the file holds several. Several names: one body of several
+            materials, whose volumes share the nodes between them.
         scale: m for a unit of the script or file: 1e-3 for mm.
         parameters: passed to the script's ``build`` (say ``h=0.05``, ``dim=2``).
 
@@ -208,8 +230,8 @@ def read_gmsh(
     install_hooks()
     compat.check_versions()
     instance("read_gmsh: source", source, (str, Path))
-    if volume is not None:
-        word("read_gmsh: volume", volume)
+    for name in (volume,) if isinstance(volume, str) else words("read_gmsh: volume", volume or ()):
+        word("read_gmsh: volume", name)
     number("read_gmsh: scale", scale, above=0.0)
     path = Path(source)
     made = distributed(lambda gmsh: _load(gmsh, path, parameters, volume, scale), str(path), comm)
@@ -244,14 +266,15 @@ def distributed(load: Loader, label: str, comm: Any = None) -> Mesh:
         checked: Checked = comm.bcast(found)
         if not gmsh.isInitialized():
             gmsh.initialize(interruptible=False)
-        msh, _, facets = compat.model_to_mesh(gmsh.model, comm, checked.dim)
+        msh, cells, facets = compat.model_to_mesh(gmsh.model, comm, checked.dim)
     finally:
         if gmsh.isInitialized():
             gmsh.finalize()
 
     msh.topology.create_connectivity(checked.dim - 1, checked.dim)
     made_by = FinishedMesh(load, comm)
-    return Mesh(msh, facets, checked.surfaces, checked.volume, checked.label, made_by, checked.others)
+    name = name_of_volumes(checked.volumes)
+    return Mesh(msh, facets, checked.surfaces, name, checked.label, made_by, checked.others, checked.volumes, cells)
 
 
 def require_file(path: Path) -> None:
@@ -260,7 +283,9 @@ def require_file(path: Path) -> None:
         raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
 
 
-def _load(gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | None, scale: float) -> Checked:
+def _load(
+    gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | Sequence[str] | None, scale: float
+) -> Checked:
     """Rank 0: build or open the model, check it, keep one body."""
     require_file(path)
 

@@ -53,7 +53,7 @@ class Elastic:
                     u[:, k] = -b.X[:, k]
                     shear.append(float(u.ravel() @ b.stiffness(u.ravel())) / 4.0)
 
-        volume = b.mass_total / b.forms.density
+        volume = b.mass_total / b.mean_density
         return tuple(float(x) for x in b.total(np.array([np.mean(shear), np.mean(axial)])) / volume)  # type: ignore[return-value]
 
     @property
@@ -69,9 +69,9 @@ class Elastic:
     @property
     def static_inertia(self) -> float:
         """The cm for which waves cross the body in about one step."""
-        return float(0.1 * self.ck * self.modulus / (self.body.forms.density * self.body.size**2))
+        return float(0.1 * self.ck * self.modulus / (self.body.mean_density * self.body.size**2))
 
     @property
     def depth(self) -> float:
         """Length sqrt(ck G / (cm rho)) over which a surface force reaches into the body within a step, m."""
-        return float(np.sqrt(self.ck * self.modulus / (self.inertia * self.body.forms.density)))
+        return float(np.sqrt(self.ck * self.modulus / (self.inertia * self.body.mean_density)))

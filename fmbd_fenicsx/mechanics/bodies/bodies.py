@@ -16,6 +16,7 @@ import numpy as np
 from ...checks import array, check_fields, instance, number, vector, whole, word
 from ...energies import Hooke, MixedEnergy, SheetEnergy, StoredEnergy, ViscousForm
 from ...errors import InputError, require
+from ...fem.density import Density, check_density
 from ...fem.elastic_forms import ElasticForms
 from ...fem.loads import Load
 from ...rotations import Array, motions
@@ -195,7 +196,7 @@ class ElasticBody(Body):
         name: what messages and sensors call it.
         mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the start, or of the stress-free state.
         degree: of the Lagrange displacements (2 by default: P1 is far too stiff in bending).
-        density: kg/m^3 (in the plane: kg/m^2 of the sheet).
+        density: kg/m^3 (in the plane: kg/m^2 of the sheet); or one for each volume of the mesh, by its name.
         elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear; or
         energy: the elastic energy Pi(u, dx) in UFL, J, for instance from :mod:`fmbd_fenicsx.materials`. Either may be a
             :class:`~fmbd_fenicsx.MixedEnergy` of displacement and pressure, for nu up to 1/2.
@@ -217,7 +218,7 @@ class ElasticBody(Body):
     name: str
     mesh: Any
     degree: int = 2
-    density: float = field(kw_only=True)
+    density: Density = field(kw_only=True)
     elastic: Callable[[Any, Any, Any], Any] | None = None
     energy: Callable[[Any, Any], Any] | MixedEnergy | None = None
     velocity: Vector | None = None
@@ -261,7 +262,7 @@ class ElasticBody(Body):
             )
 
         # numbers
-        number(f"{what}: density", self.density, above=0.0, unit="kg/m^3" if self.dim == 3 else "kg/m^2")
+        check_density(f"{what}: density", self.density, self.mesh)
         require(1 <= self.degree <= HIGHEST_DEGREE, f"{what}: degree {self.degree} must be 1, 2 or 3.")
         if self.quadrature is not None:
             whole(f"{what}: quadrature", self.quadrature, least=1)

@@ -161,7 +161,7 @@ class Density:
         affine = [1.0, *((x[k] - float(field.center[k])) / field.size for k in range(self.dim))]
         self._c = fem.Constant(mesh, np.zeros(self.terms))
         weight = sum(self._c[i] * affine[a] * affine[b] for i, (a, b) in enumerate(self.pairs))
-        self._density = fem.Constant(mesh, float(field.forms.density)) * weight
+        self._density = field.rho * weight
         self._dx = ufl.dx(domain=mesh)
 
         self._space = fem.functionspace(mesh, ("Lagrange", field.forms.degree))

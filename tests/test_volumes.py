@@ -1,0 +1,173 @@
+"""Bodies of several materials: named volumes of one mesh, in forms, energies, loads and densities."""
+
+import numpy as np
+import pytest
+from ufl import grad, inner, sym
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError, MeshError
+
+SCRIPT = '''
+def build(gmsh, length=2.0, height=0.1, h=0.1, stacked=False, shared=False):
+    """Two equal rectangles, one after the other, or one above the other: the volumes "one" and "two"."""
+    occ = gmsh.model.occ
+    if stacked:
+        parts = [occ.addRectangle(0, -height, 0, length, height), occ.addRectangle(0, 0, 0, length, height)]
+    else:
+        parts = [occ.addRectangle(k * length / 2, 0, 0, length / 2, height) for k in (0, 1)]
+    occ.fragment([(2, parts[0])], [(2, parts[1])])
+    occ.synchronize()
+    for k, name in enumerate(("one", "two")):
+        gmsh.model.addPhysicalGroup(2, parts if shared else [parts[k]], name=name)
+    ends = {"left": [], "right": []}
+    for _, curve in gmsh.model.getEntities(1):
+        x = occ.getCenterOfMass(1, curve)[0]
+        if x < 1e-6 or x > length - 1e-6:
+            ends["left" if x < 1e-6 else "right"].append(curve)
+    for name, curves in ends.items():
+        gmsh.model.addPhysicalGroup(1, curves, name=name)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", h)
+    gmsh.model.mesh.generate(2)
+'''
+
+BOTH = ("one", "two")
+E = {"one": 2e6, "two": 5e6}
+RHO = {"one": 1000.0, "two": 3000.0}
+
+
+@pytest.fixture
+def script(tmp_path):
+    path = tmp_path / "parts.py"
+    path.write_text(SCRIPT)
+    return path
+
+
+def hooke(mesh, nu=0.0):
+    """Hooke's law with the modulus of each volume."""
+    laws = {name: fmbd.materials.plane_stress(modulus, nu) for name, modulus in E.items()}
+
+    def elastic(u, v, dx):
+        return sum(law(u, v, dx(mesh.volume_tag(name))) for name, law in laws.items())
+
+    return elastic
+
+
+def stretched(body):
+    """How far the right end goes under 1e3 N/m^2 along the bar, m."""
+    scene = fmbd.Scene("bar")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+    scene.sensor("end", fmbd.position(body.surface("right")))
+    return fmbd.equilibrium(scene)["end"]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("quadrature", [None, 4])
+def test_bar_in_series(script, quadrature):
+    mesh = fmbd.read_gmsh(script, volume=BOTH)
+    pull = fmbd.loads.traction("right", (1e3, 0.0))
+    body = fmbd.AbsoluteBody("bar", mesh, density=RHO, elastic=hooke(mesh), loads=[pull], quadrature=quadrature)
+    found = stretched(body)
+    assert found[0] - 2.0 == pytest.approx(1e3 * (1.0 / E["one"] + 1.0 / E["two"]), rel=1e-9)
+    assert mesh.volume == "one + two"
+
+
+@pytest.mark.mpi
+def test_where_the_mesh_is_placed(script):
+    mesh = fmbd.read_gmsh(script, volume=BOTH)
+    there = mesh.placed((1.0, 2.0), np.pi / 2)
+    pull = fmbd.loads.traction("right", (0.0, 1e3))
+    body = fmbd.AbsoluteBody("bar", there, density=RHO, elastic=hooke(there), loads=[pull])
+    assert stretched(body)[1] - 4.0 == pytest.approx(1e3 * (1.0 / E["one"] + 1.0 / E["two"]), rel=1e-9)
+
+
+@pytest.mark.mpi
+def test_mass_and_its_centre(script):
+    mesh = fmbd.read_gmsh(script, volume=BOTH)
+    body = fmbd.FloatingBody("bar", mesh, density=RHO, elastic=hooke(mesh))
+    scene = fmbd.Scene("bar")
+    scene.add(body)
+    field = scene.build()[0].parts[0].field
+    assert field.mass_total == pytest.approx(0.1 * (1000.0 + 3000.0), rel=1e-12)
+    assert field.center == pytest.approx([1.25, 0.05], rel=1e-12)
+    assert field.mean_density == pytest.approx(2000.0, rel=1e-12)
+    assert field.inertia[0, 0] == pytest.approx(400.0 * (1 / 12 + 0.01 / 12 + 0.75 * 0.25), rel=1e-12)
+
+
+def test_bimetal_strip_bends_as_timoshenko_says(script):
+    # equal layers, modulus ratio n: curvature 24 dT (alpha_2 - alpha_1) / (h (14 + n + 1 / n))
+    mesh = fmbd.read_gmsh(script, volume=BOTH, stacked=True, length=4.0, h=0.05)
+    rise = 1e-4  # alpha dT of the layer "two"
+
+    def hot(v, dx, ds):
+        return E["two"] * rise * inner(sym(grad(v))[0, 0], 1.0) * dx(mesh.volume_tag("two"))
+
+    heat = fmbd.loads.Load(hot, follower=True, internal=True)
+    body = fmbd.FloatingBody("strip", mesh, density=RHO, elastic=hooke(mesh), loads=[heat])
+    scene = fmbd.Scene("strip")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+    scene.sensor("end", fmbd.position(body.surface("right")))
+    n = E["two"] / E["one"]
+    curvature = 24 * rise / (0.2 * (14 + n + 1 / n))
+    assert fmbd.equilibrium(scene)["end"][1] == pytest.approx(-curvature * 4.0**2 / 2, rel=3e-3)
+
+
+def test_energy_in_volumes(script):
+    # a bar in series, pulled by an energy that is linear elasticity for such a load
+    mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.2)
+    energies = {name: fmbd.materials.sheet_saint_venant_kirchhoff(modulus, 0.0) for name, modulus in E.items()}
+
+    def energy(u, dx):
+        return sum(law(u, dx(mesh.volume_tag(name))) for name, law in energies.items())
+
+    pull = fmbd.loads.traction("right", (10.0, 0.0))
+    body = fmbd.AbsoluteBody("bar", mesh, density=RHO, energy=energy, loads=[pull])
+    assert stretched(body)[0] - 2.0 == pytest.approx(10.0 * (1.0 / E["one"] + 1.0 / E["two"]), rel=1e-4)
+
+
+@pytest.mark.mpi
+def test_damping_by_mass_under_energy_momentum(script):
+    # alpha M of both volumes: the body slows down as a whole, v = exp(-alpha t)
+    mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.2)
+    body = fmbd.AbsoluteBody("bar", mesh, density=RHO, elastic=hooke(mesh), mass_damping=0.1, velocity=(1.0, 0.0))
+    scene = fmbd.Scene("free")
+    scene.add(body)
+    scene.sensor("end", fmbd.position(body.surface("right")))
+    run = fmbd.solve(scene, t_end=0.02, dt=2e-3, scheme=fmbd.EnergyMomentum())
+    assert run["end"][-1, 0] - 2.0 == pytest.approx((1 - np.exp(-0.002)) / 0.1, rel=1e-7)
+
+
+def test_what_is_refused(script):
+    with pytest.raises(MeshError, match=r"several volumes.*volume=\(\.\.\., \.\.\.\)"):
+        fmbd.read_gmsh(script)
+    with pytest.raises(MeshError, match='no volume "too".*two'):
+        fmbd.read_gmsh(script, volume=("one", "too"))
+    with pytest.raises(MeshError, match='"one" and "two" share'):
+        fmbd.read_gmsh(script, volume=BOTH, shared=True)
+    with pytest.raises(InputError, match="several strings"):
+        fmbd.read_gmsh(script, volume=3)
+
+    mesh = fmbd.read_gmsh(script, volume=BOTH)
+    with pytest.raises(MeshError, match='No volume "tow".*two'):
+        mesh.volume_tag("tow")
+
+    def bar(density):
+        return fmbd.AbsoluteBody("bar", mesh, density=density, elastic=hooke(mesh))
+
+    with pytest.raises(InputError, match=r"density: none is given for the volumes \['two'\]"):
+        bar({"one": 1.0})
+    with pytest.raises(InputError, match="density: no volume 'three'.*two"):
+        bar({"one": 1.0, "two": 1.0, "three": 1.0})
+    with pytest.raises(InputError, match='density of volume "two".*positive'):
+        bar({"one": 1.0, "two": -1.0})
+    with pytest.raises(InputError, match="density"):
+        bar("heavy")
+
+
+def test_a_volume_without_material_is_refused(script):
+    mesh = fmbd.read_gmsh(script, volume=BOTH)
+    one = fmbd.materials.plane_stress(2e6, 0.3)
+    body = fmbd.AbsoluteBody("bar", mesh, density=RHO, elastic=lambda u, v, dx: one(u, v, dx(mesh.volume_tag("one"))))
+    scene = fmbd.Scene("bar")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+    with pytest.raises(InputError, match="nodes have no stiffness.*each volume"):
+        fmbd.solve(scene, t_end=0.01, dt=0.001)
