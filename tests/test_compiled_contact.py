@@ -9,7 +9,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import condensation
-from fmbd_fenicsx.schemes.impacts import contact_driver
+from fmbd_fenicsx.schemes.impacts.compiled import driver
 from fmbd_fenicsx.system.compiled.library import driver_library
 
 pytestmark = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler
 
 def in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have all later steps made by NumPy, whole and by their parts."""
-    monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+    monkeypatch.setattr(driver, "contact_driver", lambda *_, **__: None)
     monkeypatch.setattr(condensation, "driver_solver", lambda *_: None)
 
 
@@ -294,13 +294,13 @@ def test_forces_of_dependent_contacts_are_found_in_compiled_code(
     Where it rocks its corners differ by little from a plane, and tell which three of them carry it.
     """
     asked = []
-    found = contact_driver.ContactDriver._forces
+    found = driver.ContactDriver._forces
 
     def counted(self: Any, m: int) -> None:
         asked.append(m)
         found(self, m)
 
-    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", counted)
+    monkeypatch.setattr(driver.ContactDriver, "_forces", counted)
 
     def plate() -> Any:
         body = fmbd.RigidBody(
@@ -338,7 +338,7 @@ def test_forces_of_many_points_on_few_freedoms_are_found_in_compiled_code(
 ) -> None:
     """A plate falls flat on its side, without friction, or a rigid one on a hundred points: Python is asked for no forces."""
     asked: list[int] = []
-    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: asked.append(m))
+    monkeypatch.setattr(driver.ContactDriver, "_forces", lambda self, m: asked.append(m))
     mesh = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.25, height=0.2)
     elastic = fmbd.materials.plane_stress(1e7, 0.3)
     body: Any = fmbd.FloatingBody("plate", mesh, density=1000.0, elastic=elastic).reduced(modes=3)
@@ -361,8 +361,8 @@ def test_forces_of_many_points_on_few_freedoms_are_found_in_compiled_code(
 def test_steps_with_very_many_closed_contacts_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of a board, each of which moves all others; Python is not asked."""
     asked: list[int] = []
-    found = contact_driver.ContactDriver._forces
-    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: (asked.append(m), found(self, m)))
+    found = driver.ContactDriver._forces
+    monkeypatch.setattr(driver.ContactDriver, "_forces", lambda self, m: (asked.append(m), found(self, m)))
 
     def board() -> Any:
         body = fmbd.RigidBody("board", 2.0, 0.2, (0.0, 0.051), velocity=(0.2, 0.0))

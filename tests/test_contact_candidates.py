@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.schemes.impacts import contact_driver, contact_spheres
+from fmbd_fenicsx.schemes.impacts.compiled import driver, spheres
 from fmbd_fenicsx.system.compiled.library import driver_library
 
 pytestmark = pytest.mark.skipif(driver_library(2) is None, reason="no C compiler")
@@ -76,7 +76,7 @@ def test_what_is_far_makes_no_difference(make: Any, t_end: float, dt: float, mon
     assert near.counters["impacts"] > 10
 
     # all contacts are looked at always
-    monkeypatch.setattr(contact_spheres, "around_points", lambda pair: None)
+    monkeypatch.setattr(spheres, "around_points", lambda pair: None)
     whole = run(make(), t_end, dt)
     assert whole.counters["compiled_steps"] == near.counters["steps"]
     for name, values in whole.series.items():
@@ -91,9 +91,9 @@ def test_what_is_far_makes_no_difference(make: Any, t_end: float, dt: float, mon
 def test_what_is_looked_at_grows_with_the_bodies_and_not_with_their_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Disks scattered over a square of their own size each, on the way to a floor far below."""
     drivers: list[Any] = []
-    made = contact_driver.ContactDriver.__init__
+    made = driver.ContactDriver.__init__
     monkeypatch.setattr(
-        contact_driver.ContactDriver, "__init__", lambda self, *a, **k: (made(self, *a, **k), drivers.append(self))[0]
+        driver.ContactDriver, "__init__", lambda self, *a, **k: (made(self, *a, **k), drivers.append(self))[0]
     )
 
     def looked_at(n: int) -> int:

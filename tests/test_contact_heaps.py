@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.schemes.impacts import contact_driver
+from fmbd_fenicsx.schemes.impacts.compiled import driver
 from fmbd_fenicsx.system.compiled.library import driver_library
 
 pytestmark = pytest.mark.skipif(driver_library(3) is None, reason="no C compiler")
@@ -47,8 +47,8 @@ def hopper(n: int) -> Any:
 def test_forces_of_a_heap_are_found_in_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """Which contacts carry is a matter of slips of 1e-8 of an impact: Newton's iteration alone does not find them."""
     asked: list[int] = []
-    found = contact_driver.ContactDriver._forces
-    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: (asked.append(m), found(self, m)))
+    found = driver.ContactDriver._forces
+    monkeypatch.setattr(driver.ContactDriver, "_forces", lambda self, m: (asked.append(m), found(self, m)))
     output = fmbd.Output(every=20, progress=False)
     run = fmbd.solve(hopper(12), t_end=0.4, dt=1e-3, scheme=fmbd.Moreau(), output=output)
     assert run.counters["compiled_steps"] == run.counters["steps"]
@@ -87,7 +87,7 @@ def test_a_heap_settles_in_compiled_code(monkeypatch: pytest.MonkeyPatch) -> Non
     to what is accepted, or to rates that Newton's iteration leaves, and none of Python's pivoting, which takes minutes, is asked.
     """
     asked: list[int] = []
-    monkeypatch.setattr(contact_driver.ContactDriver, "_forces", lambda self, m: asked.append(m))
+    monkeypatch.setattr(driver.ContactDriver, "_forces", lambda self, m: asked.append(m))
     run = fmbd.solve(hopper(25), t_end=0.9, dt=1e-3, scheme=fmbd.Moreau(), output=fmbd.Output(every=50, progress=False))
     assert not asked
     assert run.counters["compiled_steps"] == run.counters["steps"]

@@ -11,7 +11,7 @@ from fmbd_fenicsx.linear.complementarity.active_set import ContactCounts
 from fmbd_fenicsx.linear.complementarity.coulomb import solve_friction
 from fmbd_fenicsx.linear.complementarity.normal import solve_normal
 from fmbd_fenicsx.mechanics.contact.nodal_rows import NodalRows
-from fmbd_fenicsx.schemes.impacts.contact_problem import CompiledProblem
+from fmbd_fenicsx.schemes.impacts.compiled.problem import CompiledProblem
 from fmbd_fenicsx.system.compiled.library import CONTACT, driver_library
 
 

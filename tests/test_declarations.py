@@ -11,24 +11,23 @@ from typing import Any
 import pytest
 
 from fmbd_fenicsx.linear.blocks.complex_factor import Symmetric
-from fmbd_fenicsx.schemes.impacts import contact_structures as contact
+from fmbd_fenicsx.schemes.impacts.compiled import structures as contact
 from fmbd_fenicsx.system.compiled import declarations, implicit, march, tape
 from fmbd_fenicsx.system.compiled.library import CONTACT, CORE, _source
 from fmbd_fenicsx.system.compiled.states import convergence, field_stages, stage_patterns, stages
 from fmbd_fenicsx.system.compiled.tables.structures import structure
 
 OF_TABLES = "Surface Body Told Field Batch Front Angle Rod Reaction Deflection Control System".split()
-OF_CORE: dict[str, Any] = {"Symmetric": Symmetric, "Closed": march._Closed, "Tape": tape._Tape}
+OF_CORE: dict[str, Any] = {"Symmetric": Symmetric, "Closed": march.Closed, "Tape": tape.TAPE}
 OF_IMPLICIT: dict[str, Any] = {
     "Implicit": implicit.Implicit, "OwnSteps": implicit.OwnSteps, "Orders": implicit.Orders,
-    "Convergence": convergence.Convergence, "Sparse": stages.SparseRows, "Lower": stages.Lower, "Stages": stages.Stages,
+    "Convergence": convergence.Convergence, "Sparse": stages.Sparse, "Lower": stages.Lower, "Stages": stages.Stages,
     "Product": stage_patterns.ProductPairs,
-    "Patterns": stage_patterns.Patterns, "FieldStages": field_stages._FieldStages,
+    "Patterns": stage_patterns.Patterns, "FieldStages": field_stages.FieldStages,
 }  # fmt: skip
 OF_CONTACT: dict[str, Any] = {
-    "Touch": contact.TouchStructure, "Tally": contact.Tally, "Problem": contact.Problem, "Graph": contact.Graph,
-    "Blocks": contact.Blocks, "Tree": contact.Tree, "Block": contact.BlockStructure, "Contacts": contact.Contacts,
-}  # fmt: skip
+    name: getattr(contact, name) for name in "Touch Tally Problem Graph Blocks Tree Block Contacts".split()
+}
 
 
 def told(dim: int, unit: str) -> dict[str, Any]:

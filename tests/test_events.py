@@ -141,7 +141,7 @@ def fallen(t: float) -> tuple[float, float]:
 def test_bounces_within_steps(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps that are cut by impacts have the places and the crossings of their parts."""
     if not compiled:
-        monkeypatch.setattr("fmbd_fenicsx.schemes.impacts.contact_driver.contact_driver", lambda *_, **__: None)
+        monkeypatch.setattr("fmbd_fenicsx.schemes.impacts.compiled.driver.contact_driver", lambda *_, **__: None)
     times, seen = np.sort(np.random.default_rng(2).uniform(0.0, 1.5, 200)), []
     low = fmbd.Event("ball z", -0.99, then=lambda now: seen.append(now.t))
     output = fmbd.Output(times=tuple(times), events=[low])

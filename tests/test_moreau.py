@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.schemes.impacts import contact_driver
+from fmbd_fenicsx.schemes.impacts.compiled import driver
 
 
 def bouncing(dt: float, scheme: Any, t_end: float = 1.5) -> Any:
@@ -268,7 +268,7 @@ def test_smooth_motion_keeps_its_energy_to_second_order(
 ) -> None:
     """Neither joints nor curved obstacles take energy at first order, nor does rolling."""
     if not compiled:
-        monkeypatch.setattr(contact_driver, "contact_driver", lambda *_, **__: None)
+        monkeypatch.setattr(driver, "contact_driver", lambda *_, **__: None)
     (coarse, scale), (fine, _) = (swinging(where, dt) for dt in (2e-2, 1e-2))
     assert coarse < 1e-2 * scale
     assert 3.0 < coarse / fine < 5.0

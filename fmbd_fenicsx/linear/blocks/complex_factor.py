@@ -19,9 +19,11 @@ from ...fem.factors.factor import InC
 from ...fem.fields import Field
 from ...kernel_cache import address_of
 from ...rotations import Array
-from ...system.compiled.declarations import TABLES, fields_of
+from ...system.compiled.declarations import TABLES, structure_of
 from ..residual import Judge
 from .spd import FieldFactor
+
+Symmetric = structure_of(TABLES, "Symmetric")
 
 
 class ComplexFactor(FieldFactor):
@@ -72,12 +74,6 @@ class ComplexFactor(FieldFactor):
     def solve_columns(self, B: Array) -> Array:
         """The solutions of columns (n, k)."""
         return self.solve(B) if B.shape[1] else B.astype(complex)
-
-
-class Symmetric(ctypes.Structure):
-    """``Symmetric`` of driver/tables.h."""
-
-    _fields_ = fields_of(TABLES, "Symmetric")
 
 
 def _matrix(field: Field, cm: float, ck: float, cd: float) -> sp.csr_matrix:

@@ -27,7 +27,7 @@ from .contact_detection import components
 from .restitution import Impact
 
 if TYPE_CHECKING:
-    from .contact_problem import CompiledProblem
+    from .compiled.problem import CompiledProblem
     from .contact_stepper import ContactStepper
 
 

@@ -14,8 +14,8 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ..newton import Newton
 from ..stepping import TimeStepper
+from .compiled.problem import CompiledProblem, compiled_problem
 from .contact_ledger import ContactLedger
-from .contact_problem import CompiledProblem, compiled_problem
 
 
 class ContactStepper(TimeStepper):

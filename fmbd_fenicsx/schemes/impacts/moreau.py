@@ -78,7 +78,7 @@ class Moreau:
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> MoreauStepper:
         """Time stepper from a consistent state: compiled where the driver knows bodies, forces and contacts."""
-        from .contact_driver import contact_driver
+        from .compiled.driver import contact_driver
 
         driver = contact_driver(system, redundant=solver.core.redundant, impacts=self.impacts)
         if driver is None:
@@ -86,6 +86,6 @@ class Moreau:
 
             return MoreauStepper(system, solver, newton, state, self.impacts)
 
-        from .compiled_moreau import CompiledMoreauStepper
+        from .compiled.stepper import CompiledMoreauStepper
 
         return CompiledMoreauStepper((system, solver, newton, state), self.impacts, driver)

@@ -108,6 +108,6 @@ def fields_of(file: str, name: str, dim: int = 3, **parts: Any) -> list[tuple[st
 
 
 @cache
-def structure_of(file: str, name: str, dim: int = 3) -> type[ctypes.Structure]:
-    """A structure without others in it, in the plane or in space."""
-    return type(name, (ctypes.Structure,), {"_fields_": fields_of(file, name, dim)})
+def structure_of(file: str, name: str, dim: int = 3, **parts: Any) -> type[ctypes.Structure]:
+    """A structure, in the plane or in space; ``parts`` as for :func:`fields_of`."""
+    return type(name, (ctypes.Structure,), {"_fields_": fields_of(file, name, dim, **parts)})

@@ -15,7 +15,7 @@ from ..layout import State
 from ..system import System
 from .blocks import Block, Ring
 from .calls import Calls
-from .declarations import TABLES, enumeration, fields_of
+from .declarations import TABLES, enumeration, structure_of
 from .tables.tables import Tables
 from .tape import Openness, Tape
 
@@ -26,12 +26,7 @@ from .tape import Openness, Tape
 COUNTED = [ITERATIONS, LOCAL, LEFT]  # by a march, from zero
 DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE, DOUBT = enumeration("DONE").values()
 SCHEMES = enumeration("ALPHA")
-
-
-class _Closed(ctypes.Structure):
-    """``Closed`` of tables.h."""
-
-    _fields_ = fields_of(TABLES, "Closed")
+Closed = structure_of(TABLES, "Closed")
 
 
 @dataclass(frozen=True)
@@ -58,7 +53,7 @@ class March:
         self.scheme = SCHEMES[scheme]
         self.ring = Ring(tables.system, 4, own)
         self.parameters, self.room = np.zeros(PARAMETERS), np.zeros(room)
-        self.closed = _Closed()
+        self.closed = Closed()
         self._units: Array | None = None
         self._verdict = ctypes.c_int(0)
         self._tape: Tape | None = None

@@ -14,20 +14,14 @@ from ...kernel_cache import address_of
 from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from .blocks import block_size, state_of
-from .declarations import TABLES, fields_of, structure_of
+from .declarations import TABLES, structure_of
 from .recording import KINDS, Numbers, Recorded
 from .tables.layout import TableLayout
 from .tables.structures import zeros_of
 
 FIRST, CAPACITY = 64, 2048  # records between two visits of Python, at first and at most
 BYTES = 1_000_000  # that they may take, so that they stay in the cache
-
-
-class _Tape(ctypes.Structure):
-    """``Tape`` of tables.h."""
-
-    _fields_ = fields_of(TABLES, "Tape")
-
+TAPE = structure_of(TABLES, "Tape")
 
 # what events are about, and what grows with every record
 CROSSING, SERIES = (np.dtype(structure_of(TABLES, name)) for name in ("Crossing", "Series"))
@@ -68,7 +62,7 @@ class Tape:
         self.most = min(max(BYTES // (8 * each), 16), CAPACITY)
         self.doubt = np.zeros(size)
 
-        self.c = _Tape(
+        self.c = TAPE(
             whole=looks.whole, rows=looks.rows, units=address_of(self.units), allowed=judged.allowed,
             roundoff=judged.roundoff, length=s.length, doubt=address_of(self.doubt),
         )  # fmt: skip

@@ -12,19 +12,14 @@ import numpy as np
 from ....kernel_cache import address_of
 from ....rotations import Array
 from ...layout import State
-from ..declarations import fields_of
+from ..declarations import structure_of
 from ..tables.structures import zeros_of
 from .evaluation import DriverStates
 from .field_states import FactoredFieldStates
 from .stages import POINTS, PointRoom, Rule, Stages
 
+FieldStages = structure_of("field_stages.c", "FieldStages")
 MOVING = ("xi", "rate", "v", "vd")  # of points, like v
-
-
-class _FieldStages(ctypes.Structure):
-    """``FieldStages`` of field_stages.c."""
-
-    _fields_ = fields_of("field_stages.c", "FieldStages")
 
 
 class FieldStageRoom(PointRoom):
@@ -60,7 +55,7 @@ class FieldStageRoom(PointRoom):
         self._span, self._by = np.array(ends, np.int32), np.zeros(p, np.uint64)
         # frames at rest count for nothing
         self._counted = np.array([own.n_core, *(part.n for _, part in own.fields)], np.int32)
-        self.fields = _FieldStages(
+        self.fields = FieldStages(
             by=address_of(self._by), kinds=len(ends), span=address_of(self._span), counted=address_of(self._counted),
             length=system.length, **{name: address for name, (_, address) in more.items()},
         )  # fmt: skip

@@ -16,7 +16,7 @@ from ....kernel_cache import address_of, addresses_of
 from ....rotations import Array
 from ...sparsity import Pattern, Product
 from ...tangents.step_tangent import StepTangent
-from ..declarations import fields_of
+from ..declarations import structure_of
 from .couplings import Couplings
 from .exchange import Exchange
 
@@ -27,16 +27,8 @@ if TYPE_CHECKING:
 DATA = "J M G U by_q by_v by_a".split()  # of a tangent, one behind the other
 
 
-class ProductPairs(ctypes.Structure):
-    """``Product`` of tangent.c."""
-
-    _fields_ = fields_of("tangent.c", "Product")
-
-
-class Patterns(ctypes.Structure):
-    """``Patterns`` of tangent.c."""
-
-    _fields_ = fields_of("tangent.c", "Patterns", Product=ProductPairs)
+ProductPairs = structure_of("tangent.c", "Product")
+Patterns = structure_of("tangent.c", "Patterns", Product=ProductPairs)
 
 
 class StageStructure:
@@ -117,7 +109,7 @@ class StageStructure:
         self._kept.append(np.ascontiguousarray(values, kind))
         return address_of(self._kept[-1])
 
-    def _pairs(self, product: Product) -> ProductPairs:
+    def _pairs(self, product: Product) -> ctypes.Structure:
         places = (self._address(x) for x in (product.a, product.b, product.to))
         return ProductPairs(len(product.to), *places)
 

@@ -12,7 +12,7 @@ from ....kernel_cache import address_of, addresses_of
 from ....rotations import Array
 from ...sparsity import Pattern
 from ...tangents.step_tangent import StepTangent
-from ..declarations import enumeration, fields_of
+from ..declarations import enumeration, structure_of
 from ..tables.structures import zeros_of
 from .evaluation import DriverStates
 from .stage_patterns import StageStructure
@@ -21,28 +21,12 @@ SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
 FILLED = 4  # entries of L, and of U, over those of K, that there is room for at first
 
 
-class SparseRows(ctypes.Structure):
-    """``Sparse`` of stages.c."""
-
-    _fields_ = fields_of("stages.c", "Sparse")
-
-
-class Lower(ctypes.Structure):
-    """``Lower`` of stages.c."""
-
-    _fields_ = fields_of("stages.c", "Lower")
-
-
+Sparse, Lower = structure_of("stages.c", "Sparse"), structure_of("stages.c", "Lower")
+Stages = structure_of("stages.c", "Stages", Sparse=Sparse)
 MATRICES = "by_v by_a J U".split()  # of a tangent, that C multiplies with
 POINTS = (
     "t q0 xi rate v vd mult couple inverse vectors kin low dxi dv dmult push sampled weigh moved judged local".split()
 )
-
-
-class Stages(ctypes.Structure):
-    """``Stages`` of stages.c."""
-
-    _fields_ = fields_of("stages.c", "Stages", Sparse=SparseRows)
 
 
 @dataclass(frozen=True)
@@ -97,9 +81,9 @@ class PointRoom:
         return self.arrays["low"][-1, n : n + m] if self.c.levels else np.zeros(m)
 
 
-def _by_rows(pattern: Pattern, data: int) -> SparseRows:
+def _by_rows(pattern: Pattern, data: int) -> ctypes.Structure:
     """A matrix of a pattern with its data at an address."""
-    return SparseRows(pattern.shape[0], address_of(pattern.start), address_of(pattern.on), data)
+    return Sparse(pattern.shape[0], address_of(pattern.start), address_of(pattern.on), data)
 
 
 class StageRoom(PointRoom):

@@ -1,6 +1,6 @@
 """The small problem of contacts in compiled code, where its matrix is known: Newton's iteration of ``driver/complementarity.c``.
 
-What this does not solve at once, and contacts that depend on each other, are those of :mod:`...linear.complementarity`.
+What this does not solve at once, and contacts that depend on each other, are those of :mod:`....linear.complementarity`.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from ...kernel_cache import address_of
-from ...linear.complementarity.active_set import ContactCounts
-from ...rotations import Array
-from ...system.compiled.library import CONTACT, driver_library
-from ...system.compiled.states.evaluation import DriverStates
-from ...system.system import System
-from .contact_structures import Blocks, Contacts, Problem, Tally
+from ....kernel_cache import address_of
+from ....linear.complementarity.active_set import ContactCounts
+from ....rotations import Array
+from ....system.compiled.library import CONTACT, driver_library
+from ....system.compiled.states.evaluation import DriverStates
+from ....system.system import System
+from .structures import Blocks, Contacts, Problem, Tally
 
 
 class CompiledProblem:

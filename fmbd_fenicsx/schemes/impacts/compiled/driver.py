@@ -12,44 +12,35 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...linear.complementarity.active_set import ContactCounts
-from ...mechanics.contact.limits import LimitPair
-from ...mechanics.contact.obstacle_pair import ObstaclePair
-from ...mechanics.contact.rows import ContactSet
-from ...mechanics.joints.relative import ExpressedCoordinate
-from ...mechanics.shapes import KNOWN, Shape
-from ...rotations import Array
-from ...system.compiled import march as slots
-from ...system.compiled.blocks import Ring, block_size, state_of
-from ...system.compiled.calls import Calls
-from ...system.compiled.declarations import PYTHON, enumeration
-from ...system.compiled.library import CONTACT, driver_library, units_of
-from ...system.compiled.tables.bodies import covers_bodies
-from ...system.compiled.tables.items import covers
-from ...system.compiled.tables.tables import Tables
-from ...system.layout import State
-from ...system.speed_rows import speed_rows
-from ...system.system import System
-from ..onestep.alpha.alpha_driver import settings
-from .contact_detection import tell_rest
-from .contact_newton import frictional_forces, normal_forces
-from .contact_spheres import Spheres
-from .contact_structures import (
-    SOURCE,
-    Blocks,
-    Contacts,
-    Graph,
-    Problem,
-    TouchStructure,
-    Tree,
-    structure,
-)
-from .contact_tape import ContactTape
-from .contact_trees import trees_of
+from ....linear.complementarity.active_set import ContactCounts
+from ....mechanics.contact.limits import LimitPair
+from ....mechanics.contact.obstacle_pair import ObstaclePair
+from ....mechanics.contact.rows import ContactSet
+from ....mechanics.joints.relative import ExpressedCoordinate
+from ....mechanics.shapes import KNOWN, Shape
+from ....rotations import Array
+from ....system.compiled import march as slots
+from ....system.compiled.blocks import Ring, block_size, state_of
+from ....system.compiled.calls import Calls
+from ....system.compiled.declarations import PYTHON, enumeration
+from ....system.compiled.library import CONTACT, driver_library, units_of
+from ....system.compiled.tables.bodies import covers_bodies
+from ....system.compiled.tables.items import covers
+from ....system.compiled.tables.tables import Tables
+from ....system.layout import State
+from ....system.speed_rows import speed_rows
+from ....system.system import System
+from ...onestep.alpha.alpha_driver import settings
+from ..contact_detection import tell_rest
+from ..contact_newton import frictional_forces, normal_forces
+from .spheres import Spheres
+from .structures import SOURCE, Blocks, Contacts, Graph, Problem, Touch, Tree, structure
+from .tape import ContactTape
+from .trees import trees_of
 
 if TYPE_CHECKING:
-    from ...system.compiled.tape import Openness, Tape
-    from ..newton import Newton
+    from ....system.compiled.tape import Openness, Tape
+    from ...newton import Newton
 
 POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = enumeration("POSE_OF", SOURCE).values()
 *_, LIMIT, OWN = enumeration("HALF_SPACE", SOURCE).values()  # behind the shapes that the driver knows
@@ -112,7 +103,7 @@ class ContactDriver:
         self.arrays[name] = np.zeros(size, dtype)
         return int(self.arrays[name].ctypes.data)
 
-    def _contacts(self) -> Contacts:
+    def _contacts(self) -> ctypes.Structure:
         """The structure, with all of its arrays."""
         s, contacts = self.system, self.contacts
         m = len(contacts.pair)
@@ -191,10 +182,10 @@ class ContactDriver:
         addresses = {name: self._array(name, x, np.int32) for name, x in tables.items()}
         return {"movers": len(made), "singles": len(found.single), "mover": ctypes.addressof(self.movers), **addresses}
 
-    def _touch(self, name: str, m: int, d: int) -> TouchStructure:
+    def _touch(self, name: str, m: int, d: int) -> ctypes.Structure:
         """Room for where all points stand."""
         sizes = {"gap": m, "x": m * d, "normal": m * d, "relative": m * d}
-        return TouchStructure(**{k: self._array(f"{name} {k}", np.zeros(size)) for k, size in sizes.items()})
+        return Touch(**{k: self._array(f"{name} {k}", np.zeros(size)) for k, size in sizes.items()})
 
     def _points(self) -> tuple[np.ndarray, Array]:
         """Bodies that the candidates act on, (m, 2), -1 for none, and places of points in the axes of the first, (m, d)."""
@@ -314,7 +305,7 @@ class ContactDriver:
         tally.cycles += counts.cycles
         tally.residual = max(tally.residual, counts.residual)
 
-    def _compliance(self, problem: Problem) -> Array:
+    def _compliance(self, problem: ctypes.Structure) -> Array:
         """W of a group of contacts, dense."""
         m, d = problem.m, self.c.components
         W = np.zeros((m, d, m, d))

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...mechanics.contact.obstacle_pair import ObstaclePair
-from ...mechanics.shapes import KNOWN
+from ....mechanics.contact.obstacle_pair import ObstaclePair
+from ....mechanics.shapes import KNOWN
 
 
 @dataclass(frozen=True)

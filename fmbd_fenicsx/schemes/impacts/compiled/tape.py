@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from ...mechanics.contact.rows import ContactSet
-from ...rotations import Array
-from ...system.compiled.recording import Recorded
-from ...system.compiled.tables.layout import TableLayout
-from ...system.compiled.tape import Openness, Tape
-from ...system.layout import State
-from ...system.sensors.contact import WORKS, ContactForces, ContactState
-from ...system.system import System
+from ....mechanics.contact.rows import ContactSet
+from ....rotations import Array
+from ....system.compiled.recording import Recorded
+from ....system.compiled.tables.layout import TableLayout
+from ....system.compiled.tape import Openness, Tape
+from ....system.layout import State
+from ....system.sensors.contact import WORKS, ContactForces, ContactState
+from ....system.system import System
 
 
 class ContactTape(Tape):

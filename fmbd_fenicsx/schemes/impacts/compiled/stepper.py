@@ -6,23 +6,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...linear.condensation import StepSolver
-from ...rotations import Array
-from ...system.compiled import march as slots
-from ...system.compiled.tape import on_the_way
-from ...system.layout import State
-from ...system.sensors.contact import ContactForces, ContactState
-from ...system.serialisation import Memory
-from ...system.system import System
-from ..marching import CompiledSteps
-from ..newton import Newton
-from ..stepping import UNOBSERVED, Observers
-from .contact_driver import ContactDriver
-from .contact_structures import Tally
-from .moreau_stepper import MoreauStepper
+from ....linear.condensation import StepSolver
+from ....rotations import Array
+from ....system.compiled import march as slots
+from ....system.compiled.tape import on_the_way
+from ....system.layout import State
+from ....system.sensors.contact import ContactForces, ContactState
+from ....system.serialisation import Memory
+from ....system.system import System
+from ...marching import CompiledSteps
+from ...newton import Newton
+from ...stepping import UNOBSERVED, Observers
+from ..moreau_stepper import MoreauStepper
+from .driver import ContactDriver
+from .structures import Tally
 
 if TYPE_CHECKING:
-    from ...system.compiled.tape import Openness, Tape
+    from ....system.compiled.tape import Openness, Tape
 
 
 class CompiledMoreauStepper(CompiledSteps, MoreauStepper):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...system.compiled.tables.tables import Tables
+from ....system.compiled.tables.tables import Tables
 
 
 @dataclass(frozen=True, eq=False)

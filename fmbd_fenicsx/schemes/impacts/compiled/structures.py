@@ -1,0 +1,22 @@
+"""The structures of ``driver/contact.c`` and the files around it."""
+
+from __future__ import annotations
+
+import ctypes
+
+from ....system.compiled.declarations import structure_of
+
+SOURCE, PARTS = "contact.c", "parts.h"
+
+Touch, Tally, Problem, Graph, Blocks = (
+    structure_of(SOURCE, name) for name in ("Touch", "Tally", "Problem", "Graph", "Blocks")
+)
+Tree, Block = (structure_of(PARTS, name) for name in ("Tree", "Block"))
+Contacts = structure_of(
+    SOURCE, "Contacts", Touch=Touch, Block=Block, Problem=Problem, Graph=Graph, Blocks=Blocks, Tally=Tally
+)
+
+
+def structure(name: str, dim: int) -> type[ctypes.Structure]:
+    """The structures ``Mover`` and ``Pair``, in the plane or in space."""
+    return structure_of(SOURCE, name, dim)
