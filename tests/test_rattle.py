@@ -128,6 +128,27 @@ def test_a_step_is_one_compiled_call(damping: float, twice: bool, monkeypatch: p
         assert run.counters["newton_iterations"] == slow.counters["newton_iterations"]
 
 
+def test_an_even_turn_is_compiled_too() -> None:
+    """A skew rotor pushes its bearings by a turning couple, and has no accelerations beside roundoff: steps ended in Python."""
+    tilt, spin, d = 0.05, 200.0, 0.4
+    axis = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    R = np.array([[axis[2], 0.0, axis[0]], [0.0, 1.0, 0.0], [-axis[0], 0.0, axis[2]]])
+    rotor = fmbd.RigidBody(
+        "rotor", 5.0, (0.021, 0.021, 0.04), rotation=R, angular_velocity=tuple(R.T @ (0.0, 0.0, spin))
+    )
+    scene = fmbd.Scene("skew rotor")
+    far = fmbd.point_on_line("far", fmbd.ground, rotor, center=(0.0, 0.0, 0.5 * d), axis=(0, 0, 1))
+    scene.add(rotor, far, fmbd.spherical("near", fmbd.ground, rotor, center=(0.0, 0.0, -0.5 * d)))
+    scene.sensor("force", fmbd.reaction_force(far))
+    run = fmbd.solve(scene, t_end=0.05, dt=1e-4, scheme=fmbd.Rattle())
+
+    # the couple on the rotor is (C - A) sin cos spin^2 about the horizontal line across its axis; the ground feels the reverse
+    angle = spin * run.times[-1]
+    couple = (0.04 - 0.021) * np.sin(tilt) * np.cos(tilt) * spin**2
+    assert run["force"][-1] == pytest.approx(-couple / d * np.array([np.cos(angle), np.sin(angle), 0.0]), rel=1e-9)
+    assert run.counters["core_factorisations"] < 10  # one in each call of C, two and a half a step in Python
+
+
 @pytest.mark.parametrize("damping", [0.0, 50.0])
 def test_iterations_do_not_grow_with_damping(damping: float) -> None:
     """The matrix knows of it as soon as it slows Newton's iteration: ten increments a step with the masses alone."""

@@ -25,7 +25,7 @@ from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled.march import ITERATIONS, March
-from ...system.compiled.states.explicit import Found, Stages, Tableau
+from ...system.compiled.states.explicit import MOVES_NOTHING, Found, Stages, Tableau
 from ...system.layout import State
 from ...system.speed_rows import speed_rows
 from ...system.system import System
@@ -35,7 +35,6 @@ from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
 
 MASS = Weights(1.0, 0.0, 0.0)
 STAGES = 5
-MOVES_NOTHING = 1e-14  # of the model's length in a step
 
 
 @lru_cache

@@ -27,7 +27,7 @@ from ...linear.redundancy import least
 from ...rotations import Array
 from ...system.compiled.march import LEFT, MAXIT, NEW_TANGENT, PARAMETERS, SLOW, THETA, TOL, March
 from ...system.compiled.states.evaluation import DriverStates
-from ...system.compiled.states.explicit import Stage
+from ...system.compiled.states.explicit import MOVES_NOTHING, Stage
 from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.scene.contents import Contents
@@ -238,7 +238,10 @@ class RattleStepper(MarchingStepper):
     def _solve_second(self, t: float, end: tuple[Array, Array], h: float) -> tuple[Array, Array]:
         """a = 2 (v_n+1 - v_1/2) / h and mu of (2); ``end``: q_n+1 and v_1/2."""
         q, v = end
-        found = self._compiled_stage(Stage((t, t), q, v, q, v, 0.0, 0.5 * h), (self.state.a, self.half))
+        nothing = MOVES_NOTHING * self.system.length / (h * h)
+        found = self._compiled_stage(
+            Stage((t, t), q, v, q, v, 0.0, 0.5 * h, nothing=nothing), (self.state.a, self.half)
+        )
         if found is not None:
             return found[:2]
         ev = self.system.at(t, q, v)

@@ -206,6 +206,10 @@ EXPORT int driver_stages(System *s, int stages, double t, double h, double lengt
     return DONE;
 }
 
+/* Share of the model's length that increments of a step's accelerations would move something by, which are none: bodies that are
+   held, or turn evenly, have no accelerations beside roundoff. */
+static const double MOVES_NOTHING = 1e-14;
+
 /* A stage: accelerations a and multipliers lambda whose balance holds at one place, and whose rows hold at another:
 
      M a + f(q, v + b a) + G^T lambda = 0    at times[0]                                                             (1)

@@ -58,7 +58,8 @@ static int rattle_step(System *s, double *p, double *room, const Block *past, in
     /* v at the end */
     memcpy(push, now.a, n * sizeof(double));
     memcpy(next.half, before.half, m * sizeof(double));
-    Stage other = {end, out.q, out.v, out.q, out.v, 0.0, 0.5 * h, 0.0, 0.0, 0.0, 0, 0};
+    double nothing = MOVES_NOTHING * p[LENGTH] / (h * h);
+    Stage other = {end, out.q, out.v, out.q, out.v, 0.0, 0.5 * h, 0.0, nothing, 0.0, 0, 0};
     if ((verdict = solve_stage(s, &other, NULL, push, next.half, &more, rest))) return verdict;
     add(out.v, 0.5 * h, push, n);
     if ((verdict = sample(s, t, &last))) return verdict;

@@ -13,12 +13,14 @@ import numpy as np
 from ....kernel_cache import address_of, addresses_of
 from ....rotations import Array
 from ...layout import State
+from ..declarations import constants
 
 if TYPE_CHECKING:
     from .evaluation import DriverStates
 
 Tableau = tuple[Array, Array]  # nodes c (stages,), rows A (stages + 1, stages) with the weights last
 Stages = tuple[Array, Array, Array, Array]  # rates and accelerations (stages, n_v); xi and v at the end
+(MOVES_NOTHING,) = constants("explicit.c", "MOVES_NOTHING")  # of the model's length in a step
 Found = tuple[Array, Array, int]  # a and lambda of a stage, and how many solutions that took
 
 
