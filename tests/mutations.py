@@ -70,7 +70,7 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
     ("contact forces pull", "schemes/impacts/contact_newton.py", "r = residuals[0] - contacts.transposed(", "r = residuals[0] + contacts.transposed(",
      CONTACT),
     ("contact nodes keep their mass", "mechanics/contact/mass.py", "B = M.ptap(P)", "B = M.copy()", ["test_contact_mass"]),
-    ("restitution forgotten", "schemes/impacts/moreau_stepper.py", "back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)", "back = np.where(before[:, 0] < 0.0, 0.0, 1.0)", ["test_compiled_contact"]),
+    ("restitution forgotten", "schemes/impacts/moreau_step.py", "back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)", "back = np.where(before[:, 0] < 0.0, 0.0, 1.0)", ["test_compiled_contact"]),
     ("impacts at the end of the step", "schemes/impacts/moreau_stepper.py", "return step if share == 1.0 else self._located(step, share, which)",
      "return step", ["test_compiled_contact"]),
     ("friction along the slip", "linear/complementarity/coulomb.py", "F[s, 1:] = x[s, 1:] - radius[s, None] * e", "F[s, 1:] = x[s, 1:] + radius[s, None] * e",

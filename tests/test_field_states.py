@@ -18,7 +18,7 @@ from fmbd_fenicsx.linear.complementarity.delassus import Compliance
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.prepared import Condensed
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
-from fmbd_fenicsx.mechanics.contact.rows import ContactSet
+from fmbd_fenicsx.mechanics.contact.contact_set import ContactSet
 from fmbd_fenicsx.schemes.impacts.contact_detection import components
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
 from fmbd_fenicsx.system.compiled.tables.fields import FieldTable

@@ -47,9 +47,9 @@ class CompiledCalls:
         watched = self.shown or self.events is not None
         if watched and not self.equal:
             return 0
-        t, scheme = self.stepper.state.t, self.stepper.unwrapped
+        t = self.stepper.state.t
         if not self.equal:
-            scheme.longest, scheme.until = self.schedule.largest, t + self.schedule.ahead(t)
+            self.stepper.unwrapped.bound(self.schedule.largest, t + self.schedule.ahead(t))
         h = self.stepper.stride(self.schedule.next(t))
         if not h:
             return 0

@@ -63,8 +63,7 @@ class TimeStepper(Remembering):
         counters: work so far and statistics, name -> number, for the report.
         path: who makes the steps, for the report.
         compiled_whole: its steps are compiled from end to end, and ask for no evaluations.
-        longest: the most that a step of :meth:`march` under error control may be, s.
-        until: when such a march ends, as it hits that time, s.
+        longest, until: the most that a step of :meth:`march` may be, and when steps have to end (s), see :meth:`bound`.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
         keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
     """
@@ -109,6 +108,10 @@ class TimeStepper(Remembering):
         and factors that it holds serve on.
         """
         return False
+
+    def bound(self, longest: float, until: float) -> None:
+        """Of steps under error control: none of the next march is to be longer than that, and they have to end then, s."""
+        self.longest, self.until = longest, until
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many steps in one call; how many were made. None here: they are made one by one."""

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...linear.condensation import StepSolver
-from ...mechanics.contact.rows import ContactSet, Rows
+from ...mechanics.contact.contact_set import ContactSet
+from ...mechanics.contact.rows import Rows
 from ...rotations import Array
 from ...system.system import System
 

@@ -28,7 +28,8 @@ from ...linear.blocks.field_blocks import Weights
 from ...linear.complementarity.active_set import ContactCounts
 from ...linear.complementarity.delassus import Compliance
 from ...linear.complementarity.normal import solve_normal
-from ...mechanics.contact.rows import ContactSet, Rows
+from ...mechanics.contact.contact_set import ContactSet
+from ...mechanics.contact.rows import Rows
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
 from ...system.layout import State

@@ -17,8 +17,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...errors import require
+from ...mechanics.contact.contact_set import ContactSet
 from ...mechanics.contact.nodal_rows import NodalRows
-from ...mechanics.contact.rows import ContactSet, LinearRows
+from ...mechanics.contact.rows import LinearRows
 from ...rotations import Array
 from ...system.serialisation import Remembering, plain, worker
 from ..condensation import StepSolver

@@ -20,7 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...errors import ConvergenceError
-from ...mechanics.contact.rows import ContactSet, LinearRows
+from ...mechanics.contact.contact_set import ContactSet
+from ...mechanics.contact.rows import LinearRows
 from ...rotations import Array
 from ...system.serialisation import Remembering, plain
 from ..condensation import StepSolver

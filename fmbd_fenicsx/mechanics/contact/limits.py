@@ -15,8 +15,10 @@ import numpy as np
 
 from ...rotations import Array
 from ..joints.relative import Relative, Separation
+from .contact_set import ContactSet, Here
 from .nodal_rows import NodalRows
-from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch
+from .pair import Pair
+from .rows import LinearRows, Rows, Touch
 from .trace import FieldTrace
 
 

@@ -28,7 +28,9 @@ from ...fem.traces.multipliers import Continuous, Dual, Ends
 from ...fem.traces.traces import Trace as Facets
 from ...fem.traces.traces import scatter
 from ...rotations import Array, Motions
-from .rows import ContactSet, Entries, Here, LinearRows, Rows, Side, Touch, bodies_overlap, tangents_of
+from .contact_set import ContactSet, Entries, Here
+from .pair import Side, bodies_overlap
+from .rows import LinearRows, Rows, Touch, tangents_of
 from .trace import ContactTrace
 
 COVERED = 0.05  # a multiplier with less than this share of its weight in the overlap is left out

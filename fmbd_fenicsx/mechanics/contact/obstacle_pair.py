@@ -8,7 +8,9 @@ import numpy as np
 
 from ...rotations import Array, Motions
 from ..shapes import distances
-from .rows import ContactSet, Here, LinearRows, Pair, Rows, Touch, tangents_of
+from .contact_set import ContactSet, Here
+from .pair import Pair
+from .rows import LinearRows, Rows, Touch, tangents_of
 from .trace import ContactTrace, FieldTrace
 
 TOLD = 8  # times at which poses of moving obstacles are kept: those of a step

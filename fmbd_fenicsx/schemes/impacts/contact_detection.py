@@ -8,8 +8,9 @@ import numpy as np
 
 from ...errors import ConvergenceError, InputError
 from ...log import log
+from ...mechanics.contact.contact_set import ContactSet
 from ...mechanics.contact.nodal_rows import NodalRows
-from ...mechanics.contact.rows import ContactSet, LinearRows, Rows, Touch, tangents_of
+from ...mechanics.contact.rows import LinearRows, Rows, Touch, tangents_of
 from ...rotations import Array
 from ...system.layout import State
 from ...system.system import System

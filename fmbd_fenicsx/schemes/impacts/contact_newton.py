@@ -19,7 +19,8 @@ from ...linear.blocks.field_blocks import Weights
 from ...linear.complementarity.active_set import ContactCounts
 from ...linear.complementarity.delassus import Compliance
 from ...linear.complementarity.normal import solve_normal
-from ...mechanics.contact.rows import ContactSet, Rows
+from ...mechanics.contact.contact_set import ContactSet
+from ...mechanics.contact.rows import Rows
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ..newton import ADVICE, not_converged
@@ -36,15 +37,12 @@ class UnilateralForces:
     :meth:`increment`. ``problem``: who finds them in compiled code; ``impact``: what bounds rebounds, for impacts.
     """
 
+    impact: Impact | None = None
+
     def __init__(
-        self,
-        compliance: Compliance,
-        counts: ContactCounts,
-        force: Array,
-        problem: CompiledProblem | None = None,
-        impact: Impact | None = None,
+        self, compliance: Compliance, counts: ContactCounts, force: Array, problem: CompiledProblem | None = None
     ) -> None:
-        self.problem, self.impact = problem, impact
+        self.problem = problem
         self.compliance, self.counts, self.force = compliance, counts, force
         self.solver, self.contacts = compliance.solver, compliance.contacts
         self.rows: Rows | None = None

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from ...linear.complementarity.delassus import Compliance
 from ...linear.condensation import StepSolver
-from ...mechanics.contact.rows import ContactSet
+from ...mechanics.contact.contact_set import ContactSet
 from ...system.layout import State
 from ...system.sensors.contact import ContactState
 from ...system.serialisation import Memory, plain, worker

@@ -10,10 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from ...errors import FmbdError
-from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
-from ...mechanics.contact.rows import Rows, tangents_of
+from ...mechanics.contact.rows import Rows
 from ...rotations import Array
 from ...system.compiled.declarations import constants, enumeration
 from ...system.layout import State
@@ -24,13 +23,11 @@ from ..dense_output import place_within, state_within
 from ..newton import Newton
 from .contact_detection import candidates, tell_rest
 from .contact_ledger import StepForces
-from .contact_newton import ContactStep, openings
 from .contact_stepper import ContactStepper
-from .restitution import Impact
+from .moreau_step import MoreauStep
 
-# length of an impact, as a share of the step; gap of a closed contact, as a share of the model's length; rate of a contact that
-# does not leave: this share of the model's length in a flight is roundoff
-IMPACT, TOUCH, STILL = constants("flights.c", "INSTANT", "TOUCHING", "STILL")
+# length of an impact, as a share of the step; gap of a closed contact, as a share of the model's length
+IMPACT, TOUCH = constants("flights.c", "INSTANT", "TOUCHING")
 DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
 # approach in a step from which on a touch is an impact also where a closed contact would only drift; that of a resting contact:
 # this share of the model's length in a step
@@ -116,7 +113,7 @@ class MoreauStepper(ContactStepper):
         v = state_within(before, after, t, q).v
         return replace(self.state, t=t, q=q, v=v, a=after.a, lam=after.lam)
 
-    def _part(self, left: float, h: float, rested: np.ndarray, *, classical: bool) -> _Step:
+    def _part(self, left: float, h: float, rested: np.ndarray, *, classical: bool) -> MoreauStep:
         """The step to the next impact, through it, or to the end; solved. ``rested`` (m,): contacts whose impacts accumulate."""
         system, contacts, s = self.system, self.contacts, self.state
         candidates(system, contacts, s, left)  # pairs surfaces anew, and refuses to pass through
@@ -140,7 +137,7 @@ class MoreauStepper(ContactStepper):
         # a flight up to the next touch, or to the end
         taking = closed
         while True:
-            step = _Step(self, left, taking, bouncing)
+            step = self._solved(left, taking, bouncing)
             if (more := self._slow_touches(step, above & ~taking)).any():
                 bouncing = bouncing | (more & ~self._accumulate(more, step, h))
                 taking = taking | more
@@ -156,7 +153,11 @@ class MoreauStepper(ContactStepper):
             closed, taking = closed | held, taking | held
         return step if share == 1.0 else self._located(step, share, which)
 
-    def _slow_touches(self, step: _Step, above: np.ndarray) -> np.ndarray:
+    def _solved(self, h: float, closed: np.ndarray, bouncing: np.ndarray, *, span: float = 0.0) -> MoreauStep:
+        """A step of length h (s) from the present state, its impulses first those of the last flight."""
+        return MoreauStep(self, h, h * self.carried[closed], (closed, bouncing), span=span)
+
+    def _slow_touches(self, step: MoreauStep, above: np.ndarray) -> np.ndarray:
         """Contacts (m,) of those right ``above`` their obstacle that end a step in it, by less than closed ones drift.
 
         They take part in all of it, with their impact, and need no time of their own.
@@ -166,7 +167,7 @@ class MoreauStepper(ContactStepper):
         end = self._gap_along(step, 1.0)
         return above & (end < 0.0) & (end >= -DRIFT * self.system.length)
 
-    def _accumulate(self, chosen: np.ndarray, step: _Step | None, h: float) -> np.ndarray:
+    def _accumulate(self, chosen: np.ndarray, step: MoreauStep | None, h: float) -> np.ndarray:
         """Which of the chosen contacts (m,), hit at the end of a step (None: now), have all later impacts within a time h (s).
 
         Flights between them, each e times as long as the one before, take 2 e u / (1 - e) / a: u is the speed of the impact,
@@ -183,7 +184,7 @@ class MoreauStepper(ContactStepper):
         out[chosen] = -2.0 * e * rate <= -(1.0 - e) * h * self.contacts.times(self.system, rows.N, pressing)
         return out
 
-    def _classical(self, left: float) -> _Step:
+    def _classical(self, left: float) -> MoreauStep:
         """The rest of a step by classical time stepping.
 
         After many impacts a contact that is still open in the middle would pass into its obstacle by what a step moves, and stay
@@ -193,13 +194,13 @@ class MoreauStepper(ContactStepper):
         middle = self.contacts.touch(system, s.t + left / 2, system.compose(s.q, 0.5 * left * s.v))
         closed = middle.gap <= 0.0
         while True:
-            step = _Step(self, left, closed, np.ones_like(closed))
+            step = self._solved(left, closed, np.ones_like(closed))
             through = ~closed & (self._gap_along(step, 1.0) < -DRIFT * system.length)
             if not self.impacts or not through.any():
                 return step
             closed = closed | through
 
-    def _impact(self, h: float, rested: np.ndarray, hit: np.ndarray, touching: np.ndarray) -> _Step:
+    def _impact(self, h: float, rested: np.ndarray, hit: np.ndarray, touching: np.ndarray) -> MoreauStep:
         """A step of almost no length through the impacts of the contacts ``hit``; those that accumulate are told once a step."""
         contacts = self.contacts
         self.located += int(hit.sum())
@@ -209,9 +210,9 @@ class MoreauStepper(ContactStepper):
                 self.accumulations += 1
                 tell_rest(contacts, i, self.state.t)
         rested |= rests
-        return _Step(self, IMPACT * h, touching, hit & ~rests, span=h)
+        return self._solved(IMPACT * h, touching, hit & ~rests, span=h)
 
-    def _located(self, step: _Step, share: float, which: int) -> _Step:
+    def _located(self, step: MoreauStep, share: float, which: int) -> MoreauStep:
         """The step that ends where contact ``which`` closes, first found at a share of ``step``.
 
         That was on the parabola of the whole step, without the projection on the joints: a step to there, with the forces of
@@ -226,7 +227,7 @@ class MoreauStepper(ContactStepper):
         near = self._gap_along(step, (1 - 1e-3) * share)[which]
         slope = (self._gap_along(step, share)[which] - near) / (1e-3 * share)
         for _ in range(LOCATING):
-            step = _Step(self, share * whole, step.closed, step.bouncing)
+            step = self._solved(share * whole, step.closed, step.bouncing)
             q = self._closed_joints(self.system.compose(s.q, 0.5 * step.h * (s.v + step.v)), s.t + step.h)
             gap = self.contacts.touch(self.system, s.t + step.h, q).gap[which]
             if -deepest <= gap <= 0.5 * TOUCH * length or not slope < 0.0:
@@ -248,29 +249,13 @@ class MoreauStepper(ContactStepper):
         rows = contacts.rows(system, t, q, since=(t, h)).take(chosen)
         return rows, contacts.times(system, rows.N, v) + contacts.gap_rate(system, t, q, h)[chosen]
 
-    def _start_rates(self, closed: np.ndarray, h: float, normal: Array) -> Array:
-        """Rates of the gaps of closed contacts, m/s, and slips across ``normal`` (m, d), at the start of a flight of length h.
-
-        Gaps of obstacles that move as prescribed by their places at its start, middle and end, asked for anyway. (m, 1 or d).
-        """
-        contacts, system, s = self.contacts, self.system, self.state
-        rows = contacts.rows(system, s.t, s.q, since=(s.t, h)).take(closed)
-        rates = openings(contacts, system, rows, h * contacts.times(system, rows.N, s.v), h * s.v) / h
-        if rows.tangents:
-            slips = np.einsum("mk,kmd->md", rates[:, 1:], tangents_of(rows.normal))
-            rates[:, 1:] = np.einsum("md,kmd->mk", slips, tangents_of(normal))
-        if any(pair.moving for pair in contacts.pairs):
-            start, middle, end = (contacts.touch(system, s.t + x, s.q).gap[closed] for x in (0.0, h / 2, h))
-            rates[:, 0] += (4 * middle - 3 * start - end) / h
-        return rates
-
-    def _gap_along(self, step: _Step, share: float) -> Array:
+    def _gap_along(self, step: MoreauStep, share: float) -> Array:
         """Gaps (m,) at a share of a solved step, along its parabola."""
         system, s = self.system, self.state
         way = step.h * share * (s.v + 0.5 * share * (step.v - s.v))
         return self.contacts.touch(system, s.t + share * step.h, system.compose(s.q, way)).gap
 
-    def _next_touch(self, step: _Step, free: np.ndarray) -> tuple[float, int, np.ndarray]:
+    def _next_touch(self, step: MoreauStep, free: np.ndarray) -> tuple[float, int, np.ndarray]:
         """Share of the step at which the first free contact closes (1: none does), which one that is, and contacts (m,)
         that would leave for less than 1/4096 of it.
         """
@@ -297,7 +282,7 @@ class MoreauStepper(ContactStepper):
 
         return float(brentq(lambda x: gaps(x)[which], lower, upper, xtol=1e-14)), which, none
 
-    def _take(self, step: _Step) -> None:
+    def _take(self, step: MoreauStep) -> None:
         """Make a solved step the present state."""
         system, s = self.system, self.state
         h, closed = step.h, step.closed
@@ -339,80 +324,3 @@ class MoreauStepper(ContactStepper):
         end = self.system.at(t, q, v)
         dv, _ = self.solver.solve(np.zeros(self.system.n_v), -(end.jacobian.times(v) + end.constraint_rate()))
         return v + dv
-
-
-class _Step(ContactStep):
-    """One solved step of length h from the stepper's state: v_1 ``v``, lambda ``lam``, P in ``contact.force``.
-
-    ``closed`` (m,) contacts take part, those in ``bouncing`` (m,) with restitution, or back at the speed they leave with; in
-    flights the others stay closed by (4). ``span``: of an impact, over which obstacles' motion is measured.
-    """
-
-    p: MoreauStepper
-
-    def __init__(
-        self, stepper: MoreauStepper, h: float, closed: np.ndarray, bouncing: np.ndarray, *, span: float = 0.0
-    ) -> None:
-        super().__init__(stepper, h, h * stepper.carried[closed])
-        self.span, self.closed, self.bouncing = span or h, closed, bouncing
-        self.flies = not span
-        s, contacts = stepper.state, stepper.contacts
-
-        self.v = s.v.copy()
-        self.impact: Impact | None = None
-        self.rows: Rows | None = None
-        self.turn: Array | float = 0.0  # of slips with the rows, in half a flight, m/s
-
-        # rows at the middle; what comes in before an impact rebounds by its share, and what leaves may come back
-        if closed.any():
-            middle = stepper.system.compose(s.q, 0.5 * h * s.v)
-            at = (stepper.system, s.t + h / 2, middle)
-            self.rows = contacts.rows(*at, since=(s.t, self.span)).take(closed)
-            self.rate = contacts.gap_rate(*at, self.span)[closed]
-            before = self._openings(s.v)
-            back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)
-            bounces = bouncing[closed]
-            rebound = np.where(bounces, back * before[:, 0], 0.0)
-            if self.flies and not bounces.all():
-                start = stepper._start_rates(closed, h, self.rows.normal)
-                start[start[:, 0] > STILL * stepper.system.length / h, 0] = 0.0
-                rebound = np.where(bounces, rebound, (before - start)[:, 0])
-                self.turn = np.where(bounces[:, None], 0.0, (before - start)[:, 1:])
-            self.impact = Impact(before, rebound)
-            self.contact.impact = self.impact if (bounces & (rebound < 0.0)).any() else None
-        self.iterations = self.solve()
-
-    def _openings(self, v: Array) -> Array:
-        """Rates of gaps, and slips (m/s), of the closed contacts at velocities v: (m, 1 or d)."""
-        p = self.p
-        assert self.rows is not None
-        rate = p.contacts.times(p.system, self.rows.N, v) + self.rate
-        u = openings(p.contacts, p.system, self.rows, rate, self.span * v)
-        u[:, 1:] /= self.span  # slips over the step become velocities
-        return u
-
-    def increment(self) -> float:
-        """One Newton step; returns its size over the tolerance."""
-        p = self.p
-        h = self.h
-        s = p.state
-        system = p.system
-        vm = 0.5 * (s.v + self.v)
-        at = s.t + h / 2, system.compose(s.q, 0.5 * h * vm), vm
-        r = h * self.balance(at, (self.v - s.v) / h, Weights(1.0, h / 2, h * h / 4))
-        ev = self.ev
-
-        slip = 2 * (ev.jacobian.times(vm) + ev.constraint_rate()) if system.n_lam else np.zeros(0)
-
-        touching = None
-        if self.rows is not None and self.impact is not None:
-            u = self._openings(self.v)
-            u[:, 0] += self.impact.rebound
-            u[:, 1:] += self.turn
-            touching = self.rows, u
-        dv, dlam = self.changes(touching, (r, slip), 1.0)
-
-        self.lam = self.lam + dlam / h
-        self.v = self.v + dv
-        size = max(system.max_abs(self.v), system.max_abs(s.v), 1e-6 * system.length / self.span)
-        return system.max_abs(dv) / (1e-4 * p.newton.tolerance * size)

@@ -13,11 +13,12 @@ from ...errors import InputError, named, near, require
 from ...log import log
 from ...mechanics.bodies.bodies import ElasticBody, RigidBody, Surface
 from ...mechanics.contact.contact import Contact
+from ...mechanics.contact.contact_set import ContactSet
 from ...mechanics.contact.limits import LimitPair
 from ...mechanics.contact.mass import redistribute_mass
 from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.obstacles import Obstacle
-from ...mechanics.contact.rows import Carrier, ContactSet, Side
+from ...mechanics.contact.pair import Carrier, Side
 from ...mechanics.contact.trace import BodyNodes, ContactTrace, FieldTrace, ModalTrace, surface_nodes
 from ...mechanics.joints.drives import relative_of
 from ...rotations import Array, Motions

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....linear.complementarity.active_set import ContactCounts
+from ....mechanics.contact.contact_set import ContactSet
 from ....mechanics.contact.limits import LimitPair
 from ....mechanics.contact.obstacle_pair import ObstaclePair
-from ....mechanics.contact.rows import ContactSet
 from ....mechanics.joints.relative import ExpressedCoordinate
 from ....mechanics.shapes import KNOWN, Shape
 from ....rotations import Array

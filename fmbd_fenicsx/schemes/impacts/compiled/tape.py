@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ....mechanics.contact.rows import ContactSet
+from ....mechanics.contact.contact_set import ContactSet
 from ....rotations import Array
 from ....system.compiled.recording import Recorded
 from ....system.compiled.tables.layout import TableLayout

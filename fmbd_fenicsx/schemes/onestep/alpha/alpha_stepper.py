@@ -30,9 +30,10 @@ from ....system.layout import State
 from ....system.serialisation import Memory, plain
 from ....system.speed_rows import speed_rows
 from ....system.system import System
-from ...consistent import jerk, spin_of_acceleration, widest
+from ...consistent import widest
 from ...dae import GGL
 from ...dense_output import cubic, place_within, state_within
+from ...jerk import jerk, spin_of_acceleration
 from ...newton import Newton, not_converged, strayed
 from ...stepping import Observers, TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart

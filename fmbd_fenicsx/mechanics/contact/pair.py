@@ -1,0 +1,95 @@
+"""What all pairs that may touch have: the points of the slave, the obstacle and what carries it, and their laws."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...rotations import Array, Motions
+from .contact_set import ContactSet
+from .trace import ContactTrace, SurfaceNodes
+
+
+@dataclass(frozen=True)
+class Side:
+    """Slave points: nodes of a trace (``trace`` its number, ``surface``), or ``points`` (m, d) of moving ``frames`` (m,)."""
+
+    trace: int
+    surface: SurfaceNodes | None
+    frames: np.ndarray
+    points: Array
+    radius: float
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """Pose of an obstacle: a frame of the system (its number, the ground included) times an optional prescribed motion."""
+
+    frame: int
+    offset: Array  # pose of a locked body, (n_pose,)
+    motion: Callable[[float], Array] | None
+
+
+def bodies_overlap(name: str, depth: float, x: Array, normal: Array) -> str:
+    """The sentence that refuses a start of contact ``name`` with a depth (m) at a point x along a normal, world axes."""
+    return (
+        f'Contact "{name}": the bodies overlap at the start by {depth:.3g} m, at {np.round(x, 6).tolist()}. '
+        f"Move one of them apart along {np.round(normal, 3).tolist()}."
+    )
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One contact with an obstacle, ready to evaluate."""
+
+    name: str
+    slave: Side
+    shape: Any
+    carrier: Carrier
+    friction: float
+    restitution: float
+    search: float | None
+    massless: bool
+    bounces: bool  # its points carry inertia that cannot be taken off: those of a rigid body, or of modes
+
+    searches: ClassVar[bool] = False  # whether :meth:`update` changes what its gaps are
+
+    @property
+    def moving(self) -> bool:
+        """Whether the obstacle moves as prescribed."""
+        return self.carrier.motion is not None
+
+    def overlap(self, system: Any, depth: float, x: Array, normal: Array) -> str:
+        """The sentence that refuses a start with an overlap of a depth (m), at a point x along a normal, world axes."""
+        return bodies_overlap(self.name, depth, x, normal)
+
+    @classmethod
+    def together(cls, pairs: list[Any], motions: Motions, traces: tuple[ContactTrace, ...]) -> list[Any]:
+        """What evaluates pairs of this kind: each for itself, or some in one."""
+        return pairs
+
+    def update(self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
+        """Nothing to pair anew: an obstacle is met where it is."""
+
+    @property
+    def weight(self) -> Array:
+        """Dual weights D of the candidates, 1 on rigid points, (m,)."""
+        return np.ones(self.count) if self.slave.surface is None else self.slave.surface.weights
+
+    def pressures(self, force: Array) -> Array:
+        """Pressures (N/m^(d-1), N on rigid points) of normal forces (m,) in N on the candidates; see :mod:`.trace`."""
+        surface = self.slave.surface
+        return force if surface is None else np.asarray(surface.gather @ force) / surface.weights
+
+    @property
+    def trace_nodes(self) -> np.ndarray | None:
+        """Numbers in the trace of the candidates' nodes, None for rigid points."""
+        return None if self.slave.surface is None else self.slave.surface.nodes
+
+    @property
+    def count(self) -> int:
+        """Candidates."""
+        return len(self.slave.points) if self.slave.surface is None else len(self.slave.surface.nodes)
