@@ -17,7 +17,7 @@ from fmbd_fenicsx.fem.traces.traces import trace_of
 from fmbd_fenicsx.linear.presets.krylov import Direct
 from fmbd_fenicsx.linear.saddle.elastic import Elastic
 from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
-from fmbd_fenicsx.linear.saddle.ties import data, hold, tie
+from fmbd_fenicsx.linear.saddle.ties import hold, tie
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)
 BEND = lambda x, f: (f.sin(2 * x[0]) * f.exp(x[1] / 2) / 5, f.cos(x[0] + x[1]) * x[1] / 5)
@@ -50,7 +50,7 @@ class Problem:
         held = [(k, name, space.on(surface(k, name))) for k, name in OUTER]
         self.ties = [tie("glue", 0, 1, self.glue), *(hold(f"{k}{name}", k, mu) for k, name, mu in held)]
         known = lambda x: values(solution, x)
-        self.data = [np.zeros(self.ties[0].rows), *(data(mu, known) for _, _, mu in held)]
+        self.data = [np.zeros(self.ties[0].rows), *(mu.integrals(known).ravel() for _, _, mu in held)]
         self.exact = [ufl.as_vector(solution(ufl.SpatialCoordinate(b.mesh.dolfinx), ufl)) for b in self.bodies]
         self.loads = [self._load(b, u) for b, u in zip(self.bodies, self.exact, strict=True)]
 

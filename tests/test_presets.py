@@ -16,7 +16,7 @@ from fmbd_fenicsx.linear.presets.krylov import Direct, FieldSplit
 from fmbd_fenicsx.linear.presets.multiplier_schur import Schur
 from fmbd_fenicsx.linear.saddle.elastic import Elastic
 from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
-from fmbd_fenicsx.linear.saddle.ties import data, hold, slide, tie
+from fmbd_fenicsx.linear.saddle.ties import hold, slide, tie
 
 KEPT1 = Continuous(1, Ends.KEPT)
 
@@ -55,7 +55,7 @@ def test_patch(dim: int, up: int, low: int, degree: int, space) -> None:
         loads.append(f.ravel())
     exact = lambda x: x @ H.T  # noqa: E731
     solver = Direct().solver(s)
-    found = solver.solve(loads, [np.zeros(ties[0].rows), data(top, exact), data(floor, exact)])
+    found = solver.solve(loads, [np.zeros(ties[0].rows), top.integrals(exact).ravel(), floor.integrals(exact).ravel()])
     worst = max(np.abs(u - exact(F.X_world).ravel()).max(initial=0.0) for u, F in zip(found.u, (A, B), strict=True))
     assert max(A.comm.allgather(worst)) < (1e-12 if dim == 2 else 1e-10) * 0.02
     traction = coupling.multipliers.coefficients(found.multipliers[0].reshape(-1, dim))
@@ -148,7 +148,7 @@ def test_sliding_tie_lets_the_tangent_go() -> None:
     ]
     s = SaddlePoint([Elastic(A), Elastic(B)], ties)
     solver = Direct().solver(s)
-    push = data(ties[1].multipliers, lambda x: np.array([[0.1, 0.0]]) + 0 * x)
+    push = ties[1].multipliers.integrals(lambda x: np.array([[0.1, 0.0]]) + 0 * x).ravel()
     found = solver.solve([np.zeros(e.rows) for e in s.elastic], [np.zeros(glue.rows), push, np.zeros(ties[2].rows)])
     assert A.comm.allreduce(np.abs(found.u[1]).max(initial=0.0)) < 1e-12  # the lower block does not notice
     sideways = A.comm.allreduce(np.abs(found.u[0].reshape(-1, 2) - [0.1, 0.0]).max(initial=0.0))

@@ -30,7 +30,7 @@ from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from .border import Border
 from .configuration import MatrixConfiguration
-from .configuration_warnings import CLOSE, NearSingular, mover, rows_depend
+from .configuration_warnings import CLOSE, NearSingular, rows_depend
 from .core import ADVICE, TIE_LIMIT, CoreSolver
 from .core_matrix import core_matrix
 from .driver_solver import DriverSolver, driver_solver
@@ -156,8 +156,9 @@ class StepSolver:
         except LinearSolveError as error:
             if error.motion is None:
                 raise
+            moving = s.body_of(int(np.argmax(np.abs(error.motion))))
             raise LinearSolveError(
-                f"{mover(s, error.motion)} has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}"
+                f'Body "{moving}" has a motion without mass that no joint holds (t = {ev.t:g} s). {ADVICE}'
             ) from error
         self._held = self._configuration(ev, weights)
         if s.n_lam and (self.core.ratio < 1e-5 or self.near_singular.now):

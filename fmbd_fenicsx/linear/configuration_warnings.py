@@ -53,17 +53,6 @@ def warn_of_ties(system: Measured, shares: dict[str, float]) -> None:
         )  # fmt: skip
 
 
-def mover(system: Measured, motion: Array) -> str:
-    """The body with the largest part in a motion of the core."""
-    s = system
-    k = int(np.argmax(np.abs(motion)))
-    n = s.n_frames * s.motions.n_twist
-    if k < n:
-        return f'Body "{s.frame_names[k // s.motions.n_twist]}"'
-    owner = next(p for i, p in s.core_parts if s.slices[1][i].start <= k < s.slices[1][i].stop)
-    return f'Body "{owner.name}"'
-
-
 class NearSingular:
     """One line for each time that the configuration comes close to a singular one; ``now``: whether it is close.
 

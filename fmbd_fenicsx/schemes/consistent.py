@@ -301,11 +301,8 @@ def _refuse_open(system: System, t: float, g: np.ndarray, solver: StepSolver) ->
 
 def worst_block(system: Layout, g: np.ndarray) -> str:
     """The joint or frame with the largest entry of a constraint vector."""
-    row = int(np.argmax(np.abs(g)))
-    for block in system.blocks:
-        if block.rows.start <= row < block.rows.stop:
-            return block.name if block.kind == "frame" else f'joint "{block.name}" ({block.kind})'
-    return "a constraint"
+    block = system.block_of(int(np.argmax(np.abs(g))))
+    return block.name if block.kind == "frame" else f'joint "{block.name}" ({block.kind})'
 
 
 def widest(system: System, g: np.ndarray) -> str:

@@ -50,6 +50,9 @@ class RowBlock:
     b: int = -1
 
 
+NOBODY = RowBlock("a constraint", slice(0, 0), "frame")
+
+
 @dataclass(frozen=True, eq=False)
 class Layout:
     """All bodies, constraints and forces of a scene, and where each stands in the arrays; see the module."""
@@ -138,6 +141,17 @@ class Layout:
             in_p.append(slice(p, p + part.n_port))
             q, v, p = q + part.n, v + part.n, p + part.n_port
         return in_q, in_v, in_p
+
+    def block_of(self, row: int) -> RowBlock:
+        """The joint or frame that a constraint row belongs to."""
+        return next((b for b in self.blocks if b.rows.start <= row < b.rows.stop), NOBODY)
+
+    def body_of(self, k: int) -> str:
+        """The name of the body that a component of v belongs to."""
+        frame = k // self.motions.n_twist
+        if frame < self.n_frames:
+            return self.frame_names[frame]
+        return next(p.name for p, own in zip(self.parts, self.slices[1], strict=True) if own.start <= k < own.stop)
 
     @cached_property
     def n_q(self) -> int:

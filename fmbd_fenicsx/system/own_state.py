@@ -25,7 +25,7 @@ def refuse_other_state(system: System, state: State, scene: str) -> None:
         return
     worst = int(np.argmax(gaps))
     if gaps[worst] > APART * system.length or not np.isfinite(gaps).all():
-        joint = next(b.name for b in system.blocks if b.rows.start <= worst < b.rows.stop)
+        joint = system.block_of(worst).name
         raise InputError(
             f'The state belongs to another scene: in "{scene}" it leaves "{joint}" open by {gaps[worst]:.3g} m or rad. Give a '
             "state of a run, an equilibrium or a stepper of this scene."

@@ -166,7 +166,7 @@ def _check_drives(residual: Residual, q: Array, t: float) -> None:
     missed = np.where(rate != 0.0, ev.jacobian.times(ev.v) + rate, 0.0)
     row = int(np.abs(missed).argmax())
     if np.abs(missed[row]) > 1e-6 * np.abs(rate[row]):
-        name = next(b.name for b in residual.system.blocks if b.rows.start <= row < b.rows.stop)
+        name = residual.system.block_of(row).name
         raise InputError(
             f'"{name}" moves with {-rate[row]:.6g} (rad/s, m/s) at t = {t:g} s; in the rotation with {residual.spin.rate:g} '
             f"rad/s it would with {missed[row] - rate[row]:.6g}: no steady motion has both. Let the drive stand, as the ground "
@@ -183,7 +183,7 @@ def _check_given_speeds(residual: Residual, q: Array, t: float) -> None:
     given = np.abs(system.at(t, q, np.zeros(system.n_v)).constraint_rate()[rows])
     if given.max() > 1e-9 * system.length:  # m/s
         row = rows[int(given.argmax())]
-        name = next(b.name for b in system.blocks if b.rows.start <= row < b.rows.stop)
+        name = system.block_of(row).name
         raise InputError(
             f'Joint "{name}" gives a speed of {given.max():.6g} m/s to bodies at rest: there is no equilibrium.'
         )

@@ -53,8 +53,7 @@ def _check_held(system: System, ev: Any, spin: BodySpin) -> None:
     missed = np.abs(ev.opening())
     row = int(missed.argmax())
     if missed[row] > CHANGED * abs(spin.rate) * max(system.length, 1.0):
-        name = next(b.name for b in system.blocks if b.rows.start <= row < b.rows.stop)
         raise InputError(
-            f'"{name}" does not let {spin.listed} spin with {spin.rate:g} rad/s: it would open with {missed[row]:.3g} (rad/s, '
-            "m/s). Name all bodies that turn, and give drives the same rate."
+            f'"{system.block_of(row).name}" does not let {spin.listed} spin with {spin.rate:g} rad/s: it would open with '
+            f"{missed[row]:.3g} (rad/s, m/s). Name all bodies that turn, and give drives the same rate."
         )

@@ -66,7 +66,13 @@ class Multipliers:
         blocks = w[:, None, None] * reference_mass(t.dim - 1, self.degree, self.degree)
         k = blocks.shape[1]
         rows = np.arange(len(w) * k).reshape(len(w), k)
-        return (self.basis @ scatter(blocks, rows, rows, (len(w) * k,) * 2) @ self.basis.T).tocsr()
+        return (self.broken(blocks, rows, rows.size) @ self.basis.T).tocsr()
+
+    def integrals(self, function: Callable[[Array], Array]) -> Array:
+        """int mu_j f of a function of points (n, d) -> (n, c) or (n,); (n, c)."""
+        blocks = self.trace.integrals(function, self.degree, self.degree + 6)
+        f, _, c = blocks.shape
+        return np.asarray(self.broken(blocks, np.broadcast_to(np.arange(c), (f, c)), c).toarray())
 
     def coefficients(self, values: Array) -> Array:
         """Facet-wise nodal values of mu, (n, ...) -> (n_f, k_p, ...)."""

@@ -198,7 +198,7 @@ def _components(ties: Sequence[Any], counts: list[int]) -> tuple[Array, np.ndarr
         normal = np.eye(d)
         if t.sliding:
             trace = surface_trace(t.a.body.mesh, t.a.name)
-            normal = ((trace.sizes[:, None] * trace.normals).sum(0) / trace.sizes.sum())[:, None]
+            normal = trace.mean_normal[:, None]
         blocks.append(np.kron(np.eye(n), normal))
         owner += [i] * blocks[-1].shape[1]
     return sl.block_diag(*blocks), np.array(owner)

@@ -113,6 +113,25 @@ class Trace:
         """Points (n_f, m, d) at reference points (m, d-1) of every facet."""
         return np.einsum("ma,fad->fmd", shape_functions(self.dim - 1, 1, reference), self.corners)
 
+    @property
+    def mean_normal(self) -> Array:
+        """The mean of the outward normals, (d,): of unit length where the surface is flat."""
+        return np.asarray((self.sizes[:, None] * self.normals).sum(0) / self.sizes.sum())
+
+    @property
+    def flat(self) -> bool:
+        """Whether its normals are all the same."""
+        return bool(np.linalg.norm(self.mean_normal) >= 1 - 1e-6)
+
+    def integrals(self, function: Callable[[Array], Array], p: int, degree: int) -> Array:
+        """int psi_Fa f over each facet, (n_f, k_p, c), with its functions psi of degree p, for a function of points (n, d) ->
+        (n, c) or (n,); exact for products of this ``degree``.
+        """
+        q, w = quadrature(self.dim - 1, degree)
+        f = np.asarray(function(self.place(q).reshape(-1, self.dim))).reshape(len(self.nodes), len(q), -1)
+        psi = shape_functions(self.dim - 1, p, q)
+        return np.asarray(np.einsum("f,q,qa,fqc->fac", self.sizes, w, psi, f, optimize=True))
+
     def columns(self, B: sp.spmatrix) -> sp.csr_matrix:
         """Columns of a matrix on all trace nodes that this rank owns: (rows, n) -> (rows, n_owned)."""
         mine = np.flatnonzero(self.owned >= 0)

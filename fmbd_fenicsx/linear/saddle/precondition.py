@@ -90,8 +90,7 @@ class Fractional:
         if t.components == 1:
             return sp.csr_matrix(across)
         # tangential and normal answers, in the mean normal of the first side
-        side = t.sides[0][1]
-        n = (side.sizes[:, None] * side.normals).sum(0) / side.sizes.sum()
+        n = t.sides[0][1].mean_normal
         N = np.outer(n, n)
         return (sp.kron(sp.csr_matrix(along), np.eye(len(n)) - N) + sp.kron(sp.csr_matrix(across), N)).tocsr()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,6 @@ from ...errors import InputError
 from ...fem.traces.mortar import Mortar
 from ...fem.traces.multipliers import Multipliers
 from ...fem.traces.traces import Trace
-from ...rotations import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,28 +36,11 @@ class TraceTie:
 
 
 def hold(name: str, body: int, multipliers: Multipliers) -> TraceTie:
-    """int mu . u = g on a surface: weak Dirichlet data; g = :func:`data`."""
+    """int mu . u = g on a surface: weak Dirichlet data; g = :meth:`.Multipliers.integrals` of the data, by rows."""
     d = multipliers.trace.dim
     B = multipliers.coupling()
     sides = ((body, multipliers.trace, B),)
     return TraceTie(name, ((body, _vector(multipliers.trace.columns(B), d)),), multipliers, d, sides)
-
-
-def data(multipliers: Multipliers, function: Callable[[Array], Array], degree: int = 6) -> Array:
-    """g = int mu . f for a function of points (n, d) -> (n, d) or scalar (n,); (rows,)."""
-    from ...fem.traces.traces import quadrature, scatter, shape_functions
-
-    t = multipliers.trace
-    m = t.dim - 1
-    q, w = quadrature(m, degree + multipliers.degree)
-    values = np.asarray(function(t.place(q).reshape(-1, t.dim))).reshape(len(t.nodes), len(q), -1)
-
-    psi = shape_functions(m, multipliers.degree, q)
-    blocks = np.einsum("f,q,qa,fqc->fac", t.sizes, w, psi, values, optimize=True)
-    k, c = blocks.shape[1:]
-    rows = np.arange(len(t.nodes) * k).reshape(len(t.nodes), k)
-    one = scatter(blocks, rows, np.broadcast_to(np.arange(c), (len(rows), c)), (rows.size, c))
-    return np.asarray((multipliers.basis @ one).toarray()).ravel()
 
 
 def tie(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
@@ -77,8 +58,8 @@ def slide(name: str, slave: int, master: int, coupling: Mortar) -> TraceTie:
         InputError: the surface is curved, so that no single normal exists.
     """
     t = coupling.slave_trace
-    n = (t.sizes[:, None] * t.normals).sum(0) / t.sizes.sum()
-    if np.linalg.norm(n) < 1 - 1e-6:
+    n = t.mean_normal
+    if not t.flat:
         raise InputError(
             f'Tie "{name}": {t.label} is curved (mean normal of length {np.linalg.norm(n):.3f}); a sliding '
             "tie needs a flat surface."

@@ -185,8 +185,7 @@ class TraceRows:
             turns = [np.cross(along[k], arms) for k in range(3)]
 
         if self.normal is not None:
-            mean = (t.sizes[:, None] * t.normals).sum(axis=0) / t.sizes.sum()
-            rows = np.stack([x @ mean for x in (*shifts, *turns)], axis=1)
+            rows = np.stack([x @ t.mean_normal for x in (*shifts, *turns)], axis=1)
         else:
             rows = np.stack([x.ravel() for x in (*shifts, *turns)], axis=1)
 
@@ -214,13 +213,15 @@ class TraceRows:
 
     def values(self, ev: Any) -> Array:
         """g, (rows,)."""
-        g = self._difference(ev)
-        return g.ravel() if self.normal is None else g @ (ev.rotation[self.sides[1].frame] @ self.normal)
+        return self._held(ev, self._difference(ev))
 
     def rate(self, ev: Any) -> Array:
         """dg/dt at rest, (rows,)."""
-        g = self.motion(ev.t)[1] * self.data
-        return g.ravel() if self.normal is None else g @ (ev.rotation[self.sides[1].frame] @ self.normal)
+        return self._held(ev, self.motion(ev.t)[1] * self.data)
+
+    def _held(self, ev: Any, g: Array) -> Array:
+        """All components of vectors (n, d) one after the other, of a sliding tie those along the normal; (rows,)."""
+        return g.ravel() if self.normal is None else np.asarray(g @ (ev.rotation[self.sides[1].frame] @ self.normal))
 
     def jacobian(self, ev: Any) -> list[tuple[str, int, Any]]:
         """Blocks ("frame", number of the frame, (rows, n_twist)) and ("port", number of the side, sparse (rows, ports))."""
@@ -356,10 +357,10 @@ def build_trace_rows(
     # a sliding tie holds the normal direction alone, that of the side whose frame is rigid
     normal = None
     if tie.sliding:
-        mean = (trace.sizes[:, None] * trace.normals).sum(0) / trace.sizes.sum()
-        if np.linalg.norm(mean) < 1 - 1e-6:
-            raise InputError(f'Tie "{tie.name}": {trace.label} is curved; a sliding tie needs a flat surface.')
-        normal = mean if other is not None or tie.b is ground else place(tie.b)[2].T @ mean
+        require(trace.flat, f'Tie "{tie.name}": {trace.label} is curved; a sliding tie needs a flat surface.')
+        normal = trace.mean_normal
+        if other is None and tie.b is not ground:
+            normal = place(tie.b)[2].T @ normal
 
     rows = TraceRows(tie.name, mu, (a, b), _imposed(tie, mu), tie.motion or standstill, normal)
     free = [] if tie.sliding else rows.left_free()
@@ -404,26 +405,21 @@ def _elastic_side(part: Any, number: int, trace: Trace, A: sp.csr_matrix) -> tup
 def _imposed(tie: SurfaceTie, mu: Multipliers) -> Array:
     """D_j = int mu_j d(X), (n, d); collective."""
     from ...errors import CallbackError, named
-    from ...fem.traces.traces import quadrature, scatter, shape_functions
     from ...ranks import OneAnswer
 
     t = mu.trace
-    m = t.dim - 1
     if tie.shape is None:
         return np.zeros((mu.n, t.dim))
+    shape = named("The shape of tie", tie.name, tie.shape, time=None)
 
-    # values of the shape at quadrature points, checked
-    q, w = quadrature(m, 6 + mu.degree)
-    x = t.place(q).reshape(-1, t.dim)
-    with OneAnswer(t.comm):
-        found = np.asarray(named("The shape of tie", tie.name, tie.shape, time=None)(x.T), dtype=float)
-    if found.shape != x.T.shape or not np.isfinite(found).all():
-        raise CallbackError(f'Tie "{tie.name}": shape(X) returned {found.shape}, expected {x.T.shape} finite numbers.')
-    values = found.T.reshape(len(t.nodes), len(q), t.dim)
+    def checked(x: Array) -> Array:
+        """Values (n, d) of the shape at points, finite."""
+        with OneAnswer(t.comm):
+            found = np.asarray(shape(x.T), dtype=float)
+        if found.shape != x.T.shape or not np.isfinite(found).all():
+            raise CallbackError(
+                f'Tie "{tie.name}": shape(X) returned {found.shape}, expected {x.T.shape} finite numbers.'
+            )
+        return found.T
 
-    # facet by facet, then gathered to the functions of the space
-    blocks = np.einsum("f,q,qa,fqc->fac", t.sizes, w, shape_functions(m, mu.degree, q), values, optimize=True)
-    k = blocks.shape[1]
-    rows = np.arange(len(t.nodes) * k).reshape(len(t.nodes), k)
-    one = scatter(blocks, rows, np.broadcast_to(np.arange(t.dim), (len(rows), t.dim)), (rows.size, t.dim))
-    return np.asarray((mu.basis @ one).toarray())
+    return mu.integrals(checked)

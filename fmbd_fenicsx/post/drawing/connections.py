@@ -12,7 +12,21 @@ from ...mechanics.joints.joints import Joint, ground
 from ...rotations import Array
 from .places import Places
 from .scene_graph import Deforming, MovingPoints, Piece, Role, Solid
-from .solids import box, coil, cylinder, dashpot, disk, frame_of, polygon, rectangle, ring, sphere, turn_arrow, zigzag
+from .solids import (
+    box,
+    carried_on,
+    coil,
+    cylinder,
+    dashpot,
+    disk,
+    frame_of,
+    polygon,
+    rectangle,
+    ring,
+    sphere,
+    turn_arrow,
+    zigzag,
+)
 
 ACROSS = 1.1  # radius of springs, in symbols
 STANDING = ("revolute", "spherical", "universal", "fixed")  # joints that stand on the ground; others slide over it
@@ -192,9 +206,7 @@ def stretch(start: Array, end: Array, radius: float) -> Array:
         e = np.asarray(along / length)
 
         # the direction across is carried on from instant to instant, so that a coil does not spin
-        across = across - (across @ e) * e
-        size = np.linalg.norm(across)
-        across = across / size if size > 1e-9 else frame_of(e)[:, 0]
+        across = carried_on(across, e)
         out[k] = np.stack((along, radius * across, radius * np.cross(e, across)), axis=1)
     return out
 

@@ -81,9 +81,7 @@ def swept(path: Array, radius: Array | float, sides: int = 12) -> Solid:
         e = e / length if length else np.eye(3)[2]
 
         # carried along the path, so that the tube does not twist
-        across = across - (across @ e) * e
-        size = np.linalg.norm(across)
-        across = across / size if size > 1e-9 else frame_of(e)[:, 0]
+        across = carried_on(across, e)
         other = np.cross(e, across)
         rings.append(x + r * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other))
 
@@ -99,6 +97,13 @@ def swept(path: Array, radius: Array | float, sides: int = 12) -> Solid:
     caps.append(np.column_stack((np.full(sides, last), around, np.roll(around, -1))) + [0, *[(n - 1) * sides] * 2])
 
     return Solid(np.concatenate((*rings, path[[0, -1]])), np.concatenate((sides_of.reshape(-1, 3), *caps)))
+
+
+def carried_on(across: Array, e: Array) -> Array:
+    """A unit vector across the direction e, as near as it can be to the one that was ``across`` a direction before."""
+    across = across - (across @ e) * e
+    size = np.linalg.norm(across)
+    return across / size if size > 1e-9 else frame_of(e)[:, 0]
 
 
 def cylinder(radius: float, length: float, axis: Sequence[float] | Array) -> Solid:

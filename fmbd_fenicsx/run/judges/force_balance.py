@@ -123,7 +123,7 @@ class Balanced(Remembering):
 
         sizes = self._closely(ev, state, left, h, allowed)
         if not sizes.max() <= allowed:
-            name = _named(s, int(np.argmax(sizes)))
+            name = f'body "{s.body_of(int(np.argmax(sizes)))}"'
             raise ConvergenceError(
                 f"At t = {state.t:.6g} s the forces on {name} are not in balance: what is left of them stands for "
                 f"{sizes.max():.2g} m/s in this step, {allowed:.2g} m/s is allowed. Take a smaller dt or rtol, or a smaller "
@@ -235,14 +235,3 @@ def _lengths(system: Measured, left: Array, weight: Array) -> Array:
 def _diagonal(A: Any) -> Array:
     """Sizes of the entries on the diagonal of a matrix, dense or sparse."""
     return np.abs(np.asarray(A.diagonal(), dtype=float))
-
-
-def _named(system: Measured, row: int) -> str:
-    """Whose balance a row of the core is."""
-    n = system.n_frames * system.motions.n_twist
-    if row < n:
-        return f'body "{system.frame_names[row // system.motions.n_twist]}"'
-    for k, span in enumerate(system.slices[1]):
-        if span.start <= row < span.stop:
-            return f'coordinates of body "{system.parts[k].name}"'
-    return "a body"

@@ -112,7 +112,7 @@ class Elimination:
                 continue
             done[u] = True
             unit = self.units[u]
-            around = set().union(*(self.near[x] for x in unit)) - set(unit)
+            around = self._around(unit)
             out.append((unit, list(around)))
 
             # what is left is coupled
@@ -130,9 +130,11 @@ class Elimination:
 
     def _degree(self, u: int) -> int:
         """Unknowns that a group is coupled with."""
-        unit = self.units[u]
-        around = set().union(*(self.near[x] for x in unit)) - set(unit)
-        return sum(self.widths[x] for x in around)
+        return sum(self.widths[x] for x in self._around(self.units[u]))
+
+    def _around(self, unit: list[int]) -> set[int]:
+        """What a group is coupled with."""
+        return set().union(*(self.near[x] for x in unit)) - set(unit)
 
 
 class Fronts:
