@@ -11,7 +11,8 @@ from test_output import pendulum
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import study
 
-TEXT = (Path(__file__).resolve().parents[1] / "docs/contributing.md").read_text()
+ROOT = Path(__file__).resolve().parents[1]
+TEXT = (ROOT / "docs/contributing.md").read_text()
 
 
 def example(word, *, lines=28, **known):
@@ -36,6 +37,18 @@ def test_joint_leaves_one_translation_and_two_rotations():
     assert abs(run["pin"][-1, 0]) > 0.1 and np.abs(run["pin"][:, 1:]).max() < 1e-10
     R = run["rotation"][-1].reshape(3, 3)
     assert run.system.n_lam == 3 and np.abs(R - np.eye(3)).max() > 0.01
+
+
+def test_balls_come_to_rest_on_a_shape():
+    capsule = example("Capsule")["Capsule"]((-1.0, 0.0), (1.0, 0.0), 0.2)
+    scene = fmbd.Scene("landing", gravity=(0.0, -9.81))
+    for name, x in (("inside", 0.3), ("beside", 1.4)):
+        body = fmbd.RigidBody(name, 1.0, 0.01, (x, 0.4))
+        scene.add(body, fmbd.contact(name, fmbd.ball(body, 0.1), fmbd.Obstacle(f"bar {name}", capsule)))
+        scene.sensor(name, fmbd.position(body))
+    run = fmbd.solve(scene, t_end=0.5, dt=2e-3)
+    assert run["inside"][-1] == pytest.approx((0.3, 0.3), abs=1e-5)
+    assert run["beside"][-1, 1] == pytest.approx(0.4 - 0.5 * 9.81 * 0.25, abs=1e-4)  # it falls past the end
 
 
 @pytest.mark.mpi
@@ -162,13 +175,21 @@ def test_scheme_writes_checkpoints_and_reports(tmp_path):
 # -- the walks through the code ---------------------------------------------------------------------------------------------
 FLOORS = ["fem", "mechanics", "system", "linear", "schemes", "run", "post"]
 SOURCE = Path(fmbd.__file__).parent
-WALKS = re.split(r"\n(?=\d\. |\*\*|#)", TEXT[TEXT.index("### Four walks") : TEXT.index("Where a walk still looks")])
+WALKS = re.split(r"\n(?=\d\. |\*\*|#)", TEXT[TEXT.index("### Five walks") : TEXT.index("Where a walk still looks")])
 
 
 def stations(walk):
     """Names with a path in a line of a walk: (path, names within)."""
     found = re.findall(r"`((?:[a-z_]+/)+[a-z_]+)\.([A-Za-z_.]+)`", walk)
     return [(path, names.split(".")) for path, names in found]
+
+
+def test_the_map_names_every_folder():
+    named = set(re.findall(r"`(?:\w+/)*(\w+)/`", TEXT[TEXT.index("| floor |") : TEXT.index("### Five walks")]))
+    folders = {
+        path.parent.name for path in (ROOT / "fmbd_fenicsx").rglob("*.[pch]*") if "__pycache__" not in path.parts
+    }
+    assert folders - {"fmbd_fenicsx"} == named
 
 
 def test_walks_name_what_is_there():
@@ -188,7 +209,7 @@ def test_walks_go_down():
 
 
 def test_rooms_of_the_house_are_there():
-    house = TEXT[TEXT.index("| floor |") : TEXT.index("### Four walks")]
+    house = TEXT[TEXT.index("| floor |") : TEXT.index("### Five walks")]
     for folder, rooms in re.findall(r"^\| \d \| `([a-z]+)/` \| (.*) \|$", house, re.M):
         for room in re.findall(r"`([a-z_]+)/?`", rooms):
             assert (SOURCE / folder / room).is_dir() or (SOURCE / folder / f"{room}.py").is_file(), (folder, room)
