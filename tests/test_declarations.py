@@ -12,7 +12,7 @@ import pytest
 
 from fmbd_fenicsx.linear.blocks.complex_factor import Symmetric
 from fmbd_fenicsx.schemes.impacts.compiled import structures as contact
-from fmbd_fenicsx.system.compiled import declarations, implicit, march, tape
+from fmbd_fenicsx.system.compiled import declarations, explicit, implicit, march, own_steps, tape
 from fmbd_fenicsx.system.compiled.library import CONTACT, CORE, _source
 from fmbd_fenicsx.system.compiled.states import convergence, field_stages, stage_patterns, stages
 from fmbd_fenicsx.system.compiled.tables.structures import structure
@@ -20,11 +20,12 @@ from fmbd_fenicsx.system.compiled.tables.structures import structure
 OF_TABLES = "Surface Body Told Field Batch Front Angle Rod Reaction Deflection Control System".split()
 OF_CORE: dict[str, Any] = {"Symmetric": Symmetric, "Closed": march.Closed, "Tape": tape.TAPE}
 OF_IMPLICIT: dict[str, Any] = {
-    "Implicit": implicit.Implicit, "OwnSteps": implicit.OwnSteps, "Orders": implicit.Orders,
+    "Implicit": implicit.Implicit, "OwnSteps": own_steps.OwnSteps, "Orders": implicit.Orders,
     "Convergence": convergence.Convergence, "Sparse": stages.Sparse, "Lower": stages.Lower, "Stages": stages.Stages,
     "Product": stage_patterns.ProductPairs,
     "Patterns": stage_patterns.Patterns, "FieldStages": field_stages.FieldStages,
 }  # fmt: skip
+OF_SCHEMES: dict[str, Any] = {"OwnSteps": own_steps.OwnSteps, "Norm": explicit.Norm, "Explicit": explicit.Explicit}
 OF_CONTACT: dict[str, Any] = {
     name: getattr(contact, name) for name in "Touch Tally Problem Graph Blocks Tree Block Contacts".split()
 }
@@ -34,7 +35,7 @@ def told(dim: int, unit: str) -> dict[str, Any]:
     """The structures of a unit that Python knows."""
     if unit == CONTACT:
         return {**OF_CONTACT, **{name: contact.structure(name, dim) for name in ("Mover", "Pair")}}
-    own = {"driver": OF_CORE, "implicit_schemes": OF_IMPLICIT}.get(unit, {})
+    own = {"driver": OF_CORE, "implicit_schemes": OF_IMPLICIT, "schemes": OF_SCHEMES}.get(unit, {})
     return {**own, **{name: structure(name, dim) for name in OF_TABLES}}
 
 

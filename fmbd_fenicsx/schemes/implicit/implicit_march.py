@@ -15,19 +15,16 @@ from ...linear.residual import Judge
 from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.compiled import implicit as slots
-from ...system.compiled.implicit import ImplicitRoom, Orders, OwnRoom, work_of
-from ...system.compiled.march import CHOSEN, March
+from ...system.compiled.implicit import ImplicitRoom, work_of
+from ...system.compiled.march import March
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import Rule
-from ...system.compiled.tables.resting import Twin
-from ...system.element_memory import whole_steps
-from ..control import PATIENCE, REFUSED, TURN, Statistics, StepControl
-from ..error_norm import EPS, ErrorNorm
-from ..marching import MarchingStepper
+from ..error_norm import EPS
+from ..own_marching import OwnMarch
 
 
-class ImplicitMarch(MarchingStepper):
+class ImplicitMarch(OwnMarch):
     """What :class:`.ImplicitStepper` is beside its steps in parts. A scheme says what it has of its own: coefficients, and
     what it keeps with a state.
 
@@ -39,19 +36,13 @@ class ImplicitMarch(MarchingStepper):
     longer: ClassVar[float] = 1.0  # see implicit.c
     scheme: Any
     eq: Any
-    adaptive: bool
-    norm: ErrorNorm
-    stats: Statistics
     judge: Judge
-    control: StepControl
-    proposed: float | None
     _tangent: Any
     _pencil: Any
     _fresh: bool
     _full: bool
     _theta: float
     _lent: ImplicitRoom | None = None
-    _ahead: tuple[float, int]  # s that the steps of a call may take, and how many these are at most
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
     def _lend(self) -> ImplicitRoom:
@@ -74,16 +65,6 @@ class ImplicitMarch(MarchingStepper):
         """What its factors are for, as compiled code says it."""
         raise NotImplementedError
 
-    def _own_room(self, *, error: Array | None = None, orders: Orders | None = None, **numbers: float) -> OwnRoom:
-        """Its error control, with what the scheme has of its own."""
-        form, norm, length = self.scheme.form, self.norm, self.system.length
-        harsh, mild = REFUSED
-        common = {
-            "index": form.index, "places": 0 in form.levels, "rtol": norm.rtol, "atol": norm.atol or 0.0, "length": length,
-            "turn": TURN, "safety": self.control.safety, "harsh": harsh, "mild": mild, "patience": PATIENCE,
-        }  # fmt: skip
-        return OwnRoom(self._twin, norm.deforming, {**common, **numbers}, error=error, orders=orders)
-
     def _frequencies(self, h: float) -> Array:
         """Those of steps of constant size h (s)."""
         raise NotImplementedError
@@ -93,17 +74,6 @@ class ImplicitMarch(MarchingStepper):
         raise NotImplementedError
 
     # -- steps --------------------------------------------------------------------------------------------------------------
-    def stride(self, h: float) -> float:
-        """As :meth:`TimeStepper.stride`."""
-        found = super().stride(h)
-        return min(found, self.proposed) if self.adaptive and self.proposed is not None else found
-
-    def step_back(self) -> None:
-        """As :meth:`TimeStepper.step_back`."""
-        assert self._used is not None
-        self.state = self._used.state(1)
-        self._take_kept(self._used.ring.own(1).copy())
-
     def _in_one_call(self, h: float) -> bool:
         if self.solver.driver is None or self._full or self.scheme.form.projected:
             return False
@@ -113,17 +83,8 @@ class ImplicitMarch(MarchingStepper):
 
     @property
     def _chooses_alike(self) -> bool:
-        """Whether compiled code may choose the next step."""
-        # samples of controllers are taken between steps
-        sampled = whole_steps(self.system, self.state.t, 1.0) < np.inf
         # matrices of fields leave no means of rods beside their rigid motions
-        weighed = not (self.system.fields and self.system.elements)
-        known = self.proposed is not None and not sampled and weighed
-        return known and not (self._refused is not None and self._refused[0] is self.state)
-
-    def _made(self, h: float, count: int, most: float, judges: Any) -> int:
-        self._ahead = h, count
-        return super()._made(h, count, most, judges)
+        return super()._chooses_alike and not (self.system.fields and self.system.elements)
 
     def _march_of(self) -> March | None:
         return super()._march_of() if self.eq.compiled else None
@@ -131,13 +92,6 @@ class ImplicitMarch(MarchingStepper):
     def _tables_of_steps(self) -> DriverStates | None:
         found: DriverStates | None = self.eq.whole_steps(self.state)
         return found
-
-    @property
-    def _twin(self) -> Twin:
-        """Between arrays of the system and those of its steps."""
-        states = self.system.evaluator
-        assert isinstance(states, DriverStates)
-        return states.twin
 
     def _room(self, states: DriverStates) -> int:
         self._lent = self._lend()
@@ -159,20 +113,8 @@ class ImplicitMarch(MarchingStepper):
         floor = 64 * EPS * self.system.length
         lent.settle(convergence, {"rtol": self.norm.rtol, "floor": floor, "slow": self.slow, "longer": self.longer})
         room.view(np.uintp)[0] = lent.address
-        assert self._used is not None
-        self._used.parameters[CHOSEN] = self.adaptive
         if lent.own is not None:
             self._lend_own(lent.own)
-
-    def _lend_own(self, own: OwnRoom) -> None:
-        """What error control has seen so far, and where the steps of a call end."""
-        assert self.proposed is not None
-        control, norm, t, (limit, count) = self.control, self.norm, self.state.t, self._ahead
-        control.span = max(control.span, limit)
-        own.lend(norm.q_size, norm.v_size, norm.deflections)
-        own.c.until, own.c.longest, own.c.tiny = max(self.until, t + limit), self.longest, control.tiny
-        own.c.worst, own.c.refused = 0.0, 0.0
-        own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
 
     def _take_march(self, march: March, made: int) -> None:
         own = march.ring.own().copy()
@@ -189,14 +131,6 @@ class ImplicitMarch(MarchingStepper):
         self._take_kept(own)
         if self._lent is not None and self._lent.own is not None:
             self._take_own(self._lent.own, made)
-
-    def _take_own(self, own: OwnRoom, made: int) -> None:
-        """What error control has seen in so many steps."""
-        norm, refused = self.norm, int(own.c.refused)
-        norm.q_size, norm.v_size, norm.deflections = own.told()
-        self.local_error = float(own.c.worst)
-        if refused:
-            self.stats.rejected["error estimate"] += refused
 
     def _take_kept(self, own: Array) -> None:
         """What a state of a march keeps."""

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from ...system.compiled.implicit import ImplicitRoom, Orders, OwnRoom
+from ...system.compiled.implicit import ImplicitRoom, Orders
+from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
 from ..control import growth_factor

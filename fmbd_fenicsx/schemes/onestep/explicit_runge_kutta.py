@@ -22,6 +22,8 @@ from scipy.integrate import DOP853
 
 from ...linear.condensation import StepSolver
 from ...rotations import Array
+from ...system.compiled.declarations import constants
+from ...system.compiled.explicit import CONTROLLED
 from ...system.compiled.march import March
 from ...system.compiled.states.explicit import Tableau
 from ...system.layout import State
@@ -31,7 +33,9 @@ from ..newton import Newton
 from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
 
 STAGES = 12
-THIRD = 0.01  # weight of the square of the error of order three beside that of order five
+(THIRD,) = constants(
+    "runge_kutta.c", "THIRD"
+)  # weight of the square of the error of order three beside that of order five
 
 
 @lru_cache
@@ -65,26 +69,29 @@ class RungeKuttaStepper(ExplicitStepper):
     _slopes: tuple[Array, Array] | None = None  # rates and accelerations of the stages of the last step
 
     maker = "RUNGE_KUTTA"
+    embedded = np.vstack((DOP853.E5[:STAGES], DOP853.E3[:STAGES]))
     amplification = staticmethod(amplification)
 
     def _tableau(self) -> tuple[Tableau, float]:
         return coefficients(), 0.0
 
     def _own(self, *, factored: bool) -> Array:
-        return np.zeros((1, 2 * STAGES * self.system.n_v))
+        slopes = np.zeros((1, 2 * STAGES * self._twin.system.n_v))
+        return np.concatenate((super()._own(factored=factored), slopes), axis=1)
 
     def _take_march(self, march: March, made: int) -> None:
         super()._take_march(march, made)
-        self.stats.residuals += made * (STAGES - 1)
-        self.stats.factorisations += made * (STAGES - 1)
-        rates, pushes = march.ring.own().reshape(2, STAGES, -1).copy()
-        self._slopes = rates, pushes
+        rates, pushes = self._twin.forces(march.ring.own()[CONTROLLED:].reshape(2, STAGES, -1))
+        self._slopes = rates.copy(), pushes.copy()
+
+    def _count(self, attempts: int) -> None:
+        self.stats.residuals += attempts * (STAGES - 1)
+        self.stats.factorisations += attempts * (STAGES - 1)
 
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
         """(1), (2): the new state before projection, and the slopes of all stages."""
         s, driver = self.state, self.solver.driver
-        self.stats.residuals += STAGES - 1
-        self.stats.factorisations += STAGES - 1
+        self._count(1)
         found = None if driver is None else driver.stages(s, h, coefficients())
         if found is None:
             found = self._stages(h)
@@ -115,9 +122,7 @@ class RungeKuttaStepper(ExplicitStepper):
 
     def _size(self, h: float, errors: tuple[Array, Array]) -> float:
         """The error by the formulas of orders five and three, over the tolerance."""
-        fifth, third = (
-            self.norm(h, *(h * (weights[:STAGES] @ slopes) for slopes in errors)) for weights in (DOP853.E5, DOP853.E3)
-        )
+        fifth, third = (self.norm(h, *(h * (weights @ slopes) for slopes in errors)) for weights in self.embedded)
         return 0.0 if fifth == 0.0 else float(fifth * fifth / np.sqrt(fifth * fifth + THIRD * third * third))
 
     def restart(self, t: float) -> None:

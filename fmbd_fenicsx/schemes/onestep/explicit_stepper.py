@@ -16,6 +16,7 @@ from ...checks import check_fields
 from ...errors import BalanceError, CallbackError, ConvergenceError, LawError, LinearSolveError
 from ...linear.condensation import StepSolver
 from ...rotations import Array
+from ...system.compiled.explicit import CONTROLLED, ExplicitRoom
 from ...system.compiled.march import March
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.explicit import Tableau
@@ -25,8 +26,8 @@ from ...system.system import System
 from ..consistent import accelerations, arrived
 from ..control import Statistics, StepControl, first_step, lands, turn_limit, turns_too_far
 from ..error_norm import ErrorNorm, check_tolerance
-from ..marching import MarchingStepper
 from ..newton import Newton
+from ..own_marching import OwnMarch
 from .explicit_limit import StepLimit
 
 
@@ -48,10 +49,11 @@ class ExplicitScheme:
         check_tolerance(self.rtol, self.atol, type(self).__name__)
 
 
-class ExplicitStepper(MarchingStepper):
+class ExplicitStepper(OwnMarch):
     """Advances a consistent state. A method says how a step is made (:meth:`_step`), and how it amplifies vibrations."""
 
     what = "The scheme"  # in messages
+    embedded: ClassVar[Array]  # weights of slopes in formulas of the error, (formulas, stages)
 
     keeps: ClassVar = {
         "state": Memory.state,
@@ -69,7 +71,9 @@ class ExplicitStepper(MarchingStepper):
         self.proposed: float | None = None
         self.local_error = 0.0
         self.before: State | None = None  # at the start of the last step
-        self.limit: StepLimit = StepLimit(self.what, system, solver, self.amplification)
+        self.adaptive = scheme.rtol is not None
+        self.limit = None if self.adaptive else StepLimit(self.what, system, solver, self.amplification)
+        self._lent: ExplicitRoom | None = None
 
     @property
     def counters(self) -> dict[str, float]:
@@ -83,37 +87,63 @@ class ExplicitStepper(MarchingStepper):
 
     def advance(self, h: float) -> State:
         """One accepted step: of size h, or with error control of at most h (s); collective."""
-        if self.scheme.rtol is not None:
-            return self._accept(self._controlled(h))
-        self.limit.look(self.state, h)
-        return self.state if self._step_in_one_call(h) else self._accept(self._constant(h))
+        if self.limit is not None:
+            self.limit.look(self.state, h)
+        elif self.proposed is None:
+            self.control.span = max(self.control.span, h)
+            self.norm.update(self.state, h)
+            self.proposed = first_step(self.norm, self.state, self.control.order, h)
+        if self._step_in_one_call(h):
+            return self.state
+        return self._accept(self._controlled(h) if self.limit is None else self._constant(h, self.limit))
 
-    def stride(self, h: float) -> float:
-        """Steps with error control are made one by one."""
-        return super().stride(h) if self.scheme.rtol is None else 0.0
-
-    def _prepare_room(self, room: Array, *, alone: bool) -> None:
-        (c, A), nothing = self._tableau()
-        head = np.concatenate(([A.shape[1], nothing], c, A.ravel()))
-        room[: len(head)] = head
+    # -- many steps in one call -----------------------------------------------------------------------------------------
+    def _in_one_call(self, h: float) -> bool:
+        return self._chooses_alike if self.adaptive else True
 
     def _room(self, states: DriverStates) -> int:
-        (c, A), s = self._tableau()[0], states.system
-        stages = A.shape[1]
-        return 2 + len(c) + A.size + 3 * s.n_q + (2 * stages + 6) * s.n_v + 5 * s.n_lam + states.tables.nu
+        tableau, nothing = self._tableau()
+        own = self._own_room(error=self.embedded) if self.adaptive else None
+        self._lent = ExplicitRoom(states, tableau, nothing, own)
+        return 1
+
+    def _prepare_room(self, room: Array, *, alone: bool) -> None:
+        assert self._lent is not None
+        room.view(np.uintp)[0] = self._lent.address
+        if self._lent.own is not None:
+            self._lend_own(self._lent.own)
+
+    def _own(self, *, factored: bool) -> Array:
+        control = self.control
+        return np.array([[self.proposed or 0.0, control.h_old, control.error_old]])
 
     def _take_march(self, march: March, made: int) -> None:
         self.before = march.state(1)
         self.stats.steps += made
+        own, attempts = None if self._lent is None else self._lent.own, made
+        if own is not None:
+            attempts += int(own.c.refused)
+            self._take_own(own, made)
+            self.control.fault = ""
+            self._take_control(march.ring.own())
+        self._count(attempts)
 
-    def _constant(self, h: float) -> State:
-        """The state after a step of size h (s), on the constraints."""
+    def _take_kept(self, own: Array) -> None:
+        self.before = None
+        self._take_control(own)
+
+    def _take_control(self, own: Array) -> None:
+        """What error control keeps with a state."""
+        self.proposed, self.control.h_old, self.control.error_old = map(float, own[:CONTROLLED])
+
+    def _constant(self, h: float, limit: StepLimit) -> State:
+        """The state after a step of size h (s), on the constraints; ``limit``: whom a step that has run away is told."""
         try:
             return arrived(self.system, self._step(h)[0], self.solver)
         except (CallbackError, LawError) as fault:
             if not isinstance(fault, BalanceError) and not self._has_forces(h):
                 raise
-            raise self.limit.blame(self.state, h, fault) from fault
+            raise limit.blame(self.state, h, fault) from fault
 
     def _has_forces(self, h: float) -> bool:
         """Whether all laws have values, up to the end of a step of size h, where it begins: a step without has run away."""
@@ -127,11 +157,8 @@ class ExplicitStepper(MarchingStepper):
 
     def _controlled(self, limit: float) -> State:
         """The same after a step of at most ``limit`` (s) that passes the error test."""
+        assert self.proposed is not None
         self.control.span = max(self.control.span, limit)
-        if self.proposed is None:
-            self.norm.update(self.state, limit)
-            self.proposed = first_step(self.norm, self.state, self.control.order, limit)
-
         farthest = turn_limit(self.system, self.state)
         while True:
             h = lands(min(self.proposed, farthest), limit)
@@ -180,6 +207,10 @@ class ExplicitStepper(MarchingStepper):
     @staticmethod
     def amplification(z: float, damping: float) -> Array:
         """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""
+        raise NotImplementedError
+
+    def _count(self, attempts: int) -> None:
+        """So many attempts at a step more."""
         raise NotImplementedError
 
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:

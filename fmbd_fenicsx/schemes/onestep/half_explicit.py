@@ -78,6 +78,7 @@ class HalfExplicitStepper(ExplicitStepper):
     what = "The half-explicit scheme"
 
     maker = "HALF_EXPLICIT"
+    embedded = coefficients()[2]
     amplification = staticmethod(amplification)
 
     def between(self, t: float) -> State | None:
@@ -102,22 +103,20 @@ class HalfExplicitStepper(ExplicitStepper):
     def _tableau(self) -> tuple[Tableau, float]:
         return coefficients()[:2], MOVES_NOTHING * self.system.length
 
-    def _own(self, *, factored: bool) -> Array:
-        return np.zeros((1, 0))
-
     def _take_march(self, march: March, made: int) -> None:
         super()._take_march(march, made)
-        self.stats.residuals += made * STAGES
-        self.stats.factorisations += made * STAGES
         self.stats.solves += int(march.parameters[ITERATIONS])
+
+    def _count(self, attempts: int) -> None:
+        self.stats.residuals += attempts * STAGES
+        self.stats.factorisations += attempts * STAGES
 
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:
         """(1), (2): the new state before projection, and the errors of xi and v."""
         system, s = self.system, self.state
         c, A, difference = coefficients()
         nothing = MOVES_NOTHING * system.length / (h * h)  # a body that is held has roundoff only
-        self.stats.residuals += STAGES
-        self.stats.factorisations += STAGES
+        self._count(1)
 
         driver = self.solver.driver
         found = None if driver is None else driver.half_stages(s, h, ((c, A), nothing))

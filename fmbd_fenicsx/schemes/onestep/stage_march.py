@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...rotations import Array
-from ...system.compiled.implicit import ImplicitRoom, OwnRoom
+from ...system.compiled.implicit import ImplicitRoom
 from ...system.compiled.march import March
+from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
-from ..control import LEAST_ERROR
 from ..dae import Points
 from ..implicit.convergence import Rates
 from ..implicit.implicit_stepper import ImplicitStepper
@@ -55,10 +55,9 @@ class StageMarch(ImplicitStepper):
         stages = self.eq.room(len(tab.values), len(tab.c))
         if not self.adaptive:
             return ImplicitRoom(stages, coefficients)
-        control = self.control
         own = self._own_room(
-            error=tab.error, turning=self.turning, order=control.order, shrink=control.shrink, grow=control.grow,
-            least=LEAST_ERROR, most=2.0 * self.newton.max_iterations, **self.eq.size_grid,
+            error=tab.error, places=0 in self.scheme.form.levels, turning=self.turning, most=2.0 * self.newton.max_iterations,
+            **self.eq.size_grid,
         )  # fmt: skip
         return ImplicitRoom(stages, coefficients, own=own)
 

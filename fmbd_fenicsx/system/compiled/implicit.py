@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from ...kernel_cache import address_of
 from ...rotations import Array
 from .declarations import enumeration, fields_of
+from .own_steps import Bent, OwnRoom
 from .states.convergence import Convergence
 from .states.stages import PointRoom
-from .tables.deflections import deflections_of
-from .tables.resting import Twin
-from .tables.structures import Store
 
 # what a state keeps first
 RATE, KNOWN, TANGENTS, FACTORED, INCREMENTS, RESIDUAL, RESIDUAL_SCALE, WORK = enumeration("RATE", "implicit.c").values()
@@ -25,12 +22,6 @@ class Implicit(ctypes.Structure):
     """``Implicit`` of implicit.c."""
 
     _fields_ = fields_of("implicit.c", "Implicit")
-
-
-class OwnSteps(ctypes.Structure):
-    """``OwnSteps`` of own_steps.c."""
-
-    _fields_ = fields_of("own_steps.c", "OwnSteps")
 
 
 class Orders(ctypes.Structure):
@@ -47,47 +38,6 @@ class Orders(ctypes.Structure):
             count += len(spans.get(order, ()))
 
 
-class OwnRoom:
-    """Lends an error control: parts that deform, numbers by their names in own_steps.c; ``error``: weights of Radau's estimate,
-    ``orders``: of BDF.
-    """
-
-    def __init__(
-        self,
-        twin: Twin,
-        deforming: list[tuple[int, Any]],
-        numbers: Mapping[str, float],
-        *,
-        error: Array | None = None,
-        orders: Orders | None = None,
-    ) -> None:
-        self._store, self.orders, self._twin = Store(), orders, twin
-        system, own = twin.system, twin.original
-        self._fields = own.n_v - own.n_core  # coordinates
-        self._deflections = deflections_of(system, deforming, self._store)
-        self._arrays = {name: self._store.zeros({name: system.n_v})[name] for name in ("sizes", "speeds", "scale")}
-        self.c = OwnSteps(
-            deforming=len(deforming), deflection=self._store.structure(self._deflections),
-            error=None if error is None else self._store.address(error),
-            orders=None if orders is None else ctypes.addressof(orders),
-            **{name: address for name, (_, address) in self._arrays.items()}, **numbers,
-        )  # fmt: skip
-        self.address = ctypes.addressof(self.c)
-
-    def lend(self, sizes: Array, speeds: Array, deflections: Array) -> None:
-        """The largest sizes so far."""
-        for name, values in (("sizes", sizes), ("speeds", speeds)):
-            self._arrays[name][0][:] = self._twin.velocities(np.append(values, np.zeros(self._fields)))
-        for one, size in zip(self._deflections, deflections, strict=True):
-            one.size = size
-
-    def told(self) -> tuple[Array, Array, Array]:
-        """The same behind a march."""
-        core = self._twin.original.n_core
-        sizes, speeds = (self._twin.forces(self._arrays[name][0])[:core].copy() for name in ("sizes", "speeds"))
-        return sizes, speeds, np.array([one.size for one in self._deflections])
-
-
 class ImplicitRoom:
     """Lends the ``stages`` of a scheme with its coefficients; ``order``: of multistep ones, ``own``: control of its steps."""
 
@@ -95,13 +45,14 @@ class ImplicitRoom:
         self, stages: PointRoom, coefficients: Mapping[str, Array], order: int = 0, own: OwnRoom | None = None
     ) -> None:
         self.stages, self.own = stages, own
-        stages.weigh_bent(apart=own is not None and own.c.index < 3)
         n, size, points, tables = stages.c.n, stages.c.size, stages.c.points, stages.states.tables
+        bent = Bent(tables.system)
+        bent.lend(stages.c, apart=own is not None and own.c.index < 3)
         mixed = np.empty((max(points, order + 1) + 14) * n + 2 * tables.system.n_q + 6 * size + tables.nu)
-        self._kept = [mixed, *(np.ascontiguousarray(x) for x in coefficients.values())]
+        self._kept = [mixed, bent, *(np.ascontiguousarray(x) for x in coefficients.values())]
         self.c = Implicit(
             stages=stages.address, mixed=address_of(mixed), order=order, own=None if own is None else own.address,
-            **stages.of_tangents(), **dict(zip(coefficients, map(address_of, self._kept[1:]), strict=True)),
+            **stages.of_tangents(), **dict(zip(coefficients, map(address_of, self._kept[2:]), strict=True)),
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
 

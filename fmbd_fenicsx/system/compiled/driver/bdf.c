@@ -169,7 +169,8 @@ static double point_error(const System *s, const Stages *g, int k, Values *e, do
     memcpy(room + n, g->v, n * sizeof(double));
     add_foretold(g, k + 1, e, t, -1.0, room, room + n);
     const double *parts[2] = {room, room + n};
-    return (t - e->t[0]) / (t - e->t[k]) * own_norm(s, g, parts, 2);
+    const Norm norm = norm_of(g);
+    return (t - e->t[0]) / (t - e->t[k]) * own_norm(s, &norm, parts, 2);
 }
 
 /* Of a step with this error of order k. */
@@ -240,10 +241,12 @@ static int passing_point(System *s, double *p, Implicit *o, const Block *now, Bl
     for (;;) {
         const int k = (int)*made.order;
         if (!(p[H] = own_size(c, now, found->proposed, most))) return NEWTON;
-        take_sizes(s, c, g, now, p[H]);
+        g->span = p[H];
+        const Norm norm = norm_of(g);
+        take_sizes(s, c, &norm, now);
         do {
             verdict = point_of_step(s, p, o, now, k, e, work, room);
-            if (!verdict && turn_too_far(s, c, g)) verdict = NEWTON;
+            if (!verdict && turn_too_far(s, c, g->points, g->xi)) verdict = NEWTON;
         } while (tried_anew(o, verdict, work));
         if (verdict) return verdict;
         found->error = point_error(s, g, k, e, room);
@@ -270,7 +273,8 @@ static int own_bdf_step(System *s, double *p, Implicit *o, const Block *now, Blo
     if (fmin(*m.order + 1.0, c->orders->highest) > STABLE && c->orders->uses >= c->orders->most) return SIZE;
     *made.order = *m.order;
     *made.held = *m.held;
-    if ((verdict = take_bases(s, o->stages, now->q, now->v))) return verdict;
+    const Norm norm = norm_of(o->stages);
+    if ((verdict = take_bases(s, &norm, now->q, now->v))) return verdict;
     if ((verdict = passing_point(s, p, o, now, out, e, &found, room))) return verdict;
 
     /* a step cut short by the end, or by turns, tells nothing of the next one */

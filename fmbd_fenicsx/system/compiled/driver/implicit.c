@@ -37,6 +37,14 @@ static int take_tangent(System *s, Implicit *o, double t, const double *q, const
     return driver_stage_tangent(s, o->patterns, length, t, q, v, a, lam, o->masses, o->stages->W.data, o->room, o->data);
 }
 
+/* Whether what has failed is tried once more: the tangent was that of an older step. */
+static int tried_anew(const Implicit *o, int verdict, double *work)
+{
+    if (o->fresh || (verdict != NEWTON && verdict != SINGULAR)) return 0;
+    work[KNOWN] = 0.0;
+    return 1;
+}
+
 /* Factors of the frequencies of the stages, which ``key`` stands for. */
 static int take_factors(System *s, Implicit *o, double key, double *work)
 {

@@ -13,9 +13,9 @@ typedef struct OwnSteps {
     double until, longest, last, tiny; /* a time that is hit; the most a step may be; until when steps may begin; a size that is too */
                                        /* small; s */
     double worst, refused;             /* of a march: the largest error, and how many were too large */
-    double turning, order, shrink, grow, least, most; /* of Radau: steps are to turn by so much less; of the controller; least */
-                                       /* error that it remembers; increments, twice */
-    const double *error;               /* of its tableau */
+    double order, shrink, grow, least; /* of the controller; least error that it remembers */
+    double turning, most;              /* of Radau: steps are to turn by so much less; increments, twice */
+    const double *error;               /* weights of slopes, or of Radau's stages, in the error */
     struct Orders *orders;             /* of BDF */
 } OwnSteps;
 
@@ -51,6 +51,26 @@ static int refused_size(const OwnSteps *c, const Block *now, double h, double or
     return ++found->refused <= c->patience && found->error < INFINITY && next >= c->tiny && *now->t + 0.01 * next != *now->t;
 }
 
+/* What the controller of a step keeps with its end: the size that it proposes, its own size (0: there is none), the error that it
+   remembers. */
+typedef struct {
+    double next, before, missed;
+} Controlled;
+
+enum { CONTROLLED = 3 };
+static const double NO_ERROR = 1e-10; /* smaller ones are none */
+
+/* The size that follows an accepted step of h: accepted() of schemes/control.py, with the same ``effort``. */
+static double accepted_size(const OwnSteps *c, const Controlled *last, Controlled *made, double h, const Passing *found, double effort)
+{
+    const double known = fmax(found->error, NO_ERROR), safety = c->safety;
+    double factor = growth_factor(known, c->order, safety * effort);
+    if (last->before > 0.0) factor = fmin(factor, safety * (h / last->before) * pow(last->missed / (known * known), 1.0 / c->order));
+    made->before = h;
+    made->missed = fmax(known, c->least);
+    return h * fmin(fmax(factor, c->shrink), found->refused ? 1.0 : c->grow);
+}
+
 /* Take note of a step that has passed. */
 static void note_passing(OwnSteps *c, const Passing *found)
 {
@@ -58,16 +78,8 @@ static void note_passing(OwnSteps *c, const Passing *found)
     c->refused += found->refused;
 }
 
-/* Whether what has failed is tried once more: the tangent was that of an older step. */
-static int tried_anew(const Implicit *o, int verdict, double *work)
-{
-    if (o->fresh || (verdict != NEWTON && verdict != SINGULAR)) return 0;
-    work[KNOWN] = 0.0;
-    return 1;
-}
-
 /* The largest step of which ``turning`` together turn none of so many frames in space by more than ``turn`` (rad), as it moves now. */
-double farthest_turn(int frames, double turn, double turning, const Block *now)
+static double farthest_turn(int frames, double turn, double turning, const Block *now)
 {
     double fastest = 0.0;
 #if DIM == 3
@@ -82,26 +94,26 @@ double farthest_turn(int frames, double turn, double turning, const Block *now)
     return fastest > 0.0 ? 2.0 * turn / (turning * fastest) : INFINITY;
 }
 
-/* Whether increments of the points come close to a full turn of a frame in space. */
-static int turn_too_far(const System *s, const OwnSteps *c, const Stages *g)
+/* Whether so many increments xi, like v, come close to a full turn of a frame in space. */
+static int turn_too_far(const System *s, const OwnSteps *c, int count, const double *xi)
 {
 #if DIM == 3
-    for (int j = 0; j < g->points; j++)
+    for (int j = 0; j < count; j++)
         for (int b = 0; b < s->bodies; b++) {
-            const double *turn = g->xi + (long)j * g->n + TWIST * b + D;
+            const double *turn = xi + (long)j * s->nv + TWIST * b + D;
             if (!(dot(turn, turn, 3) <= 4.0 * c->turn * c->turn)) return 1;
         }
 #else
-    (void)s, (void)c, (void)g;
+    (void)s, (void)c, (void)count, (void)xi;
 #endif
     return 0;
 }
 
-/* Sizes so far, with those of a state before a step of h, and what errors are multiplied by in the norm. */
-static void take_sizes(const System *s, const OwnSteps *c, Stages *g, const Block *now, double h)
+/* Sizes so far, with those of a state before a step of this norm, and what errors are multiplied by in the norm. */
+static void take_sizes(const System *s, const OwnSteps *c, const Norm *o, const Block *now)
 {
-    g->span = h;
-    const int n = g->fields ? g->fields->span[0] : g->n, every = g->n; /* fields count by what they bend */
+    const int n = o->span[0], every = o->n; /* fields count by what they bend */
+    const double h = o->h;
     double *scale = c->scale, fastest[2] = {0.0, 0.0};
     position_sizes(s, c->length, now->q, scale);
     for (int i = 0; i < n; i++) {
@@ -114,29 +126,18 @@ static void take_sizes(const System *s, const OwnSteps *c, Stages *g, const Bloc
 
     for (int i = 0; i < n; i++) {
         double place = c->rtol * scale[i] + c->atol, rate = c->rtol * c->speeds[i] + 1e-4 * place / h;
-        g->weigh[i] = 1.0 / place;
-        g->weigh[every + i] = c->index == 3 ? h / place : 1.0 / rate;
-        g->weigh[2 * every + i] = c->index == 3 ? h * h / place : h / rate;
+        o->weigh[i] = 1.0 / place;
+        o->weigh[every + i] = c->index == 3 ? h / place : 1.0 / rate;
+        o->weigh[2 * every + i] = c->index == 3 ? h * h / place : h / rate;
     }
     for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
         x->size = fmax(x->size, 1e-2 * c->length);
         for (int i = 0; i < x->n; i++) x->size = fmax(x->size, fabs(now->q[x->at_q + i]) * (x->rms ? x->rms[i] : 1.0));
         for (int i = 0; i < x->n; i++) {
-            double place = c->rtol * x->size / (x->rms ? x->rms[i] : 1.0) + c->atol, *w = g->weigh + x->at_v + i;
+            double place = c->rtol * x->size / (x->rms ? x->rms[i] : 1.0) + c->atol, *w = o->weigh + x->at_v + i;
             w[0] = 1.0 / place;
             w[every] = h / place;
             w[2 * every] = h * h / place;
         }
     }
-}
-
-/* The largest of the weighted root mean squares of errors of places, of rates and of what is ``parts[2]``; of so many kinds. */
-static double own_norm(const System *s, const Stages *g, const double *const *parts, int kinds)
-{
-    double worst = 0.0;
-    for (int i = 0; i < kinds; i++) {
-        double one = mean_square(s, g, i, parts[i]);
-        if (!(one <= worst)) worst = one; /* nan stays */
-    }
-    return sqrt(worst);
 }

@@ -116,7 +116,6 @@ static inline Block block_at(const System *s, double *x)
 /* implicit_schemes.c */
 int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out);
-double farthest_turn(int frames, double turn, double turning, const Block *now);
 
 /* schemes.c */
 void predictor(const Block *past, int known, double t, double *w);

@@ -1,17 +1,18 @@
 /* Steps of Radau, schemes/onestep/stage_newton.py and radau.py: constant ones, and those that error control chooses. */
 
 /* What it keeps with a state beside its work: what the last increment of Newton's iteration left, over its size, and the size of the step
-   in which that was seen; of error control the size of the next step, of the one ``before`` and what it ``missed``; the step that led
-   there: its size (0: none), q (nq) and v (nv) at its start, its stages. The multipliers of the last of these are those of the state. */
+   in which that was seen; what error control keeps; the step that led there: its size (0: none), q (nq) and v (nv) at its start, its stages. The multipliers of the last of these are those of the state. */
 typedef struct {
-    double *share, *seen, *next, *before, *missed, *h, *q, *v, *xi, *vs, *mult;
+    double *share, *seen;
+    Controlled *control;
+    double *h, *q, *v, *xi, *vs, *mult;
 } Collocation;
 
 static Collocation collocation_at(const System *s, const Stages *g, double *own)
 {
     const long k = g->points, n = g->n;
-    double *x = own + WORK, *q = x + 6, *v = q + s->nq, *xi = v + n, *vs = xi + k * n;
-    Collocation o = {x, x + 1, x + 2, x + 3, x + 4, x + 5, q, v, xi, vs, vs + k * n};
+    double *x = own + WORK, *q = x + 3 + CONTROLLED, *v = q + s->nq, *xi = v + n, *vs = xi + k * n;
+    Collocation o = {x, x + 1, (Controlled *)(x + 2), x + 2 + CONTROLLED, q, v, xi, vs, vs + k * n};
     return o;
 }
 
@@ -211,22 +212,18 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
 
     if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
     const double *parts[3] = {change, change + n, push};
-    *error = own_norm(s, g, parts, kinds);
+    const Norm norm = norm_of(g);
+    *error = own_norm(s, &norm, parts, kinds);
     return DONE;
 }
 
-/* The size that follows an accepted step with ``left`` to go before it: accepted() of the controller, and _next_size() of radau.py. */
-static double next_size(const Implicit *o, const Collocation *last, const Collocation *made, const Passing *found, double left)
+/* The size that follows an accepted step of h with ``left`` to go before it: _next_size() of radau.py. */
+static double next_size(const Implicit *o, const Collocation *last, const Collocation *made, double h, const Passing *found, double left)
 {
     const OwnSteps *c = o->own;
-    const double h = *made->before, known = *made->missed;
     const double effort = (c->most + 1.0) / (c->most + o->convergence->done);
-    double factor = growth_factor(known, c->order, c->safety * effort);
-    if (*last->before > 0.0) factor = fmin(factor, c->safety * (h / *last->before) * pow(*last->missed / (known * known), 1.0 / c->order));
-
-    double next = h * fmin(fmax(factor, c->shrink), found->refused ? 1.0 : c->grow);
+    double next = accepted_size(c, last->control, made->control, h, found, effort);
     if (o->convergence->theta < 1e-2 && next / h >= 1.0 && next / h <= 1.2) next = h; /* keep the factors */
-    *made->missed = fmax(known, c->least);
     return h >= left && next >= left ? fmax(next, found->proposed) : next;
 }
 
@@ -241,10 +238,12 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
     int verdict;
     for (;;) {
         if (!(p[H] = own_size(c, now, found->proposed, most))) return NEWTON;
-        take_sizes(s, c, g, now, p[H]);
+        g->span = p[H];
+        const Norm norm = norm_of(g);
+        take_sizes(s, c, &norm, now);
         do {
             verdict = stages_of_step(s, p, o, now, out);
-            if (!verdict && turn_too_far(s, c, g)) verdict = NEWTON;
+            if (!verdict && turn_too_far(s, c, g->points, g->xi)) verdict = NEWTON;
         } while (tried_anew(o, verdict, work));
         if (verdict || (verdict = own_error(s, o, p[H], now, mult, work, &found->error))) return verdict;
         if (found->error <= 1.0) return DONE;
@@ -262,18 +261,17 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
     OwnSteps *c = o->own;
     const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
     const double left = left_for(c, now);
-    Passing found = {*last.next, 0.0, 0};
+    Passing found = {last.control->next, 0.0, 0};
     int verdict;
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
-    if ((verdict = take_bases(s, o->stages, now->q, now->v))) return verdict;
+    const Norm norm = norm_of(o->stages);
+    if ((verdict = take_bases(s, &norm, now->q, now->v))) return verdict;
     if (o->stages->fields && o->stages->levels && (verdict = close_start(s, o->stages, c->places, now))) return verdict;
     if ((verdict = passing_stages(s, p, o, now, out, &found))) return verdict;
 
     /* the error went back to the start of the step, in time too */
     sample_point(s, o->stages, o->stages->points - 1, 1);
-    *made.before = p[H];
-    *made.missed = fmax(found.error, 1e-10);
-    *made.next = next_size(o, &last, &made, &found, left);
+    made.control->next = next_size(o, &last, &made, p[H], &found, left);
     note_passing(c, &found);
     if (o->stages->fields) o->stages->fields->begun = 0;
     return end_radau(s, o, p, now, out);

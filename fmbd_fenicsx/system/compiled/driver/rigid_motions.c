@@ -61,7 +61,7 @@ static void bend_rod(const Rod *r, const double *basis, const double *v, double 
 static long basis_size(const Rod *r) { return 1 + 36L * r->nodes; }
 
 /* The bases of all rods in a configuration. */
-static int take_bases(System *s, const Stages *o, const double *q, const double *v)
+static int take_bases(System *s, const Norm *o, const double *q, const double *v)
 {
     int verdict = o->bases ? place(s, q, v) : DONE;
 #if DIM == 3
@@ -72,7 +72,7 @@ static int take_bases(System *s, const Stages *o, const double *q, const double 
 }
 
 /* What velocities have beside the rigid motions of rods; zero on all other bodies. */
-static void bend(const System *s, const Stages *o, const double *v, double *bent)
+static void bend(const System *s, const Norm *o, const double *v, double *bent)
 {
     memset(bent, 0, o->n * sizeof(double));
 #if DIM == 3

@@ -1,20 +1,113 @@
-/* Constant steps of the explicit and of the half-explicit Runge-Kutta method, schemes/onestep/explicit_stepper.py: many in one call
-   (march.c). Their room begins with the number of stages, the way (m) that counts as none, nodes c and rows A. */
+/* Steps of the explicit and of the half-explicit Runge-Kutta method, schemes/onestep/explicit_stepper.py: constant ones, and those that
+   error control chooses, many in one call (march.c). */
 
+/* What Python lends of a method. */
 typedef struct {
     int stages;
-    double nothing;
-    const double *c, *A;
-    double *rest;
-} Tableau;
+    double nothing;                    /* a way (m) that counts as none */
+    const double *c, *A;               /* nodes, and rows with the weights last */
+    struct OwnSteps *own;              /* where error control chooses the steps, NULL: they are constant; the formulas of the error */
+                                       /* are rows of its weights */
+    Norm norm;
+    double *work;
+} Explicit;
 
-/* The tableau in a room, with so many nodes more than stages. */
-static Tableau tableau_in(double *room, int more)
+/* The slopes of a step, stages x nv each; xi, where they lead; room to work in. */
+typedef struct {
+    double *rates, *pushes, *xi, *rest;
+} Slopes;
+
+/* A method: the stages of a step from a state on, xi and v at their end; their error over the tolerance, before the end is closed. */
+typedef struct {
+    int (*stages)(System *s, double *p, const Explicit *o, const Block *now, const Slopes *e, Block out);
+    int (*error)(System *s, const Explicit *o, double h, const Slopes *e, Block out, double *error);
+} Method;
+
+static const double THIRD = 0.01; /* weight of the square of the error of order three beside that of order five */
+
+/* The errors of xi and v by one of the formulas. */
+static void missed_by(const System *s, const Explicit *o, int formula, double h, const Slopes *e, double *places, double *speeds)
 {
-    const int stages = (int)room[0], nodes = stages + more;
-    Tableau o = {stages, room[1], room + 2, room + 2 + nodes, room + 2 + nodes + (stages + 1) * stages};
-    return o;
+    const double *weights = o->own->error + formula * o->stages;
+    memset(places, 0, s->nv * sizeof(double));
+    memset(speeds, 0, s->nv * sizeof(double));
+    for (int i = 0; i < o->stages; i++) {
+        add(places, h * weights[i], e->rates + (long)i * s->nv, s->nv);
+        add(speeds, h * weights[i], e->pushes + (long)i * s->nv, s->nv);
+    }
 }
+
+static int runge_kutta_stages(System *s, double *p, const Explicit *o, const Block *now, const Slopes *e, Block out)
+{
+    memcpy(e->rates, now->v, s->nv * sizeof(double));
+    memcpy(e->pushes, now->a, s->nv * sizeof(double));
+    return driver_stages(s, o->stages, *now->t, p[H], p[LENGTH], o->c, o->A, now->q, now->v, e->rates, e->pushes, e->xi, out.v, e->rest);
+}
+
+/* By the formulas of orders five and three. */
+static int runge_kutta_error(System *s, const Explicit *o, double h, const Slopes *e, Block out, double *error)
+{
+    double *places = e->rest, *speeds = places + s->nv, found[2];
+    const double *parts[2] = {places, speeds};
+    (void)out;
+    for (int i = 0; i < 2; i++) {
+        missed_by(s, o, i, h, e, places, speeds);
+        found[i] = own_norm(s, &o->norm, parts, 2);
+    }
+    const double fifth = found[0] * found[0];
+    *error = fifth == 0.0 ? 0.0 : fifth / sqrt(fifth + THIRD * found[1] * found[1]);
+    return DONE;
+}
+
+static int half_explicit_stages(System *s, double *p, const Explicit *o, const Block *now, const Slopes *e, Block out)
+{
+    const double h = p[H], nothing = o->nothing / (h * h);
+    long solves = 0;
+    memcpy(out.a, now->a, s->nv * sizeof(double));
+    memcpy(out.lam, now->lam, s->rows * sizeof(double));
+    int verdict = driver_half_stages(s, o->stages, *now->t, h, nothing, o->c, o->A, now->q, now->v, out.a, out.lam, e->rates, e->pushes,
+                                     e->xi, out.v, &solves, e->rest);
+    p[ITERATIONS] += solves;
+    return verdict;
+}
+
+/* Rows of the constraints on a motion x, like v, where frames are placed, into slip. */
+static void rows_on(System *s, const double *x)
+{
+    turn_velocity(s, x);
+    slips(s, 1); /* rows as they are now */
+    slips(s, 0);
+}
+
+/* Stage multipliers are of low order: their share of the difference lies across the constraints and is projected out, but for what
+   places miss these by, an error of the step's own. */
+static int half_explicit_error(System *s, const Explicit *o, double h, const Slopes *e, Block out, double *error)
+{
+    double *places = e->rest, *speeds = places + s->nv, *x = speeds + s->nv, *open = x + s->nv, *rest = open + s->rows, asked = NAN;
+    const double *parts[2] = {places, speeds};
+    int verdict;
+    missed_by(s, o, 0, h, e, places, speeds);
+    if (s->rows) {
+        if ((verdict = sample(s, *out.t, &asked)) || (verdict = look_at(s, 1, 0.0, 0.0, *out.t, out.q, out.v, rest))) return verdict;
+        memcpy(open, s->gap, s->rows * sizeof(double));
+        rows_on(s, places);
+        add(open, 1.0, s->slip, s->rows);
+        for (const Batch *k = s->batch; k < s->batch + s->batches; k++) /* rows on velocities hold no places: errors of these stay */
+            for (long i = 0; k->role == ROW && k->flow && i < k->n; i++) open[k->row[i]] = 0.0;
+        closing_change(s, open, x, rest);
+        add(places, 1.0, x, s->nv);
+
+        rows_on(s, speeds);
+        memcpy(open, s->slip, s->rows * sizeof(double));
+        closing_change(s, open, x, rest);
+        add(speeds, 1.0, x, s->nv);
+    }
+    *error = own_norm(s, &o->norm, parts, 2);
+    return DONE;
+}
+
+static const Method RUNGE_KUTTA_METHOD = {runge_kutta_stages, runge_kutta_error};
+static const Method HALF_EXPLICIT_METHOD = {half_explicit_stages, half_explicit_error};
 
 /* The end of a step, q and v moved onto the constraints, with a and lambda there. */
 static int end_step(System *s, const double *p, Block out, double *room)
@@ -25,41 +118,86 @@ static int end_step(System *s, const double *p, Block out, double *room)
     return verdict ? verdict : accelerate(s, *out.t, p[LENGTH], out.q, out.v, out.a, out.lam, room, 0);
 }
 
-/* One step of the explicit method, as a Maker of march.c; a state keeps the rates and accelerations of the stages that led to it.
-   Room beside the tableau: nv, and that of driver_stages(). */
-static int runge_kutta_step(System *s, double *p, double *room, const Block *past, int known, Block out)
+/* Where the stages of a step of p[H] lead. */
+static int where_stages_lead(System *s, double *p, const Explicit *o, const Method *method, const Block *now, const Slopes *e, Block out)
 {
-    const Tableau o = tableau_in(room, 0);
-    const Block now = past[0];
-    double *rates = out.own, *pushes = rates + (long)o.stages * s->nv, *xi = o.rest, *rest = xi + s->nv;
-    (void)known;
-
-    memcpy(rates, now.v, s->nv * sizeof(double));
-    memcpy(pushes, now.a, s->nv * sizeof(double));
-    int verdict = driver_stages(s, o.stages, *now.t, p[H], p[LENGTH], o.c, o.A, now.q, now.v, rates, pushes, xi, out.v, rest);
+    int verdict = method->stages(s, p, o, now, e, out);
     if (verdict) return verdict;
-    configuration(s, now.q, xi, out.q);
-    *out.t = *now.t + p[H];
-    return end_step(s, p, out, rest);
+    configuration(s, now->q, e->xi, out.q);
+    *out.t = *now->t + p[H];
+    return DONE;
 }
 
-/* One step of the half-explicit method, likewise; room: (2 stages + 1) nv, and that of driver_half_stages() or of driver_arrive(). */
+/* The stages of a step of a size that passes. */
+static int passing_slopes(System *s, double *p, Explicit *o, const Method *method, const Block *now, const Slopes *e, Block out,
+                          Passing *found)
+{
+    const OwnSteps *c = o->own;
+    const double most = farthest_turn(s->bodies, c->turn, 1.0, now);
+    int verdict = take_bases(s, &o->norm, now->q, now->v);
+    if (verdict) return verdict;
+    for (;;) {
+        if (!(p[H] = own_size(c, now, found->proposed, most))) return NEWTON;
+        o->norm.h = p[H];
+        take_sizes(s, c, &o->norm, now);
+        if ((verdict = where_stages_lead(s, p, o, method, now, e, out))) return verdict;
+        if (turn_too_far(s, c, 1, e->xi)) return NEWTON;
+        if ((verdict = method->error(s, o, p[H], e, out, &found->error))) return verdict;
+        if (found->error <= 1.0) return DONE;
+        if (!refused_size(c, now, p[H], c->order, found)) return NEWTON;
+    }
+}
+
+/* One step of the size that error control chooses. */
+static int own_explicit_step(System *s, double *p, Explicit *o, const Method *method, const Block *now, const Slopes *e, Block out)
+{
+    OwnSteps *c = o->own;
+    const Controlled *last = (const Controlled *)now->own;
+    Controlled *made = (Controlled *)out.own;
+    Passing found = {last->next, 0.0, 0};
+    if (!(left_for(c, now) > 0.0) || *now->t > c->last) return SIZE;
+    int verdict = passing_slopes(s, p, o, method, now, e, out, &found);
+    if (verdict || (verdict = end_step(s, p, out, e->rest))) return verdict;
+
+    /* a step cut short by the end tells nothing of the next one */
+    const double h = p[H], next = accepted_size(c, last, made, h, &found, 1.0);
+    made->next = h >= found.proposed || next < h ? next : found.proposed;
+    note_passing(c, &found);
+    return DONE;
+}
+
+/* One step by a method. */
+static int explicit_step(System *s, double *p, Explicit *o, const Method *method, const Block *now, const Slopes *e, Block out)
+{
+    if (o->own) return own_explicit_step(s, p, o, method, now, e, out);
+    memset(out.own, 0, CONTROLLED * sizeof(double));
+    int verdict = where_stages_lead(s, p, o, method, now, e, out);
+    return verdict ? verdict : end_step(s, p, out, e->rest);
+}
+
+static Explicit *explicit_in(double *room)
+{
+    Explicit *o;
+    memcpy(&o, room, sizeof o);
+    return o;
+}
+
+/* As Makers of march.c. What a state keeps: of error control; of the explicit method the slopes that led to it. */
+static int runge_kutta_step(System *s, double *p, double *room, const Block *past, int known, Block out)
+{
+    Explicit *o = explicit_in(room);
+    double *rates = out.own + CONTROLLED;
+    const Slopes slopes = {rates, rates + (long)o->stages * s->nv, o->work, o->work + s->nv};
+    (void)known;
+    return explicit_step(s, p, o, &RUNGE_KUTTA_METHOD, past, &slopes, out);
+}
+
 static int half_explicit_step(System *s, double *p, double *room, const Block *past, int known, Block out)
 {
-    const Tableau o = tableau_in(room, 1);
-    const Block now = past[0];
-    const double h = p[H], nothing = o.nothing / (h * h);
-    double *rates = o.rest, *pushes = rates + (long)o.stages * s->nv, *xi = pushes + (long)o.stages * s->nv, *rest = xi + s->nv;
-    long solves = 0;
+    Explicit *o = explicit_in(room);
+    const long slopes_size = (long)o->stages * s->nv;
+    double *xi = o->work + 2 * slopes_size;
+    const Slopes slopes = {o->work, o->work + slopes_size, xi, xi + s->nv};
     (void)known;
-
-    memcpy(out.a, now.a, s->nv * sizeof(double));
-    memcpy(out.lam, now.lam, s->rows * sizeof(double));
-    int verdict = driver_half_stages(s, o.stages, *now.t, h, nothing, o.c, o.A, now.q, now.v, out.a, out.lam, rates, pushes, xi, out.v,
-                                     &solves, rest);
-    if (verdict) return verdict;
-    configuration(s, now.q, xi, out.q);
-    *out.t = *now.t + h;
-    p[ITERATIONS] += solves;
-    return end_step(s, p, out, rest);
+    return explicit_step(s, p, o, &HALF_EXPLICIT_METHOD, past, &slopes, out);
 }

@@ -8,6 +8,8 @@
 #include "mean.c"
 #include "alpha.c"
 #include "rattle.c"
+#include "error_norm.c"
+#include "own_steps.c"
 #include "runge_kutta.c"
 #include "mean_steps.c"
 #include "control.c"

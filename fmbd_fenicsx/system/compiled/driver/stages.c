@@ -39,8 +39,6 @@ typedef struct {
     struct FieldStages *fields;     /* of elastic fields, whose systems have no such K; NULL for others */
 } Stages;
 
-#include "rigid_motions.c"
-
 /* The nearest power of two. */
 static double power(double x) { return x > 0.0 ? exp2(rint(log2(x))) : 1.0; }
 
@@ -213,42 +211,20 @@ static int stage_residuals(System *s, const Stages *o, int increments)
     return DONE;
 }
 
-/* The largest of the weighted mean squares of what is of one of the three kinds, of the core and of every field. */
-static double square_of_fields(const Stages *o, int kind, const double *x)
+/* What increments and errors of points are measured by. */
+static Norm norm_of(const Stages *o)
 {
-    const double *weigh = o->weigh + (long)kind * o->n;
-    double worst = 0.0;
-    for (int k = 0, i = 0; k < o->fields->kinds; k++) {
-        const int count = o->fields->counted[k];
-        double sum = 0.0;
-        for (; i < o->fields->span[k]; i++) sum += weigh[i] * x[i] * weigh[i] * x[i];
-        if (count && !(sum / count <= worst)) worst = sum / count;
-    }
-    return worst;
-}
-
-/* The weighted mean square of what is of one of the three kinds, 0 to 2; the larger one where deformations are weighed apart. */
-static double mean_square(const System *s, const Stages *o, int kind, const double *x)
-{
-    const double *weigh = o->weigh + (long)kind * o->n, power = kind > 1 ? o->span * o->span : o->span;
-    const int apart = o->bases && kind;
-    double sum = 0.0, of_bent = 0.0;
-    if (o->fields) return square_of_fields(o, kind, x);
-    if (apart) bend(s, o, x, o->bent);
-    for (int i = 0; i < o->n; i++) {
-        double bent = apart ? o->bent[i] : 0.0, e = weigh[i] * (x[i] - bent), b = power * o->weigh[i] * bent;
-        sum += e * e;
-        of_bent += b * b;
-    }
-    return (of_bent > sum ? of_bent : sum) / o->n; /* nan of the sum stays */
+    const FieldStages *f = o->fields;
+    return (Norm){o->n, f ? f->kinds : 1, f ? f->span : &o->n, f ? f->counted : &o->n, o->weigh, o->bases, o->bent, o->span};
 }
 
 /* The largest over the points. */
 static double largest_square(const System *s, const Stages *o, int kind, const double *x)
 {
+    const Norm norm = norm_of(o);
     double worst = 0.0;
     for (int j = 0; j < o->points; j++, x += o->n) {
-        double one = mean_square(s, o, kind, x);
+        double one = mean_square(s, &norm, kind, x);
         if (!(one <= worst)) worst = one;
     }
     return worst;

@@ -101,23 +101,6 @@ static int lower_rows(System *s, const Patterns *o, double t, const double *q, c
     return DONE;
 }
 
-/* By how much n coordinates of one kind are moved, ``least`` of which all are at least; ``unit``: what makes them lengths. */
-static void own_sizes(int n, const double *unit, const double *x, double share, double least, double factor, double *h)
-{
-    least = share * fmax(largest_of(unit, x, n), least);
-    for (int i = 0; i < n; i++) h[i] = factor * fmax(unit[i] * fabs(x[i]), least) / (unit[i] > 0.0 ? unit[i] : 1.0);
-}
-
-/* Sizes of coordinates: as Sizes.positions() of system/tangents/linearise.py. */
-static void position_sizes(const System *s, double length, const double *q, double *sizes)
-{
-    for (int b = 0; b < s->bodies; b++) {
-        const Body *o = s->body + b;
-        for (int i = 0; i < TWIST; i++) sizes[TWIST * b + i] = i < D ? length : 1.0;
-        if (o->modes && !o->field) own_sizes(o->modes, s->units + o->at_v, q + o->at_q, 1e-3, 1e-3 * length, 1.0, sizes + o->at_v);
-    }
-}
-
 /* By how much coordinates and velocities are moved: as difference_steps() there. */
 static void difference_steps(const System *s, double length, const double *q, const double *v, const double *a, double *hq, double *hv)
 {

@@ -51,9 +51,6 @@ class PointRoom:
         """Addresses of what whole steps take tangents with, by their names in implicit.c."""
         return {}
 
-    def weigh_bent(self, *, apart: bool) -> None:
-        """Whether norms weigh deformations of rods apart from their rigid motions."""
-
     def put(self, t: Array, q0: Array, points: Any, rule: Rule, weights: Array) -> None:
         """Points about q0 at the times t (k,), the rule, and weights of increments (3, n)."""
         x = self.arrays
@@ -189,11 +186,3 @@ class StageRoom(PointRoom):
         change, mult, judged = np.empty((p, 2 * n), complex), np.empty((p, multipliers), complex), np.empty((p, 2))
         self.states.library.driver_stage_solve(self.address, p, *addresses_of((*given, change, mult, judged)))
         return change, mult, judged
-
-    def weigh_bent(self, *, apart: bool) -> None:
-        """Whether norms weigh deformations of rods apart from their rigid motions."""
-        rods: Any = self.states.tables.system.elements if apart else ()
-        self.c.bases = None
-        if rods:
-            self._bent = np.zeros(self.structure.n), np.zeros(sum(1 + 36 * len(rod.nodes) for rod in rods))
-            self.c.bent, self.c.bases = map(address_of, self._bent)

@@ -1,0 +1,101 @@
+"""Steps of a size of their own in compiled code (driver/own_steps.c): what all schemes with error control have in common.
+
+A step that fails in another way than by its error is made by Python from the same beginning.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+from ..rotations import Array
+from ..system.compiled.march import CHOSEN
+from ..system.compiled.own_steps import OwnRoom
+from ..system.compiled.states.evaluation import DriverStates
+from ..system.compiled.tables.resting import Twin
+from ..system.element_memory import whole_steps
+from .control import LEAST_ERROR, PATIENCE, REFUSED, TURN, Statistics, StepControl
+from .error_norm import ErrorNorm
+from .marching import MarchingStepper
+from .stepping import Observers
+
+
+class OwnMarch(MarchingStepper):
+    """A scheme with constant steps, or (``adaptive``) with steps of the sizes that its error control chooses."""
+
+    adaptive: bool
+    norm: ErrorNorm
+    stats: Statistics
+    control: StepControl
+    proposed: float | None
+    _ahead: tuple[float, int]  # s that the steps of a call may take, and how many these are at most
+
+    def _take_kept(self, own: Array) -> None:
+        """What a state of a march keeps."""
+        raise NotImplementedError
+
+    def stride(self, h: float) -> float:
+        """As :meth:`TimeStepper.stride`."""
+        found = super().stride(h)
+        return min(found, self.proposed) if self.adaptive and self.proposed is not None else found
+
+    def step_back(self) -> None:
+        """As :meth:`TimeStepper.step_back`."""
+        assert self._used is not None
+        self.state = self._used.state(1)
+        self._take_kept(self._used.ring.own(1).copy())
+
+    @property
+    def _chooses_alike(self) -> bool:
+        """Whether compiled code may choose the next step."""
+        # samples of controllers are taken between steps
+        sampled = whole_steps(self.system, self.state.t, 1.0) < np.inf
+        return self.proposed is not None and not sampled and not self._failed_here
+
+    @property
+    def _failed_here(self) -> bool:
+        """Whether it has found none from the newest state on."""
+        return self._refused is not None and self._refused[0] is self.state
+
+    def _made(self, h: float, count: int, most: float, observers: Observers) -> int:
+        self._ahead = h, count
+        return super()._made(h, count, most, observers)
+
+    @property
+    def _twin(self) -> Twin:
+        """Between arrays of the system and those of its steps."""
+        states = self.system.evaluator
+        assert isinstance(states, DriverStates)
+        return states.twin
+
+    def _own_room(
+        self, *, error: Array | None = None, orders: ctypes.Structure | None = None, **numbers: float
+    ) -> OwnRoom:
+        """Its error control, with what the scheme has of its own."""
+        norm, control, (harsh, mild) = self.norm, self.control, REFUSED
+        common = {
+            "index": norm.index, "rtol": norm.rtol, "atol": norm.atol or 0.0, "length": self.system.length, "turn": TURN,
+            "safety": control.safety, "harsh": harsh, "mild": mild, "patience": PATIENCE,
+            "order": control.order, "shrink": control.shrink, "grow": control.grow, "least": LEAST_ERROR,
+        }  # fmt: skip
+        return OwnRoom(self._twin, norm.deforming, {**common, **numbers}, error=error, orders=orders)
+
+    def _lend_own(self, own: OwnRoom) -> None:
+        """What error control has seen so far, and where the steps of a call end."""
+        assert self.proposed is not None and self._used is not None
+        control, norm, t, (limit, count) = self.control, self.norm, self.state.t, self._ahead
+        control.span = max(control.span, limit)
+        own.lend(norm.q_size, norm.v_size, norm.deflections)
+        own.c.until, own.c.longest, own.c.tiny = max(self.until, t + limit), self.longest, control.tiny
+        own.c.worst, own.c.refused = 0.0, 0.0
+        own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
+        self._used.parameters[CHOSEN] = True
+
+    def _take_own(self, own: OwnRoom, made: int) -> None:
+        """What it has seen in so many steps."""
+        norm, refused = self.norm, int(own.c.refused)
+        norm.q_size, norm.v_size, norm.deflections = own.told()
+        self.local_error = float(own.c.worst)
+        if refused:
+            self.stats.rejected["error estimate"] += refused

@@ -1,0 +1,73 @@
+"""Steps whose sizes error control chooses, in the driver (driver/own_steps.c): what Python lends of that."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ...kernel_cache import address_of
+from ...rotations import Array
+from .declarations import structure_of
+from .tables.deflections import deflections_of
+from .tables.resting import Twin
+from .tables.structures import Store
+
+OwnSteps = structure_of("own_steps.c", "OwnSteps")
+
+
+class OwnRoom:
+    """Lends an error control: parts that deform, numbers by their names in own_steps.c; ``error``: weights of an estimate,
+    ``orders``: of BDF.
+    """
+
+    def __init__(
+        self,
+        twin: Twin,
+        deforming: list[tuple[int, Any]],
+        numbers: Mapping[str, float],
+        *,
+        error: Array | None = None,
+        orders: ctypes.Structure | None = None,
+    ) -> None:
+        self._store, self.orders, self._twin = Store(), orders, twin
+        system, own = twin.system, twin.original
+        self._fields = own.n_v - own.n_core  # coordinates
+        self._deflections = deflections_of(system, deforming, self._store)
+        self._arrays = {name: self._store.zeros({name: system.n_v})[name] for name in ("sizes", "speeds", "scale")}
+        self.c = OwnSteps(
+            deforming=len(deforming), deflection=self._store.structure(self._deflections),
+            error=None if error is None else self._store.address(error),
+            orders=None if orders is None else ctypes.addressof(orders),
+            **{name: address for name, (_, address) in self._arrays.items()}, **numbers,
+        )  # fmt: skip
+        self.address = ctypes.addressof(self.c)
+
+    def lend(self, sizes: Array, speeds: Array, deflections: Array) -> None:
+        """The largest sizes so far."""
+        for name, values in (("sizes", sizes), ("speeds", speeds)):
+            self._arrays[name][0][:] = self._twin.velocities(np.append(values, np.zeros(self._fields)))
+        for one, size in zip(self._deflections, deflections, strict=True):
+            one.size = size
+
+    def told(self) -> tuple[Array, Array, Array]:
+        """The same behind a march."""
+        core = self._twin.original.n_core
+        sizes, speeds = (self._twin.forces(self._arrays[name][0])[:core].copy() for name in ("sizes", "speeds"))
+        return sizes, speeds, np.array([one.size for one in self._deflections])
+
+
+class Bent:
+    """Room in which norms weigh deformations of rods apart from their rigid motions; none where a system has no rods."""
+
+    def __init__(self, system: Any) -> None:
+        rods = system.elements
+        self._arrays = (np.zeros(system.n_v), np.zeros(sum(1 + 36 * len(rod.nodes) for rod in rods))) if rods else ()
+
+    def lend(self, norm: Any, *, apart: bool) -> None:
+        """Give it to a norm, or say that nothing counts apart."""
+        norm.bases = None
+        if apart and self._arrays:
+            norm.bent, norm.bases = map(address_of, self._arrays)
