@@ -75,6 +75,45 @@ def test_a_bar_with_an_arm_in_every_scheme(scheme):
     assert run["force"][-1][0] == pytest.approx(force, rel=6e-3)
 
 
+def hardening(gamma, kappa, s):
+    """A section's own energy."""
+    stretch = 0.5 * STIFFNESS * gamma[0] ** 2 + 20.0 * gamma[0] ** 4
+    return stretch + 40.0 * (gamma[1] ** 2 + gamma[2] ** 2) + sum(2.0 * k**2 for k in kappa)
+
+
+def curved(section, damping):
+    """Three elements that bend under their weight."""
+    rod = fmbd.Rod("rod", [(0, 0, 0), (0.5, 0.1, 0), (1, 0, 0.1)], section, elements=3, degree=2, damping=damping)
+    scene = fmbd.Scene("curved", gravity=(1.0, 0, -9.81))
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("start"), center=(0, 0, 0), axis=(0, 1, 0)))
+    scene.sensor("end", fmbd.sensors.position(rod.surface("end")))
+    return scene
+
+
+OWN = fmbd.RodSection(energy=hardening, mass=MASS, inertia=(0.02, 0.01, 0.01), relaxation=[((9.0,) * 6, 0.1)])
+
+
+@pytest.mark.parametrize(("section", "damping"), [(SECTION, 0.0), (SECTION, 1e-2), (OWN, 1e-2)])
+def test_compiled_steps_are_those_of_numpy(section, damping):
+    """All steps in C, whose memories, energies and tangents are those of Python."""
+    quick, plain = (
+        fmbd.solve(curved(section, damping), t_end=0.1, dt=2e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled=compiled))
+        for compiled in (True, False)
+    )
+    assert quick.counters["compiled_steps"] == 50
+    assert abs(quick.counters["newton_iterations"] - plain.counters["newton_iterations"]) < 5
+    np.testing.assert_allclose(quick["end"], plain["end"], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(quick.total_energy, plain.total_energy, rtol=1e-9)
+
+
+def test_steps_one_by_one_keep_the_memory():
+    whole = fmbd.solve(bar(), t_end=0.04, dt=2e-3)
+    with fmbd.stepper(bar(), dt=2e-3) as one:
+        for _ in range(20):
+            one.step()
+        np.testing.assert_array_equal(one["end"], whole["end"][-1])
+
+
 def test_order_two_in_the_step():
     error = []
     for h in (4e-3, 2e-3):

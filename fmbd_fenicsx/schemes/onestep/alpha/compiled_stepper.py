@@ -37,6 +37,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         self._driven = False  # the driver made the last step, and has its factor
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
         self._foretold: tuple[float, StepStart] | None = None  # the first step of a size, s
+        self._memories: list[Any] = []  # of elements after the newest step by itself
         super().__init__(*data)
         self.counters["compiled_steps"] = 0.0
         if driver is not None:
@@ -150,7 +151,9 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         """One step of size h (s), as :meth:`Stepper.advance`."""
         if not (self._first_march(h) if self.fresh else self._march(h, 1)):
             return super().advance(h)
-        return self.state  # who called notes the memory of elements when the step is accepted
+        # who called notes the memory of elements when the step is accepted; until then they are asked with the one before
+        self._memories = self.driver.tables.memories()
+        return self.state
 
     def _first(self, rule: Rule) -> StepStart:
         """As :meth:`Stepper._first`, found once for a step that the driver gives back."""
@@ -202,7 +205,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         known = self._ahead and self._tail is self.state
         if not known or self.driver.tables.sampled:  # a new sample is a jump, which who called has to know
             return False
-        self.driver.tables.remember()
+        self.driver.tables.remember(self._memories)
         return True
 
     def _march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:

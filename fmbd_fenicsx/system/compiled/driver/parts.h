@@ -40,7 +40,8 @@ PART void told_energies(System *s, int b, double t, const double *q, const doubl
 /* rods.c, in space */
 PART int rod_forces(System *s, Rod *k, double t);
 PART int rod_tangents(System *s, Rod *k, double t, double geometric);
-PART double rod_energy(System *s, Rod *k);
+PART double rod_energy(System *s, Rod *k, double t);
+PART void rod_keep(System *s, Rod *k, double t);
 PART void rod_loads(System *s, const Rod *k);
 PART int rod_mean_forces(System *s, Rod *k, const double *q0, const double *q1, double h, double t);
 

@@ -10,6 +10,8 @@
 
 enum { NODES = 4, POINTS = 3, STRAINS = 6, Z = 11, NODAL = 7, LOADED = 12 };
 
+#include "relaxation.c"
+
 /* Places and quaternions of an element's nodes, these of one sign. */
 static void rod_nodes(const System *s, const Rod *k, const int *node, double nodal[][NODAL])
 {
@@ -99,6 +101,7 @@ static int rod_stress(System *s, Rod *k, double t)
             if (k->beta > 0.0) S[j] += k->beta * dot(C + STRAINS * j, rate, STRAINS);
         }
     }
+    relaxing_stress(k, t);
     return DONE;
 }
 
@@ -249,6 +252,7 @@ static void rod_gradient(System *s, Rod *k, const double *q0, const double *q1, 
         }
     }
     if (square > 0.0) add(k->S, gained / square, k->rate, STRAINS * k->n * k->points);
+    if (k->arms) relaxing_stress(k, k->kept[0] + 0.5 * h);
 }
 
 /* Equation (1) of mechanics/rods/discrete_gradient.py without the loads, into the residual, at the mean of the configurations q0 and q1;
@@ -267,11 +271,14 @@ int rod_mean_forces(System *s, Rod *k, const double *q0, const double *q1, doubl
     return verdict;
 }
 
-/* The lower half of a symmetric matrix on z: (ck + beta cd) E^T C E + g H, times the weight of the point. */
-static void rod_inner(const Rod *k, long at, double elastic, double geometric, double inner[Z][Z])
+/* The lower half of a symmetric matrix on z: E^T ((ck + beta cd) C + ck (arms)) E + g H, times the weight of the point. */
+static void rod_inner(const System *s, const Rod *k, long at, double geometric, double inner[Z][Z])
 {
-    const double *E = k->E + STRAINS * Z * at, *C = k->C + STRAINS * STRAINS * at;
-    double CE[STRAINS][Z] = {{0.0}}, H[Z * (Z + 1) / 2], w = k->weight[at];
+    const double *E = k->E + STRAINS * Z * at;
+    double C[STRAINS * STRAINS] = {0.0}, CE[STRAINS][Z] = {{0.0}}, H[Z * (Z + 1) / 2], w = k->weight[at];
+    add(C, s->ck + k->beta * s->cd, k->C + STRAINS * STRAINS * at, STRAINS * STRAINS);
+    relaxing_stiffness(k, at, s->ck, C);
+
     for (int a = 0; a < STRAINS; a++)
         for (int b = 0; b < STRAINS; b++)
             if (C[STRAINS * a + b] != 0.0) add(CE[a], C[STRAINS * a + b], E + Z * b, Z);
@@ -280,7 +287,7 @@ static void rod_inner(const Rod *k, long at, double elastic, double geometric, d
         for (int j = 0; j <= i; j++, at_h++) {
             double sum = 0.0;
             for (int a = 0; a < STRAINS; a++) sum += E[Z * a + i] * CE[a][j];
-            inner[i][j] = inner[j][i] = w * (elastic * sum + (geometric != 0.0 ? geometric * H[at_h] : 0.0));
+            inner[i][j] = inner[j][i] = w * (sum + (geometric != 0.0 ? geometric * H[at_h] : 0.0));
         }
 }
 
@@ -322,6 +329,7 @@ int rod_tangents(System *s, Rod *k, double t, double geometric)
     double inner[Z][Z], out[TWIST][TWIST];
     const int *to = k->to;
     if (ask_law(s, k, SECTION_SLOPES, t)) return FAILED;
+    for (int i = 0; i < k->arms; i++) k->follows[i] = 1.0 - arm_at(k, i, t).f;
     for (long e = 0; e < k->n; e++) {
         double nodal[NODES][NODAL], blocks[NODES][NODES][NODAL][NODAL] = {{{{0.0}}}}, along[NODES] = {0.0};
         rod_nodes(s, k, k->node + e * k->k, nodal);
@@ -329,7 +337,7 @@ int rod_tangents(System *s, Rod *k, double t, double geometric)
         for (int g = 0; g < k->points; g++) {
             long at = e * k->points + g;
             const double *N = k->N + g * k->k, *slope = k->slope + at * k->k;
-            rod_inner(k, at, s->ck + k->beta * s->cd, geometric, inner);
+            rod_inner(s, k, at, geometric, inner);
             for (int i = 0; i < k->k; i++)
                 for (int j = 0; j <= i; j++) rod_block(inner, N[i], slope[i], N[j], slope[j], blocks[i][j]);
 
@@ -350,12 +358,20 @@ int rod_tangents(System *s, Rod *k, double t, double geometric)
     return DONE;
 }
 
-/* Elastic energy in the configuration that the frames are placed in, J. */
-double rod_energy(System *s, Rod *k)
+/* A viscoelastic rod takes up an accepted step, whose frames are placed. */
+void rod_keep(System *s, Rod *k, double t)
 {
-    double sum = 0.0;
+    if (!k->arms) return;
     rod_kinematics(s, k);
-    if (k->number >= 0 && s->python(SECTIONS, k->number, 0.0)) return NAN;
+    relaxed(k, t);
+}
+
+/* Elastic energy in the configuration that the frames are placed in, J. */
+double rod_energy(System *s, Rod *k, double t)
+{
+    rod_kinematics(s, k);
+    double sum = relaxing_energy(k, t);
+    if (k->number >= 0 && s->python(SECTIONS, k->number, t)) return NAN;
     for (long at = 0; at < k->n * k->points; at++) {
         const double *e = k->strain + STRAINS * at;
         if (k->number >= 0) sum += k->weight[at] * k->density[at];

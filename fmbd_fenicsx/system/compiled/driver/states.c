@@ -87,7 +87,7 @@ void energies(System *s, double t, const double *q, const double *v, const doubl
             out[3] += 0.5 * k->stiffness[i] * stretch * stretch;
         }
     }
-    for (Rod *k = s->rod; k < s->rod + s->rods; k++) out[1] += rod_energy(s, k);
+    for (Rod *k = s->rod; k < s->rod + s->rods; k++) out[1] += rod_energy(s, k, t);
 }
 
 /* Whether a step of h to a state whose frames are placed is too long for dry friction that turned within. */
@@ -103,7 +103,7 @@ int friction_overran(System *s, double t, double h)
     return 0;
 }
 
-/* Formulas and controllers with a memory take up an accepted step, whose frames are placed. */
+/* Formulas, rods and controllers with a memory take up an accepted step, whose frames are placed. */
 int keep(System *s, double t)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
@@ -116,5 +116,6 @@ int keep(System *s, double t)
             else pid_keep(k->constants + FORMULA_WIDTH * i, kept, k->s[i] - k->free[i], k->rate[i], t);
         }
     }
+    for (Rod *k = s->rod; k < s->rod + s->rods; k++) rod_keep(s, k, t);
     return s->remembers > 1 && s->python(KEEP, 0, t) ? FAILED : DONE;
 }

@@ -172,6 +172,8 @@ typedef struct {
     double *natural, *C;               /* strains free of stress; stiffness of the section, 6 x 6 a point */
     double *z, *E, *strain, *rate, *S, *density; /* at the points: see rods.c; density of the energy, of laws in Python */
     double *load;                      /* nodes x LOADED */
+    int arms;                          /* of viscoelastic sections: stiffness, arms x points x 36; times, s; memory, see relaxation.c; */
+    double *arm, *tau, *kept, *follows; /* work: shares of their springs in the matrix */
     int *to;                           /* places of the lower half of an element's block, node by node */
 } Rod;
 
@@ -215,7 +217,7 @@ typedef struct {
     const double *q;                   /* the configuration evaluated last */
     double *work, *big;
     long evaluations, factors, calls;
-    int remembers;                     /* whether some formula has a memory; 2: a controller in Python has one */
+    int remembers;                     /* whether some formula or rod has a memory; 2: a controller in Python has one */
     int seen, readings, reactions;     /* of records: frames, items that are read, joints whose reaction is */
     int *seen_frame, *seen_angle, accelerated; /* whether angles (plane), and accelerations, of what is seen are recorded */
     double *seen_place;                /* seen x (D + D x D): places of the markers in their frames, and how they are turned */

@@ -63,7 +63,7 @@ class DriverStates(CompiledGeometry):
         self._last: DriverEvaluation | None = None  # made by :meth:`at`
         self._points = LocalPoints(self)
         tables = self.tables
-        self.recalls = bool(tables.sampled or tables.remembering or tables.listeners)  # whether elements have a memory
+        self.recalls = bool(tables.sampled or tables.remembering)  # whether elements have a memory
 
     def tables_of(self) -> Tables:
         """New tables of the system."""

@@ -75,6 +75,18 @@ class Items:
         """Whether they have a memory."""
         return self.formula is not None and self.formula.kept is not None
 
+    def recall(self) -> None:
+        """Take the memory of the elements."""
+        self.arrays["kept"][:] = self.formula.kept()
+
+    def memory(self) -> Array:
+        """What steps have made of it."""
+        return self.arrays["kept"].copy()
+
+    def remember(self, memory: Array) -> None:
+        """Give it back after accepted steps."""
+        self.formula.keep(memory)
+
     def part(self, which: np.ndarray) -> Items:
         """Some of the items."""
 
@@ -260,5 +272,5 @@ def _keeps(loads: Loads) -> bool:
 
 
 def covers(system: System) -> bool:
-    """Whether all constraints and forces are items, or loads that Python can evaluate; memories: of formulas, controllers."""
-    return all(isinstance(x, Loads) and _keeps(x) for x in system.keepers)
+    """Whether all forces with a memory are formulas or controllers, and all others items, or loads that Python can evaluate."""
+    return all(_keeps(loads) for loads in system.forces if loads.kept is not None)

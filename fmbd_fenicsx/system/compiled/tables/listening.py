@@ -63,9 +63,13 @@ class Listener:
         """Take the memory of the controller."""
         self.loads.kept, self._asked, self._known = self.origin.kept, None, None
 
-    def remember(self) -> None:
+    def memory(self) -> Any:
+        """What steps have made of it."""
+        return self.loads.kept
+
+    def remember(self, memory: Any) -> None:
         """Give it back after accepted steps."""
-        self.origin.kept = self.loads.kept
+        self.origin.kept = memory
 
     def keep(self, t: float) -> None:
         """Take up an accepted step that ends at t, whose coordinates C has told."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ....mechanics.rods.elements import RodElements
+from ....mechanics.rods.relaxation import ArmMemory
 from ....mechanics.rods.sections import LinearLaw
+from ....rotations import Array
 from ..declarations import enumeration
 from .structures import structure
 
@@ -31,6 +34,9 @@ class RodTable:
         self.C, C = store.array(np.zeros((m, q, 6, 6)) if self.own else rod.law.C)
         self.density, density = store.array(np.zeros((m, q)))
         self.load, load = store.array(np.zeros((len(rod.nodes), LOADED)))
+        arms = 0 if rod.arms is None else len(rod.arms.tau)
+        # of the last step, and of the one before: a time, strains, those of the dashpots
+        self.kept, kept = store.array(np.zeros((2, 1 + (1 + arms) * rod.natural.size)))
 
         self.c = structure("Rod", 3)(
             k=rod.frames.shape[1], points=q, nodes=len(rod.nodes), number=number if self.own else -1, n=m, beta=rod.beta,
@@ -38,8 +44,39 @@ class RodTable:
             N=store.address(rod.shape.N), slope=store.address(rod.slopes), weight=store.address(rod.weights),
             natural=store.address(rod.natural), C=C, strain=strain, S=S, density=density, load=load if rod.loads else None,
             z=store.address(np.zeros((m, q, 11))), E=store.address(np.zeros((m, q, 6, 11))),
-            rate=store.address(np.zeros((m, q, 6))),
+            rate=store.address(np.zeros((m, q, 6))), kept=kept, follows=store.address(np.zeros(arms)), arms=arms,
+            **({} if rod.arms is None else {"arm": store.address(rod.arms.C), "tau": store.address(rod.arms.tau)}),
         )  # fmt: skip
+
+    @property
+    def remembers(self) -> int:
+        """1 where sections are viscoelastic."""
+        return int(self.rod.arms is not None)
+
+    def recall(self) -> None:
+        """Take the memory of the rod."""
+        now = self.rod.kept
+        for row, memory in zip(self.kept, (now, now.before), strict=True):
+            if memory is None:
+                row[0] = np.nan
+            else:
+                row[:] = np.concatenate(([memory.t], memory.strain.ravel(), memory.inner.ravel()))
+
+    def memory(self) -> Array:
+        """What steps have made of it."""
+        return self.kept.copy()
+
+    def remember(self, memory: Array) -> None:
+        """Give it back after accepted steps."""
+        now, before = (self._memory(row) for row in memory)
+        self.rod.kept = now if before is None else replace(now, before=before)
+
+    def _memory(self, row: Array) -> ArmMemory | None:
+        """One of both memories; None before the first step."""
+        if np.isnan(row[0]):
+            return None
+        strain, inner = np.split(row[1:], [self.rod.natural.size])
+        return ArmMemory(float(row[0]), strain.reshape(self.strain.shape), inner.reshape(-1, *self.strain.shape))
 
     def _places(self, tables: TableLayout) -> np.ndarray:
         """Where the lower half of each element's block goes in the fronts, node by node."""

@@ -165,7 +165,7 @@ class Tables(TableLayout):
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
             rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
             again=once, stiff=int(bool(self.rods or self.told) or any(f.stiff for f in s.forces)),
-            remembers=max([0, *(x.remembers for x in self.items), *(x.remembers for x in self.listeners)]),
+            remembers=max([0, *(x.remembers for x in (*self.items, *self.rods, *self.listeners))]),
             storage=self.fronts.storage, seen=len(looks.markers), seen_frame=self.store.integers(self.frame[looks.markers]),
             seen_place=seen_places(self), accelerated=int(looks.accelerated),
             seen_angle=self.store.integers(np.isin(looks.markers, list(looks.angled))),
@@ -249,21 +249,21 @@ class Tables(TableLayout):
 
     @cached_property
     def remembering(self) -> list[Any]:
-        """Items with a memory."""
-        return [items for items in self.sources if items.remembers]
+        """Who has a memory, or may have: items, rods, controllers."""
+        return [one for one in (*self.sources, *self.rods) if one.remembers] + self.listeners
 
     def recall(self) -> None:
         """Take the memory of elements that have one."""
         for items in self.sampled:
             items.arrays["effort"][:] = items.sampled()
-        for items in self.remembering:
-            items.arrays["kept"][:] = items.formula.kept()
-        for one in self.listeners:
+        for one in self.remembering:
             one.recall()
 
-    def remember(self) -> None:
-        """Give back the memory of elements after accepted steps."""
-        for items in self.remembering:
-            items.formula.keep(items.arrays["kept"])
-        for one in self.listeners:
-            one.remember()
+    def memories(self) -> list[Any]:
+        """What the newest steps have made of the memory of elements."""
+        return [one.memory() for one in self.remembering]
+
+    def remember(self, memories: list[Any] | None = None) -> None:
+        """Give the memory of elements back after accepted steps, which are the newest ones unless others are given."""
+        for one, memory in zip(self.remembering, self.memories() if memories is None else memories, strict=True):
+            one.remember(memory)
