@@ -115,21 +115,26 @@ class _Modules:
         self._loaded: dict[tuple[Any, ...], Any] = {}
         self.missed: Callable[[], None] = lambda: None
         jit.get_cached_module = self._of
-        self._make: Callable[..., Any] = jit._compile_objects
-        jit._compile_objects = self._made
+        jit.compile_forms = self._freeing(jit.compile_forms)
+        jit.compile_expressions = self._freeing(jit.compile_expressions)
+        self._begun: Path | None = None  # the source that others wait for
 
-    def _made(self, *given: Any, **more: Any) -> Any:
+    def _freeing(self, compile_all: Callable[..., Any]) -> Callable[..., Any]:
         """As FFCx's own. What is no Exception would leave the source that others wait for, and ranks beside this one waiting."""
         from ufl.algorithms.check_arities import ArityMismatch
 
-        try:
-            return self._make(*given, **more)
-        except ArityMismatch as error:
-            raise ValueError(str(error)) from error
-        except KeyboardInterrupt:
-            _, _, _, module_name, _, cache_dir = given[:6]
-            Path(cache_dir, f"{module_name}.c").unlink(missing_ok=True)
-            raise
+        def compiled(*given: Any, **more: Any) -> Any:
+            self._begun = None
+            try:
+                return compile_all(*given, **more)
+            except (ArityMismatch, KeyboardInterrupt) as error:
+                if self._begun is not None:
+                    self._begun.unlink(missing_ok=True)
+                if isinstance(error, KeyboardInterrupt):
+                    raise
+                raise ValueError(str(error)) from error
+
+        return compiled
 
     def _of(self, module_name: str, object_names: Any, cache_dir: Any, timeout: Any) -> Any:
         """As FFCx's own; asked once a module."""
@@ -138,6 +143,7 @@ class _Modules:
             self.missed()
             found = self._look(module_name, object_names, cache_dir, timeout)
             if found[1] is None:
+                self._begun = Path(cache_dir, f"{module_name}.c")
                 return found
             self._loaded[wanted] = found
         return self._loaded[wanted]
