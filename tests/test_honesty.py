@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 from dae_problems import pendulum as point_pendulum
 from dae_problems import pendulum_at
 from honesty_scenes import HONEST, bent_block, judge
@@ -244,11 +245,7 @@ def test_a_jump_that_nobody_named_is_found_and_steps_end_there(scheme: Any) -> N
 
 def hanging_chain(force: Callable[[float], float]) -> fmbd.Scene:
     """Three links swing from the horizontal, a force on the last."""
-    scene, last = fmbd.Scene("chain", gravity=(0.0, -9.81)), fmbd.ground
-    for k in range(3):
-        link = fmbd.RigidBody(f"link {k}", 1.0, 1 / 12, (k + 0.5, 0.0))
-        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(float(k), 0.0)))
-        last = link
+    scene, last = chain(3)
     scene.add(fmbd.force("kick", last, lambda t: (0.0, force(t))))
     scene.sensor("end", fmbd.position(last))
     return scene

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import PartsError
@@ -79,11 +80,7 @@ def test_steps_that_fail_from_the_start_on_are_not_made_in_parts_for_long() -> N
 
 def switched_chain() -> fmbd.Scene:
     """Two links swing from the horizontal; a torque on the last comes and goes."""
-    scene, last = fmbd.Scene("switched chain", gravity=(0.0, -9.81)), fmbd.ground
-    for k in range(2):
-        link = fmbd.RigidBody(f"link {k}", 1.0, 1 / 12, (k + 0.5, 0.0))
-        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(float(k), 0.0)))
-        last = link
+    scene, last = chain(2, "switched chain")
     scene.add(fmbd.torque("motor", last, lambda t: 8.0 if 0.2317 < t < 0.6023 else 0.0))
     scene.sensor("a", fmbd.acceleration(last))
     scene.sensor("pin", fmbd.reaction("pin 0"))
@@ -164,19 +161,9 @@ def test_what_ends_of_steps_do_not_know_is_told_by_smaller_ones(rtol: float) -> 
     assert kept.history[-1].then == "done" and np.abs(kept["place"] - exact["place"]).max() < 2e-4 * span
 
 
-def two_links(name: str) -> fmbd.Scene:
-    """A double pendulum that begins level."""
-    scene, last = fmbd.Scene(name, gravity=(0.0, -9.81)), fmbd.ground
-    for k in range(2):
-        link = fmbd.RigidBody(f"link {k}", 1.0, 1 / 12, (k + 0.5, 0.0))
-        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(float(k), 0.0)))
-        last = link
-    return scene
-
-
 def test_narrow_peaks_are_compared() -> None:
     """A motor reaches its limit in a tenth of a step: of 81 records 50 were compared, which told a quarter of the error."""
-    scene = two_links("limited motor")
+    scene, _ = chain(2, "limited motor")
     turn = fmbd.angle(scene.joints["pin 0"])
     motor = fmbd.motor("motor", turn, target=lambda t: 0.8 * np.sin(5 * t), kp=300.0, kd=20.0, limit=20.0)
     scene.add(motor)
@@ -208,7 +195,7 @@ def test_errors_told_by_chance_are_asked_again_before_steps_are_refused() -> Non
 
 def test_smaller_steps_tell_the_error_where_larger_ones_do_not_end() -> None:
     """Joints with steep friction: 400 steps end and 200 do not. Nothing was stated of them, and 1600 were made."""
-    scene = two_links("friction")
+    scene, _ = chain(2, "friction")
     for k, (coulomb, speed) in enumerate(((2.0, 0.01), (1.0, 0.02))):
         turn = fmbd.angle(scene.joints[f"pin {k}"])
         scene.add(fmbd.forces.joint_friction(f"rub {k}", turn, coulomb=coulomb, speed=speed))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 
 import fmbd_fenicsx as fmbd
 
@@ -27,11 +28,7 @@ SCHEMES = [
 
 def held_arm(breakpoints: tuple[float, ...] = ()) -> fmbd.Scene:
     """Two links swing from the horizontal, the first one held by a slow controller."""
-    scene, last = fmbd.Scene("held arm", gravity=(0.0, -9.81), breakpoints=breakpoints), fmbd.ground
-    for k in range(2):
-        link = fmbd.RigidBody(f"link {k}", 1.0, 1 / 12, (k + 0.5, 0.0))
-        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(float(k), 0.0)))
-        last = link
+    scene, last = chain(2, "held arm", breakpoints=breakpoints)
     turn = fmbd.angle(scene.joints["pin 0"])
     reads = {"phi": turn, "rate": fmbd.joint_rate(turn)}
     law = fmbd.controller(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 from profiled import calls_of
 from test_compiled_evaluation import MAKERS, compiled, pair_of
 
@@ -34,16 +35,6 @@ from fmbd_fenicsx.system.layout import State
 FORMS = [fmbd.GGL(), fmbd.Index3(), fmbd.Index2()]
 H = 1e-4
 JUDGE = Judge("a test", tolerance=1e-6)
-
-
-def chain(n: int) -> fmbd.Scene:
-    """Links in the plane."""
-    scene, before = fmbd.Scene("chain", gravity=(0.0, -9.81)), fmbd.ground
-    for i in range(n):
-        link = fmbd.RigidBody(f"link {i}", 0.1, 1e-4, (0.1 * i + 0.05, 0.0))
-        scene.add(link, fmbd.revolute(f"hinge {i}", before, link, center=(0.1 * i, 0.0)))
-        before = link
-    return scene
 
 
 def equations(system: Any, form: Any, at: tuple[Any, ...]) -> tuple[StepEquations, State, np.ndarray]:
@@ -212,7 +203,7 @@ def test_work_grows_with_the_length_of_a_chain() -> None:
     """As many directions of differences for any length, and entries of matrices and factors in proportion to it."""
     found = []
     for n in (40, 80, 160):
-        system, start, _ = chain(n).build()
+        system, start, _ = chain(n, length=0.1, mass=0.1, inertia=1e-4)[0].build()
         use_driver(system)
         rest = tuple(np.array([x]) for x in (0.0, start.q, start.v, 0.0 * start.v, np.zeros(system.n_lam)))
         eq, state, mult = equations(system, fmbd.GGL(), rest)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 from profiled import calls_of
 
 import fmbd_fenicsx as fmbd
@@ -86,14 +87,9 @@ def test_scenes_of_one_structure_share_their_places() -> None:
     assert np.array_equal(fmbd.solve(pendulum(1.3), t_end=0.05, dt=1e-3)["tip"], shared["tip"])
 
 
-def chain(count: int) -> fmbd.Scene:
-    """Links of 0.1 m on hinges, released from the horizontal."""
-    scene, before = fmbd.Scene("chain", gravity=(0, -9.81)), fmbd.ground
-    for k in range(count):
-        link = fmbd.RigidBody(f"link {k}", 0.1, 1e-4, (0.1 * k + 0.05, 0.0))
-        scene.add(link, fmbd.revolute(f"hinge {k}", before, link, center=(0.1 * k, 0.0)))
-        before = link
-    return scene
+def links(count: int) -> fmbd.Scene:
+    """A chain of small links."""
+    return chain(count, length=0.1, mass=0.1, inertia=1e-4)[0]
 
 
 def calls_of_run(make: Callable[[Any], fmbd.Scene], given: Any) -> int:
@@ -110,7 +106,7 @@ def calls_of_run(make: Callable[[Any], fmbd.Scene], given: Any) -> int:
 def test_a_start_costs_few_calls() -> None:
     """Most of a short run is Python: it was 1 850 calls, and 137 for each further body."""
     assert calls_of_run(pendulum, 1.3) < 1510
-    assert (calls_of_run(chain, 30) - calls_of_run(chain, 10)) / 20 < 122
+    assert (calls_of_run(links, 30) - calls_of_run(links, 10)) / 20 < 122
 
 
 def test_starts_make_no_matrix_of_rows(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,7 +117,7 @@ def test_starts_make_no_matrix_of_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*given: Any) -> None:
         raise AssertionError("rows were made")
 
-    known = fmbd.solve(chain(60), t_end=0.01, dt=1e-3).state.q
+    known = fmbd.solve(links(60), t_end=0.01, dt=1e-3).state.q
     monkeypatch.setattr(DriverStates, "rows", refuse)
     monkeypatch.setattr(Jacobian, "__init__", refuse)
-    assert np.array_equal(fmbd.solve(chain(60), t_end=0.01, dt=1e-3).state.q, known)
+    assert np.array_equal(fmbd.solve(links(60), t_end=0.01, dt=1e-3).state.q, known)

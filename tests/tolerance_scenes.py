@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from chains import chain
 from dae_problems import pendulum as point_pendulum
 from scipy.integrate import solve_ivp
 
@@ -86,11 +87,7 @@ def hanging(case: Case, times: Any) -> Any:
 
 def geared_chain() -> fmbd.Scene:
     """Three links swing from the horizontal, the third joint turned by a gear on the second."""
-    scene, last = fmbd.Scene("geared chain", gravity=(0.0, -9.81)), fmbd.ground
-    for k in range(3):
-        link = fmbd.RigidBody(f"link {k}", 1.0, 1 / 12, (k + 0.5, 0.0))
-        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(float(k), 0.0)))
-        last = link
+    scene, last = chain(3, "geared chain")
     pins = scene.joints
     scene.add(fmbd.gear("gear", fmbd.angle(pins["pin 1"]), fmbd.angle(pins["pin 2"]), ratio=-0.5))
     scene.sensor("end", fmbd.position(last))
