@@ -127,14 +127,19 @@ class _Modules:
             self._begun = None
             try:
                 return compile_all(*given, **more)
-            except (ArityMismatch, KeyboardInterrupt) as error:
-                if self._begun is not None:
-                    self._begun.unlink(missing_ok=True)
-                if isinstance(error, KeyboardInterrupt):
-                    raise
+            except ArityMismatch as error:
+                self._leave()
                 raise ValueError(str(error)) from error
+            except KeyboardInterrupt:
+                self._leave()
+                raise
 
         return compiled
+
+    def _leave(self) -> None:
+        """Nobody waits for what was begun."""
+        if self._begun is not None:
+            self._begun.unlink(missing_ok=True)
 
     def _of(self, module_name: str, object_names: Any, cache_dir: Any, timeout: Any) -> Any:
         """As FFCx's own; asked once a module."""

@@ -12,8 +12,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.mechanics.bodies.coordinates import PortConstraint
 from fmbd_fenicsx.mechanics.bodies.own_derivatives import derivative
+from fmbd_fenicsx.mechanics.bodies.port_constraint import PortConstraint
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "demos"))

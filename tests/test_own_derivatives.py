@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.mechanics.bodies.coordinates import PortConstraint, own_constraint
+from fmbd_fenicsx.mechanics.bodies.coordinates import own_constraint
 from fmbd_fenicsx.mechanics.bodies.own_derivatives import differences, slopes_of
+from fmbd_fenicsx.mechanics.bodies.port_constraint import PortConstraint
 
 CIRCLES: dict[str, Callable[[Any], Any]] = {
     "norm": np.linalg.norm,  # takes complex numbers and drops what they carry

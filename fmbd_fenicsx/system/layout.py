@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import InputError, near
 from ..fem.fields import rank_sum
-from ..mechanics.bodies.coordinates import PortConstraint
+from ..mechanics.bodies.port_constraint import PortConstraint
 from ..mechanics.forces.force_elements import Loads
 from ..mechanics.frames import Markers
 from ..mechanics.joints.constraints import Batch

@@ -25,7 +25,7 @@ import crank_model as crank
 import numpy as np
 from observatory_oscillators import ARM, CRANK_TURN, SPEED, J, M, R
 
-from fmbd_fenicsx.mechanics.bodies.coordinates import PortConstraint
+from fmbd_fenicsx.mechanics.bodies.port_constraint import PortConstraint
 
 Array = Any
 FORMS = ("index 1", "stabilised")

@@ -7,7 +7,7 @@ compared with what the functions themselves tell, at the start and a little asid
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,7 @@ from ...errors import FmbdError, InputError
 from ...log import log
 from ...rotations import Array
 from .own_derivatives import SAME, Slopes, line_rates
-
-if TYPE_CHECKING:
-    from .coordinates import CoordinatePart, PortConstraint
+from .port_constraint import PortConstraint
 
 ASIDE = 1e-2  # of the largest coordinate: a second place to compare at
 ROUNDOFF = 1e-9  # of what may cancel in a derivative
@@ -48,10 +46,10 @@ def check_constraint(law: PortConstraint, body: Any) -> None:
             _compare(law, "gamma", law.gamma(q, v, 0.0), second, none * fast**2 / aside)
 
 
-def check_force(part: CoordinatePart, slopes: Slopes, tangent: Callable[..., Any]) -> None:
+def check_force(body: Any, slopes: Slopes, tangent: Callable[..., Any]) -> None:
     """Warn of a force_jacobian that is not that of the force: steps are slow by it, modes and linear models are others."""
-    n = part.n
-    for q, v in (places := _places(part.body)):
+    n = len(body.start)
+    for q, v in (places := _places(body)):
         z = np.concatenate((q, v, [0.0]))
         found = _known(slopes, z)
         if found is None:
@@ -64,7 +62,7 @@ def check_force(part: CoordinatePart, slopes: Slopes, tangent: Callable[..., Any
                 log.warning(
                     'body "%s": force_jacobian by %s is not that of the force: %s. '
                     "Newton's iteration is slow by it, and modes and linear models are those of other forces",
-                    part.name, by, differs,
+                    body.name, by, differs,
                 )  # fmt: skip
                 return
 

@@ -10,7 +10,8 @@ import numpy as np
 from ...checks import vector
 from ...errors import InputError, near
 from ...mechanics.bodies.bodies import ElasticBody, FloatingBody, RigidBody, Surface
-from ...mechanics.bodies.coordinates import CoordinateBody, PortConstraint, own_constraint
+from ...mechanics.bodies.coordinates import CoordinateBody, own_constraint
+from ...mechanics.bodies.port_constraint import PortConstraint
 from ...mechanics.body import Placed, Site
 from ...mechanics.forces.forces import Force
 from ...mechanics.frames import Markers

@@ -28,23 +28,27 @@ class _Vector(Sensor):
         return "xyz"
 
 
-class Position(_Vector):
+class _Motion(_Vector):
+    """Of a marker."""
+
+    def looks_at(self, system: Layout, marker: int) -> Look:
+        """The marker."""
+        return Look(marker)
+
+
+class Position(_Motion):
     """World position of a point or of a surface's mean, (d,)."""
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
         """x, m."""
         return ev.kin.x[marker].copy()
 
-    def looks_at(self, system: Layout, marker: int) -> Look:
-        """The marker."""
-        return Look(marker)
-
     def series(self, seen: Recorded, marker: int) -> Array:
         """x, m."""
         return seen.place(marker)
 
 
-class Velocity(_Vector):
+class Velocity(_Motion):
     """World velocity of a point or of a surface's mean, (d,)."""
 
     derivative = 1
@@ -54,16 +58,12 @@ class Velocity(_Vector):
         assert ev.kin.twist is not None
         return ev.kin.twist[marker, : ev.kin.x.shape[1]].copy()
 
-    def looks_at(self, system: Layout, marker: int) -> Look:
-        """The marker."""
-        return Look(marker)
-
     def series(self, seen: Recorded, marker: int) -> Array:
         """x', m/s."""
         return seen.twist(marker)[:, : seen.system.motions.dim]
 
 
-class AngularVelocity(_Vector):
+class AngularVelocity(_Motion):
     """World angular velocity of a body or of a surface's mean, (n_rot,)."""
 
     derivative = 1
@@ -72,10 +72,6 @@ class AngularVelocity(_Vector):
         """w, rad/s."""
         assert ev.kin.twist is not None
         return ev.kin.twist[marker, ev.kin.x.shape[1] :].copy()
-
-    def looks_at(self, system: Layout, marker: int) -> Look:
-        """The marker."""
-        return Look(marker)
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """w, rad/s."""
