@@ -195,7 +195,7 @@ def _components(ties: Sequence[Any], counts: list[int]) -> tuple[Array, np.ndarr
     blocks, owner = [], []
     for i, (t, n) in enumerate(zip(ties, counts, strict=True)):
         d = t.a.dim
-        normal = np.eye(d)
+        normal: Array = np.eye(d)
         if t.sliding:
             trace = surface_trace(t.a.body.mesh, t.a.name)
             normal = trace.mean_normal[:, None]
