@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .checks import array
-from .errors import require
+from .errors import InputError
 
 Array = NDArray[np.floating[Any]]
 
@@ -236,12 +236,9 @@ class Motions:
             rotation = rotation.as_quat()
         given = array("rotation", rotation, shape="numbers: an angle, a matrix or a quaternion")
         shapes = ((), (2, 2)) if self.dim == 2 else ((4,), (3, 3))
-        require(
-            given.shape in shapes and bool(np.isfinite(given).all()) and (given.ndim == 0 or bool(given.any())),
-            "A rotation is "
-            + ("an angle (rad)" if self.dim == 2 else "a matrix (3, 3) or a quaternion (4,), scalar last")
-            + f", finite; found {rotation!r}.",
-        )
+        if given.shape not in shapes or not (given.ndim == 0 or given.any()):
+            wanted = "an angle (rad)" if self.dim == 2 else "a matrix (3, 3) or a quaternion (4,), scalar last"
+            raise InputError(f"A rotation is {wanted}, finite; found {rotation!r}.")
         if given.ndim == 2:
             refuse_no_rotation(given)
         if self.dim == 2:
@@ -258,15 +255,13 @@ class Motions:
 def refuse_no_rotation(R: Array) -> None:
     """Refuse a matrix with R^T R other than 1, or that mirrors: it is not made orthogonal, as nobody knows what was meant."""
     off = float(np.abs(R.T @ R - np.eye(len(R))).max())
-    require(
-        off < NO_ROTATION,
-        f"rotation {R.tolist()} is no rotation matrix: R^T R differs from 1 by {off:.2g}. "
-        "Make one of angles with scipy.spatial.transform.Rotation.",
-    )
-    require(
-        bool(np.linalg.det(R) > 0),
-        f"rotation {R.tolist()} mirrors: its determinant is -1. Change the sign of one column.",
-    )
+    if not off < NO_ROTATION:
+        raise InputError(
+            f"rotation {R.tolist()} is no rotation matrix: R^T R differs from 1 by {off:.2g}. "
+            "Make one of angles with scipy.spatial.transform.Rotation."
+        )
+    if not np.linalg.det(R) > 0:
+        raise InputError(f"rotation {R.tolist()} mirrors: its determinant is -1. Change the sign of one column.")
 
 
 PLANE = Motions(dim=2, n_rot=1, n_pose=3, n_twist=3)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import condensation
@@ -413,3 +414,38 @@ def test_a_motion_that_raises_is_named() -> None:
     scene.add(ball, fmbd.contact("pair", fmbd.ball(ball, 0.1), plate))
     with pytest.raises(fmbd.errors.FmbdError, match="plate"):
         fmbd.solve(scene, t_end=0.1, dt=1e-2, scheme=fmbd.Moreau())
+
+
+@pytest.mark.parametrize(
+    ("pose", "said"),
+    [
+        ((0.0, 0.0), r"motion\(0\): position 0.0 must be 2 finite numbers"),
+        (((0.0, 0.0, 1.0), 0.0), "z cannot be followed"),
+        ((("a", "b"), 0.0), "must be 2 finite numbers"),
+        (((0.0, 0.0), "turned"), r"motion\(0\): rotation 'turned' must be numbers"),
+        (((0.0, 0.0), np.eye(3)), r"motion\(0\): A rotation is an angle"),
+        ([(0.0, 0.0), 0.0], "must return"),
+    ],
+)
+def test_a_motion_that_is_no_pose_is_refused(pose: Any, said: str) -> None:
+    ball = fmbd.RigidBody("ball", 1.0, 0.1, (0.0, 0.1))
+    plate = fmbd.Obstacle("plate", fmbd.HalfSpace((0, 0), (0, 1)), motion=lambda t: pose)
+    scene = fmbd.Scene("moving", gravity=(0, -9.81))
+    scene.add(ball, fmbd.contact("pair", fmbd.ball(ball, 0.1), plate))
+    with pytest.raises(fmbd.errors.InputError, match=f'Obstacle "plate": .*{said}'):
+        fmbd.solve(scene, t_end=0.1, dt=1e-2)
+
+
+def test_poses_are_put_in_words_where_they_are_wrong_only() -> None:
+    """A matrix was printed, for a message that nobody read, at each time that a step asks for: two thirds of a run."""
+    ball = fmbd.RigidBody("ball", 1.0, (0.1,) * 3, (0.0, 0.0, 0.1))
+    plate = fmbd.Obstacle("plate", fmbd.HalfSpace((0, 0, 0), (0, 0, 1)), motion=lambda t: (np.zeros(3), np.eye(3)))
+    scene = fmbd.Scene("moving", gravity=(0, 0, -9.81))
+    scene.add(ball, fmbd.contact("pair", fmbd.ball(ball, 0.1), plate, friction=0.3))
+    assert calls_of(lambda: fmbd.solve(scene, t_end=0.1, dt=1e-2), "arrayprint") == 0
+
+
+def test_an_obstacle_on_its_own_slave_is_refused() -> None:
+    ball = fmbd.RigidBody("ball", 1.0, 0.1)
+    with pytest.raises(fmbd.errors.InputError, match='obstacle "shell" are both of body "ball"'):
+        fmbd.contact("pair", fmbd.ball(ball, 0.1), fmbd.Obstacle("shell", fmbd.Sphere(0.2), on=ball))

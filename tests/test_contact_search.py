@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.mechanics.contact.obstacles import way_over
 
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 SHAPES = [
@@ -48,7 +49,7 @@ def looked_at(chosen: list[int]) -> Any:
     """The system, and its contacts at a time in a place and with a step."""
     system, state, _ = scene_of(chosen).build()
     q = system.compose(state.q, 0.3 * np.random.default_rng(1).standard_normal(system.n_v))
-    return system, q, system.contacts.rows(system, 0.4, q, since=(0.4, 0.1))
+    return system, q, system.contacts.rows(system, 0.4, q, way=way_over(0.4, 0.1))
 
 
 def test_all_pairs_at_once_are_each_by_itself() -> None:
@@ -146,7 +147,7 @@ def test_poses_of_moving_obstacles_are_asked_for_once_a_time() -> None:
     system, state, _ = made.build()
     asked.clear()
     gaps = [system.contacts.touch(system, t, state.q.copy()).gap for t in (0.0, 0.1, 0.05, 0.1)]
-    rows = system.contacts.rows(system, 0.05, state.q, since=(0.0, 0.1))
+    rows = system.contacts.rows(system, 0.05, state.q, way=way_over(0.0, 0.1))
     assert sorted(asked) == [0.0, 0.05, 0.1]
     assert gaps[1] == pytest.approx(gaps[3], abs=0.0)
     assert rows.gap == pytest.approx(gaps[2], abs=0.0)

@@ -289,3 +289,47 @@ def test_elastic_block_between_planes_wins_no_energy(impacts: int, t_end: float)
     energy = sum(run.energy.values())
     assert energy[-1] < 0.99 * energy[0]
     assert np.diff(energy).max() < 1e-12 * energy[0]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_block_that_sticks_to_a_belt_has_its_speed(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A belt under even acceleration: a block on it was late by half a step, since slips began with a mean of the step."""
+    if not compiled:
+        monkeypatch.setattr(driver, "contact_driver", lambda *_, **__: None)
+    block = fmbd.RigidBody("block", 1.0, 0.1, position=(0.0, 0.1))
+    feet = fmbd.corners(block, [(-0.2, -0.1), (0.2, -0.1)])
+    belt = fmbd.Obstacle("belt", fmbd.HalfSpace((0, 0), (0, 1)), motion=lambda t: ((t * t, 0.0), 0.0))
+    scene = fmbd.Scene("belt", gravity=(0, -9.81))
+    scene.add(block, fmbd.contact("feet", feet, belt, friction=0.3))
+    scene.sensor("x", fmbd.position(block))
+    scene.sensor("v", fmbd.velocity(block))
+    scene.sensor("force", fmbd.contact_force("feet"))
+    run = fmbd.solve(scene, t_end=0.2, dt=1e-2)
+    assert run["v"][:, 0] == pytest.approx(2.0 * run.times, abs=1e-9)
+    assert run["x"][:, 0] == pytest.approx(run.times**2, abs=1e-9)
+    assert run["force"][1:, 0] == pytest.approx(2.0, abs=1e-8)
+
+
+def test_balls_that_touch_take_one_impact() -> None:
+    """A row of five equal balls, hit by the first: Newton's law for all of them at once, P = A^-1 (1 + e) v, and no cradle.
+
+    Gaps make it one.
+    """
+
+    def speeds(gap: float) -> list[float]:
+        scene, balls = fmbd.Scene("row"), []
+        for i in range(5):
+            x = i * (0.1 + gap) - (1e-3 if i == 0 else 0.0)
+            balls.append(
+                fmbd.RigidBody(f"ball {i}", 1.0, 1e-3, position=(x, 0.0), velocity=(float(i == 0), 0.0)),
+            )
+            scene.add(balls[-1])
+            scene.sensor(f"v{i}", fmbd.velocity(balls[-1]))
+        for i in range(4):
+            face = fmbd.Obstacle(f"face {i}", fmbd.Sphere(0.05), on=balls[i + 1])
+            scene.add(fmbd.contact(f"hit {i}", fmbd.ball(balls[i], 0.05), face, restitution=1.0))
+        run = fmbd.solve(scene, t_end=0.01, dt=1e-3)
+        return [float(run[f"v{i}"][-1, 0]) for i in range(5)]
+
+    assert speeds(0.0) == pytest.approx([-0.6, 0.4, 0.4, 0.4, 0.4], abs=1e-12)
+    assert speeds(1e-4) == pytest.approx([0.0, 0.0, 0.0, 0.0, 1.0], abs=1e-12)

@@ -215,6 +215,11 @@ def contact(
     # and both together
     if isinstance(master, Obstacle):
         master.shape.check(what, slave.dim)
+        require(
+            master.on is not slave.body,
+            f'{what}: its slave and the obstacle "{master.name}" are both of body "{slave.body.name}". '
+            "Give an obstacle on another body, or at rest.",
+        )
     if isinstance(master, Surface):
         if isinstance(slave, RigidPoints | RodPoints):
             raise InputError(

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...rotations import Array, Motions
 from .nodal_rows import NodalRows
+from .obstacles import Way
 from .rows import LinearRows, Rows, Touch, stacked
 from .trace import ContactTrace, FieldTrace, ModalTrace
 
@@ -72,12 +73,10 @@ class ContactSet:
 
         return pose[: self.m.dim] + P @ R.T, P, R
 
-    def rows(self, system: Any, t: float, q: Array, since: tuple[float, float] | None = None) -> Rows:
-        """All candidates at (t, q); ``since`` = (start, h) of the step over which the tangential drift of
-        obstacles counts. Collective.
-        """
+    def rows(self, system: Any, t: float, q: Array, way: Way | None = None) -> Rows:
+        """All candidates at (t, q); ``way``: for the tangential drift of obstacles. Collective."""
         here = Here(self, system, t, q)
-        parts = [g.rows(self, system, (t, q, since), here) for g in self.groups]
+        parts = [g.rows(self, system, (t, q, way), here) for g in self.groups]
         return stacked(parts)
 
     def touch(self, system: Any, t: float, q: Array) -> Touch:

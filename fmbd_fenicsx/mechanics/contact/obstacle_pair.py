@@ -129,7 +129,7 @@ class ObstacleSearch:
 
     def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], here: Here) -> Rows:
         """All candidates with their rows; collective."""
-        t, q, since = at
+        t, q, way = at
         touch, (r, R, origin, turned) = self._place(contacts, system, (t, q), here)
         x = touch.x
         on = self.pushed
@@ -147,13 +147,11 @@ class ObstacleSearch:
 
         tangents = tangents_of(touch.normal) if contacts.frictional else []
         drift = np.zeros((self.count, len(tangents)))
-        if since is not None and tangents:
-            ends = zip(self._told(since[0]), self._told(since[0] + since[1]), strict=True)
-            for (i, _), (before, after) in zip(self.prescribed, ends, strict=True):
+        for time, weight in way if way is not None and tangents else ():
+            for (i, _), pose in zip(self.prescribed, self._told(time), strict=True):
                 rows = self.of == i
-                turn = contacts.m.matrix(after) - contacts.m.matrix(before)
-                moved = (after - before)[: contacts.m.dim] + touch.relative[rows] @ turn.T
-                drift[rows] = np.stack([(e[rows] * moved).sum(1) for e in tangents], axis=1)
+                place = pose[: contacts.m.dim] + touch.relative[rows] @ contacts.m.matrix(pose).T
+                drift[rows] += weight * np.stack([(e[rows] * place).sum(1) for e in tangents], axis=1)
         return Rows(
             gap=touch.gap,
             N=linear(touch.normal),

@@ -11,6 +11,18 @@ from ...errors import InputError
 from ..bodies.bodies import RigidBody
 from ..shapes import Shape
 
+Way = tuple[tuple[float, float], ...]  # times (s) and weights by which places of moving obstacles are summed up
+
+
+def way_over(start: float, h: float) -> Way:
+    """How far obstacles come from a start (s) on in a time h (s)."""
+    return (start, -1.0), (start + h, 1.0)
+
+
+def way_at_start(start: float, h: float) -> Way:
+    """How far they would come with their velocities at the start: of second order, by places that a step asks for anyway."""
+    return (start, -3.0), (start + 0.5 * h, 4.0), (start + h, -1.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:

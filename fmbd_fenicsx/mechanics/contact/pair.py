@@ -64,7 +64,10 @@ class Pair:
 
     def overlap(self, system: Any, depth: float, x: Array, normal: Array) -> str:
         """The sentence that refuses a start with an overlap of a depth (m), at a point x along a normal, world axes."""
-        return bodies_overlap(self.name, depth, x, normal)
+        said = bodies_overlap(self.name, depth, x, normal)
+        if self.carrier.frame < 0:
+            return said
+        return f"{said} (A shape that a body carries stands in axes of it, with the origin in its centre of mass.)"
 
     @classmethod
     def together(cls, pairs: list[Any], motions: Motions, traces: tuple[ContactTrace, ...]) -> list[Any]:

@@ -38,7 +38,7 @@ class Rows:
     """All candidates: gap (m,) m, normal rows, tangential rows, laws.
 
     ``normal`` (m, d): from the obstacle to the slave, world axes; ``drift`` (m, d - 1) m: tangential motion
-    of prescribed obstacles, over the step given by ``since``; ``trace`` (m,): number of the trace that carries the multiplier, -1
+    of prescribed obstacles, along a ``way``; ``trace`` (m,): number of the trace that carries the multiplier, -1
     for a rigid point.
     """
 

@@ -24,6 +24,7 @@ from ...linear.blocks.field_blocks import Weights
 from ...linear.blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
+from ...mechanics.contact.obstacles import way_over
 from ...rotations import Array
 from ...system.layout import State
 from ...system.scene.contents import Contents
@@ -200,7 +201,7 @@ class _Step(ContactStep):
 
         touching = None
         if self.near.any():
-            rows = p.contacts.rows(system, s.t + h, q, since=(s.t, h)).take(self.near)
+            rows = p.contacts.rows(system, s.t + h, q, way=way_over(s.t, h)).take(self.near)
             touching = rows, openings(p.contacts, system, rows, rows.gap, self.xi)
         dq, dlam = self.changes(touching, residuals, self.scale)
         move_pressures(solver, dq, volumes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...linear.blocks.field_blocks import Weights
+from ...mechanics.contact.obstacles import way_at_start, way_over
 from ...mechanics.contact.rows import Rows, tangents_of
 from ...rotations import Array
 from ...system.compiled.declarations import constants
@@ -43,7 +44,7 @@ class MoreauStep(ContactStep):
         if closed.any():
             middle = stepper.system.compose(s.q, 0.5 * h * s.v)
             at = (stepper.system, s.t + h / 2, middle)
-            self.rows = contacts.rows(*at, since=(s.t, self.span)).take(closed)
+            self.rows = contacts.rows(*at, way=way_over(s.t, self.span)).take(closed)
             self.rate = contacts.gap_rate(*at, self.span)[closed]
             before = self._openings(s.v)
             back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)
@@ -61,18 +62,18 @@ class MoreauStep(ContactStep):
     def _start_rates(self, normal: Array) -> Array:
         """Rates of the gaps of closed contacts, m/s, and slips across ``normal`` (m, d), at the start of a flight.
 
-        Gaps of obstacles that move as prescribed by their places at its start, middle and end, asked for anyway. (m, 1 or d).
+        Both of obstacles that move as prescribed by their places at its start, middle and end. (m, 1 or d).
         """
         contacts, system, s = self.p.contacts, self.p.system, self.p.state
         h, closed = self.h, self.closed
-        rows = contacts.rows(system, s.t, s.q, since=(s.t, h)).take(closed)
+        way = way_at_start(s.t, h)
+        rows = contacts.rows(system, s.t, s.q, way=way).take(closed)
         rates = openings(contacts, system, rows, h * contacts.times(system, rows.N, s.v), h * s.v) / h
         if rows.tangents:
             slips = np.einsum("mk,kmd->md", rates[:, 1:], tangents_of(rows.normal))
             rates[:, 1:] = np.einsum("md,kmd->mk", slips, tangents_of(normal))
         if any(pair.moving for pair in contacts.pairs):
-            start, middle, end = (contacts.touch(system, s.t + x, s.q).gap[closed] for x in (0.0, h / 2, h))
-            rates[:, 0] += (4 * middle - 3 * start - end) / h
+            rates[:, 0] += sum(weight * contacts.touch(system, time, s.q).gap[closed] for time, weight in way) / h
         return rates
 
     def _openings(self, v: Array) -> Array:

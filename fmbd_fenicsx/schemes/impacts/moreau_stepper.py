@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import FmbdError
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
+from ...mechanics.contact.obstacles import way_over
 from ...mechanics.contact.rows import Rows
 from ...rotations import Array
 from ...system.compiled.declarations import constants, enumeration
@@ -246,7 +247,7 @@ class MoreauStepper(ContactStepper):
         """Rows of the chosen contacts alone, and the rates of their gaps, m/s."""
         contacts, system = self.contacts, self.system
         t, q, v = at
-        rows = contacts.rows(system, t, q, since=(t, h)).take(chosen)
+        rows = contacts.rows(system, t, q, way=way_over(t, h)).take(chosen)
         return rows, contacts.times(system, rows.N, v) + contacts.gap_rate(system, t, q, h)[chosen]
 
     def _gap_along(self, step: MoreauStep, share: float) -> Array:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError, named, near, require
+from ...checks import vector
+from ...errors import InputError, named, near
 from ...log import log
 from ...mechanics.bodies.bodies import ElasticBody, RigidBody, Surface
 from ...mechanics.contact.contact import Contact
@@ -35,7 +36,7 @@ def check_contacts(scene: Any) -> None:
             body = side.on if isinstance(side, Obstacle) else side.body
             if body is not None and scene.bodies.get(body.name) is not body:
                 raise InputError(
-                    f'Contact "{c.name}" refers to {side!r}, whose body is not in the scene. '
+                    f'Contact "{c.name}" takes body "{body.name}", which is not in the scene. '
                     f"{near(body.name, scene.bodies)}"
                 )
 
@@ -207,14 +208,15 @@ def _prescribed(obstacle: Obstacle, m: Motions) -> Callable[[float], Array]:
     assert motion is not None
     motion = named("The motion of obstacle", obstacle.name, motion)
 
+    # asked for some times a step: what was found is put in words where it is wrong only
     def pose(t: float) -> Array:
-        found = motion(t)
-        require(
-            isinstance(found, tuple) and len(found) == 2,
-            f'Obstacle "{obstacle.name}": motion(t) must return (position, rotation), found {found!r}.',
-        )
-        q = m.pose(np.asarray(found[0], dtype=float)[: m.dim], found[1])
-        require(bool(np.isfinite(q).all()), f'Obstacle "{obstacle.name}": motion({t:g}) is not finite.')
-        return q
+        found, what = motion(t), f'Obstacle "{obstacle.name}": motion({t:g})'
+        if not (isinstance(found, tuple) and len(found) == 2):
+            raise InputError(f"{what} must return (position, rotation), found {found!r}.")
+        place = vector(f"{what}: position", found[0], size=m.dim)
+        try:
+            return m.pose(place, found[1])
+        except InputError as error:
+            raise InputError(f"{what}: {error}") from None
 
     return pose

@@ -112,43 +112,53 @@ static int gap_rates(Contacts *c, const double *q, double t, double span, double
     return 0;
 }
 
-/* How far the obstacle of contact i moves across its normal from t to t + span, along the directions across; the contact is that
-   in the middle of a step of a length. */
-static int drifts(const Contacts *c, int i, const double *q, double t, double length, double span, const Touch *at, double *drift)
+/* Places of moving obstacles, summed up by weights: how far they come in a time, or would with their velocities at its start. */
+typedef struct {
+    int parts;
+    double time[3], weight[3];
+} Way;
+
+static Way way_over(double t, double span) { return (Way){2, {t, t + span}, {-1.0, 1.0}}; }
+
+static Way way_at_start(double t, double h) { return (Way){3, {t, t + 0.5 * h, t + h}, {-3.0, 4.0, -1.0}}; }
+
+/* How far the obstacle of contact i moves along the directions across its normal; the contact is that of a time. */
+static int drifts(const Contacts *c, int i, const double *q, double time, Way way, const Touch *at, double *drift)
 {
     Pair *o = c->pair + c->of[i];
-    double r[D], R[D * D], ra[D], Ra[D * D], rb[D], Rb[D * D], way[D], y[D], ya[D], yb[D], e[D * D];
+    double r[D], R[D * D], arm[D], y[D], e[D * D];
     memset(drift, 0, c->components * sizeof(double));
     if (!o->moving || c->components == 1) return 0;
-    if (obstacle(c, o, q, t + 0.5 * length, r, R) || obstacle(c, o, q, t, ra, Ra) || obstacle(c, o, q, t + span, rb, Rb)) return 1;
-    for (int j = 0; j < D; j++) way[j] = at->x[D * i + j] - r[j];
-    transposed(R, way, y);
-    times(Ra, y, ya);
-    times(Rb, y, yb);
+    if (obstacle(c, o, q, time, r, R)) return 1;
+    for (int j = 0; j < D; j++) arm[j] = at->x[D * i + j] - r[j];
+    transposed(R, arm, y);
     across(at->normal + D * i, e + D);
-    for (int k = 1; k < c->components; k++)
-        for (int j = 0; j < D; j++) drift[k] += e[D * k + j] * (rb[j] - ra[j] + yb[j] - ya[j]);
+    for (int part = 0; part < way.parts; part++) {
+        if (obstacle(c, o, q, way.time[part], r, R)) return 1;
+        times(R, y, arm);
+        for (int k = 1; k < c->components; k++)
+            for (int j = 0; j < D; j++) drift[k] += way.weight[part] * e[D * k + j] * (r[j] + arm[j]);
+    }
     return 0;
 }
 
 /* Rates of the gaps of m closed contacts at the start of a flight of a length, into c->rebound, and slips, along the axes there, into
-   c->before; of gaps of moving obstacles by their places
-   at its start, middle and end, which are asked for anyway. 1 where Python failed. */
+   c->before; of moving obstacles by their places at its start, middle and end, which are asked for anyway. 1 where Python failed. */
 static int start_rates(Contacts *c, Block now, int m, double length)
 {
+    const Way way = way_at_start(*now.t, length);
     if (c->stops && touch(c, now.q, *now.t, &c->now)) return 1;
     for (int k = 0; k < m; k++) {
         contact_rows(c, c->closed[k], now.q, &c->now, c->rows);
         c->rebound[k] = along(c, c->closed[k], c->rows, now.v);
         if (c->components == 1) continue;
-        if (drifts(c, c->closed[k], now.q, *now.t, length, length, &c->now, c->drift)) return 1;
+        if (drifts(c, c->closed[k], now.q, *now.t, way, &c->now, c->drift)) return 1;
         for (int a = 1; a < c->components; a++)
             c->before[c->components * k + a] = along(c, c->closed[k], c->rows + 2 * c->wide * a, now.v) - c->drift[a] / length;
     }
-    for (int part = 0; c->moving && part < 3; part++) {
-        const double weight[] = {-3.0, 4.0, -1.0};
-        if (touch(c, now.q, *now.t + (part == 1 ? 0.5 * length : part ? length : 0.0), &c->aside)) return 1;
-        for (int k = 0; k < m; k++) c->rebound[k] += weight[part] * c->aside.gap[c->closed[k]] / length;
+    for (int part = 0; c->moving && part < way.parts; part++) {
+        if (touch(c, now.q, way.time[part], &c->aside)) return 1;
+        for (int k = 0; k < m; k++) c->rebound[k] += way.weight[part] * c->aside.gap[c->closed[k]] / length;
     }
     return 0;
 }
