@@ -185,7 +185,7 @@ class Builder:
         """Rows of the ties by field multipliers."""
         if not self.scene.ties:
             return []
-        from ...mechanics.joints.surface_ties import build_surface_ties
+        from ...mechanics.joints.trace_rows import build_surface_ties
 
         return build_surface_ties(self.scene.ties, self.fields, self.part_of, self.frame_of)
 

@@ -1,5 +1,5 @@
 /* Surfaces of reduced and floating bodies: their frames, and their twists by the rates of the body, as mechanics/frames.py; and what ties see
-   of bodies, as mechanics/joints/surface_ties.py: the integral of the places of a surface with one multiplier, x = m r + R (s + p), as
+   of bodies, as mechanics/joints/trace_rows.py: the integral of the places of a surface with one multiplier, x = m r + R (s + p), as
    if it were a point of the body's frame. */
 
 /* Ports that a surface has. */

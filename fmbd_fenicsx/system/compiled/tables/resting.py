@@ -16,7 +16,7 @@ import numpy as np
 
 from ....mechanics.elastic.absolute import AbsoluteField
 from ....mechanics.elastic.field_part import FieldPart
-from ....mechanics.joints.surface_ties import TiedSide, TraceRows
+from ....mechanics.joints.trace_rows import TiedSide, TraceRows
 from ....mechanics.placements import FrameMotion
 from ....rotations import Array
 from ...layout import State

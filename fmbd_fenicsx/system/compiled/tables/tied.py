@@ -1,4 +1,4 @@
-"""Ties of surfaces by field multipliers as items of kinds, see :mod:`~....mechanics.joints.surface_ties`.
+"""Ties of surfaces by field multipliers as items of kinds, see :mod:`~....mechanics.joints.trace_rows`.
 
 What a tie sees of a side by one function of its multipliers, y = m r + R (s + p), is a point of the side's frame for the driver
 (a Surface of the sort INTEGRAL in ``driver/tables.h``), on rigid bodies one without ports; that of the ground, s, is a constant
@@ -15,7 +15,7 @@ import numpy as np
 
 from ....mechanics.frames import Markers
 from ....mechanics.joints.constraints import standstill
-from ....mechanics.joints.surface_ties import TiedSide, TraceRows
+from ....mechanics.joints.trace_rows import TiedSide, TraceRows
 from ....mechanics.kinds.derivation import kinds
 from ....rotations import Array
 from .items import ROW, Items
