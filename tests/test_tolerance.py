@@ -306,7 +306,7 @@ def test_steps_that_are_too_few_for_finer_meshes_do_not_end_the_search(
 ) -> None:
     """The fewest steps that follow the motion on coarse meshes fail on finer ones: more are taken, and the tolerance is kept."""
     run_once, run_like, refined = shared_runs.run_once, shared_runs.run_like, shared_spaces.SharedSpaces.refined
-    run_again = shared_runs.again
+    run_again, run_beside = shared_runs.again, shared_runs.companion
     refused: list[int] = []
     trusted: list[int] = []  # all the same
     fine: list[fmbd.Scene] = []  # refined once at least
@@ -338,9 +338,15 @@ def test_steps_that_are_too_few_for_finer_meshes_do_not_end_the_search(
             raise ConvergenceError("too few")
         return run_again(problem, schedule, steps, times)
 
+    def beside(problem: Any, schedule: Any, output: Any, of: Any) -> Any:
+        if too_few(problem.scene, schedule.steps):
+            raise ConvergenceError("too few")
+        return run_beside(problem, schedule, output, of)
+
     monkeypatch.setattr(shared_runs, "run_once", once)
     monkeypatch.setattr(shared_runs, "run_like", like)
     monkeypatch.setattr(shared_runs, "again", again)
+    monkeypatch.setattr(shared_runs, "companion", beside)
     monkeypatch.setattr(shared_spaces.SharedSpaces, "refined", finer)
     case, tol = CASES["tied bar"], 1e-4  # two levels at once: no run on the finer one was there before
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={case.sensor: tol}, output=fmbd.Output(progress=False))

@@ -117,6 +117,7 @@ def make_stepper(
     # a scheme with error control makes its steps smaller by itself
     if not schedule.steps:
         return made if watch is None else Guarded(made, watch)
+    made.gives_up = problem.most_parts == 0.0
 
     def renew(state: State, before: TimeStepper | None = None) -> TimeStepper:
         return _made_anew(problem, solver, before, state, schedule.next(state.t))
@@ -143,4 +144,6 @@ def _made_anew(problem: Problem, solver: StepSolver, before: TimeStepper | None,
 
     if before is not None and before.begin_anew(start):
         return before
-    return made_stepper(problem.scheme, system, solver, problem.newton, start())
+    made = made_stepper(problem.scheme, system, solver, problem.newton, start())
+    made.gives_up = problem.most_parts == 0.0
+    return made

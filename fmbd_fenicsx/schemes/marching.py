@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from ..errors import StabilityError
+from ..errors import PartsError, StabilityError
 from ..linear.condensation import StepSolver
 from ..rotations import Array
 from ..system.compiled import march as slots
@@ -51,7 +51,9 @@ class CompiledSteps(TimeStepper):
     _refused: tuple[State, float] | None = None  # from where on, and of which size (s)
 
     def _refuse(self, h: float) -> None:
-        """Take note that compiled code has found no step of this size from the state on."""
+        """Take note that compiled code has found no step of this size from the state on; raises PartsError where it gives up."""
+        if self.gives_up:
+            raise PartsError(f"t = {self.state.t:g} s: no step of {h:g} s was found at once; smaller ones cost less.")
         self._refused = self.state, h
 
     def _is_refused(self, h: float) -> bool:

@@ -65,6 +65,7 @@ class TimeStepper(Remembering):
         compiled_whole: its steps are compiled from end to end, and ask for no evaluations.
         longest, until: the most that a step of :meth:`march` may be, and when steps have to end (s), see :meth:`bound`.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
+        gives_up: a step that compiled code does not find is found by nobody: it ends the run.
         keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
     """
 
@@ -75,6 +76,7 @@ class TimeStepper(Remembering):
     longest: float = inf
     until: float = -inf
     keeps_memories: bool = False
+    gives_up: bool = False
 
     @property
     def counters(self) -> dict[str, float]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...errors import ConvergenceError, InputError, LinearSolveError
+from ...schemes.newton import Newton
 from ...system.scene.scene import Scene
 from ..built import Built
 from ..problem import Problem, make_solver
@@ -47,6 +48,22 @@ def again(
         raise ConvergenceError(f'steps of {other.next(0.0):g} s take the samples of controller "{late[0]}" late')
     asked = replace(problem, most_parts=0.0) if whole else problem
     return Compared(companion(asked, other, wanted).recorder, other, problem.scheme)
+
+
+def unbegun(scene: Scene, built: Built, scheme: Any, *, newton: Newton, linear: Any, parts: float) -> Problem:
+    """What a run needs that only tells an error, but for its start; its steps may be halved so many times (``parts``)."""
+    return Problem(
+        scene=scene,
+        system=built.system,
+        markers=built.markers,
+        given=built.given,
+        start=built.given,
+        scheme=scheme,
+        newton=newton,
+        linear=linear,
+        pressures=[],
+        most_parts=parts,
+    )
 
 
 def companion(problem: Problem, schedule: StepSchedule, output: Output, of: Built | None = None) -> March:

@@ -14,7 +14,9 @@ import numpy as np
 
 from ....errors import InputError
 from ....log import log
+from ....schemes.declared import Declared
 from ....schemes.error_norm import FINEST
+from ....system.compiled.choice import use_driver
 from ....system.scene.refinement import (
     cheap_levels,
     expected_rate,
@@ -32,7 +34,7 @@ from ..companion_runs import UNFIT
 from ..deviation import Deviation
 from ..equal_steps import FEWEST
 from ..estimates import usual_power
-from ..jumps_in_time import jumps_about_kinks, jumps_ahead, with_break_points
+from ..jumps_in_time import jumps_about_kinks, jumps_ahead, may_jump, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
 from ..shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .shared_runs import Orders, doubt
@@ -253,6 +255,8 @@ def jumps_before(plan: AttemptPlan, shared: SharedSpaces) -> tuple[float, ...]:
     if meshed_bodies(plan.scene):
         return ()
     built = shared.ahead(plan.scene)
+    if may_jump(plan.scene, built.system) and Declared.by(plan.scheme).compiled:
+        use_driver(built.system)  # as its runs do: loads are asked at a hundred instants
     try:
         return jumps_ahead(plan.scene, built.system, built.given, plan.schedule)
     except UNFIT as error:

@@ -24,7 +24,7 @@ from ...recording.output import Output
 from ...schedule import StepSchedule
 from ...single_run import Solved, Task, run_once
 from ..certificate import kinked, moving
-from ..companion_runs import UNFIT, Compared, again, steps_beside
+from ..companion_runs import UNFIT, Compared, again, companion, steps_beside, unbegun
 from ..deviation import Deviation, at_least
 from ..equal_steps import FEWEST, FURTHER, TimeError, between, by_half, compare_steps, of_order
 from ..estimates import (
@@ -85,7 +85,6 @@ class SharedRuns:
         self._built: dict[int, Built] = {}
         self._unspent: dict[int, float] = {}  # seconds of systems that no run has counted yet
         self._runs: dict[int, dict[int, Compared]] = {}
-        self._newest: Problem | None = None  # of a run: others have its scheme and settings
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
         self._parted: dict[int, int] = {}  # the most steps with which a run of a scene failed, or only went on in parts
         self._kinked: dict[int, bool] = {}  # whether the last attempt of a scene had kinks
@@ -119,21 +118,16 @@ class SharedRuns:
         warned.found = list(made.warned.found)
         return replace(made, warned=warned)
 
-    def solve(
-        self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output, *, parted: bool = True
-    ) -> Solved:
-        """One run, kept for later ones with smaller steps to be compared with; ``parted``: whether steps may be halved;
-        collective.
-        """
-        parts, before = PARTED * schedule.steps if parted else 0.0, self._before(scene, scheme, schedule)
-        beside = steps_beside(scene, output, schedule)
+    def solve(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Solved:
+        """One run, kept for later ones with smaller steps to be compared with; collective."""
+        before, beside = self._before(scene, scheme, schedule), steps_beside(scene, output, schedule)
         if before is not None:
             beside = Output(
                 energy=False, progress=False, times=tuple(before.recorder.times[looked_at(before.recorder)])
             )
+        parts = PARTED * schedule.steps
         task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, parts, beside)
         solved = run_once(task, self.built(scene))
-        self._newest = solved.problem
         if not solved.run.counters.get("halved_steps"):
             self._note(scene, solved.compared)
         return solved
@@ -152,11 +146,16 @@ class SharedRuns:
         if kept is not None:
             return kept
         self._refuse_parted(scene, schedule.steps)
+        built = self.built(scene)
+        problem = unbegun(scene, built, scheme, newton=self.newton, linear=self.linear, parts=0.0)
         try:
-            return self.solve(scene, scheme, schedule, output, parted=False).compared
+            marched = companion(problem, schedule, output, of=built)
         except UNFIT:
             self._parted[id(scene)] = schedule.steps
             raise
+        found = Compared(marched.recorder, schedule, scheme)
+        self._note(scene, found)
+        return found
 
     def _refuse_parted(self, scene: Scene, steps: int) -> None:
         """Steps as large as some that failed before are not tried again."""
@@ -172,9 +171,9 @@ class SharedRuns:
         kept = self.kept(scene, made.schedule.steps)
         if kept is not None:
             return kept
-        assert self._newest is not None
-        problem = replace(self._newest, most_parts=PARTED * made.schedule.steps)
-        marched = run_like(problem, made, scene, self.built(scene))
+        built, parts = self.built(scene), PARTED * made.schedule.steps
+        problem = unbegun(scene, built, made.scheme, newton=self.newton, linear=self.linear, parts=parts)
+        marched = run_like(problem, made, scene, built)
         found = Compared(marched.recorder, made.schedule, made.scheme)
         if not marched.counters.get("halved_steps"):
             self._note(scene, found)
