@@ -20,6 +20,9 @@ LARGEST_GROWTH = 1e11
 """|A| |x| / |b|, a lower bound of the condition number, above which a matrix counts as singular: a factor of a matrix that is
 singular to roundoff gives 1e15 or more. With ROUNDOFF: no solve passes with a residual above 1e-4 |b|."""
 
+NOTHING = float(np.sqrt(np.finfo(float).tiny))
+"""Forces below, whose squares have lost their digits, are none: loads that come like exp(-t^2) begin there."""
+
 
 @dataclass(eq=False)
 class Judge:
@@ -65,7 +68,7 @@ class Judge:
         ``grown``: |A| |x|, or 0 where it is not known. ``solves``: how many this is the worst of.
         """
         self.told[0] += solves
-        relative = residual / scale if scale > 0 else residual
+        relative = residual / scale if scale > NOTHING else residual
         # also where the residual is no number
         if not relative <= self.tolerance:
             if not self._is_roundoff(residual, scale, grown):

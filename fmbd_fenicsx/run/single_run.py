@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from .built import Built, ConsistentStart
 from .doubts import warn_of_doubts
 from .judges.rank_advice import advise_on_ranks
 from .judges.turning_rows import warn_of_turning_rows
+from .loads_ahead import seeing_loads
 from .problem import Problem, make_solver
 from .recording.accompanied import Accompanied
 from .recording.output import Output, refuse_too_many
@@ -90,6 +91,8 @@ def run_once(
     try:
         with built.warned:
             found = built.start(task.scene, task.scheme, solver=solver, h=task.schedule.next(task.schedule.begin))
+            schedule = seeing_loads(task.schedule, task.scheme, task.scene, built.system, found.state)
+            task = replace(task, schedule=schedule)
             started = clock.perf_counter()
             problem = _problem(task, built, solver, found)
             keeps = checkpoint is not None or restart is not None

@@ -17,6 +17,7 @@ from ..linear.blocks.field_blocks import Weights
 from ..linear.blocks.incompressibility import VolumeMass, kept_volumes
 from ..linear.condensation import StepSolver
 from ..linear.redundancy import least
+from ..linear.residual import NOTHING
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.layout import Layout, State
@@ -202,7 +203,7 @@ def _refined(
         slow = size > 0.5 * last
         if slow and noise < 0.0:
             noise = _roundoff(system, ev, (a, lam), solver)
-        at_rest = system.max_abs(r) <= 1e-13 * forces
+        at_rest = system.max_abs(r) <= max(1e-13 * forces, NOTHING)
         stalled = slow and last <= max(1e-8 * typical, noise)  # roundoff is reached
         if at_rest or stalled or size <= 1e-11 * system.max_abs(a):
             return a, lam

@@ -25,6 +25,7 @@ class Declared:
     ``ends_ahead``: values at the ends of steps are of a higher order than those between them.
     ``orders``: of positions, velocities, and accelerations with multipliers, where there are any; None: the scheme's in all.
     ``forgets``: nothing is left after a few steps of vibrations that these do not resolve.
+    ``looks_ahead``: under error control it looks for loads that come within a step before it tries one.
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
 
@@ -39,6 +40,7 @@ class Declared:
     orders: tuple[int, int, int] | None = None
     ends_ahead: bool = False
     forgets: bool = False
+    looks_ahead: bool = False
     timeless: bool = False
     compiled: bool = True
 

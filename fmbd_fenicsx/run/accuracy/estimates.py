@@ -149,7 +149,8 @@ def _from_tolerance(
     instants = tuple(recorder.times[rows])
     wanted = Output(energy=False, progress=False, times=instants)
     other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
-    landing = replace(schedule, marks=instants) if finer and problem.said.ends_ahead else schedule
+    marks = tuple(sorted({*schedule.marks, *instants}))
+    landing = replace(schedule, marks=marks) if finer and problem.said.ends_ahead else schedule
     if finer and seen_by_ends(problem.system):
         landing = landing.below(SHORT * schedule.span / int(recorder.indices[-1]))
     made = Compared(companion(other, landing, wanted).recorder, schedule, other.scheme)
@@ -224,11 +225,13 @@ def mode_deviations(coarse: Recorder, fine: Recorder) -> dict[str, Deviation]:
 def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> None:
     """The estimates that were asked for; collective."""
     ended = clock.perf_counter()
+    jumps = _jumps_within(run, made.schedule) if output.estimate_error else ()
     if output.estimate_error and not made.schedule.steps:
-        run.state_error("time", tolerance_error(problem, made.recorder, made.schedule))
+        ending = replace(made.schedule, stops=tuple(sorted({*made.schedule.stops, *jumps})))
+        run.state_error("time", tolerance_error(problem, made.recorder, ending))
         run.seconds["error estimate"] = clock.perf_counter() - ended
     elif output.estimate_error:
-        jumps = _jumps_within(run, made.schedule)
+        _tell_jumps(run, jumps)
         has_kinks = kinked(run)
         found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
         tight = tighter_run(problem, made, found.errors)
@@ -254,14 +257,18 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
 
 
 def _jumps_within(run: Run, schedule: StepSchedule) -> tuple[float, ...]:
-    """Instants (s) within the equal steps of a run at which loads or drives jump, of which the user is told; none where they have
-    no value in the state that is held; collective.
+    """Instants (s) within the steps of a run at which loads or drives jump; none where they have no value in the state that is
+    held; collective.
     """
     try:
-        jumps = jumps_ahead(run.scene, run.system, run.state, schedule) or jumps_about_kinks(run, schedule, run.series)
+        return jumps_ahead(run.scene, run.system, run.state, schedule) or jumps_about_kinks(run, schedule, run.series)
     except UNFIT as error:
         log.info("jumps of loads are not looked for: %s", error)
         return ()
+
+
+def _tell_jumps(run: Run, jumps: tuple[float, ...]) -> None:
+    """Jumps within equal steps, where a user sees them."""
     if jumps:
         run.jumps = jumps
         shown = ", ".join(f"{t:.6g}" for t in jumps[:SHOWN]) + (", .." if len(jumps) > SHOWN else "")
@@ -271,7 +278,6 @@ def _jumps_within(run: Run, schedule: StepSchedule) -> tuple[float, ...]:
             "(rtol)."
         )
         log.warning("%s", run.warnings[-1])
-    return jumps
 
 
 def with_damped(

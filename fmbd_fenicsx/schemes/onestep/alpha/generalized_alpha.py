@@ -69,6 +69,7 @@ class GeneralizedAlpha:
         )
 
     order = 2
+    looks_ahead = True  # :mod:`.look_ahead`
 
     @property
     def forgets(self) -> bool:
