@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from .errors import FmbdError
-from .log import note
+from .log import note, together
 
 OLDEST = (0, 9)
+NOT_COMPILED = "Failed just-in-time compilation"  # how DOLFINx begins to say so
 SLOW = 1.0  # s: a form that is kept is there in a hundredth of it
 JIT_OPTIONS: dict[str, Any] = {"timeout": 600}  # wait for another process that compiles the same form
 
@@ -179,5 +180,10 @@ def form(ufl_form: Any) -> Any:
     modules.missed = begin
     try:
         return fem.form(ufl_form, jit_options=dict(JIT_OPTIONS))
+    except RuntimeError as error:
+        # raised on all ranks, of which only the first knows why
+        if str(error).startswith(NOT_COMPILED):
+            together(ufl_form.ufl_domain().ufl_cargo().comm, error)
+        raise
     finally:
         saying.cancel()

@@ -199,3 +199,11 @@ def test_initial_field_that_fails_on_one_rank_ends_all(words: str, rod_mesh: Cal
     scene.add(elastic_rod(rod_mesh(dim=2, h=0.2, height=0.4), displacement=start))
     with pytest.raises(CallbackError, match=words):
         scene.build()
+
+
+def test_every_rank_is_told_why_a_form_does_not_compile(rod_mesh: Callable[..., Any]) -> None:
+    from ufl import bessel_J, inner
+
+    rod = elastic_rod(rod_mesh(h=0.5), elastic=lambda u, v, dx: inner(bessel_J(2, inner(u, u)) * u, v) * dx)
+    with pytest.raises(InputError, match="bilinear UFL form.*nonlinear operator BesselJ"):
+        Field("rod", rod.mesh, rod.forms())

@@ -167,7 +167,7 @@ def _integrate(
     cells, pair = _segments(slave, master, pairs) if m == 1 else _polygons(slave, master, pairs)
 
     # points on the overlaps, in the slave facet's reference coordinates, and the overlaps' sizes there
-    q, w = quadrature(m, degree + max(slave.degree, master.degree))
+    q, w = quadrature(m, degree + max(slave.order, master.order))
     x = np.einsum("qa,nak->nqk", shape_functions(m, 1, q), cells)
     size = np.abs(cells[:, 1, 0] - cells[:, 0, 0]) if m == 1 else _doubled_area(cells)
 
@@ -183,7 +183,7 @@ def _integrate(
 
     # the blocks of (1), facet by facet
     test = np.swapaxes(weight[:, None, None] * w[:, None] * shape_functions(m, degree, x), 1, 2)
-    own, other = test @ shape_functions(m, slave.degree, x), test @ shape_functions(m, master.degree, y)
+    own, other = test @ slave.shape(x, f), test @ master.shape(y, g)
     return np.stack((f, g), axis=1), own, other, weight, np.abs(distance[near]).max(axis=1, initial=0.0)
 
 
@@ -282,11 +282,10 @@ def _clip(vertices: Array, count: np.ndarray, value: object) -> tuple[Array, np.
 def refined_coupling(multipliers: Multipliers, fine: Trace, parent: np.ndarray, corners: Array) -> sp.csr_matrix:
     """int mu_j w_i with the functions of a finer mesh of the same surface (:func:`.traces.refined`), (n, n_fine)."""
     m, p = fine.dim - 1, multipliers.degree
-    q, w = quadrature(m, p + fine.degree)
+    q, w = quadrature(m, p + fine.order)
     x = np.einsum("qa,nak->nqk", shape_functions(m, 1, q), corners)
     test = shape_functions(m, p, x)
-    shape = shape_functions(m, fine.degree, q)
-    blocks = np.einsum("n,q,nqa,qb->nab", fine.sizes, w, test, shape, optimize=True)
+    blocks = fine.sizes[:, None, None] * ((np.swapaxes(test, 1, 2) * w) @ fine.shape(q))
     k = reference_mass(m, p, p).shape[0]
     rows = parent[:, None] * k + np.arange(k)
     return (multipliers.basis @ scatter(blocks, rows, fine.nodes, (multipliers.basis.shape[1], fine.n))).tocsr()

@@ -52,7 +52,8 @@ class Multipliers:
     def coupling(self) -> sp.csr_matrix:
         """int mu_j phi_i with the trace of V_h, (n, n_nodes)."""
         t = self.trace
-        blocks = t.sizes[:, None, None] * reference_mass(t.dim - 1, self.degree, t.degree)
+        q, w = quadrature(t.dim - 1, self.degree + t.order)
+        blocks = t.sizes[:, None, None] * ((shape_functions(t.dim - 1, self.degree, q).T * w) @ t.shape(q))
         return self.broken(blocks, t.nodes, t.n)
 
     def local_coupling(self) -> sp.csr_matrix:
@@ -149,6 +150,8 @@ class Dual:
     def on(self, trace: Trace) -> Multipliers:
         """The space on a surface."""
         p, m = trace.degree, trace.dim - 1
+        if trace.halved:
+            raise InputError(f"{trace.label}: dual multipliers are not made on faces of hexahedra. Use Continuous(1).")
         M = reference_mass(m, p, p)
         integrals = M.sum(axis=1)
         if integrals.min() < 1e-12:
@@ -299,7 +302,7 @@ def default_space(degree: int) -> MultiplierSpace:
 
 def _nodes(trace: Trace, degree: int) -> tuple[np.ndarray, int, np.ndarray, Array]:
     """Node numbers of the continuous space of a degree on the trace's facets, their count, border nodes, points."""
-    if degree == trace.degree:
+    if degree == trace.degree and not trace.halved:
         return trace.nodes, trace.n, trace.border, trace.points
     other, _, _ = refined(trace, 0, degree)
     return other.nodes, other.n, other.border, other.points

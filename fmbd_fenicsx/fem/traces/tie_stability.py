@@ -27,7 +27,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from ... import dolfinx_compat as compat
-from ...errors import InputError
+from ...errors import InputError, MeshError
 from ...rotations import Array
 from .mortar import mortar
 from .multipliers import default_space
@@ -40,7 +40,7 @@ LIMIT = 200_000  # nodes of a refined body beyond which refinement is left out
 
 @dataclass(frozen=True)
 class Refined:
-    """The constant of one tie on the body's mesh, and on the halved mesh (None where that is too large)."""
+    """The constant of one tie on the body's mesh, and on the halved mesh (None where that is too large, or cannot be made)."""
 
     coarse: InfSup
     fine: InfSup | None
@@ -62,7 +62,9 @@ class Refined:
                 f"{c.name}: inf-sup constant {c.constant:.3f} at h = {c.h:.3g} m, {f.constant:.3f} at h = {f.h:.3g} m: falls "
                 "like h, UNSTABLE: choose another multiplier space"
             )
-        return str(self.coarse) + ("" if self.fine else " (not compared with a finer mesh: too large)")
+        return str(self.coarse) + (
+            "" if self.fine else " (not compared with a finer mesh: too large, or not known how to refine it)"
+        )
 
 
 @dataclass(frozen=True)
@@ -89,13 +91,18 @@ def infsup_refined(tie: Any) -> Refined:
     cells = mesh.dolfinx.topology.index_map(mesh.dim).size_global
     if cells * 2**mesh.dim > LIMIT:
         return Refined(coarse, None)
-    return Refined(coarse, infsup((halved(mesh, name), name), tie.space, degree=tie.a.body.degree))
+    try:
+        finer = halved(mesh, name)
+    except MeshError:  # nobody knows how it was made
+        return Refined(coarse, None)
+    return Refined(coarse, infsup((finer, name), tie.space, degree=tie.a.body.degree))
 
 
 def halved(mesh: Any, surface: str) -> Any:
-    """The mesh with every edge halved, and one of its surfaces; collective.
+    """The mesh with every edge halved, and one of its surfaces; collective. DOLFINx halves simplices, others are made again.
 
     Raises:
+        MeshError: a mesh of quadrilaterals or hexahedra that cannot be made again.
         InputError: the refined surface has another area (curved surfaces, facets with extreme angles).
     """
     from dolfinx import mesh as dmesh
@@ -103,6 +110,8 @@ def halved(mesh: Any, surface: str) -> Any:
     from ..mesh.mesh import Mesh
 
     d = mesh.dim
+    if mesh.dolfinx.topology.cell_name() in ("quadrilateral", "hexahedron"):
+        return mesh.refined()
     coarse = surface_trace(mesh, surface)
 
     fine = compat.refine(mesh.dolfinx)

@@ -1,15 +1,17 @@
 """Named surfaces of elastic bodies as meshes of their own: the trace of V_h on Gamma.
 
 The trace of a Lagrange space on a straight edge or a flat triangle is the Lagrange space of the same degree there, so the
-whole of it is known from the facets' node numbers and points. These few numbers are gathered to all ranks, sorted by place and
-not by rank: multiplier spaces, norms and mortar integrals are then plain arrays, equal on any number of ranks, with or without
-facets on a rank, and on every version of DOLFINx. Only the columns of the coupling matrices are distributed.
+whole of it is known from the facets' node numbers and points. A flat quadrilateral, the face of a hexahedron, is cut along a
+diagonal into two triangles that both have all of its functions, so that all facets are edges or triangles (``quadrilaterals``).
+These few numbers are gathered to all ranks, sorted by place and not by rank: multiplier spaces, norms and mortar integrals are
+then plain arrays, equal on any number of ranks, with or without facets on a rank, and on every version of DOLFINx. Only the
+columns of the coupling matrices are distributed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -19,24 +21,28 @@ import scipy.sparse as sp
 from ...errors import MeshError
 from ...log import together
 from ...rotations import Array
+from .quadrilaterals import half_turn, skew_of, skewing, unskewed
 
 
 @lru_cache(maxsize=32)
-def lagrange(dim: int, degree: int) -> Any:
-    """Basix element on the reference facet of the given dimension (1: interval, 2: triangle)."""
+def lagrange(dim: int, degree: int, halved: bool = False) -> Any:
+    """Basix element on the reference facet of the given dimension (1: interval, 2: triangle, the half of a square if halved)."""
     import basix
 
     cell = {1: basix.CellType.interval, 2: basix.CellType.triangle}[dim]
+    if halved:
+        cell = basix.CellType.quadrilateral
     variant = basix.LagrangeVariant.gll_warped
     return basix.create_element(basix.ElementFamily.P, cell, degree, variant, discontinuous=degree == 0)
 
 
-def shape_functions(dim: int, degree: int, points: Array) -> Array:
+def shape_functions(dim: int, degree: int, points: Array, halved: bool = False) -> Array:
     """Values of the Lagrange functions at reference points (..., dim) -> (..., k); vertices come first."""
     flat = np.ascontiguousarray(points.reshape(-1, dim))
+    element = lagrange(dim, degree, halved)
     if len(flat) == 0:
-        return np.zeros((*points.shape[:-1], lagrange(dim, degree).dim))
-    values = lagrange(dim, degree).tabulate(0, flat)[0, :, :, 0]
+        return np.zeros((*points.shape[:-1], element.dim))
+    values = element.tabulate(0, flat)[0, :, :, 0]
     return np.asarray(values.reshape(*points.shape[:-1], -1))
 
 
@@ -55,7 +61,8 @@ class Trace:
 
     Attributes: ``points`` (n, d) nodes in the mesh's coordinates (m), ``nodes`` (n_f, k) node numbers of the
     facets, vertices first, ``normals`` (n_f, d) outward, ``degree`` of V_h, ``owned`` (n,) the node's number on this
-    rank or -1, ``n_owned`` nodes of the body on this rank, ``label`` for messages.
+    rank or -1, ``n_owned`` nodes of the body on this rank, ``label`` for messages; ``skew`` (n_f, 2): facets are the halves of
+    quadrilaterals with these (a, b), which have the nodes of the whole.
     """
 
     label: str
@@ -66,6 +73,26 @@ class Trace:
     owned: np.ndarray
     n_owned: int
     comm: Any
+    skew: Array | None = None
+
+    @property
+    def halved(self) -> bool:
+        """Whether facets are the halves of quadrilaterals."""
+        return self.skew is not None
+
+    @cached_property
+    def order(self) -> int:
+        """Degree of the functions of V_h as polynomials on a facet; where they are none, the degree to integrate them with."""
+        if self.skew is None:
+            return self.degree
+        return 2 * self.degree + (SKEWED if self.skew.any() else 0)
+
+    def shape(self, reference: Array, facets: Any = slice(None)) -> Array:
+        """The functions of V_h at reference points (q, d-1) of all facets, or (n, q, d-1) of some: (n or 1, q, k)."""
+        points = reference.reshape(-1, *reference.shape[-2:])
+        if self.skew is not None:
+            points = unskewed(points, self.skew[facets])
+        return shape_functions(self.dim - 1, self.degree, points, self.halved)
 
     @property
     def dim(self) -> int:
@@ -104,7 +131,9 @@ class Trace:
             return np.asarray(ends[count == 1])
 
         # edges that one facet has: of two neighbours both have it
-        sides = lagrange(2, self.degree).entity_closure_dofs[1]
+        sides = lagrange(2, self.degree, self.halved).entity_closure_dofs[1]
+        if self.halved:
+            sides = sides[:2]  # the others are those of the other half
         edges = np.concatenate([self.nodes[:, s] for s in sides])
         _, first, count = np.unique(np.sort(edges[:, :2], axis=1), axis=0, return_index=True, return_counts=True)
         return np.unique(edges[first[count == 1]])
@@ -148,23 +177,29 @@ class Trace:
 
     def mass(self, weight: Array | None = None) -> sp.csr_matrix:
         """int phi_i phi_j (times a facet-wise weight), (n, n)."""
-        k = self.degree
-        w = self.sizes if weight is None else self.sizes * weight
-        M = reference_mass(self.dim - 1, k, k)
-        return scatter(w[:, None, None] * M, self.nodes, self.nodes, (self.n, self.n))
+        sizes = self.sizes if weight is None else self.sizes * weight
+        q, w = quadrature(self.dim - 1, 2 * self.order)
+        phi = self.shape(q)
+        M = (np.swapaxes(phi, 1, 2) * w) @ phi
+        return scatter(sizes[:, None, None] * M, self.nodes, self.nodes, (self.n, self.n))
 
     def stiffness(self) -> sp.csr_matrix:
         """int grad_Gamma phi_i . grad_Gamma phi_j, (n, n)."""
-        m, k = self.dim - 1, self.degree
-        q, w = quadrature(m, 2 * k)
+        m = self.dim - 1
+        q, w = quadrature(m, 2 * self.order)
 
-        grad = lagrange(m, k).tabulate(1, q)[1:, :, :, 0]  # (m, q, k)
+        # gradients on the facet, those of halves by the (xi, eta) of the whole
+        points = q[None] if self.skew is None else unskewed(q[None], self.skew)
+        values = lagrange(m, self.degree, self.halved).tabulate(1, points.reshape(-1, m))[1:, :, :, 0]
+        grad = np.moveaxis(values.reshape(m, *points.shape[:2], -1), 0, 2)  # (f or 1, q, m, k)
+        if self.skew is not None:
+            grad = np.linalg.solve(np.swapaxes(skewing(points, self.skew), 2, 3), grad)
 
         # surface gradients by the metric of the facet
         J = np.swapaxes(self.corners[:, 1:] - self.corners[:, :1], 1, 2)  # (f, d, m)
         inverse = np.linalg.inv(np.swapaxes(J, 1, 2) @ J)
 
-        K = np.einsum("f,q,aqi,fab,bqj->fij", self.sizes, w, grad, inverse, grad, optimize=True)
+        K = (np.swapaxes(grad, 2, 3) @ inverse[:, None] @ grad * w[:, None, None]).sum(1) * self.sizes[:, None, None]
         return scatter(K, self.nodes, self.nodes, (self.n, self.n))
 
 
@@ -186,7 +221,7 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     """The trace of a Lagrange space (scalar or vector) on a named surface; collective.
 
     Raises:
-        MeshError: no facets on the boundary, next to no area, facets that are curved, or quadrilaterals.
+        MeshError: no facets on the boundary, next to no area, facets that are curved or warped.
     """
     from dolfinx import fem
 
@@ -225,6 +260,8 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     found = unique[order]
     owned = np.where((found >= low) & (found < high), found - low, -1)
     made = Trace(label, points[order], nodes[facets], normals[facets], degree, owned, high - low, comm)
+    if mesh.dolfinx.topology.cell_name() == "hexahedron":
+        made = replace(made, skew=skew_of(made.points[made.nodes[:, :4]]))
     mesh.check_area(surface, float(made.sizes.sum()))
     return made
 
@@ -243,24 +280,20 @@ def _by_place(x: Array) -> np.ndarray:
 
 
 def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarray, Array, Array]:
-    """Own facets: global node numbers (n, k), their points (n, k, d), outward normals (n, d)."""
+    """Own facets: global node numbers (n, k), their points (n, k, d), outward normals (n, d); quadrilaterals as two halves."""
     from dolfinx.mesh import exterior_facet_indices
 
     msh, d = mesh.dolfinx, mesh.dim
     topology = msh.topology
     topology.create_connectivity(d - 1, d)
     topology.create_connectivity(d, d - 1)
-    if topology.cell_name() not in ("triangle", "quadrilateral", "tetrahedron"):
-        raise MeshError(
-            f"it has the faces of {topology.cell_name()}s; multiplier fields, ties and contact of two elastic surfaces need "
-            "edges, or triangles. Mesh the body with tetrahedra, or hold the mean of the surface by a joint, as fmbd.fixed does."
-        )
+    halved = topology.cell_name() == "hexahedron"
 
     # own facets of the surface that lie on the boundary
     facets = np.intersect1d(mesh.facet_tags.find(tag), exterior_facet_indices(topology))
     facets = facets[facets < topology.index_map(d - 1).size_local]
 
-    k = lagrange(d - 1, degree).dim
+    k = lagrange(d - 1, degree, halved).dim
     if len(facets) == 0:
         return np.zeros((0, k), dtype=np.int64), np.zeros((0, k, d)), np.zeros((0, d))
 
@@ -287,31 +320,43 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
     normals *= np.where(((x[:, 0] - inside) * normals).sum(1) < 0, -1.0, 1.0)[:, None]
 
     # nodes in the order of a reference facet, whatever the cell's
-    rank_order = _reference_order(x, degree)
+    rank_order = _reference_order(x, degree, halved)
     dofs = np.take_along_axis(dofs, rank_order, axis=1)
     x = np.take_along_axis(x, rank_order[:, :, None], axis=1)
+    if halved:
+        other = half_turn(np.asarray(lagrange(d - 1, degree, halved).points))
+        dofs, x = np.concatenate((dofs, dofs[:, other])), np.concatenate((x, x[:, other]))
+        normals = np.concatenate((normals, normals))
     ids = space.dofmap.index_map.local_to_global(dofs.ravel().astype(np.int32)).reshape(dofs.shape)
     return ids.astype(np.int64), x, normals
 
 
+SKEWED = 12  # degrees of quadrature more where functions are no polynomials: patch tests to 1e-7 on cells that are half triangles
 STRAIGHT = 1e-6  # of the size of a facet: how far its nodes may lie beside a straight one's
 
 
-def _reference_order(x: Array, degree: int) -> np.ndarray:
+def _reference_order(x: Array, degree: int, halved: bool) -> np.ndarray:
     """Permutation of each facet's nodes into the order of the reference element spanned by its first d nodes."""
     n, k, d = x.shape
-    wanted = np.asarray(lagrange(d - 1, degree).points)
-    at = np.einsum("ma,fad->fmd", shape_functions(d - 1, 1, wanted), x[:, :d])
+    wanted = np.asarray(lagrange(d - 1, degree, halved).points)
+    corners = 4 if halved else d
+    at = np.einsum("ma,fad->fmd", shape_functions(d - 1, 1, wanted, halved), x[:, :corners])
 
     distance = np.linalg.norm(at[:, :, None] - x[:, None, :], axis=3)
     order = distance.argmin(axis=2)
 
     size = distance.max(axis=(1, 2))
     off = distance.min(axis=2).max(axis=1)
+    if halved:
+        # the fourth corner of a flat one lies in the plane of the others
+        e, f, g = (x[:, i] - x[:, 0] for i in (1, 2, 3))
+        normal = np.cross(e, f)
+        off = np.maximum(off, np.abs((g * normal).sum(1)) / np.linalg.norm(normal, axis=1))
     if (np.sort(order, axis=1) != np.arange(k)).any() or (off > STRAIGHT * size).any():
         raise MeshError(
-            f"its facets are curved (nodes are up to {(off / size).max():.2g} of their size off); multiplier fields, ties "
-            "and contact of two elastic surfaces need straight ones. Mesh the surface with cells of the first order."
+            f"its facets are curved or warped (nodes are up to {(off / size).max():.2g} of their size off); multiplier fields, "
+            "ties and contact of two elastic surfaces need straight ones, whose intersections are polygons. Mesh the surface "
+            "with cells of the first order, a warped one with tetrahedra, or hold its mean by a joint, as fmbd.fixed does."
         )
     return np.asarray(order)
 

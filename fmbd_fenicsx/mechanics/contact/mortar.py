@@ -3,14 +3,14 @@
     D_ji = int psi_j phi_i,   M_jl = int psi_j (phi_l o pi),   w_j = sum_l M_jl                             (1)
     g_j = n_j . (sum_i D_ji x_i - sum_l M_jl x_l) / w_j                                                     (2)
 
-psi_j is the dual basis on the slave (on quadratic triangles, where none exists, the hat functions of the vertices, a stable
-pair). pi goes to the master along the slave's normal, and both integrals run over the true intersections of facets
-(``fem.traces.mortar``), so constant pressure passes to roundoff. n_j points from the master to the slave: minus the mean outward
-normal at the slave's node. Pairing, D, M and n are taken in the deformed configuration at the start of each step and kept
-during it (finite sliding), so the rows are linear in a step. A new pairing of curved surfaces finds closed points slightly
-overlapped (second order in the sliding of a step); pushing them out would do work from nothing, so the conserving rule asks
-for g >= min(g at its start, 0) instead and its energy argument holds; dissipative rules push out. Bodies whose bounding boxes
-stay apart cost the test of the boxes.
+psi_j is the dual basis on the slave (on quadratic triangles, where none exists, and on faces of hexahedra the hat functions of
+the vertices, a stable pair). pi goes to the master along the slave's normal, and both integrals run over the true intersections
+of facets (``fem.traces.mortar``), so constant pressure passes to roundoff. n_j points from the master to the slave: minus the
+mean outward normal at the slave's node. Pairing, D, M and n are taken in the deformed configuration at the start of each step
+and kept during it (finite sliding), so the rows are linear in a step. A new pairing of curved surfaces finds closed points
+slightly overlapped (second order in the sliding of a step); pushing them out would do work from nothing, so the conserving rule
+asks for g >= min(g at its start, 0) instead and its energy argument holds; dissipative rules push out. Bodies whose bounding
+boxes stay apart cost the test of the boxes.
 
 Source: Puso and Laursen, doi:10.1016/j.cma.2003.10.010; Huber and Wohlmuth, doi:10.1007/s00791-008-0082-4.
 """
@@ -77,10 +77,10 @@ class MortarPair:
         self.facets = facets
         self.order = [_match(f, s, traces[s.trace]) for f, s in zip(facets, sides, strict=True)]
 
-        # a multiplier at each node, at corners only for quadratic faces
-        quadratic = facets[0].dim == 3 and facets[0].degree > 1
-        self.basis = (Continuous(1, Ends.KEPT) if quadratic else Dual(Ends.KEPT)).on(facets[0])
-        carriers = np.unique(facets[0].nodes[:, :3]) if quadratic else np.arange(facets[0].n)
+        # a multiplier at each node, at corners only where there is no dual basis
+        hats = facets[0].dim == 3 and facets[0].order > 1
+        self.basis = (Continuous(1, Ends.KEPT) if hats else Dual(Ends.KEPT)).on(facets[0])
+        carriers = np.unique(facets[0].nodes[:, :3]) if hats else np.arange(facets[0].n)
 
         # candidates
         row = np.argsort(
