@@ -353,8 +353,9 @@ def _reference_order(x: Array, degree: int, halved: bool) -> np.ndarray:
         normal = np.cross(e, f)
         off = np.maximum(off, np.abs((g * normal).sum(1)) / np.linalg.norm(normal, axis=1))
     if (np.sort(order, axis=1) != np.arange(k)).any() or (off > STRAIGHT * size).any():
+        shape = "curved or warped" if halved else "curved"
         raise MeshError(
-            f"its facets are curved or warped (nodes are up to {(off / size).max():.2g} of their size off); multiplier fields, "
+            f"its facets are {shape} (nodes are up to {(off / size).max():.2g} of their size off); multiplier fields, "
             "ties and contact of two elastic surfaces need straight ones, whose intersections are polygons. Mesh the surface "
             "with cells of the first order, a warped one with tetrahedra, or hold its mean by a joint, as fmbd.fixed does."
         )
