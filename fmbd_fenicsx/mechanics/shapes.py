@@ -297,7 +297,13 @@ class SignedDistance(Shape):
         """phi at points (n, d)."""
         if hasattr(self.function, "ufl_shape"):
             return np.array([float(self.function(tuple(p))) for p in y])
-        found = np.asarray(named("The function of", "SignedDistance", self.function, time=None)(y.T), dtype=float)
+        told = named("The function of", "SignedDistance", self.function, time=None)(y.T)
+        try:
+            found = np.asarray(told, dtype=float)
+        except (TypeError, ValueError):
+            raise CallbackError(
+                f"SignedDistance: the function returned {shown(told)}, expected ({len(y)},) finite numbers."
+            ) from None
         if found.shape != (len(y),) or not np.isfinite(found).all():
             raise CallbackError(
                 f"SignedDistance: the function returned shape {found.shape}"

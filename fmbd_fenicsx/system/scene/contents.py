@@ -43,6 +43,7 @@ class Contents:
 
 def contents_of(scene: Scene) -> Contents:
     """What a scene holds; nothing is computed."""
+    scene.refuse_strangers()
     pairs = scene.contacts.values()
     limits = tuple(scene.limits)
     return Contents(

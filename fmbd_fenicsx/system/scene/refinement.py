@@ -52,9 +52,9 @@ class _Swap:
         if type(x) in (list, tuple):
             items = [self.of(y) for y in x]
             return x if all(a is b for a, b in zip(x, items, strict=True)) else type(x)(items)
-        if type(x) is dict:
+        if isinstance(x, dict):
             values = {k: self.of(y) for k, y in x.items()}
-            return x if all(values[k] is y for k, y in x.items()) else values
+            return x if all(values[k] is y for k, y in x.items()) else type(x)(values)
         if isinstance(x, PartName):
             part = self.of(x.part)
             return x if part is x.part else named_part("part", part)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Any
 
-from ...checks import check_fields, instance, number, shown, vector, word
+from ...checks import array, check_fields, instance, number, shown, vector, word
 from ...errors import InputError, near, require
 from ...log import log
 from ...mechanics.body import Body
@@ -45,6 +45,18 @@ def _fits(part: Any, place: str) -> bool:
     """Whether a part belongs there; ties and contacts say themselves what they are."""
     kind, word = PLACES[place]
     return isinstance(part, kind) and (not isinstance(part, ScenePart) or part.what == word)
+
+
+class Parts(dict[str, Any]):
+    """Parts of a scene by their names; who asks for one that is not there, or takes it out, is told those that are."""
+
+    def __missing__(self, name: Any) -> Any:
+        raise InputError(f'The scene has no "{name}" there. {near(str(name), self)}')
+
+    def __delitem__(self, name: str) -> None:
+        if name not in self:
+            self.__missing__(name)
+        super().__delitem__(name)
 
 
 @dataclass(repr=False)
@@ -93,8 +105,6 @@ class Scene:
         word("A scene's name", self.name)
         check_fields(self, what)
         number(f"{what}: gravity_ramp", self.gravity_ramp, least=0.0, unit="s")
-        for time in self.breakpoints:
-            number(f"{what}: a break point", time, unit="s")
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Only what a scene has: ``scene.gravtiy = ...`` would change nothing, without a word."""
@@ -105,14 +115,17 @@ class Scene:
             value = self._parts(name, value)
         if name == "gravity" and value is not None:
             vector(f'Scene "{self.__dict__.get("name", "")}": gravity', value)
+        if name == "breakpoints":
+            what = f'Scene "{self.__dict__.get("name", "")}": breakpoints'
+            require(
+                array(what, value, shape="times (s)").ndim == 1, f"{what} {shown(value)} must be a list of times (s)."
+            )
         if name == "gravity_ramp":
             number(f'Scene "{self.__dict__.get("name", "")}": gravity_ramp', value, least=0.0, unit="s")
         object.__setattr__(self, name, value)
 
     def _parts(self, place: str, given: Any) -> dict[str, Any]:
         """A dict of parts by their names, as :meth:`add` makes it; a copy, so that two scenes never share one."""
-        if type(given) is dict and not given:  # as all are in a new scene
-            return {}
         what = f'Scene "{self.__dict__.get("name", "")}": {place}'
         advice = "Make the scene first, and add parts with scene.add(...) and scene.sensor(...)."
         require(isinstance(given, dict), f"{what} {shown(given)} must be a dict of parts by their names. {advice}")
@@ -123,7 +136,7 @@ class Scene:
             require(
                 own == name and name != "ground", f'{what}: {word} "{own}" stands under the name "{name}". {advice}'
             )
-        return dict(given)
+        return Parts(given)
 
     def add(self, *parts: Any) -> Any:
         """Add bodies, joints, forces and contacts; names must be unique among each. Returns the part, or a tuple of several."""
@@ -182,8 +195,14 @@ class Scene:
         """
         return check(self, deep)
 
+    def refuse_strangers(self) -> None:
+        """Refuse what was put among the parts by hand and is none of their kind."""
+        for place in PLACES:
+            self._parts(place, self.__dict__[place])
+
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""
+        self.refuse_strangers()
         for name in loose_bodies(self) if self.origin is None else ():  # what was released is meant to fly
             log.warning('scene "%s": body "%s" is attached to nothing', self.name, name)
         return Builder(self).build()
