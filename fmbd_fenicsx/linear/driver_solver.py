@@ -6,6 +6,7 @@ driver makes what explicit schemes and energy-momentum ask for in one call, with
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, TypeGuard
 
@@ -17,7 +18,7 @@ from ..system.compiled.states.explicit import ExplicitStates, Found, Stage, Stag
 from ..system.compiled.states.field_states import FactoredFieldStates, FieldStates
 from ..system.compiled.states.means import MeanStates
 from ..system.evaluation import Evaluation
-from ..system.layout import State
+from ..system.layout import State, States
 from ..system.system import System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .core import CoreSolver
@@ -108,6 +109,26 @@ class DriverSolver:
         if metric != MASSES:
             self._choose(self.states.at(t, q, v), metric)
         return self.explicit.closed(t, q, v, metric.cd, metric.ck)
+
+    def all_accelerations(self, states: States) -> tuple[Array, Array] | None:
+        """:meth:`accelerations` of many states; nothing is prepared then."""
+        usable, self.ready = self._usable_for(states), False
+        return self.explicit.all_accelerations(states) if usable else None
+
+    def all_closed(self, states: States, metrics: Sequence[Weights]) -> tuple[Array, Array] | None:
+        """:meth:`closed` of many states, each in a metric of its own; with fields they share one."""
+        usable, self.ready, first = self._usable_for(states), False, states.state(0)
+        alike = not self.states.system.fields or all(x == metrics[0] for x in metrics)
+        if not usable or not alike or not all(x.cm == 1.0 and x.real for x in metrics):
+            return None
+        if metrics[0] != MASSES:
+            self._choose(self.states.at(first.t, first.q, first.v), metrics[0])
+        return self.explicit.all_closed(states, [(x.cd, x.ck) for x in metrics])
+
+    def _usable_for(self, states: States) -> bool:
+        """As :meth:`_usable_at`, of many states."""
+        first = states.state(0)
+        return self._usable_at(first.t, first.q, first.v)
 
     def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
         """The state on the constraints next to q and v in one call, as ExplicitStates; None as above. Fields take new factors."""

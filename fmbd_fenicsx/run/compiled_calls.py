@@ -13,6 +13,7 @@ from .schedule import StepSchedule
 
 if TYPE_CHECKING:
     from ..system.compiled.tape import Tape
+    from ..system.layout import State
     from .recording.events import EventWatch
 
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
@@ -40,6 +41,7 @@ class CompiledCalls:
         self.equal = bool(schedule.steps)
         self.shown = recorder.output.on_step is not None
         self.local_error = 0.0  # the largest that the stepper told after a call of the newest march
+        self._began: State | None = None  # where the step before did, where forces are smooth since then
         self._last = 0.0  # s, when the last of the steps that are counted may begin
 
     def make(self, done: int, most: int) -> int:
@@ -54,12 +56,13 @@ class CompiledCalls:
         if not h:
             return 0
 
-        tape = self.stepper.tape(self.recorder.openness) if self.recorder.on_tape else None
+        tape = self._tape()
         alone = watched and not self._told_of_events(tape)  # each is looked at
         steps = min(self._unseen(done, h, tape), 1 if alone else most)
         if steps == 1 and tape is None and self.equal and not alone:
             return 0
 
+        self._began = self.recorder.earlier
         self._last, self.local_error = self.stepper.state.t + (steps - 1) * h, 0.0
         begin, made, chunk, more = clock.perf_counter(), 0, FIRST, True
         while more and made < steps and clock.perf_counter() - begin < CHUNK:
@@ -69,6 +72,8 @@ class CompiledCalls:
             now, more = self._march(done + made, h, now, tape)
             if now and tape is not None:
                 more = self._take(tape, done + made, alone) and more
+                if not alone:
+                    self.recorder.take_kept(tape, self.stepper, done + made)
             made += now
             chunk *= 4
         return made
@@ -77,6 +82,12 @@ class CompiledCalls:
         """After how many steps states are looked at, behind those that are done."""
         look = next_look(done)
         return min(look, self.schedule.steps) if self.equal else look
+
+    def _tape(self) -> Tape | None:
+        """Room for the records of a march; None where it cannot make them."""
+        tape = self.stepper.tape(self.recorder.openness) if self.recorder.on_tape else None
+        waits = self.recorder.wanted is not None
+        return None if waits and tape is not None and tape.kept is None else tape
 
     def _told_of_events(self, tape: Tape | None) -> bool:
         """Whether records tell all that is to be looked at in a step."""
@@ -93,14 +104,16 @@ class CompiledCalls:
 
     def _begin(self, tape: Tape, done: int, steps: int, alone: bool) -> int:
         """Make room for the records of so many steps behind those that are done; of how many there is."""
-        every = self.recorder.output.every
+        recorder, every = self.recorder, self.recorder.every
         if alone:
             tape.begin(1, 1)
-        else:
-            many = steps > tape.capacity * every
-            tape.begin(every, every - done % every)
-            if many:
-                self.recorder.straight.lead(tape, steps // every + 1)
+            return steps
+        many = steps > tape.capacity * every
+        tape.begin(every, every - done % every)
+        if many:
+            recorder.straight.lead(tape, steps // every + 1)
+        if recorder.wanted is not None:
+            tape.wait(recorder.wanted, recorder.rounding, self._began)
         return min(steps, tape.room * every)
 
     def _march(self, done: int, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:
@@ -109,14 +122,17 @@ class CompiledCalls:
         """
         stepper, schedule = self.stepper, self.schedule
         made = stepper.march(schedule.next(stepper.state.t), steps, Observers(tape=tape))
+        if made:
+            self._began = stepper.unwrapped.earlier
         self.local_error = max(self.local_error, stepper.local_error)
 
         # where the scheme ended it, or by number; the clock and records end calls too
-        ended = not self.equal and made < steps
+        ended = not self.equal and made < steps and not (tape is not None and tape.ended)
+        t = stepper.state.t
         if made and (ended or done + made == self.next_look(done)) and self.refuses(h):
             stepper.step_back()
             if tape is not None:
-                tape.step_back()
+                tape.step_back(t)
             return made - 1, False
 
         return made, bool(made) and (self.equal or not self._over(h))

@@ -91,6 +91,8 @@ def spin_of_acceleration(system: System, v: Array, a: Array) -> Array:
     """v x a in the rotations of space, zero elsewhere: what a third derivative of local coordinates has beyond v''."""
     out = np.zeros_like(v)
     if system.motions.dim == 3:
-        k = system.n_frames * system.motions.n_twist
-        out[:k].reshape(-1, 6)[:, 3:] = cross3(v[:k].reshape(-1, 6)[:, 3:], a[:k].reshape(-1, 6)[:, 3:])
+        k, lead = system.n_frames * system.motions.n_twist, v.shape[:-1]
+        turning, pushed = (x[..., :k].reshape(*lead, -1, 6)[..., 3:] for x in (v, a))
+        spins = cross3(turning, pushed)
+        out[..., :k] = np.concatenate((np.zeros_like(spins), spins), axis=-1).reshape(*lead, k)
     return out

@@ -16,13 +16,15 @@ from ..rotations import Array
 from ..system.compiled import march as slots
 from ..system.compiled.march import March
 from ..system.compiled.tape import on_the_way
-from ..system.layout import State
+from ..system.layout import State, States
 from ..system.system import System
+from .dense_output import within
 from .newton import Newton
 from .onestep.alpha.alpha_driver import settings
 from .stepping import UNOBSERVED, EnergyJudge, Observers, TimeStepper
 
 if TYPE_CHECKING:
+    from ..system.compiled.kept import KeptSteps
     from ..system.compiled.states.evaluation import DriverStates
     from ..system.compiled.tape import Openness, Tape
     from .onestep.explicit_limit import StepLimit
@@ -123,6 +125,10 @@ class MarchingStepper(CompiledSteps):
         newest = self._used is not None and self._used.state().t == self.state.t  # else made in parts
         return self.origin if newest else None
 
+    def within(self, steps: KeptSteps) -> States:
+        """As :meth:`TimeStepper.within`."""
+        return within(self.system, steps.before, steps.after, steps.t, steps.earlier)
+
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """As :meth:`TimeStepper.march`; steps that fail are left to :meth:`advance`."""
         made, limit = 0, self.limit
@@ -137,7 +143,7 @@ class MarchingStepper(CompiledSteps):
                 limit.count(now)
             if now and self._used is not None:
                 self._used.tables.remember()
-            if not now or self._stopped or (observers.tape is not None and observers.tape.c.crossed):
+            if not now or self._stopped or (observers.tape is not None and observers.tape.ended):
                 break
         return made
 

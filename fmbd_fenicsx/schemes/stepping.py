@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 from ..errors import InputError, require
 from ..system.compiled.choice import use_driver
 from ..system.evaluation import Evaluation
-from ..system.layout import State
+from ..system.layout import State, States
 from ..system.serialisation import Remembering
 from .declared import Declared
 
 if TYPE_CHECKING:
+    from ..system.compiled.kept import KeptSteps
     from ..system.compiled.march import JointLimits
     from ..system.compiled.tape import Openness, Tape
 
@@ -153,6 +154,10 @@ class TimeStepper(Remembering):
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step; None: a cubic through its ends has to do."""
         return None
+
+    def within(self, steps: KeptSteps) -> States:
+        """The same at instants of steps that :meth:`march` has kept on its tape, of all at once."""
+        raise NotImplementedError(f"{_kind(self)} keeps no steps.")
 
 
 class Around(TimeStepper):

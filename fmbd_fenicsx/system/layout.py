@@ -10,7 +10,7 @@ body axes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -37,6 +37,48 @@ class State:
     v: Array
     a: Array
     lam: Array
+
+
+@dataclass(frozen=True)
+class States:
+    """Many of them, with the instant as the first axis: t (k, 1), q (k, n_q), .."""
+
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @classmethod
+    def of(cls, states: Sequence[State]) -> States:
+        """These together."""
+        rows = {name: np.array([getattr(s, name) for s in states]) for name in ("q", "v", "a", "lam")}
+        return cls(np.array([[s.t] for s in states]), **rows)
+
+    @property
+    def times(self) -> list[float]:
+        """When, s."""
+        return [float(t) for t in self.t[:, 0]]
+
+    def state(self, i: int) -> State:
+        """One of them."""
+        return State(float(self.t[i, 0]), self.q[i], self.v[i], self.a[i], self.lam[i])
+
+    def each(self) -> list[State]:
+        """All of them, one by one."""
+        return [self.state(i) for i in range(len(self))]
+
+    def chosen(self, which: np.ndarray) -> States:
+        """Some of them."""
+        return States(self.t[which], self.q[which], self.v[which], self.a[which], self.lam[which])
+
+    def put(self, which: np.ndarray, others: States) -> None:
+        """Write others in the place of some."""
+        for name in ("t", "q", "v", "a", "lam"):
+            getattr(self, name)[which] = getattr(others, name)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from ...rotations import Array
+from ...schemes.stepping import TimeStepper
 from ...system.compiled.recording import Recorded
+from ...system.compiled.tape import Tape
 from ...system.evaluation import Evaluation
 from ...system.layout import State
 from .output import Output
@@ -15,7 +18,7 @@ from .recorder import Recorder
 
 class Accompanied(Recorder):
     """Records as it is asked to, and sensors as ``wanted`` of a recorder ``beside``. One of both records at given times, the
-    other one ends of steps, on the tape of compiled ones where there is one.
+    other one ends of steps.
     """
 
     def __init__(self, of: Recorder, wanted: Output) -> None:
@@ -31,24 +34,36 @@ class Accompanied(Recorder):
 
     @property
     def on_tape(self) -> bool:
-        """Ends of steps may be."""
-        return self.beside.on_tape if self.timed else super().on_tape
+        """Both have to be."""
+        return self.beside.on_tape and super().on_tape
+
+    @property
+    def every(self) -> int:
+        """Of the one that records ends of steps."""
+        return min(self.beside.every, super().every)
+
+    @property
+    def wanted(self) -> Array | None:
+        """Of the other one."""
+        return super().wanted if self.timed else self.beside.wanted
+
+    @property
+    def earlier(self) -> State | None:
+        """The same."""
+        return super().earlier if self.timed else self.beside.earlier
 
     def take_tape(self, seen: Recorded, first: int) -> None:
-        """By the one that records ends of steps."""
-        if self.timed:
-            self.beside.take_tape(seen, first)
-        else:
-            super().take_tape(seen, first)
+        """Ends of steps by the one that records them."""
+        self.beside.take_tape(seen, first)
+        super().take_tape(seen, first)
 
-    def free(self, t: float, h: float) -> int:
-        """Up to the next of the times, too: the step that passes one is the last of all, or one by itself."""
-        if self.timed:
-            return super().quiet(0, t, h)
-        return min(super().free(t, h), self.beside.quiet(0, t, h, through=True))
+    def take_kept(self, tape: Tape, stepper: TimeStepper, first: int) -> None:
+        """Instants by the other one."""
+        self.beside.take_kept(tape, stepper, first)
+        super().take_kept(tape, stepper, first)
 
     def quiet(self, n: int, t: float, h: float, *, through: bool = False) -> int:
-        """The same."""
+        """Of both the least."""
         return min(super().quiet(n, t, h, through=through), self.beside.quiet(n, t, h, through=through))
 
     def go_on(self, state: State) -> None:

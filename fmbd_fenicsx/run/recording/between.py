@@ -1,4 +1,4 @@
-"""States between the ends of a step: what a run records at given times.
+"""States between the ends of steps: what a run records at given times.
 
 A scheme whose steps are polynomials gives their values (:meth:`.TimeStepper.between`). Otherwise positions follow the cubic
 through the ends with their velocities, and all else parabolas (:mod:`...schemes.dense_output`), all of at least second
@@ -7,9 +7,10 @@ order in the step. Contact forces are those of the step: the mean over it.
 
 from __future__ import annotations
 
-from ...schemes.dense_output import place_within, state_within
+from ...schemes import dense_output
 from ...schemes.stepping import TimeStepper
-from ...system.layout import State
+from ...system.compiled.kept import KeptSteps
+from ...system.layout import State, States
 from ...system.system import System
 
 
@@ -29,4 +30,17 @@ def state_between(
         found = stepper.unwrapped.between(t)
         if found is not None:
             return found
-    return state_within(before, after, t, place_within(system, before, after, t, (before.v, after.v)), earlier)
+    return dense_output.within(system, before, after, t, earlier)
+
+
+def states_within(steps: KeptSteps, stepper: TimeStepper, roundoff: float) -> States:
+    """The states at the instants of steps that a march of the ``stepper`` has kept; ends of steps, but for so much roundoff (s),
+    as they are. Collective.
+    """
+    inside = steps.t[:, 0] < steps.after.t[:, 0] - roundoff
+    if inside.all():
+        return stepper.unwrapped.within(steps)
+    found = steps.after
+    if inside.any():
+        found.put(inside, stepper.unwrapped.within(steps.chosen(inside)))
+    return found

@@ -11,15 +11,16 @@ import numpy as np
 
 from ...notices import Gathered
 from ...rotations import Array
+from ...schemes.stepping import TimeStepper
 from ...system.compiled.recording import Recorded
-from ...system.compiled.tape import Openness
+from ...system.compiled.tape import Openness, Tape
 from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.serialisation import Memory
 from ...system.system import System
 from ..judges.acceptance import Closed
-from .between import state_between
+from .between import state_between, states_within
 from .ledger import Books
 from .output import MOST, ROUNDING, Output
 from .rows import Rows, StepNumbers
@@ -59,7 +60,9 @@ class Recorder:
         self.energies: dict[str, Rows] = {}
         self.values: dict[str, Rows] = {n: Rows() for n in self.scene.sensors}
         times = self.output.times
-        self._wanted = None if times is None else [float(t) for t in times if t <= self.t_end * (1 + ROUNDING)]
+        self._wanted: Array | None = None
+        if times is not None:
+            self._wanted = np.array([t for t in times if t <= self.t_end * (1 + ROUNDING)], dtype=float)
         # the end of the last step, its number, and the state that this began with where forces are smooth since then
         self._before: State | None = None
         self._earlier: State | None = None
@@ -69,8 +72,28 @@ class Recorder:
 
     @property
     def on_tape(self) -> bool:
-        """Whether records may be made inside of a march."""
-        return self._wanted is None and not self.output.ledger  # powers need a state of their own
+        """Whether records may be made inside of a march, or of steps that it keeps."""
+        return not self.output.ledger  # powers need a state of their own
+
+    @property
+    def every(self) -> int:
+        """After how many steps the end of one is recorded."""
+        return self.output.every if self._wanted is None else MOST
+
+    @property
+    def rounding(self) -> float:
+        """By how much instants may differ that are the same, s."""
+        return 1e-9 * self.t_end
+
+    @property
+    def wanted(self) -> Array | None:
+        """Instants that are still to be recorded, s; None where ends of steps are."""
+        return self._wanted
+
+    @property
+    def earlier(self) -> State | None:
+        """Where the step that led to the newest state began, None where forces jumped since then."""
+        return self._earlier
 
     def told_of(self, state: State) -> Recorded | None:
         """What compiled code told of a state, if it is the newest one and somebody looks at each."""
@@ -88,20 +111,45 @@ class Recorder:
 
     def take_tape(self, seen: Recorded, first: int) -> None:
         """Records that a march of compiled steps made after step ``first``."""
-        if not len(seen):
+        if not len(seen) or self._wanted is not None:
             return
         begin = clock.perf_counter()
         every = self.output.every
         start = (first // every + 1) * every
         self.newest = start + every * (len(seen) - 1)
-        self.steps.append(range(start, self.newest + 1, every))
+        self.steps.append(np.arange(start, self.newest + 1, every))
         there = self.straight.shapes if seen.straight else {}
         if there:
             self.straight.take(len(seen))
         else:
             self.moments.append(seen.t)
-        self._judge_tape(seen)
+        self._judge_tape(seen, float(self.times[-1]))
+        self._take_values(seen, there)
+        self.seconds += clock.perf_counter() - begin
 
+    def take_kept(self, tape: Tape, stepper: TimeStepper, first: int) -> None:
+        """The instants within the steps after step ``first`` that a march has kept on its ``tape``; collective."""
+        if self._wanted is None or tape.kept is None:
+            return
+        for steps in tape.kept.steps(stepper.state.t):
+            begin = clock.perf_counter()
+            self._judge_tape(tape.recorded(), float(steps.after.t[-1, 0]))
+            states = states_within(steps, stepper, self.rounding)
+            numbers = first + steps.number
+            seen = tape.kept.told_of(states)
+            if seen is None:
+                for n, state in zip(numbers, states.each(), strict=True):
+                    self._record(int(n), state, None, between=True)
+            else:
+                self.newest = int(numbers[-1])
+                self.steps.append(numbers)
+                self.moments.append(seen.t)
+                self._take_values(seen, {})
+            self._wanted = self._wanted[len(states) :]
+            self.seconds += clock.perf_counter() - begin
+
+    def _take_values(self, seen: Recorded, there: Any) -> None:
+        """Sensors and energies of records, but for those that are ``there``."""
         # what compiled code knows is read for all records at once
         alone = self._take_sensors(seen, there)
         unknown = self.output.energy and not seen.looks.energies_known
@@ -114,12 +162,10 @@ class Recorder:
         for rows in (self.moments, *self.energies.values(), *self.values.values()):
             rows.joined(self.expected)  # the tape is written anew
 
-        self.seconds += clock.perf_counter() - begin
-
-    def _judge_tape(self, seen: Recorded) -> None:
-        """How far joints were open, of all records."""
+    def _judge_tape(self, seen: Recorded, t: float) -> None:
+        """How far joints were open, of all records up to a time t (s)."""
         if self.closed is not None:
-            self.closed.check_tape(seen, float(self.times[-1]))
+            self.closed.check_tape(seen, t)
         gap, slip, worst, fastest = seen.worst
         self.gap, self.slip = max(self.gap, gap), max(self.slip, slip)
         if self.closed is not None:
@@ -152,14 +198,14 @@ class Recorder:
         """
         steps = self.output.every - n % self.output.every
         if self._wanted is not None:
-            steps = int((self._wanted[0] - t) / h - 1e-6) + through if self._wanted else MOST
+            steps = int((self._wanted[0] - t) / h - 1e-6) + through if len(self._wanted) else MOST
         if self._due:
             steps = min(steps, int(np.ceil((self._due[0] - t) / h - 1e-6)))
         return max(steps, 1)
 
     def take(self, n: int, state: State, seen: Evaluation | None = None, stepper: Any = None) -> None:
         """Record step n when it is due; ``seen``: the system in that state, where known, ``stepper``: who made it. Collective."""
-        rounding = 1e-9 * self.t_end
+        rounding = self.rounding
         if self._due and state.t >= self._due[0] - rounding:
             self.snapshots.append(state)
             self._due = [t for t in self._due if t > state.t + rounding]
@@ -188,15 +234,14 @@ class Recorder:
         are others then; collective.
         """
         if self._wanted is not None:
-            self._take_up_to(state.t - 1e-9 * self.t_end, n, state, stepper)
+            self._take_up_to(state.t - self.rounding, n, state, stepper)
             self._smooth = False
 
     def take_until(self, n: int, state: State, met: State, stepper: Any) -> None:
         """Record step n up to the state at which an event has ended the run, it included; collective."""
-        rounding = 1e-9 * self.t_end
         if self._wanted is not None:
-            self._wanted = [t for t in self._wanted if t <= met.t]
-            self._take_between(n, state, stepper, rounding)
+            self._wanted = self._wanted[self._wanted <= met.t]
+            self._take_between(n, state, stepper, self.rounding)
         self._record(n, met, None, between=True)
 
     def _take_between(self, n: int, state: State, stepper: Any, rounding: float) -> None:
@@ -210,13 +255,17 @@ class Recorder:
     def _take_up_to(self, last: float, n: int, state: State, stepper: Any) -> bool:
         """Record the times up to the ``last`` one (s) on the way to the state that step n has ended in; whether there are any."""
         assert self._wanted is not None
-        passed, rounding = False, 1e-9 * self.t_end
-        while self._wanted and self._wanted[0] <= last:
-            t, at, passed = self._wanted.pop(0), state, True
-            if abs(t - state.t) > rounding and self._before is not None:
-                at = state_between(self.system, (self._before, state), t, stepper, earlier=self._earlier)
+        count = int(np.searchsorted(self._wanted, last, side="right"))
+        passed, self._wanted = [float(t) for t in self._wanted[:count]], self._wanted[count:]
+        before, earlier = self._before, self._earlier
+        if n != self._number + 1 and stepper is not None:  # the last of many steps
+            before, earlier = stepper.unwrapped.earlier or before, None
+        for t in passed:
+            at = state
+            if abs(t - state.t) > self.rounding and before is not None:
+                at = state_between(self.system, (before, state), t, stepper, earlier=earlier)
             self._record(n, at, None, between=True)
-        return passed
+        return bool(passed)
 
     def _record(self, n: int, state: State, seen: Evaluation | None, *, between: bool = False) -> None:
         """Sensors, drift and energies of a state; joints of one ``between`` the ends of a step are as open as the polynomial
@@ -225,7 +274,7 @@ class Recorder:
         begin = clock.perf_counter()
         ev = self.system.at(state.t, state.q, state.v) if seen is None else seen
         self.newest = n
-        self.steps.append(range(n, n + 1))
+        self.steps.append(np.array([n]))
         self.moments.append(np.array([state.t]))
         for name, sensor in self.scene.sensors.items():
             self.values[name].append(np.asarray(sensor.read(ev, state, self.markers[name]))[None])
@@ -298,7 +347,8 @@ class Recorder:
         if self.warned is not None:
             self.warned.found = [(a, b) for a, b in m("warned", [list(x) for x in self.warned.found])]
 
-        self._wanted = m("wanted", self._wanted)
+        wanted = m("wanted", None if self._wanted is None else self._wanted.tolist())
+        self._wanted = None if wanted is None else np.array(wanted, dtype=float)
         if self._wanted is not None:
             self._before, earlier = m.state("before", self._before), m.state("earlier", self._earlier)
             self._earlier = None if earlier is None or earlier.t is None else earlier

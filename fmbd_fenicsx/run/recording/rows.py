@@ -10,8 +10,8 @@ from ...rotations import Array
 MOST = 1_000_000  # records that room is made for before they are there: a run may be meant to stop at an event
 
 
-class StepNumbers(list[range]):
-    """Numbers of recorded steps, as ranges that are appended behind those ``known``; :meth:`joined` makes them one array."""
+class StepNumbers(list[np.ndarray]):
+    """Numbers of recorded steps, pieces that are appended behind those ``known``; :meth:`joined` makes them one array."""
 
     def __init__(self, known: np.ndarray) -> None:
         super().__init__()
@@ -20,7 +20,7 @@ class StepNumbers(list[range]):
     def joined(self) -> np.ndarray:
         """All numbers, (n,)."""
         if self:
-            self.known = np.concatenate((self.known, *(np.arange(x.start, x.stop, x.step) for x in self)))
+            self.known = np.concatenate((self.known, *self))
             self.clear()
         return self.known
 

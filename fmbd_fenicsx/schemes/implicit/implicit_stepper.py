@@ -20,11 +20,12 @@ from ...log import log
 from ...rotations import Array
 from ...system.compiled.states.convergence import GOES_ON, Convergence
 from ...system.compiled.states.stages import Rule
-from ...system.layout import State
+from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ...system.tangents.foretold_efforts import foretold_efforts
 from ..consistent import MASS, project, worst_block
+from ..consistent_states import metrics_of, projected
 from ..control import ROUNDOFF, STAGNATION, Statistics, StepControl, first_step
 from ..dae import Points
 from ..declared import Declared
@@ -105,7 +106,11 @@ class ImplicitStepper(ImplicitMarch):
         return {**self.stats.as_dict(), **eq.counters}
 
     def _held(self, h: float, within: State) -> State:
-        """A state within a step of h (s), on the constraints of the levels that the form holds at its end; collective.
+        """A state within a step of h (s), see :meth:`_all_held`."""
+        return self._all_held(np.array([h]), States.of([within])).state(0)
+
+    def _all_held(self, h: Array, within: States) -> States:
+        """States within steps of h (k,) s, on the constraints of the levels that the form holds at their ends; collective.
 
         What drives prescribe is no polynomial: places of a driven crank were off by a thousand times the error of the ends. Nor
         is the nearest state by the masses alone one of a stiff body, which has dents at its joints there.
@@ -113,7 +118,7 @@ class ImplicitStepper(ImplicitMarch):
         levels = Declared.by(self.scheme).levels
         if 0 not in levels or not self.system.n_lam:
             return within
-        closed = project(self.system, within, self.solver, self._metric(h))
+        closed = projected(self.system, within, self.solver, metrics_of(h, self._metric))
         return closed if 1 in levels else replace(closed, v=within.v)
 
     def _first_size(self, order: float, limit: float) -> float:

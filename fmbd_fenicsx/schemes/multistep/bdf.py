@@ -159,7 +159,7 @@ class BDFStepper(Corrector):
         w = weights(times, t)
         m, s = self.system.n_lam, self.state
         mult = w @ np.array([p.mult for p in self.past[:count]])
-        within = State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, t) @ vs, mult[:m])
+        within = State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, np.array(t)) @ vs, mult[:m])
         return self._held(s.t - self.past[1].t, within)
 
     # -- steps --------------------------------------------------------------------------------------------------

@@ -5,20 +5,24 @@ Growths of a step are bounded, and those that pay little are not taken: factors,
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...rotations import Array
-from ...system.compiled.implicit import ImplicitRoom, Orders
+from ...system.compiled.implicit import WORK, ImplicitRoom, Orders
 from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
+from ...system.layout import States
 from ..control import growth_factor
 from ..implicit.convergence import Rates
 from ..implicit.implicit_stepper import ImplicitStepper
 from .amplification import Amplification
-from .past import Past, slopes_at_first
+from .past import Past, all_weights, increments, slopes, slopes_at_first
+
+if TYPE_CHECKING:
+    from ...system.compiled.kept import KeptSteps
 
 ALONE = np.eye(1)  # one point is coupled with none
 RATES = Rates(limit=0.95, largest=2.0)
@@ -126,11 +130,43 @@ class MultistepMarch(ImplicitStepper):
         self.amplification.uses = int(own.orders.uses)
 
     def _recall(self, kept: Array, factored: float) -> None:
-        s, width, twin = self.state, self.eq.n_mult, self._twin
-        (k, held, proposed), mult, count, values = np.split(kept, np.cumsum([3, width, 1]))
+        s = self.state
+        (k, held, proposed), mult, count, (t, q, v, mults) = self._told(kept)
         if self.adaptive:
             self.k, self.held, self.proposed = int(k), int(held), float(proposed)
+        older = [Past(float(t[i]), q[i], v[i], mults[i]) for i in range(int(count[0]))]
+        self.past = [Past(s.t, s.q, s.v, mult), *older]
+
+    def _told(self, kept: Array) -> tuple[Array, Array, Array, tuple[Array, Array, Array, Array]]:
+        """Numbers, multipliers, how many older values there are, and their t, q, v and multipliers, of what a state keeps; of
+        many with these as first axis.
+        """
+        width, twin, lead = self.eq.n_mult, self._twin, kept.shape[:-1]
+        head, mult, count, values = np.split(kept, np.cumsum([3, width, 1]), axis=-1)
         ends = np.cumsum([1, twin.system.n_q, twin.system.n_v])
-        parts = (np.split(x, ends) for x in values.reshape(self.scheme.order, -1))
-        older = [Past(float(t[0]), twin.places(q), twin.forces(v), mult) for t, q, v, mult in parts]
-        self.past = [Past(s.t, s.q, s.v, mult), *older[: int(count[0])]]
+        t, q, v, mults = np.split(values.reshape(*lead, self.scheme.order, -1), ends, axis=-1)
+        return head, mult, count, (t[..., 0], twin.places(q), twin.forces(v), mults)
+
+    # -- states within steps ----------------------------------------------------------------------------------------
+    def within(self, steps: KeptSteps) -> States:
+        """As :meth:`TimeStepper.within`: those of one order together."""
+        head, _, count, _ = self._told(steps.own[:, WORK:])
+        order = head[:, 0].astype(int) if self.adaptive else np.full(len(head), self.k)
+        through, found = np.minimum(order, count[:, 0].astype(int)), steps.after
+        for k in np.unique(through):
+            which = through == k
+            found.put(which, self._through(steps.chosen(which), int(k)))
+        return self._all_held(steps.h[:, 0], found)
+
+    def _through(self, steps: KeptSteps, k: int) -> States:
+        """The same on the polynomials through the newest of k + 1 values."""
+        end, (_, mult, _, older) = steps.after, self._told(steps.own[:, WORK:])
+        newest = end.t[:, 0], end.q, end.v, mult
+        t, q, v, mult = (np.concatenate((x[:, None], y[:, :k]), axis=1) for x, y in zip(newest, older, strict=True))
+        xi = increments(self.system, np.broadcast_to(end.q[:, None], q.shape), (t, q, v))
+
+        at = steps.t[:, 0]
+        w, rates = all_weights(t, at)[:, None], slopes(t, at)[:, None]
+        place = self.system.compose(end.q, (w @ xi)[:, 0])
+        lam = (w @ mult)[:, 0, : self.system.n_lam]
+        return States(steps.t, place, (w @ v)[:, 0], (rates @ v)[:, 0], lam)

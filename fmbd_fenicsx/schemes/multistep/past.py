@@ -10,6 +10,7 @@ Configurations are taken as increments xi_j from the newest one, of as many turn
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -41,35 +42,49 @@ def local(system: System, q0: Array, past: list[Past]) -> tuple[Array, Array, Ar
     t = np.array([p.t for p in past])
     v = np.array([p.v for p in past])
     q = np.array([p.q for p in past])
+    return t, increments(system, q0, (t, q, v)), v
 
+
+def increments(system: System, q0: Array, past: tuple[Array, Array, Array]) -> Array:
+    """xi of past values (.., k) of t, q and v, the newest first, in coordinates about configurations q0."""
+    t, q, v = past
     # the way back by the trapezoid rule tells how many turns lie between
-    ways = 0.5 * (t[1:] - t[:-1])[:, None] * (v[1:] + v[:-1])
+    ways = 0.5 * (t[..., 1:] - t[..., :-1])[..., None] * (v[..., 1:, :] + v[..., :-1, :])
     guess = np.zeros(v.shape)
-    np.add.accumulate(ways, axis=0, out=guess[1:])
+    np.add.accumulate(ways, axis=-2, out=guess[..., 1:, :])
     xi = np.array(system.difference(q0, q, near=guess))
-    xi[0] = 0.0
-    return t, xi, v
+    xi[..., 0, :] = 0.0
+    return xi
+
+
+def _products(every: list[Any], t: Any) -> list[Any]:
+    """l_j(t) of (1) for nodes, each a number or an array of them."""
+    found = []
+    for i, node in enumerate(every):
+        made = 1.0
+        for j, other in enumerate(every):
+            if j != i:
+                made = made * ((t - other) / (node - other))
+        found.append(made)
+    return found
 
 
 def weights(nodes: Array, t: float) -> Array:
     """l_j(t) of (1), (k,)."""
-    every = [float(x) for x in nodes]  # a few numbers: Python is faster than arrays
-    found = []
-    for node in every:
-        made = 1.0
-        for other in every:
-            if other != node:
-                made *= (t - other) / (node - other)
-        found.append(made)
-    return np.array(found)
+    return np.array(_products([float(x) for x in nodes], t))  # a few numbers: Python is faster than arrays
 
 
-def slopes(nodes: Array, t: float) -> Array:
-    """l_j'(t) of (1) at any t, 1/s, (k,)."""
-    span = float(np.ptp(nodes))
-    powers = ((nodes - t) / span)[None] ** np.arange(len(nodes))[:, None]
-    first = np.eye(len(nodes))[1]
-    return np.linalg.solve(powers, first) / span  # type: ignore[no-any-return]
+def all_weights(nodes: Array, t: Array) -> Array:
+    """The same for many nodes (n, k) and times (n,), (n, k)."""
+    return np.stack(_products(list(nodes.T), t), axis=1)
+
+
+def slopes(nodes: Array, t: Array) -> Array:
+    """l_j'(t) of (1) at any times (..), 1/s, (.., k)."""
+    span = np.ptp(nodes, axis=-1)[..., None]
+    powers = ((nodes - t[..., None]) / span)[..., None, :] ** np.arange(nodes.shape[-1])[:, None]
+    first = np.eye(nodes.shape[-1])[:, 1:2]
+    return np.asarray(np.linalg.solve(powers, first)[..., 0] / span)
 
 
 def slopes_at_first(nodes: Array) -> Array:

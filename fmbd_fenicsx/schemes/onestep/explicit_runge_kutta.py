@@ -26,9 +26,10 @@ from ...system.compiled.declarations import constants
 from ...system.compiled.explicit import CONTROLLED
 from ...system.compiled.march import March
 from ...system.compiled.states.explicit import Tableau
-from ...system.layout import State
+from ...system.layout import State, States
 from ...system.system import System
 from ..consistent import accelerations
+from ..consistent_states import accelerated
 from ..newton import Newton
 from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
 
@@ -66,8 +67,6 @@ class RungeKuttaStepper(ExplicitStepper):
     """Advances a consistent state."""
 
     what = "The explicit Runge-Kutta scheme"
-    _slopes: tuple[Array, Array] | None = None  # rates and accelerations of the stages of the last step
-
     maker = "RUNGE_KUTTA"
     embedded = np.vstack((DOP853.E5[:STAGES], DOP853.E3[:STAGES]))
     amplification = staticmethod(amplification)
@@ -81,8 +80,10 @@ class RungeKuttaStepper(ExplicitStepper):
 
     def _take_march(self, march: March, made: int) -> None:
         super()._take_march(march, made)
-        rates, pushes = self._twin.forces(march.ring.own()[CONTROLLED:].reshape(2, STAGES, -1))
-        self._slopes = rates.copy(), pushes.copy()
+        self._slopes = self._told(march.ring.own()).copy()
+
+    def _told(self, own: Array) -> Array:
+        return self._twin.forces(own[..., CONTROLLED:].reshape(*own.shape[:-1], 2, STAGES, -1))
 
     def _count(self, attempts: int) -> None:
         self.stats.residuals += attempts * (STAGES - 1)
@@ -97,7 +98,7 @@ class RungeKuttaStepper(ExplicitStepper):
             found = self._stages(h)
 
         rates, pushes, xi, v = found
-        self._slopes = rates, pushes
+        self._slopes = np.array((rates, pushes))
         return State(s.t + h, self.system.compose(s.q, xi), v, s.a, s.lam), (rates, pushes)
 
     def _stages(self, h: float) -> tuple[Array, Array, Array, Array]:
@@ -125,42 +126,37 @@ class RungeKuttaStepper(ExplicitStepper):
         fifth, third = (self.norm(h, *(h * (weights @ slopes) for slopes in errors)) for weights in self.embedded)
         return 0.0 if fifth == 0.0 else float(fifth * fifth / np.sqrt(fifth * fifth + THIRD * third * third))
 
-    def restart(self, t: float) -> None:
-        """Accelerations and multipliers behind a kink at t."""
-        super().restart(t)
-        self._slopes = None
+    def _polynomial(self, before: States, after: States, t: Array, slopes: Array) -> States:
+        """States of order seven, with three stages more; accelerations and multipliers are solved for."""
+        system, h = self.system, after.t - before.t
+        moved = system.difference(before.q, after.q)
+        pairs = self._all_slopes((before, after), h, system.rate(moved, after.v), slopes)
+        x = (t - before.t) / h
+        changes = (moved, after.v - before.v)
+        xi, change = (_interpolated(x, end, h[..., None] * all_of) for end, all_of in zip(changes, pairs, strict=True))
+        made = States(t, system.compose(before.q, xi), before.v + change, before.a, before.lam)
+        return accelerated(system, made, self.solver)
 
-    def between(self, t: float) -> State | None:
-        """The state at a time t (s) within the last step, of order seven, with three stages more; None after a new start;
-        accelerations and multipliers are solved for; collective.
+    def _all_slopes(self, ends: tuple[States, States], h: Array, last: Array, slopes: Array) -> list[Array]:
+        """Slopes of xi and of v in the stages of steps h (k, 1) s, at the end, where the rate is ``last``, and in three stages
+        more; (k, 16, n_v).
         """
-        if self.before is None or self._slopes is None:
-            return None
-        system, a, b = self.system, self.before, self.state
-        h = b.t - a.t
-        moved = system.difference(a.q, b.q)
-        pairs = self._all_slopes(h, system.rate(moved, b.v))
-        x = (t - a.t) / h
-        xi, change = (_interpolated(x, end, h * slopes) for end, slopes in zip((moved, b.v - a.v), pairs, strict=True))
-        made = State(t, system.compose(a.q, xi), a.v + change, a.a, a.lam)
-        return accelerations(system, made, self.solver)
-
-    def _all_slopes(self, h: float, last: Array) -> tuple[Array, Array]:
-        """Slopes of xi and of v in the stages, at the end, where the rate is ``last``, and in three stages more; (16, n_v)."""
-        assert self.before is not None and self._slopes is not None
-        rates, pushes = (np.vstack(x) for x in zip(self._slopes, (last, self.state.a), strict=True))
+        system, (before, after) = self.system, ends
+        pairs = [np.concatenate((slopes[:, i], x[:, None]), axis=1) for i, x in enumerate((last, after.a))]
         for c, row in zip(DOP853.C_EXTRA, DOP853.A_EXTRA, strict=True):
-            known = self.before, rates, pushes
-            rate, push = self._slopes_at(self.before.t + c * h, h * row[: len(rates)], known)
-            rates = np.vstack((rates, rate))
-            pushes = np.vstack((pushes, push))
-        return rates, pushes
+            xi, change = (h * (row[: x.shape[1]] @ x) for x in pairs)
+            q, v = system.compose(before.q, xi), before.v + change
+            at = accelerated(system, States(before.t + c * h, q, v, before.a, before.lam), self.solver)
+            new = system.rate(xi, v), at.a
+            pairs = [np.concatenate((x, y[:, None]), axis=1) for x, y in zip(pairs, new, strict=True)]
+        return pairs
 
 
-def _interpolated(x: float, change: Array, slopes: Array) -> Array:
-    """What has changed after the share x of a step; ``change``: after all of it, ``slopes``: times its size, (16, n)."""
-    first, last = slopes[0], slopes[STAGES]
-    terms = [change, first - change, 2 * change - (first + last), *(DOP853.D @ slopes)]
+def _interpolated(x: Array, change: Array, slopes: Array) -> Array:
+    """What has changed after shares x (k, 1) of steps; ``change``: after all of each, ``slopes`` (k, 16, n): times its size."""
+    first, last = slopes[:, 0], slopes[:, STAGES]
+    higher = np.moveaxis(DOP853.D @ slopes, 1, 0)
+    terms = [change, first - change, 2 * change - (first + last), *higher]
     found = np.zeros_like(change)
     for i, term in enumerate(reversed(terms)):
         found = (found + term) * (x if i % 2 == 0 else 1 - x)

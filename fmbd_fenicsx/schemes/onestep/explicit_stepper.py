@@ -8,7 +8,7 @@ tolerance is made again, smaller. Source of the control: :mod:`..control`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ...system.compiled.explicit import CONTROLLED, ExplicitRoom
 from ...system.compiled.march import March
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.explicit import Tableau
-from ...system.layout import State
+from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ..consistent import accelerations, arrived
@@ -29,6 +29,9 @@ from ..error_norm import ErrorNorm, check_tolerance
 from ..newton import Newton
 from ..own_marching import OwnMarch
 from .explicit_limit import StepLimit
+
+if TYPE_CHECKING:
+    from ...system.compiled.kept import KeptSteps
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,7 @@ class ExplicitStepper(OwnMarch):
 
     what = "The scheme"  # in messages
     embedded: ClassVar[Array]  # weights of slopes in formulas of the error, (formulas, stages)
+    _slopes: Array = np.zeros(0)  # what the last step has left for its polynomial
 
     keeps: ClassVar = {
         "state": Memory.state,
@@ -84,6 +88,17 @@ class ExplicitStepper(OwnMarch):
         """Accelerations and multipliers behind a kink at t."""
         self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
         self.proposed, self.control.h_old, self.before = None, 0.0, None
+
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step, by the polynomial of the method; None after a new start; collective."""
+        if self.before is None:
+            return None
+        ends = States.of([self.before]), States.of([self.state])
+        return self._polynomial(*ends, np.array([[t]]), self._slopes[None]).state(0)
+
+    def within(self, steps: KeptSteps) -> States:
+        """As :meth:`TimeStepper.within`."""
+        return self._polynomial(steps.before, steps.after, steps.t, self._told(steps.own))
 
     def advance(self, h: float) -> State:
         """One accepted step: of size h, or with error control of at most h (s); collective."""
@@ -211,6 +226,14 @@ class ExplicitStepper(OwnMarch):
 
     def _count(self, attempts: int) -> None:
         """So many attempts at a step more."""
+        raise NotImplementedError
+
+    def _told(self, own: Array) -> Array:
+        """What steps have left for their polynomials, of what compiled code keeps with their ends, (.., numbers)."""
+        return own
+
+    def _polynomial(self, before: States, after: States, t: Array, slopes: Array) -> States:
+        """The states at times t (k, 1) s within steps between two states; ``slopes`` (k, ..): what these have left."""
         raise NotImplementedError
 
     def _step(self, h: float) -> tuple[State, tuple[Array, Array]]:

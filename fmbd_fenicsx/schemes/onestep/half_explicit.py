@@ -26,10 +26,10 @@ from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled.march import ITERATIONS, March
 from ...system.compiled.states.explicit import MOVES_NOTHING, Found, Stages, Tableau
-from ...system.layout import State
+from ...system.layout import State, States
 from ...system.speed_rows import speed_rows
 from ...system.system import System
-from ..consistent import accelerations
+from ..consistent_states import accelerated
 from ..newton import Newton
 from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
 
@@ -81,24 +81,22 @@ class HalfExplicitStepper(ExplicitStepper):
     embedded = coefficients()[2]
     amplification = staticmethod(amplification)
 
-    def between(self, t: float) -> State | None:
-        """The state at a time t (s) within the last step, of the order of the scheme; None after a new start; collective.
+    def _polynomial(self, before: States, after: States, t: Array, slopes: Array) -> States:
+        """States of the order of the scheme.
 
         Positions are those of the polynomial of degree 4 through both ends with their velocities and the first acceleration, in
         the local coordinates of the step's start; velocities those of the cubic through both ends with their accelerations;
         accelerations and multipliers are solved for. Hairer, Norsett, Wanner, doi:10.1007/978-3-540-78862-1, II.6.
         """
-        if self.before is None:
-            return None
-        system, begin, end = self.system, self.before, self.state
-        h = end.t - begin.t
-        x = (t - begin.t) / h
+        system, h = self.system, after.t - before.t
+        x = (t - before.t) / h
 
-        moved = system.difference(begin.q, end.q)
-        slopes = h * begin.v, h * system.rate(moved, end.v)
-        xi = _quartic(x, moved, slopes, h * h * begin.a)
-        v = begin.v + _cubic(x, end.v - begin.v, (h * begin.a, h * end.a))
-        return accelerations(system, State(t, system.compose(begin.q, xi), v, begin.a, begin.lam), self.solver)
+        moved = system.difference(before.q, after.q)
+        ends = h * before.v, h * system.rate(moved, after.v)
+        xi = _quartic(x, moved, ends, h * h * before.a)
+        v = before.v + _cubic(x, after.v - before.v, (h * before.a, h * after.a))
+        made = States(t, system.compose(before.q, xi), v, before.a, before.lam)
+        return accelerated(system, made, self.solver)
 
     def _tableau(self) -> tuple[Tableau, float]:
         return coefficients()[:2], MOVES_NOTHING * self.system.length
@@ -194,14 +192,14 @@ class HalfExplicitStepper(ExplicitStepper):
         )
 
 
-def _cubic(x: float, change: Array, slopes: tuple[Array, Array]) -> Array:
+def _cubic(x: Array, change: Array, slopes: tuple[Array, Array]) -> Array:
     """From 0 at x = 0 by ``change`` until x = 1, with these slopes at both ends."""
     first, last = slopes
     rising = x * x * (3 - 2 * x)
     return rising * change + x * (1 - x) ** 2 * first - x * x * (1 - x) * last
 
 
-def _quartic(x: float, change: Array, slopes: tuple[Array, Array], bend: Array) -> Array:
+def _quartic(x: Array, change: Array, slopes: tuple[Array, Array], bend: Array) -> Array:
     """The same with the second derivative ``bend`` at x = 0."""
     first, last = slopes
     parabola = x * first + 0.5 * x * x * bend

@@ -202,23 +202,9 @@ class RadauStepper(StageNewton):
         """The state at a time t (s) within the last step, by its collocation polynomial; None after a new start."""
         if self._last is None:
             return None
-        h, q0, v0, points = self._last
-        # where in the step, 0 to 1
+        h, q, v, points = self._last
         x = 1.0 - (self.state.t - t) / h
-        k = len(self.tab.c)
-        m = self.system.n_lam
-
-        # values and slopes of the polynomial through the start and the stages
-        powers = x ** np.arange(k + 1)
-        slopes = np.arange(k + 1) * np.concatenate(([0.0], powers[:-1])) / h
-        values = (powers @ self.tab.basis)[1:]
-        rates = (slopes @ self.tab.basis)[1:]
-
-        change = points.v - v0
-        lam = (powers[:-1] @ self.tab.stage_basis @ points.mult)[:m]
-        return self._held(
-            h, State(t, self.system.compose(q0, values @ points.xi), v0 + values @ change, rates @ change, lam)
-        )
+        return self._held(h, State(t, *self._polynomial(np.array(x), np.array(h), (q, v), points)))
 
     def restart(self, t: float) -> None:
         """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""

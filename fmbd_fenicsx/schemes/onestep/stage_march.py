@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ...rotations import Array
-from ...system.compiled.implicit import ImplicitRoom
+from ...system.compiled.implicit import WORK, ImplicitRoom
 from ...system.compiled.march import March
 from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.stages import Rule
+from ...system.layout import States
 from ..dae import Points
 from ..implicit.convergence import Rates
 from ..implicit.implicit_stepper import ImplicitStepper
 from .collocation import Tableau
+
+if TYPE_CHECKING:
+    from ...system.compiled.kept import KeptSteps
 
 LONGER = 1.2  # steps so much longer than that of a rate do not rely on it
 RATES = {
@@ -94,16 +100,43 @@ class StageMarch(ImplicitStepper):
         self.judge.solves += made + int(own.c.refused)  # of the estimates
 
     def _recall(self, kept: Array, factored: float) -> None:
-        assert self._lent is not None
-        twin, k = self._twin, len(self.tab.c)
-        n, n_q = self._lent.stages.c.n, twin.system.n_q
-        head, q, v, *stages = np.split(kept, np.cumsum([6, n_q, n, k * n, k * n]))
+        head, (q, v), points = self._told(kept)
         self._eta, self._h_rate, proposed, h_old, error_old, h = map(float, head)
         if self.adaptive:
             self.proposed, self.control.h_old, self.control.error_old = proposed, h_old, error_old
-        each: list[Array] = [x.reshape(k, -1) for x in stages]
-        q, mult = twin.places(q), each[2]
-        v, xi, vs = map(twin.forces, (v, *each[:2]))
-        W = self.tab.W / h
-        self._last = h, q, v, Points(xi, W @ xi, vs, W @ (vs - v), mult)
-        self.mult, self._h_factor, self._filter = mult[-1], factored, None
+        self._last, self.mult = (h, q, v, points), points.mult[-1]
+        self._h_factor, self._filter = factored, None
+
+    def _told(self, kept: Array) -> tuple[Array, tuple[Array, Array], Points]:
+        """Numbers, q and v at the beginning of a step, and its stages, of what its end keeps; of many likewise."""
+        assert self._lent is not None
+        twin, k = self._twin, len(self.tab.c)
+        n, n_q = self._lent.stages.c.n, twin.system.n_q
+        head, q, v, *stages = np.split(kept, np.cumsum([6, n_q, n, k * n, k * n]), axis=-1)
+        xi, vs, mult = (x.reshape(*kept.shape[:-1], k, -1) for x in stages)
+        q, (v, xi, vs) = twin.places(q), map(twin.forces, (v, xi, vs))
+        W = self.tab.W / head[..., -1:, None]
+        return head, (q, v), Points(xi, W @ xi, vs, W @ (vs - v[..., None, :]), mult)
+
+    # -- states within steps ----------------------------------------------------------------------------------------
+    def within(self, steps: KeptSteps) -> States:
+        """As :meth:`TimeStepper.within`."""
+        head, start, points = self._told(steps.own[:, WORK:])
+        h, x = head[:, -1], 1.0 - (steps.after.t - steps.t)[:, 0] / head[:, -1]
+        return self._all_held(h, States(steps.t, *self._polynomial(x, h, start, points)))
+
+    def _polynomial(
+        self, x: Array, h: Array, start: tuple[Array, Array], points: Points
+    ) -> tuple[Array, Array, Array, Array]:
+        """q, v, a and lambda at the share x of a step of size h (s) from q and v; of many steps with these as first axis."""
+        tab, k, (q, v) = self.tab, len(self.tab.c), start
+
+        # values and slopes of the polynomial through the start and the stages
+        powers = x[..., None] ** np.arange(k + 1)
+        slopes = np.arange(k + 1) * np.roll(powers, 1, axis=-1) / h[..., None]
+        values, rates = ((y @ tab.basis)[..., None, 1:] for y in (powers, slopes))
+
+        change = points.v - v[..., None, :]
+        lam = (powers[..., None, :-1] @ tab.stage_basis @ points.mult)[..., 0, : self.system.n_lam]
+        q = self.system.compose(q, (values @ points.xi)[..., 0, :])
+        return q, v + (values @ change)[..., 0, :], (rates @ change)[..., 0, :], lam

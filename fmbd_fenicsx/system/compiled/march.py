@@ -16,6 +16,7 @@ from ..system import System
 from .blocks import Block, Ring
 from .calls import Calls
 from .declarations import TABLES, enumeration, structure_of
+from .kept import Kept
 from .tables.tables import Tables
 from .tape import Openness, Tape
 
@@ -74,7 +75,7 @@ class March:
     def tape(self, judged: Openness) -> Tape:
         """Room for records; ``judged``: how open joints are told. Made once."""
         if self._tape is None:
-            self._tape = Tape(self.tables, judged)
+            self._tape = Tape(self.tables, judged, kept=Kept(self, judged))
         return self._tape
 
     def judge(self, limits: JointLimits, most: float) -> None:

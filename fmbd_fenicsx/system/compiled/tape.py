@@ -6,7 +6,7 @@ import ctypes
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,10 @@ from .declarations import TABLES, structure_of
 from .recording import KINDS, Numbers, Recorded
 from .tables.layout import TableLayout
 from .tables.structures import zeros_of
+
+if TYPE_CHECKING:
+    from ..layout import State
+    from .kept import Kept
 
 FIRST, CAPACITY = 64, 2048  # records between two visits of Python, at first and at most
 BYTES = 1_000_000  # that they may take, so that they stay in the cache
@@ -40,11 +44,13 @@ class Openness:
 
 
 class Tape:
-    """Room for the records of one march; ``contact``: numbers that contacts take of each."""
+    """Room for the records of one march; ``contact``: numbers that contacts take of each, ``kept``: room for steps in which
+    somebody waits for an instant.
+    """
 
-    def __init__(self, tables: TableLayout, judged: Openness, *, contact: int = 0) -> None:
+    def __init__(self, tables: TableLayout, judged: Openness, *, contact: int = 0, kept: Kept | None = None) -> None:
         s, looks = tables.system, tables.looks
-        self.tables = tables
+        self.tables, self.kept = tables, kept
         self.units = np.ascontiguousarray(judged.units, dtype=float)
         size = block_size(s)
 
@@ -145,20 +151,42 @@ class Tape:
         """Records that the next march may make."""
         return MOST if self.c.single else self.capacity
 
+    def hold(self, records: int) -> None:
+        """Room for so many at least, of each step; nothing is recorded."""
+        if records > self.capacity:
+            self._make_room(records)
+        self.begin(1, 1)
+
     def begin(self, every: int, left: int) -> None:
         """Nothing recorded; the first record after ``left`` steps, then every so many. One that was full has more room then."""
         if self.c.count == self.capacity < self.most and not self.c.single:
             self._make_room(min(4 * self.capacity, self.most))
         self.c.every, self.c.left, self.c.count, self.c.doubtful, self.c.crossed = every, left, 0, -1, 0
         self.c.straight = self.c.single = 0
+        self.c.kept, self.c.judged = None, np.nan
+        if self.kept is not None:
+            self.kept.clear()
         self.c.worst[:] = 0.0, 0.0, 0.0, 0.0
 
-    def step_back(self) -> None:
-        """Forget the record of the newest step, if it has one."""
+    @property
+    def ended(self) -> bool:
+        """Whether the march has ended because of an event, or for want of room."""
+        return bool(self.c.crossed) or (self.kept is not None and self.kept.full)
+
+    def wait(self, instants: Array, roundoff: float, began: State | None) -> None:
+        """The next march keeps the steps of these instants, see :meth:`.Kept.begin`."""
+        assert self.kept is not None
+        self.kept.begin(instants, roundoff, began)
+        self.c.kept = self.kept.address
+
+    def step_back(self, t: float) -> None:
+        """Forget the record of the newest step, which has ended at t (s), if it has one, and how open its joints were."""
         if self.c.count and self.c.left == self.c.every:
             self.c.count -= 1
-            self.c.doubtful = -1 if self.c.doubtful == self.c.count else self.c.doubtful
+        if self.c.judged == t:
             self.c.worst[:] = self.c.before
+        if self.c.doubtful >= 0 and self.doubt[0] == t:
+            self.c.doubtful = -1
 
     def recorded(self) -> Recorded:
         """What was recorded, until the tape begins anew; where all is in series the newest of it."""

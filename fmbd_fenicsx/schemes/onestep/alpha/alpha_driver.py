@@ -24,10 +24,11 @@ from ....system.compiled.tables.items import covers
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.tables import Tables
 from ....system.compiled.tape import Tape
-from ....system.layout import State
+from ....system.layout import States
 from ....system.system import System
 
 if TYPE_CHECKING:
+    from ....linear.blocks.field_blocks import Weights
     from ....system.compiled.states.evaluation import DriverStates
     from ...newton import Newton
     from .compiled_control import CompiledControl
@@ -87,16 +88,23 @@ class AlphaDriver(March):
         self.calls.raise_error()
         return None if verdict else twin.forces(e[None])[0]
 
-    def shut(self, t: float, q: Array, v: Array, allowed: float, most: int) -> Array | None:
-        """``driver_shut`` of march.c: q with closed joints, by at most so many iterations; None where NumPy has to do."""
-        system, twin = self.system, self.tables.twin
-        made, still = np.array(twin.configurations(q[None])[0]), np.ascontiguousarray(twin.velocities(v[None])[0])
-        room = np.zeros(system.n_v + system.n_lam + system.n_q)
-        verdict = self.library.driver_shut(
-            self.address, t, allowed, most, address_of(made), address_of(still), address_of(room)
-        )
+    def shut(self, states: States, weights: Weights, allowed: float, most: int) -> Array | None:
+        """``driver_shut`` of march.c: q of states with closed joints, (k, n_q), by at most so many iterations each; None where
+        NumPy has to do.
+        """
+        system, twin, shut = self.system, self.tables.twin, self.library.driver_shut
+        q, v = np.array(twin.configurations(states.q)), np.ascontiguousarray(twin.velocities(states.v))
+        room = np.zeros(2 * system.n_v + 2 * system.n_lam + system.n_q)
+        to, first, second = map(address_of, (room, q, v))
+
+        slopes, refused = self.slopes, False  # the next step begins with these
+        for i, t in enumerate(states.times):
+            at = first + i * q.strides[0], second + i * v.strides[0]
+            refused |= bool(shut(self.address, weights.cd, weights.ck, t, allowed, most, *at, to))
+        if slopes is not None:
+            self.slopes = slopes
         self.calls.raise_error()
-        return None if verdict else twin.state(State(t, made, still, still, np.zeros(0))).q
+        return None if refused else twin.places(q)
 
 
 def settings(p: Array, system: System, newton: Newton) -> None:

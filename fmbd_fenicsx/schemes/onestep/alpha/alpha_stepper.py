@@ -26,7 +26,7 @@ from ....linear.blocks.incompressibility import volume_push
 from ....linear.condensation import StepSolver
 from ....linear.redundancy import least
 from ....rotations import Array
-from ....system.layout import State
+from ....system.layout import State, States
 from ....system.serialisation import Memory, plain
 from ....system.speed_rows import speed_rows
 from ....system.system import System
@@ -189,17 +189,6 @@ class AlphaStepper(TimeStepper):
         """The state that the last step began with, v and A as it took them; None before the first one."""
         return self._begun
 
-    @property
-    def miss(self) -> Array:
-        """By how much velocities exceed the derivatives of places in the last step, (n_v,); none in the stabilised form."""
-        assert self.begun is not None
-        before, v, A = self.begun
-        if isinstance(self.scheme.form, GGL):
-            return np.zeros_like(v)
-        rule = self.scheme.rule(self.state.t - before.t)
-        turning = spin_of_acceleration(self.system, v, before.a)
-        return rule.h * rule.miss * (self.A - A) + rule.h**2 / 12 * turning
-
     def error(self, h: float) -> Array:
         """The error of the last step, of size h (s), as :mod:`.variable_alpha` defines it, (n_v,); collective."""
         s, scale, jump, span = self._of_error(h)
@@ -221,33 +210,47 @@ class AlphaStepper(TimeStepper):
         return self.state, scale, self.A - self.begun[2], 0.0 if isinstance(self.scheme.form, GGL) else 0.5 * h
 
     def between(self, t: float) -> State | None:
-        """The state at a time t (s) within the last step: q, v by cubics with the slopes of (1) to (3), a and lambda by straight
-        lines; q closes its constraints.
-        """
+        """The state at a time t (s) within the last step; None before the first one."""
         if self.begun is None or t < self.begun[0].t:
             return None
-        (before, v, A), after = self.begun, self.state
-        rule, jump = self.scheme.rule(after.t - before.t), self.A - A
-        h, ahead, miss = rule.h, rule.alpha_m - rule.alpha_f, self.miss
-        q = place_within(self.system, before, after, t, (v - miss, after.v - miss))
+        before, v, A = self.begun
+        ends = States.of([replace(before, v=v)]), States.of([self.state])
+        found = self._cubics(*ends, np.array([[t]]), (A[None], self.A[None]))
+        return replace(found, q=self._all_shut(found)).state(0)
+
+    def _cubics(self, before: States, after: States, t: Array, A: tuple[Array, Array]) -> States:
+        """The states at times t (k, 1) s within steps: q, v by cubics with the slopes of (1) to (3), a and lambda by straight
+        lines; q may leave constraints open. ``A``: at the beginnings and ends.
+        """
+        h, jump, system = after.t - before.t, A[1] - A[0], self.system
+        rule = self.scheme.rule(1.0)
+
+        # by how much velocities exceed the derivatives of places; not in the stabilised form
+        miss = np.zeros_like(jump)
+        if not isinstance(self.scheme.form, GGL):
+            miss = h * h * (rule.miss * jump / h + spin_of_acceleration(system, before.v, before.a) / 12)
+        q = place_within(system, before, after, t, (before.v - miss, after.v - miss))
 
         # A is that of a time t + ahead h
-        slopes = A - ahead * jump, self.A - ahead * jump
-        v = cubic((t - before.t) / h, h, (v, after.v), slopes)
-        return replace(state_within(before, after, t, self._shut(t, q, v)), v=v)
+        ahead = (rule.alpha_m - rule.alpha_f) * jump
+        v = cubic((t - before.t) / h, h, (before.v, after.v), (A[0] - ahead, A[1] - ahead))
+        return replace(state_within(before, after, t, q), v=v)
 
-    def _shut(self, t: float, q: Array, v: Array) -> Array:
-        """A configuration within the last step, joints closed by the least motion for the matrix of that step; collective.
+    def _all_shut(self, states: States) -> Array:
+        """Configurations within steps, (k, n_q), joints closed by the least motion for the matrix of a step there; collective.
 
         What drives prescribe is not the cubic through the ends of a step: a crank was off by ten times the error of its ends.
         """
-        system = self.system
-        for _ in range(CLOSINGS if system.n_lam else 0):
-            ev = system.at(t, q, v)
-            gap = ev.constraint()
-            gap[speed_rows(system)] = 0.0  # rows on velocities hold no places
-            if np.abs(system.row_units * gap).max() <= SHUT * system.length:
-                break
-            self.solver.prepare(ev, self.scheme.rule(self.size).weights)
-            q = system.compose(q, self.solver.solve(np.zeros_like(v), -gap)[0])
-        return q
+        system, found = self.system, []
+        for s in states.each() if system.n_lam else ():
+            q = s.q
+            for _ in range(CLOSINGS):
+                ev = system.at(s.t, q, s.v)
+                gap = ev.constraint()
+                gap[speed_rows(system)] = 0.0  # rows on velocities hold no places
+                if np.abs(system.row_units * gap).max() <= SHUT * system.length:
+                    break
+                self.solver.prepare(ev, self.scheme.rule(self.size).weights)
+                q = system.compose(q, self.solver.solve(np.zeros_like(s.v), -gap)[0])
+            found.append(q)
+        return np.array(found) if found else states.q

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from ....rotations import Array
 from ....system.compiled import march as slots
 from ....system.compiled.tape import on_the_way
-from ....system.layout import State
+from ....system.layout import State, States
 from ...dae import GGL
 from ...marching import CompiledSteps, lend_energies, take_energies
 from ...stepping import UNOBSERVED, Observers
@@ -20,6 +21,7 @@ from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
 from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
 
 if TYPE_CHECKING:
+    from ....system.compiled.kept import KeptSteps
     from ....system.compiled.tape import Openness, Tape
     from .compiled_control import CompiledControl
     from .generalized_alpha import GeneralizedAlpha
@@ -115,12 +117,18 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         found = self.driver.error(scale, span, (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump)
         return super().error(h) if found is None else found
 
-    def _shut(self, t: float, q: Array, v: Array) -> Array:
-        """As :meth:`Stepper._shut`, with the driver's factor where it made the last step."""
+    def within(self, steps: KeptSteps) -> States:
+        """As :meth:`TimeStepper.within`."""
+        found = self._cubics(steps.before, steps.after, steps.t, steps.A)
+        return replace(found, q=self._all_shut(found))
+
+    def _all_shut(self, states: States) -> Array:
+        """As :meth:`Stepper._all_shut`, in compiled code where that made the last step."""
         if not self._driven or not self.system.n_lam:
-            return super()._shut(t, q, v)
-        found = self.driver.shut(t, q, v, SHUT * self.system.length, CLOSINGS)
-        return super()._shut(t, q, v) if found is None else found
+            return super()._all_shut(states)
+        weights = self.scheme.rule(self.size).weights
+        found = self.driver.shut(states, weights, SHUT * self.system.length, CLOSINGS)
+        return super()._all_shut(states) if found is None else found
 
     def _settle(self) -> None:
         """Give A and the past of the newest blocks to the NumPy path; they hold for the state with its time rounded too."""
@@ -217,7 +225,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         if self.fresh:
             made = self._first_march(h, observers)
             largest = self.local_error
-            if not made or steps == 1 or (observers.tape is not None and observers.tape.c.crossed):
+            if not made or steps == 1 or (observers.tape is not None and observers.tape.ended):
                 return made
             self.driver.tables.remember()  # what later steps begin with
             made += self._steps(h, steps - 1, observers)

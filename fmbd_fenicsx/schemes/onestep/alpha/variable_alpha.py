@@ -48,7 +48,9 @@ from .size_change import SizeChange
 from .stretch import SAME, Stretch, parts
 
 if TYPE_CHECKING:
+    from ....system.compiled.kept import KeptSteps
     from ....system.compiled.tape import Openness, Tape
+    from ....system.layout import States
     from .compiled_control import CompiledControl, Stay
     from .generalized_alpha import GeneralizedAlpha
 
@@ -145,6 +147,10 @@ class VariableAlpha(TimeStepper):
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step."""
         return self.inner.between(t)  # type: ignore[no-any-return]
+
+    def within(self, steps: KeptSteps) -> States:
+        """As :meth:`TimeStepper.within`."""
+        return self.inner.within(steps)  # type: ignore[no-any-return]
 
     # -- one accepted step --------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:

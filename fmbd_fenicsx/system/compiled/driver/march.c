@@ -1,14 +1,13 @@
 /* Many steps of a scheme in one call: of one size, guarded, recorded and judged on the way. */
 
-/* A configuration within the newest step, its joints closed by the least motion for the factor of that step, at most so many times;
-   rows on velocities hold no places. ``room``: nv + rows + nq. */
-EXPORT int driver_shut(System *s, double t, double allowed, long most, double *q, const double *v, double *room)
+/* A configuration within a step, its joints closed by the least motion for the matrix M + cd C + ck K there, at most so many times; rows
+   on velocities hold no places. ``room``: nv + rows + nq. */
+EXPORT int driver_shut(System *s, double cd, double ck, double t, double allowed, long most, double *q, const double *v, double *room)
 {
     double *x = room, *y = x + s->nv, *moved = y + s->rows, asked = NAN;
     int verdict = sample(s, t, &asked);
     for (long i = 0; i < most && !verdict; i++) {
-        if ((verdict = place(s, q, v))) break;
-        drift(s);
+        if ((verdict = look_at(s, i == 0, cd, ck, t, q, v, room))) break;
         for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
             for (long j = 0; k->role == ROW && k->flow && j < k->n; j++) s->gap[k->row[j]] = 0.0;
         if (largest_of(s->row_units, s->gap, s->rows) <= allowed) break;
@@ -47,21 +46,47 @@ typedef struct {
     Closed *closed;
 } Watch;
 
+/* Whether somebody waits for an instant up to t. */
+static int awaited(const Tape *tape, double t)
+{
+    const Kept *o = tape->kept;
+    return o && o->passed < o->instants && o->instant[o->passed] <= t + o->roundoff;
+}
+
+/* Keep the newest step of a ring where an instant lies in it; whether there is room for no more. */
+static int keep_step(const System *s, Tape *tape, double **ring)
+{
+    Kept *o = tape->kept;
+    const long size = 1 + s->nq + 3 * (long)s->nv + s->rows, wide = size + o->own, k = o->count, waits = awaited(tape, *ring[0]);
+    o->steps++;
+    if (waits && !tape->crossed) {
+        o->number[k] = o->steps;
+        memcpy(o->newest + wide * k, ring[0], wide * sizeof(double));
+        memcpy(o->begin + size * k, ring[1], size * sizeof(double));
+        memcpy(o->earlier + size * k, o->last, size * sizeof(double));
+        while (o->passed < o->instants && o->instant[o->passed] <= *ring[0] + o->roundoff) o->passed++;
+        o->count++;
+    }
+    memcpy(o->last, ring[1], size * sizeof(double));
+    return o->count == o->capacity;
+}
+
 /* What a new state is worth, DONE where it counts; it is taken down where ``recorded``. */
 static int judge_state(System *s, const Watch *w, double *p, const Block *past, Block *out, int recorded)
 {
-    int verdict = DONE, guarded = p[GUARDED] != 0.0;
+    int verdict = DONE, guarded = p[GUARDED] != 0.0, waits = w->tape && awaited(w->tape, *out->t);
     double e[4];
     if (w->control && (verdict = judged(s, p, w->control, past, out))) return verdict;
     if (w->control) arrive(w->control, out);
 
-    if (!(guarded || recorded || w->closed || s->remembers)) return DONE;
+    if (!(guarded || recorded || waits || w->closed || s->remembers)) return DONE;
     int placed = !place(s, out->q, out->v);
     if (w->closed && !(placed && passes(s, w->closed, out, p[H]))) return DOUBT;
     if (guarded && placed && gained(s, p, out, e)) return GAIN;
-    if ((s->remembers || recorded) && !placed) return LOOK;
+    if ((s->remembers || recorded || waits) && !placed) return LOOK;
     if (p[CHOSEN] != 0.0 && s->remembers && friction_overran(s, *out->t, *out->t - *past->t)) return LOOK;
-    if (recorded) verdict = record(s, w->tape, out, guarded ? e : 0);
+    if (recorded) verdict = record(s, w->tape, out, guarded ? e : 0, w->tape->left == 1 || waits);
+    else if (waits) judge_drift(s, w->tape, out);
     if (!verdict && s->remembers) verdict = keep(s, *out->t);
     return verdict;
 }
@@ -85,7 +110,7 @@ static int one_step(System *s, int scheme, double *p, double *room, double **rin
     for (int i = 0; i <= known; i++) past[i] = block_at(s, ring[i]);
 
     int verdict = MAKERS[scheme](s, p, room, past, known, out), made = !verdict;
-    int rates = scheme == ALPHA && (w->control || recorded) && rates_wait(s, p);
+    int rates = scheme == ALPHA && (w->control || recorded || (w->tape && awaited(w->tape, *out.t))) && rates_wait(s, p);
     if (made && rates && s->python(SAMPLE, RATES, *out.t)) return FAILED;
     if (made) verdict = judge_state(s, w, p, past, &out, recorded);
 
@@ -110,11 +135,12 @@ EXPORT long march(System *s, int scheme, double *p, double *room, long steps, do
         made++;
 
         const Block now = block_at(s, ring[0]);
+        const int full = tape && tape->kept && keep_step(s, tape, ring);
         if (control && !stays(p, control, &now)) {
             *verdict = SIZE;
             return made;
         }
-        if ((recorded && tape->crossed) || (closed && closed->speed > closed->most)) return made;
+        if (full || (recorded && tape->crossed) || (closed && closed->speed > closed->most)) return made;
     }
     return steps;
 }

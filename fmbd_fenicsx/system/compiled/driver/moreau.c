@@ -303,7 +303,7 @@ static int accepted(System *s, Contacts *c, Block now, Tape *tape)
         if (touch_others(c, now.q, *now.t)) return LOOK;
         const long size = c->points * (2 + 3 * D) + c->pairs * D + 6;
         record_contacts(c, tape->contact + size * place_on(tape));
-        if ((verdict = record(s, tape, &now, 0))) return verdict;
+        if ((verdict = record(s, tape, &now, 0, 1))) return verdict;
     }
     if (s->remembers && (verdict = keep(s, *now.t))) return verdict;
     if (tape) tape->left = recorded ? tape->every : tape->left - 1;

@@ -155,7 +155,8 @@ int with_all_rows(System *s, double scale, double *x, double *y, double t);
 int with_fields(System *s, double scale, double *x, double *y, double t);
 
 long place_on(const Tape *tape);
-int record(System *s, Tape *tape, const Block *now, const double *known); /* the core */
+int record(System *s, Tape *tape, const Block *now, const double *known, int judged); /* the core */
+void judge_drift(System *s, Tape *tape, const Block *now);
 
 /* Whether the frame of a body rests: that of a field where it was meshed, that of a part on the ground at the origin. */
 static inline int rests(const Body *o) { return o->field ? o->field->inertial == 0 : o->told && o->told->rests; }

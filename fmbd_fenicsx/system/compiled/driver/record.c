@@ -121,11 +121,12 @@ double largest_of(const double *units, const double *x, int n)
 
 /* How far the constraints are open, at which rate, this as a speed, and the largest speed, of all records; the first state that is
    open by more than is allowed is kept. */
-static void judge_drift(System *s, Tape *tape, const Block *now)
+void judge_drift(System *s, Tape *tape, const Block *now)
 {
     double widest = 0.0, *open = tape->worst, speed = largest_of(s->units, now->v, s->nv);
     drift(s);
     memcpy(tape->before, open, sizeof(tape->before));
+    tape->judged = *now->t;
     if (!(speed <= open[3])) open[3] = speed;
     for (int i = 0; i < s->rows; i++) {
         double gap = fabs(s->gap[i]), slip = fabs(s->slip[i]), length = gap * tape->units[i];
@@ -168,9 +169,9 @@ static void prolong(const Tape *tape, long k)
     }
 }
 
-/* One record of an accepted step whose frames are placed; ``known``: its energies at the present weight, NULL where nobody asked.
-   It counts where it is due, and where no event is met: Python looks at that step first. */
-int record(System *s, Tape *tape, const Block *now, const double *known)
+/* One record of a state whose frames are placed; ``known``: its energies at the present weight, NULL where nobody asked; ``judged``:
+   whether its joints are. It counts where it is due, and where no event is met: Python looks at that step first. */
+int record(System *s, Tape *tape, const Block *now, const double *known, int judged)
 {
     long k = place_on(tape), size = 1 + s->nq + 3 * (long)s->nv + s->rows;
     int due = tape->left == 1, verdict = readings(s, *now->t, tape->reading + 3 * (long)s->readings * k);
@@ -183,7 +184,7 @@ int record(System *s, Tape *tape, const Block *now, const double *known)
     else energies(s, *now->t, now->q, now->v, s->rest_gravity, tape->energy + 4 * k);
     sights(s, now, tape->sight + SIGHT * s->seen * k);
 
-    if (due) judge_drift(s, tape, now);
+    if (judged) judge_drift(s, tape, now);
     else if (s->reactions) drift(s);
     for (int i = 0; i < s->reactions; i++)
         reaction(s, s->reaction + i, now->lam, tape->reaction + TWIST * (s->reactions * k + i));
@@ -191,6 +192,20 @@ int record(System *s, Tape *tape, const Block *now, const double *known)
     if (due && !tape->crossed) {
         prolong(tape, k);
         tape->count++;
+    }
+    return DONE;
+}
+
+/* Records of so many states between the ends of steps, one block behind the other: their joints are as open as polynomials leave them. */
+EXPORT int driver_record(System *s, Tape *tape, long count, double *block)
+{
+    double last = NAN;
+    const long size = 1 + s->nq + 3 * (long)s->nv + s->rows;
+    int verdict;
+    for (long i = 0; i < count; i++, block += size) {
+        const Block now = block_at(s, block);
+        if ((verdict = sample(s, *now.t, &last)) || (verdict = place(s, now.q, now.v))) return verdict;
+        if ((verdict = record(s, tape, &now, NULL, 0))) return verdict;
     }
     return DONE;
 }

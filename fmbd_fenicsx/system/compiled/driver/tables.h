@@ -261,6 +261,19 @@ typedef struct {
     double *to;
 } Series;
 
+/* Steps in which somebody waits for an instant, or for more of them: copies of the states at their ends, for polynomials through these.
+   Python takes them when the march has ended; it does where there is no room for one more. */
+typedef struct {
+    const double *instant;             /* rising, s */
+    long instants, passed;             /* how many, and how many of them are not behind the newest step */
+    double roundoff;                   /* s */
+    long steps, capacity, count, own;  /* of the march; kept ones at most, and so far; numbers that a scheme keeps with a state */
+    long *number;                      /* of each, which step of the march it is */
+    double *newest, *begin, *earlier;  /* at its end, with what the scheme keeps, at its beginning, and at that of the step before, nan */
+                                       /* where forces jump between */
+    double *last;                      /* at the beginning of the newest step */
+} Kept;
+
 /* Records of accepted steps; every array holds ``capacity`` of them and one more, which steps that are only looked at are written
    to, or where all is in ``series`` (``single``) the newest alone. ``left``: steps up to the next; ``crossed``: whether a march ends
    because of an event. */
@@ -276,6 +289,8 @@ typedef struct {
     double worst[WORST], before[WORST]; /* largest of all records, and of all before the newest: open by, opening at, this as a */
                                        /* speed, speed */
     double *contact;                   /* where there are contacts: see moreau.c */
+    Kept *kept;                        /* NULL: nobody waits for instants */
+    double judged;                     /* when the state was whose joints were judged last, s */
 } Tape;
 
 /* By what the joints of every state of a march are judged, see run/judges/acceptance.py: units of the rows as lengths; the gap (m) that

@@ -5,6 +5,7 @@ None as an answer: NumPy has to do, or has something to say.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from ....kernel_cache import address_of, addresses_of
 from ....rotations import Array
-from ...layout import State
+from ...layout import State, States
 from ..declarations import constants
 
 if TYPE_CHECKING:
@@ -83,6 +84,24 @@ class ExplicitStates:
         twin = self.states.twin
         q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
         made = self._ask(self.states.library.driver_close, (True, t, self.system.length, cd, ck), (q, v))
+        return (twin.places(q), twin.forces(v)) if made else None
+
+    def all_accelerations(self, states: States) -> tuple[Array, Array] | None:
+        """:meth:`accelerations` of many states."""
+        twin, length = self.states.twin, self.system.length
+        q, v = (np.ascontiguousarray(x) for x in (twin.configurations(states.q), twin.velocities(states.v)))
+        a, lam = np.empty_like(v), np.empty((len(q), self.system.n_lam))
+        numbers = [(0, t, length) for t in states.times]
+        made = self._ask_each(self.states.library.driver_accelerate, numbers, (q, v, a, lam))
+        self.states.factors += len(q)
+        return (twin.forces(a), lam) if made else None
+
+    def all_closed(self, states: States, weights: Sequence[tuple[float, float]]) -> tuple[Array, Array] | None:
+        """:meth:`closed` of many states, each with its weights of C and K."""
+        twin, length = self.states.twin, self.system.length
+        q, v = twin.configurations(states.q).copy(), twin.velocities(states.v).copy()
+        numbers = [(1, t, length, *at) for t, at in zip(states.times, weights, strict=True)]
+        made = self._ask_each(self.states.library.driver_close, numbers, (q, v))
         return (twin.places(q), twin.forces(v)) if made else None
 
     def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
@@ -156,6 +175,21 @@ class ExplicitStates:
             return None
         last = twin.forces(a), lam, int(solves[0])
         return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(v)), last
+
+    def _ask_each(self, function: Any, numbers: Sequence[tuple[float, ...]], arrays: tuple[Array, ...]) -> bool:
+        """:meth:`_ask` of each row of contiguous arrays, with numbers of its own."""
+        states, calls = self.states, self.states.calls
+        if states.taken:
+            return False
+        states.hold(None)
+        if states.recalls:
+            states.tables.recall()
+
+        rows = ([address_of(x) + i * x.strides[0] for i in range(len(x))] for x in arrays)
+        refused = any([function(states.address, *x, *at, self.place) for x, *at in zip(numbers, *rows, strict=True)])
+        if calls.error is not None or calls.asked:
+            calls.raise_error()
+        return not refused
 
     def _ask(
         self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array | None, ...], *, factors: bool = True

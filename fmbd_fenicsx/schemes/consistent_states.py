@@ -1,0 +1,39 @@
+"""Many states made consistent, as :mod:`.consistent` makes one: in compiled code one behind the other, without Python between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..linear.blocks.field_blocks import Weights
+from ..linear.condensation import StepSolver
+from ..system.layout import States
+from ..system.system import System
+from .consistent import accelerations, project
+
+
+def accelerated(system: System, states: States, solver: StepSolver) -> States:
+    """Consistent (q, v) with their accelerations and multipliers; collective."""
+    driver = solver.driver
+    found = None if driver is None else driver.all_accelerations(states)
+    if found is not None:
+        return replace(states, a=found[0], lam=found[1])
+    return States.of([accelerations(system, s, solver) for s in states.each()])
+
+
+def projected(system: System, states: States, solver: StepSolver, metrics: Sequence[Weights]) -> States:
+    """States with q, then v, moved on the constraints, each in a metric of its own; a and lambda kept; collective."""
+    driver = solver.driver
+    found = None if driver is None else driver.all_closed(states, metrics)
+    if found is not None:
+        return replace(states, q=found[0], v=found[1])
+    return States.of([project(system, s, solver, metric) for s, metric in zip(states.each(), metrics, strict=True)])
+
+
+def metrics_of(h: np.ndarray, metric: Callable[[float], Weights]) -> list[Weights]:
+    """Those of steps of sizes h (k,), s."""
+    sizes, which = np.unique(h, return_inverse=True)
+    known = [metric(float(size)) for size in sizes]
+    return [known[i] for i in which]

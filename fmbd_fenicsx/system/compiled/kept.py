@@ -1,0 +1,129 @@
+"""Steps in which somebody waits for an instant: a march keeps the states at their ends, and goes on.
+
+Polynomials through them tell the states between afterwards, of all instants at once.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...kernel_cache import address_of
+from ...rotations import Array
+from ..layout import State, States
+from .blocks import block_size, blocks_of, states_of
+from .declarations import TABLES, fields_of
+from .recording import Recorded
+from .tables.structures import zeros_of
+from .tape import Openness, Tape
+
+if TYPE_CHECKING:
+    from .march import March
+
+BYTES = 4_000_000  # that they may take
+FEW, CAPACITY = 16, 2048  # steps between two visits of Python, at least and at most
+
+
+class _Kept(ctypes.Structure):
+    """``Kept`` of tables.h."""
+
+    _fields_ = fields_of(TABLES, "Kept")
+
+
+@dataclass(frozen=True)
+class KeptSteps:
+    """The step of each of k instants: its ``number`` in the march (k,), states at its beginning, at its end, and at the beginning
+    of the step before, nan where forces jump between; algorithmic accelerations at its beginning and end, and what the scheme
+    keeps with the end (k, ..), as compiled code has it.
+    """
+
+    t: Array  # (k, 1) s
+    number: np.ndarray
+    before: States
+    after: States
+    earlier: States
+    A: tuple[Array, Array]
+    own: Array
+
+    @property
+    def h(self) -> Array:
+        """Sizes, (k, 1) s."""
+        return self.after.t - self.before.t
+
+    def chosen(self, which: np.ndarray) -> KeptSteps:
+        """Some of them."""
+        before, after, earlier = (x.chosen(which) for x in (self.before, self.after, self.earlier))
+        A, A_end = self.A[0][which], self.A[1][which]
+        return KeptSteps(self.t[which], self.number[which], before, after, earlier, (A, A_end), self.own[which])
+
+
+class Kept:
+    """Room for such steps of one march, and for the records of what lies within them."""
+
+    def __init__(self, march: March, judged: Openness) -> None:
+        self.march, self.judged, self._tape = march, judged, Tape(march.tables, judged)
+        self.tables, own = march.tables, march.ring.width
+        tables, size = self.tables, block_size(self.tables.system)
+        # a memory of elements is that of the newest step
+        alone = tables.c.remembers or tables.sampled
+        most = 1 if alone else min(max(BYTES // (8 * (3 * size + own)), FEW), CAPACITY)
+        sizes = {"newest": (most, size + own), "begin": (most, size), "earlier": (most, size), "last": (size,)}
+        room = zeros_of(sizes)
+        self._room = {name: x for name, (x, _) in room.items()}
+        self._number = np.zeros(most, dtype=np.int64)
+        addresses = {name: address for name, (_, address) in room.items()}
+        self.c: _Kept = _Kept(capacity=most, own=own, number=address_of(self._number), **addresses)
+        self.address: int = ctypes.addressof(self.c)
+        self.most = max(most, FEW)  # instants that are told together
+        self._instants: Array = np.zeros(0)
+
+    @property
+    def full(self) -> bool:
+        """Whether there is room for no more."""
+        return bool(self.c.count == self.c.capacity)
+
+    def clear(self) -> None:
+        """Nothing is kept."""
+        self.c.count = 0
+
+    def begin(self, instants: Array, roundoff: float, began: State | None) -> None:
+        """The next march keeps steps in which one of these lies (s, rising), but for so much roundoff (s); ``began``: where the
+        step before it did, None where forces jump between.
+        """
+        self._instants, c = np.ascontiguousarray(instants), self.c
+        c.instant, c.instants, c.roundoff = address_of(self._instants), len(instants), roundoff
+        c.passed = c.steps = c.count = 0
+        self._room["last"][:] = np.nan if began is None else blocks_of(self.tables.twin, States.of([began]))[0]
+
+    def steps(self, t: float) -> Iterator[KeptSteps]:
+        """The steps of all instants up to a time t (s), a state of the march, some at a time."""
+        roundoff, room = self.c.roundoff, self._room
+        ends = room["newest"][: self.c.count, 0]
+        ends = ends[: np.searchsorted(ends, t, side="right")]  # the newest step may have been taken back
+        if not len(ends):
+            return
+
+        instants = self._instants[: np.searchsorted(self._instants, ends[-1] + roundoff, side="right")]
+        every, size, twin = np.searchsorted(ends + roundoff, instants), block_size(self.tables.system), self.tables.twin
+        for first in range(0, len(instants), self.most):
+            which = every[first : first + self.most]
+            newest = room["newest"][which]
+            (after, A), (before, past), (earlier, _) = (
+                states_of(twin, x) for x in (newest[:, :size], room["begin"][which], room["earlier"][which])
+            )
+            t_of = instants[first : first + self.most, None]
+            yield KeptSteps(t_of, self._number[which], before, after, earlier, (past, A), newest[:, size:])
+
+    def told_of(self, states: States) -> Recorded | None:
+        """Records of states within steps, as compiled code tells them; None where NumPy has something to say."""
+        blocks, tape, calls = blocks_of(self.tables.twin, states), self._tape, self.march.calls
+        tape.hold(len(blocks))
+        made = self.march.library.driver_record(self.march.address, tape.address, len(blocks), address_of(blocks))
+        if made:
+            calls.forget_error()  # who reads them one by one meets it again
+            return None
+        return tape.recorded()
