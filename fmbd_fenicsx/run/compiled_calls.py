@@ -73,7 +73,7 @@ class CompiledCalls:
             if now and tape is not None:
                 more = self._take(tape, done + made, alone) and more
                 if not alone:
-                    self.recorder.take_kept(tape, self.stepper, done + made)
+                    self._take_kept(tape, done + made, now)
             made += now
             chunk *= 4
         return made
@@ -82,6 +82,16 @@ class CompiledCalls:
         """After how many steps states are looked at, behind those that are done."""
         look = next_look(done)
         return min(look, self.schedule.steps) if self.equal else look
+
+    def _take_kept(self, tape: Tape, done: int, made: int) -> None:
+        """Record the instants in the steps of a call, but for those in the step of an event."""
+        recorder, kept = self.recorder, tape.kept
+        if recorder.wanted is None or kept is None:
+            return
+        recorder.take_kept(tape, self.stepper, done)
+        self._began = kept.began
+        if tape.c.crossed:
+            recorder.begin_step(done + made, self.stepper.unwrapped.origin, self._began)
 
     def _tape(self) -> Tape | None:
         """Room for the records of a march; None where it cannot make them."""
@@ -122,8 +132,6 @@ class CompiledCalls:
         """
         stepper, schedule = self.stepper, self.schedule
         made = stepper.march(schedule.next(stepper.state.t), steps, Observers(tape=tape))
-        if made:
-            self._began = stepper.unwrapped.earlier
         self.local_error = max(self.local_error, stepper.local_error)
 
         # where the scheme ended it, or by number; the clock and records end calls too

@@ -100,6 +100,7 @@ class ConstantSteps(Around):
         self.halved = 0  # steps and parts of steps that failed
         self.whole = 0  # halvings that every step gets since energy was gained
         self._size: float | None = None  # the stepper's last
+        self._newest: tuple[State | None, State | None] = None, None  # the newest whole step, from and to
         self._past: dict[str, float] = {}  # counters of former steppers
 
     @property
@@ -118,6 +119,12 @@ class ConstantSteps(Around):
     def looks_at_each(self) -> bool:
         """Whether every state of :meth:`in_turn` is looked at."""
         return self.watch is not None or self.stepper.path == "NumPy"
+
+    @property
+    def earlier(self) -> State | None:
+        """The same of a step that :meth:`in_turn` has made."""
+        began, ended = self._newest
+        return began if ended is self.stepper.state else self.stepper.earlier
 
     def _sum(self) -> dict[str, float]:
         found = self.stepper.counters
@@ -164,7 +171,7 @@ class ConstantSteps(Around):
         self.made, self.local_error = 0, 0.0
         with np.errstate(over="ignore", invalid="ignore"):
             while self.made < most:
-                t = self.stepper.state.t + h
+                began, t = self.stepper.state, self.stepper.state.t + h
                 if ahead is not None:
                     ahead(t)
                 try:
@@ -180,6 +187,7 @@ class ConstantSteps(Around):
                 if self.stepper.state.t != t:  # sums of halves round
                     self.stepper.state = replace(self.stepper.state, t=t)
 
+                self._newest = began, self.stepper.state
                 self.made += 1
                 if clock.perf_counter() > until:
                     break

@@ -180,6 +180,11 @@ class Around(TimeStepper):
         """The scheme's own."""
         return self.stepper
 
+    @property
+    def earlier(self) -> State | None:
+        """That of the stepper."""
+        return self.stepper.earlier
+
     def stride(self, h: float) -> float:
         """That of the stepper."""
         return self.stepper.stride(h)

@@ -71,6 +71,11 @@ class Accompanied(Recorder):
         self.beside.go_on(state)
         super().go_on(state)
 
+    def begin_step(self, n: int, before: State, earlier: State | None) -> None:
+        """The same for both."""
+        self.beside.begin_step(n, before, earlier)
+        super().begin_step(n, before, earlier)
+
     def take_within(self, n: int, state: State, stepper: Any) -> None:
         """The same for both."""
         self.beside.take_within(n, state, stepper)

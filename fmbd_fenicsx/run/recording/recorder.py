@@ -229,6 +229,10 @@ class Recorder:
         if self._wanted is not None:
             self._before, self._earlier = state, None
 
+    def begin_step(self, n: int, before: State, earlier: State | None) -> None:
+        """Step n, whose instants are recorded by :meth:`take`, began in a state, the step before in an ``earlier`` one."""
+        self._number, self._before, self._earlier = n - 1, before, earlier
+
     def take_within(self, n: int, state: State, stepper: Any) -> None:
         """Record the times within step n, which a ``stepper`` made up to a state, before controllers sample in it: their efforts
         are others then; collective.
@@ -248,7 +252,7 @@ class Recorder:
         """Record the times that the last step has passed."""
         if self._take_up_to(state.t + rounding, n, state, stepper):
             self._judge(n, state, self.system.at(state.t, state.q, state.v))
-        began = self._before if n == self._number + 1 else stepper.unwrapped.earlier
+        began = self._before if n == self._number + 1 else stepper.earlier
         self._earlier, self._before, self._number = began if self._smooth else None, state, n
         self._smooth = True
 
@@ -257,13 +261,10 @@ class Recorder:
         assert self._wanted is not None
         count = int(np.searchsorted(self._wanted, last, side="right"))
         passed, self._wanted = [float(t) for t in self._wanted[:count]], self._wanted[count:]
-        before, earlier = self._before, self._earlier
-        if n != self._number + 1 and stepper is not None:  # the last of many steps
-            before, earlier = stepper.unwrapped.earlier or before, None
         for t in passed:
             at = state
-            if abs(t - state.t) > self.rounding and before is not None:
-                at = state_between(self.system, (before, state), t, stepper, earlier=earlier)
+            if abs(t - state.t) > self.rounding and self._before is not None:
+                at = state_between(self.system, (self._before, state), t, stepper, earlier=self._earlier)
             self._record(n, at, None, between=True)
         return bool(passed)
 

@@ -15,7 +15,7 @@ import numpy as np
 from ...kernel_cache import address_of
 from ...rotations import Array
 from ..layout import State, States
-from .blocks import block_size, blocks_of, states_of
+from .blocks import block_size, blocks_of, state_of, states_of
 from .declarations import TABLES, fields_of
 from .recording import Recorded
 from .tables.structures import zeros_of
@@ -98,6 +98,12 @@ class Kept:
         c.instant, c.instants, c.roundoff = address_of(self._instants), len(instants), roundoff
         c.passed = c.steps = c.count = 0
         self._room["last"][:] = np.nan if began is None else blocks_of(self.tables.twin, States.of([began]))[0]
+
+    @property
+    def began(self) -> State | None:
+        """Where the newest step began, or, if an event is met in that, the one before; None where forces jump between."""
+        twin, last = self.tables.twin, self._room["last"]
+        return None if np.isnan(last[0]) else twin.state(state_of(self.tables.system, last))
 
     def steps(self, t: float) -> Iterator[KeptSteps]:
         """The steps of all instants up to a time t (s), a state of the march, some at a time."""

@@ -67,7 +67,7 @@ static int keep_step(const System *s, Tape *tape, double **ring)
         while (o->passed < o->instants && o->instant[o->passed] <= *ring[0] + o->roundoff) o->passed++;
         o->count++;
     }
-    memcpy(o->last, ring[1], size * sizeof(double));
+    if (!tape->crossed) memcpy(o->last, ring[1], size * sizeof(double));
     return o->count == o->capacity;
 }
 

@@ -271,7 +271,7 @@ typedef struct {
     long *number;                      /* of each, which step of the march it is */
     double *newest, *begin, *earlier;  /* at its end, with what the scheme keeps, at its beginning, and at that of the step before, nan */
                                        /* where forces jump between */
-    double *last;                      /* at the beginning of the newest step */
+    double *last;                      /* at the beginning of the newest step, or of the one before where an event is met in that */
 } Kept;
 
 /* Records of accepted steps; every array holds ``capacity`` of them and one more, which steps that are only looked at are written

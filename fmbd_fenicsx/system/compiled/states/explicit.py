@@ -185,7 +185,8 @@ class ExplicitStates:
         if states.recalls:
             states.tables.recall()
 
-        rows = ([address_of(x) + i * x.strides[0] for i in range(len(x))] for x in arrays)
+        starts = zip(arrays, addresses_of(arrays), strict=True)
+        rows = ([start + i * x.strides[0] for i in range(len(x))] for x, start in starts)
         refused = any([function(states.address, *x, *at, self.place) for x, *at in zip(numbers, *rows, strict=True)])
         if calls.error is not None or calls.asked:
             calls.raise_error()
