@@ -28,7 +28,13 @@ EQUAL = [
     fmbd.Radau(form=fmbd.Index3(), rtol=None),
     fmbd.BDF(order=2, rtol=None),
 ]
-OWN = [fmbd.GeneralizedAlpha(rtol=1e-4), fmbd.Radau(), fmbd.BDF()]
+OWN = [
+    fmbd.GeneralizedAlpha(rtol=1e-4),
+    fmbd.Radau(),
+    fmbd.BDF(),
+    fmbd.HalfExplicit(),
+    fmbd.ExplicitRungeKutta(rtol=1e-6),
+]
 SEVERAL = {
     "plane": lambda: joint_springs(2),
     "space": lambda: joint_springs(3),

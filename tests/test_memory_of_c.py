@@ -27,6 +27,7 @@ FILES = (
     "field_means",
     "field_stages",
     "field_states",
+    "kept_steps",
     "marches",
     "stage_systems",
     "steps_one_by_one",
