@@ -64,6 +64,21 @@ def test_report_of_an_elastic_run_names_factorisations_and_the_field(rod_mesh):
     assert "1 elastic factorisation," in text and f"{run.counters['back_solves']:.0f} back-solves" in text
     assert "rod.u" in text and "elastic " in text
     assert np.isfinite(run.memory) and run.memory > 1e6
+    assert 'elastic bodies    "rod" 1 m, ' in text
+
+
+@pytest.mark.mpi
+def test_report_says_how_large_and_heavy_elastic_bodies_are(rod_mesh):
+    """A mesh in mm under a density in kg/m^3 shows: one sees it, no threshold decides."""
+    steel = fmbd.materials.linear_elastic(2e11, 0.3)
+    scene = fmbd.Scene("bodies")
+    for k, mesh in enumerate(
+        (rod_mesh(dim=3, h=0.5, height=0.5), rod_mesh(dim=3, h=500.0, height=500.0, length=1000.0))
+    ):
+        body = fmbd.FloatingBody(f"rod {k}", mesh, degree=1, density=8000.0, elastic=steel)
+        scene.add(body, body.with_(name=f"few {k}").reduced(modes=2))
+    text = " ".join(fmbd.solve(scene, t_end=0.01, dt=0.01).report().split())
+    assert '"rod 0" 1.22 m, 2e+03 kg, "rod 1" 1.22e+03 m, 2e+12 kg, "few 0" 1.22 m, 2e+03 kg' in text
 
 
 @pytest.mark.parametrize(

@@ -223,13 +223,23 @@ def _plan(run: Run) -> list[str]:
     plan = run.plan
     listed = _shortened(plan.unknowns)
     plane = _in_plane(run.scene)
+    elastic = _elastic_bodies(run)
     return [
         *_entry("plan: unknowns", listed),
+        *(_entry("elastic bodies", elastic) if elastic else []),
         *(_entry("in the plane", plane) if plane else []),
         *(_entry("elastic blocks", "; ".join(plan.solvers)) if plan.solvers else []),
         *_entry("constant", ", ".join(plan.constant) or "nothing"),
         *_entry("left out", ", ".join(plan.left_out) or "nothing"),
     ]
+
+
+def _elastic_bodies(run: Run) -> str:
+    """How large (diagonal of the box around one) and heavy they are, which shows a mesh in other units than m."""
+    found = [(part.name, part.field.size, part.field.mass_total) for _, part in run.system.fields]
+    found += [(b.name, b.constants.size, b.constants.mass) for b in run.scene.bodies.values() if b.modal]
+    text = ", ".join(f'"{name}" {size:.3g} m, {mass:.3g} kg' for name, size, mass in found[:SHOWN])
+    return text + (f", {len(found) - SHOWN} more" if len(found) > SHOWN else "")
 
 
 def _in_plane(scene: Scene) -> str:
