@@ -154,7 +154,8 @@ def _surfaces(model: Any, groups: list[Group], entities: list[int], label: str) 
 def _drop_others(model: Any, dim: int, entities: list[int]) -> None:
     """Remove the mesh of everything that is no part of the solid: nodes without cells end DOLFINx's distribution."""
     own = np.unique(np.concatenate([n for e in entities for n in model.mesh.getElements(dim, e)[2]]))
-    for k, e in sorted(model.getEntities(), reverse=True):
+    every = model.mesh.getNodes()[0]
+    for k, e in sorted(model.getEntities(), reverse=True) if len(own) < len(every) else ():
         if k == dim and e in entities:
             continue
         nodes = model.mesh.getElements(k, e)[2]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -197,6 +197,25 @@ def of_order(
     ratio = given.schedule.steps / coarser.schedule.steps
     factors = {n: 1.0 / (ratio ** max(share * p, least) - 1.0) for n, p in expected.items()}
     return {n: scaled(_deviation(given.recorder, coarser.recorder, n), x) for n, x in factors.items()}
+
+
+def falling_slowly(
+    found: TimeError,
+    expected: Mapping[str, int],
+    compared: tuple[Compared, Compared],
+    sensors: Iterable[str],
+    enough: Callable[[dict[str, Deviation]], bool],
+) -> TimeError:
+    """What was found, but for errors of ``sensors`` whose orders are seen by chance: these are told by half of the orders of the
+    scheme, from a run and one with larger steps, where that is small ``enough``. Nobody has to see their orders then.
+    """
+    chance = found.by_chance.intersection(sensors)
+    slow = of_order(expected, *compared, 0.5)
+    alone = {n: slow[n] if n in chance else scaled(x, 0.0) for n, x in found.errors.items()}
+    if not chance or not enough(alone):
+        return found
+    told = {n: slow[n] if n in chance else x for n, x in found.errors.items()}
+    return replace(found, errors=told, by_chance=found.by_chance - chance)
 
 
 def equal_steps_error(problem: Problem, made: Compared, jumps: Sequence[float], *, kinked: bool) -> TimeError:

@@ -26,7 +26,7 @@ from ...single_run import Solved, Task, run_once
 from ..certificate import kinked, moving
 from ..companion_runs import UNFIT, Compared, again, companion, steps_beside, unbegun
 from ..deviation import Deviation, at_least
-from ..equal_steps import FEWEST, FURTHER, TimeError, between, by_half, compare_steps, of_order
+from ..equal_steps import FEWEST, FURTHER, TimeError, between, by_half, compare_steps, falling_slowly, of_order
 from ..estimates import (
     LOOKED_AT,
     TELLING,
@@ -74,6 +74,10 @@ class Allowed:
     share: Callable[[dict[str, Deviation]], float]
     room: float
     rough: bool
+
+    def lets(self, errors: dict[str, Deviation]) -> bool:
+        """Whether errors of time have that room."""
+        return self.share(errors) <= self.room
 
 
 class SharedRuns:
@@ -129,7 +133,7 @@ class SharedRuns:
         task = Task(scene, scheme, schedule, self.newton.afresh(), self.linear, output, parts, beside)
         solved = run_once(task, self.built(scene))
         if not solved.run.counters.get("halved_steps"):
-            self._note(scene, solved.compared)
+            self._noted(scene, solved.compared)
         return solved
 
     def iterate_to(self, tolerance: float) -> None:
@@ -153,9 +157,7 @@ class SharedRuns:
         except UNFIT:
             self._parted[id(scene)] = schedule.steps
             raise
-        found = Compared(marched.recorder, schedule, scheme)
-        self._note(scene, found)
-        return found
+        return self._noted(scene, Compared(marched.recorder, schedule, scheme))
 
     def _refuse_parted(self, scene: Scene, steps: int) -> None:
         """Steps as large as some that failed before are not tried again."""
@@ -175,15 +177,14 @@ class SharedRuns:
         problem = unbegun(scene, built, made.scheme, newton=self.newton, linear=self.linear, parts=parts)
         marched = run_like(problem, made, scene, built)
         found = Compared(marched.recorder, made.schedule, made.scheme)
-        if not marched.counters.get("halved_steps"):
-            self._note(scene, found)
-        return found
+        return found if marched.counters.get("halved_steps") else self._noted(scene, found)
 
-    def _note(self, scene: Scene, made: Compared) -> None:
-        """Keep a run whose steps have one size, recorded at all their ends or at given times."""
+    def _noted(self, scene: Scene, made: Compared) -> Compared:
+        """A run, kept where its steps have one size and it is recorded at all their ends or at given times."""
         output = made.recorder.output
         if made.schedule.steps and (output.every == 1 or output.times is not None):
             self._runs.setdefault(id(scene), {})[made.schedule.steps] = made
+        return made
 
     # -- errors of time -----------------------------------------------------------------------------------------------
     def time_error(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
@@ -247,8 +248,7 @@ class SharedRuns:
         except UNFIT as error:
             if not coarser:
                 log.info("the run with larger steps did not end: %s", error)
-                in_parts = solved.run.counters.get("halved_steps")
-                return TimeError({}, {}, given) if in_parts else self._by_half(solved)
+                return TimeError({}, {}, given) if solved.run.counters.get("halved_steps") else self._by_half(solved)
             unseen = not known.seen
         orders, seen = _expected(solved.problem), dict(self._seen)
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
@@ -264,7 +264,10 @@ class SharedRuns:
             # irregular motion is not judged by steps of nearly the same size, nor by some that follow another one
             half = steps // 2
             farther = max((n for n in have if n <= half / NEAREST), default=max(half // 2, 1))
-            found = compare_steps(orders, given, [self._with(solved, n) for n in (half, farther)], before=seen)
+            coarser = [self._with(solved, n) for n in (half, farther)]
+            found = compare_steps(orders, given, coarser, before=seen)
+        if not astray(given, between(given.recorder, coarser[0].recorder, orders)):
+            found = falling_slowly(found, orders, (given, coarser[0]), allowed.sensors, allowed.lets)
         return replace(found, unseen=unseen and not known_orders(found))
 
     def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
@@ -276,10 +279,10 @@ class SharedRuns:
         """
         given, orders = solved.compared, _expected(solved.problem)
         whole = compare_steps(orders, given, [coarser])
-        if allowed.rough and allowed.share(whole.errors) > allowed.room:
+        if allowed.rough and not allowed.lets(whole.errors):
             return replace(whole, with_others=coarser)
         apart = between(given.recorder, coarser.recorder, orders)
-        if allowed.share(of_order(orders, given, coarser, 0.5)) > allowed.room or astray(given, apart):
+        if not allowed.lets(of_order(orders, given, coarser, 0.5)) or astray(given, apart):
             return None
         # where bodies touch, when they do depends on the steps
         follows = coarser.schedule.steps >= FEWEST and not solved.problem.scene.contacts
@@ -359,10 +362,8 @@ class SharedRuns:
             ratio = loose.scheme.rtol / problem.scheme.rtol
             powers = LEAST_POWER, usual_power(order)
             least, likely = (of_tolerances(apart, ratio**power, seen) for power in powers)
-            enough = allowed.share(least) <= allowed.room
-            if allowed.share(likely) > allowed.room or (
-                enough and not steps_meet_kinks(solved.run) and not astray(given, apart)
-            ):
+            enough = allowed.lets(least)
+            if not allowed.lets(likely) or (enough and not steps_meet_kinks(solved.run) and not astray(given, apart)):
                 return TimeError(likely, {}, loose)
             follows = loose if enough else given
 
