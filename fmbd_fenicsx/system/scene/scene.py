@@ -112,10 +112,11 @@ class Scene:
         if name not in known:
             raise InputError(f'A scene has no "{name}" to set. {near(name, known)}')
         if name in PLACES:
-            value = self._parts(name, value)
+            empty = type(value) is dict and not value  # as all are in a new scene
+            value = Parts() if empty else self._parts(name, value)
         if name == "gravity" and value is not None:
             vector(f'Scene "{self.__dict__.get("name", "")}": gravity', value)
-        if name == "breakpoints":
+        if name == "breakpoints" and not (isinstance(value, tuple) and not value):
             what = f'Scene "{self.__dict__.get("name", "")}": breakpoints'
             require(
                 array(what, value, shape="times (s)").ndim == 1, f"{what} {shown(value)} must be a list of times (s)."
@@ -197,8 +198,11 @@ class Scene:
 
     def refuse_strangers(self) -> None:
         """Refuse what was put among the parts by hand and is none of their kind."""
-        for place in PLACES:
-            self._parts(place, self.__dict__[place])
+        for place, (kind, _) in PLACES.items():
+            parts = self.__dict__[place]
+            for part in parts.values():  # no function is called for each: starts of small scenes would notice
+                if not isinstance(part, kind):
+                    self._parts(place, parts)
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""
