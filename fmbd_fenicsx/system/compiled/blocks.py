@@ -30,7 +30,7 @@ def block_size(system: System) -> int:
 def split_block(system: System, block: Array) -> Block:
     """The parts of a block, views."""
     n, at = system.n_v, 1 + system.n_q
-    v, a, A = (block[at + i * n : at + (i + 1) * n] for i in range(3))
+    v, a, A = [block[at + i * n : at + (i + 1) * n] for i in range(3)]
     end = at + 3 * n
     return float(block[0]), block[1:at], v, a, A, block[end : end + system.n_lam]
 

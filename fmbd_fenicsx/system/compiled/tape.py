@@ -64,7 +64,7 @@ class Tape:
             "contact": (contact,),
         }
         # as many records as fit in a few megabytes
-        each = sum(math.prod(x) for x in self._sizes.values())
+        each = sum([math.prod(x) for x in self._sizes.values()])
         self.most = min(max(BYTES // (8 * each), 16), CAPACITY)
         self.doubt = np.zeros(size)
 
