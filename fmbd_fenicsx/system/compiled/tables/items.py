@@ -77,6 +77,7 @@ class Items:
 
     def recall(self) -> None:
         """Take the memory of the elements."""
+        assert self.formula is not None and self.formula.kept is not None
         self.arrays["kept"][:] = self.formula.kept()
 
     def memory(self) -> Array:
@@ -85,6 +86,7 @@ class Items:
 
     def remember(self, memory: Array) -> None:
         """Give it back after accepted steps."""
+        assert self.formula is not None and self.formula.keep is not None
         self.formula.keep(memory)
 
     def part(self, which: np.ndarray) -> Items:

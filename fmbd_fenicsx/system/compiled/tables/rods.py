@@ -56,11 +56,11 @@ class RodTable:
     def recall(self) -> None:
         """Take the memory of the rod."""
         now = self.rod.kept
-        for row, memory in zip(self.kept, (now, now.before), strict=True):
+        for i, memory in enumerate((now, now.before)):
             if memory is None:
-                row[0] = np.nan
+                self.kept[i, 0] = np.nan
             else:
-                row[:] = np.concatenate(([memory.t], memory.strain.ravel(), memory.inner.ravel()))
+                self.kept[i] = np.concatenate(([memory.t], memory.strain.ravel(), memory.inner.ravel()))
 
     def memory(self) -> Array:
         """What steps have made of it."""
@@ -68,13 +68,12 @@ class RodTable:
 
     def remember(self, memory: Array) -> None:
         """Give it back after accepted steps."""
-        now, before = (self._memory(row) for row in memory)
-        self.rod.kept = now if before is None else replace(now, before=before)
+        now, before = memory
+        earlier = None if np.isnan(before[0]) else self._memory(before)
+        self.rod.kept = replace(self._memory(now), before=earlier)
 
-    def _memory(self, row: Array) -> ArmMemory | None:
-        """One of both memories; None before the first step."""
-        if np.isnan(row[0]):
-            return None
+    def _memory(self, row: Array) -> ArmMemory:
+        """One of both memories."""
         strain, inner = np.split(row[1:], [self.rod.natural.size])
         return ArmMemory(float(row[0]), strain.reshape(self.strain.shape), inner.reshape(-1, *self.strain.shape))
 

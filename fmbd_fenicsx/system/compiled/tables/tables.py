@@ -161,11 +161,12 @@ class Tables(TableLayout):
         row_dest, sign = pivots_of(self)
 
         parts = [field.part for field in self.fields]
+        known: list[Any] = [*self.items, *self.rods, *self.listeners]
         self.c = structure("System", self.dim)(
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
             rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
             again=once, stiff=int(bool(self.rods or self.told) or any(f.stiff for f in s.forces)),
-            remembers=max([0, *(x.remembers for x in (*self.items, *self.rods, *self.listeners))]),
+            remembers=max((x.remembers for x in known), default=0),
             storage=self.fronts.storage, seen=len(looks.markers), seen_frame=self.store.integers(self.frame[looks.markers]),
             seen_place=seen_places(self), accelerated=int(looks.accelerated),
             seen_angle=self.store.integers(np.isin(looks.markers, list(looks.angled))),
@@ -250,7 +251,8 @@ class Tables(TableLayout):
     @cached_property
     def remembering(self) -> list[Any]:
         """Who has a memory, or may have: items, rods, controllers."""
-        return [one for one in (*self.sources, *self.rods) if one.remembers] + self.listeners
+        known: list[Any] = [*self.sources, *self.rods]
+        return [one for one in known if one.remembers] + self.listeners
 
     def recall(self) -> None:
         """Take the memory of elements that have one."""
