@@ -52,6 +52,11 @@ class Form:
     projected: ClassVar[bool] = False
 
     @property
+    def pulls(self) -> tuple[float, float]:
+        """What rows of accelerations have of G v + g_t (1/s) and of g (1/s^2) beside G a + gamma."""
+        return 0.0, 0.0
+
+    @property
     def unit(self) -> str:
         """Of the first of its rows, as lengths."""
         return ("m", "m/s", "m/s^2")[self.levels[0]]
@@ -77,10 +82,12 @@ class Form:
 
     def rows_scale(self, s: Any) -> Any:
         """What a motion exp(s t) multiplies g by in the first of the rows, for a frequency s (1/s)."""
-        return s ** self.levels[0]
+        rate, place = self.pulls
+        return s ** self.levels[0] + rate * s + place
 
     def _acceleration(self, ev: Any, a: Array) -> Array:
-        return ev.jacobian.times(a) + ev.gamma()
+        rows, (rate, place) = ev.jacobian.times(a) + ev.gamma(), self.pulls
+        return rows + rate * ev.opening() + place * ev.constraint() if rate or place else rows
 
 
 def positions_refused(held: Contents, name: str, levels: tuple[int, ...]) -> str:
@@ -162,13 +169,10 @@ class Baumgarte(Form):
         """With its two parameters."""
         return f"Baumgarte({self.alpha:g}, {self.beta:g})"
 
-    def rows_scale(self, s: Any) -> Any:
-        """s^2 + 2 alpha s + beta^2."""
-        # of g'' + 2 alpha g' + beta^2 g for g ~ e^(s t)
-        return s**2 + 2 * self.alpha * s + self.beta**2
-
-    def _acceleration(self, ev: Any, a: Array) -> Array:
-        return super()._acceleration(ev, a) + 2 * self.alpha * ev.opening() + self.beta**2 * ev.constraint()
+    @property
+    def pulls(self) -> tuple[float, float]:
+        """2 alpha and beta^2."""
+        return 2 * self.alpha, self.beta**2
 
 
 @dataclass(frozen=True)
@@ -227,9 +231,10 @@ class Projected(Form):
         """Of the inner form."""
         return self.of.index
 
-    def rows(self, ev: Any, a: Array) -> list[Array]:
-        """The rows of the form that is projected."""
-        return self.of.rows(ev, a)
+    @property
+    def pulls(self) -> tuple[float, float]:
+        """Of the inner form."""
+        return self.of.pulls
 
 
 @dataclass

@@ -143,21 +143,29 @@ class ErrorNorm(Remembering):
 
     def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
         """The norm (1) of errors like v, (n,), or the largest over several, (s, n); collective."""
-        wq, wv = self.wq, self.wv
+        wq = self.wq
         # velocities and accelerations of index 3 are of orders one and two less in h
         if self.index == 3:
             kinds = [e_q / wq, e_v * (h / wq)] + ([] if e_a is None else [e_a * (h * h / wq)])
         else:
             kinds = [e_q / wq]
             for error, power in ((e_v, 0), (None if self.index == 1 else e_a, 1)):
-                if error is None:
-                    continue
-                if self.rods is not None:
-                    bent = self.rods.rest(error)
-                    kinds.append(bent * (h ** (power + 1) / wq))
-                    error = error - bent
-                kinds.append(error * (h**power / wv))
+                if error is not None:
+                    kinds += self._of_rates(h, error, power)
         return max([self.mean(x) for x in kinds], default=0.0)
+
+    def _of_rates(self, h: float, error: Array, power: int) -> list[Array]:
+        """Errors of velocities (``power`` 0) or of accelerations (1) over their tolerances; those that bend rods apart."""
+        kinds = []
+        if self.rods is not None:
+            bent = self.rods.rest(error)
+            kinds.append(bent * (h ** (power + 1) / self.wq))
+            error = error - bent
+        return [*kinds, error * (h**power / self.wv)]
+
+    def pushed(self, h: float, a: Array) -> float:
+        """The norm of accelerations, (n,), or the largest over several, that count in no error; collective."""
+        return max(self.mean(x) for x in self._of_rates(h, a, 1))
 
     def weights(self, h: float) -> Array | None:
         """What errors of places, of velocities and of accelerations are multiplied by before their means are taken, (3, n_v);

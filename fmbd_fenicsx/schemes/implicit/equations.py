@@ -76,8 +76,8 @@ class Equations(Remembering):
         """Foretold stages at the times t (k,) as an iteration wants to begin; d rate = W dxi."""
         return p
 
-    def accelerations(self, p: Points) -> Array:
-        """a of points, (k, n_v), corrected along the constraints."""
+    def end_acceleration(self, t: float, p: Points) -> Array:
+        """a of the last of the points, which is at t, (n_v,), corrected along the constraints."""
         raise NotImplementedError
 
     # -- multipliers --------------------------------------------------------------------------------------------

@@ -350,6 +350,10 @@ class FieldEquations(Equations):
         slips = self._slips(p.mult, 2)
         return p.vd if slips is None else p.vd + self.closing(slips)
 
+    def end_acceleration(self, t: float, p: Points) -> Array:
+        """As :meth:`Equations.end_acceleration`."""
+        return self.accelerations(p)[-1]
+
     def consistent_start(self, state: State) -> Start:
         """With the matrix of the step, which is at hand when the next one begins."""
         self._estimates = True

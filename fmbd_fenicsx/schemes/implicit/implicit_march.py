@@ -75,7 +75,7 @@ class ImplicitMarch(OwnMarch):
 
     # -- steps --------------------------------------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:
-        if self.solver.driver is None or self._full or self.scheme.form.projected:
+        if self.solver.driver is None or self._full:
             return False
         if self.adaptive:
             return self._chooses_alike
@@ -105,6 +105,7 @@ class ImplicitMarch(OwnMarch):
         assert lent is not None
         stages, pencil = lent.stages, self._pencil
         factored = isinstance(pencil, SparsePencil) and pencil.room is stages
+        lent.c.projects = self.scheme.form.projected
         lent.c.factored = self._factored_for() if factored else 0.0
         self.eq.lend(stages, self.state, self._tangent, self._lend_matrices)
         convergence, rule = self._settings()

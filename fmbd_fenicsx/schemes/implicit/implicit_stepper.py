@@ -233,7 +233,7 @@ class ImplicitStepper(ImplicitMarch):
             pulls = self.eq.pulls(dmult)
             size = self.norm(h, dxi, dv, push)
             if push is not None and self.scheme.form.index == 1:  # no part of an error, but of what is recorded
-                size = max(size, self.norm.mean(push * (h / self.norm.wv)))
+                size = max(size, self.norm.pushed(h, push))
             if pulls is not None:
                 size = max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))
         places, speeds, pushes = lengths

@@ -40,9 +40,7 @@ CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to 
 class StepEquations(Equations):
     """Those of systems without elastic fields: tangents are matrices. Others have :class:`.field_stages.FieldEquations`."""
 
-    keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "rows", "normal", "origin"), plain()) | {
-        "tangents": worker
-    }
+    keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "rows", "origin"), plain()) | {"tangents": worker}
     dense = True
 
     def __init__(self, system: System, form: Form, solver: StepSolver, acceleration: float = 0.0) -> None:
@@ -59,7 +57,6 @@ class StepEquations(Equations):
 
         # of the last point
         self.rows: Array = np.zeros((self.stiff.system.n_lam, system.n_v))  # of joints and ties
-        self.normal: Array = np.zeros((0, 0))
 
     def remember(self, m: Memory) -> None:
         """With the tangents of the kind that the system has."""
@@ -68,11 +65,13 @@ class StepEquations(Equations):
 
     def _structure(self) -> StageStructure | None:
         """Patterns of the equations where compiled code knows them, and solves sparse stage systems; else None."""
-        states, levels = self.system.evaluator, self.form.levels
-        if not isinstance(states, DriverStates) or len(self.stiff) or 2 in levels:
+        states, form = self.system.evaluator, self.form
+        if not isinstance(states, DriverStates) or len(self.stiff):
             return None
         couplings = couplings_of(states)
-        return None if couplings is None else StageStructure(couplings, states, levels)
+        if couplings is None:
+            return None
+        return StageStructure(couplings, states, form.levels, pulls=form.pulls, frozen=form.frozen)
 
     def _choose(self) -> None:
         """Take notice of who evaluates the system by now, and of a state whose masses are to be taken."""
@@ -106,7 +105,7 @@ class StepEquations(Equations):
 
     def kept(self, room: StageRoom, judge: Judge, *, known: bool) -> tuple[Any, Any]:
         """As :meth:`Equations.kept`."""
-        self.tangents.U = room.tangent.U
+        self.tangents.take_directions(room.tangent)
         return (room.tangent, SparsePencil(room.tangent, room.frequencies, judge, room)) if known else (None, None)
 
     def begin(self, state: State) -> None:
@@ -114,7 +113,6 @@ class StepEquations(Equations):
         self._choose()
         self.origin = state.q
         if self.form.frozen:
-            assert isinstance(self.tangents, DenseTangents)
             self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
 
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
@@ -131,11 +129,10 @@ class StepEquations(Equations):
         v, a = p.v, p.vd
         # more levels than one: positions or accelerations are corrected along M^-1 G^T
         if self.levels > 1:
-            G = ev.jacobian.core[:, self.stiff.joints] if len(self.stiff) else ev.jacobian.core
-            self.normal = self.tangents.U if self.form.frozen else self.tangents.matrix() @ G.swapaxes(1, 2)
-            v = v - self._normally(p.mult[:, m : 2 * m])
+            normal = self._normal_at(ev)
+            v = v - _along(normal, p.mult[:, m : 2 * m])
             if self.levels > 2:
-                a = a + self._normally(p.mult[:, 2 * m : 3 * m])
+                a = a + _along(normal, p.mult[:, 2 * m : 3 * m])
 
         if len(self.stiff):
             self.rows = ev.jacobian.core[-1]
@@ -169,14 +166,21 @@ class StepEquations(Equations):
             mult[-len(self.stiff) :] = self.stiff.efforts(self.system.at(state.t, state.q, state.v))
         return mult
 
-    def _normally(self, mult: Array) -> Array:
-        """U times multipliers (k, n_lam), with the U of the last residual, (n_v, n_lam) or one for each of the k."""
-        return mult @ self.normal.T if self.normal.ndim == 2 else (self.normal @ mult[..., None])[..., 0]
+    def _normal_at(self, ev: EvaluationBatch) -> Array:
+        """U at configurations, (k, n_v, n_lam), or that which the step keeps, (n_v, n_lam)."""
+        if self.form.frozen:
+            return self.tangents.directions()
+        G = ev.jacobian.core[:, self.stiff.joints] if len(self.stiff) else ev.jacobian.core
+        return np.asarray(self.tangents.matrix() @ G.swapaxes(1, 2))
 
-    def accelerations(self, p: Points) -> Array:
-        """a = v' + U tau, (k, n_v), with the U of the last residual."""
-        m = self.system.n_lam
-        return p.vd + self._normally(p.mult[:, 2 * m : 3 * m]) if self.levels > 2 else p.vd
+    def end_acceleration(self, t: float, p: Points) -> Array:
+        """a = v' + U tau at the last of the points."""
+        m, a = self.system.n_lam, p.vd[-1]
+        if self.levels < 3:
+            return a
+        q = self.system.compose(self.origin, p.xi[-1:])
+        normal = self._normal_at(self.stiff.system.batch(np.array([t]), q, p.v[-1:]))
+        return np.asarray(a + _along(normal, p.mult[-1:, 2 * m : 3 * m])[0])
 
     def corrections(self, mult: Array, level: int) -> Array:
         """U times the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
@@ -276,6 +280,11 @@ class StepEquations(Equations):
     def weigh(self, state: State) -> None:
         """Take the mass matrix of a state for the normal directions, when they are asked for."""
         self._weighed = state
+
+
+def _along(normal: Array, mult: Array) -> Array:
+    """U times multipliers (k, n_lam), for one U (n_v, n_lam) or one of each."""
+    return np.asarray(mult @ normal.T if normal.ndim == 2 else (normal @ mult[..., None])[..., 0])
 
 
 def step_equations(system: System, form: Form, solver: StepSolver, acceleration: float) -> Any:

@@ -57,6 +57,10 @@ class DenseTangents(Remembering):
         """Take directions of constraints."""
         self.U = self.inverse_mass @ dense(G).T
 
+    def directions(self) -> Array:
+        """U as a matrix."""
+        return self.U
+
     def normally(self, mult: Array) -> Array:
         """U times multipliers (k, n_lam), (k, n_v)."""
         return mult @ self.U.T
@@ -166,6 +170,20 @@ class SparseTangents(Remembering):
         self.structure.weigh(self.structure.couplings.masses.taken(M))
         self.weighed = True
 
+    def direct(self, G: Any) -> None:
+        """Take directions of constraints, which the step keeps."""
+        structure = self.structure
+        structure.frozen[:] = structure.directions(structure.couplings.rows.taken(G))
+        self.U = structure.frozen
+
+    def take_directions(self, tangent: StepTangent) -> None:
+        """Those of a tangent, where a step does not keep its own."""
+        self.U = self.structure.frozen if self.structure.keeps_directions else tangent.U
+
+    def directions(self) -> Array:
+        """U as a matrix."""
+        return np.asarray(dense(self.structure.normal.pattern.matrix(self.U)))
+
     def weigh_once(self, solver: StepSolver, state: State) -> None:
         """Take the masses of a state, unless compiled code has them: those of rigid bodies stay, and it finds those of modes."""
         if not self.weighed or self.told:
@@ -192,7 +210,7 @@ class SparseTangents(Remembering):
         if made is None:
             lower(system.batch(*(np.array([x]) for x in (state.t, state.q, state.v))))  # which may say what is wrong
             raise LinearSolveError("the tangent of a step is not finite.")
-        self.U = made.U
+        self.take_directions(made)
         return made
 
     def at_increments(self, made: StepTangent, xi: Array, v: Array) -> StepTangent:

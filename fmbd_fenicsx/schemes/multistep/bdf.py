@@ -241,7 +241,7 @@ class BDFStepper(Corrector):
         s, t = self.state, self.state.t + h
         q = self.system.compose(s.q, p.xi[0])
         mult = self._smallest(t, q, p.mult[0])
-        end = State(t, q, p.v[0], self.eq.accelerations(p)[0], mult[: self.system.n_lam])
+        end = State(t, q, p.v[0], self.eq.end_acceleration(t, p), mult[: self.system.n_lam])
         self.state = self._ended(h, end, mult)
         self._remember(self.state, mult)
         if self._theta > self.slow or self._full or not self.eq.dense:

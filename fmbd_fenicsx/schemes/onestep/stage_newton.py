@@ -92,7 +92,7 @@ class StageNewton(StageMarch):
 
     def _finished(self, h: float, found: Points) -> Points:
         points = self._stages(h, found.xi, found.v, found.mult)
-        self._acceleration = self.eq.accelerations(points)[-1]
+        self._acceleration = self.eq.end_acceleration(self.state.t + h, points)
         return points
 
     def _own_tangents(self, h: float) -> Points | str:

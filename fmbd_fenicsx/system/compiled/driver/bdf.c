@@ -294,10 +294,11 @@ int bdf_step(System *s, double *p, double *room, const Block *past, int known, B
     double *rest;
     Values values = local_values(s, o, now, &m, &rest);
     (void)known;
-    begin_implicit(s, o, now, out);
+    int verdict = begin_implicit(s, o, now, out);
+    if (verdict) return verdict;
     if (o->own) return own_bdf_step(s, p, o, now, out, &values, rest);
 
     memcpy(made.order, m.order, 3 * sizeof(double));
-    int verdict = point_of_step(s, p, o, now, o->order, &values, out.own, rest);
+    verdict = point_of_step(s, p, o, now, o->order, &values, out.own, rest);
     return verdict ? verdict : end_bdf(s, o, p, now, out, rest);
 }

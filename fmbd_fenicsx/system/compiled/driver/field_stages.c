@@ -105,9 +105,9 @@ static int add_along(System *s, const Stages *o, int parts, const double *rate, 
         add(a, e, push, n);
         int verdict = evaluate(s, f->q, v, a, f->lam, f->t);
         if (verdict) return verdict;
+        const Form form = form_of(o);
         like_v(s, s->residual, found);
-        drift(s);
-        level_rows(s, n, o->m, o->levels, o->first, found);
+        level_rows(s, &form, a, found);
         for (int i = 0; i < size; i++) low[i] += (found[i] - f->balance[i]) / e;
     }
     return DONE;

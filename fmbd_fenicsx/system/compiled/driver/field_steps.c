@@ -56,9 +56,9 @@ static int field_tangent(System *s, const Stages *o, double t, const double *q, 
     if ((verdict = sample_middle(s, o, s))) return verdict;
     verdict = evaluate(s, q, v, a, lam, t);
     if (verdict && verdict != LOOK) return verdict;
+    const Form form = form_of(o);
     like_v(s, s->residual, e->balance);
-    drift(s);
-    level_rows(s, o->n, o->m, o->levels, o->first, e->balance);
+    level_rows(s, &form, a, e->balance);
     return DIM == 3 ? turning(s, e->room, v, e->turnings, NULL) : DONE;
 }
 
@@ -81,9 +81,9 @@ static int align_stages(System *s, const Stages *o)
         double *low = o->low + (long)j * o->size + n, *q = o->local;
         if ((verdict = sample_point(s, o, j, 0))) return verdict;
         configuration(s, o->q0, o->xi + (long)j * n, q);
+        const Form both = {0, m, 2, 0, o->pulls};
         if ((verdict = place(s, q, o->v + (long)j * n))) return verdict;
-        drift(s);
-        level_rows(s, 0, m, 2, 0, low);
+        level_rows(s, &both, NULL, low);
     }
     o->fields->aligned = o->levels > 1;
     for (int j = 0; o->levels > 1 && j < k; j++) {

@@ -7,10 +7,12 @@ typedef struct {
     const Patterns *patterns;        /* NULL where there are fields, and data, masses and room of a tangent too */
     Convergence *convergence;        /* what it says of the scheme's iterations stays, the rest is of a step */
     double *data, *masses, *room, *mixed; /* of the tangent; of M; work of a tangent and of a step */
+    double *directions;              /* work: data of G where a step keeps its normal directions */
     const double *c, *W, *values, *middle, *basis, *stage_basis; /* of Radau */
     int order, fresh;                /* of BDF, the largest; whether the tangent was taken in this step */
     double factored;                 /* size of step (Radau) or frequency (BDF) that the tangent is factored for, 0: none */
     double failed;                   /* increments of steps that failed */
+    int projects;                    /* whether ends are moved onto the constraints */
     struct OwnSteps *own;            /* where error control chooses the steps, NULL: they are constant; see own_steps.c */
     double rtol, floor, slow, longer; /* of Newton's increments; m; rate above which the next step takes a tangent; see first_share() */
 } Implicit;
@@ -57,11 +59,20 @@ static int take_factors(System *s, Implicit *o, double key, double *work)
 }
 
 /* A step from a state on, in coordinates about it, with the tangent and the rate that this one has. */
-static void begin_implicit(const System *s, Implicit *o, const Block *now, Block out)
+static int begin_implicit(System *s, Implicit *o, const Block *now, Block out)
 {
+    Stages *g = o->stages;
     memcpy(out.own, now->own, WORK * sizeof(double));
-    memcpy(o->stages->q0, now->q, s->nq * sizeof(double));
+    memcpy(g->q0, now->q, s->nq * sizeof(double));
     o->fresh = 0;
+    if (!g->frozen) return DONE;
+
+    double *row = g->local, *G = o->directions, last = NAN;
+    int verdict = sample(s, *now->t, &last);
+    if (verdict || (verdict = place(s, now->q, now->v))) return verdict;
+    pattern_rows(s, o->patterns, row, G);
+    normal_directions(o->patterns, g->W.data, G, g->frozen);
+    return DONE;
 }
 
 /* Newton's iteration of a step from a state on, with the rate so far; ``first``: what one increment leaves. */
@@ -113,14 +124,22 @@ static int end_implicit(System *s, const Implicit *o, const double *p, const Blo
 {
     const Stages *g = o->stages;
     const int n = g->n, last = g->points - 1;
+    const Sparse directions = directions_of(g);
+    const Normal along = normal_at(g, &directions, last);
+    double *room = g->local;
+    int verdict;
     *out.t = *now->t + p[H];
     configuration(s, now->q, g->xi + (long)last * n, out.q);
     memcpy(out.v, g->v + (long)last * n, n * sizeof(double));
     memcpy(out.a, g->vd + (long)last * n, n * sizeof(double));
     memcpy(out.lam, mult, s->rows * sizeof(double));
     memset(out.A, 0, n * sizeof(double));
+    if (along.tau) {
+        if ((verdict = place(s, out.q, out.v))) return verdict;
+        add_normal(s, &along, 1.0, along.tau, room, out.a);
+    }
+    if (o->projects && (verdict = driver_close(s, 1, *out.t, p[LENGTH], 0.0, 0.0, out.q, out.v, o->mixed))) return verdict;
     if (!turns_freely(s)) return DONE;
-    int verdict = place(s, out.q, out.v);
-    if (!verdict) settle_angles(s, out.q);
+    if (!(verdict = place(s, out.q, out.v))) settle_angles(s, out.q);
     return verdict;
 }

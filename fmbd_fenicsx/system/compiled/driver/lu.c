@@ -100,10 +100,10 @@ static void NAME(substitute)(const Stages *o, const Lower *f, const NUMBER *b, N
 }
 
 /* Dependent rows get a softness on the diagonal, see soften() of factor.c. That of lambda has the phase of their compliance by the
-   masses, G M^-1 G^T s^(level - 2), so that the two never cancel; what mu moves rows by, G U, has no frequency. */
+   masses, G M^-1 G^T s^(level - 2), so that the two never cancel; what mu and tau move rows by, G U, has no frequency. */
 static void NAME(soften)(const Stages *o, NUMBER s, NUMBER *A, NUMBER *soft)
 {
-    NUMBER pulled = o->first ? -1.0 / s : -1.0 / (s * s);
+    NUMBER pulled = o->first > 1 ? -1.0 : o->first ? -1.0 / s : -1.0 / (s * s);
     for (int j = o->n; j < o->size; j++) {
         int lambda = j < o->n + o->m;
         soft[j] = (lambda ? pulled : 1.0) * o->softness[(j - o->n) % o->m];

@@ -121,6 +121,7 @@ int bdf_step(System *s, double *p, double *room, const Block *past, int known, B
 /* schemes.c */
 void predictor(const Block *past, int known, double t, double *w);
 EXPORT int driver_arrive(System *s, int places, double t, double length, double *q, double *v, double *a, double *lam, double *room);
+EXPORT int driver_close(System *s, int places, double t, double length, double cd, double ck, double *q, double *v, double *room);
 EXPORT int driver_least(System *s, int factored, double t, long count, const double *q, double *lam, double *room);
 
 /* the core, for schemes */

@@ -112,12 +112,13 @@ static int stages_of_step(System *s, double *p, Implicit *o, const Block *now, B
 }
 
 /* A step from a state on, with what this one knows of Newton's iteration. */
-static void begin_radau(const System *s, Implicit *o, const Block *now, Block out)
+static int begin_radau(System *s, Implicit *o, const Block *now, Block out)
 {
     const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
-    begin_implicit(s, o, now, out);
+    const int verdict = begin_implicit(s, o, now, out);
     *made.share = *last.share;
     *made.seen = *last.seen;
+    return verdict;
 }
 
 /* The state at the end of the stages, and what is kept of them. */
@@ -208,7 +209,10 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
     }
     for (int i = 0; i < n; i++) kin[i] = -kin[i];
     if (g->levels > 1 && g->fields) add_closing(g, mult + g->m, kin);
-    else if (g->levels > 1) apply_real(&g->U, 1.0, mult + g->m, kin);
+    else if (g->levels > 1) {
+        const Sparse directions = directions_of(g);
+        apply_real(&directions, 1.0, mult + g->m, kin);
+    }
 
     if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
     const double *parts[3] = {change, change + n, push};
@@ -283,8 +287,9 @@ int radau_step(System *s, double *p, double *room, const Block *past, int known,
     Implicit *o = implicit_in(room);
     const Block *now = past;
     (void)known;
-    begin_radau(s, o, now, out);
+    int verdict = begin_radau(s, o, now, out);
+    if (verdict) return verdict;
     if (o->own) return own_radau_step(s, p, o, now, out);
-    int verdict = stages_of_step(s, p, o, now, out);
+    verdict = stages_of_step(s, p, o, now, out);
     return verdict ? verdict : end_radau(s, o, p, now, out);
 }

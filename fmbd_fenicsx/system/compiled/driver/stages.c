@@ -19,6 +19,7 @@ typedef struct {
 
 typedef struct {
     int n, m, size, levels, frequencies, points, first; /* size: unknowns; first: of the levels of rows */
+    double pulls[2];                /* of the form, see Form */
     int *start, *row, *order;       /* K by columns; order of elimination */
     long entries, room;             /* room: for entries of L, and of U */
     double *K0, *K1, *K2, *s, *A, *scales, *sizes, *blocks; /* A: frequencies x entries, scaled; sizes: entries; */
@@ -29,15 +30,18 @@ typedef struct {
     int *stack, *mark, *found;
     long *next;
     Sparse by_v, by_a, J, U, W;
+    double *frozen;                 /* data of U where a step keeps that of its start, else NULL */
     /* the points */
     double *t, *q0, *xi, *rate, *v, *vd, *mult, *couple, *inverse, *vectors;  /* couple: points x points, d rate / d xi */
     double *kin, *low, *dxi, *dv, *dmult, *push;
     double *sampled;                /* points x what a SAMPLE writes */
     double *weigh, *moved, *judged; /* weigh: 3 x n, of dxi, dv and U dlambda; moved: 6; judged: 2, of an iteration */
-    double *local, relax;           /* local: nq + n */
+    double *local, relax;           /* local: nq + 2 n */
     double *bases, *bent, span;     /* of rods whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
     struct FieldStages *fields;     /* of elastic fields, whose systems have no such K; NULL for others */
 } Stages;
+
+static Form form_of(const Stages *o) { return (Form){o->n, o->m, o->levels, o->first, o->pulls}; }
 
 /* The nearest power of two. */
 static double power(double x) { return x > 0.0 ? exp2(rint(log2(x))) : 1.0; }
@@ -138,27 +142,46 @@ EXPORT int driver_stage_solve(Stages *o, int count, const double *kin, const dou
     return DONE;
 }
 
-/* The rate of xi for the velocities v - W G^T mu at a point q0 o exp(xi), and the balance there; what rows leave open stands in the
-   system. ``mu`` may be NULL. ``room``: nq + nv. */
-static int local_point(System *s, const Sparse *W, double t, const double *q0, const double *xi, const double *v, const double *a,
-                       const double *lam, const double *mu, double *rates, double *sums, double *room)
+/* Multipliers that correct velocities and accelerations along the normal directions U = W G^T, or along those that a step keeps; each
+   may be NULL. */
+typedef struct {
+    const Sparse *W, *frozen;
+    const double *mu, *tau;
+} Normal;
+
+/* to += factor U mult, where frames are placed. ``push``: room, nv. */
+static void add_normal(System *s, const Normal *o, double factor, const double *mult, double *push, double *to)
 {
-    double *q = room, *push = q + s->nq;
-    int verdict;
-    configuration(s, q0, xi, q);
-    if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
-    like_v(s, s->residual, sums);
-    drift(s);
-    memcpy(rates, v, s->nv * sizeof(double));
-    if (mu) {
-        all_rows(s, mu, push);
-        apply_real(W, -1.0, push, rates);
+    if (o->frozen) {
+        apply_real(o->frozen, factor, mult, to);
+        return;
     }
+    all_rows(s, mult, push);
+    apply_real(o->W, factor, push, to);
+}
+
+/* A point q0 o exp(xi): the rate of xi for the velocities v - U mu, and the balance for the accelerations a + U tau, which stand in
+   ``room`` behind nq numbers; what rows leave open stands in the system. ``room``: nq + 2 nv. */
+static int local_point(System *s, const Normal *along, double t, const double *q0, const double *xi, const double *v, const double *a,
+                       const double *lam, double *rates, double *sums, double *room)
+{
+    double *q = room, *pushed = q + s->nq, *push = pushed + s->nv;
+    int verdict = DONE;
+    configuration(s, q0, xi, q);
+    memcpy(pushed, a, s->nv * sizeof(double));
+    if (along->tau) {
+        if (!along->frozen && (verdict = place(s, q, v))) return verdict;
+        add_normal(s, along, 1.0, along->tau, push, pushed);
+    }
+    if ((verdict = evaluate(s, q, v, pushed, lam, t))) return verdict;
+    like_v(s, s->residual, sums);
+    memcpy(rates, v, s->nv * sizeof(double));
+    if (along->mu) add_normal(s, along, -1.0, along->mu, push, rates);
     for (int b = 0; b < s->bodies; b++) rate_of(xi + TWIST * b, rates + TWIST * b);
     return DONE;
 }
 
-/* Points of an implicit step: the rates of xi, the sums of the balance, g and G v + g_t. W: by rows. ``room``: nq + nv. */
+/* Points of an implicit step: the rates of xi, the sums of the balance, g and G v + g_t. W: by rows. ``room``: nq + 2 nv. */
 EXPORT int driver_points(System *s, long count, const double *t, const double *q0, const double *xi, const double *v, const double *a,
                          const double *lam, const double *mu, int *W_start, int *W_on, double *W, double *rates, double *sums,
                          double *gap, double *slip, double *room)
@@ -169,8 +192,9 @@ EXPORT int driver_points(System *s, long count, const double *t, const double *q
     for (long i = 0; i < count; i++, xi += s->nv, v += s->nv, a += s->nv, rates += s->nv, sums += s->nv) {
         long at = i * s->rows;
         if ((verdict = sample(s, t[i], &last))) return verdict;
-        verdict = local_point(s, &metric, t[i], q0, xi, v, a, lam + at, mu ? mu + at : NULL, rates, sums, room);
-        if (verdict) return verdict;
+        const Normal along = {&metric, NULL, mu ? mu + at : NULL, NULL};
+        if ((verdict = local_point(s, &along, t[i], q0, xi, v, a, lam + at, rates, sums, room))) return verdict;
+        drift(s);
         memcpy(gap + at, s->gap, s->rows * sizeof(double));
         memcpy(slip + at, s->slip, s->rows * sizeof(double));
     }
@@ -189,23 +213,41 @@ static int sample_point(System *s, const Stages *o, int j, int increments)
     return verdict;
 }
 
+/* The normal directions that multipliers act along: those of the tangent, or those that the step keeps. */
+static Sparse directions_of(const Stages *o)
+{
+    Sparse U = o->U;
+    if (o->frozen) U.data = o->frozen;
+    return U;
+}
+
+/* What corrects point j; ``directions``: as above. */
+static Normal normal_at(const Stages *o, const Sparse *directions, int j)
+{
+    const double *mult = o->mult + (long)j * (o->size - o->n);
+    const int levels = o->fields ? 0 : o->levels;
+    return (Normal){&o->W, o->frozen ? directions : NULL, levels > 1 ? mult + o->m : NULL, levels > 2 ? mult + 2 * o->m : NULL};
+}
+
 /* What the points leave of the equations after so many increments: kin, points x n, and low, points x size. */
 static int stage_residuals(System *s, const Stages *o, int increments)
 {
-    const int n = o->n, m = o->m, size = o->size, known = increments || (o->fields && o->fields->aligned);
+    const int n = o->n, size = o->size, known = increments || (o->fields && o->fields->aligned);
+    const Form form = form_of(o);
+    const Sparse frozen = directions_of(o);
     int verdict;
     if (o->fields) o->fields->aligned = 0;
     for (int j = 0; j < o->points; j++) {
         double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
         if ((verdict = sample_point(s, o, j, known))) return verdict;
-        verdict = local_point(s, &o->W, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult,
-                              o->levels > 1 && !o->fields ? mult + m : NULL, kin, low, o->local);
+        const Normal along = normal_at(o, &frozen, j);
+        verdict = local_point(s, &along, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult, kin, low, o->local);
         if (verdict) return verdict;
         for (int i = 0; i < n; i++) {
             kin[i] = o->rate[j * n + i] - kin[i];
             if (!(fabs(low[i]) < INFINITY)) return NEWTON;
         }
-        level_rows(s, n, m, o->levels, o->first, low);
+        level_rows(s, &form, o->local + s->nq, low);
     }
     if (o->fields) lacking(s, o);
     return DONE;
@@ -218,23 +260,23 @@ static Norm norm_of(const Stages *o)
     return (Norm){o->n, f ? f->kinds : 1, f ? f->span : &o->n, f ? f->counted : &o->n, o->weigh, o->bases, o->bent, o->span};
 }
 
-/* The largest over the points. */
-static double largest_square(const System *s, const Stages *o, int kind, const double *x)
+/* The largest over so many of them. */
+static double largest_square(const System *s, const Stages *o, int count, int kind, const double *x)
 {
     const Norm norm = norm_of(o);
     double worst = 0.0;
-    for (int j = 0; j < o->points; j++, x += o->n) {
+    for (int j = 0; j < count; j++, x += o->n) {
         double one = mean_square(s, &norm, kind, x);
         if (!(one <= worst)) worst = one;
     }
     return worst;
 }
 
-/* The largest length in x, of all points. */
-static double largest_length(const System *s, const Stages *o, const double *x)
+/* The largest length in x, of so many. */
+static double largest_length(const System *s, const Stages *o, int count, const double *x)
 {
     double worst = 0.0;
-    for (int j = 0; j < o->points; j++) {
+    for (int j = 0; j < count; j++) {
         double size = largest_of(s->units, x + j * o->n, o->n);
         if (!(size <= worst)) worst = size;
     }
@@ -269,12 +311,17 @@ static int stage_increment(System *s, Stages *o, int increments)
 
     for (int i = 0; i < k * n; i++) o->dxi[i] *= o->relax, o->dv[i] *= o->relax;
     for (int i = 0; i < k * multipliers; i++) o->dmult[i] *= o->relax;
-    memset(o->push, 0, (size_t)k * n * sizeof(double));
-    for (int j = 0; o->levels && !o->fields && j < k; j++) apply_real(&o->U, 1.0, o->dmult + j * multipliers, o->push + j * n);
+    const Sparse directions = directions_of(o);
+    const int acts = o->fields || !o->levels ? 0 : o->levels > 2 ? 2 : 1; /* levels whose multipliers accelerate */
+    memset(o->push, 0, (size_t)2 * k * n * sizeof(double));
+    for (int i = 0; i < acts; i++)
+        for (int j = 0; j < k; j++)
+            apply_real(&directions, 1.0, o->dmult + j * multipliers + 2 * i * o->m, o->push + (long)(i * k + j) * n);
     const double *moved[3] = {o->dxi, o->dv, o->push};
     for (int i = 0; i < 3; i++) {
-        o->moved[i] = largest_length(s, o, moved[i]);
-        o->moved[3 + i] = largest_square(s, o, i, moved[i]);
+        const int count = i == 2 && acts > 1 ? 2 * k : k;
+        o->moved[i] = largest_length(s, o, count, moved[i]);
+        o->moved[3 + i] = largest_square(s, o, count, i, moved[i]);
     }
 
     add(o->xi, 1.0, o->dxi, k * n);

@@ -13,6 +13,7 @@ typedef struct {
 /* Where data have their entries. */
 typedef struct {
     int n, m, size, levels, first, colours;
+    double pulls[2];                  /* of the form, see Form */
     long low, crossings, columns;     /* entries of the lower rows, of their products with U, of K */
     int *G_start, *G_on, *M_start, *colour; /* G, M by rows; by which number each coordinate is moved */
     long *across;                     /* entries of G in the order of G^T */
@@ -21,6 +22,7 @@ typedef struct {
     long *taken;                      /* entries of K among those of its blocks side by side */
     Product normal, turned, crossed;
     long J, M, G, U, by_q, by_v, by_a; /* where each matrix begins among the data of a tangent */
+    const double *frozen;             /* data of U where steps keep it, else NULL */
 } Patterns;
 
 static void multiply(const Product *p, double factor, const double *a, const double *b, double *c)
@@ -28,10 +30,37 @@ static void multiply(const Product *p, double factor, const double *a, const dou
     for (long i = 0; i < p->pairs; i++) c[p->to[i]] += factor * a[p->a[i]] * b[p->b[i]];
 }
 
-/* The constraints of all levels behind the balance, as drift() left them. */
-static void level_rows(const System *s, int n, int m, int levels, int first, double *low)
+/* Rows of the constraints of so many levels from the ``first`` one on, 0 to 2: g, G v + g_t and, with the numbers of ``pulls``,
+
+     G a + gamma + pulls[0] (G v + g_t) + pulls[1] g */
+typedef struct {
+    int n, m, levels, first;
+    const double *pulls;
+} Form;
+
+/* Those of accelerations where drift() has left the others. */
+static void acceleration_rows(System *s, const Form *o, const double *a, double *rows)
 {
-    for (int k = 0; k < levels; k++) memcpy(low + n + k * m, first + k ? s->slip : s->gap, m * sizeof(double));
+    double *partial = s->work, *second = partial + s->rows;
+    for (int i = 0; i < o->m; i++) rows[i] = o->pulls[0] * s->slip[i] + o->pulls[1] * s->gap[i];
+    derivatives_in_time(s, partial, second);
+    add(rows, 1.0, second, o->m);
+    turn_velocity(s, a);
+    slips(s, 1); /* rows as they are now */
+    slips(s, 0);
+    add(rows, 1.0, s->slip, o->m);
+}
+
+/* All of them behind n numbers, where a state with these accelerations was evaluated. */
+static void level_rows(System *s, const Form *o, const double *a, double *low)
+{
+    drift(s);
+    for (int k = 0; k < o->levels; k++) {
+        double *rows = low + o->n + k * o->m;
+        const int level = o->first + k;
+        if (level < 2) memcpy(rows, level ? s->slip : s->gap, o->m * sizeof(double));
+        else acceleration_rows(s, o, a, rows);
+    }
 }
 
 /* d rate(xi, v) / d xi, body by body, and T with v = T rate(xi, v); either may be NULL. */
@@ -89,15 +118,22 @@ static void pattern_rows(System *s, const Patterns *o, double *row, double *G)
     }
 }
 
+/* U = W G^T by its pattern. */
+static void normal_directions(const Patterns *o, const double *W, const double *G, double *U)
+{
+    memset(U, 0, (o->by_q - o->U) * sizeof(double));
+    for (long i = 0; i < o->normal.pairs; i++) U[o->normal.to[i]] += W[o->normal.a[i]] * G[o->across[o->normal.b[i]]];
+}
+
 /* The balance and the constraints of all levels at a state. */
 static int lower_rows(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
                       double *low)
 {
     int verdict = evaluate(s, q, v, a, lam, t);
     if (verdict && verdict != LOOK) return verdict; /* bodies that NumPy warns of are evaluated like others */
+    const Form form = {o->n, o->m, o->levels, o->first, o->pulls};
     like_v(s, s->residual, low);
-    drift(s);
-    level_rows(s, o->n, o->m, o->levels, o->first, low);
+    level_rows(s, &form, a, low);
     return DONE;
 }
 
@@ -204,13 +240,14 @@ EXPORT int driver_stage_tangent(System *s, const Patterns *o, double length, dou
     long count = o->G_start[o->m];
     for (int k = 0; k < o->levels; k++)
         for (long i = 0; i < count; i++) {
-            long p = o->of_level[k * count + i];
-            by_v[p] = o->first + k ? G[i] : 0.0;
-            if (!(o->first + k)) by_q[p] = G[i];
+            const long p = o->of_level[k * count + i], level = o->first + k;
+            if (level == 2) by_a[p] = G[i];
+            else by_v[p] = level ? G[i] : 0.0;
+            if (level == 0) by_q[p] = G[i];
         }
 
-    memset(U, 0, (o->by_q - o->U) * sizeof(double));
-    for (long i = 0; i < o->normal.pairs; i++) U[o->normal.to[i]] += W[o->normal.a[i]] * G[o->across[o->normal.b[i]]];
+    if (o->frozen) memcpy(U, o->frozen, (o->by_q - o->U) * sizeof(double));
+    else normal_directions(o, W, G, U);
     return DONE;
 }
 
@@ -220,12 +257,14 @@ static void powers(const Patterns *o, const double *data, double *room, double *
     const double *by[3] = {data + o->by_q, data + o->by_v, data + o->by_a}, *G = data + o->G;
     long count = o->levels ? o->G_start[o->m] : 0;
     for (int k = 0; k < 3; k++) {
-        double *across = room + o->low, *crossed = across + count;
+        double *across = room + o->low, *crossed = across + count, *pushed = crossed + o->crossings;
         memcpy(room, by[k], o->low * sizeof(double));
         if (DIM == 3 && k < 2) multiply(&o->turned, -1.0, by[k + 1], data + o->J, room);
         for (long i = 0; i < count; i++) across[i] = k ? 0.0 : G[o->across[i]];
         if (o->levels > 1) memset(crossed, 0, o->crossings * sizeof(double));
         if (o->levels > 1 && k < 2) multiply(&o->crossed, 1.0, by[k + 1], data + o->U, crossed);
+        if (o->levels > 2) memset(pushed, 0, o->crossings * sizeof(double));
+        if (o->levels > 2 && !k) multiply(&o->crossed, 1.0, by[2], data + o->U, pushed);
         for (long i = 0; i < o->columns; i++) K[k][i] = room[o->taken[i]];
     }
 }

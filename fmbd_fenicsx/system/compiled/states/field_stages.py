@@ -33,7 +33,8 @@ class FieldStageRoom(PointRoom):
         sizes: dict[str, int | tuple[int, ...]] = {
             "s": (p, 2), "t": k, "q0": system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n), "mult": (k, width),
             "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n), "low": (k, size), "dxi": (k, n),
-            "dv": (k, n), "dmult": (k, width), "push": (k, n), "weigh": (3, n), "moved": 6, "judged": 2, "local": system.n_q + n,
+            "dv": (k, n), "dmult": (k, width), "push": (2 * k, n), "weigh": (3, n),
+            "moved": 6, "judged": 2, "local": system.n_q + 2 * n,
             "sampled": (k, states.calls.written),
         }  # fmt: skip
         made = zeros_of(sizes)

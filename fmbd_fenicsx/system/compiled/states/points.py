@@ -54,7 +54,7 @@ class LocalPoints:
                 "lam": m,
                 "mu": m,
             }
-            sizes |= {"rates": n, "sums": n, "gaps": m, "slips": m, "room": s.n_q + s.n_v}
+            sizes |= {"rates": n, "sums": n, "gaps": m, "slips": m, "room": s.n_q + 2 * s.n_v}
             self._rooms[count] = Exchange(sizes)
         return self._rooms[count]
 

@@ -2,7 +2,7 @@
 
 With frequencies s, K = K0 + s K1 + s^2 K2, symbols as in linear/saddle/pencil.py:
 
-    K0 = [by_q - by_v J, G^T, by_v U],     K1 = [by_v - by_a J, 0, by_a U],     K2 = [by_a, 0, 0]                    (1)
+    K0 = [by_q - by_v J, G^T, by_v U, by_a U],     K1 = [by_v - by_a J, 0, by_a U, 0],     K2 = [by_a, 0, 0, 0]      (1)
 """
 
 from __future__ import annotations
@@ -32,10 +32,22 @@ Patterns = structure_of("tangent.c", "Patterns", Product=ProductPairs)
 
 
 class StageStructure:
-    """Patterns of the equations of a step whose constraints hold on some levels, 0 and 1; and of (1), by columns."""
+    """Patterns of the equations of a step whose constraints hold on some levels, 0 to 2; and of (1), by columns.
 
-    def __init__(self, couplings: Couplings, states: DriverStates, levels: tuple[int, ...]) -> None:
-        self.couplings, self.states, self.levels = couplings, states, levels
+    ``pulls``: of rows of accelerations, see ``Form`` of tangent.c. ``frozen``: a step keeps the U of its start.
+    """
+
+    def __init__(
+        self,
+        couplings: Couplings,
+        states: DriverStates,
+        levels: tuple[int, ...],
+        *,
+        pulls: tuple[float, float] = (0.0, 0.0),
+        frozen: bool = False,
+    ) -> None:
+        self.couplings, self.states, self.levels, self.pulls = couplings, states, levels, pulls
+        self.keeps_directions = frozen
         n, m, count = couplings.n, couplings.m, len(levels)
         self.n, self.m, self.size = n, m, n + count * m
         G, balance, offsets = couplings.rows, couplings.balance, n + m * np.arange(count)
@@ -51,8 +63,9 @@ class StageStructure:
         # rows that depend on each other are softened on the diagonal, where those of mu have entries
         own = n + np.arange(m if count else 0)
         diagonal = Pattern.of((self.size, m), own, own - n)
-        blocks = [self.low, across, self.crossed.pattern][: 1 + count]
-        self._lay_out([*blocks, diagonal], [0, n, n + m][: 1 + count] + [n])
+        blocks = [self.low, across, self.crossed.pattern, self.crossed.pattern][: 1 + count]
+        self._lay_out([*blocks, diagonal], [0, n, n + m, n + 2 * m][: 1 + count] + [n])
+        self.frozen = np.zeros(len(self.normal.pattern))  # data of U where a step began
 
         unknowns = [np.arange(n)[:, None], n + np.arange(m)[:, None] + m * np.arange(count)]
         each = [*unknowns[0], *unknowns[1]]
@@ -83,7 +96,8 @@ class StageStructure:
 
         levels = [low.places(at + G.rows, G.columns) for at in offsets]
         self.c = Patterns(
-            n=self.n, m=self.m, size=self.size, levels=len(levels), first=self.levels[0] if levels else 0, colours=colours,
+            n=self.n, m=self.m, size=self.size, levels=len(levels), pulls=self.pulls, frozen=self.frozen_at,
+            first=self.levels[0] if levels else 0, colours=colours,
             low=len(low), crossings=len(self.crossed.pattern), columns=len(self._taken), masses=len(couplings.masses),
             G_start=address_of(G.start), G_on=address_of(G.on), M_start=address_of(couplings.masses.start),
             colour=self._address(colour, np.int32),
@@ -112,6 +126,15 @@ class StageStructure:
     def _pairs(self, product: Product) -> ctypes.Structure:
         places = (self._address(x) for x in (product.a, product.b, product.to))
         return ProductPairs(len(product.to), *places)
+
+    @property
+    def frozen_at(self) -> int | None:
+        """Where C finds the U that a step keeps; None where it keeps none."""
+        return address_of(self.frozen) if self.keeps_directions else None
+
+    def directions(self, G: Array) -> Array:
+        """Data of U for those of G."""
+        return self.normal.data(self.inverse, G[self._across])
 
     @property
     def patterns(self) -> dict[str, Pattern]:

@@ -96,6 +96,7 @@ class StageRoom(PointRoom):
 
         c = self.c = Stages(
             n=n, m=m, size=size, levels=len(structure.levels), frequencies=p, points=k, entries=entries,
+            pulls=structure.pulls, frozen=structure.frozen_at,
             first=structure.levels[0] if structure.levels else 0,
             start=address_of(structure.start), row=address_of(structure.row), order=address_of(structure.order), relax=1.0,
         )  # fmt: skip
@@ -106,9 +107,9 @@ class StageRoom(PointRoom):
             "softness": m, "soft": (p, 2 * size), "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,
             "t": k, "q0": states.tables.system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n),
             "mult": (k, max(multipliers, m)), "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n),
-            "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)), "push": (k, n), "weigh": (3, n),
+            "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)), "push": (2 * k, n), "weigh": (3, n),
             "sampled": (k, states.calls.written),
-            "moved": 6, "judged": 2, "local": states.tables.system.n_q + n,
+            "moved": 6, "judged": 2, "local": states.tables.system.n_q + 2 * n,
         }  # fmt: skip
 
         made = zeros_of(sizes)
@@ -155,7 +156,15 @@ class StageRoom(PointRoom):
         """As of all points."""
         o = self.structure
         masses = address_of(o.masses)
-        return {"patterns": o.address, "data": self._data_at, "masses": masses, "room": o.room_address}
+        of_rows = np.zeros(len(o.couplings.rows))
+        self.kept.append(of_rows)
+        return {
+            "patterns": o.address,
+            "data": self._data_at,
+            "masses": masses,
+            "room": o.room_address,
+            "directions": address_of(of_rows),
+        }
 
     def let_depend(self, *, redundant: bool) -> None:
         """Say whether rows depend on each other."""
