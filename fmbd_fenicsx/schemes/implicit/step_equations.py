@@ -105,6 +105,7 @@ class StepEquations(Equations):
 
     def kept(self, room: StageRoom, judge: Judge, *, known: bool) -> tuple[Any, Any]:
         """As :meth:`Equations.kept`."""
+        assert isinstance(self.tangents, SparseTangents)
         self.tangents.take_directions(room.tangent)
         return (room.tangent, SparsePencil(room.tangent, room.frequencies, judge, room)) if known else (None, None)
 

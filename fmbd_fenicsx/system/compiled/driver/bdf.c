@@ -144,17 +144,16 @@ static int point_of_step(System *s, double *p, Implicit *o, const Block *now, in
     return iterate_step(s, o, p, now, 1.0, work);
 }
 
-/* The state at the point, and what is kept of it. ``q``: work, nq + 2 nv + rows. */
-static int end_bdf(System *s, Implicit *o, const double *p, const Block *now, Block out, double *q)
+/* The state at the point, and what is kept of it. ``room``: 2 nv + rows. */
+static int end_bdf(System *s, Implicit *o, const double *p, const Block *now, Block out, double *room)
 {
     const Stages *g = o->stages;
     const Memories m = memories_at(g, now->own), made = memories_at(g, out.own);
-    configuration(s, now->q, g->xi, q);
-    int verdict = least_of_levels(s, g, g->t[0], q, g->mult, q + s->nq);
-    if (verdict) return verdict;
+    int verdict = end_motion(s, o, p, now, out);
+    if (verdict || (verdict = least_of_levels(s, g, g->t[0], out.q, g->mult, room))) return verdict;
     memcpy(made.mult, g->mult, (g->size - g->n) * sizeof(double));
     remember_value(s, o, now, &m, &made);
-    return end_implicit(s, o, p, now, g->mult, out);
+    return end_implicit(s, o, p, g->mult, out);
 }
 
 /* ---- sizes and orders ---- */

@@ -119,25 +119,29 @@ static void combine(int rows, int k, const double *A, int n, const double *x, do
         for (int i = 0; i < k; i++) add(y + (long)j * n, A[j * k + i], x + (long)i * n, n);
 }
 
-/* The end of a step at the last of the points. */
-static int end_implicit(System *s, const Implicit *o, const double *p, const Block *now, const double *mult, Block out)
+/* Where a step ends, at the last of the points; multipliers are those that Newton's iteration has found. */
+static int end_motion(System *s, const Implicit *o, const double *p, const Block *now, Block out)
 {
     const Stages *g = o->stages;
     const int n = g->n, last = g->points - 1;
     const Sparse directions = directions_of(g);
     const Normal along = normal_at(g, &directions, last);
-    double *room = g->local;
-    int verdict;
     *out.t = *now->t + p[H];
     configuration(s, now->q, g->xi + (long)last * n, out.q);
     memcpy(out.v, g->v + (long)last * n, n * sizeof(double));
     memcpy(out.a, g->vd + (long)last * n, n * sizeof(double));
-    memcpy(out.lam, mult, s->rows * sizeof(double));
     memset(out.A, 0, n * sizeof(double));
-    if (along.tau) {
-        if ((verdict = place(s, out.q, out.v))) return verdict;
-        add_normal(s, &along, 1.0, along.tau, room, out.a);
-    }
+    if (!along.tau) return DONE;
+    int verdict = place(s, out.q, out.v);
+    if (!verdict) add_normal(s, &along, 1.0, along.tau, g->local, out.a);
+    return verdict;
+}
+
+/* The end of a step with its multipliers. */
+static int end_implicit(System *s, const Implicit *o, const double *p, const double *mult, Block out)
+{
+    int verdict;
+    memcpy(out.lam, mult, s->rows * sizeof(double));
     if (o->projects && (verdict = driver_close(s, 1, *out.t, p[LENGTH], 0.0, 0.0, out.q, out.v, o->mixed))) return verdict;
     if (!turns_freely(s)) return DONE;
     if (!(verdict = place(s, out.q, out.v))) settle_angles(s, out.q);

@@ -130,6 +130,7 @@ static int end_radau(System *s, Implicit *o, const double *p, const Block *now, 
     int verdict;
     *made.h = p[H];
     rates_of_stages(o, now, o->mixed);
+    if ((verdict = end_motion(s, o, p, now, out))) return verdict;
     for (int j = 0; s->redundant && j < k; j++) {
         double *q = o->mixed, *rest = q + s->nq;
         configuration(s, now->q, g->xi + j * n, q);
@@ -140,7 +141,7 @@ static int end_radau(System *s, Implicit *o, const double *p, const Block *now, 
     memcpy(made.xi, g->xi, (size_t)k * n * sizeof(double));
     memcpy(made.vs, g->v, (size_t)k * n * sizeof(double));
     memcpy(made.mult, g->mult, (size_t)k * width * sizeof(double));
-    return end_implicit(s, o, p, now, g->mult + (k - 1) * width, out);
+    return end_implicit(s, o, p, g->mult + (k - 1) * width, out);
 }
 
 /* The start of a step on its constraints: v, a, and what moves the places, dq, each like v. ``room``: nq and that of driver_arrive(). */
