@@ -178,11 +178,15 @@ def test_marches_of_implicit_schemes_are_steps_in_parts(
     assert once.state.q == pytest.approx(turn.state.q, rel=1e-11, abs=1e-12)
 
 
+FILTERED = fmbd.Radau(
+    stages=2, rtol=1e-5
+)  # by a frequency that no stage shares, which Python solves for with every increment
 OWN = [
     fmbd.Radau(),
     fmbd.Radau(stages=5, rtol=1e-8),
     fmbd.Radau(form=fmbd.Index3()),
     fmbd.Radau(rtol=1e-3),
+    FILTERED,
     fmbd.BDF(),
     fmbd.BDF(order=2, rtol=1e-4),
     fmbd.BDF(form=fmbd.Index2(), rtol=1e-8),
@@ -223,7 +227,7 @@ OF_PARTS = {"core_factorisations", "worst_linear_residual", "solves"}
 
 def counted(scheme: Any, run: fmbd.Run) -> dict[str, float]:
     """Work that steps of compiled code and of Python have in common."""
-    left_out = OF_PARTS if told(scheme) in EXPLICIT else set()
+    left_out = OF_PARTS if told(scheme) in EXPLICIT else {"solves"} if scheme == FILTERED else set()
     return {name: count for name, count in run.counters.items() if name not in left_out}
 
 

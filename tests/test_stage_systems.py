@@ -109,10 +109,10 @@ def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any
     for s in (np.array([1.5 / H]), tableau(2).values / H, tableau(3).values / H):
         kin, low = right_hand_sides(eq, len(s))
         given = (kin, low) if np.iscomplexobj(s) else (kin.real, low.real)
-        pencil = eq.tangents.pencil(wanted, s, JUDGE, redundant)
+        pencil = eq.tangents.pencil(wanted, s, JUDGE, redundant=redundant)
         if redundant:
             given = given[0], without_contradictions(pencil, *given)
-        expected, solved = pencil.solve(*given), sparse.pencil(made, s, JUDGE, redundant).solve(*given)
+        expected, solved = pencil.solve(*given), sparse.pencil(made, s, JUDGE, redundant=redundant).solve(*given)
         if redundant:
             expected = expected[0], smallest(eq, state, expected[1])
         for x, y in zip(solved, expected, strict=True):
@@ -133,14 +133,14 @@ def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
 
     s = tableau(3).values / H
     given = right_hand_sides(eq, len(s))
-    found = eq.tangents.pencil(made, s, JUDGE, False).solve(*given)
-    wanted = with_dense_matrices(eq).pencil(eq.tangents.filled(made), s, JUDGE, False).solve(*given)
+    found = eq.tangents.pencil(made, s, JUDGE, redundant=False).solve(*given)
+    wanted = with_dense_matrices(eq).pencil(eq.tangents.filled(made), s, JUDGE, redundant=False).solve(*given)
     for x, y in zip(found, wanted, strict=True):
         assert x == pytest.approx(y, rel=1e-6, abs=1e-7 * np.abs(y).max())
 
     nothing = replace(made, **{key: 0.0 * values for key, values in vars(made).items()})
     with pytest.raises(LinearSolveError, match="singular"):
-        eq.tangents.pencil(nothing, s, JUDGE, False)
+        eq.tangents.pencil(nothing, s, JUDGE, redundant=False)
 
 
 @compiled
@@ -159,7 +159,7 @@ def test_increments_of_compiled_code(name: str, form: Any, stages: int) -> None:
     points = Points(*(x[:stages] for x in (0.01 * v, v - a, v, a)), np.repeat(mult[None], stages, axis=0))
     weights = np.random.default_rng(6).uniform(1.0, 2.0, (3, system.n_v))
 
-    pencil, found = eq.pencil(tangent, s, JUDGE), []
+    pencil, found = eq.pencil(tangent, s, JUDGE, stages), []
     for w in (None, weights):
         iteration, before = StageIteration(eq, t[:stages], points, rule, w), eq.residuals
         convergence = Convergence(most=2, adaptive=True, tolerance=1e-300, limit=0.99, largest=np.inf, first=1.0)
@@ -221,7 +221,7 @@ def test_work_grows_with_the_length_of_a_chain() -> None:
         use_driver(system)
         rest = tuple(np.array([x]) for x in (0.0, start.q, start.v, 0.0 * start.v, np.zeros(system.n_lam)))
         eq, state, mult = equations(system, fmbd.GGL(), rest)
-        pencil: Any = eq.pencil(eq.refresh(state, mult), tableau(3).values / H, JUDGE)
+        pencil: Any = eq.pencil(eq.refresh(state, mult), tableau(3).values / H, JUDGE, 3)
         structure, size = pencil.room.structure, pencil.room.structure.size
         filled = sum(int(np.ctypeslib.as_array((np.ctypeslib.ctypes.c_long * (size + 1)).from_address(x))[-1])
                      for one in pencil.room.lower for x in (one.L_start, one.U_start))  # fmt: skip

@@ -165,6 +165,6 @@ class Equations(Remembering):
         """M a at the tangent's motion."""
         raise NotImplementedError
 
-    def pencil(self, tangent: Any, s: Array, judge: Judge) -> Any:
-        """Solver of the stages for the frequencies s, (p,)."""
+    def pencil(self, tangent: Any, s: Array, judge: Judge, points: int = 1) -> Any:
+        """Solver of so many stages for the frequencies s, (p,)."""
         raise NotImplementedError

@@ -388,6 +388,6 @@ class FieldEquations(Equations):
         zero = np.zeros_like(a)
         return tangent.along(zero, zero, a)[: self.system.n_v]
 
-    def pencil(self, tangent: FieldTangent, s: Array, judge: Judge) -> FieldStages:
+    def pencil(self, tangent: FieldTangent, s: Array, judge: Judge, points: int = 1) -> FieldStages:
         """Solver of (2) for the frequencies s, (p,)."""
-        return FieldStages(self, tangent, s, self._solvers_of(s), judge)
+        return FieldStages(self, tangent, s, self._solvers_of(s), judge, points)

@@ -145,10 +145,10 @@ class ImplicitMarch(OwnMarch):
     def _count_solves(self, increments: int) -> None:
         """Evaluations and solves of so many increments."""
         assert self._lent is not None
-        stages = self._lent.stages.c
+        stages = self._lent.stages
         self.stats.newton_iterations += increments
-        self.eq.residuals += increments * stages.points
-        self.judge.solves += increments * stages.frequencies
+        self.eq.residuals += increments * stages.c.points
+        self.judge.solves += increments * stages.shared
 
     def _refuse(self, h: float) -> None:
         super()._refuse(h)

@@ -134,10 +134,16 @@ class FieldStages:
     """The stage systems of frequencies s, (p,) real or complex; what :class:`.Pencil` is for small systems."""
 
     def __init__(
-        self, equations: FieldEquations, tangent: FieldTangent, s: Array, solvers: list[FrequencySolver], judge: Judge
+        self,
+        equations: FieldEquations,
+        tangent: FieldTangent,
+        s: Array,
+        solvers: list[FrequencySolver],
+        judge: Judge,
+        points: int = 1,
     ) -> None:
-        """``solvers``: who solves for each of them."""
-        self.eq, self.t, self.judge = equations, tangent, judge
+        """``solvers``: who solves for each of them; ``points``: how many stages there are."""
+        self.eq, self.t, self.judge, self.points = equations, tangent, judge, points
         self.s = [x.real if x.imag == 0 else x for x in s]
         self.by = solvers
         equations.metric = next((by.weights for by in self.by if by.weights.real), equations.metric)
@@ -153,8 +159,7 @@ class FieldStages:
         """Who adds increments in compiled code; None where solutions may have to be iterated on, or where that has no place."""
         eq, t = self.eq, self.t
         if self._room is None and self._trusted.all():
-            points = len(self.s) + sum(self.wide)  # a complex frequency stands for two
-            self._room = eq.stage_room(len(self.s), points, self.square)
+            self._room = eq.stage_room(len(self.s), self.points, self.square)
             if self._room is not None:
                 self._room.derive_at(t.state, t.low, eq.closing_motions(), t.turnings)
         return self._room

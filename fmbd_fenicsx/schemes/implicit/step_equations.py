@@ -273,10 +273,10 @@ class StepEquations(Equations):
         """M a at the tangent's motion."""
         return self.tangents.inertia(tangent, a)
 
-    def pencil(self, tangent: Any, s: Array, judge: Judge) -> Pencil | SparsePencil:
-        """Solver of the stages for the frequencies s, (p,)."""
+    def pencil(self, tangent: Any, s: Array, judge: Judge, points: int = 1) -> Pencil | SparsePencil:
+        """Solver of so many stages for the frequencies s, (p,)."""
         self._choose()  # a checkpoint asks before any step
-        return self.tangents.pencil(tangent, s, judge, self.solver.core.redundant)
+        return self.tangents.pencil(tangent, s, judge, redundant=self.solver.core.redundant, points=points)
 
     def weigh(self, state: State) -> None:
         """Take the mass matrix of a state for the normal directions, when they are asked for."""

@@ -130,7 +130,7 @@ class DenseTangents(Remembering):
         """M a."""
         return tangent.M @ a
 
-    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, redundant: bool) -> Pencil:
+    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: bool, points: int = 1) -> Pencil:
         """Solver of the stages for the frequencies s, (p,)."""
         return Pencil(tangent, s, judge, redundant)
 
@@ -227,11 +227,9 @@ class SparseTangents(Remembering):
         """M a."""
         return self.structure.couplings.masses.times(tangent.M, a[None])[0]
 
-    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, redundant: bool) -> SparsePencil:
-        """Solver of the stages for the frequencies s, (p,)."""
-        # a frequency of a complex pair belongs to two points
-        room = self.room(len(s), len(s) + int(np.add.reduce(s.imag != 0.0)))
-        return SparsePencil.factored(tangent, s, judge, room, redundant=redundant)
+    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: bool, points: int = 1) -> SparsePencil:
+        """Solver of so many stages for the frequencies s, (p,)."""
+        return SparsePencil.factored(tangent, s, judge, self.room(len(s), points), redundant=redundant)
 
     def room(self, frequencies: int, points: int) -> StageRoom:
         """Where so many points are solved for."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -54,6 +54,19 @@ def tableau(stages: int) -> Tableau:
     middle = lagrange(nodes, np.array([0.5]))[0, 1:]
     vectors = vectors[:, keep] * np.where(values[keep].imag == 0, 1.0, 2.0)
     return Tableau(c, W, values[keep].astype(complex), vectors, inverse, gamma, error, basis, stage_basis, middle)
+
+
+@lru_cache
+def controlled(stages: int) -> Tableau:
+    """The same with gamma first of all frequencies, which filters errors. Of an even number of stages it is none of their own: no
+    stage has a share in it.
+    """
+    tab = tableau(stages)
+    if tab.values[0].imag == 0:
+        return tab
+    values = np.append(complex(tab.gamma), tab.values)
+    inverse = np.concatenate((np.zeros((1, stages)), tab.inverse))
+    return replace(tab, values=values, vectors=np.pad(tab.vectors, ((0, 0), (1, 0))), inverse=inverse)
 
 
 def lagrange(nodes: Array, x: Array) -> Array:

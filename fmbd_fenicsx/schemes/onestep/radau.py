@@ -38,7 +38,7 @@ from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_controlled
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
-from .collocation import tableau
+from .collocation import Tableau, controlled, tableau
 from .stage_newton import StageNewton
 
 
@@ -94,7 +94,7 @@ class RadauStepper(StageNewton):
 
     def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(scheme, system, solver, newton, state)
-        self.tab = tableau(scheme.stages)
+        self.tab = self._coefficients()
         self.control = StepControl(scheme.stages + 1.0)
         self.mult: Array = self.eq.multipliers(state)
 
@@ -105,6 +105,11 @@ class RadauStepper(StageNewton):
         self._last: tuple[float, Array, Array, Points] | None = None
         self.eq.weigh(state)
         self.eq.keep_sizes(equal=not self.adaptive)
+
+    def _coefficients(self) -> Tableau:
+        """With a real frequency, where errors are filtered, or fields close joints on two levels."""
+        real = self.adaptive or (self.eq.levels > 1 and not self.eq.dense)
+        return (controlled if real else tableau)(self.scheme.stages)
 
     def remember(self, m: Memory) -> None:
         """With the last collocation polynomial and the tangent, whose factors are made again."""
@@ -234,9 +239,9 @@ class RadauStepper(StageNewton):
 
     # -- error --------------------------------------------------------------------------------------------------
     def _error_filter(self, h: float) -> Any:
-        """The solver for gamma_0 / h; of an odd number of stages it is the real one of their own."""
+        """The solver for gamma_0 / h, the first of the frequencies."""
         assert self._tangent is not None
-        if isinstance(self._pencil, SparsePencil) and self._h_factor == h and self.tab.gamma == self.tab.values[0]:
+        if isinstance(self._pencil, SparsePencil) and self._h_factor == h:
             return self._pencil
         self.stats.factorisations += 1
         return self.eq.pencil(self._tangent, np.array([self.tab.gamma / h]), self.judge)

@@ -49,11 +49,6 @@ class StageMarch(ImplicitStepper):
         """By how much less than others steps may turn: many stages share one tangent that long."""
         return 2 if self.scheme.form.frozen or self.scheme.stages > 3 else 1
 
-    @property
-    def _chooses_alike(self) -> bool:
-        # an even number of stages has no real factor that filters errors
-        return self.scheme.stages % 2 == 1 and super()._chooses_alike
-
     # -- what a march begins with -----------------------------------------------------------------------------------
     def _lend(self) -> ImplicitRoom:
         tab = self.tab

@@ -202,7 +202,7 @@ static int field_solutions(System *s, const Stages *o)
     const FieldStages *e = o->fields;
     int verdict;
     for (int f = 0; f < o->frequencies; f++)
-        if ((verdict = trusted_solution(s, o, f, e->before[f]))) return verdict;
+        if (shared(o, f) && (verdict = trusted_solution(s, o, f, e->before[f]))) return verdict;
     memcpy(e->before, e->sizes, o->frequencies * sizeof(double));
     return DONE;
 }
@@ -251,6 +251,7 @@ static int field_increments(System *s, const Stages *o)
     if (verdict) return verdict;
 
     for (int f = 0; f < o->frequencies; f++) {
+        if (!shared(o, f)) continue;
         const int parts = parts_of(o, f);
         double *dxi = e->x + (long)f * 4 * n, *dv = dxi + parts * n, *y = e->y + (long)f * 2 * width;
         field_velocities(s, o, f, dxi, dv);

@@ -104,6 +104,15 @@ static void soften_rows(const Stages *o)
 #define FREQUENCY(x) (*(const double complex *)(x))
 #include "lu.c"
 
+/* Whether points have a share in a frequency: not in one that filters errors only. */
+static int shared(const Stages *o, int f)
+{
+    const double *inverse = o->inverse + 2 * (long)o->points * f;
+    for (int j = 0; j < 2 * o->points; j++)
+        if (inverse[j] != 0.0) return 1;
+    return 0;
+}
+
 /* Factors of all frequencies, of a tangent with these data. */
 EXPORT int driver_stage_factors(Stages *o, const Patterns *patterns, const double *data)
 {
@@ -304,6 +313,7 @@ static int stage_increment(System *s, Stages *o, int increments)
     memset(o->dmult, 0, (size_t)k * multipliers * sizeof(double));
     if (o->fields && (verdict = field_increments(s, o))) return verdict;
     for (int f = 0; f < o->frequencies && !o->fields; f++) {
+        if (!shared(o, f)) continue;
         if (o->s[2 * f + 1] == 0.0) contribute_real(o, f, judged);
         else contribute_complex(o, f, judged);
         farthest_apart(judged, o->judged);

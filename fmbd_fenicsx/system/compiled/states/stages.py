@@ -72,6 +72,11 @@ class PointRoom:
         return tuple([self.arrays[name].copy() for name in ("xi", "rate", "v", "vd", "mult")])
 
     @property
+    def shared(self) -> int:
+        """Frequencies that points have a share in: all but one that filters errors only."""
+        return int(self.arrays["inverse"].any(axis=(1, 2)).sum())
+
+    @property
     def left(self) -> Array:
         """What the last point left of the first rows, (m,)."""
         n, m = self.c.n, self.c.m
