@@ -80,6 +80,7 @@ class MarchingStepper(CompiledSteps):
     limit: StepLimit | None = None  # of explicit schemes
     leaves_masses: ClassVar[bool] = True  # whether the factor at the end of a step is that of the masses there
     _used: March | None = None
+    _began: State | None = None  # where the newest step of a call began
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
     def _room(self, states: DriverStates) -> int:
@@ -116,14 +117,14 @@ class MarchingStepper(CompiledSteps):
     @property
     def origin(self) -> State:
         """As :meth:`TimeStepper.origin`."""
-        assert self._used is not None
-        return self._used.state(1)
+        assert self._began is not None
+        return self._began
 
     @property
     def earlier(self) -> State | None:
         """As :meth:`TimeStepper.earlier`."""
         newest = self._used is not None and self._used.state().t == self.state.t  # else made in parts
-        return self.origin if newest else None
+        return self._began if newest else None
 
     def within(self, steps: KeptSteps) -> States:
         """As :meth:`TimeStepper.within`."""
@@ -191,7 +192,7 @@ class MarchingStepper(CompiledSteps):
         self._stopped = bool(verdict)
         driver.end_steps(march.state() if made and not verdict and self.leaves_masses else None)
         if made:
-            self.state = march.state()
+            self.state, self._began = march.state(), march.state(1)
             self._take_march(march, made)
             take_energies(p, observers.energy)
             if joints is not None:

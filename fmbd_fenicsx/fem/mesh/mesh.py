@@ -230,7 +230,8 @@ def read_gmsh(
     install_hooks()
     compat.check_versions()
     instance("read_gmsh: source", source, (str, Path))
-    for name in (volume,) if isinstance(volume, str) else words("read_gmsh: volume", volume or ()):
+    names = () if volume is None else (volume,) if isinstance(volume, str) else words("read_gmsh: volume", volume)
+    for name in names:
         word("read_gmsh: volume", name)
     number("read_gmsh: scale", scale, above=0.0)
     path = Path(source)
