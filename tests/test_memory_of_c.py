@@ -28,6 +28,7 @@ FILES = (
     "field_stages",
     "field_states",
     "kept_steps",
+    "rods_relaxation",
     "marches",
     "stage_systems",
     "steps_one_by_one",
