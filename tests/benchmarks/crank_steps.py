@@ -26,7 +26,7 @@ import fmbd_fenicsx as fmbd
 
 WANTED = 1e-6  # m
 EQUAL = (36, 72, 144, 288, 576, 1152, 2304, 4608, 9216)
-CHOSEN = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
+CHOSEN = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
 REST = 1.0  # s
 TURNS = 5  # of all kinds, whose least CPU time counts
 
