@@ -210,10 +210,14 @@ def falling_slowly(
     scheme, from a run and one with larger steps, where that is small ``enough``. Nobody has to see their orders then.
     """
     chance = found.by_chance.intersection(sensors)
+    if not chance:
+        return found
+
     slow = of_order(expected, *compared, 0.5)
     alone = {n: slow[n] if n in chance else scaled(x, 0.0) for n, x in found.errors.items()}
-    if not chance or not enough(alone):
+    if not enough(alone):
         return found
+
     told = {n: slow[n] if n in chance else x for n, x in found.errors.items()}
     return replace(found, errors=told, by_chance=found.by_chance - chance)
 

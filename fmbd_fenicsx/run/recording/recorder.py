@@ -132,7 +132,7 @@ class Recorder:
         if self._wanted is None or tape.kept is None:
             return
         for steps in tape.kept.steps(stepper.state.t):
-            begin = clock.perf_counter()
+            begin, spent = clock.perf_counter(), self.seconds
             self._judge_tape(tape.recorded(), float(steps.after.t[-1, 0]))
             states = states_within(steps, stepper, self.rounding)
             numbers = first + steps.number
@@ -146,7 +146,8 @@ class Recorder:
                 self.moments.append(seen.t)
                 self._take_values(seen, {})
             self._wanted = self._wanted[len(states) :]
-            self.seconds += clock.perf_counter() - begin
+            # those that are recorded one by one have noted their seconds
+            self.seconds = spent + clock.perf_counter() - begin
 
     def _take_values(self, seen: Recorded, there: Any) -> None:
         """Sensors and energies of records, but for those that are ``there``."""

@@ -34,9 +34,8 @@ from ..newton import Newton
 from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
 
 STAGES = 12
-(THIRD,) = constants(
-    "runge_kutta.c", "THIRD"
-)  # weight of the square of the error of order three beside that of order five
+# weight of the square of the error of order three beside that of order five
+(THIRD,) = constants("runge_kutta.c", "THIRD")
 
 
 @lru_cache
