@@ -74,7 +74,7 @@ def test_exact_factors_leave_nothing_where_nothing_turns(rod_mesh: Callable[...,
 
     frequencies, judge = np.array([350.0, S]), Judge("a test")
     for _ in range(SETTLED + 1):
-        stages = equations.pencil(tangent, frequencies, judge)
+        stages = equations.pencil(tangent, frequencies, judge, 3)
     assert [by.exact for by in stages.by] == [True, True]
 
     rng = np.random.default_rng(2)
@@ -84,7 +84,7 @@ def test_exact_factors_leave_nothing_where_nothing_turns(rod_mesh: Callable[...,
     assert equations.krylov == 0
 
     equations.trusted = False
-    iterated = equations.pencil(tangent, frequencies, judge).solve(kin, low)
+    iterated = equations.pencil(tangent, frequencies, judge, 3).solve(kin, low)
     assert equations.krylov <= 4
     for x, y in zip(direct, iterated, strict=True):  # each frequency by itself: one has smaller answers
         assert (np.abs(x - y).max(axis=1) < 2e-2 * np.abs(y).max(axis=1)).all()

@@ -152,6 +152,8 @@ class FieldStages:
         self.before: Array = np.zeros(len(s))  # sizes of the last increments
         self.frequency, self.square_of_s = np.abs(s), np.array(self.s)[:, None] ** 2
         self.wide = [np.iscomplexobj(x) for x in self.s]
+        # a complex frequency stands for two stages; one more than these, the first of all, filters errors only
+        self.first = int(len(self.s) + sum(self.wide) > points)
         self._room: FieldStageRoom | None = None
 
     @property
@@ -245,9 +247,15 @@ class FieldStages:
 
     def _solutions(self, low: Array, which: Iterable[int]) -> tuple[Array, Array]:
         """P^-1 of (1) for residuals of the balance and the first rows, of some of the frequencies."""
-        found = [self._precondition(i, -low[i] if self.wide[i] else -low[i].real) for i in which]
+        found = [self._solution(i, -low[i] if self.wide[i] else -low[i].real) for i in which]
         kind = complex if any(self.wide) else float
         return np.array([x for x, _ in found], kind), np.array([y for _, y in found], kind)
+
+    def _solution(self, i: int, r: Array) -> tuple[Array, Array]:
+        """The same of one frequency; none where no stage has a share in it."""
+        if i >= self.first:
+            return self._precondition(i, r)
+        return np.zeros(self.eq.system.n_v), np.zeros(self.eq.system.n_lam)
 
     def _with_known(self, low: Array, rate: Array, push: Array, seen: np.ndarray) -> Array:
         """Residuals with what known parts of dv and da add to them, of the frequencies where that is seen."""
