@@ -32,7 +32,7 @@ def solved(**settings: Any) -> tuple[fmbd.Run, float]:
 
 
 def main() -> None:
-    """Print a table for docs/accuracy.md."""
+    """Print a table for docs/accuracy_log.md."""
     solved(dt=0.01)  # what is compiled and imported once belongs to no run
     exact, _ = solved(scheme=fmbd.Radau(3, rtol=1e-8))
     print("| steps | error (m) | CPU time (s) |\n|---|---|---|")

@@ -99,7 +99,7 @@ def timed(case: Case, found: list[Enough | None]) -> list[str]:
 
 
 def main(names: list[str]) -> None:
-    """Print the table of docs/accuracy.md."""
+    """Print the table of docs/accuracy_log.md."""
     solved(CASES["runs up in two turns"], dt=fe.END / 36)  # what is compiled and imported once belongs to no run
     kinds: tuple[Callable[[float], Any], ...] = (
         lambda x: fmbd.GeneralizedAlpha(rtol=x), lambda x: fmbd.Radau(2, rtol=x), lambda x: fmbd.Radau(3, rtol=x)

@@ -1,6 +1,6 @@
 """What a run with ten times the tolerance knows of the error of a run with error control: their distance over the true error.
 
-Run:  cd tests; ../with-dolfinx python3 benchmarks/looser_runs.py        (two minutes; the last line is in docs/accuracy.md)
+Run:  cd tests; ../with-dolfinx python3 benchmarks/looser_runs.py        (two minutes; the last line is in docs/accuracy_log.md)
 """
 
 from __future__ import annotations
