@@ -81,7 +81,7 @@ class Tape:
         """Room for so many records, none of them made, and for a step that is only looked at."""
         room = zeros_of({name: (capacity + 1, *shape) for name, shape in self._sizes.items()})
         self.arrays = {name: x for name, (x, _) in room.items()}
-        self.capacity = self.c.capacity = capacity
+        self.capacity = capacity
         for name, (_, address) in room.items():
             setattr(self.c, name, address)
         self._find_watched()

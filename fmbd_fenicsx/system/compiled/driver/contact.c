@@ -11,7 +11,7 @@ enum { TOLD = 8 };                                     /* poses of a moving obst
 typedef struct {
     int shape, first, count, carrier, moving; /* points; carrier: body, -1 for none */
     double radius, friction, restitution, thickness;
-    double data[16];                          /* of the shape: see contact_driver.py */
+    double data[16];                          /* of the shape: see schemes/impacts/compiled/driver.py */
     double pose[POSE];                        /* of an obstacle that no body carries, */
     double told[TOLD * POSE], asked[TOLD];    /* of one that moves those told last, and their times; */
     long oldest;                              /* which of them is the oldest */

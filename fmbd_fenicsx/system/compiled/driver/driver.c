@@ -17,20 +17,13 @@
 #include "record.c"
 #include "answers.c"
 
-/* The evaluation, the factor and a solution for Python: what other schemes and tests call. */
-EXPORT int driver_evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t)
+/* Factors for Python at a state that has been evaluated, without what reactions push across. */
+EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, const double *lam, double t)
 {
-    return evaluate(s, q, v, a, lam, t);
-}
-
-EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t)
-{
-    return prepare(s, q, cd, ck, lam, reactions, t);
+    return prepare(s, q, cd, ck, lam, 0, t);
 }
 
 EXPORT int driver_prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)
 {
     return prepare_complex(s, q, cd, ck, lam, t);
 }
-
-EXPORT int driver_increment(System *s, double scale, double *x, double *y, double t) { return increment(s, scale, x, y, t); }

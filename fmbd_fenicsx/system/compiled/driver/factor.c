@@ -96,14 +96,6 @@ static int factor(System *s)
     return DONE;
 }
 
-/* The unknowns of a front from b, zero for the first ``skipped`` and behind the last row. */
-static inline void gather(const Front *f, const double *b, int skipped, double *x)
-{
-    memset(x, 0, skipped * sizeof(double));
-    for (int i = skipped; i < f->rows; i++) x[i] = b[f->unknown[i]];
-    memset(x + f->rows, 0, (f->ld - f->rows) * sizeof(double));
-}
-
 /* A solution goes forward through fronts and backward again. Forward, whole lanes of a column are used: those above the diagonal change
    only what has been stored. Backward, what is known last comes last into a sum, so that sums overlap. */
 static inline void forward(System *s, const Front *f, double *b)

@@ -8,7 +8,7 @@
 #include "parts.h"
 #include "strains.c"
 
-enum { NODES = 4, POINTS = 3, STRAINS = 6, Z = 11, NODAL = 7, LOADED = 12 };
+enum { NODES = 4, STRAINS = 6, Z = 11, NODAL = 7, LOADED = 12 };
 
 #include "relaxation.c"
 

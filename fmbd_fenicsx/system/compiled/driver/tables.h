@@ -274,11 +274,11 @@ typedef struct {
     double *last;                      /* at the beginning of the newest step, or of the one before where an event is met in that */
 } Kept;
 
-/* Records of accepted steps; every array holds ``capacity`` of them and one more, which steps that are only looked at are written
+/* Records of accepted steps; every array holds as many as a march makes and one more, which steps that are only looked at are written
    to, or where all is in ``series`` (``single``) the newest alone. ``left``: steps up to the next; ``crossed``: whether a march ends
    because of an event. */
 typedef struct {
-    long every, left, capacity, count, crossings, crossed, straight, single;
+    long every, left, count, crossings, crossed, straight, single;
     Crossing *crossing;
     Series *series;                    /* straight of them */
     long whole, rows, doubtful;        /* whether states and multipliers are kept; first record whose joints are open, or -1 */

@@ -240,7 +240,7 @@ class DriverStates(CompiledGeometry):
             at = address_of(weights)
             verdict = self.library.driver_prepare_complex(self.address, q, at, at + 2 * weights.itemsize, below, ev.t)
         else:
-            verdict = self.library.driver_prepare(self.address, q, cd, ck, below, 0, ev.t)
+            verdict = self.library.driver_prepare(self.address, q, cd, ck, below, ev.t)
         self.calls.raise_error()
         if verdict:
             return False

@@ -59,49 +59,53 @@ class ExplicitStates:
 
     def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """a and lambda of a consistent state; its matrix of masses is factored then."""
-        twin = self.states.twin
-        a = np.empty(twin.system.n_v)
-        lam = np.empty(self.system.n_lam)
-        arrays = twin.configurations(q), twin.velocities(v), a, lam
         known = self.states.holds_masses(t, q)
-        if not self._ask(self.states.library.driver_accelerate, (int(known), t, self.system.length), arrays):
+        found = self._accelerations((t,), q[None], v[None], known=known)
+        if found is None:
             return None
         self.states.hold(t, q, v, new=not known)
-        return twin.forces(a), lam
+        return found[0][0], found[1][0]
+
+    def all_accelerations(self, states: States) -> tuple[Array, Array] | None:
+        """:meth:`accelerations` of many states."""
+        found = self._accelerations(states.times, states.q, states.v, known=False)
+        self.states.factors += len(states.q)
+        return found
+
+    def _accelerations(self, t: Sequence[float], q: Array, v: Array, *, known: bool) -> tuple[Array, Array] | None:
+        """Of q (k, n_q) and v (k, n_v) at times; ``known``: whether the matrix that is held is that of the masses there."""
+        twin = self.states.twin
+        q, v = twin.configurations(q), twin.velocities(v)
+        a, lam = np.empty_like(v, order="C"), np.empty((len(q), self.system.n_lam))
+
+        numbers = [(int(known), at, self.system.length) for at in t]
+        made = self._ask(self.states.library.driver_accelerate, numbers, (q, v, a, lam))
+        return (twin.forces(a), lam) if made else None
 
     def least(self, t: float, q: Array, lam: Array) -> Array | None:
         """Of multipliers (k, n_lam) with the same forces in a configuration the smallest; the masses are factored then."""
         states, lam = self.states, lam.copy()
         known = states.holds_masses(t, q)
         numbers = (int(known), t, len(lam))
-        if not self._ask(states.library.driver_least, numbers, (states.twin.configurations(q), lam)):
+        if not self._ask(states.library.driver_least, [numbers], (states.twin.configurations(q), lam)):
             return None
         states.hold(t, q, np.zeros(states.system.n_v), new=not known)
         return lam
 
     def closed(self, t: float, q: Array, v: Array, cd: float = 0.0, ck: float = 0.0) -> tuple[Array, Array] | None:
         """q, then v, moved onto the constraints by the smallest change in the metric M + cd C + ck K."""
-        twin = self.states.twin
-        q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
-        made = self._ask(self.states.library.driver_close, (True, t, self.system.length, cd, ck), (q, v))
-        return (twin.places(q), twin.forces(v)) if made else None
-
-    def all_accelerations(self, states: States) -> tuple[Array, Array] | None:
-        """:meth:`accelerations` of many states."""
-        twin, length = self.states.twin, self.system.length
-        q, v = (np.ascontiguousarray(x) for x in (twin.configurations(states.q), twin.velocities(states.v)))
-        a, lam = np.empty_like(v), np.empty((len(q), self.system.n_lam))
-        numbers = [(0, t, length) for t in states.times]
-        made = self._ask_each(self.states.library.driver_accelerate, numbers, (q, v, a, lam))
-        self.states.factors += len(q)
-        return (twin.forces(a), lam) if made else None
+        found = self._closed([(True, t, self.system.length, cd, ck)], q[None], v[None])
+        return None if found is None else (found[0][0], found[1][0])
 
     def all_closed(self, states: States, weights: Sequence[tuple[float, float]]) -> tuple[Array, Array] | None:
         """:meth:`closed` of many states, each with its weights of C and K."""
-        twin, length = self.states.twin, self.system.length
-        q, v = twin.configurations(states.q).copy(), twin.velocities(states.v).copy()
-        numbers = [(1, t, length, *at) for t, at in zip(states.times, weights, strict=True)]
-        made = self._ask_each(self.states.library.driver_close, numbers, (q, v))
+        numbers = [(True, t, self.system.length, *at) for t, at in zip(states.times, weights, strict=True)]
+        return self._closed(numbers, states.q, states.v)
+
+    def _closed(self, numbers: Sequence[tuple[float, ...]], q: Array, v: Array) -> tuple[Array, Array] | None:
+        twin = self.states.twin
+        q, v = twin.configurations(q).copy(), twin.velocities(v).copy()
+        made = self._ask(self.states.library.driver_close, numbers, (q, v))
         return (twin.places(q), twin.forces(v)) if made else None
 
     def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
@@ -110,7 +114,7 @@ class ExplicitStates:
         q, v = twin.configurations(q.copy()), twin.velocities(v.copy())
         a, lam = np.empty_like(v), np.empty(self.system.n_lam)
         arrays = q, v, a, lam
-        if not self._ask(self.states.library.driver_arrive, (places, t, self.system.length), arrays):
+        if not self._ask(self.states.library.driver_arrive, [(places, t, self.system.length)], arrays):
             return None
         end = State(t, twin.places(q), twin.forces(v), twin.forces(a), lam)
         self.states.hold(t, end.q, end.v)
@@ -128,7 +132,7 @@ class ExplicitStates:
         xi, after = np.empty((2, len(v)))
 
         arrays = c, A, q, v, rates, pushes, xi, after
-        made = self._ask(self.states.library.driver_stages, (len(c), t, h, self.system.length), arrays)
+        made = self._ask(self.states.library.driver_stages, [(len(c), t, h, self.system.length)], arrays)
         return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(after)) if made else None
 
     def stage(self, stage: Stage, guess: tuple[Array, Array], newton: Array | None = None) -> Found | None:
@@ -145,7 +149,7 @@ class ExplicitStates:
         factored = not o.damping and states.holds_masses(o.times[0], o.q)
 
         arrays: tuple[Any, ...] = (sizes, times, q, v, after, known, a, lam, solves, newton)
-        if not self._ask(states.library.driver_stage, (o.on_places, factored), arrays):
+        if not self._ask(states.library.driver_stage, [(o.on_places, factored)], arrays):
             return None
         if not o.damping:
             states.hold(o.times[0], o.q, o.v, new=not factored)
@@ -171,34 +175,25 @@ class ExplicitStates:
 
         q0, v0 = twin.configurations(start[0]), twin.velocities(start[1])
         arrays: tuple[Any, ...] = (c, A, q0, v0, a, lam, rates, pushes, xi, v, solves)
-        if not self._ask(self.states.library.driver_half_stages, (len(c) - 1, *span, nothing), arrays):
+        if not self._ask(self.states.library.driver_half_stages, [(len(c) - 1, *span, nothing)], arrays):
             return None
         last = twin.forces(a), lam, int(solves[0])
         return (twin.forces(rates), twin.forces(pushes), twin.forces(xi), twin.forces(v)), last
 
-    def _ask_each(self, function: Any, numbers: Sequence[tuple[float, ...]], arrays: tuple[Array, ...]) -> bool:
-        """:meth:`_ask` of each row of contiguous arrays, with numbers of its own."""
-        states, calls = self.states, self.states.calls
-        if states.taken:
-            return False
-        states.hold(None)
-        if states.recalls:
-            states.tables.recall()
-
-        starts = zip(arrays, addresses_of(arrays), strict=True)
-        rows = ([start + i * x.strides[0] for i in range(len(x))] for x, start in starts)
-        refused = any([function(states.address, *x, *at, self.place) for x, *at in zip(numbers, *rows, strict=True)])
-        if calls.error is not None or calls.asked:
-            calls.raise_error()
-        return not refused
-
     def _ask(
-        self, function: Any, numbers: tuple[float, ...], arrays: tuple[Array | None, ...], *, factors: bool = True
+        self,
+        function: Any,
+        numbers: Sequence[tuple[float, ...]],
+        arrays: tuple[Array | None, ...],
+        *,
+        factors: bool = True,
     ) -> bool:
-        """One call of a function of numbers, arrays and room to work in; whether it has found an answer. ``factors``: a matrix of
-        its own, in place of the one that is held.
+        """Calls of a function of numbers, arrays and room to work in; whether all have found an answer.
+
+        One call takes the arrays as they are; of several each takes its own rows. ``factors``: a matrix of its own, in place of
+        the one that is held.
         """
-        states = self.states
+        states, calls = self.states, self.states.calls
         if states.taken:
             return False
         if factors:
@@ -206,11 +201,14 @@ class ExplicitStates:
         if states.recalls:
             states.tables.recall()
 
-        given = [np.ascontiguousarray(x) for x in arrays if x is not None]  # alive until C is done
-        known = iter(addresses_of(given))
-        places = [None if x is None else next(known) for x in arrays]
-        verdict = function(states.address, *numbers, *places, self.place)
-        calls = states.calls
+        given = [None if x is None else np.ascontiguousarray(x) for x in arrays]  # alive until C is done
+        at = iter(addresses_of([x for x in given if x is not None]))
+        starts = [(None, 0) if x is None else (next(at), x.strides[0]) for x in given]
+
+        verdicts = []
+        for i, each in enumerate(numbers):
+            places = [None if start is None else start + i * stride for start, stride in starts]
+            verdicts.append(function(states.address, *each, *places, self.place))
         if calls.error is not None or calls.asked:
             calls.raise_error()
-        return not verdict
+        return not any(verdicts)

@@ -112,7 +112,7 @@ class MeanStates(ExplicitStates):
         self._take_room()
         core, gap = np.empty(twin.system.n_v), np.empty(self.system.n_lam)
         arrays = twin.configurations(q), twin.velocities(v), twin.velocities(a), lam, core, gap
-        made = self._ask(self.states.library.driver_mean, (t, h, self.system.length), arrays, factors=False)
+        made = self._ask(self.states.library.driver_mean, [(t, h, self.system.length)], arrays, factors=False)
         return (twin.forces(core), gap) if made else None
 
     def step(self, start: Start, h: float, guess: tuple[Array, Array], ends: Ends, *, old: bool) -> Found:
@@ -124,7 +124,7 @@ class MeanStates(ExplicitStates):
         sizes, done, after, then = np.empty(ends.most), np.zeros(2, dtype=np.int64), np.empty_like(q), np.empty_like(v)
 
         before = self.states.tables.c.factors
-        numbers = ends.most, int(old), t, h, self.system.length
+        numbers = [(ends.most, int(old), t, h, self.system.length)]
         arrays: tuple[Any, ...] = (ends.numbers, q, v, a, lam, sizes, done, after, then)
         made = self._ask(self.states.library.driver_mean_step, numbers, arrays)
         self.states.factors += self.states.tables.c.factors - before
