@@ -86,7 +86,6 @@ class Part(Protocol):
     mass_total: float = 0.0  # kg
     size: float = 0.0  # m
     rms: Array | None = None  # (n,) root mean square displacement by amplitudes of one, m; None: no amplitudes
-    plain: bool = False  # whether the ports are the coordinates
     shortening: Shortening | None = None  # of ports that are of second order in u
     leaves_out: bool = False  # whether Newton's matrix lacks terms of its motion: gyroscopic and centrifugal ones
 

@@ -117,10 +117,6 @@ class FieldBlocks:
         """Largest relative residual of a solve with a live block."""
         return max((f.judge.worst for f in self._live), default=0.0)
 
-    def keeps(self, blocks: list[FactoredField]) -> bool:
-        """Whether these are still there, not freed."""
-        return any(blocks is x for x in self._sets.values())
-
     def versions(self, t: float) -> list[tuple[Any, Any]]:
         """Tangents and columns of all fields at a time (s): new ones where a matrix made of them is no longer that of a state."""
         return [(f.tangent_version, f.column_version(t)) for _, f in self.system.fields]

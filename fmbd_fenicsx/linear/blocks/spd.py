@@ -129,11 +129,6 @@ class CholeskyFactor(FieldFactor):
         self.factor.destroy()
 
 
-def back_solves(factors: list[Any]) -> int:
-    """Total number of right-hand sides solved."""
-    return sum(f.judge.solves for f in factors)
-
-
 class MassInverse(FieldFactor):
     """M^-1 of a field: one matrix for all components.
 

@@ -11,7 +11,7 @@ iteration cycles; then least-index pivoting takes over, which ends in finitely m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,6 @@ class ContactCounts:
     most: int = 0
     solves: int = 0
     residual: float = 0.0
-    history: list[int] = field(default_factory=list, repr=False)
 
 
 class Dense:

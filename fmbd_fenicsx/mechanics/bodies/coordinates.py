@@ -128,8 +128,6 @@ class CoordinateBody(Body):
 class CoordinatePart(Part):
     """Equations (1) as a part of a system: the ports are the coordinates themselves."""
 
-    plain = True
-
     def __init__(self, body: Any, frame: int) -> None:
         self.body, self.name, self.frame = body, body.name, frame
         self.n = self.n_port = len(np.asarray(body.start))

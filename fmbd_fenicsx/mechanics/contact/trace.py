@@ -31,12 +31,11 @@ _SHIFT = 0.2  # a in (1)
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """One surface of a trace: numbers in it (n_s,), weights D~ (n_s,) and the matrix f -> f~ of (1), facets (n_f, n_loc)."""
+    """One surface of a trace: numbers in it (n_s,), weights D~ (n_s,) and the matrix f -> f~ of (1)."""
 
     nodes: np.ndarray
     weights: Array
     gather: Any
-    facets: np.ndarray  # numbers in ``nodes``: vertices first, in order, then the nodes on edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +127,7 @@ class ContactTrace:
             raise MeshError(
                 f'Contact surface "{name}": a shape function has no positive integral on it; use degree 1 or 2.'
             )
-        return SurfaceNodes(nodes, D, gather, local)
+        return SurfaceNodes(nodes, D, gather)
 
     @cached_property
     def global_numbers(self) -> np.ndarray:

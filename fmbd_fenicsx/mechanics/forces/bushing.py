@@ -127,16 +127,6 @@ class BushingLoads(Loads):
         both = self._forces(self._pose(kin), self._twist(kin))
         return both[:, :n], both[:, n:]
 
-    def deflections(self, kin: Kinematics) -> Array:
-        """s along and about the bushing's own axes, (m, n)."""
-        s = self._relative(self._pose(kin))[0]
-        d = self.motions.dim
-        for i, f in enumerate(self.forces):
-            s[i, :d] = f.axes @ s[i, :d]
-            if d == 3:
-                s[i, d:] = f.axes @ s[i, d:]
-        return s
-
     def energy(self, kin: Kinematics, t: float) -> float:
         """s . K s / 2 with the symmetric part of K, J."""
         s = self._relative(self._pose(kin))[0]

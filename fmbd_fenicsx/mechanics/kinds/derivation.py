@@ -23,7 +23,7 @@ import numpy as np
 from ...rotations import Array
 from .definitions import COORDINATES, FLOWS, IN_SPACE, Definition
 from .expressions import ZERO, Expression, Program, c_lines, gradient, rebuilt, symbol, symbols_of
-from .frames import FRAME, TWIST, AskedConstants, SymbolicFrame, twist_gradient, twist_of
+from .frames import FRAME, AskedConstants, SymbolicFrame, twist_gradient, twist_of
 
 KERNELS = ("value", "rates", "tangent")
 WEIGHT = symbol("weight")
@@ -226,8 +226,3 @@ def numpy_kernel(kind: Kind, which: str) -> Any:
         return np.stack([np.broadcast_to(y, shape) for y in columns], axis=-1) if columns else np.zeros((*shape, 0))
 
     return function
-
-
-def n_twist(dim: int) -> int:
-    """Numbers of a twist."""
-    return TWIST[dim]

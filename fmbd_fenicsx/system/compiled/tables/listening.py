@@ -75,11 +75,8 @@ class Listener:
         """Take up an accepted step that ends at t, whose coordinates C has told."""
         self.loads.kept, self._asked, self._known = self.loads.after(t, self._read()), None, None
 
-    def efforts(self, t: float) -> Array:
-        """u, (acts,), at what C told last; the law is asked once for all that it acts on."""
-        return self._efforts(t, self._read())
-
     def _efforts(self, t: float, y: dict[str, Array]) -> Array:
+        """u, (acts,), at what C told last; the law is asked once for all that it acts on."""
         key = _key(t, y)
         if self._asked is None or self._asked[0] != key:
             self._asked = key, self.loads.with_memory(t, y)[0]
