@@ -19,6 +19,7 @@ from fmbd_fenicsx.materials import neo_hookean
 from fmbd_fenicsx.run import single_run
 from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps
 from fmbd_fenicsx.run.accuracy.certificate import moving
+from fmbd_fenicsx.run.accuracy.estimates import LOOKED_AT
 from fmbd_fenicsx.run.accuracy.search import next_attempt, shared_runs, shared_spaces, space_levels, tolerance
 from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.system.scene import refinement
@@ -108,6 +109,16 @@ def test_an_attempt_tells_the_error_of_the_next_one_with_controlled_steps(monkey
     assert [x.scheme.rtol for x in made] == [1e-4, 1e-3, run.scheme.rtol] and len(run.history) == 2
     true = float(np.abs(run["x"] - case.reference(case, run.times)).max())
     assert true <= 3e-5 and 0.5 < run.certificate["x"].total / true < 3.0
+
+
+def test_records_at_many_times_tell_the_error_of_the_next_attempt() -> None:
+    """An attempt is compared with the one before at a hundred of them, of steps that a march in compiled code has kept, too."""
+    case, scheme = CASES["geared chain"], fmbd.HalfExplicit()
+    times = np.linspace(0.0, case.t_end, 2 * LOOKED_AT + 41)
+    output = fmbd.Output(times=tuple(times), progress=False)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"end": 2e-4}, scheme=scheme, output=output)
+    off = np.abs(run["end"] - case.reference(case, times)).max()
+    assert len(run.history) == 2 and 0.5 < run.certificate["end"].total / off < 3.0
 
 
 def test_a_run_in_finer_spaces_that_does_not_end_says_why(monkeypatch: pytest.MonkeyPatch) -> None:

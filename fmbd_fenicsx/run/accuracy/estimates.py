@@ -94,10 +94,16 @@ def looser_run(problem: Problem, given: Compared) -> tuple[dict[str, Deviation],
 
 
 def beyond(given: Recorder, before: Compared) -> dict[str, Deviation]:
-    """What a given run has beyond an attempt before it with a larger tolerance, at the records of that."""
-    assert isinstance(given, Accompanied)
-    beside, rows = given.beside, looked_at(before.recorder)
-    return {n: Deviation(beside.times, x - before.recorder.series[n][rows]) for n, x in beside.series.items()}
+    """What a given run has beyond an attempt before it with a larger tolerance, at some records of that: it has them beside its
+    own, or among these where both were asked for the same times.
+    """
+    rows = looked_at(before.recorder)
+    if isinstance(given, Accompanied):
+        there = given.beside.series
+    else:
+        there = {n: x[rows] for n, x in given.series.items()}
+    times, then = before.recorder.times[rows], before.recorder.series
+    return {n: Deviation(times, x - then[n][rows]) for n, x in there.items()}
 
 
 def of_tolerances(apart: dict[str, Deviation], most: float, seen: Mapping[str, float]) -> dict[str, Deviation]:

@@ -125,7 +125,7 @@ class SharedRuns:
     def solve(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Solved:
         """One run, kept for later ones with smaller steps to be compared with; collective."""
         before, beside = self._before(scene, scheme, schedule), steps_beside(scene, output, schedule)
-        if before is not None:
+        if before is not None and output.times is None:
             beside = Output(
                 energy=False, progress=False, times=tuple(before.recorder.times[looked_at(before.recorder)])
             )
