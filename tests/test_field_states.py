@@ -17,7 +17,13 @@ from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.complementarity.delassus import Compliance
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.prepared import Condensed
-from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
+from fmbd_fenicsx.materials import (
+    kelvin_voigt,
+    linear_elastic,
+    nearly_incompressible,
+    neo_hookean_mixed,
+    saint_venant_kirchhoff,
+)
 from fmbd_fenicsx.mechanics.contact.contact_set import ContactSet
 from fmbd_fenicsx.schemes.impacts.contact_detection import components
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
@@ -26,11 +32,14 @@ from fmbd_fenicsx.system.evaluator import NumPyEvaluator
 
 SMALL = {"elastic": linear_elastic(5e6, 0.3)}
 LARGE = {"energy": saint_venant_kirchhoff(5e6, 0.3)}
+PRESSED = {"elastic": nearly_incompressible(5e6, 0.5)}
 BODIES = {  # in the world; a second one has another number
     "small strains": SMALL | {"stiffness_damping": 1e-3},
     "mass damping": SMALL | {"mass_damping": 0.2},
     "large strains": LARGE | {"stiffness_damping": 1e-3},
     "viscous": LARGE | {"viscous": kelvin_voigt(100.0)},
+    "pressure": PRESSED | {"stiffness_damping": 1e-3},
+    "pressure, large strains": {"energy": neo_hookean_mixed(5e6, 0.49)},
 }
 FLOATING = {  # frames and laws
     "mean axes": (fmbd.MeanAxis(), SMALL),
@@ -40,6 +49,8 @@ FLOATING = {  # frames and laws
     "attached, large strains": (fmbd.Attached("pin"), LARGE),
     "mean axes, stiffened": (fmbd.MeanAxis(), SMALL | {"stiffening": "pin"}),
     "attached, stiffened": (fmbd.Attached("pin"), SMALL | {"stiffening": "pin"}),
+    "attached, pressure": (fmbd.Attached("pin"), PRESSED),
+    "mean axes, pressure, stiffened": (fmbd.MeanAxis(), PRESSED | {"stiffening": "pin"}),
     "chord, stiffened": (fmbd.Chord("pin", "tip"), SMALL | {"stiffening": "pin"}),
 }
 
@@ -373,9 +384,10 @@ def test_new_tangents(rod_mesh: Callable[..., Any], body: str) -> None:
 
 
 @compiled
+@pytest.mark.parametrize("body", ["attached", "attached, pressure"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_factors_of_linear_fields_are_solved_with_in_c(
-    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, dim: int
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, dim: int, body: str
 ) -> None:
     """No step of generalized-alpha asks Python to solve, solves count as before, and one that its judge refuses is Python's."""
     asked: list[int] = []
@@ -384,7 +396,7 @@ def test_factors_of_linear_fields_are_solved_with_in_c(
 
     def run() -> tuple[Any, int]:
         asked.clear()
-        scene = swinging(rod_mesh(dim=dim), "attached")
+        scene = swinging(rod_mesh(dim=dim), body)
         scene.sensor("bob", fmbd.position(scene.bodies["bob"]))
         return fmbd.solve(scene, t_end=0.1, dt=0.01), len(asked)
 
@@ -394,7 +406,9 @@ def test_factors_of_linear_fields_are_solved_with_in_c(
     monkeypatch.undo()
     monkeypatch.setattr(FieldTable, "solve", lambda table: (asked.append(table.number), solve(table)))
     in_c = factor.Factor.in_c
-    monkeypatch.setattr(factor.Factor, "in_c", lambda self: replace(in_c(self), mass=1.001 * self.cm))
+    monkeypatch.setattr(
+        factor.Factor, "in_c", lambda self: replace(in_c(self), mass=1.001 * self.cm, stiffness=1.001 * self.ck)
+    )
     doubted, refused = run()
 
     assert none == 0 and refused == every > 10

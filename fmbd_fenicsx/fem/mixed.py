@@ -34,6 +34,7 @@ from ..rotations import Array
 from .assembly import NodalVector
 from .elastic_forms import ElasticForms
 from .energy_quadrature import integrated
+from .factors.factor import factored
 from .fields import Field
 
 if TYPE_CHECKING:
@@ -94,17 +95,11 @@ class MixedField(Field):
     def _make_compliance(self) -> None:
         """Factor C, which does not depend on u."""
         import dolfinx.fem.petsc as fp
-        from petsc4py import PETSc
 
         C = fp.assemble_matrix(self._compliance_form)
         C.assemble()
         C.scale(-1.0)
-        self._solve_p = PETSc.KSP().create(self.comm)
-        self._solve_p.setOperators(C)
-        self._solve_p.setType("preonly")
-        self._solve_p.getPC().setType("cholesky")
-        self._solve_p.getPC().setFactorSolverType("cholmod" if self.comm.size == 1 else "mumps")
-        self._solve_p.setUp()
+        self._solve_p = factored(C, True)
         self._px, self._pb = C.createVecs()
         self._C = C
         self._B: Any = None
@@ -205,6 +200,11 @@ class MixedField(Field):
     def coupling_matrix(self) -> Any:
         """B where the field is linearised; the caller destroys it."""
         return self._B.copy()
+
+    @property
+    def compliance_factor(self) -> Any:
+        """The factor of C as PETSc's matrix, which the field keeps."""
+        return self._solve_p.getPC().getFactorMatrix()
 
     def compliance_matrix(self) -> Any:
         """C; the caller destroys it."""

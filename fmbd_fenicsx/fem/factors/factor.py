@@ -23,11 +23,10 @@ from .substructures import substructured
 
 @dataclass(frozen=True, eq=False)
 class InC:
-    """How C solves with a factor of ``mass`` M + ``stiffness`` K by itself: the address of PETSc's MatSolve, and that of its
-    ``matrix``, (1,), zero once the factor is freed. None: the factor is complex, the structure ``Symmetric`` of driver/tables.h.
+    """How C solves with a factor of ``mass`` M + ``stiffness`` K by itself: the address of its ``matrix``, (1,), zero once the
+    factor is freed; for PETSc's MatSolve, or of a complex one the structure ``Symmetric`` of driver/tables.h.
     """
 
-    solve: int | None
     matrix: np.ndarray
     mass: float
     stiffness: complex
@@ -118,12 +117,12 @@ class Factor:
 
     def in_c(self) -> InC | None:
         """How C solves, on one rank and where the matrix is that of linear elasticity; None where it cannot."""
-        f, solve = self.field, address_of_solve()
-        if solve is None or not isinstance(self.factor, PetscFactor) or f.comm.size > 1:
+        f = self.field
+        if address_of_solve() is None or not isinstance(self.factor, PetscFactor) or f.comm.size > 1:
             return None
-        if f.mixed or f.extended or self.cd:
+        if f.extended or self.cd:
             return None
-        return InC(solve, self.factor.address, self.cm, self.ck)
+        return InC(self.factor.address, self.cm, self.ck)
 
     def destroy(self) -> None:
         """Free the factor; collective."""

@@ -1,7 +1,8 @@
 """Factors of cm M + cd D + ck K of a field for complex coefficients: a symmetric matrix that is not Hermitian.
 
 By SuperLU, with pivots from the diagonal: the real part of the matrix times a number of unit size is definite, so that none is
-small against its column. On one rank.
+small against its column. With a pressure that is so of any of its rows once the others of the pressure are eliminated: there are
+pivots in every order (Vanderbei, doi:10.1137/0805005), and every solve is judged. On one rank.
 """
 
 from __future__ import annotations
@@ -46,20 +47,22 @@ class ComplexFactor(FieldFactor):
             raise LinearSolveError(f"{self.judge.what} could not be factored: {error}.") from error
 
     def solve(self, b: Array) -> Array:
-        """The solution (n,), or (n, k) of columns."""
-        x = self.factor.solve(np.asarray(b, dtype=complex))
-        r = self.matrix @ x - b
+        """The solution (n,), or (n, k) of columns; a pressure stays inside."""
+        whole = np.zeros((self.matrix.shape[0], *b.shape[1:]), complex)
+        whole[: len(b)] = b
+        x = self.factor.solve(whole)
+        r = self.matrix @ x - whole
         rr, bb, xx = (np.sqrt((abs(y) ** 2).sum(axis=0)) for y in (r, b, x))
         for left, given, found in zip(np.atleast_1d(rr), np.atleast_1d(bb), np.atleast_1d(xx), strict=True):
             self.judge.check(float(left), float(given), grown=self.norm * float(found))
-        return np.asarray(x)
+        return np.asarray(x[: len(b)])
 
     def in_c(self) -> InC | None:
         """As :meth:`FieldFactor.in_c`, where no pivot was looked for beside the diagonal; it judges by the first criterion."""
         cm, ck, cd = self.weights
         if cd or cm.imag or not np.array_equal(self.factor.perm_r, self.factor.perm_c):
             return None
-        return InC(None, self._lent[0], cm.real, ck)
+        return InC(self._lent[0], cm.real, ck)
 
     @cached_property
     def _lent(self) -> tuple[np.ndarray, Any]:

@@ -98,18 +98,25 @@ static void symmetric_solve(const Symmetric *o, const double *b, double *x)
     }
 }
 
-/* One part of the residual E z - b of the nodes from ``first`` on, D numbers of node i. */
-static void residual_of_node(const Field *e, long i, int part, double *r)
+/* The square of one part of the residual E z - b, by nodes and by the rows of a pressure. */
+static double residual_of(const Field *e, int part)
 {
-    const double *z = e->z + part * e->n, *other = e->z + (1 - part) * e->n, across = part ? e->lossy : -e->lossy;
-    for (int j = 0; j < D; j++) r[j] = -e->b[part * e->n + D * i + j];
-    for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++) add(r, e->of_mass * e->M[k], z + D * e->M_column[k], D);
-    for (int k = e->K_start[i]; k < e->K_start[i + 1]; k++)
-        for (int c = 0; c < D; c++) {
-            double x = e->of_stiffness * z[D * e->K_column[k] + c];
-            if (e->parts > 1) x += across * other[D * e->K_column[k] + c];
-            for (int j = 0; j < D; j++) r[j] += e->K[D * D * k + D * j + c] * x;
-        }
+    const double *z = e->z + part * e->wide, *other = e->z + (1 - part) * e->wide, *b = e->b + part * e->wide;
+    const double across = part ? e->lossy : -e->lossy;
+    double *x = e->elastic, *r = e->accel, square = 0.0;
+    for (long i = 0; i < e->wide; i++) x[i] = e->of_stiffness * z[i];
+    for (long i = 0; e->parts > 1 && i < e->wide; i++) x[i] += across * other[i];
+
+    for (long i = 0; i < e->n; i++) r[i] = -b[i];
+    for (long i = 0; i < e->nodes; i++)
+        for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++) add(r + D * i, e->of_mass * e->M[k], z + D * e->M_column[k], D);
+    for (long i = 0; i < e->nodes; i++)
+        for (int k = e->K_start[i]; k < e->K_start[i + 1]; k++)
+            for (int c = 0; c < D; c++)
+                for (int j = 0; j < D; j++) r[D * i + j] += e->K[D * D * k + D * j + c] * x[D * e->K_column[k] + c];
+    if (e->pressure) square = pressure_residual(e->pressure, x, x + e->n, r);
+    for (long i = 0; i < e->n; i++) square += r[i] * r[i];
+    return square;
 }
 
 /* z = E^-1 b by the factor itself, judged as linear/residual.py does; 0 where Python has to solve, and to judge. */
@@ -119,14 +126,11 @@ static int solved_here(const Field *e)
     if (!e->factor || !*e->factor) return 0;
     if (e->parts > 1) symmetric_solve(*e->factor, e->b, e->z);
     else if (e->direct(*e->factor, e->rhs, e->solution)) return 0;
-    for (int part = 0; part < e->parts; part++)
-        for (long i = 0; i < e->nodes; i++) {
-            double r[D];
-            const double *b = e->b + part * e->n + D * i;
-            residual_of_node(e, i, part, r);
-            residual += dot(r, r, D);
-            scale += dot(b, b, D);
-        }
+    for (int part = 0; part < e->parts; part++) {
+        const double *b = e->b + part * e->wide;
+        residual += residual_of(e, part);
+        scale += long_dot(b, b, e->n);
+    }
     residual = sqrt(scale > 0.0 ? residual / scale : residual);
     if (!(residual <= e->tolerance)) return 0;
     e->told[0] += 1.0;
@@ -139,7 +143,7 @@ static int field_alone(System *s, const Body *o, double scale, double t)
 {
     const Field *e = o->field;
     for (int part = 0; part < e->parts; part++) {
-        double *b = s->b + part * (s->nu + s->rows) + o->at_u + TWIST, *own = e->b + part * e->n;
+        double *b = s->b + part * (s->nu + s->rows) + o->at_u + TWIST, *own = e->b + part * e->wide;
         for (long i = 0; i < e->n; i++) own[i] = -scale * e->force[part * e->n + i];
 
         /* what acts on the columns goes to the nodes: it is in balance with the rest, and what differs is small. Left to (2), whose S is
@@ -193,11 +197,11 @@ int field_load(System *s, const Body *o, double scale, double t)
 {
     const Field *e = o->field;
     int verdict = DONE;
-    if (scale == 0.0) memset(e->z, 0, e->parts * e->n * sizeof(double));
+    if (scale == 0.0) memset(e->z, 0, e->parts * e->wide * sizeof(double));
     else if ((verdict = field_alone(s, o, scale, t))) return verdict;
 
     for (int part = 0; part < e->parts; part++) {
-        double *z = e->z + part * e->n, *pz = e->pz + part * e->solved;
+        double *z = e->z + part * e->wide, *pz = e->pz + part * e->solved;
         for (int i = 0; i < e->solved; i++) pz[i] = column(e, i, z);
         for (int r = 0; r < e->bends; r++) e->pull[r] = long_dot(e->held + e->n * r, z, e->n); /* as the factor's columns are bent */
         for (int i = 0; i < e->solved; i++) pz[i] -= dot(e->N + e->bends * i, e->pull, e->bends);
@@ -236,7 +240,7 @@ void field_increment(System *s, const Body *o, double *x)
     field_answers(s, o);
     for (int part = 0; part < e->parts; part++) {
         double *dU = x + part * s->nv + o->at_v;
-        memcpy(dU, e->z + part * e->n, e->n * sizeof(double));
+        memcpy(dU, e->z + part * e->wide, e->n * sizeof(double));
         for (int of = 0; of < e->parts; of++) /* parts of Y: their product with those of f */
             for (int i = 0; i < k; i++) {
                 const double f = e->f[(part ^ of) * k + i], c = of && !part ? -f : f;
@@ -250,7 +254,7 @@ void field_increment(System *s, const Body *o, double *x)
 void field_without_load(const Body *o)
 {
     const Field *e = o->field;
-    memset(e->z, 0, e->parts * e->n * sizeof(double));
+    memset(e->z, 0, e->parts * e->wide * sizeof(double));
     memset(e->h, 0, e->parts * e->frames * sizeof(double));
     memset(e->pz, 0, e->parts * e->solved * sizeof(double));
 }

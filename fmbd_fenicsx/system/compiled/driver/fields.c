@@ -63,6 +63,8 @@ static void mass_times(const Field *e, const double *A, double *F)
     }
 }
 
+#include "pressure.c"
+
 /* F += K (U + beta U') by nodes */
 static void stiffness_times(const Field *e, const double *U, const double *Ud, double *F)
 {
@@ -74,6 +76,7 @@ static void stiffness_times(const Field *e, const double *U, const double *Ud, d
                 for (int j = 0; j < D; j++) F[D * i + j] += K[D * j + c] * x;
             }
         }
+    if (e->pressure) pressure_force(e, U, Ud, F);
 }
 
 /* Forces of linear elasticity on the nodes, and their resultant (world axes) into f. Verdict LOOK outside of the range of small

@@ -89,6 +89,15 @@ typedef struct {
     double bias[TWIST];                /* rate of the twist at no accelerations of the body, see surface_bias() */
 } Surface;
 
+/* The pressure of a field, C p = B U: unknowns behind the displacements of its factor, E = [E, B^T; B, -C]; see pressure.c. */
+typedef struct {
+    long n;
+    int *B_start, *B_column, *C_start, *C_column; /* by rows of the pressure */
+    double *B, *C;
+    double *b, *p;                     /* n each: C p = b */
+    void **factor, *rhs, *solution;    /* of C; vectors on b and p */
+} Pressure;
+
 /* The elastic field U of a floating body, which its own factor eliminates from the step's matrix; see fields.c. */
 typedef struct {
     long n, nodes;
@@ -109,7 +118,7 @@ typedef struct {
     int *frame_slot;                   /* columns of the frame conditions */
     double *p, *rates;                 /* H^T U and H^T U' */
     double *accel, *force, *MU;        /* n each: work, force on the nodes, M U of the factor's configuration */
-    double *b, *z;                     /* n each: E z = b, by Python; b: Newton's increment, for new tangents */
+    double *b, *z;                     /* wide each: E z = b, by Python; b: Newton's increment, for new tangents */
     double *MX, *began, *T;            /* n; rotation of the factor's tangent, sum of X (M X)^T; rotation since, see turn_factor() */
     double *pz, *rest, *f, *h;         /* solved each, frames: see fields.c */
     int stresses, bends;               /* with stiffening: of inertia, where C tells the forces; ports of second order */
@@ -119,11 +128,14 @@ typedef struct {
     double *bias, *pull;               /* modes; work: bends */
     double *held, *second;             /* of the tangent: bends x n, G_r U; TWIST x TWIST of the frame, NULL without stiffening */
     double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */
-    int (*direct)(void *factor, void *rhs, void *solution); /* PETSc's MatSolve, NULL where Python solves: with */
-    void **factor, *rhs, *solution;    /* its matrix, NULL when it is freed; vectors on b and z */
+    int (*direct)(void *factor, void *rhs, void *solution); /* PETSc's MatSolve: with */
+    void **factor, *rhs, *solution;    /* its matrix, NULL where Python solves and when it is freed; vectors on b and z */
     double *told;                      /* solves, and the worst of their relative residuals */
     double of_mass, of_stiffness, lossy, tolerance; /* E = of_mass M + (of_stiffness + i lossy) K; a relative residual that is small */
     int parts;                         /* 2 where factor and columns are complex: all but the real parts stands behind these */
+    long wide;                         /* unknowns of the factor: n, and those of the pressure */
+    double *elastic;                   /* wide: (of_stiffness + i lossy) z, one part */
+    Pressure *pressure;                /* NULL without */
 } Field;
 
 /* L and 1 / D of a complex symmetric matrix L D L^T, its unknowns in an order; L by columns, without its diagonal of ones. */

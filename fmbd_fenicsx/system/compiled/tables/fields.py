@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ....errors import ConvergenceError
+from ....fem.factors.factor import address_of_solve
 from ....kernel_cache import address_of
 from ....mechanics.elastic.field_part import FieldPart
 from ....mechanics.elastic.floating import FloatingField
@@ -66,6 +67,8 @@ class FieldTable:
         self.port_matrix[self.ports, inertial + np.arange(len(self.ports))] = 1.0
         nothing: Array = np.zeros(0)
         self.b = self.z = self.force = self.sums = nothing  # those of the structure
+        self.pressed = self.part.field.mixed and linear_field(self.part)  # whether C knows its pressure
+        self.wide = self.part.n + (self.part.field.n_pressure if self.pressed else 0)  # unknowns of the factor
         self.motion = ToldMotion(tables, self.part.n)
         self.c: Any = None  # the structure
         self.vectors: list[Any] = []  # PETSc's, on b and z
@@ -76,8 +79,8 @@ class FieldTable:
 
     def solve(self) -> None:
         """z = E^-1 b, complex ones by their parts."""
-        b, n = self.b, self.part.n
-        self.z[:] = in_parts(self.block.factor.solve(b if self.parts == 1 else b[:n] + 1j * b[n:])).ravel()
+        b, z = (x.reshape(self.parts, -1)[:, : self.part.n] for x in (self.b, self.z))
+        z[:] = in_parts(self.block.factor.solve(b[0] if self.parts == 1 else b[0] + 1j * b[1]))
 
     def alike(self, block: Block) -> bool:
         """Whether another factor has solved for the same columns; ports of stiffened bodies change with the tangent."""
@@ -100,12 +103,6 @@ class FieldTable:
         self.c.factor = None if solved is None else address_of(solved.matrix)
         if solved is None:
             return
-        self.c.direct = solved.solve
-        if solved.solve is not None and not self.vectors:
-            from petsc4py import PETSc
-
-            self.vectors = [PETSc.Vec().createWithArray(x, comm=PETSc.COMM_SELF) for x in (self.b, self.z)]
-            self.c.rhs, self.c.solution = (x.handle for x in self.vectors)
         self.c.told, self.c.tolerance = address_of(factor.judge.told), factor.judge.tolerance
         self.c.of_mass, self.c.of_stiffness, self.c.lossy = solved.mass, solved.stiffness.real, solved.stiffness.imag
 
@@ -196,12 +193,15 @@ class FieldTable:
         of_tangent = {name: store.array(x) for name, x in self._of_tangent().items()}
         self.of_tangent = {name: x for name, (x, _) in of_tangent.items()}
 
-        (self.b, b), (self.z, z), (self.force, force) = (store.array(np.zeros(self.parts * n)) for _ in range(3))
+        (self.b, b), (self.z, z) = (store.array(np.zeros(self.parts * self.wide)) for _ in range(2))
+        self.force, force = store.array(np.zeros(self.parts * n))
+        rhs, solution = self._vectors(self.b, self.z)
         self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
 
         self.c = structure("Field", d)(
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
-            number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
+            wide=self.wide, elastic=store.address(np.zeros(self.wide)), pressure=self._pressure(), rhs=rhs, solution=solution,
+            direct=address_of_solve(), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
             own=int(not linear_field(part)), force=force, sums=sums, state=self.motion.address,
             inertial=self.inertial, turns=int(self.turns), parts=self.parts, frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
@@ -212,6 +212,28 @@ class FieldTable:
         self._lend()
         self.sway(True)
         return self.c
+
+    def _vectors(self, *arrays: Array) -> list[int]:
+        """PETSc's vectors on arrays."""
+        from petsc4py import PETSc
+
+        made = [PETSc.Vec().createWithArray(x, comm=PETSc.COMM_SELF) for x in arrays]
+        self.vectors += made
+        return [x.handle for x in made]
+
+    def _pressure(self) -> int | None:
+        """The structure Pressure of a field that has one."""
+        if not self.pressed:
+            return None
+        field, store = self.part.field, self.tables.store
+        (b, at_b), (p, at_p) = (store.array(np.zeros(field.n_pressure)) for _ in range(2))
+        rhs, solution = self._vectors(b, p)
+        rows = {name: store.shared(x) for name, x in self._rows_of_pressure().items()}
+        factor = store.array([field.compliance_factor.handle], np.uint64)[1]
+        made = structure("Pressure", self.tables.dim)(
+            n=field.n_pressure, b=at_b, p=at_p, factor=factor, rhs=rhs, solution=solution, **rows
+        )
+        return store.structure(made)
 
     def sway(self, corrected: bool) -> None:
         """Whether solutions correct moments on the frame that columns of inertia leave out, see ``driver/condensed.c``."""
@@ -228,6 +250,24 @@ class FieldTable:
                 "M_start": start.astype(np.int32), "M_column": columns.astype(np.int32), "M": values,
                 "K_start": K.indptr.astype(np.int32), "K_column": K.indices.astype(np.int32), "K": K.data,
             }  # fmt: skip
+        found: dict[str, np.ndarray] = cache[key]
+        return found
+
+    def _rows_of_pressure(self) -> dict[str, np.ndarray]:
+        """B and C by rows, likewise."""
+        cache, key = self.tables.system.cache, ("rows of the pressure", self.k)
+        if key not in cache:
+            rows: dict[str, np.ndarray] = {}
+            field = self.part.field
+            for name, matrix in (("B", field.coupling_matrix()), ("C", field.compliance_matrix())):
+                start, columns, values = (x.copy() for x in matrix.getValuesCSR())
+                rows |= {
+                    f"{name}_start": start.astype(np.int32),
+                    f"{name}_column": columns.astype(np.int32),
+                    name: values,
+                }
+                matrix.destroy()
+            cache[key] = rows
         found: dict[str, np.ndarray] = cache[key]
         return found
 
@@ -326,11 +366,11 @@ def known_field(part: Any) -> bool:
     """Whether the driver takes a part with a field, floating or at rest: on one rank, of moderate size."""
     if type(part) not in (FloatingField, RestingField):
         return False
-    small = part.comm.size == 1 and part.n <= FIELD_LIMIT
-    return small and not part.field.mixed
+    return part.comm.size == 1 and part.n <= FIELD_LIMIT and not part.field.carried  # type: ignore[no-any-return]
 
 
 def linear_field(part: Any) -> bool:
     """Whether the forces of a field are in C: linear elasticity and damping by the stiffness. Python tells all others."""
     field = part.field
-    return not (field.nonlinear or field.D is not None or field.loads.loads or field.forms.mass_damping)
+    told = field.nonlinear or field.D is not None or field.loads.loads or field.forms.mass_damping
+    return not told and (not field.mixed or address_of_solve() is not None)

@@ -135,7 +135,7 @@ class Tables(TableLayout):
             raise ConvergenceError(
                 "The columns of a frame with mean axes change their number with the first new tangent."
             )
-        self._take(self.renewed(t, {field.k: field.b.copy() for field in self.fields}))
+        self._take(self.renewed(t, {field.k: field.b[: field.part.n].copy() for field in self.fields}))
 
     def take(self, blocks: Sequence[Block]) -> bool:
         """Go on with other factors of the fields, for another size of step; False where their columns are others."""
