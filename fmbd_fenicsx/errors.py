@@ -6,7 +6,7 @@ Each message says what happened, where (body, joint, time), what was found and w
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -118,6 +118,17 @@ def near(name: str, known: Iterable[str]) -> str:
     hint = f'Did you mean "{close[0]}"? ' if close else ""
     listed = ", ".join(f'"{k}"' for k in known) or "none"
     return f"{hint}Known: {listed}."
+
+
+class Told(dict[str, Any]):
+    """What a run tells, by names; who asks for a name that is not there is told those that are. ``what``: in messages."""
+
+    def __init__(self, what: str, values: Mapping[str, Any]) -> None:
+        super().__init__(values)
+        self.what = what
+
+    def __missing__(self, name: Any) -> Any:
+        raise InputError(f'{self.what}: there is no "{name}". {near(str(name), self)}')
 
 
 AGREEMENTS: list[Callable[[str, Callable[[], Any]], Any]] = []

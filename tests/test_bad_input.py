@@ -7,6 +7,7 @@ import math
 import pickle
 import re
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -225,6 +226,15 @@ def test_law_that_fails_later_names_the_time() -> None:
     scene = law_scene(lambda body, hinge: fmbd.force("gust", body, lambda t: (0, 0, nan if t > 0.045 else 0)))
     with pytest.raises(CallbackError, match=r'"gust".*t = 0\.05'):
         fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
+@pytest.mark.parametrize("of", ["energy", "counters", "error_estimate", "ledger.work", "ledger.power"])
+def test_names_that_a_run_does_not_know_are_told(of: str) -> None:
+    run = fmbd.solve(pendulum(), t_end=0.02, dt=0.01, output=fmbd.Output(ledger=True))
+    found = attrgetter(of)(run)
+    known = "none" if not found else f'"{next(iter(found))}"'
+    with pytest.raises(InputError, match=f'there is no "heat".*Known: {known}'):
+        found["heat"]
 
 
 def broken(t: Any) -> Any:

@@ -162,6 +162,8 @@ def test_what_cannot_be_coupled_is_refused() -> None:
         fmbd.couple("c", {s["left"]: 0.0})
     with pytest.raises(InputError, match='"c": coordinate.*must be'):
         fmbd.couple("c", {"left": 1.0})  # type: ignore[dict-item]
+    with pytest.raises(InputError, match='"c": coordinate Joint "rod" must be'):
+        fmbd.couple("c", {rod: 1.0})  # type: ignore[dict-item]
     with pytest.raises(InputError, match=r'"d": the length of joint "rod".*held by that joint.*segment'):
         fmbd.drive("d", fmbd.displacement(rod), lambda t: 1.0 + t)
     with pytest.raises(InputError, match="its length is -1 m at t = 0 s, and must stay above 0"):

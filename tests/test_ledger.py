@@ -125,7 +125,7 @@ def test_what_cannot_be_is_said() -> None:
         fmbd.solve(scene, t_end=0.1, dt=0.05).ledger  # noqa: B018
     with pytest.raises(InputError, match="ledger needs the energies"):
         fmbd.Output(ledger=True, energy=False)
-    with pytest.raises(InputError, match='no element "moter"'):
+    with pytest.raises(InputError, match='there is no "moter"'):
         run.ledger["moter"]
 
 

@@ -308,7 +308,7 @@ class SignedDistance(Shape):
             raise CallbackError(
                 f"SignedDistance: the function returned shape {found.shape}"
                 f"{'' if np.isfinite(found).all() else ' with values that are not finite'}, expected "
-                f"({len(y)},) finite numbers."
+                f"({len(y)},) finite numbers: of points (d, n), x[0] are their abscissae."
             )
         return found
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from ..checks import typed, word
-from ..errors import InputError, near
+from ..errors import InputError, Told, near
 from ..rotations import Array
 from ..schemes.consistent import Correction
 from ..system.layout import State
@@ -26,6 +27,11 @@ from .uncopied import Uncopied
 if TYPE_CHECKING:
     from ..post.drawing.view import Paint, View
     from .accuracy.certificate import Certificate
+
+
+def _stated(asked: str, errors: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Estimated errors by sensors, those of Output(<asked>=True)."""
+    return Told(f"Errors of Output({asked}=True)", errors or {})
 
 
 @dataclass(repr=False)
@@ -81,10 +87,10 @@ class Run(Uncopied):
     drift: tuple[float, float]
     correction: Correction
     local_error: float
-    error_estimate: dict[str, float] = field(default_factory=dict)
+    error_estimate: dict[str, float] = field(default_factory=partial(_stated, "estimate_error"))
     observed_order: dict[str, float] = field(default_factory=dict)
-    reduction_error: dict[str, float] = field(default_factory=dict)
-    space_error: dict[str, float] = field(default_factory=dict)
+    reduction_error: dict[str, float] = field(default_factory=partial(_stated, "estimate_reduction"))
+    space_error: dict[str, float] = field(default_factory=partial(_stated, "estimate_space"))
     space_unstated: str = ""
     newton_accuracy: float = 1e-6
     deviations: dict[str, dict[str, Deviation]] = field(default_factory=dict)
@@ -101,6 +107,9 @@ class Run(Uncopied):
     warnings: list[str] = field(default_factory=list)
     kept: tuple[Any, ...] = ()
 
+    def __post_init__(self) -> None:
+        self.energy, self.counters = Told("Energies of a run", self.energy), Told("Counters of a run", self.counters)
+
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size)."""
         word("run[...]: name of a sensor", sensor)
@@ -112,11 +121,11 @@ class Run(Uncopied):
         """Take the estimated errors of one kind: "space", "time", "modes" or "algebra"."""
         self.deviations[kind] = found
         if kind == "time":
-            self.error_estimate = sizes(found)
+            self.error_estimate = _stated("estimate_error", sizes(found))
         elif kind == "modes":
-            self.reduction_error = sizes(found)
+            self.reduction_error = _stated("estimate_reduction", sizes(found))
         elif kind == "space":
-            self.space_error = sizes(found)
+            self.space_error = _stated("estimate_space", sizes(found))
 
     def next_scene(self) -> Scene:
         """The scene of this run to go on with from its last state: joints may be released, others close on what they find.

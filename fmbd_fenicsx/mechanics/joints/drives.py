@@ -76,7 +76,7 @@ def relative_of(m: Motions, kind: type[Relative], entries: Iterable[tuple[JointC
     return kind(m, a, b, np.reshape(e, (len(found), m.dim)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Coupling(Joint):
     """One row sum_k c_k s_k = motion(t) on joint coordinates."""
 

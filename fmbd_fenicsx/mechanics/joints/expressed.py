@@ -32,7 +32,7 @@ from .couplings import smooth_motion
 from .joints import Joint, Row, Vector, center_point, dimension, direction, ground
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExpressedJoint(Joint):
     """Rows by formulas of a user's own; its two points are apart."""
 
@@ -101,7 +101,7 @@ def constraint(
     return ExpressedJoint(name, a, b, rows, places[0], places[1], kind="own")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OwnJoint(ExpressedJoint):
     """Rows g(x_a, R_a, x_b, R_b, t) = 0 given by the user; ``rows`` where they are formulas, else ``function`` tells them."""
 

@@ -65,7 +65,7 @@ class Ground:
 ground = Ground()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Row:
     """One elementary constraint of a joint; directions in world axes of the initial configuration."""
 
@@ -78,7 +78,7 @@ class Row:
     constants: Mapping[str, Any] = field(default_factory=dict)  # of a kind that has names for them
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Joint:
     """Two attachments, their marker points (world, initial configuration; None: a surface's centroid), and rows."""
 

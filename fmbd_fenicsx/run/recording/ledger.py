@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import InputError, near
+from ...errors import InputError, Told
 from ...rotations import Array
 
 
@@ -60,8 +60,6 @@ class Ledger:
 
     def __getitem__(self, element: str) -> Array:
         """Work of an element since the start, (n,) J."""
-        if element not in self.work:
-            raise InputError(f'The ledger has no element "{element}". {near(element, self.work)}')
         return self.work[element]
 
     def __repr__(self) -> str:
@@ -97,4 +95,10 @@ def make_ledger(times: Array, energy: Mapping[str, Array], books: Books | None) 
     work = {name: np.concatenate(([0.0], np.cumsum(0.5 * steps * (p[1:] + p[:-1])))) for name, p in power.items()}
     bodies = np.sum([energy[kind] for kind in ("kinetic", "elastic", "weight")], axis=0)
 
-    return Ledger(times, power, {**work, **books.work}, bodies, books.unlisted)
+    return Ledger(
+        times,
+        Told("Powers of the ledger", power),
+        Told("Works of the ledger", {**work, **books.work}),
+        bodies,
+        books.unlisted,
+    )

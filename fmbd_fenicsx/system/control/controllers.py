@@ -121,8 +121,9 @@ class ControlLoads(Loads):
     def ask_law(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
         """Efforts (acts,) and rate (or next value) of the memory, checked."""
         c = self.controller
+        own = Readings({name: x.copy() for name, x in y.items()})  # a law may write on what it reads
         try:
-            found = self.law(t, Readings(y), z.copy())
+            found = self.law(t, own, z.copy())
         except LawError as error:
             if not isinstance(error.__cause__, IndexError):
                 raise

@@ -8,6 +8,7 @@ their own coordinates goes into the matrix of steps by rows (driver/links.c). Th
 from __future__ import annotations
 
 from copy import copy
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,10 +20,6 @@ from .items import LAW, READ, Items, of_source
 
 if TYPE_CHECKING:
     from .layout import TableLayout
-
-
-def _key(t: float, y: dict[str, Array]) -> Any:
-    return t, *(x.tobytes() for x in y.values())
 
 
 class Listener:
@@ -50,6 +47,7 @@ class Listener:
         self.items = [*known.values(), *self.acting]
         self.markers = sorted({r.marker for r in loads.readings if r.relative is None})
         self.lever: dict[int, Array] = {}  # of markers, in world axes
+        self._read_of: Any = None  # what C told when it was read last
         self._asked: tuple[Any, Array] | None = None
         self._known: tuple[Any, dict[str, Array], Array, dict[str, Array]] | None = None  # see _slopes
         self._places: dict[int, np.ndarray] = {}
@@ -77,7 +75,7 @@ class Listener:
 
     def _efforts(self, t: float, y: dict[str, Array]) -> Array:
         """u, (acts,), at what C told last; the law is asked once for all that it acts on."""
-        key = _key(t, y)
+        key = t, self._read_of
         if self._asked is None or self._asked[0] != key:
             self._asked = key, self.loads.with_memory(t, y)[0]
         return self._asked[1]
@@ -97,7 +95,7 @@ class Listener:
     def _slopes(self, t: float) -> dict[str, Array]:
         """du/dy of each reading, (acts, size), found once for a state and kept with its readings and efforts."""
         y = self._read()
-        key = _key(t, y)
+        key = t, self._read_of
         if self._known is None or self._known[0] != key:
             names = [name for name in y if self.links or self._own(name)]
             slopes = self.loads.slopes(t, y, names, quick=True)
@@ -172,36 +170,61 @@ class Listener:
         return self._places[id(items)]
 
     def _read(self) -> dict[str, Array]:
-        """What the law reads, by name."""
-        if self.markers:
-            self._seen = self._kinematics()
-        y: dict[str, Array] = {}
-        for reading, items in zip(self.loads.readings, self.told, strict=True):
-            if items is None:
-                y[reading.name] = reading.at(self._seen)
-            else:
-                y[reading.name] = items.arrays["rate" if reading.level else "s"].copy()
-        return y
+        """What the law reads, by name: found once for what C has told."""
+        frames = self.tables.arrays["frames"][self._frames]
+        told = frames.tobytes(), *(x.tobytes() for x in self._coordinates)
+        if told != self._read_of:
+            if self.markers:
+                self._place(frames)
+            numbers = iter(self._coordinates)
+            self._readings = {
+                reading.name: reading.at(self._seen) if items is None else next(numbers).copy()
+                for reading, items in zip(self.loads.readings, self.told, strict=True)
+            }
+            self._read_of = told
+        return self._readings
 
-    def _kinematics(self) -> Kinematics:
+    @cached_property
+    def _coordinates(self) -> list[Array]:
+        """Where C tells the joint coordinates and rates that are read, in the order of these readings, (1,) each."""
+        both = zip(self.loads.readings, self.told, strict=True)
+        return [items.arrays["rate" if reading.level else "s"] for reading, items in both if items is not None]
+
+    @cached_property
+    def _frames(self) -> np.ndarray:
+        """Of the markers that are read, the rows of the frames that carry them."""
+        return self.tables.frame[self.markers]
+
+    @cached_property
+    def _arms(self) -> Array:
+        """From these frames to the markers, in axes of the frames, (markers, d); a surface is a frame of its own."""
+        on_surface = self._frames > self.tables.nb
+        return np.where(on_surface[:, None], 0.0, self.tables.system.markers.position[self.markers])
+
+    @cached_property
+    def _seen(self) -> Kinematics:
         """The markers that are read, placed on their frames; all others are zero."""
-        tables, mk, which = self.tables, self.tables.system.markers, self.markers
-        d, count = tables.dim, len(mk.frame)
-        frames = tables.arrays["frames"][tables.frame[which]]
-        x, turn, v, w, _ = np.split(frames, np.cumsum([d, d * d, d, 2 * d - 3]), axis=1)
-        R = turn.reshape(-1, d, d)
-        on_surface = tables.frame[which] > tables.nb
-        lever = np.einsum("kij,kj->ki", R, np.where(on_surface[:, None], 0.0, mk.position[which]))
-
-        self.lever = dict(zip(which, lever, strict=True))
-        none = np.zeros((count, d + w.shape[1], 0))
+        d, count = self.tables.dim, len(self.tables.system.markers.frame)
+        n = self.tables.system.motions.n_twist
+        none = np.zeros((count, n, 0))
         kin = Kinematics(np.zeros((count, d)), np.zeros((count, d, d)), none, none)
-        twist = np.zeros((count, d + w.shape[1]))
-        swing = np.cross(w, lever) if d == 3 else w * np.stack((-lever[:, 1], lever[:, 0]), axis=1)
-        kin.x[which], kin.R[which] = x + lever, R @ mk.rotation[which]
-        twist[which] = np.concatenate((v + swing, w), axis=1)
-        kin.twist = twist
+        kin.twist = np.zeros((count, n))
         return kin
+
+    def _place(self, frames: Array) -> None:
+        """Place the markers that are read by their frames: x, R, v, w of each, row by row."""
+        which, d, motions = self.markers, self.tables.dim, self.tables.system.motions
+        twists = d + d * d
+        x, R = frames[:, :d], frames[:, d:twists].reshape(-1, d, d)
+        twist = frames[:, twists : twists + motions.n_twist]
+        lever = (R @ self._arms[:, :, None])[:, :, 0]
+        self.lever = dict(zip(which, lever, strict=True))
+
+        kin = self._seen
+        assert kin.twist is not None
+        kin.x[which], kin.R[which] = x + lever, R @ self.tables.system.markers.rotation[which]
+        twist[:, :d] += motions.spin(twist[:, d:], lever)
+        kin.twist[which] = twist
 
 
 def listeners(tables: TableLayout) -> list[Listener]:
