@@ -326,6 +326,7 @@ CASES = [
     for scheme in SCHEMES
     if not (dim == 3 and scheme.name.startswith("BDF(2)"))
 ]
+CASES += [(floating, 2, fmbd.Radau(5, rtol=None)), (absolute, 2, fmbd.Radau(7, fmbd.Index3(), None))]
 
 
 @compiled

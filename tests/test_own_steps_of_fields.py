@@ -17,13 +17,15 @@ from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
 from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
 
 
-def pendulum_of(mesh: Any, kind: Any, ramp: float = 0.1) -> fmbd.Scene:
-    """A rod on a pin, released under gravity that comes within so many seconds."""
+def pendulum_of(mesh: Any, kind: Any, ramp: float = 0.1, hinges: int = 1) -> fmbd.Scene:
+    """A rod on a pin, released under gravity that comes within so many seconds; ``hinges``: of them in one place."""
     rod = kind(mesh)
     dim = rod.dim
     scene = fmbd.Scene("released", gravity=(0.0, -9.81, 0.0)[:dim], gravity_ramp=ramp)
     axis = {} if dim == 2 else {"axis": (0, 0, 1)}
-    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0, 0)[:dim], **axis))
+    scene.add(rod)
+    for number in range(hinges):
+        scene.add(fmbd.revolute(f"pin {number}", fmbd.ground, rod.surface("pin"), center=(0, 0, 0)[:dim], **axis))
     scene.sensor("tip", fmbd.position(rod.surface("tip")))
     return scene
 
@@ -35,6 +37,7 @@ OWN = (
     fmbd.Radau(3, fmbd.Index2(), 1e-5),
     fmbd.Radau(2, rtol=1e-6),
     fmbd.Radau(2, fmbd.Index3(), 1e-4),
+    fmbd.Radau(5, rtol=1e-8),
 )
 
 
@@ -80,12 +83,14 @@ def test_steps_of_a_size_of_their_own_are_calls_of_compiled_code(
 
 
 @compiled
-@pytest.mark.parametrize(("scheme", "most"), [(fmbd.Radau(3, rtol=1e-7), 40)], ids=str)
+@pytest.mark.parametrize(
+    ("scheme", "hinges", "most"), [(fmbd.Radau(3, rtol=1e-7), 1, 40), (fmbd.Radau(3, rtol=1e-7), 2, 40)], ids=str
+)
 def test_steps_of_a_size_of_their_own_enter_python_for_factors(
-    rod_mesh: Callable[..., Any], scheme: Any, most: int, monkeypatch: pytest.MonkeyPatch
+    rod_mesh: Callable[..., Any], scheme: Any, hinges: int, most: int
 ) -> None:
-    """Calls of Python a step, by runs of two lengths: up to 1 500 where Python makes the steps."""
-    scene = pendulum_of(rod_mesh(h=0.5, height=0.2), floating, ramp=0.0)
+    """Calls of Python a step, by runs of two lengths: up to 5 000 where Python makes the steps."""
+    scene = pendulum_of(rod_mesh(h=0.5, height=0.2), floating, ramp=0.0, hinges=hinges)
     output = fmbd.Output(every=10**9, progress=False)
     found = []
     for t_end in (0.1, 0.3):

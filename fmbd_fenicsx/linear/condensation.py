@@ -48,11 +48,12 @@ class StepSolver:
 
     prepared: Prepared  # for the matrix prepared last, where that is not the driver's
 
-    def __init__(self, system: System, *, linear: Any = None, prefix: str = "fmbd_") -> None:
+    def __init__(self, system: System, *, linear: Any = None, prefix: str = "fmbd_", place: int = 0) -> None:
         """``linear``: how elastic blocks are solved, an object of :mod:`fmbd_fenicsx.solvers` (None: Cholesky factors). PETSc's
-        options of the block of a body are those under ``<prefix><body>.u_``.
+        options of the block of a body are those under ``<prefix><body>.u_``. ``place``: where compiled code keeps complex
+        matrices of fields; solvers at one place take turns.
         """
-        self.system, self.linear, self.prefix = system, linear, prefix
+        self.system, self.linear, self.prefix, self.place = system, linear, prefix, place
         self._look = True
         self.near_singular, self._masses = NearSingular(), None
         self._held: MatrixConfiguration | None = None  # that of the matrices
@@ -87,7 +88,7 @@ class StepSolver:
         """Who solves in compiled code, where that evaluates the system; None where NumPy has to."""
         evaluator, solver = self._driver
         if evaluator is not self.system.evaluator:
-            solver = driver_solver(self.system, self.core, self.elastic if self.eliminates else None)
+            solver = driver_solver(self.system, self.core, self.elastic if self.eliminates else None, self.place)
             self._driver = self.system.evaluator, solver
         return solver
 

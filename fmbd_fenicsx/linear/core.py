@@ -177,7 +177,7 @@ class CoreSolver:
         if self.rank is None:
             self.rank = int(keep.sum())
         self.ratio = float(s[self.rank - 1] / s[0]) if self.rank else 1.0
-        S = (Vt[keep].T / s[keep]) @ U[:, keep].T
+        S = (Vt[keep].conj().T / s[keep]) @ U[:, keep].conj().T
 
         def solve(b: Array) -> Array:
             z = sl.lu_solve(lu, b[:n])
@@ -191,13 +191,13 @@ class CoreSolver:
         U, s, Vt = np.linalg.svd(K)
         keep = s > RANK_TOLERANCE * s[0]
         # a null vector with a part in x is a motion that nothing holds
-        rows = (Vt[~keep, : self.n] ** 2).sum(1)
+        rows = (abs(Vt[~keep, : self.n]) ** 2).sum(1)
         if rows.max(initial=0.0) > 1e-6:
             error = LinearSolveError(f"{self.judge.what}: a motion has neither mass nor stiffness. {ADVICE}")
-            error.motion = self.scale[: self.n] * Vt[~keep][int(np.argmax(rows)), : self.n]
+            error.motion = self.scale[: self.n] * Vt[~keep][int(np.argmax(rows)), : self.n].conj()
             raise error
 
-        inverse = (Vt[keep].T / s[keep]) @ U[:, keep].T
+        inverse = (Vt[keep].conj().T / s[keep]) @ U[:, keep].conj().T
 
         def solve(b: Array) -> Array:
             z = inverse @ b

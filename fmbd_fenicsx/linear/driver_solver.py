@@ -1,7 +1,7 @@
 """Solutions by the driver: the matrix of a state that it evaluated is factored and solved there, and not in NumPy.
 
-Only where the rows certainly do not depend on each other, which the first factor tells. Where NumPy finds that they do, the
-driver makes what explicit schemes and energy-momentum ask for in one call, with the smallest multipliers; all else is NumPy's.
+Only where the rows certainly do not depend on each other, which the first factor tells, or where NumPy has found that they do:
+multipliers are the smallest then.
 """
 
 from __future__ import annotations
@@ -45,14 +45,16 @@ class DriverSolver:
         columns of inertia leave out.
         """
         self.ready = False
-        if self.usable is False or weights.cm != 1.0 or not self._takes(weights) or not self._evaluated(ev):
+        hopeless = self.usable is False and not self.core.redundant
+        if hopeless or weights.cm != 1.0 or not self._takes(weights) or not self._evaluated(ev):
             return False
         if not weights.real and self.usable is None:  # rows are looked at with the masses
             self._usable_at(ev.t, ev.q, ev.alone[2][0])
         self._choose(ev, weights)
         self.states.sway(sways)
         self._weights = weights
-        self.ready = self._looked(ev) and self.states.prepare(ev, weights.cd, weights.ck)
+        self._look_at(ev)
+        self.ready = self._solves() and self.states.prepare(ev, weights.cd, weights.ck)
         return self.ready
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
@@ -70,18 +72,23 @@ class DriverSolver:
     def _choose(self, ev: DriverEvaluation, weights: Weights) -> None:
         """Take the tables that make a matrix: of systems without fields all serve."""
 
-    def _looked(self, ev: DriverEvaluation) -> bool:
-        """Whether rows do not depend on each other, which the first state tells."""
+    def _look_at(self, ev: DriverEvaluation) -> None:
+        """Find whether rows do not depend on each other, which the first state tells."""
         if self.usable is None:
-            self.usable = self.states.prepare(ev, 0.0, 0.0) and self.states.independent()
-        return self.usable
+            depend = self.core.redundant
+            self.usable = not depend and self.states.prepare(ev, 0.0, 0.0) and self.states.independent()
+
+    def _solves(self) -> bool:
+        """Whether the driver solves: rows do not depend on each other, or are known to, for the smallest multipliers then."""
+        if not self.usable and self.core.redundant:
+            self.states.let_depend()
+        return bool(self.usable) or self.core.redundant
 
     def _usable_at(self, t: float, q: Array, v: Array) -> bool:
         """Whether one call finds all; the state is evaluated where nothing is known so far."""
-        usable = self._looked(self.states.at(t, q, v)) if self.usable is None else self.usable
-        if not usable and self.core.redundant:
-            self.states.let_depend()
-        return usable or self.core.redundant
+        if self.usable is None:
+            self._look_at(self.states.at(t, q, v))
+        return self._solves()
 
     def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """a and lambda of a consistent state in one call; None where they have to be found in parts."""
@@ -213,10 +220,10 @@ class DriverSolver:
 class FieldDriverSolver(DriverSolver):
     """The same with elastic fields: tables with the factors of a size of step, which the runs of a system share."""
 
-    def __init__(self, states: FieldStates, core: CoreSolver, elastic: FieldBlocks) -> None:
-        """``states``: those that are asked for; ``elastic``: the factors of fields."""
+    def __init__(self, states: FieldStates, core: CoreSolver, elastic: FieldBlocks, place: int) -> None:
+        """``states``: those that are asked for; ``elastic``: the factors of fields; ``place``: of complex matrices."""
         super().__init__(states, core)
-        self.told, self.elastic = states, elastic
+        self.told, self.elastic, self.place = states, elastic, place
         self._made: MeanStates | None = None
         self._of_means = 0  # factorisations of it that are counted
         self._versions: list[tuple[Any, Any]] = []  # of tangents and columns in the matrix prepared last
@@ -236,7 +243,7 @@ class FieldDriverSolver(DriverSolver):
         """Give the tables the factors of a size of step."""
         self.blocks = self.elastic.of(ev.jacobian, weights, ties_apart=False, splits=False)
         self._versions = self.elastic.versions(ev.t)
-        found = self.told.factored(self.blocks)
+        found = self.told.factored(self.blocks, self.place)
         if found is not self.states:
             self._counted += found.factors - self.states.factors
             self.states, self.explicit = found, ExplicitStates(found)
@@ -281,12 +288,12 @@ class FieldDriverSolver(DriverSolver):
         return states.blocks
 
 
-def driver_solver(system: System, core: CoreSolver, elastic: FieldBlocks | None) -> DriverSolver | None:
+def driver_solver(system: System, core: CoreSolver, elastic: FieldBlocks | None, place: int) -> DriverSolver | None:
     """Solutions by the driver, where it evaluates a system and knows how to solve for it.
 
-    ``core``, ``elastic``: of the same solver; None for fields that are not eliminated by factors of their own.
+    ``core``, ``elastic``, ``place``: of the same solver; None for fields that are not eliminated by factors of their own.
     """
     states = system.evaluator
     if isinstance(states, FieldStates):
-        return None if elastic is None else FieldDriverSolver(states, core, elastic)
+        return None if elastic is None else FieldDriverSolver(states, core, elastic, place)
     return DriverSolver(states, core) if solves(states) else None

@@ -73,20 +73,32 @@ class FrequencySolvers(Remembering):
         self.asked: list[tuple[complex, int]] = []  # the last frequencies, and how often
         self.anchor: float | None = None  # first frequency of the grid, 1/s
         self._possible = solver.linear is None and solver.iterated is None and _sparse_blocks(system)
-        self._complex = StepSolver(system) if self._possible else solver
-        self._complex.elastic = solver.elastic
+        self._complex: list[StepSolver] = []  # each with a matrix of its own
 
-    def of(self, s: complex) -> FrequencySolver:
-        """Who solves for a frequency."""
+    def of_all(self, s: Array) -> list[FrequencySolver]:
+        """Who solves for the frequencies s (p,) of one stage system, whose matrices are there at one time."""
+        places = np.cumsum(s.imag != 0) - 1
+        return [self.of(complex(x), int(place)) for x, place in zip(s, places, strict=True)]
+
+    def of(self, s: complex, place: int = 0) -> FrequencySolver:
+        """Who solves for a frequency; ``place``: of a complex one among those of its stage system."""
         nearest = self._on_grid(abs(s))
         if not self.settles:
             return FrequencySolver.of(self.real, complex(nearest), False)
         if abs(s - nearest) <= SAME * nearest:
             return FrequencySolver.of(self.real, complex(nearest), True)
         s, count = self._noted(s)
-        if count > SETTLED and self._possible and not self.real.core.redundant:
-            return FrequencySolver.of(self._complex if s.imag else self.real, s, True)
+        if count > SETTLED and self._possible:
+            return FrequencySolver.of(self._complex_at(place) if s.imag else self.real, s, True)
         return FrequencySolver.of(self.real, complex(nearest), False)
+
+    def _complex_at(self, place: int) -> StepSolver:
+        """The solver for complex matrices at a place."""
+        while len(self._complex) <= place:
+            made = StepSolver(self.real.system, place=len(self._complex))
+            made.elastic, made.core.redundant = self.real.elastic, self.real.core.redundant
+            self._complex.append(made)
+        return self._complex[place]
 
     def expect(self, s: Array) -> None:
         """Frequencies (p,) that every step will ask for: they get their own factors at once."""

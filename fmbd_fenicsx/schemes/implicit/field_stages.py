@@ -283,9 +283,9 @@ class FieldEquations(Equations):
     # -- whole steps --------------------------------------------------------------------------------------------
     @property
     def compiled(self) -> bool:
-        """As :attr:`Equations.compiled`: where solutions need no iteration, and rows do not depend on each other."""
+        """As :attr:`Equations.compiled`: where solutions need no iteration."""
         states = self.system.evaluator
-        same = isinstance(states, DriverStates) and not states.recalls and not self.solver.core.redundant
+        same = isinstance(states, DriverStates) and not states.recalls
         return same and self.trusted and self._covered
 
     @property
@@ -296,13 +296,17 @@ class FieldEquations(Equations):
     def whole_steps(self, state: State) -> DriverStates | None:
         """As :meth:`Equations.whole_steps`: matrices have tables of their own."""
         states = self.system.evaluator
-        return states if isinstance(states, DriverStates) and self.solver.driver is not None else None
+        if not isinstance(states, DriverStates) or self.solver.driver is None:
+            return None
+        if self.solver.core.redundant:
+            states.let_depend()
+        return states
 
     def solves_for(self, s: Array) -> bool:
         """As :meth:`Equations.solves_for`: matrices are those of the frequencies, in tables of their own; N is of a real one."""
         self._lent = self._solvers_of(s)
-        real = [by.weights.real for by in self._lent]
-        apart = len(set(real)) == len(real) and (self.levels < 2 or any(real))
+        real = sum(by.weights.real for by in self._lent)
+        apart = real <= 1 and (self.levels < 2 or real == 1)
         return apart and all(by.exact for by in self._lent)
 
     def _solvers_of(self, s: Array) -> list[FrequencySolver]:
@@ -310,7 +314,7 @@ class FieldEquations(Equations):
         if self._equal:
             self.solvers.expect(s)
             self._equal = False
-        return [self.solvers.of(x.real if x.imag == 0 else x) for x in s]
+        return self.solvers.of_all(s)
 
     def room(self, frequencies: int, points: int) -> FieldStageRoom:
         """As :meth:`Equations.room`."""

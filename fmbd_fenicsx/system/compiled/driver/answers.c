@@ -187,20 +187,24 @@ static void add_row(const System *s, int body, const double *rates, int modes, d
     add(row + s->body[body].at_v, factor, rates + TWIST, modes);
 }
 
+/* The row of one item, as its kernel left it, on the rates of the body of one of its frames, into s->big; how many, 0: the ground. */
+int side_row(System *s, const Batch *k, long i, int side, int *body)
+{
+    const double *out = k->out + 1 + i * k->outputs, *map;
+    const int frame = k->pair[2 * i + side], width = side_map(s, frame, &map);
+    double both[2 * TWIST] = {0.0};
+    for (int e = 0; e < k->outputs - 1; e++) both[k->component[e]] = out[e];
+    if (width) through(map, width, both + TWIST * side, s->big);
+    *body = map ? s->surface[frame - s->bodies - 1].body : frame;
+    return width;
+}
+
 /* ``factor`` times the row of one item, as its kernel left it, added to one like v. */
 void item_row(System *s, const Batch *k, long i, double factor, double *row)
 {
-    const double *out = k->out + 1 + i * k->outputs;
-    double both[2 * TWIST] = {0.0};
-    for (int e = 0; e < k->outputs - 1; e++) both[k->component[e]] = out[e];
-
     for (int side = 0; side < 2; side++) {
-        const double *map;
-        int frame = k->pair[2 * i + side], width = side_map(s, frame, &map);
-        if (!width) continue;
-        through(map, width, both + TWIST * side, s->big);
-        int body = map ? s->surface[frame - s->bodies - 1].body : frame;
-        add_row(s, body, s->big, width - TWIST, factor * k->factor[i], row);
+        int body, width = side_row(s, k, i, side, &body);
+        if (width) add_row(s, body, s->big, width - TWIST, factor * k->factor[i], row);
     }
 }
 

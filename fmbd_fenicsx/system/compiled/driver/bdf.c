@@ -150,7 +150,7 @@ static int end_bdf(System *s, Implicit *o, const double *p, const Block *now, Bl
     const Stages *g = o->stages;
     const Memories m = memories_at(g, now->own), made = memories_at(g, out.own);
     int verdict = end_motion(s, o, p, now, out);
-    if (verdict || (verdict = least_of_levels(s, g, g->t[0], out.q, g->mult, room))) return verdict;
+    if (verdict || (verdict = least_of_levels(s, g, 0, out.q, room))) return verdict;
     memcpy(made.mult, g->mult, (g->size - g->n) * sizeof(double));
     remember_value(s, o, now, &m, &made);
     return end_implicit(s, o, p, g->mult, out);

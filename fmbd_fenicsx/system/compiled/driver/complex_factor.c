@@ -22,12 +22,13 @@ static int factor_complex(System *s)
 {
     double *other = s->inverse + s->nu + s->rows;
     s->factors++;
+    soften(s);
     for (Front *f = s->front; f < s->front + s->fronts; f++) {
         double *F = s->L + f->start, *E = s->lossy + f->start;
         for (int k = 0; k < f->pivots; k++) {
             int u = f->unknown[k];
             double a = F[(long)(f->ld + 1) * k], b = E[(long)(f->ld + 1) * k], square = a * a + b * b;
-            double least = u < s->nu ? 1e-14 * s->diagonal[u] : 1e-11 * s->weight[u - s->nu];
+            const double least = least_pivot(s, u);
             if (!(square > least * least)) return SINGULAR;
             s->inverse[u] = a / square;
             other[u] = -b / square;

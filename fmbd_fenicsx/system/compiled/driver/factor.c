@@ -44,7 +44,7 @@ static void eliminate_panel(double *F, int ld, int rows, int k, const double *in
     }
 }
 
-/* Dependent rows get -epsilon / u^2 on the diagonal: G x - epsilon y / u^2 = c instead of G x = c, with y / u in forces where y is
+/* Dependent rows get -epsilon / u^2 on the diagonal, of a complex matrix on that of its real part: G x - epsilon y / u^2 = c instead of G x = c, with y / u in forces where y is
    a moment. Solving again for what is left open, with the multipliers found so far in the residual, closes the rows; started
    from no multipliers it leads to those with the smallest forces y / u (method of multipliers, a proximal point method;
    Rockafellar, doi:10.1287/moor.1.2.97).
@@ -65,6 +65,14 @@ static void soften(System *s)
     for (int i = 0; i < s->rows; i++) s->L[s->row_dest[i]] -= softness(s, i);
 }
 
+/* The size below which a pivot is roundoff of what it is made of. */
+static double least_pivot(const System *s, int u)
+{
+    const int row = u - s->nu;
+    if (row < 0) return 1e-14 * s->diagonal[u];
+    return s->redundant ? 0.1 * softness(s, row) : 1e-11 * s->weight[row];
+}
+
 /* SINGULAR when a pivot has the wrong sign, where bodies are stable, or is small against what it is made of. */
 static int factor(System *s)
 {
@@ -78,8 +86,7 @@ static int factor(System *s)
             int u = f->unknown[k], together = k < panels;
             double sign = s->sign[u], pivot = F[(long)(ld + 1) * k] * sign;
             if (s->indefinite && pivot < 0.0) sign = -sign, pivot = -pivot;
-            double least = u < s->nu ? 1e-14 * s->diagonal[u] : (s->redundant ? 0.1 * softness(s, u - s->nu) : 1e-11 * s->weight[u - s->nu]);
-            if (!(pivot > least)) return SINGULAR;
+            if (!(pivot > least_pivot(s, u))) return SINGULAR;
             s->inverse[u] = inverse[k % PANEL] = sign / pivot;
             eliminate(F, ld, together ? k - k % PANEL + PANEL : f->rows, k, s->inverse[u]);
             if (together && k % PANEL == PANEL - 1) eliminate_panel(F, ld, f->rows, k + 1 - PANEL, inverse);

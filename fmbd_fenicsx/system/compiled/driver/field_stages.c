@@ -16,6 +16,7 @@ typedef struct FieldStages {
     int begun;                         /* whether the next step's start is closed */
     double *closed;                    /* that: dq, v, a */
     double *N, *turnings;              /* m x n, motions that open single rows; bodies x TWIST x TWIST, d rate / d xi at xi = 0, and n */
+    double *columns;                   /* nu x m, work: of rows that depend */
     double *units, *reactions;         /* right-hand sides of N, m x n zeros and m x m of the identity; m x m, work */
     double *square, *before, *sizes;   /* n: of the entries of lengths; of the last increments; of these */
     double *kin, *low, *rate, *push;   /* frequencies x 2 n, x 2 size, x 2 n, x 2 n */

@@ -176,6 +176,88 @@ static int close_start(System *s, const Stages *o, int places, const Block *now)
     return DONE;
 }
 
+/* ---- rows that depend ---- */
+
+static const double DEPENDENT = 1e-8; /* share of a column that is roundoff */
+
+/* diag(u) G by its columns A, nu x m, each of unit size, where frames are placed; zero where it is roundoff of those of its body. */
+static void columns_of_rows(System *s, double *A)
+{
+    const int m = s->rows;
+    const double *units = s->multiplier_units;
+    memset(A, 0, (size_t)s->nu * m * sizeof(double));
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != ROW) continue;
+        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        for (long i = 0; i < k->n; i++)
+            for (int side = 0; side < 2; side++) {
+                int body, width = side_row(s, k, i, side, &body), row = k->row[i];
+                const Body *o = s->body + body;
+                for (int j = width && rests(o) ? TWIST : 0; j < width; j++) /* a frame that rests bears nothing */
+                    A[(long)(o->at_u + j) * m + row] += units[row] * k->factor[i] * s->big[j];
+            }
+    }
+    for (const Body *o = s->body; o < s->body + s->bodies; o++) {
+        double *own = A + (long)o->at_u * m, largest = 0.0;
+        for (int i = 0; o->field && i < o->field->frames; i++) {
+            const int row = o->field->row + i;
+            own[(long)(TWIST + o->field->frame_slot[i]) * m + row] = units[row];
+        }
+        for (int j = 0; j < TWIST + o->modes; j++) largest = fmax(largest, dot(own + j * m, own + j * m, m));
+        for (int j = 0; j < TWIST + o->modes; j++) {
+            const double square = dot(own + j * m, own + j * m, m);
+            const double scale = square > DEPENDENT * DEPENDENT * largest ? 1.0 / sqrt(square) : 0.0;
+            for (int i = 0; i < m; i++) own[j * m + i] *= scale;
+        }
+    }
+}
+
+/* An orthonormal basis of n columns of m numbers, in their first places, by the largest that is left each time; how many. */
+static int basis_of(int n, int m, double *A)
+{
+    int rank = 0;
+    for (; rank < (n < m ? n : m); rank++) {
+        double *next = A + (long)rank * m, *found = next, most = 0.0;
+        for (double *x = next; x < A + (long)n * m; x += m) {
+            const double square = dot(x, x, m);
+            if (square > most) most = square, found = x;
+        }
+        if (!(most > DEPENDENT * DEPENDENT)) break;
+        for (int i = 0; i < m; i++) {
+            const double kept = next[i];
+            next[i] = found[i];
+            found[i] = kept;
+        }
+        for (const double *x = A; x < next; x += m) add(next, -dot(x, next, m), x, m); /* once more: what is left is small */
+        const double size = sqrt(dot(next, next, m));
+        for (int i = 0; i < m; i++) next[i] /= size;
+        for (double *x = next + m; x < A + (long)n * m; x += m) add(x, -dot(next, x, m), next, m);
+    }
+    return rank;
+}
+
+/* Of the multipliers of all levels at point j the smallest with their forces: (1) of linear/redundancy.py, where what is taken out of
+   lambda / u is all but its part along the columns of diag(u) G. */
+static int least_on_fields(System *s, const Stages *o, int j, const double *q, double *mult)
+{
+    const FieldStages *e = o->fields;
+    const double *u = s->multiplier_units;
+    double *given = e->given, *found = e->found;
+    const int m = o->m;
+    int verdict = sample_point(s, o, j, 1);
+    memset(e->room, 0, o->n * sizeof(double));
+    if (verdict || (verdict = place(s, q, e->room))) return verdict;
+    columns_of_rows(s, e->columns);
+    const int rank = basis_of(s->nu, m, e->columns);
+    for (int level = 0; level < o->levels; level++, mult += m) {
+        for (int i = 0; i < m; i++) given[i] = mult[i] / u[i];
+        memset(found, 0, m * sizeof(double));
+        for (int k = 0; k < rank; k++) add(found, dot(e->columns + (long)k * m, given, m), e->columns + (long)k * m, m);
+        for (int i = 0; i < m; i++) mult[i] = u[i] * found[i];
+    }
+    return DONE;
+}
+
 /* Errors of places and velocities, 2 n of ``change``, from the defects of a step: ``kin``, and ``push`` of the accelerations. */
 static int field_errors(System *s, const Stages *o, const double *kin, const double *push, double *change)
 {

@@ -105,10 +105,13 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
     return DONE;
 }
 
-/* Of the multipliers of all levels the smallest with their forces in a configuration, where rows depend. ``room``: 2 nv + rows. */
-static int least_of_levels(System *s, const Stages *g, double t, const double *q, double *mult, double *room)
+/* Of the multipliers of all levels at point j the smallest with their forces in its configuration, where rows depend. ``room``:
+   2 nv + rows. */
+static int least_of_levels(System *s, const Stages *g, int j, const double *q, double *room)
 {
-    return s->redundant && g->levels ? driver_least(s, 0, t, g->levels, q, mult, room) : DONE;
+    double *mult = g->mult + (long)j * (g->size - g->n);
+    if (!s->redundant || !g->levels) return DONE;
+    return g->fields ? least_on_fields(s, g, j, q, mult) : driver_least(s, 0, g->t[j], g->levels, q, mult, room);
 }
 
 /* y = A x of k rows of n numbers, for a matrix of k columns. */

@@ -225,17 +225,19 @@ int with_fields(System *s, double scale, double *x, double *y, double t)
 /* The solution for rows that are epsilon y / u^2 open, ``times`` that, added to x and y. */
 static void add_softness(System *s, double times, double *x, double *y)
 {
-    double *more = s->work + s->again, *left = more + s->nv;
-    memset(s->b, 0, s->nu * sizeof(double));
-    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = times * softness(s, i) * y[i];
-    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++) {
-        if (!o->field) continue;
-        memset(s->b + s->nu + o->field->row, 0, o->field->frames * sizeof(double)); /* conditions of frames are not softened */
-        field_without_load(o);
+    double *more = s->work + s->again, *left = more + s->parts * s->nv;
+    for (int part = 0; part < s->parts; part++) {
+        double *b = s->b + part * (s->nu + s->rows), *open = b + s->nu;
+        memset(b, 0, s->nu * sizeof(double));
+        for (int i = 0; i < s->rows; i++) open[i] = times * softness(s, i) * y[part * s->rows + i];
+        for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++) /* conditions of frames are not softened */
+            if (o->field) memset(open + o->field->row, 0, o->field->frames * sizeof(double));
     }
+    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
+        if (o->field) field_without_load(o);
     solution(s, more, left);
-    add(x, 1.0, more, s->nv);
-    add(y, 1.0, left, s->rows);
+    add(x, 1.0, more, s->parts * s->nv);
+    add(y, 1.0, left, s->parts * s->rows);
 }
 
 /* The same where rows depend, with the corrections of soften(); b holds nothing of use then. */

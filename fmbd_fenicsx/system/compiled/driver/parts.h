@@ -133,6 +133,7 @@ int sample(System *s, double t, double *last);
 long sample_size(const System *s);
 void keep_sample(const System *s, double *kept, int back);
 void like_v(const System *s, const double *u, double *x);
+int side_row(System *s, const Batch *k, long i, int side, int *body);
 void item_row(System *s, const Batch *k, long i, double factor, double *row);
 void all_rows(System *s, const double *mu, double *G);
 EXPORT int driver_solve(System *s, long count, const double *q, const double *b, const double *c, double *x, double *y);

@@ -134,7 +134,7 @@ static int end_radau(System *s, Implicit *o, const double *p, const Block *now, 
     for (int j = 0; s->redundant && j < k; j++) {
         double *q = o->mixed, *rest = q + s->nq;
         configuration(s, now->q, g->xi + j * n, q);
-        if ((verdict = least_of_levels(s, g, g->t[j], q, g->mult + j * width, rest))) return verdict;
+        if ((verdict = least_of_levels(s, g, j, q, rest))) return verdict;
     }
     memcpy(made.q, now->q, s->nq * sizeof(double));
     memcpy(made.v, now->v, n * sizeof(double));

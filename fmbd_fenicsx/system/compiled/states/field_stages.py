@@ -43,9 +43,9 @@ class FieldStageRoom(PointRoom):
         twist = system.motions.n_twist
         of_fields: dict[str, int | tuple[int, ...]] = {
             "q": system.n_q, "v": n, "a": n, "lam": m, "balance": size, "N": (m, n), "turnings": frames * twist**2 + n,
-            "units": m * (n + m), "reactions": (m, m), "square": n, "before": p, "sizes": p, "kin": p * 2 * n,
-            "low": p * 2 * size, "rate": p * 2 * n, "push": p * 2 * n, "x": p * 4 * n, "y": p * 2 * width, "b": 2 * n,
-            "c": 2 * (n + m), "given": 2 * m, "found": 2 * m, "room": 3 * n + size,
+            "columns": states.tables.c.nu * m, "units": m * (n + m), "reactions": (m, m), "square": n, "before": p, "sizes": p,
+            "kin": p * 2 * n, "low": p * 2 * size, "rate": p * 2 * n, "push": p * 2 * n, "x": p * 4 * n, "y": p * 2 * width,
+            "b": 2 * n, "c": 2 * (n + m), "given": 2 * m, "found": 2 * m, "room": 3 * n + size,
             "closed": (3, n), "sampled": states.calls.written,
         }  # fmt: skip
         more = zeros_of(of_fields)

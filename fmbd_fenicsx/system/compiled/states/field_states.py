@@ -44,7 +44,7 @@ class FieldStates(DriverStates):
     solves = False
 
     def __init__(self, system: System, library: Any) -> None:
-        self._factored: dict[int, FactoredFieldStates] = {}  # by the parts of their numbers
+        self._factored: dict[int | None, FactoredFieldStates] = {}  # complex ones by their places, None: real
         super().__init__(system, library)
 
     _of_steps: FactoredFieldStates | None = None
@@ -58,12 +58,14 @@ class FieldStates(DriverStates):
             made.take(blocks)
         return made
 
-    def factored(self, blocks: Sequence[Block]) -> FactoredFieldStates:
-        """The same system with factors of its fields, real or complex; the last one that was asked for goes on with these."""
-        parts = max(map(parts_of, blocks))
-        made = self._factored.get(parts)
+    def factored(self, blocks: Sequence[Block], place: int = 0) -> FactoredFieldStates:
+        """The same system with factors of its fields, real ones or complex ones of a place; the last one that was asked for goes
+        on with these.
+        """
+        key = place if max(map(parts_of, blocks)) > 1 else None
+        made = self._factored.get(key)
         if made is None:
-            self._factored[parts] = made = FactoredFieldStates(self, blocks)
+            self._factored[key] = made = FactoredFieldStates(self, blocks)
         elif made.blocks is not blocks or made.tangents != self.newest_tangents:
             made.take(blocks)  # masses have no tangents, but turn with the body since the newest ones
         return made
