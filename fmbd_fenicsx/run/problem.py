@@ -112,12 +112,11 @@ def make_stepper(
     system = problem.system
     start = problem.start
     solver.look_for_dependent_rows(system.at(start.t, start.q, start.v))
-    made = made_stepper(problem.scheme, system, solver, problem.newton, start)
+    made = _stepper_from(problem, solver, start)
     watch = Watch(system, made.state) if guarded else None
     # a scheme with error control makes its steps smaller by itself
     if not schedule.steps:
         return made if watch is None else Guarded(made, watch)
-    made.gives_up = problem.most_parts == 0.0
 
     def renew(state: State, before: TimeStepper | None = None) -> TimeStepper:
         return _made_anew(problem, solver, before, state, schedule.next(state.t))
@@ -144,6 +143,10 @@ def _made_anew(problem: Problem, solver: StepSolver, before: TimeStepper | None,
 
     if before is not None and before.begin_anew(start):
         return before
-    made = made_stepper(problem.scheme, system, solver, problem.newton, start())
-    made.gives_up = problem.most_parts == 0.0
-    return made
+    return _stepper_from(problem, solver, start())
+
+
+def _stepper_from(problem: Problem, solver: StepSolver, start: State) -> TimeStepper:
+    """The scheme's own, from a consistent state."""
+    gives_up = problem.most_parts == 0.0 and not problem.said.adaptive
+    return made_stepper(problem.scheme, problem.system, solver, problem.newton, start, gives_up=gives_up)

@@ -194,9 +194,9 @@ class Around(TimeStepper):
         return self.stepper.tape(judged)
 
 
-def made_stepper(scheme: Any, *given: Any) -> TimeStepper:
-    """The stepper of a scheme from (system, solver, newton, consistent state). From now on compiled code evaluates the system,
-    where it knows all of it and the scheme does not say otherwise.
+def made_stepper(scheme: Any, *given: Any, gives_up: bool = False) -> TimeStepper:
+    """The stepper of a scheme from (system, solver, newton, consistent state); ``gives_up``: see :class:`TimeStepper`. From now
+    on compiled code evaluates the system, where it knows all of it and the scheme does not say otherwise.
 
     Raises:
         InputError: a user's own scheme made something else.
@@ -210,6 +210,7 @@ def made_stepper(scheme: Any, *given: Any) -> TimeStepper:
     if not made.compiled_whole and Declared.by(scheme).compiled:
         # schemes in Python ask for evaluations: compiled code gives them
         use_driver(given[0])
+    made.gives_up = gives_up
     return made  # type: ignore[no-any-return]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 from ..evaluator import Evaluator
 from ..system import System
@@ -28,16 +28,22 @@ def use_driver(system: System) -> None:
 
 def driver_states(system: System) -> DriverStates | None:
     """The driver for states of a system, None where NumPy has to evaluate it."""
-    known = twin_of(system).system
-    if not covers_bodies(known) or not covers(known):
-        return None
-    library = driver_library(system.motions.dim, units_of(known))
+    library = driver_of(twin_of(system).system)
     if library is None:
         return None
 
     made = FieldStates if system.fields else DriverStates
     states = made(system, library)
     return states if states.tables.fronts.storage <= STORAGE_LIMIT else None
+
+
+def driver_of(known: System, *more: str) -> Any:
+    """The driver for a system with the arrays of its tables, with ``more`` units than it needs; None where it does not know all of
+    that system, or cannot be had.
+    """
+    if not covers_bodies(known) or not covers(known):
+        return None
+    return driver_library(known.motions.dim, (*units_of(known), *more))
 
 
 def solves(evaluator: Evaluator) -> TypeGuard[DriverStates]:

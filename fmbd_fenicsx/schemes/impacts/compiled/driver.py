@@ -22,10 +22,9 @@ from ....rotations import Array
 from ....system.compiled import march as slots
 from ....system.compiled.blocks import Ring, block_size, state_of
 from ....system.compiled.calls import Calls
+from ....system.compiled.choice import driver_of
 from ....system.compiled.declarations import PYTHON, enumeration
-from ....system.compiled.library import CONTACT, driver_library, units_of
-from ....system.compiled.tables.bodies import covers_bodies
-from ....system.compiled.tables.items import covers
+from ....system.compiled.library import CONTACT
 from ....system.compiled.tables.tables import Tables
 from ....system.layout import State
 from ....system.speed_rows import speed_rows
@@ -365,7 +364,7 @@ def contact_driver(system: System, *, redundant: bool, impacts: int) -> ContactD
     if not all(known(contacts, pair) for pair in contacts.pairs):
         return None
     plain = replace(system, contacts=None, cache={})
-    if not (covers_bodies(plain) and covers(plain)) or speed_rows(plain).size:
+    if speed_rows(plain).size:
         return None
-    library = driver_library(system.motions.dim, (*units_of(plain), CONTACT))
+    library = driver_of(plain, CONTACT)
     return None if library is None else ContactDriver(system, plain, library, impacts, redundant=redundant)

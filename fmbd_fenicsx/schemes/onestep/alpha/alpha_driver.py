@@ -15,12 +15,9 @@ import numpy as np
 from ....kernel_cache import address_of
 from ....rotations import Array
 from ....system.compiled.calls import Calls
-from ....system.compiled.choice import STORAGE_LIMIT, solves
-from ....system.compiled.library import driver_library, units_of
+from ....system.compiled.choice import STORAGE_LIMIT, driver_of, solves
 from ....system.compiled.march import CEILING, FLOOR, LENGTH, MAXIT, NEW_TANGENT, SLOW, TOL, March
-from ....system.compiled.tables.bodies import covers_bodies
 from ....system.compiled.tables.fields import Block
-from ....system.compiled.tables.items import covers
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.tables import Tables
 from ....system.compiled.tape import Tape
@@ -116,9 +113,7 @@ def settings(p: Array, system: System, newton: Newton) -> None:
 
 def drivable(system: System) -> Any:
     """The library of the driver where it knows all of a system, else None."""
-    twin = twin_of(system).system
-    known = system.contacts is None and covers_bodies(twin) and covers(twin)
-    return driver_library(twin.motions.dim, units_of(twin)) if known else None
+    return driver_of(twin_of(system).system) if system.contacts is None else None
 
 
 def alpha_driver(
