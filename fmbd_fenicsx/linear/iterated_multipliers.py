@@ -28,6 +28,7 @@ from ..errors import LinearSolveError
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.system import System
+from .core import dense
 from .residual import Judge
 from .rigid_modes import rigid_mass, rigid_modes
 from .saddle.elastic import Elastic
@@ -120,64 +121,77 @@ class IteratedMultipliers:
 
     # -- preconditioner -----------------------------------------------------------------------------------------
     def _preconditioner(self, weights: Any, core: Array) -> Callable[[Array], Array]:
-        """S~^-1 of (2), by the factors of its blocks and Woodbury's formula."""
+        """S~^-1 of (2), by Woodbury's formula."""
         seen = SceneTies(self.system, weights)
-        blocks: list[Callable[[Array], Array]] = []
-        for i in range(len(seen.ties)):
-            S = lumped(seen, i) if weights.ck == 0 or self.multiplier is None else self.multiplier.block(seen, i)
-            # blocks that are nearly full are factored as such
-            dense = S.nnz > 0.2 * S.shape[0] ** 2
-            blocks.append(partial(sl.cho_solve, sl.cho_factor(S.toarray())) if dense else spl.splu(S.tocsc()).solve)
-
-        ends = np.cumsum([t.rows for t in seen.ties])[:-1]
-
-        def local(r: Array) -> Array:
-            return np.concatenate([solve(part) for solve, part in zip(blocks, np.split(r, ends), strict=True)])
-
-        # Woodbury: blocks plus the rigid motions of rank a few
+        blockwise = self._blockwise(seen, stiff=weights.ck != 0)
         W = self._rigid(seen, core)
-        Y = np.stack([local(w) for w in W.T], axis=1) if W.shape[1] else W
-        small = sl.cho_factor(np.eye(W.shape[1]) + W.T @ Y) if W.shape[1] else None
+        if not W.shape[1]:
+            return lambda r: blockwise(np.ravel(r))
+
+        Y = np.stack([blockwise(w) for w in W.T], axis=1)
+        small = sl.cho_factor(np.eye(W.shape[1]) + W.T @ Y)
 
         def inverse(r: Array) -> Array:
-            z = local(np.ravel(r))
-            return z if small is None else z - Y @ sl.cho_solve(small, W.T @ z)
+            z = blockwise(np.ravel(r))
+            return z - Y @ sl.cho_solve(small, W.T @ z)
 
         return inverse
 
+    def _blockwise(self, seen: SceneTies, *, stiff: bool) -> Callable[[Array], Array]:
+        """The inverse of blockdiag(S~_i); ``stiff``: whether the matrix holds stiffness beside masses."""
+        solves: list[Callable[[Array], Array]] = []
+        for i in range(len(seen.ties)):
+            fractional = self.multiplier if stiff else None
+            S = lumped(seen, i) if fractional is None else fractional.block(seen, i)
+            # blocks that are nearly full are factored as such
+            full = S.nnz > 0.2 * S.shape[0] ** 2
+            solves.append(partial(sl.cho_solve, sl.cho_factor(S.toarray())) if full else spl.splu(S.tocsc()).solve)
+
+        ends = np.cumsum([t.rows for t in seen.ties])[:-1]
+
+        def blockwise(r: Array) -> Array:
+            return np.concatenate([solve(part) for solve, part in zip(solves, np.split(r, ends), strict=True)])
+
+        return blockwise
+
     def _rigid(self, seen: SceneTies, core: Array) -> Array:
-        """W of (2): bodies that can only move as rigid ones, held by the few rows."""
-        s = self.system
-        masses = [np.asarray(core)]
-        columns = [self.G.core.toarray() if sp.issparse(self.G.core) else self.G.core]
-
-        for (k, p), e in zip(s.fields, seen.elastic, strict=True):
-            if p.frame < s.n_frames:
-                continue  # its frame carries the rigid motion
-            R = rigid_modes(e.body)
-            masses.append(e.cm * rigid_mass(e.body, R))
-
-            ports = np.stack([p.ports_of(r, self.G.t) for r in R.T], axis=1)
-            columns.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))
+        """W of (2): what ties see of bodies that can only move as rigid ones, held by the few rows."""
+        M, G = self._as_rigid(seen, core)
 
         # masses and rows are made of one size, so that one threshold tells what is singular
-        A = sl.block_diag(*masses)
-        B = np.concatenate(columns, axis=1)
-        m, few = len(A), B[self.direct]
-        size = np.sqrt(np.maximum(np.abs(np.diag(A)), 1e-300))
-        A = A / np.outer(size, size)
-        few = few / size
+        size = np.sqrt(np.maximum(np.abs(np.diag(M)), 1e-300))
+        M, G = M / np.outer(size, size), G / size
+        return np.asarray(G[self.rows] @ _free_motions(M, G[self.direct]))
 
-        norms = np.linalg.norm(few, axis=1)
-        few = few[norms > 0] / norms[norms > 0, None]
+    def _as_rigid(self, seen: SceneTies, core: Array) -> tuple[Array, Array]:
+        """Masses (m, m) of all bodies as rigid ones, and G on their motions, (n_lam, m)."""
+        s = self.system
+        masses = [np.asarray(core)]
+        columns = [dense(self.G.core)]
 
-        # motions that the few rows leave: M^-1 restricted to their null space
-        whole = np.block([[0.5 * (A + A.T), few.T], [few, np.zeros((len(few), len(few)))]])
-        motion = np.linalg.pinv(whole, rcond=1e-10, hermitian=True)[:m, :m]
+        for (k, part), elastic in zip(s.fields, seen.elastic, strict=True):
+            if part.frame < s.n_frames:
+                continue  # its frame carries the rigid motion
+            modes = rigid_modes(elastic.body)
+            masses.append(elastic.cm * rigid_mass(elastic.body, modes))
 
-        values, vectors = np.linalg.eigh(0.5 * (motion + motion.T))
-        keep = values > 1e-10 * max(float(values.max(initial=0.0)), 1e-300)
-        return (B[self.rows] / size) @ (vectors[:, keep] * np.sqrt(values[keep]))
+            ports = np.stack([part.ports_of(mode, self.G.t) for mode in modes.T], axis=1)
+            columns.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))
+        return sl.block_diag(*masses), np.concatenate(columns, axis=1)
+
+
+def _free_motions(M: Array, held: Array) -> Array:
+    """X, (m, k), with X X^T = M^-1 on the motions that rows ``held`` (.., m) leave."""
+    m = len(M)
+    size = np.linalg.norm(held, axis=1)
+    held = held[size > 0] / size[size > 0, None]
+
+    saddle = np.block([[0.5 * (M + M.T), held.T], [held, np.zeros((len(held), len(held)))]])
+    inverse = np.linalg.pinv(saddle, rcond=1e-10, hermitian=True)[:m, :m]
+
+    values, vectors = np.linalg.eigh(0.5 * (inverse + inverse.T))
+    keep = values > 1e-10 * max(float(values.max(initial=0.0)), 1e-300)
+    return np.asarray(vectors[:, keep] * np.sqrt(values[keep]))
 
 
 class SceneTies:

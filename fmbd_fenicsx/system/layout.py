@@ -150,6 +150,10 @@ class Layout:
         """Distributed parts with their numbers."""
         return tuple((k, p) for k, p in enumerate(self.parts) if is_distributed(p))
 
+    def field_number(self, k: int) -> int:
+        """Which of the fields the part with this number is."""
+        return next(i for i, (part, _) in enumerate(self.fields) if part == k)
+
     @cached_property
     def core_parts(self) -> tuple[tuple[int, Part], ...]:
         """Replicated parts with their numbers."""

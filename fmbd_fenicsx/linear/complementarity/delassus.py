@@ -69,7 +69,7 @@ class Compliance(Remembering):
         local: dict[int, tuple[NodalRows, Array, Array]] = {}
         seen: list[Array] = [np.zeros((m, block.Y.shape[1])) for block in self.solver.blocks]
         for i, tr in self.contacts.on_fields.items():
-            position = next(j for j, (k, _) in enumerate(system.fields) if k == tr.part)
+            position = system.field_number(tr.part)
             block, turn = self.solver.blocks[position], self.solver.corotations[position]
             # the factor knows the body in the axes of its mean rotation
             N = rows.field[i].turned(turn)

@@ -88,21 +88,22 @@ class Applied:
         return self.scale * contacts.times(system, self.rows, x)
 
     def _lumped(self, slave: np.ndarray) -> Any:
-        """P of (2), (m, m) sparse."""
-        solver, contacts = self.blocks.solver, self.blocks.contacts
-        m = len(slave)
-        P: Any = sp.csr_matrix((m, m))
-        for i in np.unique(slave):
-            tr = contacts.on_fields[i]
-            position = next(j for j, (k, _) in enumerate(solver.system.fields) if k == tr.part)
-            N = sp.diags((slave == i).astype(float)) @ self.rows.field[int(i)].matrix(tr.n)
-            turn = solver.corotations[position]
-            if turn is not None:
-                N = N @ sp.kron(sp.identity(tr.n), turn)
+        """P of (2), (m, m) sparse: the sum over the traces that carry multipliers."""
+        P: Any = sp.csr_matrix((len(slave), len(slave)))
+        for trace in map(int, np.unique(slave)):
+            N = sp.diags((slave == trace).astype(float)) @ self._in_axes_of_factor(trace)
             size = np.asarray(N.multiply(N).sum(1)).ravel()
-            N = sp.diags(np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)) @ N
-            P = P + N @ self.blocks.of(int(i)) @ N.T / self.scale
+            shares = np.divide(1.0, size, out=np.zeros(len(size)), where=size > 0)
+            N = sp.diags(shares) @ N
+            P = P + N @ self.blocks.of(trace) @ N.T / self.scale
         return P.tocsr()
+
+    def _in_axes_of_factor(self, trace: int) -> Any:
+        """Rows on the nodes of a trace, sparse, in the axes in which the factor knows its body."""
+        solver, nodes = self.blocks.solver, self.blocks.contacts.on_fields[trace]
+        rows = self.rows.field[trace].matrix(nodes.n)
+        turn = solver.corotations[solver.system.field_number(nodes.part)]
+        return rows if turn is None else rows @ sp.kron(sp.identity(nodes.n), turn)
 
     def complementary(self, gap: Array, force: Array, counts: ContactCounts) -> Array:
         """L >= 0 complementary to gap + W (L - force), from the active set of ``force`` or of the gaps, (m,)."""

@@ -38,8 +38,8 @@ def driver_states(system: System) -> DriverStates | None:
 
 
 def driver_of(known: System, *more: str) -> Any:
-    """The driver for a system with the arrays of its tables, with ``more`` units than it needs; None where it does not know all of
-    that system, or cannot be had.
+    """The driver for a system as its tables are made of it, with ``more`` units than it needs; None where it does not know all of
+    it, or cannot be had.
     """
     if not covers_bodies(known) or not covers(known):
         return None
