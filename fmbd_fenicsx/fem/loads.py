@@ -229,11 +229,10 @@ class AppliedLoads:
                 outer += factor * (b if load.follower else b @ R)
         return outer, inner
 
-    def nodal(self, t: float, R: Array, U: Array | None = None) -> tuple[Array, Array]:
+    def nodal(self, t: float, R: Array, U: Array) -> tuple[Array, Array]:
         """As :meth:`constant`, of all loads, for displacements U (n d,); collective."""
         outer, inner = self.constant(t, R)
         if self.moving:
-            assert U is not None
             argument = self.field.argument
             argument.x.array[: len(U)] = U
             argument.x.scatter_forward()

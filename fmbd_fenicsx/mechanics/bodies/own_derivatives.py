@@ -188,10 +188,9 @@ class Line:
                 self.asked[s] = np.ravel(np.asarray(self.function(self.x + s * self.v), dtype=float))
         return self.asked[s]
 
-    def search(self, sizes: Array | None = None, steps: Sequence[int] = ALL) -> list[tuple[Best, Best]]:
+    def search(self, sizes: Array, steps: Sequence[int] = ALL) -> list[tuple[Best, Best]]:
         """Both derivatives of each value by differences; ``sizes`` of the terms that may cancel in it, (m,)."""
-        scale = np.zeros(len(self.at(0.0))) if sizes is None else sizes
-        return [search(lambda s, i=i: self.at(s)[i], 0.0, scale[i], steps=steps) for i in range(len(scale))]  # type: ignore[misc]
+        return [search(lambda s, i=i: self.at(s)[i], 0.0, size, steps=steps) for i, size in enumerate(sizes)]  # type: ignore[misc]
 
 
 def _axes(function: Function, x: Array) -> list[Line]:

@@ -50,13 +50,13 @@ def warn_of_turning_rows(solver: StepSolver, limit: float | None, states: Sequen
 
 def turned(solver: StepSolver, states: Sequence[State], h: float, *, least: float = 0.0) -> list[float]:
     """phi of the module for a step h (s) with the velocity of each state, rad; 0 where it is certainly below ``least``."""
-    system = solver.system
-    on_speeds = speed_rows(system)
-    held = np.setdiff1d(np.arange(system.n_lam), on_speeds) if on_speeds.size else slice(None)
+    angles = [0.0] * len(states)
     moving = [i for i, s in enumerate(states) if np.isfinite(s.q).all() and np.isfinite(s.v).all() and s.v.any()]
+    if not moving:
+        return angles
 
-    angles, sine = [0.0] * len(states), float(np.sin(least))
-    for i, (before, after) in zip(moving, _rows(solver, [states[i] for i in moving], h, held), strict=True):
+    sine = float(np.sin(least))
+    for i, (before, after) in zip(moving, _columns(solver, [states[i] for i in moving], h), strict=True):
         if before.shape[1] and not _certainly_below(sine, before, after):
             angles[i] = _angle(before, after)
     return angles
@@ -72,30 +72,29 @@ def _angle(before: Array, after: Array) -> float:
     return float(np.arcsin(min(sine, 1.0)))
 
 
-def _rows(
-    solver: StepSolver, states: Sequence[State], h: float, held: np.ndarray | slice
-) -> Iterator[tuple[Array, Array]]:
-    """L^-1 G^T of the rows ``held`` with M = L L^T, columns of size 1, (n_v, rows): of each state, and a step h (s) later."""
-    if not states:
-        return
+def _columns(solver: StepSolver, states: Sequence[State], h: float) -> Iterator[tuple[Array, Array]]:
+    """L^-1 G^T of the rows that hold places, with M = L L^T, columns of size 1, (n_v, rows): of each state, and a step h (s)
+    later.
+    """
     system = solver.system
-    q, v = np.array([s.q for s in states]), np.array([s.v for s in states])
-    t = np.array([s.t for s in states])
-    places = np.concatenate((q, system.compose(q, h * v)))
-    every = system.batch(np.concatenate((t, t)), places, np.concatenate((v, v)))
-    rows = every.jacobian.core[:, held]
+    t, q, v = (np.array(x) for x in zip(*((s.t, s.q, s.v) for s in states), strict=True))
+    later = system.compose(q, h * v)
+    both = system.batch(np.concatenate((t, t)), np.concatenate((q, later)), np.concatenate((v, v)))
+    holding = np.setdiff1d(np.arange(system.n_lam), speed_rows(system))
+    rows = both.jacobian.core[:, holding]
 
-    for i, s in enumerate(states):
-        before, after = rows[i], rows[i + len(states)]
-        if system.parts:
-            factors = [_factored(solver.masses(system.at(s.t, x, s.v))) for x in (s.q, places[i + len(states)])]
-            yield _scaled(factors[0], before), _scaled(factors[1], after)
-            continue
-        # of rigid bodies alone: made once
-        if "mass factor" not in system.cache:
-            system.cache["mass factor"] = _factored(solver.masses(system.at(s.t, s.q, s.v)))
-        columns = _scaled(system.cache["mass factor"], np.concatenate((before, after)))
-        yield columns[:, : len(before)], columns[:, len(before) :]
+    for s, q_later, before, after in zip(states, later, *np.split(rows, 2), strict=True):
+        yield _scaled(_masses(solver, s, s.q), before), _scaled(_masses(solver, s, q_later), after)
+
+
+def _masses(solver: StepSolver, state: State, q: Array) -> Array:
+    """L of the masses at a place with the velocity of a state; those of rigid bodies alone stay, and are factored once."""
+    system, name = solver.system, "mass factor"
+    if system.parts:
+        return _factored(solver.masses(system.at(state.t, q, state.v)))
+    if name not in system.cache:
+        system.cache[name] = _factored(solver.masses(system.at(state.t, q, state.v)))
+    return np.asarray(system.cache[name])
 
 
 def _factored(matrix: Any) -> Array:

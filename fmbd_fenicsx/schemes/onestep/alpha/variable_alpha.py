@@ -339,7 +339,7 @@ class VariableAlpha(TimeStepper):
         self.restart(before.t)
 
     # -- attempts -----------------------------------------------------------------------------------------------------
-    def _attempt(self, h: float, level: int | None = None) -> tuple[float, str]:
+    def _attempt(self, h: float, level: int) -> tuple[float, str]:
         """A step of size h, one of the parts of a level, and its error; where this is above one, the stepper is as before."""
         inner, size, largest = self.inner, self.size, self.norm.largest
         kept = inner.state, inner.A.copy(), list(inner._past), inner.fresh, self.solver.pressures
@@ -347,8 +347,7 @@ class VariableAlpha(TimeStepper):
         try:
             self.step(h)
             error, cause = self._error(h), "error estimate"
-            if level is not None:
-                self._arrive(self.stretch.done + Fraction(1, parts(level)))
+            self._arrive(self.stretch.done + Fraction(1, parts(level)))
         except LinearSolveError as failure:
             error, cause = np.inf, self._losing(h, failure)
         except ConvergenceError as failure:

@@ -137,7 +137,7 @@ class DriverStates(CompiledGeometry):
             return None
         return DriverGlance(self, units, energies=energies, balance=balance)
 
-    def balances(self, at: Configurations, a: Array, lam: Array | None) -> Array | None:
+    def balances(self, at: Configurations, a: Array, lam: Array) -> Array | None:
         """M a + h + G^T lambda, (k, n_v); None where NumPy has something to say."""
         room, places = self._loaded_room(at, a, lam)
         told = self.ask(self.library.driver_balances, *room.at, *places)
@@ -270,18 +270,27 @@ class DriverStates(CompiledGeometry):
         self.factors += self._held is not None and new
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """x like v and y (n_lam,) for the right-hand sides b and c, complex ones too."""
+        """x like v and y (n_lam,) for the right-hand sides b and c, complex ones too: by a real matrix these are two, by a complex
+        one two parts of one.
+        """
+        wide = self.tables.c.parts > 1
+        if not wide and not np.iscomplexobj(b):
+            x, y = self._solve(b, c, columns=1)
+            return x[0].copy(), y[0].copy()
+
+        x, y = self._solve(np.array((b.real, b.imag)), np.array((c.real, c.imag)), columns=1 if wide else 2)
+        return x[0] + 1j * x[1], y[0] + 1j * y[1]
+
+    def _solve(self, b: Array, c: Array, *, columns: int) -> tuple[Array, Array]:
+        """x (2, n_v) and y (2, n_lam) of so many right-hand sides, as they stand in the room of this class."""
         assert self._held is not None
-        wide = self.tables.c.parts > 1  # two parts are one right-hand side
-        twin, (x, y), parts = self.twin, self._found.arrays, wide or np.iscomplexobj(b)
-        if parts:
-            b, c = np.array((b.real, b.imag)), np.array((c.real, c.imag))
+        twin = self.twin
         q, right, below = self._given.put(twin.configurations(self._held[1]), twin.velocities(b), c)
-        self.library.driver_solve(self.address, 1 + (parts and not wide), q, right, below, *self._found.at)
+        self.library.driver_solve(self.address, columns, q, right, below, *self._found.at)
         if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()
-        x = twin.forces(x)
-        return (x[0] + 1j * x[1], y[0] + 1j * y[1]) if parts else (x[0].copy(), y[0].copy())
+        x, y = self._found.arrays
+        return twin.forces(x), y
 
     def closing(self, C: Array) -> Array:
         """x (n_v, k) that open the rows by the columns C (n_lam, k), in one call."""
