@@ -270,8 +270,8 @@ class DriverStates(CompiledGeometry):
         self.factors += self._held is not None and new
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """x like v and y (n_lam,) for the right-hand sides b and c, complex ones too: by a real matrix these are two, by a complex
-        one two parts of one.
+        """x like v and y (n_lam,) for the right-hand sides b and c, complex ones too: two of a real matrix, two parts of one
+        of a complex one.
         """
         wide = self.tables.c.parts > 1
         if not wide and not np.iscomplexobj(b):
