@@ -190,7 +190,7 @@ class Line:
 
     def search(self, sizes: Array, steps: Sequence[int] = ALL) -> list[tuple[Best, Best]]:
         """Both derivatives of each value by differences; ``sizes`` of the terms that may cancel in it, (m,)."""
-        return [search(lambda s, i=i: self.at(s)[i], 0.0, size, steps=steps) for i, size in enumerate(sizes)]  # type: ignore[misc]
+        return [search(lambda s, i=i: self.at(s)[i], 0.0, sizes[i], steps=steps) for i in range(len(sizes))]  # type: ignore[misc]
 
 
 def _axes(function: Function, x: Array) -> list[Line]:
