@@ -11,7 +11,7 @@ from dae_problems import march, observed, pendulum, pendulum_at, pendulum_errors
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
-from fmbd_fenicsx.linear.saddle.pencil import _balance
+from fmbd_fenicsx.linear.implicit.pencil import _balance
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.onestep.collocation import tableau
 from fmbd_fenicsx.schemes.rigid_motions import RigidMotions

@@ -13,8 +13,8 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import redundancy
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.driver_solver import FieldDriverSolver
+from fmbd_fenicsx.linear.implicit.pencil import Pencil
 from fmbd_fenicsx.linear.redundancy import least, null_space
-from fmbd_fenicsx.linear.saddle.pencil import Pencil
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.schemes.implicit.step_tangents import DenseTangents
 from fmbd_fenicsx.system.compiled.choice import use_driver

@@ -106,20 +106,26 @@ class CoreSolver:
         if sp.issparse(A) and not self.redundant:
             self._factor_sparse()
             return
-        A = A.toarray() if sp.issparse(A) else A
-        G = G.toarray() if sp.issparse(G) else G
-        n, m = self.n, self.m
-
-        # dense and scaled
-        K = np.empty((n + m, n + m), np.result_type(A, self.upper))
-        K[:n, :n] = D[:, None] * A * D
-        K[n:, :n] = E[:, None] * G * D
-        K[:n, n:] = D[:, None] * dense(self.upper) * E
-        K[n:, n:] = 0.0 if C is None else E[:, None] * C * E
-
+        K = self._scaled()
         if self.redundant:
             self._factor_redundant(K)
-            return
+        else:
+            self._factor_dense(K)
+
+    def _scaled(self) -> Array:
+        """The matrix, dense and scaled."""
+        n, A, G, upper = self.n, dense(self.A), dense(self.G), dense(self.upper)
+        D, E = self.scale[:n], self.scale[n:]
+
+        K = np.empty((len(self.scale), len(self.scale)), np.result_type(A, upper))
+        K[:n, :n] = D[:, None] * A * D
+        K[n:, :n] = E[:, None] * G * D
+        K[:n, n:] = D[:, None] * upper * E
+        K[n:, n:] = 0.0 if self.C is None else E[:, None] * self.C * E
+        return K
+
+    def _factor_dense(self, K: Array) -> None:
+        """LU, or, while passing through a singular configuration, what is left of the matrix there."""
         if not np.isfinite(K).all():
             raise LinearSolveError(f"{self.judge.what}: the matrix is not finite.")
 
@@ -127,7 +133,7 @@ class CoreSolver:
         lu, pivots, _ = factor(K)
         pivot = np.abs(lu.diagonal())
         self.ratio = float(pivot.min() / pivot.max())
-        if self.ratio < SINGULAR:  # passing through a singular configuration
+        if self.ratio < SINGULAR:
             self.exact = False
             self._factor_any(K)
             return

@@ -124,24 +124,24 @@ class Follower:
             if found is None:
                 return False
             a, b, steepest = found
-            d, s = b - a, self.motion.place
-            values = [s(a - d), s(a), s(b), s(b + d)]
-            wide = [s(b + w * d) - s(b) - (s(a) - s(a - w * d)) for w in WIDER]
+            place, width = self.motion.place, b - a
+            places = [place(a - width), place(a), place(b), place(b + width)]
+            wider = [place(b + w * width) - place(b) - (place(a) - place(a - w * width)) for w in WIDER]
         except LawError:  # beyond the times at which it can be called
             return False
-        before, step, after = (values[k + 1] - values[k] for k in range(3))
-        noise = 100 * EPS * max(*map(abs, values), abs(a) * self.fastest)
-        bend = abs(after - before)
-        around = max(abs(before), abs(after))
 
-        if abs(step - 0.5 * (before + after)) > max(10 * bend + around + noise, SEEN * self.length):
+        before, step, after = (y - x for x, y in pairwise(places))
+        turn, around = after - before, max(abs(before), abs(after))
+        noise = 100 * EPS * max(*map(abs, places), abs(a) * self.fastest)
+
+        if abs(step - 0.5 * (before + after)) > max(10 * abs(turn) + around + noise, SEEN * self.length):
             self._jump(0.5 * (a + b), step)
             return True
-        # over wider places a kink bends in proportion, roundoff does not
-        turn = after - before
-        grows = all(abs(x - w * turn) <= 0.5 * w * bend for w, x in zip(WIDER, wide, strict=True))
-        if grows and bend > SHARP * max(around, 0.1 * d * max(self.fastest, steepest)) + noise:
-            self._kink(0.5 * (a + b), before / d, after / d)
+        # over wider places a kink turns in proportion, roundoff does not
+        grows = all(abs(x - w * turn) <= 0.5 * w * abs(turn) for w, x in zip(WIDER, wider, strict=True))
+        slopes = max(around, 0.1 * width * max(self.fastest, steepest))
+        if grows and abs(turn) > SHARP * slopes + noise:
+            self._kink(0.5 * (a + b), before / width, after / width)
             return True
         return False
 

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...linear.implicit.sparse_pencil import SparsePencil
 from ...linear.residual import Judge
-from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.compiled import implicit as slots
 from ...system.compiled.implicit import ImplicitRoom, work_of

@@ -14,9 +14,9 @@ import numpy as np
 from ...errors import LinearSolveError
 from ...linear.condensation import StepSolver
 from ...linear.core import dense
+from ...linear.implicit.pencil import Pencil
+from ...linear.implicit.sparse_pencil import SparsePencil
 from ...linear.residual import Judge
-from ...linear.saddle.pencil import Pencil
-from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.compiled.declarations import constants
 from ...system.compiled.states.points import Metric

@@ -25,8 +25,8 @@ import numpy as np
 
 from ...errors import require
 from ...linear.condensation import StepSolver
+from ...linear.implicit.sparse_pencil import SparsePencil
 from ...linear.residual import Judge
-from ...linear.saddle.sparse_pencil import SparsePencil
 from ...rotations import Array
 from ...system.layout import State
 from ...system.serialisation import Memory, plain

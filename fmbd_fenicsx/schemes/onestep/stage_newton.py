@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
-from ...linear.saddle.pencil import Pencil, cuts_of, stacked
+from ...linear.implicit.pencil import Pencil, cuts_of, stacked
 from ...rotations import Array
 from ...system.compiled.states.stages import Rule
 from ...system.layout import State

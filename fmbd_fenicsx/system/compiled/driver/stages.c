@@ -1,4 +1,4 @@
-/* The stages of an implicit step in local coordinates: Newton's iteration is one call, and so are the factors of all frequencies. With K = K0 + s K1 + s^2 K2 for a frequency s, real or one of a complex pair (linear/saddle/pencil.py, whose symbols
+/* The stages of an implicit step in local coordinates: Newton's iteration is one call, and so are the factors of all frequencies. With K = K0 + s K1 + s^2 K2 for a frequency s, real or one of a complex pair (linear/implicit/pencil.py, whose symbols
    these are), the work is proportional to the entries of the factors: to the length of chains and trees. */
 
 static const double OWN = 0.1;      /* share of the largest entry of a column from which its own row is its pivot */

@@ -1,6 +1,6 @@
 """Where the tangent of an implicit step and its stage matrices have their entries, as tangent.c reads it.
 
-With frequencies s, K = K0 + s K1 + s^2 K2, symbols as in linear/saddle/pencil.py:
+With frequencies s, K = K0 + s K1 + s^2 K2, symbols as in linear/implicit/pencil.py:
 
     K0 = [by_q - by_v J, G^T, by_v U, by_a U],     K1 = [by_v - by_a J, 0, by_a U, 0],     K2 = [by_a, 0, 0, 0]      (1)
 """

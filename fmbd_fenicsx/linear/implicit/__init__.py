@@ -1,0 +1,1 @@
+"""What the points of implicit steps solve: their pencils of matrices."""
