@@ -9,8 +9,8 @@ from ...rotations import Array
 
 @dataclass(frozen=True)
 class StepTangent:
-    """Coefficients of (1) in :mod:`~fmbd_fenicsx.linear.implicit.pencil`, with m rows of joints, k levels and p ties: J, M
-    (n, n); G (m, n); U (n, m); derivatives of the lower rows by xi, v, a, (n + k m + p, n) each; R (p, n). Or the data of their patterns.
+    """Coefficients of (1) in :mod:`~fmbd_fenicsx.linear.implicit.pencil`, with m rows of joints, k levels, p ties: J, M (n, n);
+    G (m, n); U (n, m); derivatives of the lower rows by xi, v, a, (n + k m + p, n) each; R (p, n). Or the data of their patterns.
     """
 
     J: Array
