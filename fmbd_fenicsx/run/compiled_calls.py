@@ -47,11 +47,11 @@ class CompiledCalls:
     def make(self, done: int, most: int) -> int:
         """How many steps, at most so many, were made behind those that are done; 0 where they have to be made one by one."""
         watched = self.shown or self.events is not None
-        if watched and not self.equal:
-            return 0
         t = self.stepper.state.t
         if not self.equal:
             self.stepper.unwrapped.bound(self.schedule.largest, t + self.schedule.ahead(t))
+        if watched and not self.equal:
+            return 0
         h = self.stepper.stride(self.schedule.next(t))
         if not h:
             return 0

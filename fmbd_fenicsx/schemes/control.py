@@ -184,7 +184,7 @@ def moves(t: float, h: float, fault: str = "") -> None:
 
 
 def lands(h: float, left: float) -> float:
-    """The step to take when ``left`` remains to a point that must be hit: no tiny last step, no overshoot."""
+    """The step to take when ``left`` remains to a point that must be hit: no tiny last step, none beyond it but for roundoff."""
     if h >= left * (1 - 1e-10):
         return left
     return 0.5 * left if h > 0.5 * left else h

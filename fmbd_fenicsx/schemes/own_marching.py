@@ -15,7 +15,7 @@ from ..system.compiled.own_steps import OwnRoom
 from ..system.compiled.states.evaluation import DriverStates
 from ..system.compiled.tables.resting import Twin
 from ..system.element_memory import whole_steps
-from .control import LEAST_ERROR, PATIENCE, REFUSED, TURN, Statistics, StepControl
+from .control import LEAST_ERROR, PATIENCE, REFUSED, TURN, Statistics, StepControl, lands
 from .error_norm import ErrorNorm
 from .marching import MarchingStepper
 from .stepping import Observers
@@ -39,6 +39,10 @@ class OwnMarch(MarchingStepper):
         """As :meth:`TimeStepper.stride`."""
         found = super().stride(h)
         return min(found, self.proposed) if self.adaptive and self.proposed is not None else found
+
+    def _landing(self, h: float, limit: float) -> float:
+        """The size (s) of a step for which so much is proposed, of at most ``limit``, on the way to where steps have to end."""
+        return lands(min(h, limit), max(limit, self.until - self.state.t))
 
     def step_back(self) -> None:
         """As :meth:`TimeStepper.step_back`."""

@@ -34,7 +34,7 @@ from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ...system.tangents.step_tangent import StepTangent
 from ..consistent import accelerations
-from ..control import StepControl, lands, moves, turn_limit, turns_too_far
+from ..control import StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_tolerance
 from ..implicit.implicit_stepper import ImplicitStepper
@@ -175,7 +175,7 @@ class BDFStepper(Corrector):
             self.past = [newest, before(self.system, s, min(self.proposed, limit), newest.mult)]
 
         while True:
-            h = lands(min(self.proposed, farthest), limit)
+            h = self._landing(min(self.proposed, farthest), limit)
             moves(s.t, h, self.control.fault)
             self.solver.near_singular.begin_trial()
             self.norm.update(s, h)

@@ -24,7 +24,7 @@ from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ..consistent import accelerations, arrived
-from ..control import Statistics, StepControl, first_step, lands, turn_limit, turns_too_far
+from ..control import Statistics, StepControl, first_step, turn_limit, turns_too_far
 from ..error_norm import ErrorNorm, check_tolerance
 from ..newton import Newton
 from ..own_marching import OwnMarch
@@ -176,7 +176,7 @@ class ExplicitStepper(OwnMarch):
         self.control.span = max(self.control.span, limit)
         farthest = turn_limit(self.system, self.state)
         while True:
-            h = lands(min(self.proposed, farthest), limit)
+            h = self._landing(min(self.proposed, farthest), limit)
             self.solver.near_singular.begin_trial()
             made, error, cause = self._attempt(h)
             if made is not None and error <= 1.0:

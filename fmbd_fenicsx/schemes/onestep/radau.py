@@ -33,7 +33,7 @@ from ...system.serialisation import Memory, plain
 from ...system.system import System
 from ...system.tangents.step_tangent import StepTangent
 from ..consistent import accelerations
-from ..control import StepControl, lands, moves, turn_limit, turns_too_far
+from ..control import StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_controlled
 from ..implicit.implicit_stepper import ImplicitStepper
@@ -157,7 +157,7 @@ class RadauStepper(StageNewton):
         s = self.state
         assert self.proposed is not None
         while True:
-            h = lands(self.eq.step_size(min(self.proposed, farthest)), limit)
+            h = self._landing(self.eq.step_size(min(self.proposed, farthest)), limit)
             moves(s.t, h)
             self.solver.near_singular.begin_trial()
             self.norm.update(s, h)

@@ -29,12 +29,14 @@ typedef struct {
 /* The most that the next step from a state on may be, s. */
 static double left_for(const OwnSteps *c, const Block *now) { return fmin(c->until - *now->t, c->longest); }
 
-/* The size of the next step from a state on, where so much is proposed and no more than ``most`` possible; 0: it is none. */
+/* The size of the next step from a state on, where so much is proposed and no more than ``most`` possible; 0: it is none. What is left
+   to the time that is hit is no step of its own where it is roundoff. */
 static double own_size(const OwnSteps *c, const Block *now, double proposed, double most)
 {
-    const double left = left_for(c, now);
+    const double left = c->until - *now->t;
     double h = fmin(proposed, most);
     if (c->first > 0.0) h = c->first * pow(10.0, floor(c->places_of_decade * log10(c->longer * h / c->first)) / c->places_of_decade);
+    h = fmin(h, c->longest);
     if (h >= left * (1.0 - 1e-10)) h = left;
     else if (h > 0.5 * left) h = 0.5 * left;
     return *now->t + h == *now->t ? 0.0 : h;
