@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from dae_problems import march
 from profiled import calls_of
+from test_compiled_parts import beside_a_field
 from test_driver import compiled
 from test_wave_through_tie import tied_bar
 from tolerance_scenes import fe_crank
@@ -359,6 +360,52 @@ def test_steps_of_one_size_are_calls_of_compiled_code(
     for name in ("q", "v", "a", "lam"):
         wanted = getattr(slow.state, name)
         assert getattr(fast.state, name) == pytest.approx(wanted, rel=1e-7, abs=1e-7 * np.abs(wanted).max()), name
+
+
+def beside_a_rod(mesh: Any) -> fmbd.Scene:
+    """A viscoelastic rod on the body that spins."""
+    scene = swing(mesh, 3)
+    section = fmbd.RodSection((2e5, 8e4, 8e4, 50, 40, 40), 2.0, (2e-3, 1e-3, 1e-3), relaxation=[(3.0, 0.01)])
+    lash = fmbd.Rod("lash", [(1, 0.1, 0), (1.5, 0.1, 0)], section, elements=2)
+    scene.add(lash, fmbd.spherical("end", scene.bodies["bob"], lash.surface("start"), center=(1, 0.1, 0)))
+    return scene
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("kind", "dim", "scheme"),
+    [
+        (beside_a_rod, 3, fmbd.Radau(3, rtol=None)),
+        (beside_a_rod, 3, fmbd.BDF(2, fmbd.Index3(), None)),
+        (beside_a_rod, 3, fmbd.Radau(3, rtol=1e-4)),
+        (beside_a_field, 2, fmbd.Radau(2, rtol=None)),
+    ],
+)
+def test_beside_rods_and_lines(
+    rod_mesh: Callable[..., Any], kind: Any, dim: int, scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Complex matrices have their stiffness, and what they remember: steps are calls of compiled code, as those of Python."""
+    scene = kind(rod_mesh(dim=dim, h=0.5, height=0.2))
+    sizes: dict[str, Any] = {"t_end": 0.02} if scheme.rtol else {"t_end": 0.02, "dt": 1e-3}
+    output = fmbd.Output(every=10**9, progress=False)
+    runs: list[Any] = []
+    made: list[int] = []
+    for stepper, name in ((RadauStepper, "_controlled"), (RadauStepper, "_constant"), (BDFStepper, "_constant")):
+        in_parts = getattr(stepper, name)
+        counted = lambda *given, in_parts=in_parts: (made.append(1), in_parts(*given))[1]  # noqa: E731
+        monkeypatch.setattr(stepper, name, counted)
+
+    for parts in (False, True):
+        if parts:
+            assert len(made) <= (0.5 * runs[0].counters["steps"] if scheme.rtol else 1)
+            monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
+        runs.append(fmbd.solve(scene, scheme=scheme, newton=fmbd.Newton(1e-10), output=output, **sizes))
+    fast, slow = runs
+    assert abs(fast.counters["steps"] - slow.counters["steps"]) <= 1
+    bars = {"q": 0.5 * scheme.rtol} if scheme.rtol else {"q": 1e-8, "v": 1e-7, "lam": 1e-6}
+    for name, share in bars.items():
+        wanted = getattr(slow.state, name)
+        assert getattr(fast.state, name) == pytest.approx(wanted, rel=0, abs=share * np.abs(wanted).max()), name
 
 
 @compiled

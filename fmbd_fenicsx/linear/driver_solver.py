@@ -168,8 +168,6 @@ class DriverSolver:
         states, self.ready = self.states, False
         known = states.holds_masses(state.t, state.q)
         states.hold(None)
-        if states.recalls:
-            states.tables.recall()
         self._before = int(states.tables.c.factors)
         return known
 

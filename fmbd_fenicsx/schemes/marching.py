@@ -182,6 +182,7 @@ class MarchingStepper(CompiledSteps):
         lend_energies(p, observers.energy)
         if joints is not None:
             march.judge(joints.limits(h), most)
+        march.tables.recall()
         self._prepare_room(march.room, alone=joints is None)
         kept = self._own(factored=driver.begin_steps(s))
         march.load([(s.t, s.q, s.v, s.a, np.zeros_like(s.a), s.lam)] * len(kept))

@@ -285,7 +285,7 @@ class FieldEquations(Equations):
     def compiled(self) -> bool:
         """As :attr:`Equations.compiled`: where solutions need no iteration."""
         states = self.system.evaluator
-        same = isinstance(states, DriverStates) and not states.recalls
+        same = isinstance(states, DriverStates) and not states.tables.listeners
         return same and self.trusted and self._covered
 
     @property
@@ -331,6 +331,9 @@ class FieldEquations(Equations):
         """As :meth:`Equations.lend_matrices`. Solutions are not iterated on there: an increment more is cheaper."""
         if not (all(self.solvers.settled(complex(x)) for x in s) and self.solves_for(s)):
             raise LinearSolveError("frequencies that come once have no factors.")
+        evaluator = self.system.evaluator
+        if isinstance(evaluator, DriverStates):  # elements remember the steps of the march, not where it began
+            evaluator.tables.remember()
         ev = self.system.at(state.t, state.q, state.v)
         ev.balance(state.a, state.lam)
         for by in reversed(self._lent):  # complex ones look at rows with the tables of real ones

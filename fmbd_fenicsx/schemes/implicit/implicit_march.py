@@ -81,11 +81,6 @@ class ImplicitMarch(OwnMarch):
             return self._chooses_alike
         return not self.system.fields or (self.eq.compiled and self.eq.solves_for(self._frequencies(h)))
 
-    @property
-    def _chooses_alike(self) -> bool:
-        # matrices of fields leave no means of rods beside their rigid motions
-        return super()._chooses_alike and not (self.system.fields and self.system.elements)
-
     def _march_of(self) -> March | None:
         return super()._march_of() if self.eq.compiled else None
 

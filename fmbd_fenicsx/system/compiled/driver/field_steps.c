@@ -26,6 +26,7 @@ static int field_matrices(System *s, const Stages *o, double key)
         const double *frequency = o->s + 2 * f, square = dot(frequency, frequency, 2);
         const double damped[2] = {frequency[0] / square, -frequency[1] / square};
         const double bent[2] = {damped[0] * damped[0] - damped[1] * damped[1], 2.0 * damped[0] * damped[1]};
+        share_memory(s, by);
         if ((verdict = sample_middle(s, o, by))) return verdict;
         verdict = evaluate(by, e->q, e->v, e->a, e->lam, e->t);
         if (verdict && verdict != LOOK) return verdict;
@@ -149,6 +150,7 @@ static int close_start(System *s, const Stages *o, int places, const Block *now)
     memcpy(a, now->a, n * sizeof(double));
 
     memset(e->c, 0, (n + o->m) * sizeof(double)); /* neither accelerations nor reactions */
+    share_memory(s, by);
     if ((verdict = sample_start(s, o, *now->t, by))) return verdict;
     verdict = evaluate(by, now->q, v, e->c, e->c + n, *now->t);
     if (verdict && verdict != LOOK) return verdict;

@@ -42,6 +42,7 @@ PART int rod_forces(System *s, Rod *k, double t);
 PART int rod_tangents(System *s, Rod *k, double t, double geometric);
 PART double rod_energy(System *s, Rod *k, double t);
 PART void rod_keep(System *s, Rod *k, double t);
+PART void rod_share(const Rod *k, Rod *with);
 PART void rod_loads(System *s, const Rod *k);
 PART int rod_mean_forces(System *s, Rod *k, const double *q0, const double *q1, double h, double t);
 
@@ -78,6 +79,7 @@ void slips(System *s, int rates);
 void configuration(const System *s, const double *q0, const double *xi, double *q);
 void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out);
 int keep(System *s, double t);
+void share_memory(const System *s, System *with);
 int friction_overran(System *s, double t, double h);
 double largest(const double *x, int n);
 double largest_of(const double *units, const double *x, int n);

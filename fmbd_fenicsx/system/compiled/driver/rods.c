@@ -366,6 +366,12 @@ void rod_keep(System *s, Rod *k, double t)
     relaxed(k, t);
 }
 
+/* Its memory in other tables. */
+void rod_share(const Rod *k, Rod *with)
+{
+    if (k->arms) memcpy(with->kept, k->kept, 2 * memory_size(k) * sizeof(double));
+}
+
 /* Elastic energy in the configuration that the frames are placed in, J. */
 double rod_energy(System *s, Rod *k, double t)
 {

@@ -119,3 +119,14 @@ int keep(System *s, double t)
     for (Rod *k = s->rod; k < s->rod + s->rods; k++) rod_keep(s, k, t);
     return s->remembers > 1 && s->python(KEEP, 0, t) ? FAILED : DONE;
 }
+
+/* Memories, and efforts between two samples, as other tables of the same system have them. */
+void share_memory(const System *s, System *with)
+{
+    for (int i = 0; i < s->batches; i++) {
+        const Batch *k = s->batch + i;
+        if (k->kept) memcpy(with->batch[i].kept, k->kept, k->n * MEMORY * sizeof(double));
+        if (k->role == GIVEN) memcpy(with->batch[i].effort, k->effort, k->n * sizeof(double));
+    }
+    for (int i = 0; i < s->rods; i++) rod_share(s->rod + i, with->rod + i);
+}

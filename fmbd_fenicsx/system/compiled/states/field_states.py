@@ -81,8 +81,8 @@ class FieldStates(DriverStates):
 
     @property
     def takes_complex(self) -> bool:
-        """Whether the driver makes matrices with complex weights: it knows all parts, and efforts answer to themselves alone."""
-        return not (self.tables.told or self.tables.rods or self.tables.c.linkable)
+        """Whether the driver makes matrices with complex weights: efforts answer to themselves alone."""
+        return not self.tables.c.linkable
 
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""

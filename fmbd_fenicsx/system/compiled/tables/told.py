@@ -68,16 +68,16 @@ class ToldPart:
         self.rows[:3] = self.part.energies(motion, pose, local[:2])
 
     def tangents(self, t: float) -> None:
-        """M + cd D + ck K, the frame in world axes."""
+        """M + cd D + ck K, the frame in world axes; of an imaginary part without M."""
         d, n, c = self.tables.dim, self.tables.twist, self.tables.c
         motion, _, local = self.motion.at(t)
-        of_frame, coupling, mass = self.part.mass_blocks(motion, local[0])
+        of_frame, coupling, mass = ((1 - c.imaginary) * x for x in self.part.mass_blocks(motion, local[0]))
         if c.cd or c.ck:
             K, D = self.part.stiffness_blocks(motion, local)
             mass = mass + c.cd * D + c.ck * K
         self.block[n:, n:] = mass
         if self.rests:
-            self.block[range(n), range(n)] = 1.0
+            self.block[range(n), range(n)] = 1.0 - c.imaginary
             return
 
         turn = np.eye(n)
