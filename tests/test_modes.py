@@ -149,6 +149,42 @@ def test_slender_cantilever(make: Any) -> None:
     assert (share < 1.0 + 1e-4).all() and (share > 1.0 - np.array([1e-3, 3e-3, 8e-3])).all()
 
 
+@pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("left"), None])
+def test_rayleigh_damping_of_a_guided_sheet(frame: Any) -> None:
+    """A sheet on a slide at its end, tan k + tanh k = 0, damping ratio b omega / 2; its place is free, once."""
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.02), origin=(0.0, -0.01), counts=(10, 1))
+    law = {"density": 1e3, "elastic": fmbd.materials.plane_stress(2e9, 0.0), "stiffness_damping": 1e-4}
+    sheet = fmbd.FloatingBody("sheet", mesh, frame=frame, **law) if frame else fmbd.AbsoluteBody("sheet", mesh, **law)
+    scene = fmbd.Scene("slide")
+    slide = fmbd.prismatic("slide", fmbd.ground, sheet.surface("left"), axis=(0.0, 1.0))
+    scene.add(sheet, slide, fmbd.effort("push", fmbd.displacement(slide), lambda t: 0.0))
+    scene.sensor("tip", fmbd.position(sheet.surface("right")))
+    scene.sensor("base", fmbd.displacement(slide))
+
+    found = fmbd.modes(scene, 3)
+    exact = np.sqrt(2e9 * 0.02**2 / 12 / 1e3) * np.array([2.36502, 5.49780]) ** 2
+    assert found.omega[0] < 1e-3
+    assert found.omega[1:] == pytest.approx(exact, rel=8e-3)
+    assert found.damping[1:] == pytest.approx(0.5e-4 * found.omega[1:], rel=1e-4)
+
+    # the ratio of both ends is that of a cantilever whose root is moved: (cos k + cosh k) / (1 + cos k cosh k)
+    tip, base = np.abs(fmbd.frequency_response(scene, ["push"], ["tip y", "base"], [20.0])[0, :, 0])
+    k = np.sqrt(20.0 / np.sqrt(2e9 * 0.02**2 / 12 / 1e3))
+    assert tip / base == pytest.approx((np.cos(k) + np.cosh(k)) / (1.0 + np.cos(k) * np.cosh(k)), rel=8e-3)
+
+
+def test_modes_of_a_free_slender_bar_settle(caplog: pytest.LogCaptureFixture) -> None:
+    """Six motions of zero, and bending: what roundoff of the stiffness is in the first is no change of them."""
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.02, 0.02), counts=(20, 1, 1), quads=True)
+    bar = fmbd.FloatingBody("bar", mesh, density=1e3, elastic=fmbd.materials.linear_elastic(2e9, 0.3))
+    scene = fmbd.Scene("bar")
+    scene.add(bar)
+    found = fmbd.modes(scene, 8)
+    assert not caplog.messages
+    assert found.omega[:6].max() < 1e-3 * found.omega[6]
+    assert found.frequencies[6:] == pytest.approx(bar.frequencies(2), rel=1e-6)
+
+
 def test_bad_input() -> None:
     """Too many modes, states out of equilibrium, unknown names, resonance without damping."""
     scene = two_masses(0.0)

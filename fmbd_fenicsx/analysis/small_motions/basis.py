@@ -27,8 +27,10 @@ from .small_memory import SmallMemory, small_memory
 RANK = 1e-9  # singular values of the scaled G below this share of the largest are zero
 BLOCK, MORE = 3, 24  # start vectors, and vectors beyond those asked for
 LARGEST = 3  # times as many where modes do not settle: those of thin bodies are slow beside the inertia that holds them
-ENLARGED = 1e-2  # share of a vector that must be new for its violation of the constraints to stay roundoff
-NEW = 1e-5  # share of a vector that must be new: below it stands the noise of GMRES, which no constraint holds
+NEW = 1e-5  # share of a vector that must be new: below it stands the noise of GMRES
+HELD = 1e-8  # violation of the constraints by a vector of unit length from which on it is taken out
+LEFT = 0.5  # share that is left of a vector without its violation: what has less was made of it
+BEYOND = 1e-6  # share of damping forces beside those of mass and stiffness that is no noise
 DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
 TRIES, LARGER = 5, 9.0  # shifts beyond the one given, and each over the one before
 EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
@@ -197,11 +199,11 @@ def _krylov(
             if enough is not None and done % BLOCK == 0 and done >= count and enough(space.projected()):
                 break
             # the next answers: (K + s M)^-1 M v, and C v where velocities make forces
-            v = basis[done]
+            mass, damping, stiffness = space.images[done]
             done += 1
-            waiting.append(inverse.solve(space.without(about.mass(v), known)))
-            if turning:
-                waiting.append(inverse.solve(space.without(about.damping(v), known)))
+            waiting.append(inverse.solve(space.without(mass, known)))
+            if turning and (beyond := _beyond(about, damping, (mass, stiffness))) is not None:
+                waiting.append(inverse.solve(space.without(beyond, known)))
 
         made = _new_part(about, basis, waiting.pop(0), inverse)
         if made is not None:
@@ -219,22 +221,46 @@ def _krylov(
 
 def _new_part(about: Perturbation, basis: list[Array], x: Array, inverse: _Shifted) -> Array | None:
     """What of x is new beside the basis, of unit length and without violation of the constraints; None where it is noise."""
-    system = about.system
     size = _norm(about, x)
-    # twice: the second pass takes the roundoff of the first
-    for _ in range(2):
-        for v in basis:
-            x = x - system.dot(system.units**2 * v, x) * v
-
+    x = _beside(about, basis, x)
     left = _norm(about, x)
     if not left > NEW * size > 0.0:
         return None
     x = x / left
-    if left > ENLARGED * size:
+    if np.abs(about.rows(x)).max(initial=0.0) <= HELD:
         return x
-    # little was left: what violates the constraints was enlarged with it
-    held = inverse.held(x)
-    return held / _norm(about, held)
+    # what violates the constraints was enlarged with the rest, or is all there is
+    x = _beside(about, basis, inverse.held(x))
+    left = _norm(about, x)
+    return x / left if left > LEFT else None
+
+
+def _beside(about: Perturbation, basis: list[Array], x: Array) -> Array:
+    """x without its parts along the basis."""
+    system = about.system
+    # twice: the second pass takes the roundoff of the first
+    for _ in range(2):
+        for v in basis:
+            x = x - system.dot(system.units**2 * v, x) * v
+    return x
+
+
+def _beyond(about: Perturbation, damping: Array, others: tuple[Array, ...]) -> Array | None:
+    """Damping forces C v without their part along M v and K v; None where that is all, as by Rayleigh's damping.
+
+    The answer to K v is v less that to s M v: the space holds both.
+    """
+    dot, units = about.system.dot, about.system.units
+    size = np.sqrt(dot(damping / units, damping / units))
+    # without the one, then without what is left of the other
+    left, known = damping / units, []
+    for other in others:
+        x = other / units
+        for e in known:
+            x = x - dot(e, x) * e
+        known.append(x / max(float(np.sqrt(dot(x, x))), 1e-300))
+        left = left - dot(known[-1], left) * known[-1]
+    return units * left if np.sqrt(dot(left, left)) > BEYOND * size else None
 
 
 def _norm(about: Perturbation, x: Array) -> float:

@@ -44,6 +44,9 @@ PLANE = 1e-6  # share of circling motion below which a mode is plane
 FAR = 1e-3  # accelerations of a state "in equilibrium", over weights
 STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
 RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
+ROUGH = 5e-6  # relative change by roundoff of the stiffness that they may have
+ROUNDOFF = 1e2 * np.finfo(float).eps  # of products with the stiffness, which are differences of forces, over its size
+ALIKE = 1e-4  # share of other motions in an eigenvector of zero that is roundoff
 NOTHING = 1e-6  # motion in a long time that counts as rest, over the model's length
 
 
@@ -308,9 +311,13 @@ def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: 
     else:
         values, vectors = slowest(first_order(small), relaxing=relaxing)
 
+    zero = _zeros(small, values, vectors)
+    free = _free(vectors[:, zero])
     if held:
-        kept = np.logical_not(_zeros(small, values, vectors))
-        values, vectors = values[kept], vectors[:, kept]
+        values, vectors = values[~zero], vectors[:, ~zero]
+    elif free.shape[1] < np.sum(zero):
+        values = np.append(np.zeros(free.shape[1]), values[~zero])
+        vectors = np.append(free, vectors[:, ~zero], axis=1)
     _enough(len(values), n)
     return values[:n], vectors[:, :n]
 
@@ -342,13 +349,29 @@ class Settled:
         """Twice in a row they do."""
         if len(small.M) <= 2 * self.n:
             return False
-        last, self.last = self.last, eigenpairs(small, self.n)[0] ** 2
+        last = self.last
+        values, vectors = eigenpairs(small, self.n)
+        self.last = values**2
         if last is None:
             return False
-        moved = np.abs(self.last - last)
-        same = moved <= STAYS * (np.abs(self.last) + RIGID * np.abs(self.last).max())
+        size, rough = np.abs(self.last), _roundoff(small, vectors)
+        rigid = size <= rough
+        borne = np.where(rigid | (rough <= ROUGH * size), rough, 0.0)
+        same = np.abs(self.last - last) <= STAYS * (size + RIGID * size.max()) + borne
         self.stays = self.stays + 1 if same.all() else 0
         return self.stays == 2
+
+
+def _roundoff(small: ProjectedSystem, vectors: Array) -> Array:
+    """What roundoff of the stiffness is in the squares of eigenvalues, (m,): that of |K| |y|^2 / (y* M y)."""
+    mass = np.abs(np.sum(vectors.conj() * (small.M @ vectors), axis=0))
+    squares = np.sum(np.abs(vectors) ** 2, axis=0)
+    return np.asarray(ROUNDOFF * np.linalg.norm(small.K, 2) * squares / np.maximum(mass, 1e-300))
+
+
+def _free(vectors: Array) -> Array:
+    """The motions (k, m) that eigenvectors of zero span, each once: zeros are double, and roundoff parts them."""
+    return sl.orth(np.concatenate((vectors.real, vectors.imag), axis=1), rcond=ALIKE).astype(complex)
 
 
 def _enough(count: int, n: int) -> None:
