@@ -29,6 +29,36 @@ def truss(load: float) -> fmbd.Scene:
     return scene
 
 
+@pytest.mark.parametrize("thickness", [0.01, 0.15])
+def test_a_truss_of_elastic_bars_snaps(thickness: float) -> None:
+    """Thin bars, whose blocks are singular to roundoff, and steps so long that the other branch lies in the reach of one:
+    2 E A (l^2 - c^2) / (2 l^2) y / l, c the length that is left.
+    """
+    rise, most = 0.1, 1e6 * thickness
+    length, angle = np.hypot(1.0, rise), np.arctan2(rise, 1.0)
+    sheet = fmbd.read_gmsh("meshes/block.py", size=(length, thickness), origin=(0.0, -thickness / 2), counts=(4, 1))
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    energy = fmbd.materials.sheet_saint_venant_kirchhoff(1e9, 0.0)
+    left = fmbd.AbsoluteBody("left", sheet.placed((-1.0, 0.0), turn), density=1e3, energy=energy)
+    right = fmbd.AbsoluteBody("right", sheet.placed((0.0, rise), turn.T), density=1e3, energy=energy)
+    apex = left.surface("right")
+    scene = fmbd.Scene("truss")
+    scene.add(left, right, fmbd.revolute("a", fmbd.ground, left.surface("left"), center=(-1.0, 0.0)))
+    scene.add(fmbd.revolute("b", apex, right.surface("left"), center=(0.0, rise)))
+    scene.add(fmbd.revolute("c", right.surface("right"), fmbd.ground, center=(1.0, 0.0)))
+    scene.add(fmbd.force("load", apex, lambda t: (0.0, -most * t)))
+    scene.sensor("apex", fmbd.position(apex))
+
+    path = fmbd.equilibrium(scene, path=fmbd.ArcLength(0.5, step=0.1, most=25)).path
+    assert path is not None
+    y = path.series["apex"][:, 1]
+    push = 1e9 * thickness * (rise**2 - y**2) / length**3 * y
+    assert most * np.array(path.parameter) == pytest.approx(push, abs=1e-9 * most)
+    assert 0.0 < y[-1] < rise / np.sqrt(3.0)
+    highest = 1e9 * thickness * 2.0 * rise**3 / 3.0**1.5 / length**3
+    assert most * np.array(path.limit_parameters) == pytest.approx(highest, rel=1e-3)
+
+
 def push_of(y: Any) -> Any:
     """Load that keeps the apex at the height y: 2 k (l_0 / l - 1) y."""
     return 2.0 * STIFFNESS * (LENGTH / np.hypot(HALF, y) - 1.0) * y

@@ -253,7 +253,8 @@ def _beyond(about: Perturbation, damping: Array, others: tuple[Array, ...]) -> A
     dot, units = about.system.dot, about.system.units
     size = np.sqrt(dot(damping / units, damping / units))
     # without the one, then without what is left of the other
-    left, known = damping / units, []
+    left = damping / units
+    known: list[Array] = []
     for other in others:
         x = other / units
         for e in known:

@@ -11,6 +11,7 @@ doi:10.1016/0020-7683(79)90081-7; Keller, Lectures on Numerical Methods in Bifur
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from ...checks import check_fields
 from ...errors import ConvergenceError, LinearSolveError, require
 from ...rotations import Array
 from .static_newton import StaticNewton, StaticPoint
+
+SHARP = 0.5  # way aside of the tangent, over that along it, beyond which another branch was met
+SHORT = 1e-2  # share of the largest step below which it is a corner of the path
 
 
 @dataclass(eq=False)
@@ -82,11 +86,15 @@ class ArcLength:
 
         while len(path.points) < self.most and (path.parameter[-1] - self.t_end) * np.sign(span) < 0:
             point, now = path.points[-1], path.parameter[-1]
-            tangent = _tangent(newton, point, now, span, tangent)
+            tangent = newton.solvable(partial(_tangent, newton, point, now, span, tangent))
             # halve the step until its corrector converges
             while True:
                 try:
-                    made, then, count = _step(newton, (point, now), tangent, span, length)
+                    made, then, count, bend = newton.solvable(
+                        partial(_step, newton, (point, now), tangent, span, length)
+                    )
+                    if bend > SHARP and length > SHORT * self.step:
+                        raise ConvergenceError("a step along the path met another branch")
                     break
                 except (ConvergenceError, LinearSolveError) as error:
                     length *= 0.5
@@ -126,8 +134,8 @@ def _tangent(
 
 def _step(
     newton: StaticNewton, start: tuple[StaticPoint, float], tangent: tuple[Array, float], span: float, length: float
-) -> tuple[StaticPoint, float, int]:
-    """One step of (1): point, parameter and number of iterations."""
+) -> tuple[StaticPoint, float, int, float]:
+    """One step of (1): point, parameter, number of iterations, and how far aside of the tangent it led, over its length."""
     system, (first, t0), (d, e) = newton.residual.system, start, tangent
 
     # predictor: along the tangent
@@ -156,7 +164,9 @@ def _step(
         if not size < 0.5 * system.length:
             break
         if size <= 1e-9 * system.length and abs(ds) < 1e-9:
-            return StaticPoint(system.compose(first.q, xi), lam), t0 + span * s, count + 1
+            aside = xi - length * d
+            bend = np.hypot(np.sqrt(_product(newton, aside, aside)), s - length * e) / length
+            return StaticPoint(system.compose(first.q, xi), lam), t0 + span * s, count + 1, float(bend)
     raise ConvergenceError("a step along the path did not converge")
 
 

@@ -312,12 +312,13 @@ def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: 
         values, vectors = slowest(first_order(small), relaxing=relaxing)
 
     zero = _zeros(small, values, vectors)
+    kept = np.logical_not(zero)
     free = _free(vectors[:, zero])
     if held:
-        values, vectors = values[~zero], vectors[:, ~zero]
+        values, vectors = values[kept], vectors[:, kept]
     elif free.shape[1] < np.sum(zero):
-        values = np.append(np.zeros(free.shape[1]), values[~zero])
-        vectors = np.append(free, vectors[:, ~zero], axis=1)
+        values = np.append(np.zeros(free.shape[1]), values[kept])
+        vectors = np.append(free, vectors[:, kept], axis=1)
     _enough(len(values), n)
     return values[:n], vectors[:, :n]
 
