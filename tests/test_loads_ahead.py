@@ -101,3 +101,107 @@ def test_loads_may_begin_below_the_smallest_number() -> None:
     """
     run = fmbd.solve(knocked(0.01), t_end=T_END, scheme=fmbd.Radau(5, rtol=1e-9), output=fmbd.Output(times=TIMES))
     assert run["place"][-1, 0] == pytest.approx(gone(T_END, 0.01), rel=1e-6)
+
+
+# -- loads that come and go between any instants at which they are looked at ----------------------------------------------
+BEGINS, LASTS, SPRING = 1.8317, 1e-3, 80.0  # s, s, N/m: a three-thousandth of the run
+
+
+def bump(begins: float, lasts: float) -> Any:
+    """A force of 3 N s within so many seconds."""
+
+    def push(t: float) -> tuple[float, float]:
+        x = (t - begins) / lasts
+        return (3.0 / lasts * 30.0 * (x * (1.0 - x)) ** 2 if 0.0 < x < 1.0 else 0.0), 0.0
+
+    return push
+
+
+def kicked(law: Any) -> fmbd.Scene:
+    """A mass of 2 kg at rest on a spring."""
+    scene = fmbd.Scene("kicked")
+    body = fmbd.RigidBody("body", 2.0, 0.1, (0.0, 0.0))
+    guide = fmbd.prismatic("guide", fmbd.ground, body, axis=(1, 0), center=(0, 0))
+    scene.add(body, guide, fmbd.joint_spring("spring", fmbd.displacement(guide), stiffness=SPRING))
+    scene.add(fmbd.force("knock", body, law))
+    scene.sensor("place", fmbd.position(body))
+    return scene
+
+
+def vibrating(times: Any) -> Any:
+    """After a knock in the middle of the given one, which it differs from by (w lasts)^2 / 56 of itself, 1e-6."""
+    rate, t = np.sqrt(SPRING / 2.0), np.asarray(times) - BEGINS - 0.5 * LASTS
+    return np.where(t > 0.5 * LASTS, 3.0 / 2.0 / rate * np.sin(rate * t), 0.0)
+
+
+AFTER = tuple(float(t) for t in np.linspace(0.0, 3.0, 82) if abs(t - BEGINS) > 0.01)
+SCHEMES = [None, fmbd.Rattle(), fmbd.HalfExplicit(), fmbd.GeneralizedAlpha(rtol=1e-4)]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda x: getattr(x, "name", "default"))
+def test_a_knock_is_seen_when_its_law_names_its_time(scheme: Any) -> None:
+    """A hundred equal steps, and one of own choice, passed over it: 500 times the tolerance, and no error was stated."""
+    run = fmbd.solve(
+        kicked(bump(BEGINS, LASTS)), t_end=3.0, scheme=scheme, output=fmbd.Output(times=AFTER), tol={"place": 1e-3}
+    )
+    off = np.abs(run["place"][:, 0] - vibrating(run.times)).max()
+    assert run.history[-1].then == "done" and off < 1e-3
+    assert 0.5 < run.certificate["place"].total / off < 3.0 or off < 1e-5
+
+
+@pytest.mark.parametrize("steps", [50, 213, 1000])
+def test_equal_steps_that_pass_over_a_knock_state_it(steps: int) -> None:
+    """Those with 2 h and 4 h do so, too, and stated nothing."""
+    output = fmbd.Output(estimate_error=True, energy=False)
+    run = fmbd.solve(kicked(bump(BEGINS, LASTS)), t_end=3.0, dt=3.0 / steps, output=output)
+    off = np.abs(run["place"][:, 0] - vibrating(run.times)).max()
+    assert off > 0.1 and 0.5 < run.certificate["place"].total / off < 3.0
+    assert any("come and go" in x for x in run.warnings)
+
+
+def test_what_functions_of_time_name() -> None:
+    """Numbers in the text, in what is around it, as attributes, defaults, columns; their sums and the middles between them."""
+    from functools import partial
+
+    from scipy.interpolate import CubicSpline
+
+    from fmbd_fenicsx.run.named_times import named_times
+
+    class Pulse:
+        def __init__(self) -> None:
+            self.when = {"begin": 1.2, "width": 0.04}
+
+        def __call__(self, t: float) -> tuple[float, float]:
+            return float(abs(t - self.when["begin"]) < self.when["width"]), 0.0
+
+    column = np.array([0.0, 0.71, 0.72, 0.73, 3.0])
+    spline = CubicSpline(column, np.zeros((5, 2)))
+    assert {1.8317, 1.8317 + 1e-3} <= set(named_times(kicked(bump(BEGINS, LASTS)), 0.0, 3.0))
+    assert {1.2, 1.24, 1.16} <= set(named_times(kicked(Pulse()), 0.0, 3.0).round(12))
+    for law in (
+        lambda t: (np.interp(t, column, column), 0.0),
+        spline,
+        partial(lambda column, t: (column[0], 0.0), column),
+        lambda t, at=column: (at[0], 0.0),
+    ):
+        assert {0.71, 0.72, 0.73} <= set(named_times(kicked(law), 0.0, 3.0))
+    assert len(named_times(kicked(lambda t: (5.0 * np.sin(7.0 * t), 0.0)), 0.0, 3.0)) == 0
+
+
+def test_a_column_that_never_rests_has_no_marks() -> None:
+    """A record of an earthquake names thousands of instants: steps are small everywhere by their error."""
+    from fmbd_fenicsx.run.loads_ahead import loads_ahead, seeing_loads
+    from fmbd_fenicsx.run.schedule import step_schedule
+
+    when, shaken = np.linspace(0.0, 3.0, 801), np.random.default_rng(1).normal(size=801)
+    scene = kicked(lambda t: (np.interp(t, when, shaken), 0.0))
+    system, state, _ = scene.build()
+    own = step_schedule(scene, SCHEMES[2], 3.0, None)
+    assert len(seeing_loads(own, SCHEMES[2], scene, system, state).marks) == 0
+    assert len(loads_ahead(scene, system, state, step_schedule(scene, fmbd.Rattle(), 3.0, 0.03))) == 0
+
+
+def test_a_share_of_what_does_not_move_is_no_tolerance() -> None:
+    """It allows any error: the call says so."""
+    run = fmbd.solve(kicked(lambda t: (0.0, 0.0)), t_end=1.0, tol={"place": fmbd.relative(1e-3)})
+    assert any("does not move" in x for x in run.warnings)

@@ -1,71 +1,151 @@
-"""Loads and drives that come while nothing happens: steps of a scheme's own choice end there.
+"""Loads and drives that come and go: where they do, steps end.
 
-Of a scene at rest any step is good, up to the whole run: a knock that comes and goes within one is missed with any tolerance,
-so that runs with other ones agree, and state no error. With the state of the start held, loads and what drives prescribe are
-functions of time. Where they begin to change, and where they have changed most, a step has to end, and the error of that step
+Of a scene at rest any step is good, up to the whole run, and equal steps are what they are: a knock that comes and goes within
+one is missed with any tolerance, so that runs with other ones agree, and state no error. With the state of the start held, loads
+and what drives prescribe are functions of time, looked at where time goes on evenly and at instants that they name
+(:mod:`.named_times`). Where they begin to change, and where they have changed most, a step has to end, and the error of that step
 tells the rest.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..log import log
+from ..rotations import Array
 from ..schemes.declared import Declared
 from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.system import System
 from .accuracy.companion_runs import UNFIT
-from .accuracy.jumps_in_time import HeldState
+from .accuracy.jumps_in_time import HeldState, jumps_ahead, jumps_in_time, may_jump
 from .judges.energy_check import closed
+from .named_times import named_times
 from .schedule import StepSchedule, far_side, near_side
 
-LOOKED_AT, OF_FIELDS = 200, 50  # instants of a run; of elastic fields one costs as much as some iterations
+# even instants of a run; of elastic fields one costs as much as some iterations; and for schemes that look ahead themselves
+LOOKED_AT, OF_FIELDS, TOLD = 200, 50, 12
 # change from one to the next, over the largest force, speed or acceleration, from which on something happens; and how many
 # without one before that steps may have grown in
 COMES, QUIET = 1e-3, 3
+# times the largest rate of change between instants that are even, from which on nobody has seen it there; how often, at most:
+# records of earthquakes do it all the time, and steps have to be small for them everywhere
+STEEP, OFTEN = 2.0, 20
+FEW_STEPS, PASSED = 8, 2  # equal ones: that a load which comes and goes is seen well by, and that may pass over one
+GONE = 0.5  # of the largest change: what is left of a load that goes, at most
+TOGETHER = 1e-6  # of the time between even instants: named ones that are nearer are one
+
+
+@dataclass(frozen=True)
+class Coming:
+    """A load that changes between two instants, and those in between where it is seen first and has changed most (s); whether it
+    ``goes``, back to nearly what it was.
+    """
+
+    begin: float
+    marks: tuple[float, ...]
+    end: float
+    goes: bool
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """All of them, ascending, s."""
+        return tuple(sorted({self.begin, *self.marks, self.end}))
 
 
 def seeing_loads(schedule: StepSchedule, scheme: Any, scene: Scene, system: System, state: State) -> StepSchedule:
     """A schedule whose steps, of a scheme's own choice, end where loads come; ``state``: the consistent start; collective.
 
-    Not of schemes that look ahead themselves.
+    Schemes that look ahead themselves see what lasts: they are told of what comes and goes at named instants.
     """
-    if schedule.steps or Declared.by(scheme).looks_ahead or closed(scene, system):
+    if schedule.steps or closed(scene, system):
         return schedule
-    held, each = HeldState(system, state), schedule.span / (OF_FIELDS if system.fields else LOOKED_AT)
+    told = Declared.by(scheme).looks_ahead
     try:
-        found = [t for stretch in schedule.stretches for t in comings(held, *stretch, each)]
+        found = _all_comings(scene, HeldState(system, state), schedule, _even(system, told))
     except UNFIT as error:
         log.info("loads to come are not looked for: %s", error)
         return schedule
-    return replace(schedule, marks=tuple(sorted({*schedule.marks, *found})))
+    marks = [t for x in found if x.goes or not told for t in x.marks]
+    return replace(schedule, marks=tuple(sorted({*schedule.marks, *marks})))
 
 
-def comings(held: HeldState, begin: float, end: float, each: float) -> list[float]:
-    """When loads come between two times (s), looked at about ``each`` s: where they begin to change after a while without, and
-    where they have changed most until they rest again; collective.
+def loads_ahead(
+    scene: Scene, system: System, state: State, schedule: StepSchedule, within: float = FEW_STEPS
+) -> tuple[float, ...]:
+    """Instants (s) at which loads jump all along a run, and of equal steps those at which some have to end so that none passes
+    over loads that come and go ``within`` so many, where both depend on time alone; collective.
     """
+    jumps = jumps_ahead(scene, system, state, schedule)
+    if not schedule.steps or not may_jump(scene, system):
+        return jumps
+    held, most = HeldState(system, state), within * schedule.span / schedule.steps
+    found = set(jumps)
+    for x in _all_comings(scene, held, schedule, max(2 * schedule.steps, LOOKED_AT)):
+        if x.goes and x.end - x.begin < most and not any(x.begin <= t <= x.end for t in jumps):
+            found.update(jumps_in_time(held, [np.array(x.times)]) or x.times)
+    return tuple(sorted(found))
+
+
+def _even(system: System, told: bool) -> int:
+    """At how many even instants loads are looked at."""
+    if told:
+        return TOLD
+    return OF_FIELDS if system.fields else LOOKED_AT
+
+
+def _all_comings(scene: Scene, held: HeldState, schedule: StepSchedule, count: int) -> list[Coming]:
+    """Loads that come in all stretches of a run, looked at so many even instants, and at those that they name."""
+    fields, named = held.system.fields, named_times(scene, schedule.begin, schedule.t_end)
+    if fields:
+        named = held.system.comm.bcast(named)
+    if count == TOLD and not len(named):
+        return []
+    each = schedule.span / count
+    return [x for begin, end in schedule.stretches for x in comings(held, (begin, end), each, named)]
+
+
+def comings(held: HeldState, within: tuple[float, float], each: float, named: Array) -> list[Coming]:
+    """Loads that come between two times (s), looked at about ``each`` s and at ``named`` instants: where they begin to change
+    after a while without, or far faster than even instants show, until they rest again; collective.
+    """
+    begin, end = within
     count = round((end - begin) / each)
     if count <= QUIET:  # steps do not grow much
         return []
-    times = np.linspace(far_side(begin) if begin else 0.0, near_side(end), count + 1)
+    even = np.linspace(far_side(begin) if begin else 0.0, near_side(end), count + 1)
+    times = _with(even, named, TOGETHER * each)
     rows = held.rows(times)
     scale = held.scale(rows)
-    active = held.change(rows[:-1], rows[1:], scale) > COMES
+    rate = held.change(rows[:-1], rows[1:], scale) / np.diff(times)
+    seen = rows[np.searchsorted(times, even)]
+    usual = float((held.change(seen[:-1], seen[1:], scale) / np.diff(even)).max())
 
+    active = rate * np.maximum(np.diff(times), each) > COMES
+    after_rest = _runs(active, times, (QUIET - 0.5) * each)
+    steep = _runs(active & (rate > STEEP * usual), times)
     found = []
-    for first, last in _episodes(active):
+    for first, last in sorted({*after_rest, *(steep if len(steep) <= OFTEN else ())}):
         changed = held.change(np.tile(rows[first], (last - first, 1)), rows[first + 1 : last + 1], scale)
-        found += [times[first + 1], times[first + 1 + int(changed.argmax())]]
-    return [float(t) for t in found if t < times[-1]]
+        marks = times[[first + 1, first + 1 + int(changed.argmax())]]
+        goes = bool(changed[-1] < GONE * changed.max())
+        found.append(Coming(float(times[first]), tuple(marks[marks < times[-1]].tolist()), float(times[last]), goes))
+    return found
 
 
-def _episodes(active: np.ndarray) -> list[tuple[int, int]]:
-    """Numbers of the first instant, and of the one behind the last, of stretches of active intervals after quiet ones."""
+def _with(even: Array, named: Array, least: float) -> Array:
+    """Instants and those named between them, but for what is nearer to the one before than ``least`` (s)."""
+    inside = named[(named > even[0]) & (named < even[-1])]
+    inside = inside[np.diff(inside, prepend=-np.inf) > least]
+    apart = np.abs(inside[:, None] - even[np.searchsorted(even, inside)[:, None] + [-1, 0]]).min(axis=1, initial=np.inf)
+    return np.sort(np.concatenate((even, inside[apart > least])))
+
+
+def _runs(active: np.ndarray, times: Array, rest: float = 0.0) -> list[tuple[int, int]]:
+    """Numbers of the first instant, and of the last one, of runs of active intervals that come after a ``rest`` (s) at least."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], active, [False])))).reshape(-1, 2)
     rested = np.concatenate(([0], edges[:-1, 1]))[: len(edges)]
-    return [(int(a), int(b)) for (a, b), since in zip(edges, rested, strict=True) if a - since >= QUIET]
+    return [(int(a), int(b)) for (a, b), since in zip(edges, rested, strict=True) if times[a] - times[since] >= rest]

@@ -15,6 +15,7 @@ from ...schemes.error_norm import FINEST
 from ...system.scene.refined_basis import finer_system
 from ...system.scene.scene import Scene
 from ..built import Built
+from ..loads_ahead import PASSED, loads_ahead
 from ..problem import Problem
 from ..recording.accompanied import Accompanied
 from ..recording.output import Output
@@ -27,7 +28,7 @@ from .companion_runs import UNFIT, Compared, as_recorded, companion
 from .damped import damped_vibrations
 from .deviation import Deviation, scaled
 from .equal_steps import equal_steps_error
-from .jumps_in_time import jumps_about_kinks, jumps_ahead
+from .jumps_in_time import jumps_about_kinks
 from .orders import expected_orders, seen_by_ends
 from .search.space_levels import finer_scene, space_deviations, unended
 
@@ -263,11 +264,12 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
 
 
 def _jumps_within(run: Run, schedule: StepSchedule) -> tuple[float, ...]:
-    """Instants (s) within the steps of a run at which loads or drives jump; none where they have no value in the state that is
-    held; collective.
+    """Instants (s) within the steps of a run at which loads or drives jump, or come and go; none where they have no value in the
+    state that is held; collective.
     """
     try:
-        return jumps_ahead(run.scene, run.system, run.state, schedule) or jumps_about_kinks(run, schedule, run.series)
+        seen = loads_ahead(run.scene, run.system, run.state, schedule, PASSED)
+        return seen or jumps_about_kinks(run, schedule, run.series)
     except UNFIT as error:
         log.info("jumps of loads are not looked for: %s", error)
         return ()
@@ -279,7 +281,8 @@ def _tell_jumps(run: Run, jumps: tuple[float, ...]) -> None:
         run.jumps = jumps
         shown = ", ".join(f"{t:.6g}" for t in jumps[:SHOWN]) + (", .." if len(jumps) > SHOWN else "")
         run.warnings.append(
-            f"loads or drives jump within steps, at t = {shown} s, which leaves an error of first order, stated with the others. "
+            f"loads or drives jump, or come and go, within steps, at t = {shown} s, which leaves an error of first order, or all "
+            "of what they do, stated with the others. "
             "Name these instants in Scene(breakpoints=...), so that steps end there, or take a scheme that chooses its steps "
             "(rtol)."
         )

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...checks import typed
 from ...errors import InputError, near, require
+from ...log import log
 from ...system.scene.scene import Scene
-from .certificate import FLOOR, Certificate, Statement
+from .certificate import FLOOR, Certificate, Statement, moving
 from .deviation import Deviation
+
+if TYPE_CHECKING:
+    from ..result import Run
 
 AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
 WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be
@@ -118,3 +122,14 @@ def safe(made: Certificate, tol: Tolerance) -> bool:
     """Whether the stated errors leave room for that of the estimates themselves."""
     fixed = max(share(made, n, x, kind) for n, x in tol.items() for kind in ("space", "modes"))
     return worst(made, tol) <= SAFE and fixed <= AIM
+
+
+def warn_of_still(run: Run, tol: Tolerance) -> None:
+    """Sensors that do not move, whose range a share is asked of, where a user sees it."""
+    moves = moving(run.series, run.scene.sensors, FLOOR)
+    for name in [n for n, x in tol.items() if isinstance(x, Relative) and n not in moves]:
+        run.warnings.append(
+            f'"{name}" does not move in this run: a share of its range, 0, is no tolerance, and nothing was asked of its error. '
+            f'Give a number in its unit, tol={{"{name}": ...}}; if it has to move, look at what is to move it.'
+        )
+        log.warning("%s", run.warnings[-1])

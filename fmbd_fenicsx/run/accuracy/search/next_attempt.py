@@ -26,6 +26,7 @@ from ....system.scene.refinement import (
     slender,
 )
 from ....system.scene.scene import Scene
+from ...loads_ahead import loads_ahead
 from ...recording.output import Output
 from ...result import Run
 from ...schedule import StepSchedule, step_schedule
@@ -34,7 +35,7 @@ from ..companion_runs import UNFIT
 from ..deviation import Deviation
 from ..equal_steps import FEWEST
 from ..estimates import usual_power
-from ..jumps_in_time import jumps_about_kinks, jumps_ahead, may_jump, with_break_points
+from ..jumps_in_time import jumps_about_kinks, may_jump, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
 from ..shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .shared_runs import Orders, doubt
@@ -249,8 +250,8 @@ def _finer_spaces(
 
 
 def jumps_before(plan: AttemptPlan, shared: SharedSpaces) -> tuple[float, ...]:
-    """Instants at which loads jump, as a first plan shows before it is run; elastic bodies are asked by compiled code, once there
-    is a run, which takes less; collective.
+    """Instants at which loads jump, or come and go, as a first plan shows before it is run; elastic bodies are asked by compiled
+    code, once there is a run, which takes less; collective.
     """
     if meshed_bodies(plan.scene):
         return ()
@@ -258,16 +259,18 @@ def jumps_before(plan: AttemptPlan, shared: SharedSpaces) -> tuple[float, ...]:
     if may_jump(plan.scene, built.system) and Declared.by(plan.scheme).compiled:
         use_driver(built.system)  # as its runs do: loads are asked at a hundred instants
     try:
-        return jumps_ahead(plan.scene, built.system, built.given, plan.schedule)
+        return loads_ahead(plan.scene, built.system, built.given, plan.schedule)
     except UNFIT as error:
         log.info("jumps of loads are not looked for: %s", error)
         return ()
 
 
 def jumps_within(plan: AttemptPlan, run: Run, tol: Tolerance, *, first: bool) -> tuple[float, ...]:
-    """Instants at which loads jump, all along the ``first`` run of slender bodies, else about kinks; collective."""
+    """Instants at which loads jump, or come and go, all along the ``first`` run of slender bodies, else jump about kinks;
+    collective.
+    """
     slow = first and bool(meshed_bodies(plan.scene))
-    seen = jumps_ahead(run.scene, run.system, run.state, plan.schedule) if slow else ()
+    seen = loads_ahead(run.scene, run.system, run.state, plan.schedule) if slow else ()
     return seen or jumps_about_kinks(run, plan.schedule, tol)
 
 

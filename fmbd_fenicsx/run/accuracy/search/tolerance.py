@@ -43,6 +43,7 @@ from ..shares import (
     check_tolerances,
     largest_share,
     safe,
+    warn_of_still,
     worst,
 )
 from .next_attempt import (
@@ -192,6 +193,7 @@ class Search:
                 self.why.rstrip("."),
             )
         warn_of_uncertain(run, tol)
+        warn_of_still(run, tol)
         run.history = tuple(self.history)
         return run
 
