@@ -128,21 +128,13 @@ def _effect(system: System, state: State) -> dict[str, tuple[Array, float]]:
     ev = system.at(state.t, state.q, state.v)
     forces = ev.balance(np.zeros_like(state.a))
     inertia = ev.balance(state.a) - forces
-    d, n = system.motions.dim, system.motions.n_twist
-
-    # what acts on each frame and in each part: forces, then inertia forces
-    rows: dict[str, list[Array]] = {}
-    for i, name in enumerate(system.frame_names):
-        rows[f'on "{name}"'] = [r[i * n : (i + 1) * n] for r in (forces, inertia)]
-    for k, part in enumerate(system.parts):
-        own = [np.array([float(r @ r)]) for r in (system.local_v(forces, k), system.local_v(inertia, k))]
-        rows[f'in "{part.name}"'] = [np.sqrt(part.field.total(x) if part.distributed else x) for x in own]  # type: ignore[attr-defined]
-
-    largest = max([float(np.abs(x[:d]).max()) for pair in rows.values() for x in pair], default=0.0)
+    acting = _acting(system, forces, inertia)
+    d, pairs = system.motions.dim, acting.values()
+    largest = max([float(np.abs(x[:d]).max()) for pair in pairs for x in pair], default=0.0)
 
     # each by the largest of its kind, moments by it times the model's length
     out: dict[str, tuple[Array, float]] = {}
-    for where, pair in rows.items():
+    for where, pair in acting.items():
         size = max(NOTHING * largest, *(float(np.abs(x[:d]).max()) for x in pair))
         turning = max(size * system.length, *(float(np.abs(x[d:]).max(initial=0.0)) for x in pair))
         for what, x in zip(("forces", "inertia forces"), pair, strict=True):
@@ -153,6 +145,22 @@ def _effect(system: System, state: State) -> dict[str, tuple[Array, float]]:
     out["energies"] = energies, max(float(np.abs(energies).max(initial=0.0)), NOTHING * largest * system.length)
     out["constraints"] = ev.constraint(), system.length
     return out
+
+
+def _acting(system: System, forces: Array, inertia: Array) -> dict[str, tuple[Array, Array]]:
+    """Forces and inertia forces (n_v,) by where they act: wrenches on frames, and of all in a part one size each, (1,)."""
+    n = system.motions.n_twist
+
+    def inside(k: int, part: Any, x: Array) -> Array:
+        own = system.local_v(x, k)
+        square = np.array([float(own @ own)])
+        return np.sqrt(part.field.total(square) if part.distributed else square)
+
+    applied, inertial = (x[: system.n_frames * n].reshape(-1, n) for x in (forces, inertia))
+    found = {f'on "{name}"': (applied[i], inertial[i]) for i, name in enumerate(system.frame_names)}
+    for k, part in enumerate(system.parts):
+        found[f'in "{part.name}"'] = inside(k, part, forces), inside(k, part, inertia)
+    return found
 
 
 def _text(x: Array) -> str:

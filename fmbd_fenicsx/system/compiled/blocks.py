@@ -7,17 +7,13 @@ A march writes each new state over the oldest of a ring and notes the order by a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...kernel_cache import address_of
 from ...rotations import Array
-from ..layout import State, States
+from ..layout import State
 from ..system import System
-
-if TYPE_CHECKING:
-    from .tables.resting import Twin
 
 Block = tuple[float, Array, Array, Array, Array, Array]  # t, q, v, a, A, lambda
 
@@ -39,21 +35,6 @@ def state_of(system: System, block: Array) -> State:
     """The state in a block, its own arrays."""
     t, q, v, a, _, lam = split_block(system, block.copy())
     return State(t, q, v, a, lam)
-
-
-def states_of(twin: Twin, blocks: Array) -> tuple[States, Array]:
-    """The states in many blocks of a twin as those of its system, their own arrays, and algorithmic accelerations."""
-    n, at = twin.system.n_v, 1 + twin.system.n_q
-    rates = blocks[:, at : at + 3 * n].reshape(len(blocks), 3, n)
-    v, a, A = np.moveaxis(np.array(twin.forces(rates)), 1, 0)
-    q = np.array(twin.places(blocks[:, 1:at]))
-    return States(blocks[:, :1].copy(), q, v, a, blocks[:, at + 3 * n :].copy()), A
-
-
-def blocks_of(twin: Twin, states: States) -> Array:
-    """The other way, without algorithmic accelerations, (k, numbers of a block)."""
-    v, a = twin.velocities(states.v), twin.velocities(states.a)
-    return np.concatenate((states.t, twin.configurations(states.q), v, a, np.zeros_like(a), states.lam), axis=1)
 
 
 class Ring:

@@ -8,21 +8,21 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from ...kernel_cache import address_of
 from ...rotations import Array
 from ..layout import State, States
-from .blocks import block_size, blocks_of, state_of, states_of
+from .blocks import block_size, state_of
+from .calls import Calls
 from .declarations import TABLES, fields_of
 from .recording import Recorded
+from .tables.resting import Twin
 from .tables.structures import zeros_of
+from .tables.tables import Tables
 from .tape import Openness, Tape
-
-if TYPE_CHECKING:
-    from .march import March
 
 BYTES = 4_000_000  # that they may take
 FEW, CAPACITY = 16, 2048  # steps between two visits of Python, at least and at most
@@ -62,12 +62,13 @@ class KeptSteps:
 
 
 class Kept:
-    """Room for such steps of one march, and for the records of what lies within them."""
+    """Room for such steps of a march with these tables, and for the records of what lies within them; ``own``: numbers that the
+    scheme keeps with a state.
+    """
 
-    def __init__(self, march: March, judged: Openness) -> None:
-        self.march, self.judged, self._tape = march, judged, Tape(march.tables, judged)
-        self.tables, own = march.tables, march.ring.width
-        tables, size = self.tables, block_size(self.tables.system)
+    def __init__(self, library: Any, tables: Tables, calls: Calls, judged: Openness, *, own: int) -> None:
+        self.library, self.tables, self.calls, self._tape = library, tables, calls, Tape(tables, judged)
+        size = block_size(tables.system)
         # a memory of elements is that of the newest step
         alone = tables.c.remembers or tables.sampled
         most = 1 if alone else min(max(BYTES // (8 * (3 * size + own)), FEW), CAPACITY)
@@ -97,7 +98,7 @@ class Kept:
         self._instants, c = np.ascontiguousarray(instants), self.c
         c.instant, c.instants, c.roundoff = address_of(self._instants), len(instants), roundoff
         c.passed = c.steps = c.count = 0
-        self._room["last"][:] = np.nan if began is None else blocks_of(self.tables.twin, States.of([began]))[0]
+        self._room["last"][:] = np.nan if began is None else _blocks_of(self.tables.twin, States.of([began]))[0]
 
     @property
     def began(self) -> State | None:
@@ -119,17 +120,32 @@ class Kept:
             which = every[first : first + self.most]
             newest = room["newest"][which]
             (after, A), (before, past), (earlier, _) = (
-                states_of(twin, x) for x in (newest[:, :size], room["begin"][which], room["earlier"][which])
+                _states_of(twin, x) for x in (newest[:, :size], room["begin"][which], room["earlier"][which])
             )
             t_of = instants[first : first + self.most, None]
             yield KeptSteps(t_of, self._number[which], before, after, earlier, (past, A), newest[:, size:])
 
     def told_of(self, states: States) -> Recorded | None:
         """Records of states within steps, as compiled code tells them; None where NumPy has something to say."""
-        blocks, tape, calls = blocks_of(self.tables.twin, states), self._tape, self.march.calls
+        blocks, tape = _blocks_of(self.tables.twin, states), self._tape
         tape.hold(len(blocks))
-        made = self.march.library.driver_record(self.march.address, tape.address, len(blocks), address_of(blocks))
-        if made:
-            calls.forget_error()  # who reads them one by one meets it again
+        system = ctypes.addressof(self.tables.c)
+        if self.library.driver_record(system, tape.address, len(blocks), address_of(blocks)):
+            self.calls.forget_error()  # who reads them one by one meets it again
             return None
         return tape.recorded()
+
+
+def _states_of(twin: Twin, blocks: Array) -> tuple[States, Array]:
+    """The states in many blocks of a twin as those of its system, their own arrays, and algorithmic accelerations."""
+    n, at = twin.system.n_v, 1 + twin.system.n_q
+    rates = blocks[:, at : at + 3 * n].reshape(len(blocks), 3, n)
+    v, a, A = np.moveaxis(np.array(twin.forces(rates)), 1, 0)
+    q = np.array(twin.places(blocks[:, 1:at]))
+    return States(blocks[:, :1].copy(), q, v, a, blocks[:, at + 3 * n :].copy()), A
+
+
+def _blocks_of(twin: Twin, states: States) -> Array:
+    """The other way, without algorithmic accelerations, (k, numbers of a block)."""
+    v, a = twin.velocities(states.v), twin.velocities(states.a)
+    return np.concatenate((states.t, twin.configurations(states.q), v, a, np.zeros_like(a), states.lam), axis=1)

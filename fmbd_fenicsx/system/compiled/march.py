@@ -75,7 +75,8 @@ class March:
     def tape(self, judged: Openness) -> Tape:
         """Room for records; ``judged``: how open joints are told. Made once."""
         if self._tape is None:
-            self._tape = Tape(self.tables, judged, kept=Kept(self, judged))
+            kept = Kept(self.library, self.tables, self.calls, judged, own=self.ring.width)
+            self._tape = Tape(self.tables, judged, kept=kept)
         return self._tape
 
     def judge(self, limits: JointLimits, most: float) -> None:
