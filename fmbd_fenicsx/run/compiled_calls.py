@@ -47,11 +47,10 @@ class CompiledCalls:
     def make(self, done: int, most: int) -> int:
         """How many steps, at most so many, were made behind those that are done; 0 where they have to be made one by one."""
         watched = self.shown or self.events is not None
-        t = self.stepper.state.t
-        if not self.equal:
-            self.stepper.unwrapped.bound(self.schedule.largest, t + self.schedule.ahead(t))
+        self._bound()
         if watched and not self.equal:
             return 0
+        t = self.stepper.state.t
         h = self.stepper.stride(self.schedule.next(t))
         if not h:
             return 0
@@ -77,6 +76,12 @@ class CompiledCalls:
             made += now
             chunk *= 4
         return made
+
+    def _bound(self) -> None:
+        """Tell a stepper that chooses its steps how long these may be, and where the next one has to end."""
+        if not self.equal:
+            t = self.stepper.state.t
+            self.stepper.unwrapped.bound(self.schedule.largest, t + self.schedule.ahead(t))
 
     def next_look(self, done: int) -> int:
         """After how many steps states are looked at, behind those that are done."""
@@ -131,6 +136,7 @@ class CompiledCalls:
         follow.
         """
         stepper, schedule = self.stepper, self.schedule
+        self._bound()
         made = stepper.march(schedule.next(stepper.state.t), steps, Observers(tape=tape))
         self.local_error = max(self.local_error, stepper.local_error)
 
