@@ -32,7 +32,7 @@ HELD = 1e-8  # violation of the constraints by a vector of unit length from whic
 LEFT = 0.5  # share that is left of a vector without its violation: what has less was made of it
 BEYOND = 1e-6  # share of damping forces beside those of mass and stiffness that is no noise
 DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
-TRIES, LARGER = 5, 9.0  # shifts beyond the one given, and each over the one before
+TRIES, LARGER = 8, 9.0  # shifts beyond the one given, and each over the one before
 EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
 
 
