@@ -1,4 +1,4 @@
-"""Own steps of Radau on elastic fields: calls of compiled code, which asks Python for the factors of each size."""
+"""Own steps of Radau and BDF on elastic fields: calls of compiled code, which asks Python for the factors of each size."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from test_field_stages import absolute, floating
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.frequency_solvers import DECADE, SETTLED
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
+from fmbd_fenicsx.schemes.multistep.bdf import BDFStepper
 from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
 
 
@@ -84,7 +85,42 @@ def test_steps_of_a_size_of_their_own_are_calls_of_compiled_code(
 
 @compiled
 @pytest.mark.parametrize(
-    ("scheme", "hinges", "most"), [(fmbd.Radau(3, rtol=1e-7), 1, 40), (fmbd.Radau(3, rtol=1e-7), 2, 40)], ids=str
+    ("kind", "dim", "scheme"),
+    [
+        (floating, 2, fmbd.BDF(rtol=1e-5)),
+        (floating, 3, fmbd.BDF(rtol=1e-5)),
+        (absolute, 2, fmbd.BDF(1, fmbd.Index3(), 1e-4)),
+    ],
+    ids=lambda x: getattr(x, "name", getattr(x, "__name__", str(x))),
+)
+def test_own_steps_of_bdf_are_calls_of_compiled_code(
+    rod_mesh: Callable[..., Any], kind: Any, dim: int, scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All but the first, by factors of frequencies that are near: as many as Python makes, with the same states where Newton's
+    iteration leaves little.
+    """
+    scene = pendulum_of(rod_mesh(dim=dim, h=0.5, height=0.2), kind, hinges=2)
+    output = fmbd.Output(every=10**9, progress=False)
+    made: list[int] = []
+    in_parts = BDFStepper._controlled
+    monkeypatch.setattr(BDFStepper, "_controlled", lambda *given: (made.append(1), in_parts(*given))[1])
+    monkeypatch.setattr(ImplicitStepper, "_newton_tolerance", 1e-5)
+
+    fast = fmbd.solve(scene, t_end=0.1, scheme=scheme, output=output)
+    assert len(made) <= 2
+    monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
+    slow = fmbd.solve(scene, t_end=0.1, scheme=scheme, output=output)
+    assert fast.counters["steps"] == slow.counters["steps"] > 50
+    for name, share in SAME.items():
+        wanted, allowed = getattr(slow.state, name), 0.01 * share * scheme.rtol
+        assert getattr(fast.state, name) == pytest.approx(wanted, rel=0, abs=allowed * np.abs(wanted).max()), name
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("scheme", "hinges", "most"),
+    [(fmbd.Radau(3, rtol=1e-7), 1, 40), (fmbd.Radau(3, rtol=1e-7), 2, 40), (fmbd.BDF(rtol=1e-6), 1, 5)],
+    ids=str,
 )
 def test_steps_of_a_size_of_their_own_enter_python_for_factors(
     rod_mesh: Callable[..., Any], scheme: Any, hinges: int, most: int

@@ -83,10 +83,10 @@ class FrequencySolvers(Remembering):
     def of(self, s: complex, place: int = 0) -> FrequencySolver:
         """Who solves for a frequency; ``place``: of a complex one among those of its stage system."""
         nearest = self._on_grid(abs(s))
-        if not self.settles:
-            return FrequencySolver.of(self.real, complex(nearest), False)
         if abs(s - nearest) <= SAME * nearest:
             return FrequencySolver.of(self.real, complex(nearest), True)
+        if not self.settles:
+            return FrequencySolver.of(self.real, complex(nearest), False)
         s, count = self._noted(s)
         if count > SETTLED and self._possible:
             return FrequencySolver.of(self._complex_at(place) if s.imag else self.real, s, True)
@@ -110,7 +110,7 @@ class FrequencySolvers(Remembering):
         """Whether who asks for a frequency next gets its own factors; this is no such question."""
         nearest = self._on_grid(abs(s))
         known = max((count for known, count in self.asked if abs(known - s) <= SAME * abs(s)), default=0)
-        return self.settles and (abs(s - nearest) <= SAME * nearest or known >= SETTLED)
+        return abs(s - nearest) <= SAME * nearest or (self.settles and known >= SETTLED)
 
     def _noted(self, s: complex) -> tuple[complex, int]:
         """A frequency as it was asked for first, and how often it has been, with this time."""

@@ -60,6 +60,11 @@ class Equations(Remembering):
         """The sizes that steps keep to, as own_steps.c has them; none: any size will do."""
         return {}
 
+    @property
+    def frequency_grid(self) -> dict[str, float]:
+        """The frequencies (1/s) that have factors, as bdf.c has them; none: any one has."""
+        return {}
+
     def metric_of(self, h: float) -> Weights:
         """The matrix of a step of h (s), in which motions are least that do not bend what is stiff there."""
         return Weights(1.0, h, h * h)

@@ -188,6 +188,11 @@ class FieldEquations(Equations):
         """As :meth:`Equations.size_grid`."""
         return {"first": self.size_anchor or 0.0, "places_of_decade": DECADE, "longer": ROUNDED_UP}
 
+    @property
+    def frequency_grid(self) -> dict[str, float]:
+        """As :meth:`Equations.frequency_grid`."""
+        return {"anchor": self.solvers.anchor or 0.0, "places_of_decade": DECADE}
+
     def expect(self, s: Array) -> None:
         """Frequencies s (p,) get factors of their own at once."""
         self.solvers.settles = True

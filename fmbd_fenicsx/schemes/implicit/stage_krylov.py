@@ -46,7 +46,7 @@ ACCURATE = 1e-2  # share of the residual that an inner iteration leaves
 LIMIT = 40  # inner iterations
 SLOW = 0.3  # an increment, over the one before, above which the solutions of exact factors are iterated on
 FEW = 2  # iterations up to which they are trusted again
-SMALL = 0.05  # share of an increment that known parts may have without being seen
+SMALL = 0.005  # share of an increment that known parts may have without being seen: they come back as the next one
 WEAK = 1e-6  # share of the residual that a direction takes, below which the next one is its image
 
 Images = tuple[Array, Array, Array]  # motion (n_v,) and multipliers (n_lam,) of P^-1 J d, further rows of J d

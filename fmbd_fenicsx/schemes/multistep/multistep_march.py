@@ -69,11 +69,6 @@ class MultistepMarch(ImplicitStepper):
         """The highest order that the next step may be followed by."""
         return min(self.k + 1, self.highest)
 
-    @property
-    def _chooses_alike(self) -> bool:
-        # frequencies of fields hardly come back, and have no factors
-        return not self.system.fields and super()._chooses_alike
-
     def stride(self, h: float) -> float:
         """As :meth:`TimeStepper.stride`."""
         return float(self._starter.stride(h)) if self._starting else super().stride(h)
@@ -89,7 +84,7 @@ class MultistepMarch(ImplicitStepper):
         (shrink, grow), (keep, calm), (nearest, farthest) = WITHIN, CALM, NEAR
         orders = Orders(
             highest=self.highest, safety=SAFETY, least=LEAST, shrink=shrink, grow=grow, keep=keep, calm=calm,
-            lower=LOWER, higher=HIGHER, nearest=nearest, farthest=farthest,
+            lower=LOWER, higher=HIGHER, nearest=nearest, farthest=farthest, **self.eq.frequency_grid,
         )  # fmt: skip
         return ImplicitRoom(stages, {}, order, own=self._own_room(orders=orders))
 
@@ -113,7 +108,8 @@ class MultistepMarch(ImplicitStepper):
 
     def _lend_matrices(self, frequency: float) -> None:
         assert self._lent is not None
-        self.eq.expect(np.array([frequency]))
+        if not self.adaptive:
+            self.eq.expect(np.array([frequency]))
         self.eq.lend_matrices(self._lent.stages, self.state, np.array([frequency]))
 
     def _lend_own(self, own: OwnRoom) -> None:

@@ -10,6 +10,7 @@ typedef struct Orders {
     double safety, least, shrink, grow; /* of a growth; least error */
     double keep, calm, lower, higher;  /* growths between which nothing changes; what an order less, or more, has to have more */
     double nearest, farthest;          /* frequencies over that of the factors with which these serve on */
+    double anchor, places_of_decade;   /* where factors are those of a grid: a frequency of it, 0: of any; how many of a decade */
 } Orders;
 
 /* What it keeps with a state beside its work: the order, for how many steps it was held with one size, the size of the next step; its own
@@ -117,14 +118,22 @@ static void remember_value(const System *s, const Implicit *o, const Block *now,
     *made->count = kept + 1;
 }
 
-/* Factors for the frequency c_0 of a step; those of steps that error control chooses serve others too, by a correction. */
+/* The frequency whose factors serve one: of constant steps its own, else that of the grid, or of those at hand, which is near. */
+static double serving(const Implicit *o, double frequency)
+{
+    if (!o->own) return frequency;
+    const Orders *r = o->own->orders;
+    const double places = r->places_of_decade, ratio = o->factored > 0.0 ? frequency / o->factored : 0.0;
+    if (r->anchor > 0.0) return r->anchor * pow(10.0, round(places * log10(frequency / r->anchor)) / places);
+    return ratio >= r->nearest && ratio <= r->farthest ? o->factored : frequency;
+}
+
+/* Factors for the frequency c_0 of a step; those of another one serve by a correction. */
 static int point_factors(System *s, Implicit *o, double c0, double *work)
 {
     Stages *g = o->stages;
-    const double known = o->factored, ratio = known > 0.0 ? c0 / known : 0.0;
-    const int near = o->own && ratio >= o->own->orders->nearest && ratio <= o->own->orders->farthest;
-    g->relax = near ? 2.0 / (1.0 + ratio) : 1.0;
-    g->s[0] = near ? known : c0;
+    g->s[0] = serving(o, c0);
+    g->relax = 2.0 / (1.0 + c0 / g->s[0]);
     return take_factors(s, o, g->s[0], work);
 }
 

@@ -1,7 +1,7 @@
 /* Increments of the stages of elastic fields, by the matrices of their frequencies: schemes/implicit/stage_krylov.py, whose symbols these
    are, as long as no solution has to be iterated on. Complex vectors have two parts, all real numbers first. */
 
-static const double SEEN = 0.05;     /* share of an increment above which known parts of rates are seen, SMALL there */
+static const double SEEN = 0.005;    /* share of an increment above which known parts of rates are seen, SMALL there */
 static const double SHIFTED = 0x1p-26; /* of a difference quotient, over the model's length */
 static const double ROUNDED = 1e-14; /* roundoff of rates, over their largest */
 
