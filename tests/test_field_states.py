@@ -25,6 +25,7 @@ from fmbd_fenicsx.materials import (
     saint_venant_kirchhoff,
 )
 from fmbd_fenicsx.mechanics.contact.contact_set import ContactSet
+from fmbd_fenicsx.mechanics.elastic.absolute import AbsoluteField
 from fmbd_fenicsx.schemes.impacts.contact_detection import components
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
 from fmbd_fenicsx.system.compiled.tables.fields import FieldTable
@@ -384,9 +385,9 @@ def test_new_tangents(rod_mesh: Callable[..., Any], body: str) -> None:
 
 
 @compiled
-@pytest.mark.parametrize("body", ["attached", "attached, pressure"])
+@pytest.mark.parametrize("body", ["attached", "attached, pressure", "pressure, large strains"])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_factors_of_linear_fields_are_solved_with_in_c(
+def test_factors_of_fields_are_solved_with_in_c(
     rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, dim: int, body: str
 ) -> None:
     """No step of generalized-alpha asks Python to solve, solves count as before, and one that its judge refuses is Python's."""
@@ -417,6 +418,22 @@ def test_factors_of_linear_fields_are_solved_with_in_c(
     assert here.counters["worst_linear_residual"] == pytest.approx(there.counters["worst_linear_residual"], rel=10.0)
     for other in (there, doubted):
         assert here["bob"] == pytest.approx(other["bob"], abs=1e-9)
+
+
+@compiled
+def test_forces_of_large_strains_are_asked_for_once_a_state(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Other accelerations are no other state: inertia and weight are compiled."""
+    asked: list[float] = []
+    force = AbsoluteField.held_force
+    monkeypatch.setattr(AbsoluteField, "held_force", lambda *given: (asked.append(given[1]), force(*given))[1])
+    system, start, _ = swinging(rod_mesh(h=0.5, height=0.2), "large strains").build()
+    states = driver_states(system)
+    for t, v in ((0.1, 0.0), (0.1, 1.0), (0.2, 1.0)):
+        for a in (start.a, start.a + 1.0):
+            states.at(t, start.q, start.v + v).balance(a, start.lam)
+    assert asked == [0.1, 0.1, 0.2]
 
 
 @compiled

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import dolfinx_compat as compat
 from ..rotations import Array
 
 
@@ -19,18 +20,19 @@ class NodalVector:
         from dolfinx import la
 
         space = form.function_spaces[0].dofmap
-        self.form, self._room = form, la.vector(space.index_map, space.index_map_bs)
+        self._assemble, self._room = compat.assembly_of(form), la.vector(space.index_map, space.index_map_bs)
+        self._values, self._shares = self._room.array, space.index_map.comm.size > 1
         self._owned = space.index_map.size_local * space.index_map_bs
 
     def assembled(self) -> Array:
         """Its entries at the nodes that this rank owns, (n d,), apart from later ones; collective."""
-        from dolfinx import fem, la
+        self._values[:] = 0.0
+        self._assemble(self._values)
+        if self._shares:
+            from dolfinx import la
 
-        room = self._room
-        room.array[:] = 0.0
-        fem.assemble_vector(room.array, self.form)
-        room.scatter_reverse(la.InsertMode.add)
-        return np.array(room.array[: self._owned])
+            self._room.scatter_reverse(la.InsertMode.add)
+        return np.array(self._values[: self._owned])
 
 
 def on_components(M: Any, d: int) -> Any:

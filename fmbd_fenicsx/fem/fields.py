@@ -205,8 +205,9 @@ class Field:
 
     def _place(self, U: Array) -> None:
         """Nodal values of the energy's argument, ghosts included; collective."""
-        self._w.x.array[: len(U)] = U
-        self._w.x.scatter_forward()
+        nodal = self._w.x
+        nodal.array[: len(U)] = U
+        nodal.scatter_forward()
 
     # -- products -----------------------------------------------------------------------------------------------
     def mass(self, A: Array) -> Array:
@@ -243,7 +244,12 @@ class Field:
 
     def tangent(self, U: Array) -> Array:
         """K U with the extra form of :meth:`linearise`: the matrix that :meth:`combination` holds."""
-        return self._times(self._with_extra if self._extra else self.K, U)
+        return self._times(self.stiffness_matrix, U)
+
+    @property
+    def stiffness_matrix(self) -> Any:
+        """K of :meth:`combination`, which the field keeps."""
+        return self._with_extra if self._extra else self.K
 
     def _times(self, A: Any, U: Array) -> Array:
         x, y = self._big
@@ -350,7 +356,7 @@ class Field:
         held = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
         if self.redistributed:  # neighbours of neighbours
             held = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-        E = (self._with_extra if self._extra else self.K).convert("aij", PETSc.Mat())
+        E = self.stiffness_matrix.convert("aij", PETSc.Mat())
         E.scale(ck)
         M = self.mass_matrix()
         E.axpy(cm, M, structure=held)

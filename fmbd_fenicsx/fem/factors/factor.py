@@ -116,11 +116,11 @@ class Factor:
         return X[: self._n], [self._residual(X[:, j], B[:, j]) for j in range(B.shape[1])]
 
     def in_c(self) -> InC | None:
-        """How C solves, on one rank and where the matrix is that of linear elasticity; None where it cannot."""
+        """How C solves, on one rank and where the matrix has no damping of its own; None where it cannot."""
         f = self.field
         if address_of_solve() is None or not isinstance(self.factor, PetscFactor) or f.comm.size > 1:
             return None
-        if f.extended or self.cd:
+        if self.cd:
             return None
         return InC(self.factor.address, self.cm, self.ck)
 

@@ -114,22 +114,25 @@ class AbsoluteField(FieldPart):
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (1); those of the ground are zero. Collective."""
         U, Ud, Udd = local
+        inertia = self.field.mass(Udd.reshape(-1, self.field.dim) - motion.gravity).ravel()
+        return np.zeros(self.motions.n_twist), inertia + self.held_force(motion.t, U, Ud)
+
+    def held_force(self, t: float, U: Array, Ud: Array) -> Array:
+        """Rows of (1) without inertia and weight at a time (s), (n d,); collective."""
         d, forms = self.field.dim, self.field.forms
-        A = Udd.reshape(-1, d) - motion.gravity
-        if forms.mass_damping:
-            A = A + forms.mass_damping * Ud.reshape(-1, d)
-        rows = self.field.mass(A).ravel() + self.field.internal(U)
+        rows = self.field.internal(U)
 
         # damping, then loads
+        if forms.mass_damping:
+            rows += forms.mass_damping * self.field.mass(Ud.reshape(-1, d)).ravel()
         if forms.stiffness_damping:
             rows += forms.stiffness_damping * self._turned_stiffness(U, Ud)
         if self.field.D is not None:
             rows += self.field.viscous.force(U, Ud)
         if self.field.loads.loads:
-            outer, inner = self.field.loads.nodal(motion.t, np.eye(d), U)
+            outer, inner = self.field.loads.nodal(t, np.eye(d), U)
             rows -= (outer + inner).ravel()
-
-        return np.zeros(self.motions.n_twist), rows
+        return rows
 
     def moved_rigidly(self, U0: Array, V0: Array, h: float) -> Array:
         """Displacements (n d,) of the body moved on rigidly for h (s): with its mean velocity, and turned by its mean angular

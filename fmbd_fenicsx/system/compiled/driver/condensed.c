@@ -113,7 +113,7 @@ static double residual_of(const Field *e, int part)
     for (long i = 0; i < e->nodes; i++)
         for (int k = e->K_start[i]; k < e->K_start[i + 1]; k++)
             for (int c = 0; c < D; c++)
-                for (int j = 0; j < D; j++) r[D * i + j] += e->K[D * D * k + D * j + c] * x[D * e->K_column[k] + c];
+                for (int j = 0; j < D; j++) r[D * i + j] += e->tangent[D * D * k + D * j + c] * x[D * e->K_column[k] + c];
     if (e->pressure) square = pressure_residual(e->pressure, x, x + e->n, r);
     for (long i = 0; i < e->n; i++) square += r[i] * r[i];
     return square;

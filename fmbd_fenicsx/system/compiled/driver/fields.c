@@ -119,6 +119,26 @@ static int linear_field(const Body *o, const double *R, const Motion *m, const d
     return square <= o->large ? DONE : LOOK;
 }
 
+/* Forces on the nodes of a field whose frame rests: those that Python tells, asked once for a state, and those of inertia and weight. */
+static int resting_force(System *s, const Body *o, const double *R, const Motion *m, double t)
+{
+    Field *e = o->field;
+    const size_t size = e->n * sizeof(double);
+    if (e->asked_at != t || memcmp(e->asked, m->U, size) || memcmp(e->asked + e->n, m->Ud, size)) {
+        e->asked_at = NAN;
+        int verdict = tell(s, FIELD_FORCES, e->number, e->n, e->state, R, m, s->gravity, t);
+        if (verdict) return verdict;
+        memcpy(e->told_force, e->force, size);
+        memcpy(e->asked, m->U, size);
+        memcpy(e->asked + e->n, m->Ud, size);
+        e->asked_at = t;
+    }
+    for (long i = 0; i < e->n; i++) e->accel[i] = m->Udd[i] - s->gravity[i % D];
+    mass_times(e, e->accel, e->force);
+    add(e->force, 1.0, e->told_force, e->n);
+    return DONE;
+}
+
 /* Forces on the nodes, and their resultant (world axes) into f. */
 int field_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t)
 {
@@ -128,7 +148,8 @@ int field_force(System *s, int b, const double *q, const double *v, const double
     Motion m = motion_of(o, b, q, v, a);
     int verdict;
     if (e->own && s->from) m.U = s->from + o->at_q; /* those of the middle follow for linear fields alone */
-    if (e->own) verdict = tell(s, s->from ? FIELD_MEANS : FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t);
+    if (e->own && rests(o) && !s->from) verdict = resting_force(s, o, R, &m, t);
+    else if (e->own) verdict = tell(s, s->from ? FIELD_MEANS : FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t);
     else verdict = linear_field(o, R, &m, s->gravity, f);
     if (rests(o)) {
         memset(f, 0, TWIST * sizeof(double));

@@ -134,7 +134,8 @@ typedef struct {
     double of_mass, of_stiffness, lossy, tolerance; /* E = of_mass M + (of_stiffness + i lossy) K; a relative residual that is small */
     int parts;                         /* 2 where factor and columns are complex: all but the real parts stands behind these */
     long wide;                         /* unknowns of the factor: n, and those of the pressure */
-    double *elastic;                   /* wide: (of_stiffness + i lossy) z, one part */
+    double *tangent, *elastic;         /* K of the factor; wide: (of_stiffness + i lossy) z, one part */
+    double *asked, asked_at, *told_force; /* where the frame rests and Python tells: U and U', and the time (s), of the last forces */
     Pressure *pressure;                /* NULL without */
 } Field;
 

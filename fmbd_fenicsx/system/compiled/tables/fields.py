@@ -67,8 +67,7 @@ class FieldTable:
         self.port_matrix[self.ports, inertial + np.arange(len(self.ports))] = 1.0
         nothing: Array = np.zeros(0)
         self.b = self.z = self.force = self.sums = nothing  # those of the structure
-        self.pressed = self.part.field.mixed and linear_field(self.part)  # whether C knows its pressure
-        self.wide = self.part.n + (self.part.field.n_pressure if self.pressed else 0)  # unknowns of the factor
+        self.wide = self.part.n + (self.part.field.n_pressure if self.part.field.mixed else 0)  # unknowns of the factor
         self.motion = ToldMotion(tables, self.part.n)
         self.c: Any = None  # the structure
         self.vectors: list[Any] = []  # PETSc's, on b and z
@@ -99,10 +98,13 @@ class FieldTable:
     def _lend(self) -> None:
         """Let C solve with the factor by itself, where it can."""
         factor = self.block.factor
-        solved = None if factor is None or self.changes else factor.in_c()
+        solved = None if factor is None else factor.in_c()
         self.c.factor = None if solved is None else address_of(solved.matrix)
         if solved is None:
             return
+        self.c.tangent = address_of(self._tangent())
+        if self.part.field.mixed:
+            self._rows_of_pressure()
         self.c.told, self.c.tolerance = address_of(factor.judge.told), factor.judge.tolerance
         self.c.of_mass, self.c.of_stiffness, self.c.lossy = solved.mass, solved.stiffness.real, solved.stiffness.imag
 
@@ -187,6 +189,7 @@ class FieldTable:
         n = self.part.n
         arrays = {
             **self._columns_of_ports(), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
+            "asked": np.zeros(2 * n), "told_force": np.zeros(n),
             **{name: np.zeros(self.parts * self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
             **{name: np.zeros(n) for name in ("accel", "MU")},
         }  # fmt: skip
@@ -201,7 +204,7 @@ class FieldTable:
         self.c = structure("Field", d)(
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
             wide=self.wide, elastic=store.address(np.zeros(self.wide)), pressure=self._pressure(), rhs=rhs, solution=solution,
-            direct=address_of_solve(), number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
+            direct=address_of_solve(), asked_at=np.nan, number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
             own=int(not linear_field(part)), force=force, sums=sums, state=self.motion.address,
             inertial=self.inertial, turns=int(self.turns), parts=self.parts, frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
@@ -223,7 +226,7 @@ class FieldTable:
 
     def _pressure(self) -> int | None:
         """The structure Pressure of a field that has one."""
-        if not self.pressed:
+        if not self.part.field.mixed:
             return None
         field, store = self.part.field, self.tables.store
         (b, at_b), (p, at_p) = (store.array(np.zeros(field.n_pressure)) for _ in range(2))
@@ -253,23 +256,31 @@ class FieldTable:
         found: dict[str, np.ndarray] = cache[key]
         return found
 
-    def _rows_of_pressure(self) -> dict[str, np.ndarray]:
-        """B and C by rows, likewise."""
-        cache, key = self.tables.system.cache, ("rows of the pressure", self.k)
+    def _tangent(self) -> Array:
+        """The stiffness of the newest tangent like K of :meth:`_rows_of_nodes`, likewise shared."""
+        part, cache, K = self.part, self.tables.system.cache, self._rows_of_nodes()["K"]
+        field, key = part.field, ("newest tangent", self.k)
+        if not field.extended:
+            return K
         if key not in cache:
-            rows: dict[str, np.ndarray] = {}
-            field = self.part.field
-            for name, matrix in (("B", field.coupling_matrix()), ("C", field.compliance_matrix())):
-                start, columns, values = (x.copy() for x in matrix.getValuesCSR())
-                rows |= {
-                    f"{name}_start": start.astype(np.int32),
-                    f"{name}_column": columns.astype(np.int32),
-                    name: values,
-                }
-                matrix.destroy()
-            cache[key] = rows
-        found: dict[str, np.ndarray] = cache[key]
-        return found
+            start, columns, values = field.stiffness_matrix.getValuesCSR()
+            places = sp.csr_matrix((np.arange(len(values)), columns, start)).tobsr((self.tables.dim,) * 2).data
+            cache[key] = [-1, places, np.zeros_like(K)]
+        known = cache[key]
+        if known[0] != field.tangents:
+            known[0], known[2][:] = field.tangents, field.stiffness_matrix.getValuesCSR()[2][known[1]]
+        return known[2]  # type: ignore[no-any-return]
+
+    def _rows_of_pressure(self) -> dict[str, np.ndarray]:
+        """B of the newest tangent and C by rows, likewise."""
+        field, cache, key = self.part.field, self.tables.system.cache, ("rows of the pressure", self.k)
+        if key not in cache:
+            B, C = _by_rows("B", field.coupling_matrix()), _by_rows("C", field.compliance_matrix())
+            cache[key] = [field.tangents, B | C]
+        known = cache[key]
+        if known[0] != field.tangents:
+            known[0], known[1]["B"][:] = field.tangents, _by_rows("B", field.coupling_matrix())["B"]
+        return known[1]  # type: ignore[no-any-return]
 
     def _columns_of_ports(self) -> dict[str, np.ndarray]:
         """The columns of ports, of the body that is not bent."""
@@ -350,6 +361,13 @@ def _least(share: Array) -> float:
     """What counts as a compliance, by those of all combinations of columns, whose sizes are 1 without the frame conditions."""
     largest = float(np.abs(share).max(initial=0.0))
     return LEAST * (largest if largest > ROUNDOFF else 1.0)
+
+
+def _by_rows(name: str, matrix: Any) -> dict[str, np.ndarray]:
+    """A matrix of PETSc, which is destroyed, by its rows as C's structures name them."""
+    start, columns, values = (x.copy() for x in matrix.getValuesCSR())
+    matrix.destroy()
+    return {f"{name}_start": start.astype(np.int32), f"{name}_column": columns.astype(np.int32), name: values}
 
 
 def parts_of(block: Block) -> int:

@@ -42,7 +42,6 @@ class RestingField(FieldPart):
         self.size = np.inf  # of what displacements may be
         self.moment, self.inertia = np.zeros(field.dim), field.inertia
         self.turns = field.nonlinear  # its tangent turns with the body
-        self._asked: tuple[Array, tuple[Array, Array]] | None = None  # a state, and the forces at no accelerations
 
     @property
     def renewable(self) -> bool:
@@ -61,13 +60,8 @@ class RestingField(FieldPart):
         return np.stack((self.part.turn_at_tangent, self.field.mass(X).T @ X))
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        """Rows of the frame, zero, and forces on the nodes; of a state that is asked for again only inertia is another one."""
-        U, rate, accel = local
-        state = np.concatenate(([motion.t], motion.gravity, U, rate))
-        if self._asked is None or not np.array_equal(self._asked[0], state):
-            self._asked = state, self.part.force(motion, (U, rate, np.zeros(self.n)))
-        frame, rows = self._asked[1]
-        return frame, rows + self.field.mass(accel.reshape(-1, self.field.dim)).ravel()
+        """Rows of the frame, zero, and forces on the nodes without inertia and weight, which C adds."""
+        return np.zeros(self.motions.n_twist), self.part.held_force(motion.t, *local[:2])
 
     def mean_force(self, motion: FrameMotion, local: tuple[Array, Array, Array], h: float) -> Array:
         """Forces on the nodes over a step of size h (s), as the field's own."""
