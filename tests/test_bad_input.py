@@ -228,6 +228,11 @@ def test_law_that_fails_later_names_the_time() -> None:
         fmbd.solve(scene, t_end=0.1, dt=0.01)
 
 
+def test_inputs_begin_with_a_number() -> None:
+    with pytest.raises(InputError, match="\"torque\" takes a number, found 'much'"):
+        pendulum().input("torque", "much")  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("of", ["energy", "counters", "error_estimate", "ledger.work", "ledger.power"])
 def test_names_that_a_run_does_not_know_are_told(of: str) -> None:
     run = fmbd.solve(pendulum(), t_end=0.02, dt=0.01, output=fmbd.Output(ledger=True))

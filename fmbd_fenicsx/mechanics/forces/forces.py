@@ -291,7 +291,9 @@ def joint_spring(
     free: float = 0.0,
     law: Law | None = None,
 ) -> CoordinateForce:
-    """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s', or law(s - free, s', t)."""
+    """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s'; a law(s - free, s', t)
+    replaces both.
+    """
     k, c = _constants(f'Joint spring "{name}"', stiffness, damping, law)
     number(f'Joint spring "{name}": free', free)
     return CoordinateForce(name, on.joint.a, on.joint.b, None, None, on, k, c, free, law)

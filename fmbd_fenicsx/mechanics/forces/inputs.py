@@ -13,10 +13,10 @@ class Input:
     def __init__(self, name: str, start: float = 0.0, *, lower: float = -np.inf, upper: float = np.inf) -> None:
         require(lower <= upper, f'Input "{name}": lower = {lower} is above upper = {upper}.')
         self.name = name
-        self.start = float(start)
         self.lower = float(lower)
         self.upper = float(upper)
         self.set(start)
+        self.start = self.value
 
     def __call__(self, t: float) -> float:
         """The present value, whatever the time."""
