@@ -20,13 +20,14 @@ from ..schemes.declared import Declared
 from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.system import System
+from .accuracy.certificate import struck_or_sampled
 from .accuracy.companion_runs import UNFIT
-from .accuracy.jumps_in_time import HeldState, jumps_ahead, jumps_in_time, may_jump
+from .accuracy.jumps_in_time import HeldState, jumps_ahead, jumps_in_time
 from .judges.energy_check import closed
 from .named_times import named_times
 from .schedule import StepSchedule, far_side, near_side
 
-# even instants of a run; of elastic fields one costs as much as some iterations; and for schemes that look ahead themselves
+# even instants of a run; of elastic fields one costs as much as some iterations; and where named ones are what is asked
 LOOKED_AT, OF_FIELDS, TOLD = 200, 50, 12
 # change from one to the next, over the largest force, speed or acceleration, from which on something happens; and how many
 # without one before that steps may have grown in
@@ -80,11 +81,11 @@ def loads_ahead(
     over loads that come and go ``within`` so many, where both depend on time alone; collective.
     """
     jumps = jumps_ahead(scene, system, state, schedule)
-    if not schedule.steps or not may_jump(scene, system):
+    if not schedule.steps or struck_or_sampled(scene) or closed(scene, system):
         return jumps
     held, most = HeldState(system, state), within * schedule.span / schedule.steps
     found = set(jumps)
-    for x in _all_comings(scene, held, schedule, max(2 * schedule.steps, LOOKED_AT)):
+    for x in _all_comings(scene, held, schedule, TOLD if system.fields else max(2 * schedule.steps, LOOKED_AT)):
         if x.goes and x.end - x.begin < most and not any(x.begin <= t <= x.end for t in jumps):
             found.update(jumps_in_time(held, [np.array(x.times)]) or x.times)
     return tuple(sorted(found))

@@ -17,6 +17,7 @@ from ....log import log
 from ....schemes.declared import Declared
 from ....schemes.error_norm import FINEST
 from ....system.compiled.choice import use_driver
+from ....system.layout import State
 from ....system.scene.refinement import (
     cheap_levels,
     expected_rate,
@@ -26,6 +27,7 @@ from ....system.scene.refinement import (
     slender,
 )
 from ....system.scene.scene import Scene
+from ....system.system import System
 from ...loads_ahead import loads_ahead
 from ...recording.output import Output
 from ...result import Run
@@ -258,19 +260,24 @@ def jumps_before(plan: AttemptPlan, shared: SharedSpaces) -> tuple[float, ...]:
     built = shared.ahead(plan.scene)
     if may_jump(plan.scene, built.system) and Declared.by(plan.scheme).compiled:
         use_driver(built.system)  # as its runs do: loads are asked at a hundred instants
+    return _ahead(plan.scene, built.system, built.given, plan.schedule)
+
+
+def _ahead(scene: Scene, system: System, state: State, schedule: StepSchedule) -> tuple[float, ...]:
+    """See :func:`.loads_ahead`; none where loads have no value in the state that is held; collective."""
     try:
-        return loads_ahead(plan.scene, built.system, built.given, plan.schedule)
+        return loads_ahead(scene, system, state, schedule)
     except UNFIT as error:
         log.info("jumps of loads are not looked for: %s", error)
         return ()
 
 
 def jumps_within(plan: AttemptPlan, run: Run, tol: Tolerance, *, first: bool) -> tuple[float, ...]:
-    """Instants at which loads jump, or come and go, all along the ``first`` run of slender bodies, else jump about kinks;
+    """Instants at which loads jump, or come and go, all along the ``first`` run of bodies that deform, else jump about kinks;
     collective.
     """
     slow = first and bool(meshed_bodies(plan.scene))
-    seen = loads_ahead(run.scene, run.system, run.state, plan.schedule) if slow else ()
+    seen = _ahead(run.scene, run.system, run.state, plan.schedule) if slow else ()
     return seen or jumps_about_kinks(run, plan.schedule, tol)
 
 
