@@ -124,6 +124,7 @@ class Told(dict[str, Any]):
     """What a run tells, by names; who asks for a name that is not there is told those that are. ``what``: in messages."""
 
     def __init__(self, what: str, values: Mapping[str, Any]) -> None:
+        require(isinstance(values, Mapping), f"{what}: {values!r} holds no values by names")
         super().__init__(values)
         self.what = what
 

@@ -22,8 +22,8 @@ def test_errors_of_prescribed_motions_are_foretold(make: Any) -> None:
     norm.update(s, 0.8)
     allowed = stepper.look.farthest(s, 0.8)
     assert allowed < 0.3
-    assert stepper._attempt(0.8)[0] > 20.0
-    assert 0.05 < stepper._attempt(allowed)[0] < 3.0
+    assert stepper._attempt(0.8, 0)[0] > 20.0
+    assert 0.05 < stepper._attempt(allowed, 0)[0] < 3.0
 
 
 def test_a_drive_that_rests_at_first_allows_large_steps() -> None:

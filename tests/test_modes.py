@@ -151,7 +151,7 @@ def test_slender_cantilever(make: Any) -> None:
 
 @pytest.mark.parametrize("frame", [fmbd.MeanAxis(), fmbd.Attached("left"), None])
 def test_rayleigh_damping_of_a_guided_sheet(frame: Any) -> None:
-    """A sheet on a slide at its end, tan k + tanh k = 0, damping ratio b omega / 2; its place is free, once."""
+    """A sheet on a slide at its end, tan k + tanh k = 0, damping ratio b omega / 2; its place is free, a double zero."""
     mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.02), origin=(0.0, -0.01), counts=(10, 1))
     law = {"density": 1e3, "elastic": fmbd.materials.plane_stress(2e9, 0.0), "stiffness_damping": 1e-4}
     sheet = fmbd.FloatingBody("sheet", mesh, frame=frame, **law) if frame else fmbd.AbsoluteBody("sheet", mesh, **law)
@@ -161,11 +161,11 @@ def test_rayleigh_damping_of_a_guided_sheet(frame: Any) -> None:
     scene.sensor("tip", fmbd.position(sheet.surface("right")))
     scene.sensor("base", fmbd.displacement(slide))
 
-    found = fmbd.modes(scene, 3)
+    found = fmbd.modes(scene, 4)
     exact = np.sqrt(2e9 * 0.02**2 / 12 / 1e3) * np.array([2.36502, 5.49780]) ** 2
-    assert found.omega[0] < 1e-3
-    assert found.omega[1:] == pytest.approx(exact, rel=8e-3)
-    assert found.damping[1:] == pytest.approx(0.5e-4 * found.omega[1:], rel=1e-4)
+    assert found.omega[:2].max() < 1e-3
+    assert found.omega[2:] == pytest.approx(exact, rel=8e-3)
+    assert found.damping[2:] == pytest.approx(0.5e-4 * found.omega[2:], rel=1e-4)
 
     # the ratio of both ends is that of a cantilever whose root is moved: (cos k + cosh k) / (1 + cos k cosh k)
     tip, base = np.abs(fmbd.frequency_response(scene, ["push"], ["tip y", "base"], [20.0])[0, :, 0])

@@ -47,7 +47,7 @@ def test_disc_in_unequal_bearings(speed: float) -> None:
     found = fmbd.equilibrium(scene, spin=fmbd.Spin(speed, (1.0, 0.0, 0.0), bodies=("disc",)))
     assert found["disc"][2] == pytest.approx(-MASS * 9.81 / (2.0 * KZ), rel=1e-9)
     assert found.state.v[3] == pytest.approx(speed)
-    omega = np.sort(fmbd.modes(scene, 6, at=found).omega)
+    omega = np.sort(fmbd.modes(scene, 6 if speed == 0.0 else 7, at=found).omega)
     assert omega[-5:] == pytest.approx(exact(speed), rel=1e-7)
     assert omega[:-5].max() < 1e-6  # the angle of the disc is free
 

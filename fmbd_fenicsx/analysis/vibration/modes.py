@@ -46,7 +46,6 @@ STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
 RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
 ROUGH = 5e-6  # relative change by roundoff of the stiffness that they may have
 ROUNDOFF = 1e2 * np.finfo(float).eps  # of products with the stiffness, which are differences of forces, over its size
-ALIKE = 1e-4  # share of other motions in an eigenvector of zero that is roundoff
 NOTHING = 1e-6  # motion in a long time that counts as rest, over the model's length
 
 
@@ -309,16 +308,11 @@ def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: 
         values = np.where(squares[order] >= 0, 1j * rates, rates)
         vectors = Y[:, order].astype(complex)
     else:
-        values, vectors = slowest(first_order(small), relaxing=relaxing)
+        values, vectors = _double_zeros(small, *slowest(first_order(small), relaxing=relaxing))
 
-    zero = _zeros(small, values, vectors)
-    kept = np.logical_not(zero)
-    free = _free(vectors[:, zero])
     if held:
+        kept = np.logical_not(_zeros(small, values, vectors))
         values, vectors = values[kept], vectors[:, kept]
-    elif free.shape[1] < np.sum(zero):
-        values = np.append(np.zeros(free.shape[1]), values[kept])
-        vectors = np.append(free, vectors[:, kept], axis=1)
     _enough(len(values), n)
     return values[:n], vectors[:, :n]
 
@@ -336,6 +330,13 @@ def _zeros(small: ProjectedSystem, values: Array, vectors: Array) -> Array:
     rate, size = np.abs(values), np.linalg.norm(small.K, 2) * np.sum(np.abs(vectors) ** 2, axis=0)
     left = rate * rate * power(small.M) + rate * power(small.C)
     return np.asarray(left <= 1e3 * np.finfo(float).eps * size)
+
+
+def _double_zeros(small: ProjectedSystem, values: Array, vectors: Array) -> tuple[Array, Array]:
+    """Both of each pair of zeros, which roundoff parts into real ones or into a conjugate pair, of which one is listed."""
+    parted = _zeros(small, values, vectors) & (values.imag != 0.0)
+    each = np.repeat(np.arange(len(values)), 1 + parted)
+    return np.where(parted, 0.0, values)[each], vectors[:, each]
 
 
 @dataclass(eq=False)
@@ -368,11 +369,6 @@ def _roundoff(small: ProjectedSystem, vectors: Array) -> Array:
     mass = np.abs(np.sum(vectors.conj() * (small.M @ vectors), axis=0))
     squares = np.sum(np.abs(vectors) ** 2, axis=0)
     return np.asarray(ROUNDOFF * np.linalg.norm(small.K, 2) * squares / np.maximum(mass, 1e-300))
-
-
-def _free(vectors: Array) -> Array:
-    """The motions (k, m) that eigenvectors of zero span, each once: zeros are double, and roundoff parts them."""
-    return sl.orth(np.concatenate((vectors.real, vectors.imag), axis=1), rcond=ALIKE).astype(complex)
 
 
 def _enough(count: int, n: int) -> None:
