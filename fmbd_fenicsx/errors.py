@@ -124,8 +124,10 @@ class Told(dict[str, Any]):
     """What a run tells, by names; who asks for a name that is not there is told those that are. ``what``: in messages."""
 
     def __init__(self, what: str, values: Mapping[str, Any]) -> None:
-        require(isinstance(values, Mapping), f"{what}: {values!r} holds no values by names")
-        super().__init__(values)
+        try:
+            super().__init__(values)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{what}: {values!r} holds no values by names.") from error
         self.what = what
 
     def __missing__(self, name: Any) -> Any:

@@ -77,13 +77,14 @@ def _columns(solver: StepSolver, states: Sequence[State], h: float) -> Iterator[
     later.
     """
     system = solver.system
-    t, q, v = (np.array(x) for x in zip(*((s.t, s.q, s.v) for s in states), strict=True))
+    t, q, v = np.array([s.t for s in states]), np.array([s.q for s in states]), np.array([s.v for s in states])
     later = system.compose(q, h * v)
     both = system.batch(np.concatenate((t, t)), np.concatenate((q, later)), np.concatenate((v, v)))
-    holding = np.setdiff1d(np.arange(system.n_lam), speed_rows(system))
+    holding = np.ones(system.n_lam, dtype=bool)
+    holding[speed_rows(system)] = False
     rows = both.jacobian.core[:, holding]
 
-    for s, q_later, before, after in zip(states, later, *np.split(rows, 2), strict=True):
+    for s, q_later, before, after in zip(states, later, rows[: len(t)], rows[len(t) :], strict=True):
         yield _scaled(_masses(solver, s, s.q), before), _scaled(_masses(solver, s, q_later), after)
 
 
