@@ -25,6 +25,8 @@ from .stage_march import LONGER, RATES, StageMarch
 Stages = tuple[Array, Array, Array]  # xi, v and multipliers of each
 KEPT = 0.05  # rate up to which stages go on with the tangents that each has
 
+LEAST_SHARE = 1e-3  # that one increment is trusted to leave of the error, as in driver/radau.c
+
 
 class StageNewton(StageMarch):
     """Newton's iteration of :class:`.Radau`."""
@@ -86,9 +88,10 @@ class StageNewton(StageMarch):
     def _first_share(self, h: float) -> float:
         """What one increment leaves of the error, over its size, by the rate of the step before.
 
-        Rates grow with the step, by any power of it where motions turn far: those of shorter steps promise nothing.
+        Rates grow with the step, by any power of it where motions turn far: those of shorter steps promise nothing, nor does that
+        of a step at rest, which leaves roundoff.
         """
-        return float(max(self._eta, 1e-16) ** 0.8) if h <= LONGER * self._h_rate else 1.0  # a little worse
+        return float(max(self._eta, LEAST_SHARE) ** 0.8) if h <= LONGER * self._h_rate else 1.0  # a little worse
 
     def _finished(self, h: float, found: Points) -> Points:
         points = self._stages(h, found.xi, found.v, found.mult)
