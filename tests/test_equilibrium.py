@@ -298,17 +298,20 @@ def test_equilibria_without_weight_in_any_unit_of_time(second: float) -> None:
     np.testing.assert_allclose(rates[1], rates[0], rtol=1e-6)
 
 
-def test_a_stiff_mount_does_not_hide_a_soft_balance() -> None:
+@pytest.mark.parametrize("place", [(0.3, 0.4), (0.4, 0.3)])
+@pytest.mark.parametrize("stiffness", [1e7, 1e9])
+def test_a_stiff_mount_does_not_hide_a_soft_balance(stiffness: float, place: tuple[float, float]) -> None:
     """A lever on a stiff mount turns until a small force along x holds it; the step of the mount's period would take it for
-    balanced where it stands.
+    balanced where it stands. The place where the force pushes is a balance, too, and 5e-4 N m/rad tell that it is unstable.
     """
     mount = fmbd.RigidBody("mount", 1.0, 1.0)
-    lever = fmbd.RigidBody("lever", 1.0, 0.1, (0.3, 0.4))
+    lever = fmbd.RigidBody("lever", 1.0, 0.1, place)
     scene = fmbd.Scene("lever")
     slide = fmbd.prismatic("slide", fmbd.ground, mount, center=(0.0, 0.0), axis=(1.0, 0.0))
     scene.add(mount, lever, slide, fmbd.revolute("pin", mount, lever, center=(0.0, 0.0)))
     scene.add(
-        fmbd.joint_spring("stiff", fmbd.displacement(slide), stiffness=1e9), fmbd.force("pull", lever, (1e-3, 0.0))
+        fmbd.joint_spring("stiff", fmbd.displacement(slide), stiffness=stiffness),
+        fmbd.force("pull", lever, (1e-3, 0.0)),
     )
     scene.sensor("lever", fmbd.position(lever))
     np.testing.assert_allclose(fmbd.equilibrium(scene)["lever"], (0.5, 0.0), atol=1e-8)

@@ -32,7 +32,7 @@ from ..small_motions.basis import free_motions
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.steady import BodySpin, Residual, Spin, body_spin, steady_rates
 from .arc_length import ArcLength, Path
-from .descent import descend, descends
+from .descent import FLAT, descend, descends
 from .load_steps import LoadSteps
 from .rotors import check_steady
 from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps, relax
@@ -300,7 +300,7 @@ def _stable(newton: StaticNewton, start: StaticPoint, found: StaticPoint, t: flo
     images = [about.stiffness(v) for v in V]
     K = np.array([[v @ image for image in images] for v in V])
 
-    if not K.size or np.linalg.eigvalsh(0.5 * (K + K.T)).min() >= -1e-9 * np.abs(K).max():
+    if not K.size or np.linalg.eigvalsh(0.5 * (K + K.T)).min() >= -FLAT * np.abs(K).max():
         return found
 
     try:
