@@ -401,7 +401,8 @@ def test_beside_rods_and_lines(
             monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
         runs.append(fmbd.solve(scene, scheme=scheme, newton=fmbd.Newton(1e-10), output=output, **sizes))
     fast, slow = runs
-    assert abs(fast.counters["steps"] - slow.counters["steps"]) <= 1
+    # sizes of own choice differ by what both leave of Newton's iteration; what is not remembered takes a quarter more of them
+    assert abs(fast.counters["steps"] - slow.counters["steps"]) <= (0.1 * slow.counters["steps"] if scheme.rtol else 1)
     bars = {"q": 0.5 * scheme.rtol} if scheme.rtol else {"q": 1e-8, "v": 1e-7, "lam": 1e-6}
     for name, share in bars.items():
         wanted = getattr(slow.state, name)
