@@ -84,8 +84,8 @@ def _columns(solver: StepSolver, states: Sequence[State], h: float) -> Iterator[
     holding[speed_rows(system)] = False
     rows = both.jacobian.core[:, holding]
 
-    for s, q_later, before, after in zip(states, later, rows[: len(t)], rows[len(t) :], strict=True):
-        yield _scaled(_masses(solver, s, s.q), before), _scaled(_masses(solver, s, q_later), after)
+    for k, s in enumerate(states):
+        yield _scaled(_masses(solver, s, s.q), rows[k]), _scaled(_masses(solver, s, later[k]), rows[len(t) + k])
 
 
 def _masses(solver: StepSolver, state: State, q: Array) -> Array:
