@@ -6,7 +6,7 @@ wrong with it; one whose end does not pass is made once more by itself, for thos
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -81,6 +81,7 @@ class MarchingStepper(CompiledSteps):
     leaves_masses: ClassVar[bool] = True  # whether the factor at the end of a step is that of the masses there
     _used: March | None = None
     _began: State | None = None  # where the newest step of a call began
+    _single: tuple[State | None, list[Any]] = None, []  # the end of a step made alone, and memories there
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
     def _room(self, states: DriverStates) -> int:
@@ -150,7 +151,17 @@ class MarchingStepper(CompiledSteps):
 
     def _step_in_one_call(self, h: float) -> bool:
         """A step of size h (s) by compiled code; whether it was found."""
-        return bool(self._made(h, 1, np.inf, UNOBSERVED))
+        found = bool(self._made(h, 1, np.inf, UNOBSERVED))
+        self._single = (self.state, self._used.tables.memories()) if found and self._used is not None else (None, [])
+        return found
+
+    def note(self) -> bool:
+        """As :meth:`TimeStepper.note`: what compiled code has made of memories, as after many steps."""
+        ended, memories = self._single
+        if ended is not self.state or self._used is None or self._used.tables.sampled:
+            return False  # a new sample is a jump, which who called has to know
+        self._used.tables.remember(memories)
+        return True
 
     def _tables_of_steps(self) -> DriverStates | None:
         """With whose tables whole steps are made from the newest state on; None where steps are made in parts."""
