@@ -100,9 +100,9 @@ def test_statements_in_files(rod_mesh: Callable[..., Any], tmp_path: Any) -> Non
     from fmbd_fenicsx.post.plot import draw_history
 
     bands = []
-    for errors in (run.error_estimate, {}):
+    for deviations in (run.deviations, {}):
         axes = Figure().add_subplot()
-        draw_history(axes, replace(run, error_estimate=errors), "tip")
+        draw_history(axes, replace(run, deviations=deviations), "tip")
         bands.append(len(axes.collections))
     assert bands == [2, 0]
 

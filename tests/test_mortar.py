@@ -12,7 +12,7 @@ from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
-from fmbd_fenicsx.fem.traces.mortar import mortar
+from fmbd_fenicsx.fem.traces.mortar import Mortar, mortar
 from fmbd_fenicsx.fem.traces.multipliers import Continuous, Discontinuous, Ends
 from fmbd_fenicsx.fem.traces.traces import surface_trace, trace_of
 
@@ -27,6 +27,11 @@ def pair(dim: int, slave: int, master: int, degree: int = 1, shift: float = 0.0,
     return trace_of(spaces[0], up, "bottom"), trace_of(spaces[1], low, "top")
 
 
+def covered(m: Mortar) -> float:
+    """The part of the slave's area that both surfaces share: multipliers sum up to one, and so do functions of nodes."""
+    return m.slave.sum() / m.slave_trace.sizes.sum()
+
+
 @pytest.mark.smoke
 @pytest.mark.mpi
 @pytest.mark.parametrize("dim, slave, master", [(2, 6, 6), (2, 6, 9), (2, 7, 11), (2, 8, 5), (3, 2, 3), (3, 5, 3)])
@@ -37,7 +42,7 @@ def test_polynomials_agree_on_both_sides(dim: int, slave: int, master: int, degr
     along = [0] if dim == 2 else [0, 2]
     for f in (lambda x: 1 + 0 * x[:, 0], lambda x: x[:, along].sum(1), lambda x: x[:, 0] ** degree):
         assert np.abs(m.slave @ f(a.points) - m.master @ f(b.points)).max() < 2e-15
-    assert m.covered == pytest.approx(1.0, abs=1e-12)
+    assert covered(m) == pytest.approx(1.0, abs=1e-12)
     assert abs(m.slave - m.multipliers.coupling()).max() < 1e-15
 
 
@@ -88,7 +93,7 @@ def test_facets_without_a_plain_trace_say_what_to_do(shared_tmp: Path) -> None:
 def test_partial_overlap_ties_the_overlap_only(dim: int) -> None:
     a, b = pair(dim, 6, 4, shift=0.5)
     m = mortar(a, b, Continuous(ends=Ends.KEPT))
-    assert m.covered == pytest.approx(0.5, abs=1e-12)
+    assert covered(m) == pytest.approx(0.5, abs=1e-12)
     assert m.multipliers.n == (4 if dim == 2 else 28)
     ones = m.slave @ np.ones(a.n) - m.master @ np.ones(b.n)
     assert np.abs(ones).max() < 1e-15
@@ -116,7 +121,7 @@ def test_small_gap_is_bridged_along_the_normal() -> None:
     a, b = pair(2, 4, 6, gap=1e-3)
     m = mortar(a, b, Continuous())
     assert m.gap == pytest.approx(1e-3, rel=1e-9)
-    assert m.covered == pytest.approx(1.0, abs=1e-12)
+    assert covered(m) == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("size, shift", [(2.0, 0.0), (2.0, 1.5), (0.01, 0.005)])
@@ -127,4 +132,4 @@ def test_the_covered_part_is_a_ratio(size: float, shift: float) -> None:
     low = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(size, size), cells=6)
     upper, lower = (fem.functionspace(m.dolfinx, ("Lagrange", 1)) for m in (up, low))
     found = mortar(trace_of(upper, up, "bottom"), trace_of(lower, low, "top"), Continuous(1))
-    assert found.covered == pytest.approx(1.0 - shift / size, abs=1e-12)
+    assert covered(found) == pytest.approx(1.0 - shift / size, abs=1e-12)

@@ -34,14 +34,13 @@ class Judge:
         |A x - b| <= ROUNDOFF (|A| |x| + |b|)      and      |A| |x| <= LARGEST_GROWTH |b|                      (1)
 
     x then solves a system that differs from the given one by roundoff (Rigal and Gaches, doi:10.1145/321406.321416).
-    Callers that give no |A| |x| get the first criterion alone. ``what`` names the system in messages; ``by_roundoff``
-    counts the solves that passed by (1) only. ``worst`` is of |A x - b| / |b| in either case. Compiled code that judges by the
-    first criterion writes ``told``: the number of solves, and the worst.
+    Callers that give no |A| |x| get the first criterion alone. ``what`` names the system in messages. ``worst`` is of
+    |A x - b| / |b| in either case. Compiled code that judges by the first criterion writes ``told``: the number of solves, and
+    the worst.
     """
 
     what: str
     tolerance: float = 1e-8
-    by_roundoff: int = 0
     told: Array = field(default_factory=lambda: np.zeros(2))
 
     @property
@@ -70,13 +69,11 @@ class Judge:
         self.told[0] += solves
         relative = residual / scale if scale > NOTHING else residual
         # also where the residual is no number
-        if not relative <= self.tolerance:
-            if not self._is_roundoff(residual, scale, grown):
-                raise LinearSolveError(
-                    f"Linear solve of {self.what}: relative residual {relative:.1e}, allowed {self.tolerance:.0e}. "
-                    + (advice or "The matrix is singular or nearly so: a body or joint is not determined.")
-                )
-            self.by_roundoff += 1
+        if not (relative <= self.tolerance or self._is_roundoff(residual, scale, grown)):
+            raise LinearSolveError(
+                f"Linear solve of {self.what}: relative residual {relative:.1e}, allowed {self.tolerance:.0e}. "
+                + (advice or "The matrix is singular or nearly so: a body or joint is not determined.")
+            )
         self.told[1] = max(self.told[1], relative)
 
     def _is_roundoff(self, residual: float, scale: float, grown: float) -> bool:

@@ -128,7 +128,7 @@ def _time_error(run: Run) -> str:
         return f"not estimated: the run with 2 h failed, h is near the largest usable step; {local}"
     if not run.error_estimate:
         return f"not estimated (Output(estimate_error=True) repeats the run with 2 h and 4 h); {local}"
-    text = f"estimated from runs with other steps: {_listed(run, run.error_estimate)}; {local}"
+    text = f"estimated from runs with other steps: {_listed(run, run.error_estimate, run.observed_order)}; {local}"
     # an order far below the scheme's own: the estimate rests on it
     expected = expected_orders(run.scheme, run.scene, run.system)
     slow = [expected[n] for n, p in run.observed_order.items() if not p > expected[n] - 0.5]
@@ -148,21 +148,20 @@ def _reduction_error(run: Run) -> list[str]:
     )
 
 
-def _listed(run: Run, errors: Mapping[str, float]) -> str:
+def _listed(run: Run, errors: Mapping[str, float], orders: Mapping[str, float] | None = None) -> str:
     """The sensors with the largest errors, each in its unit and as a share of its range, with an observed order."""
-    shares = []
+    shares, orders = [], orders or {}
     for name, error in errors.items():
         # against the range of the sensor: the worst come first
         spread = float(np.ptp(run.series[name], axis=0).max(initial=0.0))
         shares.append((error / spread if spread > 0 else 0.0, name, error))
     shares.sort(reverse=True)
-    listed = [_share(run, name, error, share, errors) for share, name, error in shares[:SHOWN]]
+    listed = [_share(run, name, error, share, orders.get(name, np.nan)) for share, name, error in shares[:SHOWN]]
     return ", ".join(listed) + (f", {len(shares) - SHOWN} sensors with less" if len(shares) > SHOWN else "")
 
 
-def _share(run: Run, name: str, error: float, share: float, errors: Mapping[str, float]) -> str:
-    """The error of a sensor in its unit and as a share of its range, with the observed order where it is one of time."""
-    order = run.observed_order.get(name, float("nan")) if errors is run.error_estimate else float("nan")
+def _share(run: Run, name: str, error: float, share: float, order: float) -> str:
+    """The error of a sensor in its unit and as a share of its range, with the observed order where there is one."""
     seen = f", order {order:.1f}" if np.isfinite(order) else ""
     return f'"{name}" {error:.2g} {run.scene.sensors[name].unit} ({share:.1e} of its range{seen})'
 

@@ -20,15 +20,14 @@ from ..schemes.declared import Declared
 from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.system import System
-from .accuracy.certificate import struck_or_sampled
 from .accuracy.companion_runs import UNFIT
-from .accuracy.jumps_in_time import HeldState, jumps_ahead, jumps_in_time
+from .accuracy.jumps_in_time import HeldState, all_along, jumps_in_time, loads_vary
 from .judges.energy_check import closed
 from .named_times import named_times
 from .schedule import StepSchedule, far_side, near_side
 
-# even instants of a run; of elastic fields one costs as much as some iterations; and where named ones are what is asked
-LOOKED_AT, OF_FIELDS, TOLD = 200, 50, 12
+# even instants of a run; of elastic fields one costs as much as some iterations; and beside named ones that are what is asked
+LOOKED_AT, OF_FIELDS, BESIDE_NAMED = 200, 50, 12
 # change from one to the next, over the largest force, speed or acceleration, from which on something happens; and how many
 # without one before that steps may have grown in
 COMES, QUIET = 1e-3, 3
@@ -66,7 +65,8 @@ def seeing_loads(schedule: StepSchedule, scheme: Any, scene: Scene, system: Syst
         return schedule
     told = Declared.by(scheme).looks_ahead
     try:
-        found = _all_comings(scene, HeldState(system, state), schedule, _even(system, told))
+        even = OF_FIELDS if system.fields else LOOKED_AT
+        found = _all_comings(scene, HeldState(system, state), schedule, even, by_names=told)
     except UNFIT as error:
         log.info("loads to come are not looked for: %s", error)
         return schedule
@@ -80,32 +80,29 @@ def loads_ahead(
     """Instants (s) at which loads jump all along a run, and of equal steps those at which some have to end so that none passes
     over loads that come and go ``within`` so many, where both depend on time alone; collective.
     """
-    jumps = jumps_ahead(scene, system, state, schedule)
-    if not schedule.steps or struck_or_sampled(scene) or closed(scene, system):
-        return jumps
-    held, most = HeldState(system, state), within * schedule.span / schedule.steps
+    if not loads_vary(scene, system):
+        return ()
+    held = HeldState(system, state)
+    jumps = () if system.fields else jumps_in_time(held, all_along(schedule))  # of fields it costs as much as steps
     found = set(jumps)
-    for x in _all_comings(scene, held, schedule, TOLD if system.fields else max(2 * schedule.steps, LOOKED_AT)):
-        if x.goes and x.end - x.begin < most and not any(x.begin <= t <= x.end for t in jumps):
-            found.update(jumps_in_time(held, [np.array(x.times)]) or x.times)
+    if schedule.steps:
+        most, even = within * schedule.span / schedule.steps, max(2 * schedule.steps, LOOKED_AT)
+        for x in _all_comings(scene, held, schedule, even, by_names=bool(system.fields)):
+            if x.goes and x.end - x.begin < most and not any(x.begin <= t <= x.end for t in jumps):
+                found.update(jumps_in_time(held, [np.array(x.times)]) or x.times)
     return tuple(sorted(found))
 
 
-def _even(system: System, told: bool) -> int:
-    """At how many even instants loads are looked at."""
-    if told:
-        return TOLD
-    return OF_FIELDS if system.fields else LOOKED_AT
-
-
-def _all_comings(scene: Scene, held: HeldState, schedule: StepSchedule, count: int) -> list[Coming]:
-    """Loads that come in all stretches of a run, looked at so many even instants, and at those that they name."""
-    fields, named = held.system.fields, named_times(scene, schedule.begin, schedule.t_end)
-    if fields:
+def _all_comings(scene: Scene, held: HeldState, schedule: StepSchedule, even: int, *, by_names: bool) -> list[Coming]:
+    """Loads that come in all stretches of a run, looked at so many ``even`` instants, and at those that they name; ``by_names``:
+    at few even ones beside these, and none where loads name no instants.
+    """
+    named = named_times(scene, schedule.begin, schedule.t_end)
+    if held.system.fields:
         named = held.system.comm.bcast(named)
-    if count == TOLD and not len(named):
+    if by_names and not len(named):
         return []
-    each = schedule.span / count
+    each = schedule.span / (BESIDE_NAMED if by_names else even)
     return [x for begin, end in schedule.stretches for x in comings(held, (begin, end), each, named)]
 
 

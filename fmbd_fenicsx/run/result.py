@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -29,11 +28,6 @@ if TYPE_CHECKING:
     from .accuracy.certificate import Certificate
 
 
-def _stated(asked: str, errors: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Estimated errors by sensors, those of Output(<asked>=True)."""
-    return Told(f"Errors of Output({asked}=True)", errors or {})
-
-
 @dataclass(repr=False)
 class Run(Uncopied):
     """What a run left behind; equal on all ranks but for the field values in ``state`` and ``snapshots``.
@@ -48,14 +42,9 @@ class Run(Uncopied):
         not_unique: joints whose reactions are not unique at the end, of which the smallest are given.
         drift: largest position constraint (m) and velocity constraint (m/s) residual seen.
         local_error: the scheme's own indicator of the error of one step, largest over the run (m, rad).
-        error_estimate: sensor name -> estimated time-discretisation error, in the sensor's unit; empty when
-            not asked for.
         observed_order: sensor name -> order in h seen in the runs of the estimate, nan where it could not be
             seen.
-        reduction_error: sensor name -> estimate from above of the error by left-out modes of reduced bodies, in the
-            sensor's unit; empty when not asked for and without reduced bodies.
-        space_error: sensor name -> estimated error by the meshes, in the sensor's unit; empty when not asked for.
-            ``space_unstated``: what of it could not be stated, and why.
+        space_unstated: what of the error by the meshes could not be stated, and why.
         newton_accuracy: mean relative error that Newton's iteration left: its tolerance or less.
         deviations: kind (space, time, modes, algebra) -> sensor -> estimated error over time, with its sign.
         history: attempts of :func:`solve` with ``tol``.
@@ -87,10 +76,7 @@ class Run(Uncopied):
     drift: tuple[float, float]
     correction: Correction
     local_error: float
-    error_estimate: dict[str, float] = field(default_factory=partial(_stated, "estimate_error"))
     observed_order: dict[str, float] = field(default_factory=dict)
-    reduction_error: dict[str, float] = field(default_factory=partial(_stated, "estimate_reduction"))
-    space_error: dict[str, float] = field(default_factory=partial(_stated, "estimate_space"))
     space_unstated: str = ""
     newton_accuracy: float = 1e-6
     deviations: dict[str, dict[str, Deviation]] = field(default_factory=dict)
@@ -117,15 +103,26 @@ class Run(Uncopied):
             raise InputError(f'No sensor "{sensor}". {near(sensor, self.series)}')
         return self.series[sensor]
 
-    def state_error(self, kind: str, found: dict[str, Deviation]) -> None:
-        """Take the estimated errors of one kind: "space", "time", "modes" or "algebra"."""
-        self.deviations[kind] = found
-        if kind == "time":
-            self.error_estimate = _stated("estimate_error", sizes(found))
-        elif kind == "modes":
-            self.reduction_error = _stated("estimate_reduction", sizes(found))
-        elif kind == "space":
-            self.space_error = _stated("estimate_space", sizes(found))
+    @property
+    def error_estimate(self) -> dict[str, float]:
+        """Sensor name -> estimated time-discretisation error, in the sensor's unit; empty when not asked for."""
+        return self._largest("time", "estimate_error")
+
+    @property
+    def reduction_error(self) -> dict[str, float]:
+        """Sensor name -> estimate from above of the error by left-out modes of reduced bodies, in the sensor's unit; empty when
+        not asked for and without reduced bodies.
+        """
+        return self._largest("modes", "estimate_reduction")
+
+    @property
+    def space_error(self) -> dict[str, float]:
+        """Sensor name -> estimated error by the meshes, in the sensor's unit; empty when not asked for."""
+        return self._largest("space", "estimate_space")
+
+    def _largest(self, kind: str, asked: str) -> dict[str, float]:
+        """The largest errors of a kind, of Output(<asked>=True)."""
+        return Told(f"Errors of Output({asked}=True)", sizes(self.deviations.get(kind, {})))
 
     def next_scene(self) -> Scene:
         """The scene of this run to go on with from its last state: joints may be released, others close on what they find.

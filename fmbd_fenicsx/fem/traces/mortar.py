@@ -29,14 +29,13 @@ TINY = 1e-12  # relative size of an intersection that is left out
 @dataclass(frozen=True, eq=False)
 class Mortar:
     """Matrices (1) of a tie: ``slave`` D (n, slave nodes), ``master`` M (n, master nodes); ``multipliers`` with a support in
-    the overlap; ``covered`` part of the slave's area; ``gap`` largest distance of the surfaces in the overlap, m.
+    the overlap; ``gap`` largest distance of the surfaces in the overlap, m.
     """
 
     multipliers: Multipliers
     master_trace: Trace
     slave: sp.csr_matrix
     master: sp.csr_matrix
-    covered: float
     gap: float
 
     @property
@@ -93,7 +92,6 @@ def mortar(
         master,
         D.tocsr()[keep],
         M.tocsr()[keep],
-        float(overlap.sum() / slave.sizes.sum()),
         float(gap.max(initial=0.0)),
     )
 

@@ -38,11 +38,6 @@ class Wire:
     def __post_init__(self) -> None:
         check_fields(self)
 
-    @property
-    def wave_speed(self) -> float:
-        """sqrt(T / mu), m/s."""
-        return float(np.sqrt(self.tension / self.mass))
-
 
 @dataclass(frozen=True)
 class PointSupport:

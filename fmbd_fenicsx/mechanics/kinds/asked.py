@@ -38,7 +38,6 @@ SHORT = 3e-3  # of motions along which second derivatives are taken: a share of 
 
 KERNEL = ctypes.CFUNCTYPE(None, ctypes.c_long, *[ctypes.c_void_p] * 5)
 Poses = tuple[Array, Array]  # x (2, d, ..), R (2, d, d, ..) of both markers
-WAYS = tuple(product((True, False), repeat=2))  # complex or differences, all columns in one call or not
 
 
 class AskedFunction:
@@ -49,7 +48,7 @@ class AskedFunction:
     ) -> None:
         self.name, self.raw, self.motions, self.live, self.length = name, function, motions, tuple(live), length
         self.function = named("The constraint of joint", name, function)
-        self.way: tuple[bool, bool] | None = None  # of WAYS, decided at the first derivative
+        self.way: tuple[bool, bool] | None = None  # complex, all columns in one call: decided at the first derivative
         self.error: Exception | None = None  # of a call by compiled code
         d, n = motions.dim, motions.n_rot
         self.width = (d + n) * len(self.live)

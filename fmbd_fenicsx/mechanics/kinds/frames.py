@@ -21,7 +21,6 @@ from typing import Any
 from .expressions import ZERO, Expression, as_expression, gradient, symbol
 
 FRAME = {2: 10, 3: 18}  # numbers of a frame
-TWIST = {2: 3, 3: 6}
 
 
 class Vector(tuple[Expression, ...]):

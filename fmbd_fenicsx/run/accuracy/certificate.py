@@ -112,32 +112,31 @@ def stated_of(run: Run, sensors: Iterable[str]) -> Certificate:
     reduced, meshed = bool(modal_bodies(run.scene)), bool(meshed_bodies(run.scene))
     controlled = Declared.by(run.scheme).adaptive
 
+    in_space, in_time, of_modes = run.space_error, run.error_estimate, run.reduction_error
+
     unstated = {}
-    if meshed and not run.space_error:
+    if meshed and (run.space_unstated or not in_space):
         unstated["space"] = run.space_unstated or "not asked for: Output(estimate_space=True)"
-    elif run.space_unstated and meshed:
-        unstated["space"] = run.space_unstated
-    if not run.error_estimate:
+    if not in_time:
         asked = "error estimate" in run.seconds
         unstated["time"] = (
             "the runs to compare with did not end" if asked else "not asked for: Output(estimate_error=True)"
         )
-    if reduced and not run.reduction_error:
+    if reduced and not of_modes:
         unstated["modes"] = "not asked for: Output(estimate_reduction=True)"
 
     made, spans = [], moving(run.series, run.scene.sensors, FLOOR)
     for name in sensors:
         span = spans.get(name, 0.0)
-        space = run.space_error.get(name) if meshed else 0.0
-        modes = run.reduction_error.get(name) if reduced else 0.0
+        space = in_space.get(name) if meshed else 0.0
+        modes = of_modes.get(name) if reduced else 0.0
         # with error control Newton's share is a part of the tolerance, and in the error of time
         bound = 0.0 if controlled else run.newton_accuracy * span
         measured = run.deviations.get("algebra", {}).get(name)
         left, more = (bound, bound) if measured is None else (measured.size, 0.0)
         found = [kind[name] for kind in run.deviations.values() if name in kind]
-        time = run.error_estimate.get(name)
         unit = run.scene.sensors[name].unit
-        made.append(Statement(name, unit, space, time, modes, left, together(found) + more, span))
+        made.append(Statement(name, unit, space, in_time.get(name), modes, left, together(found) + more, span))
     return Certificate(tuple(made), run.seconds["total"], unstated)
 
 

@@ -235,7 +235,7 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
     jumps = _jumps_within(run, made.schedule) if output.estimate_error else ()
     if output.estimate_error and not made.schedule.steps:
         ending = replace(made.schedule, stops=tuple(sorted({*made.schedule.stops, *jumps})))
-        run.state_error("time", tolerance_error(problem, made.recorder, ending))
+        run.deviations["time"] = tolerance_error(problem, made.recorder, ending)
         run.seconds["error estimate"] = clock.perf_counter() - ended
     elif output.estimate_error:
         _tell_jumps(run, jumps)
@@ -243,22 +243,21 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
         found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
         tight = tighter_run(problem, made, found.errors)
         if tight is not None:
-            run.state_error("algebra", algebra_error(made, tight[1]))
+            run.deviations["algebra"] = algebra_error(made, tight[1])
             problem, made = tight
             found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
         errors, run.damped = with_damped(found.errors, damped_vibrations(problem, made.schedule))
-        run.state_error("time", errors)
+        run.deviations["time"] = errors
         run.observed_order, run.halved, made = found.orders, found.halved, found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended
 
     if output.estimate_reduction:
         ended = clock.perf_counter()
-        run.state_error("modes", reduction_error(problem, made))
+        run.deviations["modes"] = reduction_error(problem, made)
         run.seconds["reduction estimate"] = clock.perf_counter() - ended
     if output.estimate_space:
         ended = clock.perf_counter()
-        found_in_space, run.space_unstated = space_error(problem, made)
-        run.state_error("space", found_in_space)
+        run.deviations["space"], run.space_unstated = space_error(problem, made)
         run.seconds["space estimate"] = clock.perf_counter() - ended
     warn_of_uncertain(run, run.series)
 

@@ -155,18 +155,9 @@ def _halved(held: HeldState, x: Intervals, scale: Array) -> dict[int, float]:
     return {int(k): float(t) for k, t in zip(x.at, x.high, strict=True)}
 
 
-def may_jump(scene: Scene, system: System) -> bool:
-    """Whether jumps are looked for all along a run: not of fields, of which it costs as much as steps, nor where velocities jump.
-    What gets no energy knows no time.
-    """
-    return not (system.fields or struck_or_sampled(scene) or closed(scene, system))
-
-
-def jumps_ahead(scene: Scene, system: System, state: State, schedule: StepSchedule) -> tuple[float, ...]:
-    """Jumps all along a run, where they depend on time alone, see :func:`may_jump`; collective."""
-    if not may_jump(scene, system):
-        return ()
-    return tuple(sorted({*jumps_in_time(HeldState(system, state), all_along(schedule))}))
+def loads_vary(scene: Scene, system: System) -> bool:
+    """Whether loads and drives may be functions of time alone: not where velocities jump. What gets no energy knows no time."""
+    return not (struck_or_sampled(scene) or closed(scene, system))
 
 
 def jumps_about_kinks(run: Run, schedule: StepSchedule, sensors: Iterable[str]) -> tuple[float, ...]:

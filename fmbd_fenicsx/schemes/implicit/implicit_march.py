@@ -7,7 +7,7 @@ from the same beginning, and so is the first of a run, whose size nobody propose
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +33,6 @@ class ImplicitMarch(OwnMarch):
 
     leaves_masses = False
     slow: float
-    longer: ClassVar[float] = 1.0  # see implicit.c
     scheme: Any
     eq: Any
     judge: Judge
@@ -107,7 +106,7 @@ class ImplicitMarch(OwnMarch):
         convergence.accurate = self.judge.tolerance
         stages.lend(rule, np.ones((3, 1)))
         floor = 64 * EPS * self.system.length
-        lent.settle(convergence, {"rtol": self.norm.rtol, "floor": floor, "slow": self.slow, "longer": self.longer})
+        lent.settle(convergence, {"rtol": self.norm.rtol, "floor": floor, "slow": self.slow})
         room.view(np.uintp)[0] = lent.address
         if lent.own is not None:
             self._lend_own(lent.own)

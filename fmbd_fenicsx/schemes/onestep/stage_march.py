@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ...system.compiled.kept import KeptSteps
 
 LONGER = 1.2  # steps so much longer than that of a rate do not rely on it
+LEAST_SHARE = 1e-3  # that one increment is trusted to leave of the error
 RATES = {
     True: Rates(limit=0.99, before=10.0, averaged=True, foresees=True),
     # with constant steps the first rate flatters: fast components go first
@@ -33,7 +34,7 @@ class StageMarch(ImplicitStepper):
     """What a march of :class:`.Radau` begins with and leaves."""
 
     maker = "RADAU"
-    slow, longer = 1e-2, LONGER
+    slow = 1e-2
     tab: Tableau
     mult: Array  # at the end of the last step, (levels n_lam,)
     _last: tuple[float, Array, Array, Points] | None  # the last step: its size, q and v at its start, its stages
@@ -54,13 +55,15 @@ class StageMarch(ImplicitStepper):
         tab = self.tab
         coefficients = {name: getattr(tab, name) for name in ("c", "W", "values", "middle", "basis", "stage_basis")}
         stages = self.eq.room(len(tab.values), len(tab.c))
-        if not self.adaptive:
-            return ImplicitRoom(stages, coefficients)
-        own = self._own_room(
-            error=tab.error, places=0 in self.scheme.form.levels, turning=self.turning, most=2.0 * self.newton.max_iterations,
-            **self.eq.size_grid,
-        )  # fmt: skip
-        return ImplicitRoom(stages, coefficients, own=own)
+        own = None
+        if self.adaptive:
+            own = self._own_room(
+                error=tab.error, places=0 in self.scheme.form.levels, turning=self.turning,
+                most=2.0 * self.newton.max_iterations, **self.eq.size_grid,
+            )  # fmt: skip
+        room = ImplicitRoom(stages, coefficients, own=own)
+        room.c.longer, room.c.least_share = LONGER, LEAST_SHARE
+        return room
 
     def _settings(self) -> tuple[Convergence, Rule]:
         tab = self.tab

@@ -20,12 +20,10 @@ from ...system.compiled.states.stages import Rule
 from ...system.layout import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
-from .stage_march import LONGER, RATES, StageMarch
+from .stage_march import LEAST_SHARE, LONGER, RATES, StageMarch
 
 Stages = tuple[Array, Array, Array]  # xi, v and multipliers of each
 KEPT = 0.05  # rate up to which stages go on with the tangents that each has
-
-LEAST_SHARE = 1e-3  # that one increment is trusted to leave of the error, as in driver/radau.c
 
 
 class StageNewton(StageMarch):

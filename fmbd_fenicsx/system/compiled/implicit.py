@@ -57,7 +57,7 @@ class ImplicitRoom:
         self.address = ctypes.addressof(self.c)
 
     def settle(self, convergence: Convergence, limits: Mapping[str, float]) -> None:
-        """When iterations end: ``rtol``, ``floor``, ``slow`` and ``longer`` of implicit.c."""
+        """When iterations end: ``rtol``, ``floor`` and ``slow`` of implicit.c."""
         self._convergence = convergence
         self.c.convergence = ctypes.addressof(convergence)
         for name, value in limits.items():

@@ -37,7 +37,7 @@ from ..companion_runs import UNFIT
 from ..deviation import Deviation
 from ..equal_steps import FEWEST
 from ..estimates import usual_power
-from ..jumps_in_time import jumps_about_kinks, may_jump, with_break_points
+from ..jumps_in_time import jumps_about_kinks, loads_vary, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
 from ..shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .shared_runs import Orders, doubt
@@ -258,8 +258,9 @@ def jumps_before(plan: AttemptPlan, shared: SharedSpaces) -> tuple[float, ...]:
     if meshed_bodies(plan.scene):
         return ()
     built = shared.ahead(plan.scene)
-    if may_jump(plan.scene, built.system) and Declared.by(plan.scheme).compiled:
-        use_driver(built.system)  # as its runs do: loads are asked at a hundred instants
+    asked_often = not built.system.fields and loads_vary(plan.scene, built.system)  # at a hundred instants
+    if asked_often and Declared.by(plan.scheme).compiled:
+        use_driver(built.system)  # as its runs do
     return _ahead(plan.scene, built.system, built.given, plan.schedule)
 
 

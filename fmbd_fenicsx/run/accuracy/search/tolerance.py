@@ -322,7 +322,7 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     if plan.steps:
         errors, run.damped = with_damped(found.errors, damped_vibrations(solved.problem, solved.compared.schedule))
         found = replace(found, errors=errors)
-    run.state_error("time", found.errors)
+    run.deviations["time"] = found.errors
     run.observed_order, run.halved = found.orders, found.halved
     return found
 
@@ -340,23 +340,21 @@ def _reserved(plan: AttemptPlan, shared: SharedSpaces, share_of: Callable[[dict[
 def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved, made: Compared) -> None:
     """State the errors of modes and space: those that are known, or from runs with the steps of a run ``made``; collective."""
     run, known = solved.run, plan.known.errors
-    for kind, found in known.items():
-        run.state_error(kind, found)
+    run.deviations.update(known)
     run.space_unstated = plan.known.unstated
 
     # steps that are enough for the run may be too few with more modes or finer meshes: those of the run itself then
     steps = [made] if made is solved.compared else [made, solved.compared]
     begun = clock.perf_counter()
     if modal_bodies(plan.scene) and "modes" not in known:
-        run.state_error("modes", shared.mode_error(plan.scene, solved.problem.system, steps))
+        run.deviations["modes"] = shared.mode_error(plan.scene, solved.problem.system, steps)
         run.seconds["reduction estimate"] = clock.perf_counter() - begun
     begun = clock.perf_counter()
     if meshed_bodies(plan.scene) and "space" not in known:
         spans, limit = moving(run.series, run.scene.sensors, FLOOR), space_limit(plan.scene)
-        in_space, run.space_unstated = shared.space_error(
+        run.deviations["space"], run.space_unstated = shared.space_error(
             plan.scene, steps, plan.below, lambda found: largest_share(found, spans, tol) <= limit
         )
-        run.state_error("space", in_space)
         run.seconds["space estimate"] = clock.perf_counter() - begun
 
 

@@ -14,7 +14,8 @@ typedef struct {
     double failed;                   /* increments of steps that failed */
     int projects;                    /* whether ends are moved onto the constraints */
     struct OwnSteps *own;            /* where error control chooses the steps, NULL: they are constant; see own_steps.c */
-    double rtol, floor, slow, longer; /* of Newton's increments; m; rate above which the next step takes a tangent; see first_share() */
+    double rtol, floor, slow;        /* of Newton's increments; m; rate above which the next step takes a tangent */
+    double longer, least_share;      /* of Radau, see first_share() */
 } Implicit;
 
 /* What a state keeps first: rate of Newton's iteration; whether the tangent serves the next step; and since the march began: tangents,

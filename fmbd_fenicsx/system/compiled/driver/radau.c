@@ -16,12 +16,10 @@ static Collocation collocation_at(const System *s, const Stages *g, double *own)
     return o;
 }
 
-static const double LEAST_SHARE = 1e-3; /* that one increment is trusted to leave: a step at rest leaves roundoff, and promises nothing */
-
 /* What one increment leaves of the error, by the rate that was seen last. */
 static double first_share(const Implicit *o, const Collocation *known, double h)
 {
-    return h <= o->longer * *known->seen ? pow(fmax(*known->share, LEAST_SHARE), 0.8) : 1.0;
+    return h <= o->longer * *known->seen ? pow(fmax(*known->share, o->least_share), 0.8) : 1.0;
 }
 
 /* Stages on the polynomial of the last step, or on the parabola at the start. */
