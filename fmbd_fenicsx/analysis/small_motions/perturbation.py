@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from .closed_contacts import ClosedContacts
 
 SHIFT = 1e-4  # of a difference, over the model's length
+TURN = 1e-4  # of a difference, rad: by which it may turn surfaces
 FAST = 2.0**100  # m/s^2: inertia forces of it are far above all others, in any units; a power of two rounds nothing
 SIDES = ((1.0, 8.0), (-1.0, -8.0), (2.0, -1.0), (-2.0, 1.0))  # weights over 12 h
 
@@ -63,8 +64,7 @@ class Perturbation:
     def stiffness_matrix(self, columns: Array) -> Array:
         """K Y for columns Y (n_v, m), all states in one call; about a state at rest without contact."""
         s, m = self.state, columns.shape[1]
-        sizes = np.array([self.system.max_abs(y) for y in columns.T])
-        h = SHIFT * self.system.length / sizes
+        h = np.array([self._step(y) for y in columns.T])
         sides, weights = (np.array(x) for x in zip(*SIDES, strict=True))
         steps = (np.outer(sides, h)[..., None] * columns.T).reshape(len(sides) * m, -1)
 
@@ -109,12 +109,21 @@ class Perturbation:
         return 0.0 if self.closed is None else self.closed.pushed(q)
 
     # -- differences ------------------------------------------------------------------------------------------------
+    def _step(self, along: Array) -> float:
+        """Of differences along an array like v: no body moves far by it, and no surface turns far.
+
+        A mode that displaces little turns the end of a thin body much, and angles between surfaces are not linear in it.
+        """
+        system, s = self.system, self.state
+        twists = system.at(s.t, s.q, along).kin.twist
+        turn = 0.0 if twists is None else float(np.abs(twists[:, system.motions.dim :]).max(initial=0.0))
+        return 1.0 / max(system.max_abs(along) / (SHIFT * system.length), turn / TURN, 1e-300)
+
     def _difference(self, along: Array, moved: tuple[Array | None, Array, Array]) -> Array:
         """Derivative of the balance for increments (q, v, a)."""
-        size = self.system.max_abs(along)
-        if size == 0.0:
+        if self.system.max_abs(along) == 0.0:
             return np.zeros_like(along)
-        h, s, (y, v, a) = SHIFT * self.system.length / size, self.state, moved
+        h, s, (y, v, a) = self._step(along), self.state, moved
         total: Array = np.zeros_like(along)
         for side, weight in SIDES:
             # closed contacts push as before, turned with their surfaces
@@ -133,7 +142,7 @@ class Perturbation:
             s = self.state
             return gaps(self.system.at(s.t, self.system.compose(s.q, e * y), s.v + e * v), 1.0)[rows]
 
-        h = SHIFT * self.system.length / max(self.system.max_abs(y), 1e-300)
+        h = self._step(y)
         return sum((weight * speeds(side * h) for side, weight in SIDES), np.zeros(len(rows))) / (12.0 * h)
 
     # -- a small motion in the axes of the balance, (1) -------------------------------------------------------------
