@@ -138,8 +138,8 @@ class Model:
             V -= link.mass * self.gravity @ x
         return T, V + sum(s(kin, q) for s in self.stored)
 
-    def follow(self, t_end: float) -> tuple[Array, Array, Array]:
-        """Coordinates, rates, and accelerations at the end."""
+    def follow(self, t_end: float, most: float = np.inf) -> tuple[Array, Array, Array]:
+        """Coordinates, rates, and accelerations at the end; steps of at most so much (s), for stops may be passed over else."""
         n, m = self.n, len(self.memory)
         z0 = np.zeros(m)
         a0 = np.abs(self.accelerations(np.zeros(n), self.rates, 0.0, z0))
@@ -152,7 +152,7 @@ class Model:
             return np.r_[u, self.accelerations(q, u, t, z), [g(q, u, t) for g in self.memory]]
 
         start = np.r_[np.zeros(n), self.rates, z0]
-        found = solve_ivp(slope, (0.0, t_end), start, "DOP853", rtol=1e-8, atol=atol)
+        found = solve_ivp(slope, (0.0, t_end), start, "DOP853", rtol=1e-8, atol=atol, max_step=most)
         q, u, z = found.y[:n, -1], found.y[n : 2 * n, -1], found.y[2 * n :, -1]
         return q, u, self.accelerations(q, u, t_end, z)
 

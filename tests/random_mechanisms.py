@@ -508,7 +508,7 @@ class Case:
         resolved = fast * self.dt <= RESOLVED and self.manner != "tol"
         if not (resolved or self.manner == "tol"):
             return self.gains(run)
-        q, u, a = model.follow(t)
+        q, u, a = model.follow(t, t / 500 if self.manner == "tol" else np.inf)
         kin = model.kin(q)
         fast = max(fast, np.abs(u / made.scales()).max(initial=0.0))
         moved = (

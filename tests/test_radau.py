@@ -78,6 +78,14 @@ def test_newton_with_constant_steps_does_not_trust_its_first_rate() -> None:
     assert np.log(errors[1] / errors[2]) / np.log(44 / 40) == pytest.approx(4.9, abs=0.2)
 
 
+def test_frequencies_are_those_of_compiled_code_to_the_last_bit() -> None:
+    """Factors made again from a checkpoint serve on as those of the run that was stopped."""
+    for stages in (2, 3, 4):
+        for h in (0.00016517608453569957, 0.3, 1.7e-5):
+            values, found = tableau(stages).values, tableau(stages).frequencies(h)
+            assert [(s.real, s.imag) for s in found] == [(x.real / h, x.imag / h) for x in values]
+
+
 @pytest.mark.parametrize("stages", [5, 7])
 def test_collocation_of_many_stages(stages: int) -> None:
     """Row sums and the quadrature order 2 s - 1 of the last row."""

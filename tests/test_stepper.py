@@ -56,6 +56,31 @@ def test_equal_to_solve_with_steps_taken_back(scheme: str) -> None:
         assert np.array_equal(s["tip"], run["tip"][-1])
 
 
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        fmbd.GeneralizedAlpha(rtol=1e-5),
+        fmbd.Radau(2, form=fmbd.Index2(), rtol=1e-5),
+        fmbd.BDF(rtol=1e-5),
+        fmbd.ExplicitRungeKutta(1e-7),
+        fmbd.HalfExplicit(1e-6),
+        fmbd.Radau(2, rtol=None),
+        fmbd.Rattle(),
+        fmbd.EnergyMomentum(),
+    ],
+    ids=lambda scheme: f"{scheme.name} {getattr(scheme, 'rtol', None)}",
+)
+@pytest.mark.parametrize("t_end", [0.37081737987472, 0.2, 0.1347])
+def test_steps_that_are_shown_are_those_of_a_march(scheme: Any, t_end: float) -> None:
+    """To the last bit: memories, the end of a run and factors are those of one call, whoever looks at each step."""
+    dt = None if getattr(scheme, "rtol", None) else t_end / 50
+    shown = fmbd.Output(on_step=lambda moment: None)
+    many, each = (fmbd.solve(arm(), t_end=t_end, dt=dt, scheme=scheme, output=output) for output in (None, shown))
+    assert many.counters["steps"] == each.counters["steps"]
+    for name in ("q", "v", "a", "lam"):
+        assert np.array_equal(getattr(many.state, name), getattr(each.state, name)), name
+
+
 def test_elastic_body_equal_to_solve() -> None:
     from motion import elastic_rod
 

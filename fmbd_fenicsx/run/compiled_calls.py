@@ -81,7 +81,7 @@ class CompiledCalls:
         """Tell a stepper that chooses its steps how long these may be, and where the next one has to end."""
         if not self.equal:
             t = self.stepper.state.t
-            self.stepper.unwrapped.bound(self.schedule.largest, t + self.schedule.ahead(t))
+            self.stepper.unwrapped.bound(self.schedule.largest, self.schedule.stop(t))
 
     def next_look(self, done: int) -> int:
         """After how many steps states are looked at, behind those that are done."""

@@ -51,13 +51,17 @@ class StepSchedule:
         return min(self.ahead(t), self.largest)
 
     def ahead(self, t: float) -> float:
-        """How far it is to where steps that the scheme chooses have to end: the near side of the next break point, s."""
-        left = self.t_end - t
+        """How far it is to where steps that the scheme chooses have to end, s."""
+        return self.stop(t) - t
+
+    def stop(self, t: float) -> float:
+        """Where steps that the scheme chooses have to end: the near side of the next break point, s."""
+        stop = self.t_end
         for places in (self.stops, self.marks):
             place = next((x for x in places if x - 4 * SIDE * np.spacing(x) > t), self.t_end)
             if place < self.t_end:
-                left = min(left, near_side(place) - t)
-        return left
+                stop = min(stop, near_side(place))
+        return stop
 
     def below(self, size: float) -> StepSchedule:
         """The same with steps of a scheme's choice that are none above a size, s."""

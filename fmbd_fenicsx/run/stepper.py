@@ -25,12 +25,11 @@ from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
-from ..system.element_memory import accept
 from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
 from .checkpoints.progress import RunProgress
-from .judges.acceptance import attempt
+from .judges.acceptance import attempt, count
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, begin, judges_of, make_solver, make_stepper
@@ -164,7 +163,8 @@ class SceneStepper(Uncopied):
             return
         # times are summed: what is left may be a few roundings
         while end - self.t > 64 * np.spacing(end):
-            accept(progress.system, attempt(progress.system, progress.stepper, end - self.t))
+            attempt(progress.system, progress.stepper, end - self.t)
+            count(progress.system, progress.stepper)
 
     def set(self, name: str, value: float) -> None:
         """Give an input of the scene (:meth:`Scene.input`) a new value, held until the next change.

@@ -10,13 +10,13 @@ from ..errors import ConvergenceError, LinearSolveError
 from ..linear.condensation import StepSolver
 from ..log import StopRequests, log
 from ..ranks import OneAnswer
-from ..system.element_memory import accept, next_sample, reset
+from ..system.element_memory import next_sample, reset
 from ..system.evaluation import Evaluation
 from ..system.layout import State
 from ..system.spins import Spins
 from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
-from .judges.acceptance import Closed, attempt_in_balance
+from .judges.acceptance import Closed, attempt_in_balance, count
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .judges.small_turns import SmallTurns
@@ -228,7 +228,7 @@ class Loop:
         # equal steps note their parts one by one
         if next_sample(system) <= self.state.t:
             self._before_sample(self.state)
-        accept(system, self.state)
+        count(system, self.stepper)
         return 1, None if self._sampled else seen
 
     def _before_sample(self, state: State) -> None:

@@ -26,6 +26,7 @@ from .stepping import UNOBSERVED, EnergyJudge, Observers, TimeStepper
 if TYPE_CHECKING:
     from ..system.compiled.kept import KeptSteps
     from ..system.compiled.states.evaluation import DriverStates
+    from ..system.compiled.tables.tables import Tables
     from ..system.compiled.tape import Openness, Tape
     from .onestep.explicit_limit import StepLimit
 
@@ -51,6 +52,9 @@ class CompiledSteps(TimeStepper):
     keeps_memories = True
     newton: Newton
     _refused: tuple[State, float] | None = None  # from where on, and of which size (s)
+    _alone: tuple[Array, Tables, list[Any]] | None = (
+        None  # places behind a step made alone, with whose tables, memories there
+    )
 
     def _refuse(self, h: float) -> None:
         """Take note that compiled code has found no step of this size from the state on; raises PartsError where it gives up."""
@@ -61,6 +65,20 @@ class CompiledSteps(TimeStepper):
     def _is_refused(self, h: float) -> bool:
         """Whether it was, from this state."""
         return self._refused is not None and self._refused[0] is self.state and self._refused[1] == h
+
+    def _step_ended(self, tables: Tables) -> None:
+        """A step was made alone: until it is accepted, elements are asked with the memory of the one before."""
+        self._alone = self.state.q, tables, tables.memories()
+
+    def note(self) -> bool:
+        """As :meth:`TimeStepper.note`: what compiled code has made of the memories, as it does in many steps."""
+        if self._alone is None:
+            return False
+        q, tables, memories = self._alone
+        if q is not self.state.q or tables.sampled:  # a new sample is a jump, which who called has to know
+            return False
+        tables.remember(memories)
+        return True
 
     def _count_increments(self, p: Array, steps: int) -> None:
         """Take note of Newton's iterations in so many steps."""
@@ -81,7 +99,6 @@ class MarchingStepper(CompiledSteps):
     leaves_masses: ClassVar[bool] = True  # whether the factor at the end of a step is that of the masses there
     _used: March | None = None
     _began: State | None = None  # where the newest step of a call began
-    _single: tuple[State | None, list[Any]] = None, []  # the end of a step made alone, and memories there
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
     def _room(self, states: DriverStates) -> int:
@@ -152,16 +169,9 @@ class MarchingStepper(CompiledSteps):
     def _step_in_one_call(self, h: float) -> bool:
         """A step of size h (s) by compiled code; whether it was found."""
         found = bool(self._made(h, 1, np.inf, UNOBSERVED))
-        self._single = (self.state, self._used.tables.memories()) if found and self._used is not None else (None, [])
+        if found and self._used is not None:
+            self._step_ended(self._used.tables)
         return found
-
-    def note(self) -> bool:
-        """As :meth:`TimeStepper.note`: what compiled code has made of memories, as after many steps."""
-        ended, memories = self._single
-        if ended is not self.state or self._used is None or self._used.tables.sampled:
-            return False  # a new sample is a jump, which who called has to know
-        self._used.tables.remember(memories)
-        return True
 
     def _tables_of_steps(self) -> DriverStates | None:
         """With whose tables whole steps are made from the newest state on; None where steps are made in parts."""

@@ -44,6 +44,11 @@ class OwnMarch(MarchingStepper):
         """The size (s) of a step for which so much is proposed, of at most ``limit``, on the way to where steps have to end."""
         return lands(min(h, limit), max(limit, self.until - self.state.t))
 
+    def _end(self, limit: float) -> float:
+        """When steps of at most ``limit`` (s) have to end, s: where that is told it is no sum, which may be off by a rounding."""
+        end = self.state.t + limit
+        return self.until if self.until >= end - 2 * np.spacing(end) else end
+
     def step_back(self) -> None:
         """As :meth:`TimeStepper.step_back`."""
         assert self._used is not None
@@ -91,7 +96,7 @@ class OwnMarch(MarchingStepper):
         control, norm, t, (limit, count) = self.control, self.norm, self.state.t, self._ahead
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
-        own.c.until, own.c.longest, own.c.tiny = max(self.until, t + limit), self.longest, control.tiny
+        own.c.until, own.c.longest, own.c.tiny = self._end(limit), self.longest, control.tiny
         own.c.worst, own.c.refused = 0.0, 0.0
         own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
         self._used.parameters[CHOSEN] = True

@@ -27,7 +27,7 @@ from ...schemes.declared import Declared
 from ...schemes.newton import SHUT
 from ...system.compiled.march import JointLimits
 from ...system.compiled.tape import Openness
-from ...system.element_memory import overran
+from ...system.element_memory import accept, overran
 from ...system.evaluation import Evaluation
 from ...system.evaluator import Seen
 from ...system.layout import State
@@ -48,6 +48,11 @@ def attempt(system: System, stepper: Any, h: float) -> State:
     """One step of a scheme of at most h (s), of which NumPy says nothing by itself; collective. Raises as :func:`finite_step`."""
     with np.errstate(over="ignore", invalid="ignore"):
         return finite_step(system, stepper, h)
+
+
+def count(system: System, stepper: Any) -> bool:
+    """The newest step counts: the memory of elements moves on with it; whether forces have jumped. Collective."""
+    return not stepper.note() and accept(system, stepper.state)
 
 
 def finite_step(system: System, stepper: Any, h: float) -> State:

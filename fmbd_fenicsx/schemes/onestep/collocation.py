@@ -25,6 +25,11 @@ class Tableau:
     stage_basis: Array  # (s, s): the same of c
     middle: Array  # (s,): Lagrange polynomials of 0, c in the middle of a step, that of 0 left out
 
+    def frequencies(self, h: float) -> Array:
+        """Eigenvalues over h, (p,) in 1/s; each part divided by itself, as in radau.c: complex division rounds otherwise."""
+        found: Array = (self.values.view(float) / h).view(complex)
+        return found
+
 
 @lru_cache
 def tableau(stages: int) -> Tableau:

@@ -82,7 +82,7 @@ class StageMarch(ImplicitStepper):
         return self._h_factor
 
     def _frequencies(self, h: float) -> Array:
-        return self.tab.values / h
+        return self.tab.frequencies(h)
 
     def _lend_matrices(self, h: float) -> None:
         assert self._lent is not None

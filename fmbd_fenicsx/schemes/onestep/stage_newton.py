@@ -53,7 +53,7 @@ class StageNewton(StageMarch):
             return
         assert self._tangent is not None
         self._h_factor = h
-        self._pencil = self.eq.pencil(self._tangent, self.tab.values / h, self.judge, len(self.tab.c))
+        self._pencil = self.eq.pencil(self._tangent, self.tab.frequencies(h), self.judge, len(self.tab.c))
         self.stats.factorisations += len(self.tab.values)
         self._filter = None
 

@@ -39,7 +39,6 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         self._driven = False  # the driver made the last step, and has its factor
         self._ahead = False  # blocks are newer than A and the past of the NumPy path
         self._foretold: tuple[float, StepStart] | None = None  # the first step of a size, s
-        self._memories: list[Any] = []  # of elements after the newest step by itself
         super().__init__(*data)
         self.counters["compiled_steps"] = 0.0
         if driver is not None:
@@ -159,8 +158,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         """One step of size h (s), as :meth:`Stepper.advance`."""
         if not (self._first_march(h) if self.fresh else self._march(h, 1)):
             return super().advance(h)
-        # who called notes the memory of elements when the step is accepted; until then they are asked with the one before
-        self._memories = self.driver.tables.memories()
+        self._step_ended(self.driver.tables)
         return self.state
 
     def _first(self, rule: Rule) -> StepStart:
@@ -206,14 +204,6 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
 
     def _ready(self, h: float) -> bool:
         """Whether the driver can make steps of size h (s)."""
-        return True
-
-    def note(self) -> bool:
-        """Elements with a memory keep that of the newest state, which is accepted; whether it is known."""
-        known = self._ahead and self._tail is self.state
-        if not known or self.driver.tables.sampled:  # a new sample is a jump, which who called has to know
-            return False
-        self.driver.tables.remember(self._memories)
         return True
 
     def _march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:

@@ -148,6 +148,10 @@ class VariableAlpha(TimeStepper):
         """The state at a time t (s) within the last step."""
         return self.inner.between(t)  # type: ignore[no-any-return]
 
+    def note(self) -> bool:
+        """As :meth:`TimeStepper.note`."""
+        return self.inner.note()  # type: ignore[no-any-return]
+
     def within(self, steps: KeptSteps) -> States:
         """As :meth:`TimeStepper.within`."""
         return self.inner.within(steps)  # type: ignore[no-any-return]
