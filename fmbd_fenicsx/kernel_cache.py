@@ -104,11 +104,7 @@ class Library:
 
 
 def load(
-    name: str,
-    source: str | bytes | Callable[[], str],
-    *,
-    flags: tuple[str, ...] = FLAGS,
-    made_from: bytes = b"",
+    name: str, source: str | bytes | Callable[[], str], *, flags: tuple[str, ...] = FLAGS, made_from: bytes = b""
 ) -> ctypes.CDLL | None:
     """The library of one unit, see :class:`SourceUnit` and :func:`load_library`; ``name``: the first part of the file's name."""
     return load_library(Library(name, [SourceUnit(name, source, flags, made_from)]))

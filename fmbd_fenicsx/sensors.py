@@ -8,14 +8,7 @@ from .system.sensors.contact import (
     contact_work,
     limit_effort,
 )
-from .system.sensors.elements import (
-    element_effort,
-    element_force,
-    element_power,
-    element_torque,
-    elongation,
-    tension,
-)
+from .system.sensors.elements import element_effort, element_force, element_power, element_torque, elongation, tension
 from .system.sensors.field import largest
 from .system.sensors.joint_coordinates import angle, displacement
 from .system.sensors.points import elastic_displacement, point_value, strain

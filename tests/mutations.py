@@ -55,7 +55,7 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
     ("multiplier of a distance is half of its force", "mechanics/kinds/definitions.py", "((d @ d) / length - length) * 0.5",
      "(d @ d) / length - length", MECHANICS),
     ("Schur complement without the port block", "linear/prepared.py", "C - WS[n:, n:]", "C", MECHANICS),
-    ("judge accepts everything", "linear/residual.py", "if not relative <= self.tolerance:",
+    ("judge accepts everything", "linear/residual.py", "if not (relative <= self.tolerance or self._is_roundoff(residual, scale, grown)):",
      "if False:", MECHANICS),
     ("velocities projected in the wrong metric", "schemes/consistent.py", "    v = v + dv\n",
      "    v = v - np.linalg.pinv(ev.jacobian.core) @ (ev.jacobian.times(v)) if not system.fields else v + dv\n", MECHANICS),

@@ -14,7 +14,7 @@ from ..rotations import Array
 from ..system.compiled.choice import solves
 from ..system.compiled.states.driver_evaluation import DriverEvaluation
 from ..system.compiled.states.evaluation import DriverStates
-from ..system.compiled.states.explicit import ExplicitStates, Found, Stage, Stages, Tableau
+from ..system.compiled.states.explicit import ExplicitStates, Found, Stage
 from ..system.compiled.states.field_states import FactoredFieldStates, FieldStates
 from ..system.compiled.states.means import MeanStates
 from ..system.evaluation import Evaluation
@@ -90,10 +90,15 @@ class DriverSolver:
             self._look_at(self.states.at(t, q, v))
         return self._solves()
 
+    def one_call(self, t: float, q: Array, v: Array) -> ExplicitStates | None:
+        """Who finds all in one call, from a state on; None where it has to be found in parts. Nothing is prepared then."""
+        usable, self.ready = self._usable_at(t, q, v), False
+        return self.explicit if usable else None
+
     def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
-        """a and lambda of a consistent state in one call; None where they have to be found in parts."""
-        usable = self._usable_at(t, q, v)
-        found = self.explicit.accelerations(t, q, v) if usable else None
+        """a and lambda of a consistent state in one call; None as above."""
+        explicit = self.one_call(t, q, v)
+        found = None if explicit is None else explicit.accelerations(t, q, v)
         self.ready, self._weights = found is not None, MASSES
         return found
 
@@ -110,21 +115,16 @@ class DriverSolver:
 
     def closed(self, t: float, q: Array, v: Array, metric: Weights = MASSES) -> tuple[Array, Array] | None:
         """q and v on the constraints in one call, by the least motion in a metric; None as above. Nothing is prepared then."""
-        usable, self.ready = self._usable_at(t, q, v), False
-        if not usable or metric.cm != 1.0 or not metric.real:
+        if self.one_call(t, q, v) is None or metric.cm != 1.0 or not metric.real:
             return None
         if metric != MASSES:
             self._choose(self.states.at(t, q, v), metric)
         return self.explicit.closed(t, q, v, metric.cd, metric.ck)
 
-    def all_accelerations(self, states: States) -> tuple[Array, Array] | None:
-        """:meth:`accelerations` of many states; nothing is prepared then."""
-        usable, self.ready = self._usable_for(states), False
-        return self.explicit.all_accelerations(states) if usable else None
-
     def all_closed(self, states: States, metrics: Sequence[Weights]) -> tuple[Array, Array] | None:
         """:meth:`closed` of many states, each in a metric of its own; with fields they share one."""
-        usable, self.ready, first = self._usable_for(states), False, states.state(0)
+        first = states.state(0)
+        usable = self.one_call(first.t, first.q, first.v) is not None
         alike = not self.states.system.fields or all(x == metrics[0] for x in metrics)
         if not usable or not alike or not all(x.cm == 1.0 and x.real for x in metrics):
             return None
@@ -132,27 +132,17 @@ class DriverSolver:
             self._choose(self.states.at(first.t, first.q, first.v), metrics[0])
         return self.explicit.all_closed(states, [(x.cd, x.ck) for x in metrics])
 
-    def _usable_for(self, states: States) -> bool:
-        """As :meth:`_usable_at`, of many states."""
-        first = states.state(0)
-        return self._usable_at(first.t, first.q, first.v)
-
     def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
         """The state on the constraints next to q and v in one call, as ExplicitStates; None as above. Fields take new factors."""
-        usable, self.ready = self._usable_at(t, q, v), False
-        found = self.explicit.arrived(t, q, v, places=places) if usable and not self.states.system.fields else None
+        explicit = self.one_call(t, q, v)
+        found = None if explicit is None or self.states.system.fields else explicit.arrived(t, q, v, places=places)
         self.ready, self._weights = found is not None, MASSES
         return found
 
-    def stages(self, state: State, h: float, tableau: Tableau) -> Stages | None:
-        """All stages of an explicit Runge-Kutta method from a state in one call; None as above. Nothing is prepared then."""
-        usable, self.ready = self._usable_at(state.t, state.q, state.v), False
-        return self.explicit.stages((state.t, h), (state.q, state.v, state.a), tableau) if usable else None
-
     def stage(self, stage: Stage, *given: Any) -> Found | None:
         """Accelerations and multipliers of a stage in one call, see ExplicitStates; None as above."""
-        usable, self.ready = self._usable_at(stage.times[0], stage.q, stage.v), False
-        found = self.explicit.stage(stage, *given) if usable else None
+        explicit = self.one_call(stage.times[0], stage.q, stage.v)
+        found = None if explicit is None else explicit.stage(stage, *given)
         self.ready, self._weights = found is not None and not stage.damping, MASSES
         return found
 
@@ -178,15 +168,6 @@ class DriverSolver:
         if state is not None:
             self.states.hold(state.t, state.q, state.v, new=False)
 
-    def half_stages(self, state: State, h: float, *given: Any) -> tuple[Stages, Found] | None:
-        """All stages of a half-explicit method from a state in one call, likewise. Nothing is prepared then."""
-        usable, self.ready = self._usable_at(state.t, state.q, state.v), False
-        return (
-            self.explicit.half_stages((state.t, h), (state.q, state.v), (state.a, state.lam), *given)
-            if usable
-            else None
-        )
-
     @cached_property
     def _means(self) -> MeanStates:
         """Made where a scheme asks for it."""
@@ -194,8 +175,7 @@ class DriverSolver:
 
     def means(self, state: State, h: float) -> MeanStates | None:
         """Who makes a step of size h (s) of the energy-momentum scheme from a state; None as above. Nothing is prepared then."""
-        usable, self.ready = self._usable_at(state.t, state.q, state.v), False
-        return self._means if usable else None
+        return None if self.one_call(state.t, state.q, state.v) is None else self._means
 
     def new_factors(self) -> int:
         """Factorisations since the last call."""

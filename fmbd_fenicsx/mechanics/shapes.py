@@ -191,8 +191,7 @@ class Box(Shape):
         check_fields(self)
         size = vector("Box: size", self.size)
         require(
-            bool((size > 0).all()) and len(size) in (2, 3),
-            f"Box: size {self.size} must be 2 or 3 positive lengths.",
+            bool((size > 0).all()) and len(size) in (2, 3), f"Box: size {self.size} must be 2 or 3 positive lengths."
         )
         self.axes  # noqa: B018, refuses what is no rotation
 
@@ -210,10 +209,7 @@ class Box(Shape):
     def numbers(self, dim: int) -> tuple[Any, ...]:
         """Half edges, centre, directions of the edges, rows."""
         half = np.asarray(self.size, dtype=float)[:dim] / 2
-        require(
-            len(half) == dim and bool((half > 0).all()),
-            f"Box: size {self.size!r} must be {dim} positive lengths.",
-        )
+        require(len(half) == dim and bool((half > 0).all()), f"Box: size {self.size!r} must be {dim} positive lengths.")
         return half, np.asarray(self.center, dtype=float)[:dim], self.axes.T
 
     def held(self, dim: int) -> tuple[Array, float, float] | None:

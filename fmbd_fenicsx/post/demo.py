@@ -117,11 +117,7 @@ def _parsed(parser: argparse.ArgumentParser) -> argparse.Namespace:
     """What the command line says; help and mistakes are printed once."""
     if world_rank() == 0:
         return parser.parse_args()
-    with (
-        open(os.devnull, "w") as nowhere,
-        contextlib.redirect_stdout(nowhere),
-        contextlib.redirect_stderr(nowhere),
-    ):
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
         return parser.parse_args()
 
 

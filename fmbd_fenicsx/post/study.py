@@ -341,8 +341,7 @@ def work_precision(
     reference, at least the end time.
     """
     require(
-        repeats >= 1 and bool(configurations),
-        "work_precision: at least one configuration and one repeat are needed.",
+        repeats >= 1 and bool(configurations), "work_precision: at least one configuration and one repeat are needed."
     )
 
     against = _reference(reference)

@@ -16,8 +16,9 @@ from .consistent import accelerations, project
 
 def accelerated(system: System, states: States, solver: StepSolver) -> States:
     """Consistent (q, v) with their accelerations and multipliers; collective."""
-    driver = solver.driver
-    found = None if driver is None else driver.all_accelerations(states)
+    driver, s = solver.driver, states.state(0)
+    compiled = None if driver is None else driver.one_call(s.t, s.q, s.v)
+    found = None if compiled is None else compiled.all_accelerations(states)
     if found is not None:
         return replace(states, a=found[0], lam=found[1])
     return States.of([accelerations(system, s, solver) for s in states.each()])

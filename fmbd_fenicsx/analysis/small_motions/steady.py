@@ -137,8 +137,7 @@ def body_spin(system: System, q: Array, spin: Spin) -> BodySpin:
     Raises InputError for bodies that have no axes of their own, and for contact.
     """
     require(
-        system.contacts is None,
-        "equilibrium: spin=fmbd.Spin(..., bodies=...) does not take contact or joint limits.",
+        system.contacts is None, "equilibrium: spin=fmbd.Spin(..., bodies=...) does not take contact or joint limits."
     )
     names = system.frame_names
     frames = [i for name in spin.bodies for i in _frames_of(name, names)]

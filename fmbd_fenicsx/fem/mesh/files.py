@@ -24,10 +24,7 @@ Where = Callable[[Array], Any]
 CELLS = {"triangle": 2, "triangle6": 2, "tetra": 3, "tetra10": 3, "quad": 2, "hexahedron": 3}
 CORNERS = {"triangle": 3, "triangle6": 3, "tetra": 4, "tetra10": 4, "quad": 4, "hexahedron": 8, "line": 2, "line3": 2}
 GMSH_KIND = {(1, 2): 1, (2, 3): 2, (2, 4): 3, (3, 4): 4, (3, 8): 5}  # by dimension and corners
-SIDES = {
-    3: ((0, 1), (1, 2), (2, 0)),
-    4: ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)),
-}
+SIDES = {3: ((0, 1), (1, 2), (2, 0)), 4: ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))}
 
 
 def read_cad(

@@ -184,10 +184,7 @@ class Discontinuous:
         """The space on a surface."""
         k = reference_mass(trace.dim - 1, self.degree, self.degree).shape[0]
         return Multipliers(
-            trace,
-            self.degree,
-            sp.identity(len(trace.nodes) * k, format="csr"),
-            f"discontinuous P{self.degree}",
+            trace, self.degree, sp.identity(len(trace.nodes) * k, format="csr"), f"discontinuous P{self.degree}"
         )
 
 

@@ -393,10 +393,7 @@ def refined(trace: Trace, times: int, degree: int) -> tuple[Trace, np.ndarray, A
 def _halves(m: int) -> list[Callable[[Array], Array]]:
     """The maps that cut an interval in two, a triangle in four; on corners (n, m+1, m)."""
     if m == 1:
-        return [
-            lambda p: np.stack((p[:, 0], p.mean(1)), axis=1),
-            lambda p: np.stack((p.mean(1), p[:, 1]), axis=1),
-        ]
+        return [lambda p: np.stack((p[:, 0], p.mean(1)), axis=1), lambda p: np.stack((p.mean(1), p[:, 1]), axis=1)]
 
     def middle(p: Array, i: int, j: int) -> Array:
         return np.asarray(0.5 * (p[:, i] + p[:, j]))

@@ -101,6 +101,10 @@ class SecondOrder:
     def _vector(self, found: tuple[Array, Array]) -> Array:
         return np.concatenate((found[0], axial(found[1])))
 
+    def _mean(self, found: tuple[Array, Array]) -> Array:
+        """The rigid motion (n_twist,) with these momenta."""
+        return self.inverse @ self._vector(found)
+
     def columns(self, z: Moments) -> tuple[Array, Array]:
         """What (v, w) gives to g and to h, both (n_twist, n_twist)."""
         d = len(self.S0)
@@ -120,19 +124,22 @@ class SecondOrder:
         v, w, wd = twist[:d], spin_matrix(twist[d:]), spin_matrix(accel[d:])
         vd = accel[:d] - w @ v
 
-        g, gd = (z.body(self.S0, self.mass, *x) for x in ((v, (w, one)), (vd, (wd, w, one))))
-        h, hd = (z.second(x) for x in ((w, one), (wd, w, one)))
-        e, ed = self.inverse @ self._vector(h), self.inverse @ self._vector(hd)
-        b, bd = self.inverse @ self._vector(g) + e, self.inverse @ self._vector(gd) + ed
+        # g and h of (2) with their rates, and the mean motions e and b of both
+        g, g_rate = z.body(self.S0, self.mass, v, (w, one)), z.body(self.S0, self.mass, vd, (wd, w, one))
+        h, h_rate = z.second((w, one)), z.second((wd, w, one))
+        e, e_rate = self._mean(h), self._mean(h_rate)
+        b, b_rate = self._mean(g) + e, self._mean(g_rate) + e_rate
 
-        a, L = ed[:d] + w @ e[:d], spin_matrix(ed[d:]) + w @ spin_matrix(e[d:])
-        ab, Lb = bd[:d] + w @ b[:d] - gravity, spin_matrix(bd[d:]) + w @ spin_matrix(b[d:])
+        a, L = _acceleration(e, e_rate, w)
+        pull, L_b = _acceleration(b, b_rate, w)
+        pull = pull - gravity
 
-        N: Array = np.outer(z.s[0], a) + z.T[0].T @ L.T + np.outer(z.m[0], ab) + z.P[0] @ Lb.T
+        # the moment of (4), as a matrix: of inertia forces at P and at u2, then of W x Z e and W_2 x Z b
+        N: Array = np.outer(z.s[0], a) + z.T[0].T @ L.T + np.outer(z.m[0], pull) + z.P[0] @ L_b.T
         N = N + np.outer(g[0], e[:d]) + g[1].T @ spin_matrix(e[d:]).T
         N = N + np.outer(h[0], b[:d]) + h[1].T @ spin_matrix(b[d:]).T
         frame = np.concatenate((self.mass * a + L @ self.S0, axial(N)))
-        return Acting(frame, a, L, np.concatenate((ab, Lb.ravel())))
+        return Acting(frame, a, L, np.concatenate((pull, L_b.ravel())))
 
     def momentum(self, z: Moments, twist: Array) -> tuple[Array, float]:
         """Derivatives of (3) by the twist (n_twist,) in body axes, and (3) itself; moments with one rate."""
@@ -167,3 +174,9 @@ def load_moment(axes: Array, twice: Array) -> Array:
     Component i of the load along axis j of the body does the work -1/2 u^T K_ij u on u2; axes (d, d): factor times the axes.
     """
     return np.asarray(-0.5 * axial(twice.T @ axes))
+
+
+def _acceleration(c: Array, rate: Array, w: Array) -> tuple[Array, Array]:
+    """a(c) and L(c) of a mean motion c in a frame that turns with the matrix w."""
+    d = len(w)
+    return rate[:d] + w @ c[:d], spin_matrix(rate[d:]) + w @ spin_matrix(c[d:])

@@ -246,13 +246,7 @@ def spherical(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joi
 
 @typed
 def universal(
-    name: str,
-    a: Any,
-    b: Any,
-    *,
-    center: Vector | None = None,
-    axis_a: Vector = (1, 0, 0),
-    axis_b: Vector = (0, 1, 0),
+    name: str, a: Any, b: Any, *, center: Vector | None = None, axis_a: Vector = (1, 0, 0), axis_b: Vector = (0, 1, 0)
 ) -> Joint:
     """Cardan joint: the markers coincide and ``axis_a`` (fixed in a) stays perpendicular to ``axis_b`` (fixed in b)."""
     _in_space(a, b, name)

@@ -33,12 +33,7 @@ class JointLimit:
 
 @typed
 def joint_limit(
-    name: str,
-    on: JointCoordinate,
-    *,
-    lower: float = -np.inf,
-    upper: float = np.inf,
-    restitution: float = 0.0,
+    name: str, on: JointCoordinate, *, lower: float = -np.inf, upper: float = np.inf, restitution: float = 0.0
 ) -> JointLimit:
     """Rigid stops of a joint coordinate, at ``lower`` and ``upper`` (rad or m), with impacts (1).
 

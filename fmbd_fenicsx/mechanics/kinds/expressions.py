@@ -288,12 +288,7 @@ def gradient(y: Expression, by: Sequence[Expression]) -> list[Expression]:
     return [adjoint.get(x, ZERO) for x in by]
 
 
-_MADE: dict[str, Callable[..., Expression]] = {
-    "+": _sum,
-    "minus": _negative,
-    "*": _product,
-    "/": _quotient,
-}
+_MADE: dict[str, Callable[..., Expression]] = {"+": _sum, "minus": _negative, "*": _product, "/": _quotient}
 
 
 def rebuilt(

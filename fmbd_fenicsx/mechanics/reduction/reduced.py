@@ -313,22 +313,25 @@ class ReducedPart(Part):
     def _momentum(self, motion: FrameMotion, local: tuple[Array, Array]) -> tuple[Array, Array, float]:
         """sum M W and sum P x M W in body axes, and the kinetic energy."""
         c, d = self.constants, self.dim
-        p = self._with_shape(*local)
         w = spin_matrix(motion.twist[d:])
         v = motion.R.T @ motion.twist[:d]
-        Sp = c.S @ p
-        Tp = (self._T @ p).reshape(-1, d, d, 2)
-        pp, pq, qq = (np.tensordot(p[:, i], Tp[..., j], 1) for i, j in ((0, 0), (0, 1), (1, 1)))
-        flow = w @ Sp[:, 0] + Sp[:, 1]
-        turning = np.trace(w @ pp @ w.T) + 2 * np.trace(w @ pq) + np.trace(qq)
-        twice = c.mass * v @ v + 2 * v @ flow + turning
-        spin = axial(np.outer(Sp[:, 0], v) + pp @ w.T + pq)
+
+        # first and second moments of mass of the places P and their rates P' in the body
+        places = self._with_shape(*local)
+        S, S_rate = (c.S @ places).T
+        T = (self._T @ places).reshape(-1, d, d, 2)
+        PP, PR, RR = (np.tensordot(places[:, i], T[..., j], 1) for i, j in ((0, 0), (0, 1), (1, 1)))
+
+        flow = w @ S + S_rate
+        momentum, spin = c.mass * v + flow, axial(np.outer(S, v) + PP @ w.T + PR)
+        turning = np.trace(w @ PP @ w.T) + 2 * np.trace(w @ PR) + np.trace(RR)
+        energy = 0.5 * float(c.mass * v @ v + 2 * v @ flow + turning)
         if c.stiffening is None:
-            return c.mass * v + flow, spin, 0.5 * float(twice)
+            return momentum, spin, energy
 
         moments = self._moments(self._bent(local[0]), local)
-        more, energy = self.second.momentum(moments, self._in_body(motion.R, motion.twist))
-        return c.mass * v + flow + more[:d], spin + more[d:], 0.5 * float(twice) + energy
+        more, more_energy = self.second.momentum(moments, self._in_body(motion.R, motion.twist))
+        return momentum + more[:d], spin + more[d:], energy + more_energy
 
     def energies(self, motion: FrameMotion, pose: Array, local: tuple[Array, Array]) -> tuple[float, float, float]:
         """Kinetic, elastic and weight energy, J."""

@@ -30,33 +30,40 @@ def mean_forces(rod: RodElements, poses: tuple[Array, Array], twist: Array, h: f
     (z0, p0), (z1, p1) = (rod.interpolated(pose) for pose in poses)
     p1 = p1 * np.where((p0[:, :1] * p1[:, :1]).sum(-1, keepdims=True) < 0, -1.0, 1.0)  # of one sign over the step
     p = 0.5 * (p0 + p1)
+
+    # strains by the motion of the nodes in the mean configuration, places and turns in space axes
+    _, E = strain_jacobian(0.5 * (z0[0] + z1[0]), rod.shape.N @ p, rod.slopes @ p)
+    B = E @ _directions(rod, p)
+
+    # d of (1)
     A = 0.5 * sum(quaternion_matrix(pose[rod.frames, 3:]) for pose in poses)
-
-    y = 0.5 * (z0[0] + z1[0])
-    _, E = strain_jacobian(y, rod.shape.N @ p, rod.slopes @ p)
-    B = E @ _directions(rod, p)  # on places and turns in space axes
-
     nodal = twist[rod.frames].copy()
     nodal[..., 3:] = np.linalg.solve(np.swapaxes(A, -1, -2), nodal[..., 3:, None])[..., 0]
     change = h * (B @ nodal.reshape(len(nodal), 1, -1, 1))[..., 0]
 
-    e0 = strains(*z0) - rod.natural
-    e1 = strains(*z1) - rod.natural
-    S = mean = 0.5 * (rod.law.stress(e0) + rod.law.stress(e1))
-    C = rod.law.tangent(0.5 * (e0 + e1))
-    along = (C @ change[..., None])[..., 0]
-    if rod.beta:
-        S = S + (rod.beta / h) * along
-    if rod.arms is not None:
-        S = S + rod.arms.stress(rod.kept, rod.kept.t + 0.5 * h, 0.5 * (e0 + e1))
-    gained = rod.law.energy(e1) - rod.law.energy(e0) - (mean * change).sum(-1)
-    square = float((rod.weights[..., None] * change * along).sum())
-    if square > 0.0:
-        S = S + float((rod.weights * gained).sum()) / square * along
-
-    rows: Array = ((rod.weights[..., None] * S)[..., None, :] @ B).sum((1, 2)).reshape(*rod.frames.shape, 6)
+    stress = _stress(rod, (strains(*z0) - rod.natural, strains(*z1) - rod.natural), change, h)
+    rows: Array = ((rod.weights[..., None] * stress)[..., None, :] @ B).sum((1, 2)).reshape(*rod.frames.shape, 6)
     rows[..., 3:] = np.linalg.solve(A, rows[..., 3:, None])[..., 0]
     return rows
+
+
+def _stress(rod: RodElements, ends: tuple[Array, Array], change: Array, h: float) -> Array:
+    """S* of (1) between the strains at both ends of a step, with what damps; ``change``: d."""
+    before, after = ends
+    middle = 0.5 * (before + after)
+    stress = mean = 0.5 * (rod.law.stress(before) + rod.law.stress(after))
+    along = (rod.law.tangent(middle) @ change[..., None])[..., 0]
+    if rod.beta:
+        stress = stress + (rod.beta / h) * along
+    if rod.arms is not None:
+        stress = stress + rod.arms.stress(rod.kept, rod.kept.t + 0.5 * h, middle)
+
+    # alpha: what the energy gains beyond the work of the mean stress
+    gained = rod.law.energy(after) - rod.law.energy(before) - (mean * change).sum(-1)
+    square = float((rod.weights[..., None] * change * along).sum())
+    if square > 0.0:
+        stress = stress + float((rod.weights * gained).sum()) / square * along
+    return stress
 
 
 def _directions(rod: RodElements, p: Array) -> Array:

@@ -64,17 +64,8 @@ def load(script: Path) -> Callable[[], Scene]:
 
 def attach(slave: Any, make: Callable[[], Scene], *, dt: float) -> None:
     """Give an Fmi3Slave the inputs and outputs of a scene, and the unit that makes its steps."""
-    from pythonfmu3 import (
-        Float64,
-        Fmi3Causality,
-        Fmi3Initial,
-        Fmi3Status,
-        Fmi3StepResult,
-        Fmi3Variability,
-    )
-    from pythonfmu3 import (
-        Unit as Measure,
-    )
+    from pythonfmu3 import Float64, Fmi3Causality, Fmi3Initial, Fmi3Status, Fmi3StepResult, Fmi3Variability
+    from pythonfmu3 import Unit as Measure
     from pythonfmu3.variable_types import Float64Type
 
     slave.unit = unit = Unit(make, dt=dt)

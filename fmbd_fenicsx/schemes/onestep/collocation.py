@@ -34,31 +34,43 @@ class Tableau:
 @lru_cache
 def tableau(stages: int) -> Tableau:
     """Radau IIA: collocation at the zeros of P_s - P_s-1, so the coefficients integrate the Lagrange polynomials."""
-    s = stages
-    series = np.polynomial.Legendre([*np.zeros(s - 1), -1.0, 1.0])
-    roots = np.sort(series.roots().real)
-    roots -= series(roots) / series.deriv()(roots)  # to the last digit
-    c = np.append(0.5 * (1 + roots[:-1]), 1.0)
-    x, w = np.polynomial.legendre.leggauss(s)
+    c = _nodes(stages)
+    x, w = np.polynomial.legendre.leggauss(stages)
     A = np.array([0.5 * ci * (w @ lagrange(c, 0.5 * ci * (1 + x))) for ci in c])
     W = np.linalg.inv(A)
+
+    # of each complex pair of eigenvalues one, behind the real one
     values, vectors = np.linalg.eig(W)
     real = np.abs(values.imag) < 1e-9 * np.abs(values)
     values = np.where(real, values.real, values)
     keep = np.flatnonzero(values.imag >= 0)
     keep = keep[np.argsort(values[keep].imag)]
-    inverse = np.linalg.inv(vectors)[keep]
-    gamma = float(values[keep[0]].real) if values[keep[0]].imag == 0 else 3.0
-    # quadrature of order s with the nodes 0, c_i and the weight 1 / gamma at 0; e = gamma (b_hat - b) W
-    powers = np.arange(1, s + 1)
-    moments = 1 / powers - np.where(powers == 1, 1 / gamma, 0.0)
-    weights = np.linalg.solve((c[:, None] ** (powers - 1)).T, moments)
-    error = gamma * (weights - A[-1]) @ W
+    values, inverse = values[keep], np.linalg.inv(vectors)[keep]
+    doubled = vectors[:, keep] * np.where(values.imag == 0, 1.0, 2.0)
+
+    gamma = float(values[0].real) if values[0].imag == 0 else 3.0
+    error = gamma * (_embedded_weights(c, 1 / gamma) - A[-1]) @ W
+
+    # polynomials through the start of a step and its stages
     nodes = np.append(0.0, c)
     basis, stage_basis = (np.linalg.inv(z[:, None] ** np.arange(len(z))) for z in (nodes, c))
     middle = lagrange(nodes, np.array([0.5]))[0, 1:]
-    vectors = vectors[:, keep] * np.where(values[keep].imag == 0, 1.0, 2.0)
-    return Tableau(c, W, values[keep].astype(complex), vectors, inverse, gamma, error, basis, stage_basis, middle)
+    return Tableau(c, W, values.astype(complex), doubled, inverse, gamma, error, basis, stage_basis, middle)
+
+
+def _nodes(stages: int) -> Array:
+    """The zeros of P_s - P_s-1 on (0, 1], the last one at its end."""
+    series = np.polynomial.Legendre([*np.zeros(stages - 1), -1.0, 1.0])
+    roots = np.sort(series.roots().real)
+    roots -= series(roots) / series.deriv()(roots)  # to the last digit
+    return np.append(0.5 * (1 + roots[:-1]), 1.0)
+
+
+def _embedded_weights(c: Array, at_start: float) -> Array:
+    """Weights of the nodes in the quadrature of order s with 0 as a further node of weight ``at_start``."""
+    powers = np.arange(1, len(c) + 1)
+    moments = 1 / powers - np.where(powers == 1, at_start, 0.0)
+    return np.linalg.solve((c[:, None] ** (powers - 1)).T, moments)
 
 
 @lru_cache

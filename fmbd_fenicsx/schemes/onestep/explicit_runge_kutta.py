@@ -92,7 +92,8 @@ class RungeKuttaStepper(ExplicitStepper):
         """(1), (2): the new state before projection, and the slopes of all stages."""
         s, driver = self.state, self.solver.driver
         self._count(1)
-        found = None if driver is None else driver.stages(s, h, coefficients())
+        compiled = None if driver is None else driver.one_call(s.t, s.q, s.v)
+        found = None if compiled is None else compiled.stages((s.t, h), (s.q, s.v, s.a), coefficients())
         if found is None:
             found = self._stages(h)
 

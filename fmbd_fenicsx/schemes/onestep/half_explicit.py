@@ -117,7 +117,9 @@ class HalfExplicitStepper(ExplicitStepper):
         self._count(1)
 
         driver = self.solver.driver
-        found = None if driver is None else driver.half_stages(s, h, ((c, A), nothing))
+        compiled = None if driver is None else driver.one_call(s.t, s.q, s.v)
+        given = (s.t, h), (s.q, s.v), (s.a, s.lam), ((c, A), nothing)
+        found = None if compiled is None else compiled.half_stages(*given)
         (rates, pushes, xi, v), (a, lam, solves) = self._stages(h, nothing) if found is None else found
         self.stats.solves += solves
 

@@ -47,20 +47,9 @@ class Calls:
         self.error: Exception | None = None
         self.sampled, self.trusted = np.nan, False  # s, the time of what depends on time only; whether it is so still
 
-        # prescribed motions: those that stand still are told once
         self.moving = _motions(self.system)
-        # motions with places (3,) for their s, s' and s'': of rows and of drives
         self.of_rows = [np.zeros((len(motions), 3)) for _, motions, _ in self.moving]
-        self.prescribed: list[tuple[Any, Any]] = []
-        for values, (_, motions, _) in zip(self.of_rows, self.moving, strict=True):
-            self.prescribed += zip(motions, values, strict=True)
-        for items in (x for x in tables.sources if x.drive):
-            place = items.kind.place("drive").start
-            self.prescribed += zip(items.drive, items.table[:, place : place + 3], strict=True)
-        for motion, value in self.prescribed:
-            if isinstance(motion, Constant):  # told once
-                value[:] = motion(0.0)
-        self.prescribed = [x for x in self.prescribed if not isinstance(x[0], Constant)]
+        self.prescribed = self._prescribed()
         self._write_motions()
 
         # loads, gravity and targets of laws, as far as these depend on time
@@ -85,6 +74,20 @@ class Calls:
         self.answers = self._answers()
         self.function = PYTHON(self.answer)
         tables.c.python = self.function
+
+    def _prescribed(self) -> list[tuple[Any, Any]]:
+        """Motions of rows and of drives with the places (3,) of their s, s' and s''; those that stand still are told here."""
+        found: list[tuple[Any, Any]] = []
+        for values, (_, motions, _) in zip(self.of_rows, self.moving, strict=True):
+            found += zip(motions, values, strict=True)
+        for items in (x for x in self.tables.sources if x.drive):
+            place = items.kind.place("drive").start
+            found += zip(items.drive, items.table[:, place : place + 3], strict=True)
+
+        for motion, value in found:
+            if isinstance(motion, Constant):
+                value[:] = motion(0.0)
+        return [x for x in found if not isinstance(x[0], Constant)]
 
     def _list_timed(self) -> int:
         """Tell C which arrays a sample writes; numbers in all of them."""

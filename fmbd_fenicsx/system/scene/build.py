@@ -49,6 +49,15 @@ class MarkerPlace(NamedTuple):
     body: RigidBody | None = None
 
 
+class Constraints(NamedTuple):
+    """All constraints of a system, as :class:`~fmbd_fenicsx.system.system.System` takes them, and whose rows are whose."""
+
+    batches: tuple[tuple[Batch, np.ndarray], ...]
+    port_constraints: tuple[tuple[PortConstraint, slice], ...]
+    traces: tuple[tuple[Any, slice], ...]
+    blocks: tuple[RowBlock, ...]
+
+
 class Builder:
     """Turns a scene into arrays; lives only during :meth:`Scene.build`."""
 
@@ -86,13 +95,12 @@ class Builder:
         self._add_parts(moving, self._surfaces_in_use())
 
         # what acts between them, and who looks at them
-        traces = self._surface_ties()
-        batches, port_rows, blocks = self._constraints(traces)
+        rows = self._constraints(self._surface_ties())
         forces = build_loads(self)
         if points:
-            refuse_turning([p.body for p in self.places], batches, blocks, forces)
+            refuse_turning([p.body for p in self.places], rows.batches, rows.blocks, forces)
 
-        self._check_sensors({b.name for b in blocks})
+        self._check_sensors({b.name for b in rows.blocks})
         sensor_markers = {n: self.sensor_marker(s) for n, s in scene.sensors.items()}
         markers = self._markers()
         counted = self._counted(markers)
@@ -103,16 +111,16 @@ class Builder:
             rigid=self.nodes.rigid_block(self.m, rigid, self.frame_of),
             parts=tuple(self.fields),
             markers=markers,
-            batches=tuple(batches),
-            port_constraints=tuple(port_rows),
+            batches=rows.batches,
+            port_constraints=rows.port_constraints,
             forces=forces,
             gravity=gravity_of(scene, self.m.dim),
-            blocks=tuple(blocks),
+            blocks=rows.blocks,
             length=self.length(),
             mass=self._mass(rigid),
             ground=self.m.identity[None],
             contacts=self._contacts(),
-            traces=tuple(traces),
+            traces=rows.traces,
             counted=counted,
             elements=tuple(self.nodes.elements),
             sensed=tuple((s, sensor_markers[n]) for n, s in scene.sensors.items()),
@@ -357,49 +365,47 @@ class Builder:
         return self._marker(s.on, None if s.point is None else vector("A sensor's point", s.point, size=self.m.dim))
 
     # -- constraints ----------------------------------------------------------------------------------------------
-    def _constraints(
-        self, traces: list[Any]
-    ) -> tuple[list[tuple[Batch, np.ndarray]], list[tuple[PortConstraint, slice]], list[RowBlock]]:
-        collected = JointRows(self.m, self.length)
+    def _constraints(self, ties: list[Any]) -> Constraints:
+        """All rows in their order: of joints, of own equations, sliding contacts, surface ties and frame conditions."""
+        rows = JointRows(self.m, self.length)
+        self._add_joints(rows)
+        self.joint_markers = rows.markers
+
+        own = self._own_equations(rows)
+        sliding = slider_rows(self.scene, self.fields, self.part_of, rows.row)
+        for law, _ in sliding[::2]:  # both sides share a row
+            rows.take(law.name, 1, "sliding contact")
+        traces = tuple((tie, rows.take(tie.name, tie.rows, "surface tie")) for tie in ties)
+        for part in self.fields:
+            if part.n_frame_rows:
+                rows.take(f"frame of {part.name}", part.n_frame_rows, "frame")
+        return Constraints(tuple(rows.batches()), (*own, *sliding), traces, tuple(rows.blocks))
+
+    def _add_joints(self, rows: JointRows) -> None:
+        """Rows of joints, and of what keeps bodies from turning that know no angles."""
+        origin = self.scene.origin
         for joint in self.scene.joints.values():
             somewhere = joint.center_a is not None and joint.center_b is not None
             default = self._default_point(joint) if joint.joined and not somewhere else None
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
-            collected.add(joint, (a, b))
-            if self.scene.origin is not None and self.scene.origin.closes(joint):
+            rows.add(joint, (a, b))
+            if origin is not None and origin.closes(joint):
                 self.closing.append((a, b))
         for body in self.scene.bodies.values():
             if not (body.turns or body.locked):
-                collected.add(attitude_of(body), (self._marker(ground, None), self._marker(body, None)))
-        row, blocks, self.joint_markers = collected.row, collected.blocks, collected.markers
+                rows.add(attitude_of(body), (self._marker(ground, None), self._marker(body, None)))
 
-        # after the joints: constraints of own equations, sliding contacts, surface ties, frame conditions
-        own = []
+    def _own_equations(self, rows: JointRows) -> list[tuple[PortConstraint, slice]]:
+        """Constraints of the user's own on coordinates of his own."""
+        found = []
         for k, part in enumerate(self.fields):
             body = part.body
             if isinstance(body, CoordinateBody) and body.constraint is not None:
                 law = own_constraint(body, k)
-                m = len(law.values(np.asarray(body.start), 0.0))
-                own.append((law, slice(row, row + m)))
-                blocks.append(RowBlock(body.name, slice(row, row + m), "constraint"))
-                row += m
-        for law, rows in (sliding := slider_rows(self.scene, self.fields, self.part_of, row)):
-            if rows.start >= row:
-                blocks.append(RowBlock(law.name, rows, "sliding contact"))
-                row = rows.stop
-        own += sliding
-
-        for i, tie in enumerate(traces):
-            traces[i] = (tie, slice(row, row + tie.rows))
-            blocks.append(RowBlock(tie.name, traces[i][1], "surface tie"))
-            row += tie.rows
-
-        for part in self.fields:
-            if part.n_frame_rows:
-                blocks.append(RowBlock(f"frame of {part.name}", slice(row, row + part.n_frame_rows), "frame"))
-                row += part.n_frame_rows
-        return collected.batches(), own, blocks
+                count = len(law.values(np.asarray(body.start), 0.0))
+                found.append((law, rows.take(body.name, count, "constraint")))
+        return found
 
     # -- start ----------------------------------------------------------------------------------------------------
     def _counted(self, markers: Markers) -> Any:

@@ -59,6 +59,13 @@ class JointRows:
 
         self.blocks.append(RowBlock(joint.name, slice(first, self.row), joint.kind, a, b))
 
+    def take(self, name: str, count: int, kind: str) -> slice:
+        """Number so many rows of something else that is not a joint."""
+        rows = slice(self.row, self.row + count)
+        self.blocks.append(RowBlock(name, rows, kind))
+        self.row += count
+        return rows
+
     def batches(self) -> list[tuple[Batch, np.ndarray]]:
         """All batches with the numbers of their rows."""
         out: list[tuple[Batch, np.ndarray]] = [
@@ -86,11 +93,7 @@ class JointRows:
         for kind, entries in found.items():
             relative = relative_of(self.motions, kind, [(s, *self.markers[s.joint.name]) for s, _, _ in entries])
             terms.append(
-                (
-                    relative,
-                    np.array([i for _, i, _ in entries]),
-                    np.array([c for *_, c in entries], dtype=float),
-                )
+                (relative, np.array([i for _, i, _ in entries]), np.array([c for *_, c in entries], dtype=float))
             )
         return CouplingBatch(terms, [joint.motion for joint, _ in self._couplings])
 

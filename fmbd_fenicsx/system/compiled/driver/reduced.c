@@ -81,36 +81,39 @@ static void stiffened(const Body *o, const double **local, const double *W, cons
     }
 }
 
-/* What (3) adds to the lower half of the block, world axes. */
-static void second_block(const Body *o, const double *R, const double *eta)
+/* A momentum and the axial part of its moment as column j of TWIST rows of n numbers. */
+static void put_column(double *A, int n, int j, const double *momentum, const double *moment)
 {
-    int m = o->modes, k = m + 1, n = TWIST + m;
-    double *A = o->heavy, *B = A + TWIST * n, *JA = B + TWIST * n, *JB = JA + TWIST * n;
-    const double *local[] = {eta};
-    Moments z;
-    bend_modes(o, eta);
-    moments_of(o, local, 1, &z);
-    memset(A, 0, (size_t)4 * TWIST * n * sizeof(double));
-    Rest rest = rest_of(o);
+    double turn[ROT];
+    axial(moment, turn);
+    for (int i = 0; i < D; i++) A[n * i + j] = momentum[i];
+    for (int i = 0; i < ROT; i++) A[n * (D + i) + j] = turn[i];
+}
 
+/* Columns of g (A) and h (B) of (2) in second_order.py for a unit of each speed of the frame, along world axes. */
+static void frame_columns(const Body *o, const Moments *z, const double *R, int n, double *A, double *B)
+{
+    Rest rest = rest_of(o);
     for (int j = 0; j < TWIST; j++) {
-        /* a unit of translation or rotation along a world axis */
         double unit[TWIST] = {0.0}, c[TWIST], W[D * D];
-        double g[D] = {0.0}, G[D * D] = {0.0}, h[D] = {0.0}, H[D * D] = {0.0}, x[ROT];
+        double g[D] = {0.0}, G[D * D] = {0.0}, h[D] = {0.0}, H[D * D] = {0.0};
         unit[j] = 1.0;
         transposed(R, unit, c);
         to_body(R, unit + D, c + D);
         hat(c + D, W);
         const double *turns[] = {W};
-        collect(z.s, z.T, turns, 1, g, G);
+        collect(z->s, z->T, turns, 1, g, G);
         carry(&rest, c, g, G);
-        collect(z.m, z.P, turns, 1, h, H);
-        for (int i = 0; i < D; i++) A[n * i + j] = g[i], B[n * i + j] = h[i];
-        axial(G, x);
-        for (int i = 0; i < ROT; i++) A[n * (D + i) + j] = x[i];
-        axial(H, x);
-        for (int i = 0; i < ROT; i++) B[n * (D + i) + j] = x[i];
+        put_column(A, n, j, g, G);
+        collect(z->m, z->P, turns, 1, h, H);
+        put_column(B, n, j, h, H);
     }
+}
+
+/* The same for a unit of the rate of each mode. */
+static void mode_columns(const Body *o, int n, double *A, double *B)
+{
+    const int m = o->modes, k = m + 1;
 #if DIM == 3
     static const int pair[3] = {7, 2, 3}, other[3] = {5, 6, 1};
 #else
@@ -123,6 +126,20 @@ static void second_block(const Body *o, const double *R, const double *eta)
             B[n * (D + i) + TWIST + c] = o->bent[m * (D + pair[i]) + c] - o->bent[m * (D + other[i]) + c];
         }
     }
+}
+
+/* What (3) of second_order.py adds to the lower half of the block, world axes: (A + B)^T J^-1 (A + B) - A^T J^-1 A. */
+static void second_block(const Body *o, const double *R, const double *eta)
+{
+    const int n = TWIST + o->modes;
+    double *A = o->heavy, *B = A + TWIST * n, *JA = B + TWIST * n, *JB = JA + TWIST * n;
+    const double *local[] = {eta};
+    Moments z;
+    bend_modes(o, eta);
+    moments_of(o, local, 1, &z);
+    memset(A, 0, (size_t)4 * TWIST * n * sizeof(double));
+    frame_columns(o, &z, R, n, A, B);
+    mode_columns(o, n, A, B);
 
     for (int i = 0; i < TWIST; i++)
         for (int j = 0; j < TWIST; j++) {

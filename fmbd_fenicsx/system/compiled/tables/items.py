@@ -107,31 +107,16 @@ class Items:
 
     def _laws(self, which: np.ndarray) -> tuple[Any, ...]:
         """What changes in time, of some items."""
-        law = self.law
-        slopes = self.slopes
-        load = self.load
-        given = self.given
+        law, slopes, load, given = self.law, self.slopes, self.load, self.given
         if len(which) == len(self):
             return law, slopes, self.drive, load, given
-
-        def loads(t: float) -> dict[str, Array]:
-            assert load is not None
-            return {n: x[which] for n, x in load(t).items()}
-
-        def values(t: float) -> Array:
-            assert given is not None
-            return given(t)[which]
-
-        def efforts(s: Array, rate: Array, t: float) -> Array:
-            assert law is not None
-            return law(s, rate, t, which)
-
-        def tangents(s: Array, rate: Array, t: float) -> tuple[Array, Array]:
-            assert slopes is not None
-            return slopes(s, rate, t, which)
-
-        drive = [self.drive[i] for i in which] if self.drive else []
-        return law and efforts, slopes and tangents, drive, load and loads, given and values
+        return (
+            law and (lambda s, rate, t: law(s, rate, t, which)),
+            slopes and (lambda s, rate, t: slopes(s, rate, t, which)),
+            [self.drive[i] for i in which] if self.drive else [],
+            load and (lambda t: {n: x[which] for n, x in load(t).items()}),
+            given and (lambda t: given(t)[which]),
+        )
 
 
 def of_source(source: Any, role: int) -> Items:
