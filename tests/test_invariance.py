@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear import condensation
 from fmbd_fenicsx.materials import linear_elastic, saint_venant_kirchhoff
 
 ANGLE, BOOST, SHIFT = 0.9, np.array([3.0, -2.0]), np.array([5.0, 1.0])  # rad, m/s, m
@@ -76,3 +77,37 @@ def test_pure_rigid_motion_in_every_frame(rod_mesh: Callable[..., Any], dim: int
             run = fmbd.solve(scene, t_end=0.2, dt=0.01, output=QUIET)
             t = run.times[:, None]
             np.testing.assert_allclose(run["tip"] - run["tip"][0], v * t + 0.5 * g * t**2, atol=1e-13)
+
+
+def hinged(place: float, speed: float) -> fmbd.Scene:
+    """Two bars on a hinge that turn against each other, this far from the origin (m) and at this speed (m/s)."""
+    one, two = (
+        fmbd.RigidBody(
+            name, mass, 0.1 * mass, position=(place + x, -place), velocity=(speed, way), angular_velocity=turn
+        )
+        for name, mass, x, way, turn in (("one", 1.0, -0.5, -0.5, 1.0), ("two", 2.0, 0.5, -1.0, -2.0))
+    )
+    hinge = fmbd.revolute("hinge", one, two, center=(place, -place))
+    scene = fmbd.Scene("hinged")
+    scene.add(one, two, hinge)
+    scene.sensor("angle", fmbd.angle(hinge))
+    return scene
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [fmbd.Rattle(), fmbd.EnergyMomentum(), fmbd.HalfExplicit(), fmbd.GeneralizedAlpha(compiled=False)],
+    ids=lambda s: s.name,
+)
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "in parts"])
+def test_far_and_fast(scheme: Any, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """1e6 m away, or at 1e6 m/s, as at the origin: places are known to their roundoff, and no iteration goes on below it."""
+    if not compiled:
+        monkeypatch.setattr(condensation, "driver_solver", lambda *_: None)
+    here, far, fast = (
+        fmbd.solve(hinged(*at), t_end=0.1, dt=2e-3, scheme=scheme, output=QUIET) for at in ((0, 0), (1e6, 0), (0, 1e6))
+    )
+    for run in (far, fast):
+        np.testing.assert_allclose(run["angle"][-1], here["angle"][-1], atol=1e-6)
+        assert not run.counters.get("halved_steps") and run.counters["steps"] <= 1.2 * here.counters["steps"]
+        assert run.counters["newton_iterations"] <= 1.5 * here.counters["newton_iterations"]

@@ -17,11 +17,14 @@ import numpy as np
 from ..checks import check_fields
 from ..errors import ConvergenceError, require
 from ..rotations import Array
+from ..system.compiled.declarations import constants
 from ..system.evaluation import Evaluation
 from ..system.lengths import farthest
 from ..system.system import System
 
 FAR = 1e3  # of the tolerance: a first increment above it is worth a tangent of its own in bodies that change theirs every step
+# share of places that increments may be roundoff of
+(LEFT_OF_PLACES,) = constants("parts.h", "LEFT_OF_PLACES")
 FINEST = 1e-13  # increments are known to about this share
 SHUT = 5e-7  # of the model's length: a joint that is open by more ends a step
 CLOSING = 0.1  # of it: increments that leave joints closed, as rates of convergence foretell errors to a factor of ten
@@ -155,14 +158,15 @@ class Newton:
         self.left += left
         self.solved += steps
 
-    def small(self, system: System, accelerated: float) -> float:
+    def small(self, system: System, accelerated: float, far: float = 0.0) -> float:
         """Size (m) of an increment of places that counts as none in a step that accelerations move by ``accelerated`` (m).
 
-        It changes accelerations by the relative tolerance, is above roundoff, and leaves no joint open: that of stiff parts that
-        vibrate within a step would.
+        It changes accelerations by the relative tolerance, is above the roundoff of places ``far`` (m) from the origin, and
+        leaves no joint open: that of stiff parts that vibrate within a step would.
         """
         length = system.length
-        return max(min(self.tolerance * accelerated, CLOSING * SHUT * length), 64 * np.finfo(float).eps * length)
+        floor = max(64 * np.finfo(float).eps * length, LEFT_OF_PLACES * far)
+        return max(min(self.tolerance * accelerated, CLOSING * SHUT * length), floor)
 
     @property
     def accuracy(self) -> float:

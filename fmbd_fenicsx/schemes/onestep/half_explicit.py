@@ -25,7 +25,7 @@ from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled.march import ITERATIONS, March
-from ...system.compiled.states.explicit import MOVES_NOTHING, Found, Stages, Tableau
+from ...system.compiled.states.explicit import MOVES_NOTHING, SPEEDS, Found, Stages, Tableau
 from ...system.layout import State, States
 from ...system.speed_rows import speed_rows
 from ...system.system import System
@@ -173,6 +173,7 @@ class HalfExplicitStepper(ExplicitStepper):
         after = self.system.at(float(times[1]), end, known)  # drives ask for velocities
         self.solver.prepare(ev, MASS)
         rate = after.constraint_rate() if n else np.zeros(0)
+        nothing = max(nothing, SPEEDS * self.system.max_abs(known) / h)
 
         last = np.inf
         for k in range(50):

@@ -30,6 +30,7 @@ from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.explicit import MOVES_NOTHING, Stage
 from ...system.evaluation import Evaluation
 from ...system.layout import State
+from ...system.lengths import farthest
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
 from ...system.system import System
@@ -129,7 +130,8 @@ class RattleStepper(MarchingStepper):
             not self.solver.core.redundant
         ):  # the smallest multipliers of dependent rows have none that grow from step to step
             guess = guess[0], s.lam + h * self.ahead[1]
-        return guess, self.newton.small(system, 0.5 * h * h * max(system.max_abs(s.a), 1e-300))
+        accelerated = 0.5 * h * h * max(system.max_abs(s.a), 1e-300)
+        return guess, self.newton.small(system, accelerated, farthest(system, s.q))
 
     def _step_in_parts(self, h: float) -> State:
         """The same, where it is no one call of C."""

@@ -17,6 +17,7 @@ from ....rotations import Array
 from ....system.compiled.declarations import constants
 from ....system.evaluation import Evaluation
 from ....system.layout import State
+from ....system.lengths import farthest
 from ....system.speed_rows import gaps, speed_rows
 from ....system.tangents.foretold_efforts import foretold_efforts
 from ...exact_tangent import Pair, exact_increment
@@ -123,7 +124,8 @@ class AlphaStep:
         self.tangent: ExactTangent | None = None if self.stabilised else newton.tangent
         self.stiff = any(loads.stiff for loads in system.forces)
         self.springs = foretold_efforts(system)
-        self.tolerance = newton.small(system, self.scale * system.typical(start.a))
+        far = farthest(system, start.state.q)
+        self.tolerance = newton.small(system, self.scale * system.typical(start.a), far)
         self.foretells = any(part.foretells for _, part in system.fields)  # new tangents are exact ones
 
         # what it has found

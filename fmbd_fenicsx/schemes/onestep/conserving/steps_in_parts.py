@@ -17,10 +17,11 @@ from ....rotations import Array
 from ....system.compiled.states.means import Ends, MeanStates, rate_of
 from ....system.configurations import count
 from ....system.layout import State
+from ....system.lengths import farthest
 from ....system.speed_rows import speed_rows
 from ....system.system import System
 from ...marching import MarchingStepper
-from ...newton import Newton
+from ...newton import LEFT_OF_PLACES, Newton
 from .discrete_gradient import GradientEnd, Mean
 
 DIFFERENCE = 1e-7
@@ -70,8 +71,10 @@ class StepsInParts(MarchingStepper):
         # increments of 1e-10 of this size move nothing beyond roundoff
         a, v = map(float, system.each_typical(both))
         size = max(a, v / h, 1e-6 * system.length / h**2)
-        far = system.length / (size * h**2)  # much, of slow motion in small steps
-        return Ends(size, NOTHING * max(far, 4.0), ROUNDOFF * far, self.newton.max_iterations + NEAR)
+        way, most = size * h**2, farthest(system, self.state.q)
+        far = max(system.length, most) / way  # much, of slow motion in small steps
+        lost = (ROUNDOFF * system.length + LEFT_OF_PLACES * most) / way
+        return Ends(size, NOTHING * max(far, 4.0), lost, self.newton.max_iterations + NEAR)
 
     def _in_parts(
         self, h: float, guess: tuple[Array, Array], ends: Ends, *, differences: bool

@@ -16,8 +16,13 @@ void predictor(const Block *past, int known, double t, double *w)
     }
 }
 
-/* Size (m) of an increment that counts as none in a step that accelerations move by so much (m); as ``small`` of schemes/newton.py. */
-double small(const double *p, double accelerated) { return fmax(fmin(p[TOL] * accelerated, p[CEILING]), p[FLOOR]); }
+/* Size (m) of an increment that counts as none in a step from q that accelerations move by so much (m); as ``small`` of
+   schemes/newton.py. */
+double small(const System *s, const double *p, const double *q, double accelerated)
+{
+    double floor = fmax(p[FLOOR], LEFT_OF_PLACES * far_from_origin(s, q, p[LENGTH]));
+    return fmax(fmin(p[TOL] * accelerated, p[CEILING]), floor);
+}
 
 /* Newton's judgement of an increment of this size (over the tolerance): 1 converged, -1 given up, 0 go on; as schemes/newton.py. */
 int judge(double *p, const double *sizes, int done, double *error)
@@ -131,7 +136,7 @@ static void predict(System *s, const double *p, const Block *past, int known, Al
         for (int j = 0; j <= known; j++) out.lam[i] += w[j] * past[j].lam[i];
     }
 
-    k->tolerance = small(p, k->scale * typical(s, out.a));
+    k->tolerance = small(s, p, now.q, k->scale * typical(s, out.a));
     s->settled = k->tolerance;
 }
 

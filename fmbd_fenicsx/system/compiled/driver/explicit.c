@@ -209,6 +209,7 @@ EXPORT int driver_stages(System *s, int stages, double t, double h, double lengt
 /* Share of the model's length that increments of a step's accelerations would move something by, which are none: bodies that are
    held, or turn evenly, have no accelerations beside roundoff. */
 static const double MOVES_NOTHING = 1e-14;
+static const double SPEEDS = 4e-15; /* share of velocities that they are known to */
 
 /* A stage: accelerations a and multipliers lambda whose balance holds at one place, and whose rows hold at another:
 
@@ -249,6 +250,7 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
 {
     double *x = room, *speeds = x + s->nv, *y = speeds + s->nv, *open = y + s->rows, *moved = open + s->rows;
     double last = INFINITY, asked = NAN, left = 0.0, sizes[MOST];
+    double nothing = fmax(o->nothing, SPEEDS * largest_of(s->units, o->known, s->nv) / o->c);
     int verdict, most = p ? (int)fmin(p[MAXIT], MOST) : HALF;
 
     if (s->redundant) memset(lam, 0, s->rows * sizeof(double)); /* the smallest follow from none */
@@ -272,7 +274,7 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
             sizes[k] = size / o->tolerance;
             ended = judge(p, sizes, k + 1, &left);
             if (s->fields && lingers(p, k + 1, left)) return NEWTON; /* new tangents are Python's */
-        } else ended = at_roundoff(size, last, fmax(largest_of(s->units, a, s->nv), 1e-300), o->nothing);
+        } else ended = at_roundoff(size, last, fmax(largest_of(s->units, a, s->nv), 1e-300), nothing);
         if (ended < 0) return NEWTON;
         if (ended) {
             if (p) p[LEFT] += left;

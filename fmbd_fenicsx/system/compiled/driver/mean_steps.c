@@ -36,11 +36,12 @@ static void foretold(const System *s, const Block *past, int through, double t, 
 static void ends_of(const System *s, const double *p, const double *head, const Block *now, double *e)
 {
     const double h = p[H], size = fmax(fmax(typical(s, now->a), typical(s, now->v) / h), 1e-6 * p[LENGTH] / (h * h));
-    const double far = p[LENGTH] / (size * h * h); /* much, of slow motion in small steps */
+    const double way = size * h * h, most = far_from_origin(s, now->q, p[LENGTH]);
+    const double far = fmax(p[LENGTH], most) / way; /* much, of slow motion in small steps */
     memcpy(e, head + ENDS, (HEAD - ENDS) * sizeof(double));
     e[LARGEST] = size;
     e[NONE] *= fmax(far, 4.0);
-    e[LOST] *= far;
+    e[LOST] = (e[LOST] * p[LENGTH] + LEFT_OF_PLACES * most) / way;
 }
 
 /* The largest angle by which a body turns over a step, h |w|. */

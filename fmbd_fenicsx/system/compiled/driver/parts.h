@@ -83,7 +83,7 @@ void share_memory(const System *s, System *with);
 int friction_overran(System *s, double t, double h);
 double largest(const double *x, int n);
 double largest_of(const double *units, const double *x, int n);
-double small(const double *p, double accelerated);
+double small(const System *s, const double *p, const double *q, double accelerated);
 int judge(double *p, const double *sizes, int done, double *error);
 int lingers(const double *p, int done, double left);
 
@@ -145,6 +145,7 @@ int acting(System *s, const double *lam, double t);
 int body_forces(System *s, const double *q, const double *v, const double *a, double t);
 void derivatives_in_time(System *s, double *partial, double *second);
 int efforts(System *s, Batch *k, double t);
+static const double LEFT_OF_PLACES = 3.6e-15; /* share of places that increments may be roundoff of */
 double far_from_origin(const System *s, const double *q, double length);
 void formula(Batch *k, long i, double t);
 int increment(System *s, double scale, double *x, double *y, double t);

@@ -26,7 +26,7 @@ static int first_half(System *s, double *p, const Block *now, double *push, doub
     for (int i = 0; i < s->rows; i++) force[i] = s->redundant ? now->lam[i] : now->lam[i] + h * o.lam[i];
     for (int i = 0; i < s->nv; i++) way[i] = h * now->v[i];
 
-    double tolerance = small(p, share * typical_a) / share;
+    double tolerance = small(s, p, now->q, share * typical_a) / share;
     int factored = *o.factored != 0.0 && damp == 0.0;
     Stage half = {t, now->q, now->v, now->q, way, 0.5 * h, share, damp, 0.0, tolerance, 1, factored};
     return solve_stage(s, &half, p, push, force, solves, way + s->nv);
