@@ -14,6 +14,8 @@ from test_line_body import line
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic
+from fmbd_fenicsx.schemes.marching import MarchingStepper
+from fmbd_fenicsx.system.compiled.march import March
 from fmbd_fenicsx.system.compiled.tables.resting import RestingPart
 from fmbd_fenicsx.system.compiled.tables.told import can_be_told
 
@@ -95,6 +97,26 @@ def test_a_line_that_large_steps_press_stays_in_compiled_steps() -> None:
 def test_beside_a_field(rod_mesh: Any) -> None:
     """Two frames at rest."""
     compare(partial(beside_a_field, rod_mesh(h=0.1)), fmbd.Index3())
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("scheme", "dt"), [(fmbd.Rattle(), 5e-5), (fmbd.EnergyMomentum(), 1e-3)], ids=lambda x: getattr(x, "name", str(x))
+)
+def test_other_schemes_march_beside_lines(scheme: Any, dt: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What they keep with a state is that of the tables, whose lines have a frame at rest; steps in turn are the same."""
+    runs = []
+    made: list[int] = []
+    steps = March.steps
+    monkeypatch.setattr(March, "steps", lambda *x, **y: (found := steps(*x, **y), made.append(found[0]))[0])
+    for in_turn in (False, True):
+        if in_turn:
+            assert sum(made) == 30
+            monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+        runs.append(fmbd.solve(line_and_bob(), t_end=30 * dt, dt=dt, scheme=scheme))
+    for name in ("q", "v", "a", "lam"):
+        wanted = getattr(runs[1].state, name)
+        np.testing.assert_allclose(getattr(runs[0].state, name), wanted, atol=1e-8 * np.abs(wanted).max(), err_msg=name)
 
 
 @compiled

@@ -248,6 +248,10 @@ def test_turning_of_local_coordinates(rod_mesh: Callable[..., Any]) -> None:
     assert tangent.turning(real + 1j * imaginary) == pytest.approx(along(real) + 1j * along(imaginary), abs=1e-8)
     assert np.abs(along(real)).max() > 0.1
 
+    alone, start, _ = pendulum(rod_mesh(dim=3, h=0.5, height=0.2), "absolute").build()  # no frame turns
+    equations = FieldEquations(alone, fmbd.GGL(), StepSolver(alone))
+    assert equations.refresh(start, np.zeros(equations.n_mult)).turnings.shape == (0, 6, 6)
+
 
 def floating(mesh: Any) -> Any:
     return fmbd.FloatingBody("rod", mesh, density=1000.0, elastic=linear_elastic(5e6, 0.3), stiffness_damping=1e-3)

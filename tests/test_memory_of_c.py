@@ -24,6 +24,7 @@ FILES = (
     "compiled_parts",
     "compiled_recording",
     "compiled_ties",
+    "explicit_fields",
     "field_means",
     "field_stages",
     "field_states",

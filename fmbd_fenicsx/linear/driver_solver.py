@@ -147,11 +147,9 @@ class DriverSolver:
         return found
 
     def whole_steps(self, state: State) -> DriverStates | None:
-        """With whose tables whole steps are made from a state on; None as above. Fields take new factors on the way."""
-        states = self.states
-        if states.taken or not states.same_rows or states.system.fields:
-            return None
-        return states if self._usable_at(state.t, state.q, state.v) else None
+        """With whose tables whole steps are made from a state on, fields with the factors of their masses; None as above."""
+        usable = not self.states.taken and self._usable_at(state.t, state.q, state.v)
+        return self.states if usable else None
 
     def begin_steps(self, state: State) -> bool:
         """Steps from a state begin, which take the factor; whether it is that of the masses there."""

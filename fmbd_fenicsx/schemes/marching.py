@@ -15,6 +15,8 @@ from ..linear.condensation import StepSolver
 from ..rotations import Array
 from ..system.compiled import march as slots
 from ..system.compiled.march import March
+from ..system.compiled.states.evaluation import DriverStates
+from ..system.compiled.tables.resting import Twin
 from ..system.compiled.tape import on_the_way
 from ..system.layout import State, States
 from ..system.system import System
@@ -25,7 +27,6 @@ from .stepping import UNOBSERVED, EnergyJudge, Observers, TimeStepper
 
 if TYPE_CHECKING:
     from ..system.compiled.kept import KeptSteps
-    from ..system.compiled.states.evaluation import DriverStates
     from ..system.compiled.tables.tables import Tables
     from ..system.compiled.tape import Openness, Tape
     from .onestep.explicit_limit import StepLimit
@@ -131,6 +132,13 @@ class MarchingStepper(CompiledSteps):
         """As :meth:`TimeStepper.tape`."""
         march = self._march_of()
         return None if march is None or not on_the_way(march.tables) else march.tape(judged)
+
+    @property
+    def _twin(self) -> Twin:
+        """Between arrays of the system and those of its steps."""
+        states = self.system.evaluator
+        assert isinstance(states, DriverStates)
+        return states.twin
 
     @property
     def origin(self) -> State:

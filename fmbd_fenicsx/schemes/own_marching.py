@@ -12,8 +12,6 @@ import numpy as np
 from ..rotations import Array
 from ..system.compiled.march import CHOSEN
 from ..system.compiled.own_steps import OwnRoom
-from ..system.compiled.states.evaluation import DriverStates
-from ..system.compiled.tables.resting import Twin
 from ..system.element_memory import whole_steps
 from .control import LEAST_ERROR, PATIENCE, REFUSED, TURN, Statistics, StepControl, lands
 from .error_norm import ErrorNorm
@@ -70,13 +68,6 @@ class OwnMarch(MarchingStepper):
     def _made(self, h: float, count: int, most: float, observers: Observers) -> int:
         self._ahead = h, count
         return super()._made(h, count, most, observers)
-
-    @property
-    def _twin(self) -> Twin:
-        """Between arrays of the system and those of its steps."""
-        states = self.system.evaluator
-        assert isinstance(states, DriverStates)
-        return states.twin
 
     def _own_room(
         self, *, error: Array | None = None, orders: ctypes.Structure | None = None, **numbers: float

@@ -24,12 +24,14 @@ from .substructures import substructured
 @dataclass(frozen=True, eq=False)
 class InC:
     """How C solves with a factor of ``mass`` M + ``stiffness`` K by itself: the address of its ``matrix``, (1,), zero once the
-    factor is freed; for PETSc's MatSolve, or of a complex one the structure ``Symmetric`` of driver/tables.h.
+    factor is freed; for PETSc's MatSolve, or of a complex one the structure ``Symmetric`` of driver/tables.h. With
+    ``by_component`` it is that of M for one component, which serves all of them.
     """
 
     matrix: np.ndarray
     mass: float
     stiffness: complex
+    by_component: bool = False
 
 
 class Factor:

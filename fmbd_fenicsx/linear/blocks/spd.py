@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import require
-from ...fem.factors.factor import Factor, InC, factored
+from ...fem.factors.factor import Factor, InC, PetscFactor, address_of_solve
 from ...fem.fields import Field, rank_sum
 from ...rotations import Array
 from ..residual import Judge
@@ -142,18 +142,9 @@ class MassInverse(FieldFactor):
         self.judge = Judge(f'the mass matrix of body "{field.name}"')
         small = field.comm.size == 1 and field.n * field.dim <= SMALL
         definite = small and not field.redistributed  # contact nodes may have no mass
-        self.ksp = factored(field.M, True) if definite else self._conjugate_gradients()
-        self.x, self.b = field.M.createVecs()
-
-    def _conjugate_gradients(self) -> Any:
-        from petsc4py import PETSc
-
-        ksp = PETSc.KSP().create(self.field.comm)
-        ksp.setOperators(self.field.M)
-        ksp.setType("cg")
-        ksp.getPC().setType("jacobi")
-        ksp.setTolerances(rtol=1e-13, atol=1e-300, max_it=2000)
-        return ksp
+        self.component: PetscFactor | ConjugateGradients = (
+            PetscFactor(field.M, True, "CHOLMOD") if definite else ConjugateGradients(field.M)
+        )
 
     def solve(self, b: Array) -> Array:
         """(cm M)^-1 b on owned entries, judged by its true residual."""
@@ -161,15 +152,43 @@ class MassInverse(FieldFactor):
         B = b.reshape(-1, f.dim)
         X = np.empty_like(B)
         for k in range(f.dim):
-            self.b.array[:] = B[:, k]
-            self.ksp.solve(self.b, self.x)
-            X[:, k] = self.x.array
+            X[:, k] = self.component.solve(B[:, k])
         r = f.mass(X) - B
         rr, bb = f.total(np.array([(r * r).sum(), (B * B).sum()]))
         self.judge.check(float(np.sqrt(rr)), float(np.sqrt(bb)))
         return X.ravel() / self.cm
 
+    def in_c(self) -> InC | None:
+        """As above, with a factor; it judges likewise."""
+        if address_of_solve() is None or not isinstance(self.component, PetscFactor):
+            return None
+        return InC(self.component.address, self.cm, 0.0, by_component=True)
+
     def destroy(self) -> None:
         """Free the solver; collective."""
+        self.component.destroy()
+
+
+class ConjugateGradients:
+    """M^-1 with diagonal scaling; collective."""
+
+    def __init__(self, M: Any) -> None:
+        from petsc4py import PETSc
+
+        self.ksp = PETSc.KSP().create(M.getComm())
+        self.ksp.setOperators(M)
+        self.ksp.setType("cg")
+        self.ksp.getPC().setType("jacobi")
+        self.ksp.setTolerances(rtol=1e-13, atol=1e-300, max_it=2000)
+        self.x, self.b = M.createVecs()
+
+    def solve(self, b: Array) -> Array:
+        """M^-1 b on owned entries, unjudged."""
+        self.b.array[:] = b
+        self.ksp.solve(self.b, self.x)
+        return np.array(self.x.array)
+
+    def destroy(self) -> None:
+        """Free the solver."""
         for obj in (self.ksp, self.x, self.b):
             obj.destroy()

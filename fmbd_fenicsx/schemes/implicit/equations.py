@@ -138,7 +138,7 @@ class Equations(Remembering):
     def whole_steps(self, state: State) -> DriverStates | None:
         """With whose tables they are made from a state on; None where they are made in parts."""
         driver = self.solver.driver
-        return None if driver is None else driver.whole_steps(state)
+        return driver.whole_steps(state) if driver is not None and driver.states.same_rows else None
 
     def solves_for(self, s: Array) -> bool:
         """Whether compiled code has matrices of the frequencies s (p,)."""

@@ -89,7 +89,7 @@ class FieldTangent:
         """Derivatives of rate(xi, v) by xi at xi = 0, frame by frame: (frames, n_twist, n_twist)."""
         system, count = self.system, self.system.motions.n_twist
         frames, k = system.n_frames, system.n_frames * count
-        if system.motions.dim == 2:
+        if system.motions.dim == 2 or not frames:
             return np.zeros((frames, count, count))
         one = np.zeros((count, system.n_v))
         one[:, :k] = np.tile(1e-6 * np.eye(count), frames)

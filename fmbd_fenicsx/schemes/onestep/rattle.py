@@ -109,16 +109,16 @@ class RattleStepper(MarchingStepper):
             raise self.limit.blame(self.state, h, error) from error
 
     def _room(self, states: DriverStates) -> int:
-        s = states.system
+        s = states.tables.system
         return s.n_q + 6 * s.n_v + 4 * s.n_lam + states.tables.nu
 
     def _own(self, *, factored: bool) -> Array:
         a, lam = self.ahead
-        return np.concatenate((self.half, a, lam, (self.damped, factored)))[None]
+        return np.concatenate((self.half, self._twin.velocities(a), lam, (self.damped, factored)))[None]
 
     def _take_march(self, march: March, made: int) -> None:
-        n, m, own = self.system.n_v, self.system.n_lam, march.ring.own().copy()
-        self.half, self.ahead = own[:m], (own[m : m + n], own[m + n : 2 * m + n])
+        n, m, own = march.system.n_v, self.system.n_lam, march.ring.own().copy()
+        self.half, self.ahead = own[:m], (self._twin.forces(own[m : m + n]), own[m + n : 2 * m + n])
         self.damped = bool(own[2 * m + n])
         self._count_increments(march.parameters, made)
 

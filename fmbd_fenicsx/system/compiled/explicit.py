@@ -24,10 +24,11 @@ class ExplicitRoom:
         system, (c, A), self.own = states.tables.system, tableau, own
         n, stages = system.n_v, A.shape[1]
         work = (2 * stages + 9) * n + 3 * system.n_q + 5 * system.n_lam + states.tables.nu
-        self._bent, self._ends = Bent(system), np.array([n], np.int32)
+        self._bent, self._kinds = Bent(system), states.twin.kinds
         self._kept = [np.ascontiguousarray(c), np.ascontiguousarray(A), np.zeros(work), np.zeros((3, n))]
         nodes, rows, room, weights = map(address_of, self._kept)
-        norm = Norm(n=n, parts=1, span=address_of(self._ends), counted=address_of(self._ends), weigh=weights)
+        span, counted = map(address_of, self._kinds)
+        norm = Norm(n=n, parts=len(self._kinds[0]), span=span, counted=counted, weigh=weights)
         self._bent.lend(norm, apart=True)
         self.c = Explicit(
             stages=stages, nothing=nothing, c=nodes, A=rows, own=None if own is None else own.address, norm=norm, work=room

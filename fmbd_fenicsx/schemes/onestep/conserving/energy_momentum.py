@@ -167,11 +167,15 @@ class EnergyMomentumStepper(StepsInParts):
         return self._take(h, *self._in_parts(h, guess, ends, differences=tried))
 
     def _in_one_call(self, h: float) -> bool:
-        """Without fields, and where no tangent of steps in parts serves better."""
+        """Where no tangent of steps in parts serves better."""
         return self._kept is None or self._kept[0] != h
 
+    def _tables_of_steps(self) -> DriverStates | None:
+        """As above; the matrix of a step on fields is no other with their masses."""
+        return None if self.system.fields else super()._tables_of_steps()
+
     def _room(self, states: DriverStates) -> int:
-        s, most = states.system, self.newton.max_iterations + NEAR
+        s, most = states.tables.system, self.newton.max_iterations + NEAR
         step = states.library.driver_mean_room(states.address)
         return 12 + most + s.n_v + max(int(step), 2 * s.n_v + 3 * s.n_lam + states.tables.nu)
 
@@ -180,14 +184,15 @@ class EnergyMomentumStepper(StepsInParts):
         room[:12] = ends.most, np.inf if alone or self._warned else LARGE, *ends.numbers
 
     def _own(self, *, factored: bool) -> Array:
-        return np.array([np.concatenate(((t, self.past.through), a, lam)) for t, a, lam in self.past.known])
+        wide = self._twin.velocities
+        return np.array([np.concatenate(((t, self.past.through), wide(a), lam)) for t, a, lam in self.past.known])
 
     def _take_march(self, march: March, made: int) -> None:
         self._count_increments(march.parameters, made)
         self.solver.core.factorisations += self.solver.driver.new_factors() if self.solver.driver else 0
-        count, n = 1 + int(march.parameters[HISTORY]), self.system.n_v
+        count, n = 1 + int(march.parameters[HISTORY]), 2 + march.system.n_v
         kept = [march.ring.own(i).copy() for i in range(count)]
-        self.past.known = [(float(x[0]), x[2 : 2 + n], x[2 + n :]) for x in kept]
+        self.past.known = [(float(x[0]), self._twin.forces(x[2:n]), x[n:]) for x in kept]
         self.past.through = int(kept[0][1])
         self._kept = None
         self._warn_of_turns(float(march.parameters[H]), self.past.known[0][1], march.state(1).v)

@@ -110,22 +110,40 @@ static double residual_of(const Field *e, int part)
     for (long i = 0; i < e->n; i++) r[i] = -b[i];
     for (long i = 0; i < e->nodes; i++)
         for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++) add(r + D * i, e->of_mass * e->M[k], z + D * e->M_column[k], D);
-    for (long i = 0; i < e->nodes; i++)
+    for (long i = 0; !e->by_component && i < e->nodes; i++)
         for (int k = e->K_start[i]; k < e->K_start[i + 1]; k++)
             for (int c = 0; c < D; c++)
                 for (int j = 0; j < D; j++) r[D * i + j] += e->tangent[D * D * k + D * j + c] * x[D * e->K_column[k] + c];
-    if (e->pressure) square = pressure_residual(e->pressure, x, x + e->n, r);
+    if (e->pressure && !e->by_component) square = pressure_residual(e->pressure, x, x + e->n, r);
     for (long i = 0; i < e->n; i++) square += r[i] * r[i];
     return square;
+}
+
+/* z = (of_mass M)^-1 b, one component after another; 1 where there is none. */
+static int by_components(const Field *e)
+{
+    for (int j = 0; j < D; j++) {
+        for (long i = 0; i < e->nodes; i++) e->one_b[i] = e->b[D * i + j] / e->of_mass;
+        if (e->direct(*e->factor, e->one_rhs, e->one_solution)) return 1;
+        for (long i = 0; i < e->nodes; i++) e->z[D * i + j] = e->one_z[i];
+    }
+    return 0;
+}
+
+/* z = E^-1 b by the factor; 1 where there is none. */
+static int by_factor(const Field *e)
+{
+    if (e->by_component) return by_components(e);
+    if (e->parts == 1) return e->direct(*e->factor, e->rhs, e->solution);
+    symmetric_solve(*e->factor, e->b, e->z);
+    return 0;
 }
 
 /* z = E^-1 b by the factor itself, judged as linear/residual.py does; 0 where Python has to solve, and to judge. */
 static int solved_here(const Field *e)
 {
     double residual = 0.0, scale = 0.0;
-    if (!e->factor || !*e->factor) return 0;
-    if (e->parts > 1) symmetric_solve(*e->factor, e->b, e->z);
-    else if (e->direct(*e->factor, e->rhs, e->solution)) return 0;
+    if (!e->factor || !*e->factor || by_factor(e)) return 0;
     for (int part = 0; part < e->parts; part++) {
         const double *b = e->b + part * e->wide;
         residual += residual_of(e, part);

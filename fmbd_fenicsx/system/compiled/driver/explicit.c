@@ -22,6 +22,17 @@ static double missing(const System *s, double *x)
     return largest_force(s, x);
 }
 
+/* The largest acceleration that the forces on the nodes of a field would give to one of them by itself. */
+static double nodes_alone(const Field *e)
+{
+    double largest = 0.0;
+    for (long i = 0; i < e->nodes; i++)
+        for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++)
+            for (int j = 0; e->M_column[k] == i && e->M[k] > 0.0 && j < D; j++)
+                largest = fmax(largest, fabs(e->force[D * i + j]) / e->M[k]);
+    return largest;
+}
+
 /* The largest acceleration that the forces evaluated last would give to an unknown by itself; the matrix is assembled. */
 static double alone(const System *s)
 {
@@ -32,6 +43,7 @@ static double alone(const System *s)
             double unit = s->units[j < TWIST ? TWIST * b + j : o->at_v + j - TWIST], mass = s->diagonal[o->at_u + j];
             if (mass > 0.0) largest = fmax(largest, unit * fabs(s->residual[o->at_u + j]) / mass);
         }
+        if (o->field) largest = fmax(largest, nodes_alone(o->field));
     }
     return largest;
 }

@@ -130,6 +130,9 @@ typedef struct {
     double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */
     int (*direct)(void *factor, void *rhs, void *solution); /* PETSc's MatSolve: with */
     void **factor, *rhs, *solution;    /* its matrix, NULL where Python solves and when it is freed; vectors on b and z */
+    int by_component;                  /* whether it is that of the masses of one component; with room, nodes each, and vectors on it: */
+    double *one_b, *one_z;
+    void *one_rhs, *one_solution;
     double *told;                      /* solves, and the worst of their relative residuals */
     double of_mass, of_stiffness, lossy, tolerance; /* E = of_mass M + (of_stiffness + i lossy) K; a relative residual that is small */
     int parts;                         /* 2 where factor and columns are complex: all but the real parts stands behind these */

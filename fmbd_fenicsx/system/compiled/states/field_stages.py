@@ -26,7 +26,7 @@ class FieldStageRoom(PointRoom):
     """Room for p frequencies and k points of a form with these levels of constraints; ``square``: of the entries of lengths."""
 
     def __init__(self, states: DriverStates, levels: Sequence[int], shape: tuple[int, int], square: Array) -> None:
-        own, system, (p, k) = states.system, states.tables.system, shape
+        system, (p, k) = states.tables.system, shape
         self.states, self.shape, self.twin = states, shape, states.twin
         n, m, frames = system.n_v, system.n_lam, system.n_frames
         size, width = n + len(levels) * m, len(levels) * m
@@ -52,12 +52,9 @@ class FieldStageRoom(PointRoom):
         self.known = {name: x for name, (x, _) in more.items()}
         self.known["units"][m * n :] = np.eye(m).ravel()
         self.known["square"][:] = self.twin.velocities(square)
-        ends = [system.n_core, *(system.slices[1][k].stop for k, _ in system.fields)]
-        self._span, self._by = np.array(ends, np.int32), np.zeros(p, np.uint64)
-        # frames at rest count for nothing
-        self._counted = np.array([own.n_core, *(part.n for _, part in own.fields)], np.int32)
+        (self._span, self._counted), self._by = self.twin.kinds, np.zeros(p, np.uint64)
         self.fields = FieldStages(
-            by=address_of(self._by), kinds=len(ends), span=address_of(self._span), counted=address_of(self._counted),
+            by=address_of(self._by), kinds=len(self._span), span=address_of(self._span), counted=address_of(self._counted),
             length=system.length, **{name: address for name, (_, address) in more.items()},
         )  # fmt: skip
         self.c = Stages(

@@ -105,6 +105,7 @@ class FieldTable:
         self.c.tangent = address_of(self._tangent())
         if self.part.field.mixed:
             self._rows_of_pressure()
+        self.c.by_component = int(solved.by_component)
         self.c.told, self.c.tolerance = address_of(factor.judge.told), factor.judge.tolerance
         self.c.of_mass, self.c.of_stiffness, self.c.lossy = solved.mass, solved.stiffness.real, solved.stiffness.imag
 
@@ -199,11 +200,14 @@ class FieldTable:
         (self.b, b), (self.z, z) = (store.array(np.zeros(self.parts * self.wide)) for _ in range(2))
         self.force, force = store.array(np.zeros(self.parts * n))
         rhs, solution = self._vectors(self.b, self.z)
+        (one, one_b), (found, one_z) = (store.array(np.zeros(n // d)) for _ in range(2))
+        one_rhs, one_solution = self._vectors(one, found)
         self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
 
         self.c = structure("Field", d)(
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
             wide=self.wide, elastic=store.address(np.zeros(self.wide)), pressure=self._pressure(), rhs=rhs, solution=solution,
+            one_b=one_b, one_z=one_z, one_rhs=one_rhs, one_solution=one_solution,
             direct=address_of_solve(), asked_at=np.nan, number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
             own=int(not linear_field(part)), force=force, sums=sums, state=self.motion.address,
             inertial=self.inertial, turns=int(self.turns), parts=self.parts, frame_slot=store.integers(self.frame_slots),

@@ -98,6 +98,15 @@ class Twin:
     def __init__(self, system: System) -> None:
         self.original = self.system = system
 
+    @property
+    def kinds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the core and every field end in arrays like v, of which norms take means each, and how much of it moves:
+        frames at rest count for nothing.
+        """
+        ends = [self.system.n_core, *(self.system.slices[1][k].stop for k, _ in self.system.fields)]
+        counts = [self.original.n_core, *(part.n for _, part in self.original.fields)]
+        return np.array(ends, np.int32), np.array(counts, np.int32)
+
     def widened(self, block: Block) -> Block:
         """The parts of a block of the system as those of the twin."""
         return block
