@@ -195,7 +195,7 @@ SCENES = {
 }  # fmt: skip
 
 
-def run(name: str) -> Any:
+def run(name: str, **output: Any) -> Any:
     """One run, with all that sensors read of contact."""
     items = SCENES[name]()
     pairs = [x for x in items if type(x).__name__ == "Contact"]
@@ -214,8 +214,8 @@ def run(name: str) -> Any:
         scene.sensor(f"effort {stop.name}", fmbd.sensors.limit_effort(stop))
         scene.sensor(f"coordinate {stop.name}", stop.coordinate)
     scene.sensor("work", fmbd.contact_work())
-    output = fmbd.Output(every=8, progress=False)
-    return fmbd.solve(scene, t_end=0.4, dt=2e-3, scheme=fmbd.Moreau(), output=output)
+    about = fmbd.Output(**output or {"every": 8}, progress=False)
+    return fmbd.solve(scene, t_end=0.4, dt=2e-3, scheme=fmbd.Moreau(), output=about)
 
 
 @pytest.mark.parametrize("name", SCENES)

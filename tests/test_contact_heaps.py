@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.linear.complementarity.coulomb import PIVOTED
 from fmbd_fenicsx.schemes.impacts.compiled import driver
+from fmbd_fenicsx.schemes.impacts.moreau_stepper import MoreauStepper
 from fmbd_fenicsx.system.compiled.library import driver_library
 
 pytestmark = pytest.mark.skipif(driver_library(3) is None, reason="no C compiler")
@@ -94,3 +96,24 @@ def test_a_heap_settles_in_compiled_code(monkeypatch: pytest.MonkeyPatch) -> Non
     assert run.counters["cycles_broken"] <= 120  # forces sought a second time (289 where all began at the last forces)
     assert np.diff(sum(run.energy.values())).max() <= 1e-9 * abs(sum(run.energy.values())[0])
     assert run.state.contact.gap.min() > -1e-3 * R
+
+
+def test_a_step_whose_forces_are_not_found_is_made_in_parts_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python would look for those of many contacts for seconds, and NumPy for all of the step's once more."""
+    march, dt = driver.ContactDriver.march, 1e-3
+
+    def refused(self: Any, h: float, *more: Any) -> int:
+        if h < dt:
+            return march(self, h, *more)
+        self.unsolved = None
+        assert self.answer(driver.COMPLEMENTARITY, PIVOTED + 1, 0.0) == 1
+        return 0
+
+    def never(*_: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(driver.ContactDriver, "march", refused)
+    monkeypatch.setattr(driver, "frictional_forces", never)
+    monkeypatch.setattr(MoreauStepper, "advance", never)
+    run = fmbd.solve(hopper(2), t_end=4 * dt, dt=dt, scheme=fmbd.Moreau(), output=fmbd.Output(progress=False))
+    assert run.counters["compiled_steps"] == 2 * run.counters["steps"] == 8

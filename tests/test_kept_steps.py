@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import test_compiled_contact as contacts
 import tolerance_scenes as scenes
 from test_driver import compiled, joint_springs
 from test_marches import hanging, redundant, remembering, rod_and_mass
@@ -108,6 +109,38 @@ def test_little_room_for_kept_steps_changes_nothing(name: str, scheme: Any, monk
     monkeypatch.setattr(kept, "BYTES", 0)
     monkeypatch.setattr(kept, "FEW", 3)
     assert_alike(run(name, scheme), found, 1e-9)
+
+
+CONTACTS = ("bouncing 2", "cam", "stops and friction", "pid", "own shape")
+
+
+@compiled
+@pytest.mark.parametrize("name", CONTACTS)
+def test_instants_between_impacts_are_those_of_steps_looked_at_one_by_one(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Impacts cut steps: each instant is told by the part in which it lies, with what contacts carry in its step."""
+    times = np.sort(np.concatenate((np.linspace(0.0, 0.4, 51), np.random.default_rng(5).uniform(0.0, 0.4, 400))))
+    alone = contacts.run(name, times=times, on_step=lambda now: None)
+    assert alone.counters["impacts"] > 0
+    for room in (kept.BYTES, 0):
+        monkeypatch.setattr(kept, "BYTES", room)
+        found = contacts.run(name, times=times)
+        assert found.counters["compiled_steps"] == found.counters["steps"]
+        assert np.array_equal(found.times, alone.times) and len(found.times) == len(times)
+        for sensor, values in {**alone.series, **alone.energy}.items():
+            other = {**found.series, **found.energy}[sensor]
+            assert np.abs(other - values).max() <= 1e-9 * max(np.abs(values).max(), 1e-6), sensor
+        assert np.array_equal(found.state.q, alone.state.q)
+
+
+@compiled
+def test_contacts_at_given_times_cost_few_calls() -> None:
+    """250 to 400 calls of Python a record when steps that pass one were made by themselves."""
+    few, many = (np.sort(np.random.default_rng(1).uniform(0.02, 0.4, n)) for n in (200, 1200))
+    contacts.run("bouncing 3", times=few)
+    counted = [calls(lambda times=times: contacts.run("bouncing 3", times=times)) for times in (few, many)]
+    assert (counted[1] - counted[0]) / 1000 < 10
 
 
 def calls(made: Callable[[], Any]) -> int:

@@ -122,23 +122,25 @@ def test_plate_rattles_to_rest_on_redundant_corners(dim: int, friction: float, r
     assert run.counters["complementarity_residual"] <= 1e-12
 
 
+@pytest.mark.parametrize("points", [1, 2])
 @pytest.mark.parametrize("restitution", [0.9, 1.0])
-def test_impact_whose_friction_turns_the_slip_about_adds_no_energy(restitution: float) -> None:
+def test_impact_whose_friction_turns_the_slip_about_adds_no_energy(restitution: float, points: int) -> None:
     """A rod that hits a floor with its tip, and sticks: by Newton's law it would leave with up to 10 % more energy.
 
-    The tip's impulse P is that of U_1 = (0, -s e U_0n) by the compliance W of the tip, and P . (U_0 + U_1) = 0 tells s.
+    The tip's impulse P is that of U_1 = (0, -s e U_0n) by the compliance W of the tip, and P . (U_0 + U_1) = 0 tells s. How many
+    ``points`` in the same place share it does not matter.
     """
     angle, v = np.pi / 4, np.array([1.0, -3.0])
     rod = fmbd.RigidBody("rod", 1.0, 1 / 12, (0.0, 0.6), angle, velocity=tuple(v))
     ground = fmbd.Obstacle("floor", fmbd.HalfSpace((0, 0), (0, 1)))
-    tips = fmbd.corners(rod, [(-0.5, 0.0), (0.5, 0.0)])
+    tips = fmbd.corners(rod, [(-0.5, 0.0), (0.5, 0.0)] * points)
     pair = fmbd.contact("floor", tips, ground, friction=0.8, restitution=restitution)
     scene = fmbd.Scene("rod")
     scene.add(rod, pair)
     scene.sensor("v", fmbd.velocity(rod))
     scene.sensor("work", fmbd.contact_work())
     run = fmbd.solve(scene, t_end=0.09, dt=3e-3, scheme=fmbd.Moreau())
-    assert run.counters["impacts"] == 1
+    assert run.counters["impacts"] == points
 
     arm = 0.5 * np.array([np.sin(angle), -np.cos(angle)])  # of the turn: speed of the tip for a unit angular velocity
     W = np.eye(2) + 12.0 * np.outer(arm, arm)

@@ -136,9 +136,9 @@ class Recorder:
             self._judge_tape(tape.recorded(), float(steps.after.t[-1, 0]))
             states = states_within(steps, stepper, self.rounding)
             numbers = first + steps.number
-            seen = tape.kept.told_of(states)
+            seen = tape.kept.told_of(states, steps)
             if seen is None:
-                for n, state in zip(numbers, states.each(), strict=True):
+                for n, state in zip(numbers, tape.kept.each(states, steps), strict=True):
                     self._record(int(n), state, None, between=True)
             else:
                 self.newest = int(numbers[-1])

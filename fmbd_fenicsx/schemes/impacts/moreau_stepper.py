@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from copy import copy
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ...system.layout import State
 from ...system.sensors.contact import forces_of
 from ...system.serialisation import Memory, plain
 from ...system.system import System
-from ..dense_output import place_within, state_within
+from ..dense_output import Some, place_within, state_within
 from ..newton import Newton
 from .contact_detection import candidates, tell_rest
 from .contact_ledger import StepForces
@@ -109,10 +109,13 @@ class MoreauStepper(ContactStepper):
         if not path or t < path[0].t:
             return None
         i = min(bisect_right([s.t for s in path], t), len(path) - 1)
-        before, after = path[i - 1], path[i]
+        q, v, a, lam = self._on_parabola(path[i - 1], path[i], t)
+        return replace(self.state, t=t, q=q, v=v, a=a, lam=lam)
+
+    def _on_parabola(self, before: Some, after: Some, t: Any) -> tuple[Array, Array, Array, Array]:
+        """q, v, a and lambda at a time t (s) in a part of a step, or of many with the part as the first axis."""
         q = place_within(self.system, before, after, t, (before.v, after.v))
-        v = state_within(before, after, t, q).v
-        return replace(self.state, t=t, q=q, v=v, a=after.a, lam=after.lam)
+        return q, state_within(before, after, t, q).v, after.a, after.lam
 
     def _part(self, left: float, h: float, rested: np.ndarray, *, classical: bool) -> MoreauStep:
         """The step to the next impact, through it, or to the end; solved. ``rested`` (m,): contacts whose impacts accumulate."""

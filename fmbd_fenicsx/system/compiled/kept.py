@@ -22,7 +22,7 @@ from .recording import Recorded
 from .tables.resting import Twin
 from .tables.structures import zeros_of
 from .tables.tables import Tables
-from .tape import Openness, Tape
+from .tape import Tape
 
 BYTES = 4_000_000  # that they may take
 FEW, CAPACITY = 16, 2048  # steps between two visits of Python, at least and at most
@@ -62,22 +62,24 @@ class KeptSteps:
 
 
 class Kept:
-    """Room for such steps of a march with these tables, and for the records of what lies within them; ``own``: numbers that the
-    scheme keeps with a state.
+    """Room for such steps of a march with these tables, and on a ``tape`` for the records of what lies within them.
+
+    ``own``: numbers that the scheme keeps with a state, ``parts``: into how many at most it cuts a step, each with states at its
+    ends.
     """
 
-    def __init__(self, library: Any, tables: Tables, calls: Calls, judged: Openness, *, own: int) -> None:
-        self.library, self.tables, self.calls, self._tape = library, tables, calls, Tape(tables, judged)
+    def __init__(self, library: Any, tables: Tables, calls: Calls, tape: Tape, *, own: int, parts: int = 1) -> None:
+        self.library, self.tables, self.calls, self._tape = library, tables, calls, tape
         size = block_size(tables.system)
         # a memory of elements is that of the newest step
         alone = tables.c.remembers or tables.sampled
-        most = 1 if alone else min(max(BYTES // (8 * (3 * size + own)), FEW), CAPACITY)
+        most = parts if alone else min(max(BYTES // (8 * (3 * size + own)), FEW + parts), CAPACITY + parts)
         sizes = {"newest": (most, size + own), "begin": (most, size), "earlier": (most, size), "last": (size,)}
         room = zeros_of(sizes)
         self._room = {name: x for name, (x, _) in room.items()}
         self._number = np.zeros(most, dtype=np.int64)
         addresses = {name: address for name, (_, address) in room.items()}
-        self.c: _Kept = _Kept(capacity=most, own=own, number=address_of(self._number), **addresses)
+        self.c: _Kept = _Kept(capacity=most, own=own, most=parts, number=address_of(self._number), **addresses)
         self.address: int = ctypes.addressof(self.c)
         self.most = max(most, FEW)  # instants that are told together
         self._instants: Array = np.zeros(0)
@@ -85,7 +87,7 @@ class Kept:
     @property
     def full(self) -> bool:
         """Whether there is room for no more."""
-        return bool(self.c.count == self.c.capacity)
+        return bool(self.c.count + self.c.most > self.c.capacity)
 
     def clear(self) -> None:
         """Nothing is kept."""
@@ -125,15 +127,20 @@ class Kept:
             t_of = instants[first : first + self.most, None]
             yield KeptSteps(t_of, self._number[which], before, after, earlier, (past, A), newest[:, size:])
 
-    def told_of(self, states: States) -> Recorded | None:
+    def told_of(self, states: States, steps: KeptSteps) -> Recorded | None:
         """Records of states within steps, as compiled code tells them; None where NumPy has something to say."""
         blocks, tape = _blocks_of(self.tables.twin, states), self._tape
         tape.hold(len(blocks))
+        tape.take_own(steps.own)
         system = ctypes.addressof(self.tables.c)
         if self.library.driver_record(system, tape.address, len(blocks), address_of(blocks)):
             self.calls.forget_error()  # who reads them one by one meets it again
             return None
         return tape.recorded()
+
+    def each(self, states: States, steps: KeptSteps) -> list[State]:
+        """The states within steps one by one, for who reads them so."""
+        return self._tape.each(states, steps.own)
 
 
 def _states_of(twin: Twin, blocks: Array) -> tuple[States, Array]:

@@ -75,7 +75,7 @@ class March:
     def tape(self, judged: Openness) -> Tape:
         """Room for records; ``judged``: how open joints are told. Made once."""
         if self._tape is None:
-            kept = Kept(self.library, self.tables, self.calls, judged, own=self.ring.width)
+            kept = Kept(self.library, self.tables, self.calls, Tape(self.tables, judged), own=self.ring.width)
             self._tape = Tape(self.tables, judged, kept=kept)
         return self._tape
 

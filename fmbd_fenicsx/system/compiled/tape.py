@@ -20,7 +20,7 @@ from .tables.layout import TableLayout
 from .tables.structures import zeros_of
 
 if TYPE_CHECKING:
-    from ..layout import State
+    from ..layout import State, States
     from .kept import Kept
 
 FIRST, CAPACITY = 64, 2048  # records between two visits of Python, at first and at most
@@ -156,6 +156,13 @@ class Tape:
         if records > self.capacity:
             self._make_room(records)
         self.begin(1, 1)
+
+    def take_own(self, own: Array) -> None:
+        """What a scheme keeps with the ends of steps, (k, ..), may tell something of records within them."""
+
+    def each(self, states: States, own: Array) -> list[State]:
+        """States within steps one by one, with what that tells of them."""
+        return states.each()
 
     def begin(self, every: int, left: int) -> None:
         """Nothing recorded; the first record after ``left`` steps, then every so many. One that was full has more room then."""

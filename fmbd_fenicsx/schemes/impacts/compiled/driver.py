@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....errors import ConvergenceError
 from ....linear.complementarity.active_set import ContactCounts
+from ....linear.complementarity.coulomb import PAINLEVE, PIVOTED
 from ....mechanics.contact.contact_set import ContactSet
 from ....mechanics.contact.limits import LimitPair
 from ....mechanics.contact.obstacle_pair import ObstaclePair
@@ -24,6 +26,7 @@ from ....system.compiled.blocks import Ring, block_size, state_of
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import driver_of
 from ....system.compiled.declarations import PYTHON, enumeration
+from ....system.compiled.kept import Kept
 from ....system.compiled.library import CONTACT
 from ....system.compiled.tables.tables import Tables
 from ....system.layout import State
@@ -76,6 +79,7 @@ class ContactDriver:
 
     def __init__(self, system: System, plain: System, library: Any, impacts: int, *, redundant: bool) -> None:
         self.impacts, self.accumulations = impacts, 0
+        self.unsolved: ConvergenceError | None = None  # why forces of the last step were not found
         self.system, self.library, self.contacts = system, library, system.contacts
         self.stops = [pair for pair in self.contacts.pairs if isinstance(pair, LimitPair)]
         self.tables = Tables(plain, redundant=redundant, coordinates=[pair.relative for pair in self.stops])
@@ -261,7 +265,7 @@ class ContactDriver:
 
     # -- calls of C ----------------------------------------------------------------------------------------------------------
     def answer(self, what: int, number: int, t: float) -> int:
-        """0, or 1 where Python raised: the step is then made in NumPy, which says why."""
+        """0, or 1 where Python raised: the step is then made in NumPy, which says why, but for forces that are not found."""
         try:
             if what == POSE_OF:
                 self.pairs[number].pose[:] = list(self.contacts.pairs[number].carrier.motion(t))
@@ -272,7 +276,9 @@ class ContactDriver:
                 tell_rest(self.contacts, number, t)
             else:
                 self._forces(number)
-        except Exception:
+        except Exception as error:
+            if what == COMPLEMENTARITY and isinstance(error, ConvergenceError):
+                self.unsolved = error
             return 1
         return 0
 
@@ -288,6 +294,8 @@ class ContactDriver:
     def _forces(self, m: int) -> None:
         """Forces of a group of m contacts with the matrix W and the openings q without force."""
         problem, d = self.c.asked, self.c.components
+        if d > 1 and m > PIVOTED:
+            raise ConvergenceError(f"Forces of {m} contacts that move each other were not found.{PAINLEVE}")
         n = m * d
         W, q, f = self._compliance(problem), numbers(problem.q, n), numbers(problem.f, n).copy()
         opening, counts = q + W @ f, ContactCounts()
@@ -326,14 +334,17 @@ class ContactDriver:
     def tape(self, judged: Openness) -> ContactTape:
         """Room for records, the same for all marches."""
         if self._tape is None:
-            self._tape = ContactTape(self.tables, judged, self.contacts, self.system)
+            about = self.tables, judged, self.contacts, self.system
+            within = ContactTape(*about)
+            kept = Kept(self.library, self.tables, self.calls, within, own=within.numbers, parts=2 * self.impacts + 1)
+            self._tape = ContactTape(*about, kept)
         return self._tape
 
     def march(self, h: float, steps: int, newton: Newton, tape: Tape | None = None) -> int:
         """Make up to so many steps, recorded on the ``tape``; the number made."""
         p = self.parameters
         settings(p, self.system, newton)
-        p[slots.H], p[slots.THETA], p[slots.COUNTED] = h, newton.theta, 0.0
+        p[slots.H], p[slots.THETA], p[slots.COUNTED], self.unsolved = h, newton.theta, 0.0, None
         made = self.library.moreau_march(
             ctypes.addressof(self.tables.c), ctypes.addressof(self.c), p.ctypes.data, steps, self.ring.address,
             ctypes.byref(self._verdict), None if tape is None else tape.address,

@@ -10,7 +10,7 @@ from ....linear.condensation import StepSolver
 from ....rotations import Array
 from ....system.compiled import march as slots
 from ....system.compiled.tape import on_the_way
-from ....system.layout import State
+from ....system.layout import State, States
 from ....system.sensors.contact import ContactForces, ContactState
 from ....system.serialisation import Memory
 from ....system.system import System
@@ -22,6 +22,7 @@ from .driver import ContactDriver
 from .structures import Tally
 
 if TYPE_CHECKING:
+    from ....system.compiled.kept import KeptSteps
     from ....system.compiled.tape import Openness, Tape
 
 
@@ -52,8 +53,12 @@ class CompiledMoreauStepper(CompiledSteps, MoreauStepper):
         self.compiled = m("compiled", self.compiled)
 
     def advance(self, h: float) -> State:
-        """One step of size h (s), as :meth:`Stepper.advance`."""
-        return self.state if self._march(h, 1) else super().advance(h)  # who called moves memories on
+        """One step of size h (s), as :meth:`Stepper.advance`; NumPy would not find forces that compiled code has not found."""
+        if self._march(h, 1):
+            return self.state  # who called moves memories on
+        if self.driver.unsolved is not None:
+            raise self.driver.unsolved
+        return super().advance(h)
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many steps of size h (s) in one call; how many were made: fewer where one is given
@@ -75,13 +80,17 @@ class CompiledMoreauStepper(CompiledSteps, MoreauStepper):
         if made:
             self._take_newest(made)
         self._refused = None
-        if made < steps:
+        if made < steps and not (tape is not None and tape.ended):
             self._refuse(h)
         return made
 
     def tape(self, judged: Openness) -> Tape | None:
         """Room for records of :meth:`march`."""
         return self.driver.tape(judged) if on_the_way(self.driver.tables) else None
+
+    def within(self, steps: KeptSteps) -> States:
+        """As :meth:`TimeStepper.within`, each on the parabola of its part."""
+        return States(steps.t, *self._on_parabola(steps.before, steps.after, steps.t))
 
     def _load(self) -> None:
         """State, impulses and books into the driver."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,15 +12,20 @@ from ....rotations import Array
 from ....system.compiled.recording import Recorded
 from ....system.compiled.tables.layout import TableLayout
 from ....system.compiled.tape import Openness, Tape
-from ....system.layout import State
+from ....system.layout import State, States
 from ....system.sensors.contact import WORKS, ContactForces, ContactState
 from ....system.system import System
+
+if TYPE_CHECKING:
+    from ....system.compiled.kept import Kept
 
 
 class ContactTape(Tape):
     """Room for the records of one march."""
 
-    def __init__(self, tables: TableLayout, judged: Openness, contacts: ContactSet, system: System) -> None:
+    def __init__(
+        self, tables: TableLayout, judged: Openness, contacts: ContactSet, system: System, kept: Kept | None = None
+    ) -> None:
         """``system``: with its contacts, which that of the tables lacks."""
         m = len(contacts.pair)
         pairs = len(contacts.pairs)
@@ -28,42 +33,36 @@ class ContactTape(Tape):
         self.contacts, self.whole_system = contacts, system
         # as record_contacts() of driver/moreau.c writes them
         self.shapes = [(m,), (m, d), (m, d), (m,), (m, d), (pairs, d), (len(WORKS),), ()]
-        super().__init__(tables, judged, contact=sum(int(np.prod(x)) for x in self.shapes))
+        self.numbers = sum(int(np.prod(x)) for x in self.shapes)
+        super().__init__(tables, judged, contact=self.numbers, kept=kept)
 
     def stops_at(self, crossings: np.ndarray, read: Sequence[tuple[Any, int, int]]) -> bool:
         """No: steps are cut by impacts, between which values may cross and come back."""
         return False
 
-    def _records(self, which: slice) -> Recorded:
-        return ContactRecorded(super()._records(which), self)
+    def take_own(self, own: Array) -> None:
+        """The contacts of the steps that records are within."""
+        self.arrays["contact"][: len(own)] = own
 
+    def each(self, states: States, own: Array) -> list[State]:
+        """With the contacts of their steps."""
+        forces, times = self.forces(own)
+        return [
+            ContactState(s.t, s.q, s.v, s.a, s.lam, forces.record(i, float(times[i])))
+            for i, s in enumerate(states.each())
+        ]
 
-class ContactRecorded(Recorded):
-    """Records with contact; ``contact``: its :class:`ContactForces`, with the record as the first axis of all arrays."""
-
-    def __init__(self, found: Recorded, tape: ContactTape) -> None:
-        super().__init__(found.twin, found.looks, found.arrays, found.doubt)
-        self.system, self.tape = tape.whole_system, tape
-        self._split()
-
-    def copied(self) -> Recorded:
-        """As :meth:`Recorded.copied`, contacts too."""
-        out = super().copied()
-        assert isinstance(out, ContactRecorded)
-        out._split()
-        return out
-
-    def _split(self) -> None:
-        """What the numbers tell of contacts."""
-        contacts, shapes = self.tape.contacts, self.tape.shapes
-        numbers, parts, first = self.arrays["contact"], [], 0
-        for shape in shapes:
+    def forces(self, numbers: Array) -> tuple[ContactForces, Array]:
+        """What the numbers of contacts in many records (k, ..) tell, and the times (k,) at which the forces act."""
+        parts, first = [], 0
+        for shape in self.shapes:
             size = int(np.prod(shape))
             parts.append(numbers[:, first : first + size].reshape(len(numbers), *shape))
             first += size
 
-        gap, x, normal, carried, force, impulse, work, self._times = parts
-        self.contact = ContactForces(
+        contacts = self.contacts
+        gap, x, normal, carried, force, impulse, work, times = parts
+        found = ContactForces(
             contacts.names,
             0.0,
             contacts.pair,
@@ -76,6 +75,26 @@ class ContactRecorded(Recorded):
             impulse,
             work,
         )
+        return found, times
+
+    def _records(self, which: slice) -> Recorded:
+        return ContactRecorded(super()._records(which), self)
+
+
+class ContactRecorded(Recorded):
+    """Records with contact; ``contact``: its :class:`ContactForces`, with the record as the first axis of all arrays."""
+
+    def __init__(self, found: Recorded, tape: ContactTape) -> None:
+        super().__init__(found.twin, found.looks, found.arrays, found.doubt)
+        self.system, self.tape = tape.whole_system, tape
+        self.contact, self._times = tape.forces(self.arrays["contact"])
+
+    def copied(self) -> Recorded:
+        """As :meth:`Recorded.copied`, contacts too."""
+        out = super().copied()
+        assert isinstance(out, ContactRecorded)
+        out.contact, out._times = self.tape.forces(out.arrays["contact"])
+        return out
 
     def state(self, i: int) -> State:
         """One of the states, with the contact forces of the step that led to it."""

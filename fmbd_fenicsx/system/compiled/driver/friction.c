@@ -1,6 +1,6 @@
 /* Coulomb friction where contacts depend on each other, or Newton's plain iteration does not converge: proximal points, by Newton with a
-   line search, as linear/complementarity/coulomb.py, equations (1) to (3); from the last forces, then from those of interior.c. What
-   these leave is taken where the law is missed by rates that the step's own iteration does not know; else it is Python's: pivoting. */
+   line search, as linear/complementarity/coulomb.py, equations (1) to (3); from the last forces, then from those of interior.c. Forces
+   are taken where they miss the law by rates that the step's own iteration does not know; where none is it is Python's: pivoting. */
 
 static const double FOUND = 1e-12, ENOUGH = 1e-13, SHORTEST = 1e-2; /* as in coulomb.py */
 static const double ACCEPTED = 1e-10, SETTLED = 1e-9; /* where the attempt before finds no better; in groups that are not SMALL */
@@ -60,16 +60,19 @@ static void evaluated(const Contacts *c, Friction *o)
     }
 }
 
-/* Largest residual over the largest force; large forces that cancel each other do not count. */
-static double residual_of(const Friction *o, int d)
+/* The largest of forces x that openings q ask for; large ones that cancel each other do not count. */
+static double size_of(const Problem *o, int d, const double *q, const double *x)
 {
     double free = 0.0, cn, ct;
-    for (int i = 0; i < o->n; i++) {
-        scales(o->of, i / d, d, &cn, &ct);
-        free = fmax(free, fabs(cn * o->q[i]));
+    for (int i = 0; i < o->m * d; i++) {
+        scales(o, i / d, d, &cn, &ct);
+        free = fmax(free, fabs(cn * q[i]));
     }
-    return largest(o->F, o->n) / fmax(free + fmin(largest(o->x, o->n), 1e3 * free), 1e-300);
+    return fmax(free + fmin(largest(x, o->m * d), 1e3 * free), 1e-300);
 }
+
+/* Largest residual over the largest force. */
+static double residual_of(const Friction *o, int d) { return largest(o->F, o->n) / size_of(o->of, d, o->q, o->x); }
 
 /* The matrix of Newton's step, du W + own, times s. */
 static void slope_times(const Friction *o, int d, const double *own, const double *s, double *moved, double *y)
@@ -242,32 +245,43 @@ static double attempt(Contacts *c, const Problem *problem, const Attempt *with, 
     return least;
 }
 
-/* Whether forces x miss the law by rates only that are not known; openings and slips under them are in o->u then. */
-static int within_rates(const Contacts *c, const Problem *o, const double *x)
+/* Openings and slips of a group under forces x. */
+static void open_under(const Problem *o, int d, const double *x, double *u)
+{
+    moved_by(o, d, x, u);
+    add(u, 1.0, o->q, o->m * d);
+}
+
+/* Whether forces x miss the law by rates only that are not known; by which share of the largest force then, in ``size``. */
+static int within_rates(const Contacts *c, const Problem *o, const double *x, double *size)
 {
     const int d = c->components;
-    moved_by(o, d, x, o->u);
-    add(o->u, 1.0, o->q, o->m * d);
+    double most = 0.0;
+    open_under(o, d, x, o->u);
     for (int i = 0; i < o->m; i++) {
         double cn, ct, F[D], dx[D * D], du[D * D];
         scales(o, i, d, &cn, &ct);
         coulomb(x + i * d, o->u + i * d, cn, ct, o->mu[i], d, F, dx, du);
         for (int k = 0; k < d; k++)
             if (!(fabs(F[k]) <= c->rough * (k ? ct : cn))) return 0;
+        most = fmax(most, largest(F, d));
     }
+    *size = most / size_of(o, d, o->q, x);
     return 1;
 }
 
-/* Forces of a group from those in the problem; 1 where none of the attempts finds them, with nothing counted. */
+/* Forces of a group from those in the problem, and what opens under them; 1 where none of the attempts finds them, with nothing counted.
+   Where the step's iteration goes on they are made sharper at once, or serve as they are while they miss the law by rates only that it
+   does not know. */
 static int frictional_forces(Contacts *c, const Problem *o)
 {
     const int d = c->components, n = o->m * d;
-    const Attempt *begin = ATTEMPTS + (o->m > SMALL), *sharp = ATTEMPTS + SHARPENING;
+    const Attempt *begin = ATTEMPTS + (o->m > SMALL && !c->done), *sharp = ATTEMPTS + SHARPENING;
     Tally before = c->tally;
     double *last = c->least, *within = last + n, *best = within + n, *work = best + n, size = INFINITY;
-    int known = 0;
+    int known = 0, found = 0;
     memcpy(last, o->f, n * sizeof(double));
-    for (const Attempt *k = begin; k < ATTEMPTS + TRIES && !(size <= (k < sharp ? FOUND : accepted_in(o->m))); k++) {
+    for (const Attempt *k = begin; k < ATTEMPTS + TRIES && !found; k++) {
         c->tally.cycles += k > begin;
         if (k->from == WITHIN && !known) {
             inner_forces(c, o, work);
@@ -278,9 +292,12 @@ static int frictional_forces(Contacts *c, const Problem *o)
         if (k->from == NONE) memset(o->f, 0, n * sizeof(double));
         else memcpy(o->f, k->from == WITHIN ? within : last, n * sizeof(double));
         size = attempt(c, o, k, best, size);
+        const int suffices = k + 1 >= sharp;
+        found = size <= (suffices ? accepted_in(o->m) : FOUND) || (suffices && within_rates(c, o, best, &size));
+        if (!found && k == begin && c->done && (found = within_rates(c, o, last, &size))) memcpy(best, last, n * sizeof(double));
     }
-    const int found = size <= accepted_in(o->m) || within_rates(c, o, best);
     memcpy(o->f, found ? best : last, n * sizeof(double));
+    open_under(o, d, o->f, o->u);
     if (!found) {
         c->tally = before;
         return 1;

@@ -54,8 +54,7 @@ static int impulses(Contacts *c, const double *start, double t)
         if (!contact_forces(c, &group, g) || !frictional_forces(c, &group)) continue;
         c->asked = group;
         if (c->python(COMPLEMENTARITY, group.m, t)) return 1;
-        moved_by(&group, c->components, group.f, group.u);
-        add(group.u, 1.0, group.q, group.m * c->components);
+        open_under(&group, c->components, group.f, group.u);
     }
     return 0;
 }
@@ -177,6 +176,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         for (int k = 0; k < n; k++) c->open[k] = c->all.q[k] + along(c, closed[k / d], c->rows + 2 * c->wide * k, c->push);
 
         double *old = c->old;
+        c->done = done;
         memcpy(old, c->all.f, n * sizeof(double));
         if (m && lawful_impulses(c, old, middle)) return LOOK;
         for (int k = 0; k < n; k++) old[k] = c->all.f[k] - old[k];

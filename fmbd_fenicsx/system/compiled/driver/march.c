@@ -46,29 +46,16 @@ typedef struct {
     Closed *closed;
 } Watch;
 
-/* Whether somebody waits for an instant up to t. */
-static int awaited(const Tape *tape, double t)
-{
-    const Kept *o = tape->kept;
-    return o && o->passed < o->instants && o->instant[o->passed] <= t + o->roundoff;
-}
-
 /* Keep the newest step of a ring where an instant lies in it; whether there is room for no more. */
 static int keep_step(const System *s, Tape *tape, double **ring)
 {
     Kept *o = tape->kept;
-    const long size = 1 + s->nq + 3 * (long)s->nv + s->rows, wide = size + o->own, k = o->count, waits = awaited(tape, *ring[0]);
+    const long size = 1 + s->nq + 3 * (long)s->nv + s->rows;
     o->steps++;
-    if (waits && !tape->crossed) {
-        o->number[k] = o->steps;
-        memcpy(o->newest + wide * k, ring[0], wide * sizeof(double));
-        memcpy(o->begin + size * k, ring[1], size * sizeof(double));
-        memcpy(o->earlier + size * k, o->last, size * sizeof(double));
-        while (o->passed < o->instants && o->instant[o->passed] <= *ring[0] + o->roundoff) o->passed++;
-        o->count++;
-    }
+    if (awaited(tape, *ring[0]) && !tape->crossed)
+        memcpy(keep_between(s, o, ring[1], ring[0], *ring[0] + o->roundoff), ring[0] + size, o->own * sizeof(double));
     if (!tape->crossed) memcpy(o->last, ring[1], size * sizeof(double));
-    return o->count == o->capacity;
+    return is_full(o);
 }
 
 /* What a new state is worth, DONE where it counts; it is taken down where ``recorded``. */

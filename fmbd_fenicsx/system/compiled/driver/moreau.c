@@ -291,19 +291,35 @@ static void record_contacts(const Contacts *c, double *to)
     for (int k = 0; k < 8; to += sizes[k++]) memcpy(to, from[k], sizes[k] * sizeof(double));
 }
 
+/* Keep the parts of the newest step, from the state ``begin`` on, in which instants lie, with its contacts. */
+static void keep_parts(const System *s, const Contacts *c, Tape *tape, const double *begin, const double *end)
+{
+    Kept *o = tape->kept;
+    o->steps++;
+    for (int i = 1; i <= c->parts && awaited(tape, *end); i++) {
+        const double *to = i < c->parts ? station(s, c, i) : end;
+        const double until = i < c->parts ? *to : *to + o->roundoff;
+        if (o->instant[o->passed] <= until) record_contacts(c, keep_between(s, o, station(s, c, i - 1), to, until));
+    }
+    memcpy(o->last, begin, (1 + s->nq + 3 * (long)s->nv + s->rows) * sizeof(double));
+}
+
 /* The newest state, whose step is accepted: elements remember it, and it is recorded where that is due. */
 static int accepted(System *s, Contacts *c, Block now, Tape *tape)
 {
-    int recorded = tape && tape->left == 1, verdict;
-    if (recorded || s->remembers) {
+    const int recorded = tape && tape->left == 1, waits = tape && awaited(tape, *now.t);
+    int verdict;
+    if (recorded || waits || s->remembers) {
         if ((verdict = place(s, now.q, now.v))) return verdict;
-        if (recorded && s->samples && s->python(SAMPLE, 0, *now.t)) return FAILED;
+        if ((recorded || waits) && s->samples && s->python(SAMPLE, 0, *now.t)) return FAILED;
     }
+    if ((recorded || waits) && touch_others(c, now.q, *now.t)) return LOOK;
     if (recorded) {
-        if (touch_others(c, now.q, *now.t)) return LOOK;
         const long size = c->points * (2 + 3 * D) + c->pairs * D + 6;
         record_contacts(c, tape->contact + size * place_on(tape));
         if ((verdict = record(s, tape, &now, 0, 1))) return verdict;
+    } else if (waits) {
+        judge_drift(s, tape, &now);
     }
     if (s->remembers && (verdict = keep(s, *now.t))) return verdict;
     if (tape) tape->left = recorded ? tape->every : tape->left - 1;
@@ -333,6 +349,9 @@ EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double *
         ring[0] = last;
         made++;
         if ((*verdict = accepted(s, c, block_at(s, last), tape))) break;
+        if (!tape || !tape->kept) continue;
+        keep_parts(s, c, tape, ring[newest], last);
+        if (is_full(tape->kept)) break;
     }
     if (made && touch_others(c, block_at(s, ring[0]).q, *block_at(s, ring[0]).t)) *verdict = LOOK;
     return made;

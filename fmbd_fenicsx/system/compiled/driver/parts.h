@@ -160,6 +160,9 @@ int with_all_rows(System *s, double scale, double *x, double *y, double t);
 int with_fields(System *s, double scale, double *x, double *y, double t);
 
 long place_on(const Tape *tape);
+int awaited(const Tape *tape, double t);
+int is_full(const Kept *o);
+double *keep_between(const System *s, Kept *o, const double *begin, const double *end, double until);
 int record(System *s, Tape *tape, const Block *now, const double *known, int judged); /* the core */
 void judge_drift(System *s, Tape *tape, const Block *now);
 

@@ -196,6 +196,29 @@ int record(System *s, Tape *tape, const Block *now, const double *known, int jud
     return DONE;
 }
 
+/* Whether somebody waits for an instant up to t. */
+int awaited(const Tape *tape, double t)
+{
+    const Kept *o = tape->kept;
+    return o && o->passed < o->instants && o->instant[o->passed] <= t + o->roundoff;
+}
+
+/* Whether there is no room for what one more step may take. */
+int is_full(const Kept *o) { return o->count + o->most > o->capacity; }
+
+/* Keep two states for the instants between them, up to the time ``until``; where what the scheme keeps with the second has its place. */
+double *keep_between(const System *s, Kept *o, const double *begin, const double *end, double until)
+{
+    const long size = 1 + s->nq + 3 * (long)s->nv + s->rows, k = o->count++;
+    double *newest = o->newest + (size + o->own) * k;
+    o->number[k] = o->steps;
+    memcpy(newest, end, size * sizeof(double));
+    memcpy(o->begin + size * k, begin, size * sizeof(double));
+    memcpy(o->earlier + size * k, o->last, size * sizeof(double));
+    while (o->passed < o->instants && o->instant[o->passed] <= until) o->passed++;
+    return newest + size;
+}
+
 /* Records of so many states between the ends of steps, one block behind the other: their joints are as open as polynomials leave them. */
 EXPORT int driver_record(System *s, Tape *tape, long count, double *block)
 {

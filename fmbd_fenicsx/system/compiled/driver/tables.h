@@ -284,6 +284,7 @@ typedef struct {
     long instants, passed;             /* how many, and how many of them are not behind the newest step */
     double roundoff;                   /* s */
     long steps, capacity, count, own;  /* of the march; kept ones at most, and so far; numbers that a scheme keeps with a state */
+    long most;                         /* of them that one step may take */
     long *number;                      /* of each, which step of the march it is */
     double *newest, *begin, *earlier;  /* at its end, with what the scheme keeps, at its beginning, and at that of the step before, nan */
                                        /* where forces jump between */
