@@ -80,6 +80,16 @@ def test_period_of_springs_has_one_unit() -> None:
     assert len(said) == 2 and said[0] == said[1] and "about 0.63 s" in said[0]
 
 
+def test_friction_that_is_a_spring_is_told() -> None:
+    """The stiffness before sliding is easily taken for the way."""
+    for stick, told in ((1e-4, True), (200.0, False)):
+        wheel = fmbd.RigidBody("wheel", 0.5, 2e-4)
+        hinge = fmbd.revolute("hinge", fmbd.ground, wheel, center=(0, 0))
+        scene = fmbd.Scene("wheel")
+        scene.add(wheel, hinge, fmbd.dry_friction("brake", fmbd.angle(hinge), limit=0.02, stick=stick))
+        assert told == any('"brake" is a spring for 200 rad' in note for note in scene.check().notes)
+
+
 def test_joints_without_a_share_are_not_listed() -> None:
     shares = {"real": 0.5, "roundoff": 4e-3}
     text = str(Mobility(6, 3, 2, shares, 1.0, 0.0))

@@ -11,7 +11,8 @@ def too_large(body: str, displacement: float, size: float, stiffened: bool) -> s
     """
     spin = (
         "A body that spins above its first bending frequency has no stable linear solution: use stiffening=True with an "
-        "attached frame, or an energy."
+        "attached frame, or an energy. Loads that set in at once in steps that do not resolve what they shake do the same: let "
+        "them grow, or take a smaller dt."
     )
     bent = (
         "Its stiffening is of first order in the stress: take a smaller dt if it grew within a step; else an energy, or several "

@@ -21,6 +21,7 @@ from scipy.sparse.linalg import splu
 
 from ..energies import MixedEnergy
 from ..mechanics.bodies.coordinates import CoordinatePart
+from ..mechanics.forces.dry_friction import DryFriction
 from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.joints import ground
 from ..mechanics.reduction.reduced import ReducedPart
@@ -34,6 +35,7 @@ NEAR_SINGULAR = 1e-6
 LEAST_SHARE = 0.005  # of a row, that is listed
 CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
 INVERSE_ITERATIONS = 4
+YIELDING = 0.1  # rad, or of the model's length: dry friction that gives way by more before it slides is told
 LOCKED = 1e-2  # part of modes in rows, over that of what moves them most, below which they are not meant to give way
 LOCKED_LOOK = 300  # constraint rows up to which modes are looked at
 
@@ -321,9 +323,21 @@ def check(scene: Any, deep: bool = False) -> Mobility:
             f"springs: shortest period about {2 * np.pi / fastest:.2g} s (mean mass of a body, at the model's length from angles)"
         )
 
+    notes += _yielding_friction(scene, system.length)
+
     return Mobility(
         found.velocities, found.rows, found.rank, found.shares, found.conditioning, found.open, tuple(notes)
     )
+
+
+def _yielding_friction(scene: Any, length: float) -> list[str]:
+    """Dry friction that is a spring over a good part of any motion: F / k above a tenth of a radian, or of the model's length."""
+    sliders = [f for f in scene.forces.values() if isinstance(f, DryFriction)]
+    return [
+        f'dry friction "{f.name}" is a spring for {f.limit / f.stiffness:.3g} {f.on.unit} (limit / stick) before it slides'
+        for f in sliders
+        if f.limit / f.stiffness > YIELDING * (1.0 if f.on.kind.angular else length)
+    ]
 
 
 def _weak_ties(scene: Any) -> list[str]:

@@ -159,7 +159,7 @@ static int evaluate_end(System *s, const double *p, AlphaStep *k)
     if (s->redundant && !k->done) memset(out.lam, 0, s->rows * sizeof(double));
     int known = k->evaluated;
     k->evaluated = 0;
-    return known ? DONE : evaluate(s, out.q, out.v, out.a, out.lam, k->t);
+    return known ? DONE : evaluate_iterate(s, k->done, out.q, out.v, out.a, out.lam, k->t);
 }
 
 /* A new matrix, where the one at hand is not that of the state evaluated. */
@@ -277,7 +277,7 @@ static int iterate(System *s, double *p, AlphaStep *k)
             if ((verdict = renew_tangents(s, p, k))) return verdict;
             converged = 0;
         } else if (converged < 0) return NEWTON;
-        else if (k->misfit * k->sizes[k->done - 1] > 1.0) converged = 0;
+        else if (s->bridged || k->misfit * k->sizes[k->done - 1] > 1.0) converged = 0;
     }
     return k->done > (int)p[PATIENCE] + 1 && !s->fields && strayed(s, p, k->xi, k->begun) ? NEWTON : DONE;
 }

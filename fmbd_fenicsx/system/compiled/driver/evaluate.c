@@ -98,7 +98,7 @@ int efforts(System *s, Batch *k, double t)
         for (int e = 0; e < k->live; e++) rate += out[k->entry[e]] * s->velocity[at[e]];
         k->s[i] = out[0];
         k->rate[i] = rate;
-        if (k->role == FORMULA) formula(k, i, t);
+        if (k->role == FORMULA) formula(s, k, i, t);
         else if (k->role != GIVEN) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
     }
     if (k->role != LAW) return DONE;
@@ -178,4 +178,14 @@ int evaluate(System *s, const double *q, const double *v, const double *a, const
     looked = inertia(s, q, v, a, t);
     if (looked == FAILED) return FAILED;
     return (verdict = acting(s, lam, t)) ? verdict : looked;
+}
+
+/* The same at an iterate of a step after ``done`` increments, with what the iterate before tells of elements. */
+int evaluate_iterate(System *s, int done, const double *q, const double *v, const double *a, const double *lam, double t)
+{
+    s->following = done > 0;
+    s->bridged = 0;
+    int verdict = evaluate(s, q, v, a, lam, t);
+    s->following = 0;
+    return verdict;
 }

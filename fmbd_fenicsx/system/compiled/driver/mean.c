@@ -146,7 +146,7 @@ static int mean_efforts(System *s, Batch *k, const Step *o, long first, double t
     for (int g = 0; g < 3 && k->role != GIVEN && k->role != LAW; g++) {
         for (long i = 0; i < k->n; i++) {
             k->s[i] = from[i] + GAUSS[g] * (to[i] - from[i]);
-            if (k->role == FORMULA) formula(k, i, t);
+            if (k->role == FORMULA) formula(s, k, i, t);
             if (k->role == LINEAR) k->effort[i] = k->stiffness[i] * (k->s[i] - k->free[i]) + k->damping[i] * k->rate[i];
         }
         add(sum, SHARES[g], k->effort, k->n);

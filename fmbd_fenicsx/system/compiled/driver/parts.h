@@ -71,6 +71,7 @@ int place(System *s, const double *q, const double *v);
 void turn_velocity(System *s, const double *v);
 int inertia(System *s, const double *q, const double *v, const double *a, double t);
 int evaluate(System *s, const double *q, const double *v, const double *a, const double *lam, double t);
+int evaluate_iterate(System *s, int done, const double *q, const double *v, const double *a, const double *lam, double t);
 int prepare(System *s, const double *q, double cd, double ck, const double *lam, int reactions, double t);
 void solution(System *s, double *x, double *y);
 void tree_solution(System *s, const Tree *t, double *x);
@@ -147,7 +148,7 @@ void derivatives_in_time(System *s, double *partial, double *second);
 int efforts(System *s, Batch *k, double t);
 static const double LEFT_OF_PLACES = 3.6e-15; /* share of places that increments may be roundoff of */
 double far_from_origin(const System *s, const double *q, double length);
-void formula(Batch *k, long i, double t);
+void formula(System *s, Batch *k, long i, double t);
 int increment(System *s, double scale, double *x, double *y, double t);
 int items(System *s, Batch *k, const double *lam, double t);
 int misled(const System *s);

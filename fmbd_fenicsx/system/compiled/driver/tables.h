@@ -249,6 +249,8 @@ typedef struct {
                                        /* many may do so, and do; see links.c */
     double *push, *pull, *answer, *mutual; /* linkable x (nu + TWIST surfaces + 1), twice; x (nu + rows); x linkable */
     int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
+    int following, bridged;            /* whether an iterate follows another of the same step; whether it bridges dry friction, */
+                                       /* whose effort is none of the state then */
     int leaves_out;                    /* whether the matrix lacks terms of the motion of a body, see secants.c */
     const double *from;                /* where a step begins whose mean forces fields tell in place of those of a state; NULL else */
     double span;                       /* its size, s */
