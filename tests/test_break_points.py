@@ -190,6 +190,23 @@ def test_break_points_that_are_one(pendulum_reference: fmbd.Run) -> None:
         for x in (STOPS, (*STOPS, *STOPS, 0.37 + 1e-13))
     )
     assert (once["x"] == often["x"]).all() and once.counters["steps"] == 101
+    assert not once.warnings and any("all of what acts between them is lost" in line for line in often.warnings)
+
+
+@pytest.mark.parametrize("length", [1e-9, 1e-11])
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(), fmbd.EnergyMomentum()], ids=lambda x: x.name)
+def test_a_pulse_between_break_points_far_nearer_than_a_step(scheme: Any, length: float) -> None:
+    """An impulse of 1 N s on a bar at rest: it acts, but for what the roundoff of time takes of it, which is said."""
+    bar = fmbd.RigidBody("bar", 1.0, 0.1, position=(1.0, 0.0))
+    begin, end = 0.5, 0.5 + length
+    scene = fmbd.Scene("pulse", breakpoints=(begin, end))
+    scene.add(bar, fmbd.revolute("pin", fmbd.ground, bar, center=(0, 0)))
+    scene.add(fmbd.force("knock", bar, lambda t: (0.0, begin <= t < end and 1.0 / (end - begin))))
+    scene.sensor("v", fmbd.velocity(bar))
+
+    run = fmbd.solve(scene, t_end=0.6, dt=0.01, scheme=scheme)
+    assert any("roundoff of time" in line for line in run.warnings)
+    assert abs(np.linalg.norm(run["v"][-1]) * 1.1 - 1.0) < 33 * np.spacing(1.0) / length
 
 
 def test_dense_break_points_are_told() -> None:

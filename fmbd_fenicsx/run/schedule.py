@@ -11,7 +11,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,9 @@ from ..schemes.declared import Declared
 from ..system.scene.scene import Scene
 
 SIDE = 16  # roundings of time between a break point and either side of it
-TOGETHER = 1e-6  # of a step: break points that are nearer to each other, or to the ends of the run, are one
+# roundings of the latest time: break points that are nearer to each other, or to the ends of the run, are one; of what acts
+# between two that are nearer than SHARP, more than a millionth is lost beside them
+TOGETHER, SHARP = 2.0**15, 2.0**25
 SAME = 1e-12  # share by which the sizes of steps of two stretches differ by roundoff: one factor serves both
 MANY = 2.0  # times as many equal steps as without break points, from which on it is said
 
@@ -167,7 +169,7 @@ def step_schedule(
             multiple == 1,
             "estimate_error needs constant steps; with error control compare two values of rtol (study.py).",
         )
-        return StepSchedule(t_end, 0, stops_within(scene, t_end), np.inf if dt is None else dt, begin=begin)
+        return StepSchedule(t_end, 0, _apart(scene, t_end), np.inf if dt is None else dt, begin=begin)
     if dt is None:
         raise InputError(f"{scheme.name} takes constant steps: give dt (s). Schemes with rtol choose their own.")
 
@@ -176,7 +178,7 @@ def step_schedule(
         made = StepSchedule(t_end, _count(t_end - begin, dt, groups), largest=dt, begin=begin)
         if multiple == 1 or not sampled_late(scene, made):
             return made
-    stops = _apart(stops_within(scene, t_end), (begin, t_end), TOGETHER * dt)
+    stops = _apart(scene, t_end)
     places = (begin, *stops, t_end)
     counts = tuple(_count(b - a, dt, multiple) for a, b in zip(places[:-1], places[1:], strict=True))
     return StepSchedule(t_end, sum(counts), stops, dt, counts=counts if stops else (), begin=begin)
@@ -198,13 +200,33 @@ def stops_within(scene: Scene, t_end: float) -> tuple[float, ...]:
     return tuple(sorted({float(t) for t in (*scene.breakpoints, *samples) if scene.begins < t < t_end}))
 
 
-def _apart(stops: tuple[float, ...], ends: tuple[float, float], least: float) -> tuple[float, ...]:
-    """The stops without those that are nearer than ``least`` (s) to the one before, or to the ends of the run."""
-    kept = [ends[0]]
-    for stop in stops:
-        if stop - kept[-1] > least and ends[1] - stop > least:
+def _apart(scene: Scene, t_end: float) -> tuple[float, ...]:
+    """The stops within a run without those that are :data:`TOGETHER` with the one before, or with the ends of the run."""
+    kept, least = [scene.begins], TOGETHER * _rounding(scene, t_end)
+    for stop in stops_within(scene, t_end):
+        if stop - kept[-1] > least and t_end - stop > least:
             kept.append(stop)
     return tuple(kept[1:])
+
+
+def _rounding(scene: Scene, t_end: float) -> float:
+    """Of the latest time of a run, s."""
+    return float(np.spacing(max(abs(scene.begins), abs(t_end))))
+
+
+def warn_of_close_break_points(scene: Scene, t_end: float) -> None:
+    """Break points between which time has too few digits for what acts there; those that are the same but for roundoff are none."""
+    rounding = _rounding(scene, t_end)
+    named = sorted(float(t) for t in scene.breakpoints if scene.begins < t < t_end)
+    for before, stop in pairwise((scene.begins, *named, t_end)):
+        apart = (stop - before) / rounding
+        if 4 * SIDE < apart < SHARP:
+            lost = "all" if apart <= TOGETHER else f"{2 * SIDE / apart:.1g}"
+            log.warning(
+                "break points at t = %.12g s and %.2g s later: %s of what acts between them is lost in the roundoff of time. Let "
+                "pulses last %.1g s or more, or name the instant once",
+                before, stop - before, lost, SHARP * rounding,
+            )  # fmt: skip
 
 
 def warn_of_dense_break_points(schedule: StepSchedule) -> None:

@@ -27,7 +27,7 @@ from .recording.accompanied import Accompanied
 from .recording.output import Output, refuse_too_many
 from .recording.recorder import Recorder
 from .result import Run
-from .schedule import StepSchedule, warn_of_dense_break_points, warn_of_late_samples
+from .schedule import StepSchedule, warn_of_close_break_points, warn_of_dense_break_points, warn_of_late_samples
 from .settings import check_times
 from .time_loop import March, march
 
@@ -145,6 +145,7 @@ def _finished(
     undetermined = not_unique(solver, marched.state)
     warn_of_doubts(task.scene, solver, marched.recorder, counters, start.state)
     warn_of_late_samples(task.scene, task.schedule)
+    warn_of_close_break_points(task.scene, task.schedule.t_end)
     warn_of_dense_break_points(task.schedule)
     first = task.schedule.next(task.schedule.begin)
     warn_of_turning_rows(solver, problem.said.turn_limit, (start.state, marched.state), first)
