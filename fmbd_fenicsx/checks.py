@@ -61,7 +61,8 @@ def shown(value: Any) -> str:
     else:
         name = getattr(value, "__dict__", {}).get("name")
     if isinstance(name, str):
-        return f'{type(value).__name__} "{name}"'
+        kind: Any = type(value)
+        return f'{vars(kind).get("shown_as", kind.__name__)} "{name}"'
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else f"{text[:77]}..."
 

@@ -194,9 +194,13 @@ def test_sensors_of_elements_take_names() -> None:
     assert np.abs(run["phi"]).max() > 0
     with pytest.raises(InputError, match='Joint "pin" .revolute. has no displacement'):
         scene.sensor("s", fmbd.displacement("pin"))
-    with pytest.raises(InputError, match="must be fmbd.angle.* of a joint itself"):
+    with pytest.raises(
+        InputError, match='coordinate sensor of "pin" must be fmbd.angle.* of a joint itself, not of its name'
+    ):
         fmbd.drive("drive", fmbd.angle("pin"), lambda t: t)
 
+    with pytest.raises(AttributeError, match="Run has no attribute 'sereis'; near it: series"):
+        _ = run.sereis
     with pytest.raises(InputError, match='Sensor "x": "sprong" is not among the forces .* Did you mean "spring"?'):
         scene.sensor("x", fmbd.tension("sprong"))
     with pytest.raises(InputError, match='"spring" is a name that only scene.sensor'):

@@ -215,7 +215,7 @@ def _rounding(scene: Scene, t_end: float) -> float:
 
 
 def warn_of_close_break_points(scene: Scene, t_end: float) -> None:
-    """Break points between which time has too few digits for what acts there; those that are the same but for roundoff are none."""
+    """Break points between which time has too few digits for what acts there; not those that differ by roundoff."""
     rounding = _rounding(scene, t_end)
     named = sorted(float(t) for t in scene.breakpoints if scene.begins < t < t_end)
     for before, stop in pairwise((scene.begins, *named, t_end)):

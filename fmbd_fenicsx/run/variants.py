@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import function, refuse
-from ..errors import FmbdError, InputError, near, require
+from ..errors import FmbdError, InputError, LawError, near, require
 from ..kernel_cache import cores
 from ..log import world_size
 from ..rotations import Array
@@ -90,7 +90,8 @@ def run_variants(make: Callable[[Any], Scene], parameters: Sequence[Any], **sett
         settings: of :func:`~fmbd_fenicsx.solve`, the same for all.
 
     Raises:
-        InputError: no parameters, or several MPI ranks, which share out one scene. What a variant raises, with its parameter.
+        InputError: no parameters, or several MPI ranks, which share out one scene.
+        FmbdError: what a variant raises, with its parameter; exceptions of other kinds as :class:`~fmbd_fenicsx.errors.LawError`.
     """
     function("study.map: make", make, ["parameter"])
     try:
@@ -128,11 +129,11 @@ def _one(make: Callable[[Any], Scene], parameter: Any, settings: dict[str, Any])
     except FmbdError as error:
         raise type(error)(f"Variant {parameter!r:.80}: {error}") from error
     except Exception as error:
-        # others keep their kind; where it was raised stays behind in the copy of the process
+        # where it was raised stays behind in the copy of the process
         *_, place = traceback.extract_tb(error.__traceback__)
-        note = f"Variant {parameter!r:.80} of study.map: {place.filename}, line {place.lineno}, in {place.name}"
-        vars(error).setdefault("__notes__", []).append(note)  # as add_note, from Python 3.11 on
-        raise
+        raise LawError(
+            f"Variant {parameter!r:.80}: {type(error).__name__}: {error} ({place.filename}, line {place.lineno}, in {place.name})"
+        ) from error
     end = run.state.q.copy(), run.state.v.copy()
     return Variant(parameter, run.times, run.series, run.energy, end, run.counters)
 
@@ -167,8 +168,7 @@ def _packed(error: BaseException) -> bytes:
         text = pickle.dumps(error)
         pickle.loads(text)
     except Exception:
-        notes = getattr(error, "__notes__", [])
-        return pickle.dumps(FmbdError("\n".join([f"{type(error).__name__}: {error}", *notes])))
+        return pickle.dumps(FmbdError(f"{type(error).__name__}: {error}"))
     return text
 
 

@@ -57,9 +57,11 @@ class Declared:
                 "or fmbd.elastic_stop in its place."
             )
         if held.contacts and self.start is None:
+            elastic = () if held.bouncing else ("ContactMidpoint()", "ContactAlpha()")
+            bouncing = () if held.massless and elastic else ("Moreau()",)
             return (
-                f'{name} does not treat contact, and the scene has "{held.contacts[0]}". Use fmbd.ContactMidpoint(), '
-                "ContactAlpha() or Moreau()."
+                f'{name} does not treat contact, and the scene has "{held.contacts[0]}". '
+                f"Use fmbd.{' or fmbd.'.join((*elastic, *bouncing))}."
             )
         if held.pressures and not self.carries_pressure:
             return (

@@ -33,7 +33,7 @@ class JointCoordinate:
     joint: Joint
     kind: type[Relative]
 
-    made_by: ClassVar[str] = "fmbd.angle(...) or fmbd.displacement(...) of a joint itself"
+    made_by: ClassVar[str] = "fmbd.angle(...) or fmbd.displacement(...) of a joint itself, not of its name"
 
     @property
     def unit(self) -> str:

@@ -238,7 +238,7 @@ class Builder:
         scene = self.scene
         joints = {**dict.fromkeys(rows), **scene.joints}
         there: dict[str, Mapping[str, Any]] = {
-            "joint": joints, "body": scene.bodies, "contact": scene.contacts, "joint limit": scene.limits,
+            "joint": joints, "body": scene.bodies, "force": scene.forces, "contact": scene.contacts, "joint limit": scene.limits,
         }  # fmt: skip
         for name, sensor in scene.sensors.items():
             for what, wanted in sensor.reads.items():
@@ -248,7 +248,7 @@ class Builder:
                 if wanted not in known or another:
                     raise InputError(
                         f'Sensor "{name}": there is no {what} "{wanted}" in the scene. {near(wanted, known)} '
-                        f'Where it was taken out, its sensors go too: del scene.sensors["{name}"].'
+                        f'Add it, or take the sensor out: del scene.sensors["{name}"].'
                     )
 
     def _surfaces_in_use(self) -> dict[str, list[str]]:

@@ -48,7 +48,20 @@ def _fits(part: Any, place: str) -> bool:
 
 
 class Parts(dict[str, Any]):
-    """Parts of a scene by their names; who asks for one that is not there, or takes it out, is told those that are."""
+    """Parts of a scene by their names; who asks for one that is not there, or takes it out, is told those that are.
+
+    With a part that is taken out go the sensors of its ``scene`` that read it; ``what`` it is, see :data:`PLACES`.
+    """
+
+    scene: Scene
+    what: str
+
+    @classmethod
+    def of(cls, scene: Scene, what: str, parts: dict[str, Any]) -> Parts:
+        """Those of a scene."""
+        made = cls(parts)
+        made.scene, made.what = scene, what
+        return made
 
     def __missing__(self, name: Any) -> Any:
         raise InputError(f'The scene has no "{name}" there. {near(str(name), self)}')
@@ -56,7 +69,10 @@ class Parts(dict[str, Any]):
     def __delitem__(self, name: str) -> None:
         if name not in self:
             self.__missing__(name)
-        super().__delitem__(name)
+        part = super().pop(name)
+        sensors = self.scene.sensors
+        for sensor in [key for key, sensor in sensors.items() if sensor.reads_part(self.what, part)]:
+            del sensors[sensor]
 
 
 @dataclass(repr=False)
@@ -113,7 +129,7 @@ class Scene:
             raise InputError(f'A scene has no "{name}" to set. {near(name, known)}')
         if name in PLACES:
             empty = type(value) is dict and not value  # as all are in a new scene
-            value = Parts() if empty else self._parts(name, value)
+            value = Parts.of(self, PLACES[name][1], value) if empty else self._parts(name, value)
         if name == "gravity" and value is not None:
             vector(f'Scene "{self.__dict__.get("name", "")}": gravity', value)
         if name == "breakpoints" and not (isinstance(value, tuple) and not value):
@@ -137,7 +153,7 @@ class Scene:
             require(
                 own == name and name != "ground", f'{what}: {word} "{own}" stands under the name "{name}". {advice}'
             )
-        return Parts(given)
+        return Parts.of(self, word, given)
 
     def add(self, *parts: Any) -> Any:
         """Add bodies, joints, forces and contacts; names must be unique among each. Returns the part, or a tuple of several."""

@@ -41,6 +41,11 @@ def find(system: Layout, name: str) -> tuple[Loads, list[int]]:
 class _ElementSensor(Sensor):
     element: str = ""
 
+    @property
+    def reads(self) -> dict[str, str]:
+        """A force element."""
+        return {"force": self.element}
+
 
 @dataclass(frozen=True, eq=False)
 class ElementScalar(_ElementSensor):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from functools import wraps
-from typing import Any
+from typing import Any, ClassVar
 
 from ...errors import InputError, near
 from ...rotations import Array
@@ -18,6 +18,7 @@ from .sensor import Sensor
 class OfNamed(Sensor):
     """A quantity of a part that is given by its name: ``make`` of what the scene has under this name among its ``parts``."""
 
+    shown_as: ClassVar[str] = "sensor of"
     _: KW_ONLY
     make: Callable[[Any], Sensor]
     parts: str

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import name_of, shown
+from ...checks import OfBody, name_of, shown
 from ...errors import InputError
 from ...mechanics.joints.drives import JointCoordinate
 from ...rotations import Array
@@ -54,8 +54,15 @@ class Sensor:
 
     @property
     def reads(self) -> dict[str, str]:
-        """What it reads that a scene must hold: "joint", "body" or "contact" -> its name, see :func:`named_part`."""
+        """What it reads that a scene must hold: "joint", "body", "force" or "contact" -> its name, see :func:`named_part`."""
         return {}
+
+    def reads_part(self, what: str, part: Any) -> bool:
+        """Whether it reads a part of a scene, or is on it; ``what`` it is: "joint", "body", ...; of ties as of joints."""
+        wanted = self.reads.get("joint" if what == "tie" else what)
+        if wanted is None:
+            return isinstance(self.on, OfBody) and self.on.body is part
+        return wanted == part.name and getattr(wanted, "part", part) is part
 
     def in_scene(self, name: str, scene: Any) -> Sensor:
         """The quantity as the sensor ``name`` of a scene."""
