@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,30 @@ def test_an_open_joint_is_named() -> None:
     v[3] = 1.0
     with pytest.raises(ConvergenceError, match=r'joint "knee" \(revolute\) opens at 1 m/s'):
         Closed(system, (0, 1)).check(system.at(0.0, state.q, v))
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        fmbd.Radau(3, rtol=1e-4),
+        fmbd.Radau(2, rtol=1e-4),
+        fmbd.BDF(rtol=1e-5),
+        fmbd.GeneralizedAlpha(rtol=1e-4),
+        fmbd.GeneralizedAlpha(rtol=1e-4, compiled=False),
+    ],
+    ids=["Radau 3", "Radau 2", "BDF", "alpha", "alpha in NumPy"],
+)
+@pytest.mark.parametrize("every", [1, 3])
+def test_own_steps_that_open_joints_are_made_again(scheme: Any, every: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In smaller ones, compiled or not, where a third of the largest gap is allowed."""
+    settings: Any = {"t_end": 0.5, "scheme": scheme, "newton": fmbd.Newton(tolerance=1e-4)}
+    free = fmbd.solve(double_pendulum(1.0, 1.0), **settings)
+    under, share = Closed.under, free.drift[0] / free.system.length / 3
+    monkeypatch.setattr(Closed, "under", lambda *given: replace(under(*given), share=share))
+
+    run = fmbd.solve(double_pendulum(1.0, 1.0), **settings, output=fmbd.Output(every=every))
+    assert run.counters["open_steps"] > 0 and run.status == "finished"
+    assert run.drift[0] < free.drift[0] / 2 and "open_steps" not in free.counters
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])

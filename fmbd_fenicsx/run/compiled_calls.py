@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ..schemes.stepping import Observers, TimeStepper
+from .judges.acceptance import Closed
 from .judges.force_balance import next_look
 from .recording.recorder import Recorder
 from .schedule import StepSchedule
@@ -23,8 +24,9 @@ FIRST = 64  # steps of the first call: nobody knows how long they take
 class CompiledCalls:
     """The calls of one march.
 
-    ``refuses``: looks at the newest of steps of so many seconds, which is taken back where it says so. ``events``: who looks for
-    those of the run; compiled steps that can tell them end where one is met.
+    ``closed``: judges the joints of steps of a scheme's own choice; one that does not pass is made by itself. ``refuses``: looks
+    at the newest of steps of so many seconds, which is taken back where it says so. ``events``: who looks for those of the run;
+    compiled steps that can tell them end where one is met.
     """
 
     def __init__(
@@ -33,11 +35,12 @@ class CompiledCalls:
         schedule: StepSchedule,
         recorder: Recorder,
         *,
+        closed: Closed,
         refuses: Callable[[float], bool],
         events: EventWatch | None = None,
     ) -> None:
         self.stepper, self.schedule, self.recorder = stepper, schedule, recorder
-        self.refuses, self.events = refuses, events
+        self.closed, self.refuses, self.events = closed, refuses, events
         self.equal = bool(schedule.steps)
         self.shown = recorder.output.on_step is not None
         self.local_error = 0.0  # the largest that the stepper told after a call of the newest march
@@ -137,7 +140,8 @@ class CompiledCalls:
         """
         stepper, schedule = self.stepper, self.schedule
         self._bound()
-        made = stepper.march(schedule.next(stepper.state.t), steps, Observers(tape=tape))
+        joints = self.closed if self.closed.judging else None
+        made = stepper.march(schedule.next(stepper.state.t), steps, Observers(joints=joints, tape=tape))
         self.local_error = max(self.local_error, stepper.local_error)
 
         # where the scheme ended it, or by number; the clock and records end calls too

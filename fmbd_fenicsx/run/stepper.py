@@ -29,7 +29,7 @@ from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
 from .checkpoints.progress import RunProgress
-from .judges.acceptance import attempt, count
+from .judges.acceptance import attempt_judged, count
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, begin, judges_of, make_solver, make_stepper
@@ -76,7 +76,7 @@ class SceneStepper(Uncopied):
             self._problem = Problem(
                 scene, system, markers, given, start, scheme, newton, linear, self._solver.pressures
             )
-            judges = judges_of(self._problem, self._solver, self._pace)
+            self._judges = judges = judges_of(self._problem, self._solver, self._pace)
             made = make_stepper(self._problem, self._solver, self._pace, judges, guarded=closed(scene, system))
         except BaseException:
             self._solver.destroy()
@@ -163,7 +163,10 @@ class SceneStepper(Uncopied):
             return
         # times are summed: what is left may be a few roundings
         while end - self.t > 64 * np.spacing(end):
-            attempt(progress.system, progress.stepper, end - self.t)
+            judges = self._judges
+            attempt_judged(
+                progress.system, progress.stepper, end - self.t, closed=judges.closed, balanced=judges.balanced
+            )
             count(progress.system, progress.stepper)
 
     def set(self, name: str, value: float) -> None:

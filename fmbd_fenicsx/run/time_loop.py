@@ -16,7 +16,7 @@ from ..system.layout import State
 from ..system.spins import Spins
 from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
-from .judges.acceptance import Closed, attempt_in_balance, count
+from .judges.acceptance import Closed, attempt_judged, count
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .judges.small_turns import SmallTurns
@@ -118,7 +118,9 @@ class Loop:
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
         self._sampled = False  # whether controllers have sampled in the newest state
-        self.calls = CompiledCalls(self.stepper, schedule, self.recorder, refuses=self._refuses, events=self.events)
+        self.calls = CompiledCalls(
+            self.stepper, schedule, self.recorder, closed=self.judges.closed, refuses=self._refuses, events=self.events
+        )
         # whether somebody looks at every step, or ranks have to agree on how many they make
         self._shown = output.on_step is not None or self.events is not None
         self._shown = self._shown or (system.comm is not None and system.comm.size > 1)
@@ -218,7 +220,8 @@ class Loop:
             return made, None
 
         h = self.schedule.next(self.state.t)
-        seen = attempt_in_balance(system, self.stepper, h, balanced=self.judges.balanced)
+        judges = self.judges
+        seen = attempt_judged(system, self.stepper, h, closed=judges.closed, balanced=judges.balanced)
 
         self.state = self.stepper.state
         if self.motions is not None:
@@ -334,7 +337,10 @@ class Loop:
         return "finished" if self.schedule.ended(self.state.t, self.progress.done) else "stopped"
 
     def _counters(self) -> dict[str, float]:
-        """Of the stepper, and how many steps were made again for want of balance."""
-        balanced = self.judges.balanced
-        repeated = 0 if balanced is None else balanced.repeated
-        return {**self.stepper.counters, "unbalanced_steps": repeated} if repeated else self.stepper.counters
+        """Of the stepper, and how many steps were made again for open joints, or for want of balance."""
+        judges = self.judges
+        repeated = {
+            "open_steps": judges.closed.repeated,
+            "unbalanced_steps": judges.balanced and judges.balanced.repeated,
+        }
+        return {**self.stepper.counters, **{name: count for name, count in repeated.items() if count}}

@@ -9,7 +9,7 @@ of that, as error control measures the rates of deformations. Forces have their 
 
 Newton's iteration judges increments; where its matrix is close to singular they can be small while a joint is open, and a linear
 solve can pass with the rows of a light body lost in those of a heavy one. A step that fails here is one that failed to converge:
-it is made in parts, and where these fail too the run ends with the name of the joint.
+it is made in parts, or in smaller ones under error control, and where these fail too the run ends with the name of the joint.
 """
 
 from __future__ import annotations
@@ -73,40 +73,54 @@ def finite_step(system: System, stepper: Any, h: float) -> State:
     return made
 
 
-def attempt_in_balance(system: System, stepper: Any, h: float, *, balanced: Balanced | None) -> Evaluation | None:
-    """One step with error control of at most h (s), repeated in smaller ones where its forces are not in balance, or a memory
-    could not follow it; collective.
+def attempt_judged(
+    system: System, stepper: Any, h: float, *, closed: Closed, balanced: Balanced | None
+) -> Evaluation | None:
+    """One step with error control of at most h (s), repeated in smaller ones where its joints are open or its forces not in
+    balance, or a memory could not follow it; collective.
 
     Returns the system in the new state, where it is known. The balance of elements with a memory is not judged: that may be of
     the new state already.
 
     Raises:
-        ConvergenceError: the step fails, or has no balance in 1/4^4 of its size either.
+        ConvergenceError: the step fails, or does not pass in 1/4^4 of its size either.
     """
     before = stepper.state
     for left in range(FOLLOWED if system.keepers else REPEATS, -1, -1):
         state = attempt(system, stepper, h)
         made = state.t - before.t
-        if system.keepers:
-            if not left or not overran(system, state, made):
-                return stepper.evaluation
-        elif balanced is None:
-            return stepper.evaluation
-        else:
-            seen = stepper.evaluation or system.at(state.t, state.q, state.v)
-            try:
-                balanced.check(seen, state, made)
+        try:
+            seen = _judged(system, stepper, made, closed, balanced)
+            if not (left and system.keepers and overran(system, state, made)):
                 return seen
-            except ConvergenceError:
-                if not left:
-                    raise
-            balanced.repeated += 1
+        except ConvergenceError:
+            if not left:
+                raise
 
         # back to the state before: a quarter of the step that the scheme chose
         h = 0.25 * made
         stepper.unwrapped.state = before
         stepper.restart(before.t)
     return None
+
+
+def _judged(system: System, stepper: Any, h: float, closed: Closed, balanced: Balanced | None) -> Evaluation | None:
+    """The system in the newest state, after a step of h (s), where it is known; raises and counts where it does not pass."""
+    state, known = stepper.state, stepper.evaluation
+    weighed = None if system.keepers else balanced
+    if not closed.judging and weighed is None:
+        return known  # type: ignore[no-any-return]
+    seen: Evaluation = known or system.at(state.t, state.q, state.v)
+    judge: Closed | Balanced = closed
+    try:
+        closed.check(seen)
+        if weighed is not None:
+            judge = weighed
+            weighed.check(seen, state, h)
+    except ConvergenceError:
+        judge.repeated += 1
+        raise
+    return known if system.keepers else seen
 
 
 def diverged(t: float, h: float, why: object) -> ConvergenceError:
@@ -118,20 +132,24 @@ def diverged(t: float, h: float, why: object) -> ConvergenceError:
 
 @dataclass
 class Closed(Remembering):
-    """Refuses states whose constraints are open. ``levels``: those that the scheme holds; ``share``: the factor of L in (1)."""
+    """Refuses states whose constraints are open. ``levels``: those that the scheme holds; ``share``: the factor of L in (1);
+    ``even``: whether steps are of one size.
+    """
 
     keeps: ClassVar = dict.fromkeys(("fastest", "last"), plain())
 
     system: System
     levels: tuple[int, ...]
     share: float = OPEN
+    even: bool = True
     fastest: float = field(default=0.0)  # m/s, of all states so far
     last: float | None = field(default=None)  # s, time of the state before
+    repeated: int = 0  # steps that were made again
 
     @staticmethod
     def under(system: System, said: Declared) -> Closed:
         """For the states of a scheme by what it has said; one that says nothing of its levels is not judged."""
-        return Closed(system, said.levels, OPEN if said.rtol is None else max(OPEN, said.rtol))
+        return Closed(system, said.levels, OPEN if said.rtol is None else max(OPEN, said.rtol), not said.adaptive)
 
     @cached_property
     def units(self) -> Array:
@@ -156,8 +174,10 @@ class Closed(Remembering):
         return Openness(self.units, np.inf if nothing else self.share * self.system.length, ROUNDOFF)
 
     def limits(self, h: float) -> JointLimits:
-        """By what every state of compiled steps of size h (s) is judged, (2) without rates in time: who passes needs no look."""
-        if 1 not in self.levels:
+        """By what every state of compiled steps is judged: who passes needs no look. (2) without rates in time, of those that are
+        all of size h (s).
+        """
+        if 1 not in self.levels or not self.even:
             return JointLimits(self.openness, np.inf, 0.0, 0.0)
         still = (IN_A_STEP * self.share + ROUNDOFF) * self.system.length / h
         return JointLimits(self.openness, still, SLIP + self.share, self.fastest)

@@ -158,7 +158,7 @@ class Guarded(Around):
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Steps of the stepper that gain no energy."""
-        guarded = Observers(energy=self.watch, tape=observers.tape)
+        guarded = Observers(energy=self.watch, joints=observers.joints, tape=observers.tape)
         made = self.stepper.march(h, steps, guarded) if h <= self.largest else 0
         if made:
             self.local_error, self.watch.time = self.stepper.local_error, self.state.t

@@ -16,7 +16,7 @@ from ....kernel_cache import address_of
 from ....rotations import Array
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import STORAGE_LIMIT, driver_of, solves
-from ....system.compiled.march import CEILING, FLOOR, LENGTH, MAXIT, NEW_TANGENT, SLOW, TOL, March
+from ....system.compiled.march import CEILING, FLOOR, LENGTH, MAXIT, NEW_TANGENT, SLOW, TOL, JointLimits, March
 from ....system.compiled.tables.fields import Block
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.tables import Tables
@@ -65,9 +65,18 @@ class AlphaDriver(March):
             x.recall(kept[at : at + len(x.memory)])
             at += len(x.memory)
 
-    def march(self, steps: int, tape: Tape | None = None, control: CompiledControl | None = None) -> tuple[int, int]:
+    def march(
+        self,
+        steps: int,
+        tape: Tape | None = None,
+        control: CompiledControl | None = None,
+        joints: JointLimits | None = None,
+    ) -> tuple[int, int]:
         """As :meth:`steps`; raises what a call into Python has raised."""
-        found = self.steps(steps, tape, None if control is None else control.address)
+        if joints is not None:
+            self.judge(joints, np.inf)
+        address = None if control is None else control.address
+        found = self.steps(steps, tape, address, judged=joints is not None)
         self.calls.raise_error()
         return found
 

@@ -236,7 +236,11 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
 
         driver.tables.recall()
         driver.tables.c.renewals = newton.renewals
-        made, verdict = driver.march(steps, observers.tape, control)
+        # steps of one size close their joints or fail, and are judged where they are looked at
+        joints = None if control is None else observers.joints
+        made, verdict = driver.march(steps, observers.tape, control, None if joints is None else joints.limits(h))
+        if joints is not None and made:
+            joints.passed(driver.state().t, float(driver.closed.fastest))
         if made:
             take_energies(p, observers.energy)
             self.size = h
