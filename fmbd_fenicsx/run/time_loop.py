@@ -16,7 +16,7 @@ from ..system.layout import State
 from ..system.spins import Spins
 from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
-from .judges.acceptance import Closed, attempt_judged, count
+from .judges.acceptance import attempt_judged, count
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .judges.small_turns import SmallTurns
@@ -136,7 +136,7 @@ class Loop:
             from .recording.accompanied import Accompanied
 
             recorder = Accompanied(recorder, problem.beside)
-        recorder.closed = Closed.under(problem.system, problem.said)
+        recorder.closed = self.judges.closed
         recorder.warned = problem.warned
         recorder.take(0, first, self.stepper.evaluation)
         return recorder

@@ -188,7 +188,10 @@ def _refined(
     """Accelerations and multipliers by iterations with the solver's matrix, down to roundoff; ``forces``: their size."""
     system, v, (a, lam) = solver.system, ev.v, found
     assert v is not None
-    typical = max(system.max_abs(a), system.max_abs(v) ** 2 / system.length)  # of zero in equilibrium
+    speed = system.max_abs(v)
+    typical = max(
+        system.max_abs(a), speed * speed / system.length
+    )  # of zero in equilibrium; v^2 of a float may not overflow
     last, noise = np.inf, -1.0
     for k in range(40):
         if k == 8:  # slow: take the inertia of the deformed bodies

@@ -27,6 +27,7 @@ class OwnMarch(MarchingStepper):
     stats: Statistics
     control: StepControl
     proposed: float | None
+    longest_stable: float = np.inf  # s, the most that its steps may be to be stable
     _ahead: tuple[float, int]  # s that the steps of a call may take, and how many these are at most
 
     def _take_kept(self, own: Array) -> None:
@@ -36,7 +37,7 @@ class OwnMarch(MarchingStepper):
     def stride(self, h: float) -> float:
         """As :meth:`TimeStepper.stride`."""
         found = super().stride(h)
-        return min(found, self.proposed) if self.adaptive and self.proposed is not None else found
+        return min(found, self.proposed, self.longest_stable) if self.adaptive and self.proposed is not None else found
 
     def _landing(self, h: float, limit: float) -> float:
         """The size (s) of a step for which so much is proposed, of at most ``limit``, on the way to where steps have to end."""
@@ -87,7 +88,7 @@ class OwnMarch(MarchingStepper):
         control, norm, t, (limit, count) = self.control, self.norm, self.state.t, self._ahead
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
-        own.c.until, own.c.longest, own.c.tiny = self._end(limit), self.longest, control.tiny
+        own.c.until, own.c.longest, own.c.tiny = self._end(limit), min(self.longest, self.longest_stable), control.tiny
         own.c.worst, own.c.refused = 0.0, 0.0
         own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
         self._used.parameters[CHOSEN] = True

@@ -136,14 +136,15 @@ class Closed(Remembering):
     ``even``: whether steps are of one size.
     """
 
-    keeps: ClassVar = dict.fromkeys(("fastest", "last"), plain())
+    keeps: ClassVar = dict.fromkeys(("fastest", "last", "step"), plain())
 
     system: System
     levels: tuple[int, ...]
     share: float = OPEN
     even: bool = True
     fastest: float = field(default=0.0)  # m/s, of all states so far
-    last: float | None = field(default=None)  # s, time of the state before
+    last: float | None = field(default=None)  # s, time of the newest state that has passed
+    step: float = 1.0  # s, from the one before to that
     repeated: int = 0  # steps that were made again
 
     @staticmethod
@@ -165,7 +166,7 @@ class Closed(Remembering):
             return
         if (state := seen.doubt) is not None:
             self.check(self.system.at(state.t, state.q, state.v))
-        self.last = t
+        self._reached(t)
 
     @property
     def openness(self) -> Openness:
@@ -185,8 +186,14 @@ class Closed(Remembering):
     def passed(self, t: float, fastest: float) -> None:
         """Compiled steps up to time t (s) have passed, with this largest speed (m/s)."""
         if self.judging:
-            self.last = t
+            self._reached(t)
             self.fastest = max(self.fastest, fastest) if 1 in self.levels else self.fastest
+
+    def _reached(self, t: float) -> None:
+        """A state at t (s) has passed."""
+        if self.last is not None and t > self.last:
+            self.step = t - self.last
+        self.last = t
 
     @cached_property
     def judging(self) -> bool:
@@ -207,7 +214,7 @@ class Closed(Remembering):
             return False
         if 1 in self.levels and not seen.slip <= self._slip_allowed(t, known, seen.speed, seen.rate):
             return False
-        self.last = t
+        self._reached(t)
         return True
 
     def check(self, ev: Evaluation) -> None:
@@ -227,13 +234,13 @@ class Closed(Remembering):
         # (2), velocities
         if 1 in self.levels and ev.v is not None:
             self._check_velocities(ev, ev.v, known)
-        self.last = ev.t
+        self._reached(ev.t)
 
     def _slip_allowed(self, t: float, known: float, speed: float, rate: float) -> float:
         """The right-hand side of (2) at t, m/s, of the largest velocity and the largest rate that is given in time."""
         length = self.system.length
         # over the step since the state before
-        h = t - self.last if self.last is not None and t > self.last else 1.0
+        h = t - self.last if self.last is not None and t > self.last else self.step
         self.fastest = max(self.fastest, speed)
         allowed = (SLIP + self.share) * (self.fastest + rate)
         allowed += IN_A_STEP * self.share * length / h

@@ -63,7 +63,8 @@ class ImplicitStepper(ImplicitMarch):
 
     def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
-        acceleration = max(system.max_abs(state.v) ** 2 / system.length, system.max_abs(state.a))
+        speed = system.max_abs(state.v)
+        acceleration = max(speed * speed / system.length, system.max_abs(state.a))
         self.eq = step_equations(system, scheme.form, solver, acceleration)
         self.adaptive = scheme.rtol is not None
         self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)

@@ -18,15 +18,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from math import hypot, sqrt
+from typing import ClassVar
 
 import numpy as np
 
 from ...errors import ConvergenceError, StabilityError
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
+from ...log import log
 from ...rotations import Array
 from ...system.layout import State
+from ...system.serialisation import Remembering, plain
 from ...system.system import System
 
 MASS = Weights(1.0, 0.0, 0.0)
@@ -36,6 +40,11 @@ SETTLED = 1e-4  # relative change of omega^2 that ends the iteration
 EVERY = 50  # steps between two looks: stiffness changes along a motion
 AT_MOST = 8.0  # times as many where steps could be so much longer: stiffness would have to grow by the square of that
 FASTER = 4.0  # so much, and it is looked at once more
+EVERY_OWN, HELD = (
+    200,
+    0.9,
+)  # of steps of own choice: between two looks, and their size over that of the largest stable one
+MANY = 5000  # of such steps, which a user wants to be told of
 GROWTH = 1.0 + 1e-6  # in a step, that counts as none
 
 
@@ -173,32 +182,41 @@ def largest_step(
 
     ``enough``: a size (s) beyond which nobody looks; the step found may be smaller than the largest then, but not than this.
     """
+    omega = vibration.omega
+    return _largest_way(matrix, vibration.damping / omega, enough * omega) / omega
+
+
+@lru_cache
+def _largest_way(matrix: Callable[[float, float], Array], ratio: float, enough: float) -> float:
+    """The largest h omega that is stable with the damping ``ratio`` c / omega, looked for up to ``enough``."""
 
     def grows(z: float) -> bool:
         return spectral_radius(matrix(z, z * ratio)) > GROWTH
 
-    ratio = vibration.damping / vibration.omega
     z = 0.02
     # up to the first growth, then halving
     while not grows(z) and z < 100.0:
-        if z >= enough * vibration.omega:
-            return z / vibration.omega
+        if z >= enough:
+            return z
         z *= 1.05
     low, high = z / 1.05, z
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if grows(middle) else (middle, high)
-    return low / vibration.omega
+    return low
 
 
-class StepLimit:
-    """Looks from time to time whether the steps of a run are stable."""
+class StepLimit(Remembering):
+    """Looks from time to time whether the steps of a run are stable; those of own choice are no longer than ``held`` (s)."""
+
+    keeps: ClassVar = dict.fromkeys(("left", "held", "told"), plain())
 
     def __init__(
         self, scheme: str, system: System, solver: StepSolver, matrix: Callable[[float, float], Array]
     ) -> None:
         self.scheme, self.system, self.solver, self.matrix = scheme, system, solver, matrix
         self.left, self.looked, self.speed = 0, 0.0, 0.0
+        self.held, self.told = np.inf, False
 
     def free(self, state: State, h: float) -> tuple[int, float]:
         """How many steps of size h (s) may be made from a state on, and up to which speed (m/s); collective.
@@ -237,6 +255,27 @@ class StepLimit:
             f'of body "{found.body}" ({found.omega:.3g} rad/s), grows in steps above {limit:.3g} s. Take dt <= {0.9 * limit:.2g} '
             "or an implicit scheme, such as fmbd.GeneralizedAlpha(), fmbd.Radau() or fmbd.EnergyMomentum()."
         )
+
+    def hold(self, state: State, h: float, span: float) -> None:
+        """Hold steps of the scheme's own choice, of which one of h (s) is proposed, at a share of the largest that is stable,
+        looked at anew every so many steps; collective.
+
+        In longer ones the fastest vibration grows, until the error control sees it: to the tolerance, and velocities and stresses
+        to that times its frequency. It is said where it makes more than :data:`MANY` steps of ``span`` (s).
+        """
+        if self.left > 0 or not (self.system.parts or self.system.forces):  # joints alone do not vibrate
+            return
+        found = fastest_vibration(self.system, state, self.solver)
+        self.held = np.inf if found is None else HELD * largest_step(found, self.matrix)
+        self.left = 1 + int(EVERY_OWN * min(max(self.held / h, 1.0), AT_MOST))
+        if found is not None and h >= self.held and span > MANY * self.held and not self.told:
+            self.told = True
+            log.warning(
+                '%s is explicit: its steps are no longer than %.2g s at t = %g s, for the fastest vibration, of body "%s" (%.3g '
+                "rad/s), grows in longer ones, and %g s take %.0e of them. Take an implicit scheme, such as "
+                "fmbd.GeneralizedAlpha(rtol=...) or fmbd.Radau()",
+                self.scheme, self.held, state.t, found.body, found.omega, span, span / self.held,
+            )  # fmt: skip
 
     def blame(self, state: State, h: float, error: Exception) -> ConvergenceError:
         """What to raise after a step from a state that ended in no finite forces; collective."""

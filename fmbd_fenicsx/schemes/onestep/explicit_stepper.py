@@ -28,6 +28,7 @@ from ..control import Statistics, StepControl, first_step, turn_limit, turns_too
 from ..error_norm import ErrorNorm, check_tolerance
 from ..newton import Newton
 from ..own_marching import OwnMarch
+from ..stepping import Observers
 from .explicit_limit import StepLimit
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ class ExplicitStepper(OwnMarch):
         "proposed": plain(),
         "local_error": plain(),
         "norm": worker,
+        "stable": worker,
     }
 
     def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
@@ -76,7 +78,8 @@ class ExplicitStepper(OwnMarch):
         self.local_error = 0.0
         self.before: State | None = None  # at the start of the last step
         self.adaptive = scheme.rtol is not None
-        self.limit = None if self.adaptive else StepLimit(self.what, system, solver, self.amplification)
+        self.stable = StepLimit(self.what, system, solver, self.amplification)
+        self.limit = None if self.adaptive else self.stable
         self._lent: ExplicitRoom | None = None
 
     @property
@@ -108,13 +111,34 @@ class ExplicitStepper(OwnMarch):
             self.control.span = max(self.control.span, h)
             self.norm.update(self.state, h)
             self.proposed = first_step(self.norm, self.state, self.control.order, h)
+        self._hold(h, 1)
         if self._step_in_one_call(h):
             return self.state
         return self._accept(self._controlled(h) if self.limit is None else self._constant(h, self.limit))
 
+    def _hold(self, h: float, steps: int) -> int:
+        """How many steps of its own choice, at most so many, may be made before it is looked at anew how long they may be; ``h``:
+        what the next one may be at most (s).
+        """
+        if self.limit is not None or self.proposed is None:
+            return steps
+        self.stable.hold(self.state, min(self.proposed, h), max(self.control.span, h))
+        return min(steps, self.stable.left) if self.stable.left > 0 else steps
+
+    @property
+    def longest_stable(self) -> float:  # type: ignore[override]
+        """As :attr:`OwnMarch.longest_stable`."""
+        return self.stable.held
+
     # -- many steps in one call -----------------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:
         return self._chooses_alike if self.adaptive else True
+
+    def _made(self, h: float, count: int, most: float, observers: Observers) -> int:
+        made = super()._made(h, self._hold(h, count), most, observers)
+        if self.limit is None:
+            self.stable.count(made)
+        return made
 
     def _room(self, states: DriverStates) -> int:
         tableau, nothing = self._tableau()
@@ -176,7 +200,7 @@ class ExplicitStepper(OwnMarch):
         self.control.span = max(self.control.span, limit)
         farthest = turn_limit(self.system, self.state)
         while True:
-            h = self._landing(min(self.proposed, farthest), limit)
+            h = self._landing(min(self.proposed, farthest, self.longest_stable), limit)
             self.solver.near_singular.begin_trial()
             made, error, cause = self._attempt(h)
             if made is not None and error <= 1.0:
@@ -212,6 +236,8 @@ class ExplicitStepper(OwnMarch):
     def _accept(self, made: State) -> State:
         self.before, self.state = self.state, made
         self.stats.steps += 1
+        if self.limit is None:
+            self.stable.count(1)
         return self.state
 
     # -- what a method says -------------------------------------------------------------------------------------------
