@@ -39,10 +39,8 @@ forms, quantities = (BASIC if args.fast else ALL), ["q", "v", "lam"]
 exact = fmbd.Radau(3, fmbd.StateSpace(), 1e-12)
 reference = fmbd.solve(scene(), t_end=1.0, scheme=exact, newton=fmbd.Newton(max_iterations=20))
 
-short, usual = (
-    {3: (40, 80, 160), 2: (20, 40, 80), 1: (8, 16, 32)},
-    (20, 40) if args.fast else (80, 160, 320),
-)  # three stages: above roundoff
+# three stages: above roundoff
+short, usual = {3: (40, 80, 160), 2: (20, 40, 80), 1: (8, 16, 32)}, (20, 40) if args.fast else (80, 160, 320)
 cases = [(fmbd.Radau(2, f, None), short[3]) for f in forms]
 cases += [] if args.fast else [(fmbd.Radau(3, f, None), short[f.index]) for f in forms]
 cases += [

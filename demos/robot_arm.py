@@ -15,9 +15,8 @@ from fmbd_fenicsx.post.demo import Check, arguments, finish, show, snapshots
 args = arguments(__doc__)
 t_end, dt = (0.2, 4e-3) if args.fast else (1.0, 2e-3)
 goals = {"yaw": 0.9, "shoulder": 0.4, "elbow": -0.5, "roll": 0.8, "pitch": 0.6, "turn": 1.5}  # rad from the start
-mesh = fmbd.read_gmsh(
-    "meshes/rod.py", dim=3, length=0.5, height=0.04, h=0.04
-)  # "pin" and "tip" in the axes of the link
+# "pin" and "tip" in the axes of the link
+mesh = fmbd.read_gmsh("meshes/rod.py", dim=3, length=0.5, height=0.04, h=0.04)
 
 
 def way(t):

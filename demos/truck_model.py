@@ -87,9 +87,8 @@ def truck(load: object, *, pinned: bool = True, modulus: float | None = None) ->
     """
     scene = fmbd.Scene("truck", gravity=(0.0, -G), breakpoints=[2 / 15, 2 / 15 + (FRONT - REAR) / SPEED], settle=True)
     bodies = {
-        "rear wheel": fmbd.RigidBody(
-            "rear wheel", 1450.0, 100.0, (REAR, 0.5), shape=WHEEL
-        ),  # the wheels do not turn here
+        # the wheels do not turn here
+        "rear wheel": fmbd.RigidBody("rear wheel", 1450.0, 100.0, (REAR, 0.5), shape=WHEEL),
         "front wheel": fmbd.RigidBody("front wheel", 600.0, 40.0, (FRONT, 0.5), shape=WHEEL),
         "chassis": fmbd.RigidBody("chassis", 3335.0, 14313.0, CHASSIS, shape=_plate(8.2, 0.16)),
         "cab": fmbd.RigidBody("cab", 1100.0, 948.0, CAB, shape=_plate(1.9, 1.4)),

@@ -226,9 +226,8 @@ def test_compiled_steps_are_those_of_numpy(name: str, monkeypatch: pytest.Monkey
     numpy = run(name)
     assert "compiled_steps" not in numpy.counters
 
-    dependent = (
-        name == "dependent rows"
-    )  # reactions are the smallest at the middle of a step, found anew: in NumPy at its end
+    # reactions are the smallest at the middle of a step, found anew: in NumPy at its end
+    dependent = name == "dependent rows"
     for sensor, values in numpy.series.items():
         size = np.abs(values).max() + 1e-3
         close = 1e-4 if dependent and sensor.startswith("reaction") else 1e-7

@@ -216,9 +216,8 @@ def test_memory_survives_checkpoints_and_steps_taken_back(every: float | None, t
                     s.step()
                 s.restore(kept)
             s.step()
-            assert s["elbow torque"] == pytest.approx(
-                whole["elbow torque"][k + 1], rel=1e-13
-            )  # read in NumPy, not in C
+            # read in NumPy, not in C
+            assert s["elbow torque"] == pytest.approx(whole["elbow torque"][k + 1], rel=1e-13)
 
 
 def crossed() -> fmbd.Scene:

@@ -178,8 +178,7 @@ def test_velocities_that_joints_do_not_allow_are_told_at_the_start() -> None:
         return [w for w in fmbd.solve(scene, t_end=0.01, dt=1e-3).warnings if "contradict" in w]
 
     (found,) = told(None, 2.0)
-    assert (
-        'body "arm" is changed by 0.714 m/s' in found
-    )  # the rate that keeps the angular momentum about the pin: 2 I / (I + m l^2)
+    # the rate that keeps the angular momentum about the pin: 2 I / (I + m l^2)
+    assert 'body "arm" is changed by 0.714 m/s' in found
     assert not told((0.0, 1.0), 2.0)
     assert not told(None, 0.0, driven=True)

@@ -107,9 +107,8 @@ def test_own_steps_see_where_sliding_ends(scheme: Any, compiled: bool, monkeypat
     scene.add(fmbd.dry_friction("clutch", slip, limit=3.0, stick=5e3, damping=5.0))
     scene.sensor("turn", fmbd.angle("bearing 1"))
     run = fmbd.solve(scene, t_end=1.5, scheme=scheme)
-    assert run["turn"][-1, 0] == pytest.approx(
-        0.5 * 10.0 * 0.8**2 + 8.0 * 0.7, abs=2 * 3.0 / 5e3
-    )  # twice what the spring gives
+    # twice what the spring gives
+    assert run["turn"][-1, 0] == pytest.approx(0.5 * 10.0 * 0.8**2 + 8.0 * 0.7, abs=2 * 3.0 / 5e3)
 
 
 def test_dry_friction_holds_a_load_that_smooth_friction_lets_creep() -> None:

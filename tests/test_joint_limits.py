@@ -186,9 +186,8 @@ def test_beside_contact_of_many_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.allclose(both["s"][:, 0], bouncing(both.times, 0.2, 0.7), atol=1e-9)
     alone = fallen("bar")["impulse"]
     assert alone.max() > 10.0
-    assert np.allclose(
-        both["impulse"], alone, atol=5e-3 * alone.max()
-    )  # the stop's impacts are met within steps of their own
+    # the stop's impacts are met within steps of their own
+    assert np.allclose(both["impulse"], alone, atol=5e-3 * alone.max())
 
 
 def test_bad_input_is_named() -> None:

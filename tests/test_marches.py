@@ -178,9 +178,8 @@ def test_marches_of_implicit_schemes_are_steps_in_parts(
     assert once.state.q == pytest.approx(turn.state.q, rel=1e-11, abs=1e-12)
 
 
-FILTERED = fmbd.Radau(
-    stages=2, rtol=1e-5
-)  # by a frequency that no stage shares, which Python solves for with every increment
+# by a frequency that no stage shares, which Python solves for with every increment
+FILTERED = fmbd.Radau(stages=2, rtol=1e-5)
 OWN = [
     fmbd.Radau(),
     fmbd.Radau(stages=5, rtol=1e-8),

@@ -112,10 +112,8 @@ def test_duplicated_joint_is_redundant() -> None:
 def test_redundant_mechanism_moves_as_the_one_without() -> None:
     """Positions to 1e-9; forces of the redundant group add up to the same."""
     runs = []
-    for hinges in (
-        "rrrr",
-        "rsrs",
-    ):  # rsrs: 5 + 3 + 5 + 3 rows of rank 16 leave 2: the top may not turn about itself
+    # rsrs: 5 + 3 + 5 + 3 rows of rank 16 leave 2: the top may not turn about itself
+    for hinges in ("rrrr", "rsrs"):
         scene = four_bar(hinges)
         if hinges == "rsrs":
             scene = four_bar("rrrr")

@@ -449,9 +449,8 @@ def test_the_level_below_tells_an_error_that_is_small_enough() -> None:
 def test_two_levels_below_tell_the_rate_however_far_they_are(gaps: tuple[int, int]) -> None:
     """Errors of 3.5^-k on level k: the rate is seen from differences, and with it what is left; not above the highest rate."""
     times, (n, m) = np.linspace(0.0, 1.0, 5), gaps
-    runs = [
-        SimpleNamespace(times=times, series={"x": np.full((5, 1), 3.5**-k)}) for k in (n + m, m, 0)
-    ]  # the finest first
+    # the finest first
+    runs = [SimpleNamespace(times=times, series={"x": np.full((5, 1), 3.5**-k)}) for k in (n + m, m, 0)]
     found = space_levels.levels_compared(4.0, *runs, gaps)  # type: ignore[arg-type]
     assert found is not None and found["x"].size == pytest.approx(3.5 ** -(n + m))
     capped = space_levels.levels_compared(3.2, *runs, gaps)  # type: ignore[arg-type]

@@ -90,9 +90,8 @@ def _warn_of_locking(field: Any) -> None:
     ratio = (4 * swell / slide - 2 * d) / d**2  # lambda / mu of an isotropic homogeneous body
     field.poisson_ratio = ratio / (2 * (ratio + 1)) if ratio > -1 else -1.0
 
-    limit = (
-        0.45 if field.forms.degree == 1 else 0.495
-    )  # bending of P1 triangles: the error at 0.45 is twice that at 0.3
+    # bending of P1 triangles: the error at 0.45 is twice that at 0.3
+    limit = 0.45 if field.forms.degree == 1 else 0.495
     if field.poisson_ratio > limit + 1e-6:
         log.warning(
             'body "%s" has a Poisson ratio of %.5g: a displacement form of degree %d locks above %g; '

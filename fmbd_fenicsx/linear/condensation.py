@@ -136,16 +136,9 @@ class StepSolver:
         ``keep``: the matrix stays until :meth:`refresh` takes a new one; the driver's, which it may refuse to make again, only
         with compliances of contacts. ``apart``: no contact takes part; else solutions correct no moments, as compliances do not.
         """
+        if self._driver_prepares(ev, weights, keep=keep, apart=apart):
+            return
         s = self.system
-        driver = self.driver
-        if keep and s.contacts is not None and driver is not None and driver.ready:
-            return
-        if driver is not None and driver.prepare(ev, weights, sways=apart or s.contacts is None):
-            self.weights = weights
-            self._look, self._held, self.blocks = False, None, driver.blocks
-            self.core.factorisations += driver.new_factors()
-            self.corotations = self._turned(ev) if s.contacts is not None else []
-            return
         masses_alone = not s.fields and not (weights.cd or weights.ck)
         if (keep and self._held is not None) or (masses_alone and self.holds(ev, weights)):
             return
@@ -164,6 +157,21 @@ class StepSolver:
         self._held = self._configuration(ev, weights)
         if s.n_lam and (self.core.ratio < 1e-5 or self.near_singular.now):
             self.near_singular.look(ev, self.core.rank)
+
+    def _driver_prepares(self, ev: Evaluation, weights: Weights, *, keep: bool, apart: bool) -> bool:
+        """Whether the matrix is the driver's, which makes it where it is not there to be kept."""
+        driver, contacts = self.driver, self.system.contacts is not None
+        if driver is None:
+            return False
+        if keep and contacts and driver.ready:
+            return True
+        if not driver.prepare(ev, weights, sways=apart or not contacts):
+            return False
+        self.weights = weights
+        self._look, self._held, self.blocks = False, None, driver.blocks
+        self.core.factorisations += driver.new_factors()
+        self.corotations = self._turned(ev) if contacts else []
+        return True
 
     def look_for_dependent_rows(self, ev: Evaluation) -> None:
         """Whether constraint rows depend on each other, unless that is known; collective.

@@ -7,12 +7,8 @@ import sys
 from importlib import import_module, metadata
 
 LIBRARIES = ("dolfinx", "ufl", "basix", "ffcx", "petsc4py", "mpi4py", "numpy", "scipy", "gmsh")
-NAMES = {
-    "dolfinx": "fenics-dolfinx",
-    "ufl": "fenics-ufl",
-    "basix": "fenics-basix",
-    "ffcx": "fenics-ffcx",
-}  # of their packages
+# of their packages
+NAMES = {"dolfinx": "fenics-dolfinx", "ufl": "fenics-ufl", "basix": "fenics-basix", "ffcx": "fenics-ffcx"}
 
 
 def about() -> str:

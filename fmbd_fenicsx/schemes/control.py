@@ -65,9 +65,8 @@ class StepControl:
     h_old: float = 0.0
     error_old: float = 0.0
     span: float = 0.0  # s, what a step was at most allowed to be
-    rejections: list[tuple[float, float, str]] = field(
-        default_factory=list
-    )  # (t, h, cause) since the last accepted step
+    # (t, h, cause) since the last accepted step
+    rejections: list[tuple[float, float, str]] = field(default_factory=list)
     fault: str = (
         ""  # since the last accepted step: what a law returned that could not be used, or a joint that stayed open
     )

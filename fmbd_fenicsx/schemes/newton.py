@@ -221,7 +221,7 @@ def strayed(system: System, xi: Array, predicted: Array) -> bool:
 ADVICE = ". Try a smaller dt."
 
 
-def not_converged(t: float, h: float, history: list[float], more: str = ADVICE) -> ConvergenceError:
+def not_converged(t: float, h: float, history: list[float], more: str) -> ConvergenceError:
     """The error of a step to ``t`` of size ``h`` (s) whose increments, over the tolerance, were ``history``; ``more`` ends it."""
     sizes = " -> ".join(f"{x:.1e}" for x in history)
     return ConvergenceError(f"Newton stopped at t = {t:.6g} s (h = {h:.3g} s): increments over tolerance {sizes}{more}")

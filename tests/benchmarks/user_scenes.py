@@ -265,9 +265,8 @@ SCENES = {  # name: ours, theirs, steps, goal of the ratio, sparse solver there
     "elastic four-bar": (four_bar, lambda: (FourBarExudyn(), None, None), 500, 0.5, False),
     "sphere bouncing on a plane": (sphere, sphere_exudyn, 1000, 0.5, False),
 }
-AGREE = {
-    "sphere bouncing on a plane": 0.05
-}  # m, where it is not 1e-4: a penalty takes its time to turn a sphere around
+# m, where it is not 1e-4: a penalty takes its time to turn a sphere around
+AGREE = {"sphere bouncing on a plane": 0.05}
 
 
 def ours(made, steps):

@@ -125,9 +125,8 @@ class Pencil:
         rhs = -self.rows * (low + _times(self.va, kin))
         y = _times(self.inverse, rhs)
         left, size = self._left(rhs, y)
-        if (
-            left > REFINED * size
-        ):  # an inverse leaves cond(A) roundoffs, one refinement brings them down to those of a factor
+        # an inverse leaves cond(A) roundoffs, one refinement brings them down to those of a factor
+        if left > REFINED * size:
             y = y + _times(self.inverse, rhs - _times(self.matrix, y))
             left, size = self._left(rhs, y)
 

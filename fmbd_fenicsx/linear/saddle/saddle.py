@@ -56,32 +56,36 @@ class SaddlePoint:
         together(self.comm, self._check())
         self.names = [e.name for e in elastic] + [t.name for t in ties]
 
+        # rows of a tie are split evenly among the ranks
+        shares = [share_of(t.rows, self.comm) for t in self.ties]
+        self.rows = [e.rows for e in self.elastic] + shares
         self.E = [elastic_matrix(e.body, e.cm, e.ck) for e in elastic]
-        n, m = len(self.E), len(self.ties)
-        table: list[list[Any]] = [[None] * (n + m) for _ in range(n + m)]
-        self._own = []
-        for k, E in enumerate(self.E):
-            table[k][k] = E
-        for i, t in enumerate(self.ties):
-            # rows of a tie are split evenly among the ranks
-            share = share_of(t.rows, self.comm)
-            for k, B in t.columns:
-                up = _transposed(B, share, t.rows, self.elastic[k], self.comm)
-                down = up.copy()
-                down.transpose()
-                table[k][n + i], table[n + i][k] = up, down
-                self._own += [up, down]
+        self._own: list[Any] = []
+        self.table = self._blocks(shares)
 
-        self.table = table
-        self.matrix = PETSc.Mat().createNest(table, comm=self.comm)
+        self.matrix = PETSc.Mat().createNest(self.table, comm=self.comm)
         self.matrix.assemble()
         self.sets = self.matrix.getNestISs()[0]
         # mean sizes of the columns of each block, for the residual
         self.norms = [
             [0.0 if M is None else M.norm(PETSc.NormType.FROBENIUS) / M.getSize()[0] ** 0.5 for M in row]
-            for row in table
+            for row in self.table
         ]
-        self.rows = [e.rows for e in self.elastic] + [share_of(t.rows, self.comm) for t in self.ties]
+
+    def _blocks(self, shares: list[int]) -> list[list[Any]]:
+        """The blocks of (1), None where there is nothing; ``shares``: of the rows of each tie on this rank."""
+        n, size = len(self.E), len(self.names)
+        table: list[list[Any]] = [[None] * size for _ in range(size)]
+        for k, E in enumerate(self.E):
+            table[k][k] = E
+        for i, (tie, share) in enumerate(zip(self.ties, shares, strict=True)):
+            for k, B in tie.columns:
+                up = _transposed(B, share, tie.rows, self.elastic[k], self.comm)
+                down = up.copy()
+                down.transpose()
+                table[k][n + i], table[n + i][k] = up, down
+                self._own += [up, down]
+        return table
 
     def _check(self) -> Exception | None:
         """What cannot be a well-posed system: statics of bodies with no tie, names that appear twice."""

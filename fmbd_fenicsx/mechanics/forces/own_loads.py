@@ -42,9 +42,8 @@ class OwnLoads(Loads):
 
     def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
         super().__init__(motions, forces, markers)
-        self.single: np.ndarray = np.array([f.b is None for f in forces])[
-            :, None
-        ]  # (m, 1): those without a second marker
+        # (m, 1): those without a second marker
+        self.single: np.ndarray = np.array([f.b is None for f in forces])[:, None]
 
     @staticmethod
     def law_of(f: Any) -> Any:

@@ -16,7 +16,7 @@ damping of the scheme then removes it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -30,9 +30,6 @@ from ...system.scene.scene import Scene
 from ...system.serialisation import Remembering, plain, worker
 from ...system.system import System
 from .acceptance import attempt
-
-if TYPE_CHECKING:
-    pass
 
 SHARE = 1e-3
 HALVINGS = 10

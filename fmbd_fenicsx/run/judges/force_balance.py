@@ -85,9 +85,8 @@ class Balanced(Remembering):
     hardest: float = 0.0  # m/s^2, of all states so far
     fastest: float = 0.0  # m/s
     repeated: int = 0  # steps that were made again
-    _masses: Array | None = field(
-        default=None, init=False
-    )  # of rigid bodies, on the diagonal, once they were looked at
+    # of rigid bodies, on the diagonal, once they were looked at
+    _masses: Array | None = field(default=None, init=False)
 
     @staticmethod
     def under(solver: StepSolver, said: Declared, tolerance: float) -> Balanced | None:

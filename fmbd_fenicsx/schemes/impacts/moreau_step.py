@@ -13,9 +13,8 @@ from .contact_newton import ContactStep, openings
 from .contact_stepper import ContactStepper
 from .restitution import Impact
 
-(STILL,) = constants(
-    "flights.c", "STILL"
-)  # of the model's length in a flight: the rate of a contact that does not leave
+# of the model's length in a flight: the rate of a contact that does not leave
+(STILL,) = constants("flights.c", "STILL")
 
 
 class MoreauStep(ContactStep):

@@ -26,6 +26,7 @@ from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...system.compiled.march import ITERATIONS, March
 from ...system.compiled.states.explicit import MOVES_NOTHING, SPEEDS, Found, Stages, Tableau
+from ...system.evaluation import Evaluation
 from ...system.layout import State, States
 from ...system.speed_rows import speed_rows
 from ...system.system import System
@@ -123,19 +124,21 @@ class HalfExplicitStepper(ExplicitStepper):
         (rates, pushes, xi, v), (a, lam, solves) = self._stages(h, nothing) if found is None else found
         self.stats.solves += solves
 
-        # stage multipliers are of low order: their share of the difference lies across the constraints and is projected out
-        errors = h * (difference @ rates), h * (difference @ pushes)
+        errors: tuple[Array, Array] = h * (difference @ rates), h * (difference @ pushes)
         q = system.compose(s.q, xi)
-        if system.n_lam and self.scheme.rtol is not None:
-            after = system.at(s.t + c[-1] * h, q, v)
-            self.solver.prepare(after, MASS)
-            zero = np.zeros_like(v)
-            across_q, across_v = (after.jacobian.times(e) for e in errors)
-            across_q += after.constraint()  # what places miss the constraints by is an error of the step's own
-            across_q[speed_rows(system)] = 0.0  # rows on velocities hold no places: errors of these stay
-            e_q, e_v = (e - self.solver.solve(zero, x)[0] for e, x in zip(errors, (across_q, across_v), strict=True))
-            errors = e_q, e_v
+        if system.n_lam and self.adaptive:
+            errors = self._along(errors, system.at(s.t + c[-1] * h, q, v))
         return State(s.t + h, q, v, a, lam), errors
+
+    def _along(self, errors: tuple[Array, Array], after: Evaluation) -> tuple[Array, Array]:
+        """Errors of xi and v without their share across the constraints: multipliers of stages are of low order."""
+        self.solver.prepare(after, MASS)
+        across_q, across_v = (after.jacobian.times(e) for e in errors)
+        across_q += after.constraint()  # what places miss the constraints by is an error of the step's own
+        across_q[speed_rows(self.system)] = 0.0  # rows on velocities hold no places: errors of these stay
+        nothing = np.zeros(self.system.n_v)
+        e_q, e_v = (e - self.solver.solve(nothing, x)[0] for e, x in zip(errors, (across_q, across_v), strict=True))
+        return e_q, e_v
 
     def _stages(self, h: float, nothing: float) -> tuple[Stages, Found]:
         """All stages one by one, as the driver finds them; ``nothing``: the acceleration that counts as none."""

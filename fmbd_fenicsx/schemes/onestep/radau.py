@@ -176,9 +176,8 @@ class RadauStepper(StageNewton):
                 # on the way through a singular configuration smaller steps fail alike
                 if self._trouble > 4:
                     points = self._own_tangents(h)
-                    if isinstance(
-                        points, str
-                    ):  # masses and directions of constraints are those of stages that ran away
+                    # masses and directions of constraints are those of stages that ran away
+                    if isinstance(points, str):
                         self._tangent = None
 
             if not isinstance(points, str):

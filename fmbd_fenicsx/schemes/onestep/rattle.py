@@ -126,9 +126,8 @@ class RattleStepper(MarchingStepper):
         """Where the iteration for (1) begins, and its tolerance (m), in parts."""
         system, s = self.system, self.state
         guess = s.a + h * self.ahead[0], s.lam
-        if (
-            not self.solver.core.redundant
-        ):  # the smallest multipliers of dependent rows have none that grow from step to step
+        # the smallest multipliers of dependent rows have none that grow from step to step
+        if not self.solver.core.redundant:
             guess = guess[0], s.lam + h * self.ahead[1]
         accelerated = 0.5 * h * h * max(system.max_abs(s.a), 1e-300)
         return guess, self.newton.small(system, accelerated, farthest(system, s.q))

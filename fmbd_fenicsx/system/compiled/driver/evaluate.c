@@ -153,13 +153,8 @@ int acting(System *s, const double *lam, double t)
         const Body *o = s->body + k->body;
         const double *wrench = s->residual + s->nu + TWIST * i;
         for (int j = 0; j < TWIST; j++) add(s->residual + o->at_u, wrench[j], k->map + j * (TWIST + o->modes), TWIST + o->modes);
-    }
 
-    /* the stress of forces on surfaces whose ports are of second order is part of the tangent */
-    for (int i = 0; i < s->surfaces; i++) {
-        const Surface *k = s->surface + i;
-        const Body *o = s->body + k->body;
-        const double *wrench = s->residual + s->nu + TWIST * i;
+        /* the stress of forces on surfaces whose ports are of second order is part of the tangent */
         for (int r = 0; r < k->bends; r++) {
             double pull = 0.0;
             for (int j = 0; j < TWIST; j++) pull -= wrench[j] * k->bend_map[k->bends * j + r];
