@@ -330,10 +330,9 @@ def sudden_loads() -> Iterator[Row]:
 
 WHY = {
     "light": """A light body below a heavy one is harmless at any ratio. A light body *above* a heavy one carries reactions that
-are the heavy body's weight and more: its own balance is the difference of large numbers. At 1e8 that costs
-nothing; at 1e12 the solve's own residual shows that the light body's rows are lost, or the joint opens, and the
-run is refused. Leave the light body out (a `distance` joint, a massless link), or give it a mass above 1e-8 of
-what it carries.""",
+are the heavy body's weight and more: its own balance is the difference of large numbers, and scaled by its mass
+the rows of its joints are the same to roundoff. Where that costs digits the matrix is factored in other scales, and
+the ratio does no harm. Only a motion without any inertia, to roundoff of the inertia beside it, is refused by name.""",
     "stiff": """A rod that falls about its pin, as stiff as one likes. Its vibrations are far too fast for the step and are
 damped by the scheme; the motion is that of a rigid rod. What ends it is roundoff: in a floating frame the
 displacements are small and known to their own digits; in absolute coordinates they contain the motion itself,

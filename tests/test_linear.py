@@ -217,6 +217,30 @@ def test_dependent_constraints_share_their_multiplier() -> None:
     assert np.abs(A @ x + G.T @ [y[0] + y[2], y[1]] - b).max() < 1e-10
 
 
+@pytest.mark.parametrize("light", [1e-6, 1e-13, 1e-26])
+@pytest.mark.parametrize("redundant", [False, True])
+def test_a_body_of_hardly_any_mass_passes_forces_on(light: float, redundant: bool) -> None:
+    """A heavy mass, a light one and a heavy one in a row, and another light one that hangs at a heavy one; units of any size."""
+    A = np.diag([1.0, light, 2.0, light])
+    G = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0]])
+    b, c = np.array([1.0, 0.0, 2.0, light]), np.array([0.5, 0.25])
+    first = (3.0 + c.sum() * 2.0 + c[0] * light) / (3.0 + light)  # of x, by the balance of all
+    exact = np.array([first, first - c[0], first - c.sum(), 1.0])
+    solver = CoreSolver(Judge("the core"))
+    for unit in (1.0, 1e-20, 1e20):
+        solver.redundant = redundant
+        if redundant:
+            solver.factor(unit * A, np.concatenate((G, [G[0] + G[1]])))
+            x, y = solver.solve(unit * b, np.append(c, c.sum()))
+            force = G.T @ y[:2] + (G[0] + G[1]) * y[2]
+        else:
+            solver.factor(unit * A, G)
+            x, y = solver.solve(unit * b, c)
+            force = G.T @ y
+        np.testing.assert_allclose(x, exact, rtol=1e-9)
+        np.testing.assert_allclose(force / unit, b - A @ exact, atol=1e-9)
+
+
 def test_body_without_mass_is_refused() -> None:
     A = np.diag([1.0, 0.0])
     solver = CoreSolver(Judge("the core"))

@@ -125,3 +125,36 @@ def test_many_stages_at_loose_tolerances(stages: int, form: fmbd.GGL) -> None:
         check("pendulum", fmbd.Radau(stages, form, rtol), rtol)
     run = fmbd.solve(car_axis.scene(), t_end=3.0, scheme=fmbd.Radau(stages, form, 1e-3), output=fmbd.Output(every=1000))
     assert run.counters["steps"] < 85 and run.counters["rejections"] < 25
+
+
+def coupled(mass: float | None) -> fmbd.Scene:
+    """A four-bar linkage that a force starts; mass (kg) and moment of inertia of its coupler, None: a distance that is kept."""
+    crank = fmbd.RigidBody("crank", 1.0, 1 / 12, position=(0.0, 0.5), rotation=np.pi / 2)
+    rocker = fmbd.RigidBody("rocker", 2.0, 2 / 3, position=(2.0, 1.0), rotation=np.pi / 2)
+    scene = fmbd.Scene("coupled", gravity=(0, -9.81))
+    scene.add(crank, rocker, fmbd.revolute("left", fmbd.ground, crank, center=(0, 0)))
+    scene.add(fmbd.revolute("right", fmbd.ground, rocker, center=(2, 0)))
+    if mass is None:
+        scene.add(fmbd.distance("coupler", crank, rocker, point_a=(0, 1), point_b=(2, 2)))
+    else:
+        coupler = fmbd.RigidBody("coupler", mass, mass, position=(1.0, 1.5))
+        scene.add(coupler, fmbd.revolute("near", crank, coupler, center=(0, 1)))
+        scene.add(fmbd.revolute("far", coupler, rocker, center=(2, 2)))
+    scene.add(fmbd.force("push", crank, (5.0, 0.0), point=(0, 1)))
+    scene.sensor("end", fmbd.position(rocker, point=(2, 2)))
+    return scene
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [fmbd.Radau(3, rtol=1e-6), fmbd.GeneralizedAlpha(), fmbd.Rattle(), fmbd.EnergyMomentum(), fmbd.HalfExplicit()],
+    ids=lambda s: s.name,
+)
+def test_a_coupler_of_hardly_any_mass(scheme: Any) -> None:
+    """A body of 1e-13 kg between bodies of 1 kg moves as a distance that is kept does, in steps of the same size."""
+    own = isinstance(scheme, fmbd.Radau)
+    light, link = (
+        fmbd.solve(coupled(mass), t_end=0.1, dt=None if own else 1e-3, scheme=scheme) for mass in (1e-13, None)
+    )
+    np.testing.assert_allclose(light["end"][-1], link["end"][-1], atol=1e-7)
+    assert light.counters["steps"] < (40 if own else 101)

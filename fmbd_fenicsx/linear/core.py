@@ -4,8 +4,10 @@
     [ G   0  ] [ y ] = [ c ]                                                                             (1)
 
 Rows and columns are scaled by D = diag(A)^-1/2 and by the row norms of G D, so that masses, lengths and step sizes of any
-size give the same condition number (the step's own h-scaling is in A, see :mod:`fmbd_fenicsx.schemes`). Dependent rows of
-G are solved in the minimum-norm sense when the caller allows it.
+size give the same condition number (the step's own h-scaling is in A, see :mod:`fmbd_fenicsx.schemes`). A body of hardly any mass
+between others makes the rows of its joints the same then, to roundoff. Where pivots are lost, scales that leave all that joints
+move alike at one size are taken for the factor, and residuals are judged as before. Dependent rows of G are solved in the
+minimum-norm sense when the caller allows it.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
+from scipy.sparse.csgraph import connected_components
 
 from ..errors import LinearSolveError
 from ..rotations import Array
@@ -25,9 +28,11 @@ from .residual import Judge
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 RANK_TOLERANCE = 1e-11
 WIDE, FEW = 10_000, 0.05  # size and share of entries of an array whose products are worth a sparse matrix
+EPS = float(np.finfo(float).eps)
+MOVES = 1e-6  # share of motions in a singular vector, above which it is no matter of multipliers alone
 SINGULAR = 1e-7  # ratio of pivots below which a matrix is solved in the minimum-norm sense
-MOST_SCALINGS = 6  # of a matrix whose rows are of different size
-SMALL_ROW = 1e-3  # largest entry of a row, scaled, above which it is large enough
+MOST_SCALINGS = 8  # of a matrix whose rows are of different size
+SMALL_ROW = 0.1  # largest entry of a row, scaled, above which it is large enough
 LARGEST_GROWTH = 1e13  # of a solution over its right-hand side, both scaled
 REFINEMENTS = 3  # of a solution whose residual is too large
 ADVICE = "Constraints depend on each other, or a body without mass is not held. See scene.check()."
@@ -99,30 +104,23 @@ class CoreSolver:
 
         self.factorisations += 1
         self.ratio = 1.0
-        D, E = _scales(A, G, C, self.upper)
-        self.scale = np.concatenate((D, E))
+        self.scale = np.concatenate(_scales(A, G, C, self.upper))
+        self._change: Any = 1.0  # of these scales for the factor
         self.exact = not self.redundant
 
         if sp.issparse(A) and not self.redundant:
             self._factor_sparse()
             return
-        K = self._scaled()
+        K = _both_sides(_whole(A, G, C, self.upper), self.scale)
         if self.redundant:
             self._factor_redundant(K)
         else:
             self._factor_dense(K)
 
-    def _scaled(self) -> Array:
-        """The matrix, dense and scaled."""
-        n, A, G, upper = self.n, dense(self.A), dense(self.G), dense(self.upper)
-        D, E = self.scale[:n], self.scale[n:]
-
-        K = np.empty((len(self.scale), len(self.scale)), np.result_type(A, upper))
-        K[:n, :n] = D[:, None] * A * D
-        K[n:, :n] = E[:, None] * G * D
-        K[:n, n:] = D[:, None] * upper * E
-        K[n:, n:] = 0.0 if self.C is None else E[:, None] * self.C * E
-        return K
+    def _even(self, K: Array) -> Array:
+        """The scaled matrix K with all that joints move alike at one size."""
+        self._change = _even_scales(_both_sides(K, 1.0 / self.scale), self.n) / self.scale
+        return _both_sides(K, self._change)
 
     def _factor_dense(self, K: Array) -> None:
         """LU, or, while passing through a singular configuration, what is left of the matrix there."""
@@ -131,8 +129,11 @@ class CoreSolver:
 
         factor, solve = sl.get_lapack_funcs(("getrf", "getrs"), (K,))
         lu, pivots, _ = factor(K)
-        pivot = np.abs(lu.diagonal())
-        self.ratio = float(pivot.min() / pivot.max())
+        self.ratio = _pivot_ratio(lu.diagonal())
+        if self.ratio < SINGULAR and self.C is None:
+            K = self._even(K)
+            lu, pivots, _ = factor(K)
+            self.ratio = _pivot_ratio(lu.diagonal())
         if self.ratio < SINGULAR:
             self.exact = False
             self._factor_any(K)
@@ -169,38 +170,51 @@ class CoreSolver:
             raise LinearSolveError(f"{self.judge.what}: {error}. {ADVICE}") from error
 
     def _factor_redundant(self, K: Array) -> None:
-        """Range-space solution with a pseudo-inverse of G A^-1 G^T: dependent rows share their multiplier evenly."""
+        """Range-space solution with a pseudo-inverse of G W^-1 G^T: dependent rows share their multiplier evenly.
+
+        W = A + G^T G has the same x where G x = c, and multipliers y - c; it is regular wherever A and G hold all motions, and
+        of one size in bodies of any mass.
+        """
         n = self.n
-        if self.C is not None or not np.abs(K[:n, :n]).max(axis=1, initial=0.0).all():
+        if self.C is not None:
             self._factor_any(K)
             return
-        lu = sl.lu_factor(K[:n, :n])
-        B = K[n:, :n]
-        AB = sl.lu_solve(lu, K[:n, n:])
+        K = self._even(K)
+        B, upper = K[n:, :n], K[:n, n:]
+        factor, back = sl.get_lapack_funcs(("getrf", "getrs"), (K,))
+        lu, pivots, _ = factor(K[:n, :n] + upper @ B)
+        if _pivot_ratio(lu.diagonal()) < SINGULAR:
+            self._factor_any(K)
+            return
+        AB = back(lu, pivots, upper)[0]
         # singular values of the compliance of the rows: zero for those that depend on others
         U, s, Vt = np.linalg.svd(B @ AB)
         keep = s > RANK_TOLERANCE * s[0]
         if self.rank is None:
             self.rank = int(keep.sum())
         self.ratio = float(s[self.rank - 1] / s[0]) if self.rank else 1.0
-        S = (Vt[keep].conj().T / s[keep]) @ U[:, keep].conj().T
+        U, S = U[:, keep], (Vt[keep].conj().T / s[keep]) @ U[:, keep].conj().T
 
         def solve(b: Array) -> Array:
-            z = sl.lu_solve(lu, b[:n])
+            z = back(lu, pivots, b[:n])[0]
             y = S @ (B @ z - b[n:])
-            return np.concatenate((z - AB @ y, y))
+            return np.concatenate((z - AB @ y, y + U @ (U.conj().T @ b[n:])))
 
         self._solve = solve
 
     def _factor_any(self, K: Array) -> None:
-        """Solution of smallest norm by singular values of the whole matrix; null motions must not be among them."""
+        """Solution of smallest norm by singular values of the whole matrix; null motions must not be among them.
+
+        Multipliers that move next to nothing are left out; a motion of next to no inertia counts down to roundoff.
+        """
         U, s, Vt = np.linalg.svd(K)
-        keep = s > RANK_TOLERANCE * s[0]
+        share = (abs(Vt[:, : self.n]) ** 2).sum(1)
+        keep = s > np.where(share > MOVES, len(s) * EPS, RANK_TOLERANCE) * s[0]
         # a null vector with a part in x is a motion that nothing holds
-        rows = (abs(Vt[~keep, : self.n]) ** 2).sum(1)
-        if rows.max(initial=0.0) > 1e-6:
+        lost = np.where(keep, 0.0, share)
+        if lost.max(initial=0.0) > MOVES:
             error = LinearSolveError(f"{self.judge.what}: a motion has neither mass nor stiffness. {ADVICE}")
-            error.motion = self.scale[: self.n] * Vt[~keep][int(np.argmax(rows)), : self.n].conj()
+            error.motion = (self.scale * self._change)[: self.n] * Vt[int(np.argmax(lost)), : self.n].conj()
             raise error
 
         inverse = (Vt[keep].conj().T / s[keep]) @ U[:, keep].conj().T
@@ -216,30 +230,35 @@ class CoreSolver:
         if self.n + self.m == 0:
             return b, c
         rhs = self.scale * np.concatenate((b, c))
-        z = self._solve(rhs)
+        z = self._solution(rhs)
         x, y, left = self._residual(z, b, c)
 
         residual, given, found = _norm(left), _norm(rhs), _norm(z)
         for _ in range(REFINEMENTS):  # where stiff and soft parts meet, the factor alone leaves too few digits
             if not residual > self.judge.tolerance * (given + found):
                 break
-            better = z - self._solve(left)
+            better = z - self._solution(left)
             *both, left = self._residual(better, b, c)
             if not _norm(left) < 0.5 * residual:
                 break
             z, (x, y), residual = better, both, _norm(left)
 
-        if found > LARGEST_GROWTH * given:  # against such a solution the residual of a singular matrix is small
+        # against a solution that grows in any scale the residual of a singular matrix is small
+        if found > LARGEST_GROWTH * given and _norm(z / self._change) > LARGEST_GROWTH * _norm(rhs * self._change):
             residual = np.inf
         self.judge.check(residual, given + found, ADVICE)
         return x, y
+
+    def _solution(self, rhs: Array) -> Array:
+        """Scaled unknowns for a scaled right-hand side or columns of these."""
+        return np.asarray((self._change * self._solve((self._change * rhs.T).T).T).T)
 
     def solve_columns(self, b: Array, c: Array) -> tuple[Array, Array]:
         """x (n, k) and y (m, k) for columns b, c: all at once, or one by one where a residual is too large at first."""
         if self.n + self.m == 0:
             return b, c
         rhs = self.scale[:, None] * np.concatenate((b, c))
-        z = self._solve(rhs)
+        z = self._solution(rhs)
         x, y, left = self._residual(z, b, c)
         residual, given, found = (np.sqrt((abs(a) ** 2).sum(axis=0)) for a in (left, rhs, z))
         sizes = given + found
@@ -261,14 +280,30 @@ class CoreSolver:
         return x, y, (self.scale * left.T).T
 
 
+def _pivot_ratio(diagonal: Array) -> float:
+    """Smallest over largest pivot."""
+    pivot = np.abs(diagonal)
+    return float(pivot.min(initial=np.inf) / pivot.max(initial=1e-300))
+
+
 def _norm(x: Array) -> float:
     return math.sqrt(np.vdot(x, x).real)
+
+
+def _whole(A: Any, G: Any, C: Array | None, upper: Any) -> Array:
+    """The matrix of (1), dense."""
+    return np.block([[dense(A), dense(upper)], [dense(G), np.zeros((G.shape[0],) * 2) if C is None else C]])
+
+
+def _both_sides(K: Array, scale: Array) -> Array:
+    """Rows and columns of a matrix scaled alike."""
+    return K * scale * scale[:, None]
 
 
 def _scales(A: Any, G: Any, C: Array | None, upper: Any) -> tuple[Array, Array]:
     """Scales of rows and columns: diag(A)^-1/2 and row norms of G D; with a block C, square roots of the row maxima."""
     if C is not None:
-        scale = _even(np.abs(np.concatenate((np.concatenate((A, upper), axis=1), np.concatenate((G, C), axis=1)))))
+        scale = _ruiz(_whole(A, G, C, upper))
         return scale[: len(A)], scale[len(A) :]
     diagonal = np.asarray(A.diagonal())
     largest = max(float(np.abs(diagonal).max(initial=0.0)), 1e-300)
@@ -281,14 +316,31 @@ def _scales(A: Any, G: Any, C: Array | None, upper: Any) -> tuple[Array, Array]:
     return D, 1.0 / np.where(norms > 0, norms, 1.0)
 
 
-def _even(rows: Array) -> Array:
-    """Scales of a matrix with the absolute values ``rows``: square roots of the row maxima, again while that leaves rows with
-    small entries only (Ruiz, RAL-TR-2001-034). Large masses make the rows of frames and of frame conditions large, and with
-    these what they share with the rows of joints.
+def _even_scales(K: Array, n: int) -> Array:
+    """Scales of (1) that bring what joints move alike to one size in G, whatever it weighs; of bodies that joints connect the
+    heaviest has a mass of one.
     """
+    part = connected_components(K, directed=False)[1]
+    weight = np.sqrt(np.abs(K.diagonal()[:n]))
+
+    def heaviest_one(scale: Array) -> Array:
+        top = np.zeros(len(part))
+        np.maximum.at(top, part[:n], weight * scale[:n])
+        top = np.where(top > 0, top, 1.0)[part]
+        return np.concatenate((scale[:n] / top[:n], scale[n:] * top[n:]))
+
+    scale = heaviest_one(np.ones(len(part)))
+    return heaviest_one(scale * _ruiz(_both_sides(K, scale)))
+
+
+def _ruiz(K: Array) -> Array:
+    """Scales of a matrix: square roots of the row maxima, again while that leaves rows with small entries only (Ruiz,
+    RAL-TR-2001-034).
+    """
+    rows = np.abs(K)
     scale = 1.0 / np.sqrt(_tops(rows))
     for _ in range(MOST_SCALINGS):
-        top = _tops(rows * scale * scale[:, None])
+        top = _tops(_both_sides(rows, scale))
         if top.min(initial=1.0) > SMALL_ROW:
             break
         scale = scale / np.sqrt(top)
@@ -297,7 +349,7 @@ def _even(rows: Array) -> Array:
 
 def _tops(rows: Array) -> Array:
     """Largest entry of each row and column, 1 for those of zeros."""
-    top = np.maximum(rows.max(axis=1), rows.max(axis=0))
+    top = np.maximum(rows.max(axis=0), rows.max(axis=1))
     return np.where(top > 0, top, 1.0)
 
 
