@@ -414,6 +414,34 @@ def test_beside_rods_and_lines(
 
 
 @compiled
+@pytest.mark.parametrize("skew", [False, True])
+def test_forces_that_python_gives_as_a_whole(
+    rod_mesh: Callable[..., Any], skew: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Complex matrices take slopes that are symmetric; steps with others are Python's, and both are the same."""
+    scene = swing(rod_mesh(h=0.5, height=0.2), 2)
+    slopes = np.array(((-50.0, 30.0 * skew), (-30.0 * skew, -50.0)))
+    brake = lambda t, a: (a.v @ slopes.T, 0.0 * a.w)  # noqa: E731
+    scene.add(fmbd.own_force("brake", scene.bodies["rod"].surface("tip"), None, brake))
+    made: list[int] = []
+    in_parts = RadauStepper._constant
+    monkeypatch.setattr(RadauStepper, "_constant", lambda *given: (made.append(1), in_parts(*given))[1])
+
+    def run() -> fmbd.Run:
+        output = fmbd.Output(every=10**9, progress=False)
+        scheme = fmbd.Radau(3, rtol=None)
+        return fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=scheme, output=output, newton=fmbd.Newton(1e-10))
+
+    fast = run()
+    assert len(made) == (10 if skew else 0)
+    monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
+    slow = run()
+    for name in ("q", "v", "lam"):
+        wanted = getattr(slow.state, name)
+        assert getattr(fast.state, name) == pytest.approx(wanted, rel=0, abs=1e-7 * np.abs(wanted).max()), name
+
+
+@compiled
 def test_complex_directions_and_right_hand_sides_are_two_real_ones(rod_mesh: Callable[..., Any]) -> None:
     """In compiled code in one call, and with few calls of Python."""
     system, start, _ = pendulum(rod_mesh(h=0.5)).build()

@@ -25,7 +25,6 @@ from fmbd_fenicsx.materials import (
     saint_venant_kirchhoff,
 )
 from fmbd_fenicsx.mechanics.contact.contact_set import ContactSet
-from fmbd_fenicsx.mechanics.elastic.absolute import AbsoluteField
 from fmbd_fenicsx.schemes.impacts.contact_detection import components
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
 from fmbd_fenicsx.system.compiled.tables.fields import FieldTable
@@ -84,9 +83,10 @@ def test_equal_to_numpy(rod_mesh: Callable[..., Any], dim: int, body: str) -> No
 
 
 @compiled
-def test_loads_on_stiffened_bodies(rod_mesh: Callable[..., Any]) -> None:
-    """Their stress, and their work on displacements of second order, is Python's; ports of second order are not."""
-    assert_equal_to_numpy(swinging(rod_mesh(dim=3, h=0.5, height=0.2), "attached, stiffened", load=True))
+@pytest.mark.parametrize("body", ["attached, stiffened", "attached, large strains", "chord"])
+def test_loads_on_bodies_in_frames(rod_mesh: Callable[..., Any], body: str) -> None:
+    """They push the frame too; their stress in stiffened bodies, and their work on displacements of second order, is Python's."""
+    assert_equal_to_numpy(swinging(rod_mesh(dim=3, h=0.5, height=0.2), body, load=True))
 
 
 @compiled
@@ -421,19 +421,26 @@ def test_factors_of_fields_are_solved_with_in_c(
 
 
 @compiled
+@pytest.mark.parametrize("body", ["large strains", "attached, large strains"])
 def test_forces_of_large_strains_are_asked_for_once_a_state(
-    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, body: str
 ) -> None:
-    """Other accelerations are no other state: inertia and weight are compiled."""
+    """Other accelerations are no other state: inertia and weight are compiled, in frames that move too."""
     asked: list[float] = []
-    force = AbsoluteField.held_force
-    monkeypatch.setattr(AbsoluteField, "held_force", lambda *given: (asked.append(given[1]), force(*given))[1])
-    system, start, _ = swinging(rod_mesh(h=0.5, height=0.2), "large strains").build()
+    forces = FieldTable.forces
+    monkeypatch.setattr(FieldTable, "forces", lambda *given: (asked.append(given[1]), forces(*given))[1])
+    system, start, _ = swinging(rod_mesh(h=0.5, height=0.2), body, load=True).build()
     states = driver_states(system)
     for t, v in ((0.1, 0.0), (0.1, 1.0), (0.2, 1.0)):
         for a in (start.a, start.a + 1.0):
             states.at(t, start.q, start.v + v).balance(a, start.lam)
     assert asked == [0.1, 0.1, 0.2]
+
+    turned = start.q.copy()  # loads keep their direction in the world
+    turned[2] += 0.0 if body in BODIES else 0.1
+    found = states.at(0.2, turned, start.v + 1.0).balance(start.a, start.lam)
+    wanted = system.at(0.2, turned, start.v + 1.0).balance(start.a, start.lam)
+    assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.abs(wanted).max())
 
 
 @compiled

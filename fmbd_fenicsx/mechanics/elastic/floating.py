@@ -96,29 +96,34 @@ class FloatingField(FieldPart):
         A += Udd
         A += a
         F = self.field.mass(A)
-        inner = None
-        if self.field.loads.loads:
-            outer, inner = self.field.loads.nodal(motion.t, R, local[0])
-            F = F - outer
 
         # (2), rows of the frame; the square of U is summed along
         sums = self.field.total(np.concatenate((F.sum(0), axial(P.T @ F), [float(local[0] @ local[0])])))
         self._watch(sums[-1])
-        sums = sums[:-1]
-        # (2), rows of the field
-        rows = F.ravel() + self.internal(local[0], local[1])
-        # loads that act inside, damping, stress of the inertia forces
-        if inner is not None:
-            rows -= inner.ravel()
-        if self.field.D is not None:
-            rows += self.field.damping(local[1])
+        held, rows = self.held_force(motion, local)
+        sums = sums[:-1] + held
+        rows += F.ravel()
+
+        # stress of the inertia forces and of loads
         if self.stiffening is not None:
             more, stress = self._stiffened(self.stiffening, motion, local)
             sums += more
             rows += stress
-        if self.field.forms.mass_damping:
-            rows += self.field.forms.mass_damping * self.field.mass(Ud).ravel()
         sums[:d] = R @ sums[:d]
+        return sums, rows
+
+    def held_force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of (2) without inertia, weight and what stiffens, in body axes: loads, elasticity, damping; collective."""
+        field, (U, Ud, _), sums = self.field, local, np.zeros(self.motions.n_twist)
+        rows = self.internal(U, Ud)
+        if field.loads.loads:
+            outer, inner = field.loads.nodal(motion.t, motion.R, U)
+            sums -= field.total(np.concatenate((outer.sum(0), axial(field.points(U).T @ outer))))
+            rows -= (outer + inner).ravel()
+        if field.D is not None:
+            rows += field.damping(Ud)
+        if field.forms.mass_damping:
+            rows += field.forms.mass_damping * field.mass(Ud.reshape(-1, field.dim)).ravel()
         return sums, rows
 
     def _stiffened(

@@ -79,14 +79,38 @@ static void stiffness_times(const Field *e, const double *U, const double *Ud, d
     if (e->pressure) pressure_force(e, U, Ud, F);
 }
 
-/* Forces of linear elasticity on the nodes, and their resultant (world axes) into f. Verdict LOOK outside of the range of small
-   displacements. */
-static int linear_field(const Body *o, const double *R, const Motion *m, const double *gravity, double *f)
+/* Forces that Python tells, without those of inertia and weight, asked once for a state: on the nodes, and their rows of the frame. */
+static int held_force(System *s, const Body *o, const double *R, const Motion *m, double t)
+{
+    Field *e = o->field;
+    const double *known[] = {m->U, m->Ud, R};
+    const long sizes[] = {e->n, e->n, D * D};
+    double *asked = e->asked;
+    int same = e->asked_at == t;
+    for (int i = 0; i < 3; asked += sizes[i++]) {
+        same = same && !memcmp(asked, known[i], sizes[i] * sizeof(double));
+        if (!same) memcpy(asked, known[i], sizes[i] * sizeof(double));
+    }
+    if (same) return DONE;
+    e->asked_at = NAN;
+    int verdict = tell(s, FIELD_FORCES, e->number, e->n, e->state, R, m, s->gravity, t);
+    if (verdict) return verdict;
+    memcpy(e->held_force, e->force, e->n * sizeof(double));
+    memcpy(e->held_sums, e->sums, TWIST * sizeof(double));
+    e->asked_at = t;
+    return DONE;
+}
+
+/* Forces of inertia, weight and elasticity on the nodes, and their resultant (world axes) into f. Verdict LOOK outside of the range of
+   small displacements. */
+static int nodal_force(System *s, const Body *o, const double *R, const Motion *m, const double *gravity, double *f, double t)
 {
     const Field *e = o->field;
     const double *U = m->U, *Ud = m->Ud, *Udd = m->Udd, *w = m->twist + D, *accel = m->accel;
     double W[D * D], L[D * D], alpha[D * D], free_[D], base[D], sum[D] = {0.0}, N[D * D] = {0.0}, local[ROT], square = 0.0;
     const double *rates[] = {U, Ud, Udd};
+    int verdict;
+    if (e->own && (verdict = held_force(s, o, R, m, t))) return verdict;
 
     for (int i = 0; i < D; i++) free_[i] = accel[i] - gravity[i];
     transposed(R, free_, base);
@@ -111,32 +135,15 @@ static int linear_field(const Body *o, const double *R, const Motion *m, const d
             for (int c = 0; c < D; c++) N[D * j + c] += (e->X[D * i + j] + U[D * i + j]) * e->force[D * i + c];
         }
     if (e->stresses) stiffened(o, rates, W, accel + D, base, sum, N);
-    times(R, sum, f);
     axial(N, local);
+    if (e->own) {
+        add(sum, 1.0, e->held_sums, D);
+        add(local, 1.0, e->held_sums + D, ROT);
+        add(e->force, 1.0, e->held_force, e->n);
+    } else stiffness_times(e, U, Ud, e->force);
+    times(R, sum, f);
     to_world(R, local, f + D);
-
-    stiffness_times(e, U, Ud, e->force);
     return square <= o->large ? DONE : LOOK;
-}
-
-/* Forces on the nodes of a field whose frame rests: those that Python tells, asked once for a state, and those of inertia and weight. */
-static int resting_force(System *s, const Body *o, const double *R, const Motion *m, double t)
-{
-    Field *e = o->field;
-    const size_t size = e->n * sizeof(double);
-    if (e->asked_at != t || memcmp(e->asked, m->U, size) || memcmp(e->asked + e->n, m->Ud, size)) {
-        e->asked_at = NAN;
-        int verdict = tell(s, FIELD_FORCES, e->number, e->n, e->state, R, m, s->gravity, t);
-        if (verdict) return verdict;
-        memcpy(e->told_force, e->force, size);
-        memcpy(e->asked, m->U, size);
-        memcpy(e->asked + e->n, m->Ud, size);
-        e->asked_at = t;
-    }
-    for (long i = 0; i < e->n; i++) e->accel[i] = m->Udd[i] - s->gravity[i % D];
-    mass_times(e, e->accel, e->force);
-    add(e->force, 1.0, e->told_force, e->n);
-    return DONE;
 }
 
 /* Forces on the nodes, and their resultant (world axes) into f. */
@@ -148,15 +155,12 @@ int field_force(System *s, int b, const double *q, const double *v, const double
     Motion m = motion_of(o, b, q, v, a);
     int verdict;
     if (e->own && s->from) m.U = s->from + o->at_q; /* those of the middle follow for linear fields alone */
-    if (e->own && rests(o) && !s->from) verdict = resting_force(s, o, R, &m, t);
-    else if (e->own) verdict = tell(s, s->from ? FIELD_MEANS : FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t);
-    else verdict = linear_field(o, R, &m, s->gravity, f);
-    if (rests(o)) {
-        memset(f, 0, TWIST * sizeof(double));
-    } else if (e->own && !verdict) {
+    if (e->whole || (e->own && s->from)) {
+        verdict = tell(s, s->from ? FIELD_MEANS : FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t);
         memcpy(f, e->sums, D * sizeof(double));
         to_world(R, e->sums + D, f + D);
-    }
+    } else verdict = nodal_force(s, o, R, &m, s->gravity, f, t);
+    if (rests(o)) memset(f, 0, TWIST * sizeof(double));
     return verdict;
 }
 

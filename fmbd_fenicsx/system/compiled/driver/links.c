@@ -22,6 +22,16 @@ static void fold(const System *s, double *row)
     }
 }
 
+/* Whether forces that Python gives as a whole lack symmetry in the matrix assembled last. */
+static int lacks_symmetry(System *s)
+{
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+        if (k->role == WHOLE) whole_links(s, k);
+    const int found = s->links;
+    s->links = 0;
+    return found > 0;
+}
+
 /* (2) for the factor in the fronts; Python tells L, W and how many rows they have. */
 static int link_efforts(System *s, double t)
 {

@@ -117,15 +117,16 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
     return link_efforts(s, t);
 }
 
-/* The same for complex weights, each by its two parts; without efforts that answer to more than their own coordinates. */
+/* The same for complex weights, each by its two parts; LOOK where efforts answer to more than their own coordinates. */
 int prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)
 {
     s->imaginary = 1;
     int verdict = entries(s, q, cd[1], ck[1], ck[1], lam, 0, t);
     s->imaginary = 0;
     memcpy(s->lossy, s->L, s->storage * sizeof(double));
-    if (verdict || (verdict = entries(s, q, cd[0], ck[0], ck[0], lam, 0, t))) return verdict;
-    return factor_complex(s);
+    if (verdict || lacks_symmetry(s)) return verdict ? verdict : LOOK;
+    if ((verdict = entries(s, q, cd[0], ck[0], ck[0], lam, 0, t))) return verdict;
+    return lacks_symmetry(s) ? LOOK : factor_complex(s);
 }
 
 /* The factor at the state evaluated last; without geometric stiffness where that makes the bodies' part indefinite (a large pull

@@ -110,7 +110,7 @@ typedef struct {
     int *M_start, *M_column, *K_start, *K_column; /* by rows of nodes: scalars, D x D blocks */
     double *M, *K;
     double beta;                       /* s, damping by the stiffness */
-    int own;                           /* whether Python tells forces and energies, from: */
+    int own, whole;                    /* whether Python tells forces and energies, those of inertia and weight too, from: */
     double *state, *sums;              /* R, twist, its rate, pose, gravity, U, U', U''; TWIST: rows of the frame, or energies */
     double *inertia, *moment;          /* of the columns of inertia: ROT x ROT; D: sum of M P */
     double *Y, *S;                     /* solved x n, solved x solved: see fields.c */
@@ -138,7 +138,8 @@ typedef struct {
     int parts;                         /* 2 where factor and columns are complex: all but the real parts stands behind these */
     long wide;                         /* unknowns of the factor: n, and those of the pressure */
     double *tangent, *elastic;         /* K of the factor; wide: (of_stiffness + i lossy) z, one part */
-    double *asked, asked_at, *told_force; /* where the frame rests and Python tells: U and U', and the time (s), of the last forces */
+    double *asked, asked_at;           /* U, U', R and the time (s) of the last forces that Python told without those of inertia: */
+    double *held_force, *held_sums;    /* n; TWIST, rows of the frame in body axes */
     Pressure *pressure;                /* NULL without */
 } Field;
 

@@ -81,8 +81,8 @@ class FieldStates(DriverStates):
 
     @property
     def takes_complex(self) -> bool:
-        """Whether the driver makes matrices with complex weights: efforts answer to themselves alone."""
-        return not self.tables.c.linkable
+        """Whether the driver makes matrices with complex weights: not where controllers tell what efforts answer to."""
+        return not self.tables.c.telling
 
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""

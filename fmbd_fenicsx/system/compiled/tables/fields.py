@@ -52,6 +52,8 @@ class FieldTable:
         self.part: Any = system.parts[k]
         self.rows = system.frame_rows[k]
         self.turns = isinstance(self.part, RestingField) and self.part.turns
+        # stress of loads that stiffens a body goes with that of inertia forces
+        self.whole = not linear_field(self.part) and self.part.stiffening is not None
         self.changes = self.turns or not linear_field(self.part)  # matrices with the steps that were made
 
         first = system.port_slice(k).start
@@ -142,9 +144,10 @@ class FieldTable:
         return known[1]
 
     def forces(self, t: float) -> None:
-        """Rows of the frame and forces on the nodes."""
+        """Rows of the frame, in body axes but for the first of whole forces, and forces on the nodes."""
         motion, _, local = self.motion.at(t)
-        self.sums[:], self.force[: self.part.n] = self.part.force(motion, local)
+        told = self.part.force if self.whole else self.part.held_force
+        self.sums[:], self.force[: self.part.n] = told(motion, local)
 
     def mean_forces(self, t: float) -> None:
         """Forces on the nodes over a step about t (s); its frame rests."""
@@ -169,13 +172,15 @@ class FieldTable:
         unknown = tables.at_u[frame] + np.arange(width)
         address = tables.store.structure(self._field())
 
+        largest = np.inf if part.field.nonlinear else TOO_LARGE * part.size
+        large = largest**2 * part.field.n_global / d
         stiffening = part.stiffening
         mean = np.zeros(0) if stiffening is None else stiffening.second.inverse
 
         return structure("Body", d)(
             modes=self.count, mean=tables.store.address(mean),
             at_v=system.slices[1][self.k].start, at_q=system.slices[0][self.k].start,
-            at_u=int(tables.at_u[frame]), mass=part.mass_total, large=(TOO_LARGE * part.size) ** 2 * part.field.n_global / d,
+            at_u=int(tables.at_u[frame]), mass=part.mass_total, large=large,
             block=tables.store.address(np.zeros((width, width))),
             dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])), field=address,
         )  # fmt: skip
@@ -190,7 +195,7 @@ class FieldTable:
         n = self.part.n
         arrays = {
             **self._columns_of_ports(), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
-            "asked": np.zeros(2 * n), "told_force": np.zeros(n),
+            "asked": np.zeros(2 * n + d * d), "held_force": np.zeros(n), "held_sums": np.zeros(tables.twist),
             **{name: np.zeros(self.parts * self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
             **{name: np.zeros(n) for name in ("accel", "MU")},
         }  # fmt: skip
@@ -209,7 +214,7 @@ class FieldTable:
             wide=self.wide, elastic=store.address(np.zeros(self.wide)), pressure=self._pressure(), rhs=rhs, solution=solution,
             one_b=one_b, one_z=one_z, one_rhs=one_rhs, one_solution=one_solution,
             direct=address_of_solve(), asked_at=np.nan, number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
-            own=int(not linear_field(part)), force=force, sums=sums, state=self.motion.address,
+            own=int(not linear_field(part)), whole=int(self.whole), force=force, sums=sums, state=self.motion.address,
             inertial=self.inertial, turns=int(self.turns), parts=self.parts, frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},

@@ -60,7 +60,11 @@ class RestingField(FieldPart):
         return np.stack((self.part.turn_at_tangent, self.field.mass(X).T @ X))
 
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        """Rows of the frame, zero, and forces on the nodes without inertia and weight, which C adds."""
+        """Rows of the frame, zero, and forces on the nodes."""
+        return self.part.force(motion, local)
+
+    def held_force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        """Rows of the frame, zero, and forces on the nodes without inertia and weight."""
         return np.zeros(self.motions.n_twist), self.part.held_force(motion.t, *local[:2])
 
     def mean_force(self, motion: FrameMotion, local: tuple[Array, Array, Array], h: float) -> Array:
