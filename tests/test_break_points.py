@@ -220,6 +220,16 @@ def test_records_are_ends_of_steps_and_the_end() -> None:
     assert np.allclose(run.times, expected, rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("stops", [(), STOPS])
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(), fmbd.EnergyMomentum()], ids=lambda x: x.name)
+def test_equal_steps_end_when_the_run_does(scheme: Any, stops: tuple[float, ...]) -> None:
+    """Sums of 60 steps were 0.6000000000000003; what goes on begins there, and a snapshot is of the same time."""
+    for t_end in (0.6, 0.7):
+        output = fmbd.Output(snapshots=2, progress=False)
+        run = fmbd.solve(kicked_pendulum(stops), t_end=t_end, dt=0.01, scheme=scheme, output=output)
+        assert run.times[-1] == run.state.t == run.snapshots[-1].t == run.next_scene().begins == t_end
+
+
 def test_errors_are_stated_across_a_jump(pendulum_reference: fmbd.Run) -> None:
     """Runs with 2 h and 4 h end their stretches at the same instants, show the order of the scheme, and no kink is suspected."""
     for scheme in (fmbd.GeneralizedAlpha(), fmbd.BDF(2, rtol=None), fmbd.schemes.Rattle()):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, cast
 
 from ..errors import ConvergenceError, LinearSolveError
@@ -165,6 +165,14 @@ class Loop:
                     break
         if keeper is not None:
             keeper.write(self.progress)
+        self._arrive()
+
+    def _arrive(self) -> None:
+        """The last of equal steps ends when the run does: times are sums of steps, which roundoff takes from there."""
+        schedule, summed = self.schedule, self.state
+        if schedule.steps and not self.event_met and schedule.ended(summed.t, self.progress.done):
+            self.state = replace(summed, t=schedule.t_end)
+            self.recorder.arrive(summed, self.state)
 
     def _equal_steps(self) -> tuple[int, Evaluation | None]:
         """Steps of one size, many in one call or one by itself; how many."""

@@ -66,6 +66,11 @@ class Accompanied(Recorder):
         """Of both the least."""
         return min(super().quiet(n, t, h, through=through), self.beside.quiet(n, t, h, through=through))
 
+    def arrive(self, summed: State, state: State) -> None:
+        """The same for both."""
+        self.beside.arrive(summed, state)
+        super().arrive(summed, state)
+
     def go_on(self, state: State) -> None:
         """The same for both."""
         self.beside.go_on(state)

@@ -225,6 +225,13 @@ class Recorder:
         else:
             self._record(n, state, seen)
 
+    def arrive(self, summed: State, state: State) -> None:
+        """The end of the last step, whose time was ``summed``, has the time of the run's end."""
+        if self._wanted is None and self.times[-1] == summed.t:
+            self.times[-1] = state.t
+        if self.snapshots and self.snapshots[-1] is summed:
+            self.snapshots[-1] = state
+
     def go_on(self, state: State) -> None:
         """The next step begins in another state than the last one ended in: behind a jump of forces."""
         if self._wanted is not None:
