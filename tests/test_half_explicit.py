@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 from dae_problems import march, observed, pendulum, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
@@ -88,6 +89,21 @@ def test_a_step_is_one_compiled_call(rtol: float | None, monkeypatch: pytest.Mon
     assert slow.counters["steps"] == run.counters["steps"]
     assert run.state.q == pytest.approx(slow.state.q, rel=1e-11, abs=1e-11)
     assert run.state.v == pytest.approx(slow.state.v, rel=1e-10, abs=1e-10)
+
+
+def test_laws_of_time_are_asked_once_at_each_end_of_a_stage() -> None:
+    """However many iterations a stage takes: of five stages and one end of a step that is eleven times."""
+    asked: list[float] = []
+
+    def turned(t: float) -> float:
+        asked.append(t)
+        return 3.0 * np.sin(5.0 * t)
+
+    scene, last = chain(2, "twisted")
+    scene.add(fmbd.torque("twist", last, turned))
+    run = fmbd.solve(scene, t_end=0.5, dt=0.01, scheme=fmbd.HalfExplicit(None), output=fmbd.Output(every=50))
+    assert run.counters["solves"] > 5 * 4 * 50
+    assert len(asked) < 12 * 50
 
 
 @pytest.mark.parametrize("rtol", [None, 1e-6])

@@ -78,3 +78,23 @@ def test_orders_seen_by_chance_do_not_matter_where_half_of_the_schemes_is_enough
     assert told(0.33) is found and told(0.34, "y") is found
     slow = told(0.34)
     assert slow.errors["x"].size == pytest.approx(1 / 3) and slow.errors["y"] is small["y"] and not slow.by_chance
+
+
+def test_kinks_of_larger_steps_than_those_that_tell_an_error_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The force of a bearing looks like a kink in 100 steps of RATTLE, not in 200: these tell the error of 300, and no 600 are
+    made.
+    """
+    made: list[int] = []
+    again = shared_runs.again
+
+    def noted(problem: Any, schedule: Any, steps: int, *rest: Any) -> Any:
+        made.append(steps)
+        return again(problem, schedule, steps, *rest)
+
+    monkeypatch.setattr(shared_runs, "again", noted)
+    case = MORE["four bar, Rattle"]
+    run = fmbd.solve(
+        case.scene(), t_end=case.t_end, tol=case.tol(1e-3), scheme=fmbd.Rattle(), output=fmbd.Output(every=3)
+    )
+    assert run.counters["steps"] == 300 and made == [50, 200]
+    assert run.observed_order["coupler"] == pytest.approx(2.0, abs=0.1)

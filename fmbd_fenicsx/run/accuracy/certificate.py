@@ -189,14 +189,22 @@ def left_by_kinks(run: Run, name: str, order: float | None = None) -> tuple[floa
     if Declared.by(run.scheme).adaptive or struck_or_sampled(run.scene):
         return 0.0, np.inf
     order = expected_orders(run.scheme, run.scene, run.system)[name] if order is None else order
-    return max(kink(t, x, order, run.scene.sensors[name].derivative) for t, x in _pieces(run, name))
+    return max(kink(t, x, order, run.scene.sensors[name].derivative) for t, x in _pieces_of(run, name))
 
 
 def kinked(run: Run) -> bool:
     """Whether the records of some sensor show that forces jump, or their slopes do, within its equal steps. What is left may be
     of the order of the scheme: it is chance all the same, by where in a step a kink falls.
     """
-    return any(left_by_kinks(run, name, np.inf)[0] > 0.0 for name in run.series)
+    return show_kinks(run.scene, run.scheme, *_ends(run))
+
+
+def show_kinks(scene: Scene, scheme: Any, times: Array, series: Mapping[str, Array]) -> bool:
+    """The same of records at the ends of equal steps (s)."""
+    if Declared.by(scheme).adaptive or struck_or_sampled(scene):
+        return False
+    pieces = ((x, scene.sensors[n].derivative) for n, y in series.items() for x in _pieces(scene, times, y))
+    return any(kink(t, x, np.inf, derivative)[0] > 0.0 for (t, x), derivative in pieces)
 
 
 def about_kinks(run: Run, name: str) -> list[Array]:
@@ -204,15 +212,24 @@ def about_kinks(run: Run, name: str) -> list[Array]:
     if not left_by_kinks(run, name)[0]:
         return []
     derivative = run.scene.sensors[name].derivative
-    return [times for t, x in _pieces(run, name) for times in rough(t, x, derivative)]
+    return [times for t, x in _pieces_of(run, name) for times in rough(t, x, derivative)]
 
 
-def _pieces(run: Run, name: str) -> list[tuple[Array, Array]]:
+def _pieces_of(run: Run, name: str) -> list[tuple[Array, Array]]:
     """Times (s) and values of a sensor at ends of steps, apart at the break points of the scene."""
-    # what breaks at instants that the scene names breaks between two steps
-    times, series = (run.times, run.series) if run.at_steps is None else run.at_steps
-    parts = np.searchsorted(times, [far_side(x) for x in sorted(run.scene.breakpoints)])
-    return list(zip(np.split(times, parts), np.split(series[name], parts), strict=True))
+    times, series = _ends(run)
+    return _pieces(run.scene, times, series[name])
+
+
+def _ends(run: Run) -> tuple[Array, Mapping[str, Array]]:
+    """Times (s) and series at ends of steps."""
+    return (run.times, run.series) if run.at_steps is None else run.at_steps
+
+
+def _pieces(scene: Scene, times: Array, x: Array) -> list[tuple[Array, Array]]:
+    """A series apart at the break points of a scene: what breaks at instants that the scene names breaks between two steps."""
+    parts = np.searchsorted(times, [far_side(t) for t in sorted(scene.breakpoints)])
+    return list(zip(np.split(times, parts), np.split(x, parts), strict=True))
 
 
 def _uncertain_by_kinks(run: Run, stated: Statement) -> list[str]:

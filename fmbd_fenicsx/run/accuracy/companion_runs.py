@@ -47,7 +47,8 @@ def again(
     if late and not sampled_late(problem.scene, schedule):
         raise ConvergenceError(f'steps of {other.next(0.0):g} s take the samples of controller "{late[0]}" late')
     asked = replace(problem, most_parts=0.0) if whole else problem
-    return Compared(companion(asked, other, wanted).recorder, other, problem.scheme)
+    beside = steps_beside(problem.scene, wanted, other)  # where kinks are seen
+    return Compared(companion(asked, other, wanted, beside=beside).recorder, other, problem.scheme)
 
 
 def unbegun(scene: Scene, built: Built, scheme: Any, *, newton: Newton, linear: Any, parts: float) -> Problem:
@@ -66,9 +67,11 @@ def unbegun(scene: Scene, built: Built, scheme: Any, *, newton: Newton, linear: 
     )
 
 
-def companion(problem: Problem, schedule: StepSchedule, output: Output, of: Built | None = None) -> March:
+def companion(
+    problem: Problem, schedule: StepSchedule, output: Output, of: Built | None = None, *, beside: Output | None = None
+) -> March:
     """A march that only tells an error, with an iteration and a solver of its own, warning of nothing: from the start of the
-    problem, or from that ``of`` another system; collective.
+    problem, or from that ``of`` another system; recorded ``beside``, too; collective.
 
     Raises StoppedError where it was stopped on request.
     """
@@ -83,7 +86,7 @@ def companion(problem: Problem, schedule: StepSchedule, output: Output, of: Buil
             problem = replace(problem, system=system, markers=of.markers, given=of.given)
 
         newton, pressures = problem.newton.afresh(), solver.pressures
-        made = replace(problem, start=start, newton=newton, pressures=pressures, warned=None, beside=None)
+        made = replace(problem, start=start, newton=newton, pressures=pressures, warned=None, beside=beside)
         marched = march(made, solver, schedule, output)
     finally:
         solver.destroy()

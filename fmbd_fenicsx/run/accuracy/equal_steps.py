@@ -16,7 +16,18 @@ from .certificate import moving
 from .companion_runs import UNFIT, Compared, StoppedError, again, companion
 from .deviation import Deviation, alignment, at_least, scaled
 from .jumps_in_time import with_break_points
-from .orders import expected_orders, irregular, of_the_scheme, order_seen, resolved, scattered_order, usable_order
+from .orders import (
+    REGULAR,
+    SEEN,
+    TOO_HIGH,
+    expected_orders,
+    irregular,
+    of_the_scheme,
+    order_seen,
+    resolved,
+    scattered_order,
+    usable_order,
+)
 
 NEARBY = 0.1  # share of the run about the largest difference in which that with larger steps is looked at too
 FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an order
@@ -30,7 +41,8 @@ FURTHER = 1.5  # times what half the step tells that larger ones are believed, w
 class TimeError:
     """Error of time and observed order of each sensor; ``with_others``: the cheapest run that follows the same motion;
     ``halved``: told by one with half the step. ``unseen``: no order was seen where one had to be. ``by_chance``: sensors whose
-    orders are, see :func:`compare_steps`.
+    orders are, see :func:`compare_steps`. ``told_by``: the fewest steps of the runs that tell it, those that only show the order
+    left out where it is that of the scheme.
     """
 
     errors: dict[str, Deviation]
@@ -39,6 +51,7 @@ class TimeError:
     halved: bool = False
     unseen: bool = False
     by_chance: frozenset[str] = frozenset()
+    told_by: int = 0
 
 
 def time_error(problem: Problem, fine: Recorder, schedule: StepSchedule, *, kinked: bool = False) -> TimeError:
@@ -105,14 +118,15 @@ def by_half(
 ) -> TimeError:
     """Errors of the ``given`` run as one with half its step tells them, with the orders that it and some ``coarser`` ones show:
 
-    |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     p the order of the scheme in the sensor, at most 2            (1)
+    |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     1 <= p <= 2                                                   (1)
 
-    For motion of order one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks
-    may leave about the same in both: what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this, and up to
-    the range of the sensor where the error is uncertain (:func:`.orders.irregular`).
+    p the order of the scheme in the sensor, or the one that is seen where it is clearly lower. For motion of order one the truth
+    is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks may leave about the same in both:
+    what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this, and up to the range of the sensor where the
+    error is uncertain (:func:`.orders.irregular`).
     """
     orders = compare_steps(expected, finer, [given, *coarser]).orders
-    errors = _left_by(given, finer.recorder, expected)
+    errors = _left_by(given, finer.recorder, expected, orders)
     if larger is not None:
         for name, span in moving(given.recorder.series, given.recorder.scene.sensors).items():
             share, other = errors[name].size / span, larger.errors[name]
@@ -122,10 +136,14 @@ def by_half(
     return TimeError(errors, orders, given, halved=True)
 
 
-def _left_by(given: Compared, finer: Recorder, expected: Mapping[str, int]) -> dict[str, Deviation]:
+def _left_by(
+    given: Compared, finer: Recorder, expected: Mapping[str, int], seen: Mapping[str, float]
+) -> dict[str, Deviation]:
     """(1) of :func:`by_half`."""
-    factors = {name: 1.0 / (1.0 - 2.0 ** -min(p, 2)) for name, p in expected.items()}
-    return {name: scaled(_deviation(finer, given.recorder, name), factors[name]) for name in given.recorder.series}
+    orders = {n: min(p, 2.0) for n, p in expected.items()}
+    lower = {n: max(seen[n], 1.0) for n, p in orders.items() if seen[n] < SEEN * p}
+    factors = {n: 1.0 / (1.0 - 2.0**-p) for n, p in {**orders, **lower}.items()}
+    return {n: scaled(_deviation(finer, given.recorder, n), x) for n, x in factors.items()}
 
 
 def jump_errors(problem: Problem, given: Compared, jumps: Sequence[float]) -> TimeError | None:
@@ -140,7 +158,8 @@ def jump_errors(problem: Problem, given: Compared, jumps: Sequence[float]) -> Ti
     except UNFIT:
         return None
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
-    return TimeError(_left_by(given, finer, expected), dict.fromkeys(finer.series, float("nan")), given, halved=True)
+    unseen = dict.fromkeys(finer.series, float("nan"))
+    return TimeError(_left_by(given, finer, expected, unseen), unseen, given, halved=True)
 
 
 def compare_steps(
@@ -187,7 +206,9 @@ def compare_steps(
     seen = {n: orders[n] for n in moves}
     follows = bool(seen) and resolved(seen, expected) and (len(coarser) > 1 or known is not None)
     others = [made for made in coarser if follows and made.schedule.steps >= FEWEST]
-    return TimeError(errors, orders, others[-1] if others else given, by_chance=frozenset(by_chance))
+    regular = resolved(seen, expected, REGULAR) and all(p <= expected[n] + TOO_HIGH for n, p in seen.items())
+    told_by = coarser[0 if regular else -1].schedule.steps
+    return TimeError(errors, orders, others[-1] if others else given, by_chance=frozenset(by_chance), told_by=told_by)
 
 
 def of_order(

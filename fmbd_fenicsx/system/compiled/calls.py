@@ -103,7 +103,10 @@ class Calls:
         tables.c.timed = len(written)
         tables.c.timed_at = store.array([address_of(x) for x in written], np.uint64)[1]
         tables.c.timed_size = store.array([x.size for x in written], np.int64)[1]
-        return sum(x.size for x in written)
+        size = sum(x.size for x in written)
+        for end, (_, place) in enumerate(store.zeros({"first": size, "second": size}).values()):
+            tables.c.sampled[end] = place
+        return size
 
     def answer(self, what: int, number: int, t: float) -> int:
         """0, 1 after an exception, OUTSIDE where a field's forces have no value, or its tangent no factor."""

@@ -20,13 +20,14 @@ from ....schemes.newton import Newton
 from ....system.scene.scene import Scene
 from ...built import Built, build
 from ...problem import Problem
+from ...recording.accompanied import Accompanied
 from ...recording.output import Output
 from ...schedule import StepSchedule
 from ...single_run import Solved, Task, run_once
-from ..certificate import kinked, moving
+from ..certificate import kinked, moving, show_kinks
 from ..companion_runs import UNFIT, Compared, again, companion, steps_beside, unbegun
 from ..deviation import Deviation, at_least
-from ..equal_steps import FEWEST, FURTHER, TimeError, between, by_half, compare_steps, falling_slowly, of_order
+from ..equal_steps import FEWEST, FURTHER, MATTERS, TimeError, between, by_half, compare_steps, falling_slowly, of_order
 from ..estimates import (
     LOOKED_AT,
     TELLING,
@@ -41,7 +42,7 @@ from ..estimates import (
     tolerance_error,
     usual_power,
 )
-from ..orders import REGULAR, TOO_HIGH, expected_orders, resolved
+from ..orders import REGULAR, TOO_HIGH, expected_orders, resolved, seen_by_ends
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
@@ -52,7 +53,7 @@ LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
-DOUBTED = 3.0  # times the room up to which an error that is told by chance is asked again: it may be a tenth
+DOUBTED = 3.0  # times the room up to which an error that is told by chance is asked again, as it may be a tenth; and of two
 HALF_MORE = 1.5  # ratio of steps of the run with a smaller tolerance that is to tell an error
 
 
@@ -91,7 +92,6 @@ class SharedRuns:
         self._runs: dict[int, dict[int, Compared]] = {}
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
         self._parted: dict[int, int] = {}  # the most steps with which a run of a scene failed, or only went on in parts
-        self._kinked: dict[int, bool] = {}  # whether the last attempt of a scene had kinks
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
@@ -195,30 +195,37 @@ class SharedRuns:
         not show, because they do not end.
         """
         found = self._compared(solved, known, allowed)
-        by_chance = self._meets_kinks(solved) or found.unseen or not found.by_chance.isdisjoint(allowed.sensors)
-        if by_chance and found.errors and allowed.share(found.errors) <= DOUBTED * allowed.room:
+        kinks = kinked(solved.run) or self._meet_kinks(solved, found.told_by)
+        by_chance = kinks or found.unseen or not found.by_chance.isdisjoint(allowed.sensors)
+        doubted = by_chance and not found.halved and found.errors
+        if doubted and allowed.share(found.errors) <= DOUBTED * allowed.room:
             found = self._by_half(solved, found)
         self._seen.update(known_orders(found))
         return found
 
-    def _meets_kinks(self, solved: Solved) -> bool:
-        """Whether records of a run have kinks, or those of the attempt before, which tells its error: what is short beside the
-        steps of that one, as a stiff contact, may be smooth in smaller ones.
+    def _meet_kinks(self, solved: Solved, fewest: int) -> bool:
+        """Whether records of runs with so many steps, or more, but fewer than a given one have kinks: what is short beside the
+        steps of a run that tells its error, as a stiff contact, may be smooth in smaller ones.
         """
-        scene = id(solved.problem.scene)
-        now, before = kinked(solved.run), self._kinked.get(scene, False)
-        self._kinked[scene] = now
-        return now or before
+        scene, scheme = solved.problem.scene, solved.compared.scheme
+        made = self._runs[id(scene)]
+        between = [made[n].recorder for n in made if fewest <= n < solved.compared.schedule.steps]
+        ends = [(x.beside if isinstance(x, Accompanied) else x) for x in between]
+        return any(show_kinks(scene, scheme, x.times, x.series) for x in ends)
 
     def _by_half(self, solved: Solved, larger: TimeError | None = None) -> TimeError:
-        """The error by one with half the step, beside what ``larger`` ones tell, which counts alone where that does not end."""
+        """The error by one with half the step, beside what ``larger`` ones tell, which counts alone where that does not end: by
+        half of the order of the scheme where none was seen.
+        """
         given = solved.compared
         steps, have = given.schedule.steps, self._runs[id(solved.problem.scene)]
         coarser = [have[n] for n in have if n <= steps / NEAREST][:1]
         try:
             finer = self._with(solved, 2 * steps)
         except UNFIT:
-            return larger or TimeError({}, {}, given)
+            if larger is None or not larger.unseen:
+                return larger or TimeError({}, {}, given)
+            return replace(larger, errors=of_order(_expected(solved.problem), given, have[larger.told_by], 0.5))
         return by_half(_expected(solved.problem), given, finer, coarser=coarser, larger=larger)
 
     def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
@@ -254,9 +261,11 @@ class SharedRuns:
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
         ratio = steps / coarser[0].schedule.steps
         near_by = ratio < TWICE and not resolved(known_orders(found), orders)
+        apart = between(given.recorder, coarser[0].recorder, orders)
+        of_tol = {n: apart[n] for n in allowed.sensors}
         another = (
-            not found.by_chance.isdisjoint(allowed.sensors)
-            or astray(given, between(given.recorder, coarser[0].recorder, allowed.sensors))
+            not found.by_chance.isdisjoint({*allowed.sensors, *astray(given, apart, MATTERS)})
+            or bool(astray(given, of_tol))
             or any(found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors)
         )
         far_off = ratio > MORE_THAN_TWICE and another
@@ -264,8 +273,13 @@ class SharedRuns:
             # irregular motion is not judged by steps of nearly the same size, nor by some that follow another one
             half = steps // 2
             farther = max((n for n in have if n <= half / NEAREST), default=max(half // 2, 1))
-            coarser = [self._with(solved, n) for n in (half, farther)]
-            found = compare_steps(orders, given, coarser, before=seen)
+            try:
+                coarser = [self._with(solved, n) for n in (half, farther)]
+            except UNFIT:
+                return replace(found, unseen=True)
+            other, found = found, compare_steps(orders, given, coarser, before=seen)
+            if any(other.errors[n].size > DOUBTED * found.errors[n].size for n in allowed.sensors):
+                return replace(found, unseen=True)  # steps of about the same size tell other errors
         if not astray(given, between(given.recorder, coarser[0].recorder, orders)):
             found = falling_slowly(found, orders, (given, coarser[0]), allowed.sensors, allowed.lets)
         return replace(found, unseen=unseen and not known_orders(found))
@@ -275,7 +289,8 @@ class SharedRuns:
         be enough, or the whole is not, and the run will not be the last; None else, and where some sensor goes astray: others may
         agree by chance.
 
-        What is stated goes with three quarters of the order, at least one: neither half nor all of it is far from that.
+        What is stated goes with three quarters of the order, at least one: neither half nor all of it is far from that; beside
+        elements that only ends of steps move with half of it, which these have.
         """
         given, orders = solved.compared, _expected(solved.problem)
         whole = compare_steps(orders, given, [coarser])
@@ -286,7 +301,9 @@ class SharedRuns:
             return None
         # where bodies touch, when they do depends on the steps
         follows = coarser.schedule.steps >= FEWEST and not solved.problem.scene.contacts
-        return TimeError(of_order(orders, given, coarser, 0.75, 1.0), whole.orders, coarser if follows else given)
+        by_ends = seen_by_ends(solved.problem.system)
+        slow = of_order(orders, given, coarser, 0.5 if by_ends else 0.75, 1.0)
+        return replace(whole, errors=slow, with_others=coarser if follows else given)
 
     def _from_afar(self, solved: Solved, earlier: Sequence[int], allowed: Allowed) -> TimeError | None:
         """The error by the steps from two earlier runs with far larger ones, if all three show the order of the scheme."""
@@ -384,10 +401,12 @@ def _expected(problem: Problem) -> dict[str, int]:
     return expected_orders(problem.scheme, problem.scene, problem.system)
 
 
-def astray(given: Compared, apart: Mapping[str, Deviation]) -> bool:
-    """Whether a run is so far ``apart`` from a given one, in some sensor that moves, that agreement of others is chance."""
+def astray(given: Compared, apart: Mapping[str, Deviation], share: float = ASTRAY) -> list[str]:
+    """The sensors that move in which a run is so far ``apart`` from a given one that agreement of others is chance: by more than
+    a ``share`` of the range.
+    """
     spans = moving(given.recorder.series, given.recorder.scene.sensors)
-    return any(apart[name].size > ASTRAY * span for name, span in spans.items() if name in apart)
+    return [name for name, span in spans.items() if name in apart and apart[name].size > share * span]
 
 
 def doubt(order: int) -> float:

@@ -64,8 +64,9 @@ from .shared_spaces import SharedSpaces
 ATTEMPTS = 12
 START = 100  # steps of the first attempt where no dt is given
 # the same where spaces or modes have to be found first, whose errors are seen with few steps, and nothing touches: of bodies on
-# meshes, whose steps cost, and of slender ones
-SCOUT, SCOUT_SLENDER = 24, 48
+# meshes, whose steps cost, and of slender ones, of which a run takes most of its time before its first step
+SCOUT, SCOUT_SLENDER = 48, 96
+FEW = 24  # steps of which every second end is one of the next attempts
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
 FAILURES = 1  # runs that may fail, each followed by one with a quarter of the step, beside one that came to its end
@@ -283,7 +284,7 @@ def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Attempt
     dt = t_end / (scout if spaces else START) if dt is None else dt
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4, at_samples=True)
     # few steps share half of their ends with those of the next attempts, so that there are enough to be compared
-    grain = schedule.steps // (2 if schedule.steps <= SCOUT else 4)
+    grain = schedule.steps // (2 if schedule.steps <= FEW else 4)
     return beginning(AttemptPlan(scene, scheme, schedule, grain, orders=Orders(follow=look)))
 
 

@@ -256,21 +256,37 @@ static int open_rows(System *s, const Stage *o, const double *a, double *change,
     return DONE;
 }
 
+/* What depends on time only, at both times of a stage: iterations change between them. */
+static int sample_both(System *s, const double *times)
+{
+    double last = NAN;
+    for (int end = 1; end >= 0; end--) { /* the first is left in its place */
+        int verdict = sample(s, times[end], &last);
+        if (verdict) return verdict;
+        keep_sample(s, s->sampled[end], 0);
+    }
+    return DONE;
+}
+
 /* a and lambda, which begin as a guess, by Newton's iteration with the matrix at q: to the tolerance by the parameters p of a
    march, or (NULL) to roundoff. ``solves`` counts. ``room``: 2 nv + 2 rows + nq. */
 static int solve_stage(System *s, const Stage *o, double *p, double *a, double *lam, long *solves, double *room)
 {
     double *x = room, *speeds = x + s->nv, *y = speeds + s->nv, *open = y + s->rows, *moved = open + s->rows;
-    double last = INFINITY, asked = NAN, left = 0.0, sizes[MOST];
+    double last = INFINITY, left = 0.0, sizes[MOST];
     double nothing = fmax(o->nothing, SPEEDS * largest_of(s->units, o->known, s->nv) / o->c);
     int verdict, most = p ? (int)fmin(p[MAXIT], MOST) : HALF;
 
     if (s->redundant) memset(lam, 0, s->rows * sizeof(double)); /* the smallest follow from none */
+    if ((verdict = sample_both(s, o->times))) return verdict;
     for (int k = 0; k < most; k++) {
-        if ((verdict = sample(s, o->times[1], &asked)) || (verdict = open_rows(s, o, a, speeds, moved, open))) return verdict;
+        keep_sample(s, s->sampled[1], 1);
+        verdict = open_rows(s, o, a, speeds, moved, open);
+        keep_sample(s, s->sampled[0], 1);
+        if (verdict) return verdict;
         memcpy(speeds, o->v, s->nv * sizeof(double));
         add(speeds, o->b, a, s->nv);
-        if ((verdict = sample(s, o->times[0], &asked)) || (verdict = evaluate(s, o->q, speeds, a, lam, o->times[0]))) return verdict;
+        if ((verdict = evaluate(s, o->q, speeds, a, lam, o->times[0]))) return verdict;
         if (k == 0 && !o->factored && (verdict = prepare(s, o->q, o->damp, 0.0, lam, 0, o->times[0]))) return verdict;
 
         for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];

@@ -258,6 +258,7 @@ typedef struct {
     int timed;                         /* arrays that a SAMPLE writes, and how long they are: */
     double **timed_at;
     long *timed_size;
+    double *sampled[2];                /* as long as all of them: samples at the two times of a stage, see explicit.c */
     int parts, imaginary;              /* 2 where the matrix is complex, see Field; whether its imaginary part is assembled */
     double *lossy;                     /* that part of the fronts */
 } System;
