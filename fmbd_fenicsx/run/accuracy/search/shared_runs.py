@@ -53,7 +53,8 @@ LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
-DOUBTED = 3.0  # times the room up to which an error that is told by chance is asked again, as it may be a tenth; and of two
+# times the room up to which an error that is told by chance is asked again, as it may be a tenth; and ratio of two such
+DOUBTED = 3.0
 HALF_MORE = 1.5  # ratio of steps of the run with a smaller tolerance that is to tell an error
 
 
