@@ -12,7 +12,10 @@ import scipy.linalg as sl
 import scipy.sparse.linalg as spl
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.mechanics.catenary.line_field import LineField
+from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
+from fmbd_fenicsx.system.layout import State
 
 WIRE = fmbd.Wire(1.35, 20e3, 195.0)
 
@@ -114,6 +117,24 @@ def test_contact_is_lost_and_found() -> None:
     gap = (run["w"] - run["y"][:, :1])[:, 0]
     assert gap.min() > -1e-9 and gap[open_].max() > 1e-3
     assert abs(gap[~open_]).max() < 1e-9
+
+
+def test_steps_under_a_contact_are_made_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose sizes do not add up to that of the whole step: the state is set to the time where it ends."""
+    advance = AlphaStepper.advance
+
+    def fails(self: AlphaStepper, h: float) -> State:
+        if h > 0.6e-3:
+            raise ConvergenceError("too large")
+        return advance(self, h)
+
+    monkeypatch.setattr(AlphaStepper, "advance", fails)
+    wires = fmbd.Wires("w", 20.0, 40, (fmbd.Wire(1.0, 1e4),))
+    pan = fmbd.CoordinateBody("pan", np.diag([2.0, 1.0]), lambda q, v, t: np.array([50.0, 0.0]), np.zeros(2))
+    scene = fmbd.Scene("bounce", settle=True)
+    scene.add(wires, pan, fmbd.SlidingContact("c", wires, pan, start=10.0, idle=1))
+    run = fmbd.solve(scene, t_end=0.02, dt=1e-3, scheme=fmbd.Unilateral(fmbd.GeneralizedAlpha(0.6)))
+    assert run.counters["halved_steps"] and run.times == pytest.approx(np.linspace(0.0, 0.02, 21), abs=1e-12)
 
 
 def test_each_of_two_heads_on_a_wire_is_lost_and_found() -> None:

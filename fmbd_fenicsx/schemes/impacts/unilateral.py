@@ -70,6 +70,10 @@ class Switching(TimeStepper):
         """The last state."""
         return self.inner.state
 
+    @state.setter
+    def state(self, state: State) -> None:
+        self.inner.state = state
+
     @property
     def local_error(self) -> float:  # type: ignore[override]
         """Of the inner scheme."""
