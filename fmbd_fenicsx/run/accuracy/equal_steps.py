@@ -120,8 +120,8 @@ def by_half(
 
     |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     1 <= p <= 2                                                   (1)
 
-    p the order of the scheme in the sensor, or the one that is seen where it is clearly lower. For motion of order one the truth
-    is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks may leave about the same in both:
+    p the order of the scheme in the sensor, or the one that is seen where it is clearly lower, of one about. For motion of order
+    one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks may leave about the same in both:
     what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this, and up to the range of the sensor where the
     error is uncertain (:func:`.orders.irregular`).
     """
@@ -141,7 +141,7 @@ def _left_by(
 ) -> dict[str, Deviation]:
     """(1) of :func:`by_half`."""
     orders = {n: min(p, 2.0) for n, p in expected.items()}
-    lower = {n: max(seen[n], 1.0) for n, p in orders.items() if seen[n] < SEEN * p}
+    lower = {n: max(seen[n], 1.0) for n, p in orders.items() if SEEN <= seen[n] < SEEN * p}
     factors = {n: 1.0 / (1.0 - 2.0**-p) for n, p in {**orders, **lower}.items()}
     return {n: scaled(_deviation(finer, given.recorder, n), x) for n, x in factors.items()}
 

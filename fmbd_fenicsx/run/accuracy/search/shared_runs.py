@@ -94,6 +94,7 @@ class SharedRuns:
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
         self._parted: dict[int, int] = {}  # the most steps with which a run of a scene failed, or only went on in parts
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
+        self._untold: set[int] = set()  # steps of attempts whose errors no run has told: others with more steps are not told by them
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
     def built(self, scene: Scene) -> Built:
@@ -201,6 +202,8 @@ class SharedRuns:
         doubted = by_chance and not found.halved and found.errors
         if doubted and allowed.share(found.errors) <= DOUBTED * allowed.room:
             found = self._by_half(solved, found)
+        if not found.errors:
+            self._untold.add(solved.compared.schedule.steps)
         self._seen.update(known_orders(found))
         return found
 
@@ -287,8 +290,8 @@ class SharedRuns:
 
     def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
         """The error by the steps from one run with larger ones, where no order has to be seen: half of that of the scheme would
-        be enough, or the whole is not, and the run will not be the last; None else, and where some sensor goes astray: others may
-        agree by chance.
+        be enough, or the whole is not, and the run will not be the last; None else, and where some sensor goes astray, or no run
+        has told the error of the larger steps: others may agree by chance.
 
         What is stated goes with three quarters of the order, at least one: neither half nor all of it is far from that; beside
         elements that only ends of steps move with half of it, which these have.
@@ -298,7 +301,9 @@ class SharedRuns:
         if allowed.rough and not allowed.lets(whole.errors):
             return replace(whole, with_others=coarser)
         apart = between(given.recorder, coarser.recorder, orders)
-        if not allowed.lets(of_order(orders, given, coarser, 0.5)) or astray(given, apart):
+        if coarser.schedule.steps in self._untold or astray(given, apart):
+            return None
+        if not allowed.lets(of_order(orders, given, coarser, 0.5)):
             return None
         # where bodies touch, when they do depends on the steps
         follows = coarser.schedule.steps >= FEWEST and not solved.problem.scene.contacts
