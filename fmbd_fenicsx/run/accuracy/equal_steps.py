@@ -121,9 +121,9 @@ def by_half(
     |x_h - x| ~ |x_h - x_h/2| / (1 - 2^-p),     1 <= p <= 2                                                   (1)
 
     p the order of the scheme in the sensor, or the one that is seen where it is clearly lower, of one about. For motion of order
-    one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks may leave about the same in both:
-    what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this, and up to the range of the sensor where the
-    error is uncertain (:func:`.orders.irregular`).
+    one the truth is 3/2 of this with p = 2, for motion that is off by its own size in both runs 3/4. Kinks may leave about the
+    same in both: what ``larger`` steps tell beyond it counts up to :data:`FURTHER` times this, and up to the range of the sensor
+    where the error is uncertain (:func:`.orders.irregular`).
     """
     orders = compare_steps(expected, finer, [given, *coarser]).orders
     errors = _left_by(given, finer.recorder, expected, orders)

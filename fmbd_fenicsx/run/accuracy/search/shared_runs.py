@@ -94,7 +94,7 @@ class SharedRuns:
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
         self._parted: dict[int, int] = {}  # the most steps with which a run of a scene failed, or only went on in parts
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
-        self._untold: set[int] = set()  # steps of attempts whose errors no run has told: others with more steps are not told by them
+        self._untold: set[int] = set()  # steps of attempts whose errors no run has told
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
     def built(self, scene: Scene) -> Built:
