@@ -166,10 +166,16 @@ def test_bodies_at_rest_do_not_gain_energy_by_roundoff() -> None:
 
 
 def test_velocities_that_joints_do_not_allow_are_told_at_the_start() -> None:
-    """An arm on a pin is told to turn but its centre is not: said by name; not where both fit, or where a drive moves it."""
+    """An arm on a pin is told to turn but its centre is not: said by name; not where both fit, or where a drive moves it.
 
-    def told(velocity: tuple[float, float] | None, rate: float, *, driven: bool = False) -> list[str]:
-        arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0), velocity=velocity, angular_velocity=rate)
+    An arm of micrometres as one of metres.
+    """
+
+    def told(
+        velocity: tuple[float, float] | None, rate: float, *, driven: bool = False, size: float = 1.0
+    ) -> list[str]:
+        inertia, place = 0.1 * size * size, (0.5 * size, 0.0)
+        arm = fmbd.RigidBody("arm", 1.0, inertia, position=place, velocity=velocity, angular_velocity=rate)
         pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0.0, 0.0))
         scene = fmbd.Scene("arm")
         scene.add(arm, pin)
@@ -180,5 +186,6 @@ def test_velocities_that_joints_do_not_allow_are_told_at_the_start() -> None:
     (found,) = told(None, 2.0)
     # the rate that keeps the angular momentum about the pin: 2 I / (I + m l^2)
     assert 'body "arm" is changed by 0.714 m/s' in found
+    assert 'body "arm" is changed by 7.14e-07 m/s' in "".join(told(None, 2.0, size=1e-6))
     assert not told((0.0, 1.0), 2.0)
     assert not told(None, 0.0, driven=True)

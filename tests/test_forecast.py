@@ -48,13 +48,15 @@ def test_said_once_where_it_is_many(planned: int, caplog: Any) -> None:
     solver.destroy()
 
 
-def test_small_steps_that_were_asked_for_are_no_news(caplog: Any) -> None:
+@pytest.mark.parametrize(("planned", "largest"), [(1_000_000, np.inf), (0, 1e-6)])
+def test_small_steps_that_were_asked_for_are_no_news(planned: int, largest: float, caplog: Any) -> None:
+    """Equal ones, and a largest one that steps of own choice keep to."""
     from dataclasses import replace
 
     system, state, _ = light_and_heavy(1e4).build()
     solver = StepSolver(system)
     with caplog.at_level(logging.WARNING, logger="fmbd_fenicsx"):
-        asked = Forecast(solver, 0.0, 1.0, 1_000_000)
+        asked = Forecast(solver, 0.0, 1.0, planned, largest=largest)
         for k in range(1, 301):
             asked.note(replace(state, t=1e-6 * k))
     assert not caplog.records

@@ -93,7 +93,7 @@ def judges_of(problem: Problem, solver: StepSolver, schedule: StepSchedule) -> J
     return Judges(
         closed=Closed.under(problem.system, problem.said),
         balanced=Balanced.under(solver, problem.said, problem.newton.tolerance),
-        forecast=Forecast(solver, problem.start.t, schedule.t_end, schedule.steps),
+        forecast=Forecast(solver, problem.start.t, schedule.t_end, schedule.steps, largest=schedule.largest),
     )
 
 

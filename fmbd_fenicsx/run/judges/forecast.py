@@ -33,10 +33,14 @@ LOOKED_AT = 2000  # constraints up to which their singular values are found
 
 
 class Forecast:
-    """Counts steps and parts of steps; ``planned``: how many a run has with constant steps, 0 with error control."""
+    """Counts steps and parts of steps.
 
-    def __init__(self, solver: StepSolver, t: float, t_end: float, planned: int) -> None:
+    ``planned``: how many a run has with constant steps, 0 with error control; ``largest``: what steps were to be at most (s).
+    """
+
+    def __init__(self, solver: StepSolver, t: float, t_end: float, planned: int, *, largest: float = np.inf) -> None:
         self.solver, self.t_end, self.planned = solver, t_end, planned
+        self.asked = max(planned, (t_end - t) / largest)
         self.taken, self.since, self.said = 0, t, False
         self.counted = 0  # steps at the time ``since``
         self.pace = 0.0  # s a step, the largest of all looks
@@ -60,7 +64,7 @@ class Forecast:
 
         # as fast as of late up to the end
         needed = self.taken + (self.t_end - state.t) / pace
-        if not self.said and needed >= max(MANY, TIMES * self.planned):
+        if not self.said and needed >= max(MANY, TIMES * self.asked):
             self.said = True
             log.warning(
                 "t = %g s: the last %d steps or parts of steps took %.2g s; at this pace the run needs about %.1e. %s",

@@ -21,11 +21,11 @@ def warn_of_changed_velocities(system: System, given: State, start: State, corre
     """Warn by (1) of the body whose velocity was changed most; looks at frames, which are the same on all ranks."""
     n = system.motions.n_twist
     frames = slice(0, system.n_frames * n)
-    if not system.n_frames or not correction.velocity > CHANGED * np.abs(given.v[frames]).max() > 0.0:
+    told, taken = ((system.units[frames] * state.v[frames]).reshape(-1, n) for state in (given, start))
+    fastest = float(np.abs(told).max(initial=0.0))
+    if not correction.velocity > CHANGED * fastest > 0.0:
         return
 
-    told, taken = ((system.units[frames] * state.v[frames]).reshape(-1, n) for state in (given, start))
-    fastest = float(np.abs(told).max())
     change = np.abs(taken - told).max(axis=1) * told.any(axis=1)
     if not change.max() > CHANGED * fastest:
         return
