@@ -306,3 +306,13 @@ def test_a_stepper_cuts_its_steps(pendulum_reference: fmbd.Run, scheme: Any) -> 
         error = np.abs(s["x"] - pendulum_reference["x"][-1]).max()
     assert abs(s.t - 1.0) < 1e-12
     assert error < (0.3 * np.abs(plain - pendulum_reference["x"][-1]).max() if scheme.rtol is None else 1e-7)
+
+
+def test_steps_of_a_stepper_that_end_at_break_points(pendulum_reference: fmbd.Run) -> None:
+    """Forces of the far side were those at the end of the step before: thirty times the error of equal steps."""
+    run = fmbd.solve(kicked_pendulum(), t_end=1.0, dt=1e-3, output=QUIET)
+    with fmbd.stepper(kicked_pendulum(), dt=1e-3) as s:
+        for _ in range(1000):
+            s.step()
+        errors = [np.abs(x - pendulum_reference["x"][-1]).max() for x in (s["x"], run["x"][-1])]
+    assert abs(s.t - 1.0) < 1e-12 and errors[0] < 1.1 * errors[1]

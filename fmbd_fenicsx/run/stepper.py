@@ -40,6 +40,8 @@ from .schedule import StepSchedule, far_side, near_side
 from .settings import check_contents, default_scheme
 from .uncopied import Uncopied
 
+SAME = 1e-9  # of a step: times that are nearer are one
+
 
 @dataclass(frozen=True)
 class Saved:
@@ -146,14 +148,16 @@ class SceneStepper(Uncopied):
         return self.t
 
     def _advance(self, dt: float) -> None:
-        """To dt (s) from now, in parts that end at break points on the way."""
+        """To dt (s) from now, in parts that end at break points on the way; at one where the step ends but for roundoff, too."""
         end = self.t + dt
+        same = SAME * dt
         for stop in self._stops:
-            if self.t < near_side(stop) and far_side(stop) < end:
+            if self.t < near_side(stop) and far_side(stop) < end + same:
                 self._advance_part(near_side(stop) - self.t)
                 self._progress.stepper.restart(far_side(stop))
                 dt = end - self.t
-        self._advance_part(dt)
+        if dt > same:
+            self._advance_part(dt)
 
     def _advance_part(self, dt: float) -> None:
         """One step, or as many as the scheme likes."""
