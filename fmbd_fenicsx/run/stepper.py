@@ -29,7 +29,7 @@ from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
 from .checkpoints.progress import RunProgress
-from .judges.acceptance import attempt_judged, count
+from .judges.acceptance import accept_step, attempt_judged
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .problem import Problem, begin, judges_of, make_solver, make_stepper
@@ -171,7 +171,7 @@ class SceneStepper(Uncopied):
             attempt_judged(
                 progress.system, progress.stepper, end - self.t, closed=judges.closed, balanced=judges.balanced
             )
-            count(progress.system, progress.stepper)
+            accept_step(progress.system, progress.stepper)
 
     def set(self, name: str, value: float) -> None:
         """Give an input of the scene (:meth:`Scene.input`) a new value, held until the next change.

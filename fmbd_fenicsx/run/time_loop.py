@@ -16,7 +16,7 @@ from ..system.layout import State
 from ..system.spins import Spins
 from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
-from .judges.acceptance import attempt_judged, count
+from .judges.acceptance import accept_step, attempt_judged
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
 from .judges.small_turns import SmallTurns
@@ -239,7 +239,7 @@ class Loop:
         # equal steps note their parts one by one
         if next_sample(system) <= self.state.t:
             self._before_sample(self.state)
-        count(system, self.stepper)
+        accept_step(system, self.stepper)
         return 1, None if self._sampled else seen
 
     def _before_sample(self, state: State) -> None:

@@ -50,7 +50,7 @@ def attempt(system: System, stepper: Any, h: float) -> State:
         return finite_step(system, stepper, h)
 
 
-def count(system: System, stepper: Any) -> bool:
+def accept_step(system: System, stepper: Any) -> bool:
     """The newest step counts: the memory of elements moves on with it; whether forces have jumped. Collective."""
     return not stepper.note() and accept(system, stepper.state)
 

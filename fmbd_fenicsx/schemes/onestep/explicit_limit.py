@@ -40,10 +40,8 @@ SETTLED = 1e-4  # relative change of omega^2 that ends the iteration
 EVERY = 50  # steps between two looks: stiffness changes along a motion
 AT_MOST = 8.0  # times as many where steps could be so much longer: stiffness would have to grow by the square of that
 FASTER = 4.0  # so much, and it is looked at once more
-EVERY_OWN, HELD = (
-    200,
-    0.9,
-)  # of steps of own choice: between two looks, and their size over that of the largest stable one
+EVERY_OWN = 200  # steps of own choice between two looks
+HELD = 0.9  # their size over that of the largest stable one
 MANY = 5000  # of such steps, which a user wants to be told of
 GROWTH = 1.0 + 1e-6  # in a step, that counts as none
 
