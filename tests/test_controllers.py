@@ -224,8 +224,7 @@ def crossed() -> fmbd.Scene:
     """A law of the user's own: reads one hinge, the tip and its velocity, acts on both hinges, filters with a memory."""
     scene = arm()
     for name in ("shoulder motor", "elbow motor"):
-        del scene.forces[name]
-        scene.sensors.pop(f"{name.split()[0]} torque")
+        del scene.forces[name]  # and the sensor of its torque
     hinges = [scene.joints[n] for n in ("shoulder", "elbow")]
 
     def law(t: float, y: dict[str, Array], z: Array) -> tuple[Any, Any]:
@@ -383,8 +382,7 @@ def test_a_stiff_memory_is_solved_for() -> None:
     """z' = 3e3 (y - z) in steps of 2 ms, which inserting z in its own rule does not find."""
     scene = arm()
     for name in ("shoulder motor", "elbow motor"):
-        del scene.forces[name]
-        scene.sensors.pop(f"{name.split()[0]} torque")
+        del scene.forces[name]  # and the sensor of its torque
     phi = fmbd.angle(scene.joints["elbow"])
     law = lambda t, y, z: (-z[0], (3e3 * (5 * y["phi"][0] - z[0]),))  # noqa: E731
     scene.add(fmbd.controller("late", reads={"phi": phi}, acts=phi, law=law, memory=(0.0,)))

@@ -88,9 +88,9 @@ def test_steps_that_are_tried_only_tell_nothing() -> None:
     rail = fmbd.prismatic("rail", fmbd.ground, cart, center=(0, 0), axis=(0, 1))
     scene = fmbd.Scene("shaken")
     scene.add(cart, rail, body, fmbd.fixed("weld", cart, body.surface(root)))
-    scene.add(fmbd.drive("shaker", fmbd.displacement(rail), lambda t: 1e-3 * np.sin(60.0 * t) ** 3))
+    scene.add(fmbd.drive("shaker", fmbd.displacement(rail), lambda t: 1e-3 * np.sin(2e4 * t) ** 3))
     scene.sensor("tip", fmbd.position(body.surface(tip)))
-    run = fmbd.solve(scene, t_end=0.02, scheme=fmbd.HalfExplicit(1e-8))
+    run = fmbd.solve(scene, t_end=1e-3, scheme=fmbd.HalfExplicit(1e-8))
     assert run.counters["rejections"] > 0 and not run.warnings
 
 

@@ -145,7 +145,8 @@ def _finished(
     undetermined = not_unique(solver, marched.state)
     warn_of_doubts(task.scene, solver, marched.recorder, counters, start.state)
     warn_of_late_samples(task.scene, task.schedule)
-    warn_of_close_break_points(task.scene, task.schedule.t_end)
+    if task.scene.breakpoints:
+        warn_of_close_break_points(task.scene, task.schedule.t_end)
     warn_of_dense_break_points(task.schedule)
     first = task.schedule.next(task.schedule.begin)
     warn_of_turning_rows(solver, problem.said.turn_limit, (start.state, marched.state), first)

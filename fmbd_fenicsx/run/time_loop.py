@@ -170,7 +170,8 @@ class Loop:
     def _arrive(self) -> None:
         """The last of equal steps ends when the run does: times are sums of steps, which roundoff takes from there."""
         schedule, summed = self.schedule, self.state
-        if schedule.steps and not self.event_met and schedule.ended(summed.t, self.progress.done):
+        ended = schedule.steps and self.progress.done >= schedule.steps and not self.event_met
+        if ended and summed.t != schedule.t_end:
             self.state = replace(summed, t=schedule.t_end)
             self.recorder.arrive(summed, self.state)
 

@@ -143,7 +143,7 @@ class Layout:
     @cached_property
     def keepers(self) -> tuple[Any, ...]:
         """Force elements and elements between frames with a memory, see :mod:`.element_memory`."""
-        return (*(f for f in self.forces if f.kept is not None), *(e for e in self.elements if e.kept is not None))
+        return (*[f for f in self.forces if f.kept is not None], *[e for e in self.elements if e.kept is not None])
 
     @cached_property
     def fields(self) -> tuple[tuple[int, DistributedPart], ...]:

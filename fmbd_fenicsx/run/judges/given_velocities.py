@@ -21,11 +21,12 @@ def warn_of_changed_velocities(system: System, given: State, start: State, corre
     """Warn by (1) of the body whose velocity was changed most; looks at frames, which are the same on all ranks."""
     n = system.motions.n_twist
     frames = slice(0, system.n_frames * n)
-    told, taken = ((system.units[frames] * state.v[frames]).reshape(-1, n) for state in (given, start))
+    told = (system.units[frames] * given.v[frames]).reshape(-1, n)
     fastest = float(np.abs(told).max(initial=0.0))
     if not correction.velocity > CHANGED * fastest > 0.0:
         return
 
+    taken = (system.units[frames] * start.v[frames]).reshape(-1, n)
     change = np.abs(taken - told).max(axis=1) * told.any(axis=1)
     if not change.max() > CHANGED * fastest:
         return

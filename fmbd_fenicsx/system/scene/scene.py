@@ -56,13 +56,6 @@ class Parts(dict[str, Any]):
     scene: Scene
     what: str
 
-    @classmethod
-    def of(cls, scene: Scene, what: str, parts: dict[str, Any]) -> Parts:
-        """Those of a scene."""
-        made = cls(parts)
-        made.scene, made.what = scene, what
-        return made
-
     def __missing__(self, name: Any) -> Any:
         raise InputError(f'The scene has no "{name}" there. {near(str(name), self)}')
 
@@ -129,7 +122,8 @@ class Scene:
             raise InputError(f'A scene has no "{name}" to set. {near(name, known)}')
         if name in PLACES:
             empty = type(value) is dict and not value  # as all are in a new scene
-            value = Parts.of(self, PLACES[name][1], value) if empty else self._parts(name, value)
+            value = Parts(value if empty else self._fitting(name, value))
+            value.scene, value.what = self, PLACES[name][1]
         if name == "gravity" and value is not None:
             vector(f'Scene "{self.__dict__.get("name", "")}": gravity', value)
         if name == "breakpoints" and not (isinstance(value, tuple) and not value):
@@ -141,7 +135,7 @@ class Scene:
             number(f'Scene "{self.__dict__.get("name", "")}": gravity_ramp', value, least=0.0, unit="s")
         object.__setattr__(self, name, value)
 
-    def _parts(self, place: str, given: Any) -> dict[str, Any]:
+    def _fitting(self, place: str, given: Any) -> dict[str, Any]:
         """A dict of parts by their names, as :meth:`add` makes it; a copy, so that two scenes never share one."""
         what = f'Scene "{self.__dict__.get("name", "")}": {place}'
         advice = "Make the scene first, and add parts with scene.add(...) and scene.sensor(...)."
@@ -153,7 +147,7 @@ class Scene:
             require(
                 own == name and name != "ground", f'{what}: {word} "{own}" stands under the name "{name}". {advice}'
             )
-        return Parts.of(self, word, given)
+        return given
 
     def add(self, *parts: Any) -> Any:
         """Add bodies, joints, forces and contacts; names must be unique among each. Returns the part, or a tuple of several."""
@@ -218,7 +212,7 @@ class Scene:
             parts = self.__dict__[place]
             for part in parts.values():  # no function is called for each: starts of small scenes would notice
                 if not isinstance(part, kind):
-                    self._parts(place, parts)
+                    self._fitting(place, parts)
 
     def build(self) -> tuple[System, State, dict[str, int]]:
         """The system, its state as given (not yet consistent), and the marker of each sensor; collective."""

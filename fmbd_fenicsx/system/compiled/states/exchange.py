@@ -37,7 +37,7 @@ class Room:
         made = zeros_of({"t": most, "q": q, "v": n, "a": n, "lam": m, "sums": n, "rows": (4, *m), "energies": energies})
         self.places = {name: address for name, (_, address) in made.items()}
         self.state = [made[name][0] for name in "tqv"]
-        self.at = [most, *(self.places[name] for name in "tqv")]  # how many, and where the configurations are
-        self.a, self.lam, self.sums, self.energies = (made[name][0] for name in ("a", "lam", "sums", "energies"))
+        self.at = [most, *[self.places[name] for name in "tqv"]]  # how many, and where the configurations are
+        self.a, self.lam, self.sums, self.energies = [made[name][0] for name in ("a", "lam", "sums", "energies")]
         self.constraints = made["rows"][0]
         self.constraints_at = [self.places["rows"] + x * self.constraints.strides[0] for x in range(4)]
