@@ -5,7 +5,7 @@ import pytest
 from ufl import grad, inner, sym
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import InputError, MeshError
+from fmbd_fenicsx.errors import ConvergenceError, InputError, MeshError
 
 SCRIPT = '''
 def build(gmsh, length=2.0, height=0.1, h=0.1, stacked=False, shared=False):
@@ -171,3 +171,19 @@ def test_a_volume_without_material_is_refused(script):
     scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
     with pytest.raises(InputError, match="nodes have no stiffness.*each volume"):
         fmbd.solve(scene, t_end=0.01, dt=0.001)
+
+
+def test_a_stiffness_lost_in_roundoff_is_told(script):
+    """A soft half that holds one 1e10 times as stiff: the start is no equilibrium, however short the increments are."""
+    mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.5)
+    laws = {name: fmbd.materials.plane_stress(modulus, 0.0) for name, modulus in (("one", 1.0), ("two", 1e10))}
+
+    def elastic(u, v, dx):
+        return sum(law(u, v, dx(mesh.volume_tag(name))) for name, law in laws.items())
+
+    load = fmbd.traction("right", (0.0, 1e-7))
+    body = fmbd.FloatingBody("bar", mesh, density=1e3, elastic=elastic, loads=[load])
+    scene = fmbd.Scene("bar")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+    with pytest.raises(ConvergenceError, match="stiffness may be lost in roundoff"):
+        fmbd.equilibrium(scene)

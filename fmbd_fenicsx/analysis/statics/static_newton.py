@@ -39,6 +39,8 @@ EXACT = ExactTangent(rtol=1e-6, max_iterations=60)
 WHOLE, DAMPED = 12, 40  # increments at most, without and with a line search
 TINY = 1e-6  # increments, over the model's length, that ought to become smaller
 LONG = 0.5  # increment that is not taken whole, over the model's length
+FALLEN = 1e-2  # of the first one, increments with inertia beside the tangent that have found an equilibrium
+NOTHING = 1e-14  # such increments, over the model's length, that are roundoff of places
 SHORTEST_STEP = 1e-4  # of the preconditioner, s, over the root of the model's length
 
 Pair = tuple[Array, Array]
@@ -157,6 +159,10 @@ class StaticNewton:
             sizes.append(size)
             stalled = size > 0.5 * sizes[-2] and size <= 1e-9 * system.length
             if size <= self.tolerance * system.length or stalled:
+                if increment == self._slow_increment and not self._fallen(sizes):
+                    if stalled:
+                        raise LostStiffnessError(size)
+                    continue
                 if not self._balanced(point, t, rest):
                     break
                 return point
@@ -195,6 +201,12 @@ class StaticNewton:
         system = self.residual.system
         dq, dlam = self.inverse(point, t, r, rest, 1.0)
         return (dq, dlam) if system.max_abs(dq) <= LONG * system.length else None
+
+    def _fallen(self, sizes: list[float]) -> bool:
+        """Whether increments with inertia beside the tangent show an equilibrium: they are what is out of balance in the
+        measure of M / tau^2 + K. Where tau is short against a vibration all of them are small, and the load is not carried.
+        """
+        return sizes[-1] <= max(FALLEN * sizes[1], NOTHING * self.residual.system.length)
 
     def respond(self, start: StaticPoint, t: float) -> tuple[Array, Callable[[Array], Array]]:
         """A configuration, and P^-1 there: what forces move where there is no equilibrium."""
@@ -246,7 +258,8 @@ def by_load_steps(newton: StaticNewton, start: StaticPoint, t: float) -> StaticP
         except ConvergenceError as error:
             newton.solver.pressures = pressures
             step *= 0.25
-            if step < SHORTEST:
+            # a smaller load is lost as well
+            if step < SHORTEST or isinstance(error, LostStiffnessError):
                 raise NoEquilibriumError(reached, str(error)) from error
             continue
 
@@ -280,6 +293,16 @@ def relax(newton: StaticNewton, start: StaticPoint, t: float, tau: float) -> Sta
         if size <= 1e-4 * system.length:
             return point
     raise ConvergenceError(f"increments of {last:.1e} m after {RELAXED} iterations of descent")
+
+
+class LostStiffnessError(ConvergenceError):
+    """Increments with inertia beside the tangent stay at one ``size`` (m) that does not carry the load."""
+
+    def __init__(self, size: float) -> None:
+        super().__init__(
+            f"increments stay at {size:.1e} m, too short to carry the load: stiffness may be lost in roundoff, take cells less "
+            "slender, moduli less far apart or FloatingBody(...).reduced(...)"
+        )
 
 
 class NoEquilibriumError(ConvergenceError):
