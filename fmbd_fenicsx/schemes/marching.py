@@ -53,9 +53,8 @@ class CompiledSteps(TimeStepper):
     keeps_memories = True
     newton: Newton
     _refused: tuple[State, float] | None = None  # from where on, and of which size (s)
-    _alone: tuple[Array, Tables, list[Any]] | None = (
-        None  # places behind a step made alone, with whose tables, memories there
-    )
+    # where a step made alone has ended, with whose tables, and the memories there
+    _alone: tuple[Array, Tables, list[Any]] | None = None
 
     def _refuse(self, h: float) -> None:
         """Take note that compiled code has found no step of this size from the state on; raises PartsError where it gives up."""
