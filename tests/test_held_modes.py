@@ -34,6 +34,14 @@ def test_free_modes_in_a_clamp(rod_mesh: Callable[..., Any], modes: int, caplog:
     assert WORDS in caplog.text
 
 
+@pytest.mark.parametrize("ask", [fmbd.equilibrium, fmbd.linearise], ids=["equilibrium", "linear model"])
+def test_all_who_ask_for_their_stiffness_are_told(
+    rod_mesh: Callable[..., Any], ask: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    ask(held(rod_mesh, {"modes": 3}, clamp=True))
+    assert WORDS in caplog.text
+
+
 @pytest.mark.parametrize(
     ("basis", "clamp", "attached"),
     [

@@ -19,9 +19,8 @@ import numpy as np
 from ..linear.condensation import StepSolver
 from ..log import log
 from ..rotations import Array
-from ..system.held_modes import stiff_modes
 from ..system.layout import State
-from ..system.mobility import locked_modes
+from ..system.mobility import tell_of_modes
 from ..system.scene.scene import Scene
 from ..system.system import System
 from .judges.energy_check import closed, strain_energy
@@ -50,7 +49,7 @@ def warn_of_doubts(
     _open_velocities(recorder, counters)
     _open_joints(recorder)
     _immovable(solver)
-    _locked_modes(system, start)
+    tell_of_modes(system.at(start.t, start.q))
 
 
 def _growth(system: System, energy: dict[str, Array], times: Array) -> None:
@@ -156,11 +155,3 @@ def _immovable(solver: StepSolver) -> None:
             "the scene has 0 degrees of freedom (%d velocities, %d independent constraints) and no drive: nothing can move. A "
             "joint holds more than is meant; see scene.check()", system.n_v, rank,
         )  # fmt: skip
-
-
-def _locked_modes(system: System, start: State) -> None:
-    """Reduced bodies whose modes joints lock: what their reactions are is chance; or hold too stiffly."""
-    ev = system.at(start.t, start.q)
-    found = locked_modes(ev) or stiff_modes(ev)
-    if found:
-        log.warning("%s", found)

@@ -20,6 +20,7 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.sparse.linalg import splu
 
 from ..energies import MixedEnergy
+from ..log import log
 from ..mechanics.bodies.coordinates import CoordinatePart
 from ..mechanics.forces.dry_friction import DryFriction
 from ..mechanics.forces.force_elements import ScalarLoads
@@ -266,6 +267,18 @@ def locked_modes(ev: Evaluation) -> str:
     )
 
 
+def tell_of_modes(ev: Evaluation) -> None:
+    """Warn of reduced bodies whose modes joints lock, or that joints hold too stiffly by them."""
+    found = doubtful_modes(ev)
+    if found:
+        log.warning("%s", found)
+
+
+def doubtful_modes(ev: Evaluation) -> str:
+    """Whose modes do not fit the joints, as a sentence: those that are locked, and those that are too stiff; "" where all do."""
+    return locked_modes(ev) or stiff_modes(ev)
+
+
 def loose_bodies(scene: Any) -> list[str]:
     """Bodies that no joint and no force attaches to anything and no contact can hold, where there are joints or forces at all."""
     bodies = scene.bodies
@@ -311,7 +324,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
         notes.append(
             "the configuration is near-singular: constraints almost depend on each other, or a motion branches here"
         )
-    notes += [stiff] if (stiff := locked_modes(ev) or stiff_modes(ev)) else []
+    notes += [stiff] if (stiff := doubtful_modes(ev)) else []
     if found.open > 1e-6 * system.length:
         notes.append(f"the constraints are open by {found.open:.2g} m; the start will close them")
 

@@ -24,6 +24,7 @@ from ...ranks import OneAnswer
 from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...system.layout import State
+from ...system.mobility import tell_of_modes
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.spins import Spins
@@ -139,6 +140,7 @@ def equilibrium(
 
         found = Equilibrium(scene, system, state_of(system, point, t, turning), markers, turning, made, counters)
         Spins(system).look(found.state)
+        tell_of_modes(system.at(t, found.state.q))
         if made is not None:
             _read_along(found, made)
     return found

@@ -20,12 +20,11 @@ from ...checks import typed
 from ...errors import InputError, require
 from ...fem.fields import rank_sum
 from ...linear.condensation import StepSolver
-from ...log import log
 from ...ranks import OneAnswer
 from ...rotations import Array
 from ...schemes.consistent import consistent
-from ...system.held_modes import stiff_modes
 from ...system.layout import State
+from ...system.mobility import tell_of_modes
 from ...system.own_state import refuse_other_state
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
@@ -169,8 +168,6 @@ def modes_of(scene: Scene, n: int, *, at: Any, linear: Any = None, held: bool = 
     """:func:`modes`; ``held``: without motions that nothing holds, of eigenvalue zero."""
     require(isinstance(n, int) and n >= 1, f"modes: n must be a whole number of at least 1, found {n!r}.")
     with prepared(scene, at, linear) as made:
-        if stiff := stiff_modes(made.about.here):
-            log.warning("%s", stiff)
         small = projected(made.about, made.solver, n, shift=made.shift, enough=Settled(n))
         values, vectors = eigenpairs(small, n, relaxing=relaxes(made.about.system), held=held)
     system = made.about.system
@@ -187,6 +184,7 @@ def prepared(scene: Scene, at: Any, linear: Any) -> Iterator[Linearised]:
     with OneAnswer(system.comm):
         made = _linearised(scene, at, linear, (system, given, markers))
         try:
+            tell_of_modes(made.about.here)
             yield made
         finally:
             made.solver.destroy()
