@@ -17,6 +17,7 @@ FLOORS = [
         "rotations",
         "dolfinx_compat",
         "materials",
+        "matrices",
         "energies",
         "kernel_cache",
         "checks",

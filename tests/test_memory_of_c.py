@@ -23,6 +23,7 @@ FILES = (
     "compiled_means",
     "compiled_parts",
     "compiled_recording",
+    "compiled_stiffening",
     "compiled_ties",
     "explicit_fields",
     "field_means",

@@ -14,7 +14,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError, LawError
 from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.condensation import StepSolver
-from fmbd_fenicsx.linear.core import WIDE, thin
+from fmbd_fenicsx.matrices import WIDE, thin
 from fmbd_fenicsx.mechanics.elastic.field_part import FieldPart
 
 LAW = fmbd.materials.linear_elastic(1e4, 0.3)

@@ -3,11 +3,9 @@
     [ A  G^T ] [ x ]   [ b ]
     [ G   0  ] [ y ] = [ c ]                                                                             (1)
 
-Rows and columns are scaled by D = diag(A)^-1/2 and by the row norms of G D, so that masses, lengths and step sizes of any
-size give the same condition number (the step's own h-scaling is in A, see :mod:`fmbd_fenicsx.schemes`). A body of hardly any mass
-between others makes the rows of its joints the same then, to roundoff. Where pivots are lost, scales that leave all that joints
-move alike at one size are taken for the factor, and residuals are judged as before. Dependent rows of G are solved in the
-minimum-norm sense when the caller allows it.
+Rows and columns are scaled (:mod:`.scaling`). Where a dense factor loses pivots, even scales are taken for it, and residuals are
+judged in the first ones as before; a sparse factor has the first ones only. Dependent rows of G are solved in the minimum-norm
+sense when the caller allows it.
 """
 
 from __future__ import annotations
@@ -19,20 +17,18 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from scipy.sparse.csgraph import connected_components
 
 from ..errors import LinearSolveError
+from ..matrices import dense
 from ..rotations import Array
 from .residual import Judge
+from .scaling import both_sides, even_rows, even_scales, scales
 
 TIE_LIMIT = 1500  # multipliers of surface ties that the dense core takes
 RANK_TOLERANCE = 1e-11
-WIDE, FEW = 10_000, 0.05  # size and share of entries of an array whose products are worth a sparse matrix
 EPS = float(np.finfo(float).eps)
 MOVES = 1e-6  # share of motions in a singular vector, above which it is no matter of multipliers alone
 SINGULAR = 1e-7  # ratio of pivots below which a matrix is solved in the minimum-norm sense
-MOST_SCALINGS = 8  # of a matrix whose rows are of different size
-SMALL_ROW = 0.1  # largest entry of a row, scaled, above which it is large enough
 LARGEST_GROWTH = 1e13  # of a solution over its right-hand side, both scaled
 REFINEMENTS = 3  # of a solution whose residual is too large
 ADVICE = "Constraints depend on each other, or a body without mass is not held. See scene.check()."
@@ -104,14 +100,14 @@ class CoreSolver:
 
         self.factorisations += 1
         self.ratio = 1.0
-        self.scale = np.concatenate(_scales(A, G, C, self.upper))
+        self.scale = scales(A, G) if C is None else even_rows(_whole(A, G, C, self.upper))
         self._change: Any = 1.0  # of these scales for the factor
         self.exact = not self.redundant
 
         if sp.issparse(A) and not self.redundant:
             self._factor_sparse()
             return
-        K = _both_sides(_whole(A, G, C, self.upper), self.scale)
+        K = both_sides(_whole(A, G, C, self.upper), self.scale)
         if self.redundant:
             self._factor_redundant(K)
         else:
@@ -119,8 +115,8 @@ class CoreSolver:
 
     def _even(self, K: Array) -> Array:
         """The scaled matrix K with all that joints move alike at one size."""
-        self._change = _even_scales(_both_sides(K, 1.0 / self.scale), self.n) / self.scale
-        return _both_sides(K, self._change)
+        self._change = even_scales(both_sides(K, 1.0 / self.scale), self.n) / self.scale
+        return both_sides(K, self._change)
 
     def _factor_dense(self, K: Array) -> None:
         """LU, or, while passing through a singular configuration, what is left of the matrix there."""
@@ -293,72 +289,3 @@ def _norm(x: Array) -> float:
 def _whole(A: Any, G: Any, C: Array | None, upper: Any) -> Array:
     """The matrix of (1), dense."""
     return np.block([[dense(A), dense(upper)], [dense(G), np.zeros((G.shape[0],) * 2) if C is None else C]])
-
-
-def _both_sides(K: Array, scale: Array) -> Array:
-    """Rows and columns of a matrix scaled alike."""
-    return K * scale * scale[:, None]
-
-
-def _scales(A: Any, G: Any, C: Array | None, upper: Any) -> tuple[Array, Array]:
-    """Scales of rows and columns: diag(A)^-1/2 and row norms of G D; with a block C, square roots of the row maxima."""
-    if C is not None:
-        scale = _ruiz(_whole(A, G, C, upper))
-        return scale[: len(A)], scale[len(A) :]
-    diagonal = np.asarray(A.diagonal())
-    largest = max(float(np.abs(diagonal).max(initial=0.0)), 1e-300)
-    D = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, largest))
-
-    if sp.issparse(G):
-        norms = np.sqrt(np.asarray(G.multiply(D).power(2).sum(1)).ravel())
-    else:
-        norms = np.sqrt(((G * D) ** 2).sum(1))
-    return D, 1.0 / np.where(norms > 0, norms, 1.0)
-
-
-def _even_scales(K: Array, n: int) -> Array:
-    """Scales of (1) that bring what joints move alike to one size in G, whatever it weighs; of bodies that joints connect the
-    heaviest has a mass of one.
-    """
-    part = connected_components(K, directed=False)[1]
-    weight = np.sqrt(np.abs(K.diagonal()[:n]))
-
-    def heaviest_one(scale: Array) -> Array:
-        top = np.zeros(len(part))
-        np.maximum.at(top, part[:n], weight * scale[:n])
-        top = np.where(top > 0, top, 1.0)[part]
-        return np.concatenate((scale[:n] / top[:n], scale[n:] * top[n:]))
-
-    scale = heaviest_one(np.ones(len(part)))
-    return heaviest_one(scale * _ruiz(_both_sides(K, scale)))
-
-
-def _ruiz(K: Array) -> Array:
-    """Scales of a matrix: square roots of the row maxima, again while that leaves rows with small entries only (Ruiz,
-    RAL-TR-2001-034).
-    """
-    rows = np.abs(K)
-    scale = 1.0 / np.sqrt(_tops(rows))
-    for _ in range(MOST_SCALINGS):
-        top = _tops(_both_sides(rows, scale))
-        if top.min(initial=1.0) > SMALL_ROW:
-            break
-        scale = scale / np.sqrt(top)
-    return scale
-
-
-def _tops(rows: Array) -> Array:
-    """Largest entry of each row and column, 1 for those of zeros."""
-    top = np.maximum(rows.max(axis=0), rows.max(axis=1))
-    return np.where(top > 0, top, 1.0)
-
-
-def dense(A: Any) -> Array:
-    """A as an array."""
-    return A.toarray() if sp.issparse(A) else np.asarray(A)
-
-
-def thin(A: Array) -> Any:
-    """An array with few entries as a sparse matrix, for products with dense ones; others as they are."""
-    few = A.size > WIDE and np.count_nonzero(A) < FEW * A.size
-    return sp.csr_matrix(A) if few else A

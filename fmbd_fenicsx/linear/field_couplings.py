@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from ..matrices import dense
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.layout import Layout
 from .blocks.field_blocks import FactoredField, Weights
 from .border import Border
-from .core import dense
 
 
 @dataclass(frozen=True, eq=False)

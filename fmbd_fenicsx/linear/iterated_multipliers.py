@@ -25,10 +25,10 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from ..errors import LinearSolveError
+from ..matrices import dense
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.system import System
-from .core import dense
 from .residual import Judge
 from .rigid_modes import rigid_mass, rigid_modes
 from .saddle.elastic import Elastic

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..matrices import dense
 from ..mechanics.placements import DistributedPart
 from ..rotations import Array, rotate_nodal
 from ..system.layout import Layout
@@ -15,7 +16,7 @@ from ..system.system import System
 from ..system.tangents.foreshortened_ports import tangent_ports
 from .blocks.field_blocks import FactoredField
 from .border import AroundSolver, Border
-from .core import CoreSolver, dense
+from .core import CoreSolver
 from .field_couplings import FieldCouplings
 
 if TYPE_CHECKING:

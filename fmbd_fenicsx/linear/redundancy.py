@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..matrices import dense
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.layout import State
 from .condensation import StepSolver
-from .core import dense
 
 DEPENDENT = 1e-8  # singular values of G, scaled, below this share of the largest belong to the null space
 SINGULAR = 1e-14  # singular values of a scaled matrix below this share belong to rows that depend on each other

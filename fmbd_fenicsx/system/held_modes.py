@@ -8,8 +8,8 @@ right at once. What half of the modes tell shows how far all of them are off.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
+from ..matrices import dense
 from ..mechanics.reduction.craig_bampton import FrameModes, ReducedBody
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
@@ -29,8 +29,7 @@ def stiff_modes(ev: Evaluation) -> str:
     if not free or not 0 < s.n_lam <= LOOK:
         return ""
 
-    core = ev.jacobian.core
-    rows = core.toarray() if sp.issparse(core) else np.asarray(core)
+    rows = dense(ev.jacobian.core)
     for k, part in free:
         if not any(_turns_with(ev, k, part, rows, block) for block in s.blocks):
             continue

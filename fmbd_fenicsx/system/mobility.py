@@ -21,6 +21,7 @@ from scipy.sparse.linalg import splu
 
 from ..energies import MixedEnergy
 from ..log import log
+from ..matrices import dense
 from ..mechanics.bodies.coordinates import CoordinatePart
 from ..mechanics.forces.dry_friction import DryFriction
 from ..mechanics.forces.force_elements import ScalarLoads
@@ -111,8 +112,7 @@ def _masses(ev: Evaluation) -> Array:
 
 def scaled_jacobian(ev: Evaluation) -> Array:
     """G_s of (1), dense (n_lam, n_core + ports of fields)."""
-    core = ev.jacobian.core
-    G = (core.toarray() if sp.issparse(core) else core) / np.sqrt(_masses(ev))
+    G = dense(ev.jacobian.core) / np.sqrt(_masses(ev))
 
     # ports of fields beside the core, of its size
     typical = float(np.abs(G).max(initial=1.0))

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
-import scipy.sparse as sp
 
 from ..log import log
+from ..matrices import dense
 from ..mechanics.elastic.floating import FloatingField
 from ..mechanics.elastic.modes import first_eigenvalue_bound, first_frequency, rigid_fields
 from ..mechanics.placements import FrameMotion
@@ -101,8 +101,7 @@ def held_frequency(ev: Evaluation, k: int, part: Any) -> float:
         [np.arange(b.rows.start, b.rows.stop) for b in s.blocks if b.kind != "frame"] or [np.zeros(0, int)]
     )
     if isinstance(part, ReducedPart):
-        core = ev.jacobian.core[rows]
-        return frequency_by_modes(ev, k, part, core.toarray() if sp.issparse(core) else np.asarray(core), part.n)
+        return frequency_by_modes(ev, k, part, dense(ev.jacobian.core[rows]), part.n)
     return _of_field(ev, part, ev.jacobian.port[rows][:, s.port_slice(k)])
 
 

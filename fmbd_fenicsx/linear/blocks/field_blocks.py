@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from ...matrices import thin
 from ...mechanics.placements import DistributedPart
 from ...rotations import Array
 from ...system.system import System
 from ..border import loaded_ports
-from ..core import thin
 from ..options import check_options
 from .incompressibility import VolumeMass
 from .spd import CholeskyFactor, FieldFactor, MassInverse

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...matrices import dense
 from ...rotations import Array
 from ..blocks.field_blocks import Weights
 from ..iterated_multipliers import SceneTies
@@ -72,7 +73,7 @@ class _Ties:
 def _complements(frame: Array, matrix: StepMatrix, couplings: list[Array], ties: _Ties) -> list[sp.csr_matrix]:
     """S~_j of (2), one for each block of rows, replicated; collective."""
     n = matrix.layout.system.n_core
-    core = matrix.G.core.toarray() if sp.issparse(matrix.G.core) else np.asarray(matrix.G.core)
+    core = dense(matrix.G.core)
 
     out = []
     for rows in matrix.layout.rows.values():

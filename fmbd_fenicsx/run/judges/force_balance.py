@@ -38,8 +38,8 @@ from numpy.typing import NDArray
 from ...errors import ConvergenceError
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
-from ...linear.core import dense
 from ...linear.core_matrix import core_matrix
+from ...matrices import dense
 from ...rotations import Array
 from ...schemes.declared import Declared
 from ...system.evaluation import Evaluation

@@ -22,8 +22,8 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
 from ...linear.condensation import StepSolver
-from ...linear.core import dense
 from ...log import log
+from ...matrices import dense
 from ...rotations import Array
 from ...system.layout import State
 from ...system.speed_rows import speed_rows

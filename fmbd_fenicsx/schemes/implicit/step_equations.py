@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...linear.condensation import StepSolver
-from ...linear.core import dense
 from ...linear.implicit.pencil import Pencil
 from ...linear.implicit.sparse_pencil import SparsePencil
 from ...linear.residual import Judge
+from ...matrices import dense
 from ...rotations import Array
 from ...system.compiled.choice import use_driver
 from ...system.compiled.states.couplings import couplings_of

@@ -13,10 +13,10 @@ import numpy as np
 
 from ...errors import LinearSolveError
 from ...linear.condensation import StepSolver
-from ...linear.core import dense
 from ...linear.implicit.pencil import Pencil
 from ...linear.implicit.sparse_pencil import SparsePencil
 from ...linear.residual import Judge
+from ...matrices import dense
 from ...rotations import Array
 from ...system.compiled.declarations import constants
 from ...system.compiled.states.points import Metric

@@ -23,8 +23,8 @@ import numpy as np
 
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
-from ...linear.core import dense
 from ...linear.core_matrix import core_matrix
+from ...matrices import dense
 from ...rotations import Array
 from ...system.compiled.declarations import enumeration
 from ...system.evaluation import Evaluation
