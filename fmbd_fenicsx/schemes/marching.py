@@ -116,6 +116,12 @@ class MarchingStepper(CompiledSteps):
         """Whether steps of size h (s) may be calls now."""
         return True
 
+    def _free(self, h: float) -> tuple[float, float]:
+        """How many steps of size h (s), or of at most that, may be made from the state on, and up to which speed (m/s);
+        collective. Raises StabilityError where it is too long.
+        """
+        return (np.inf, np.inf) if self.limit is None else self.limit.free(self.state, h)
+
     def _take_march(self, march: March, made: int) -> None:
         """Take from the newest states what it keeps, after so many steps."""
         raise NotImplementedError
@@ -157,16 +163,16 @@ class MarchingStepper(CompiledSteps):
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """As :meth:`TimeStepper.march`; steps that fail are left to :meth:`advance`."""
-        made, limit = 0, self.limit
+        made = 0
         while made < steps:
             try:
-                free, most = (np.inf, np.inf) if limit is None else limit.free(self.state, h)
+                free, most = self._free(h)
             except StabilityError:  # whoever makes that step says so
                 break
             now = self._made(h, int(min(steps - made, free)), most, observers)
             made += now
-            if limit is not None:
-                limit.count(now)
+            if self.limit is not None:
+                self.limit.count(now)
             if now and self._used is not None:
                 self._used.tables.remember()
             if not now or self._stopped or (observers.tape is not None and observers.tape.ended):

@@ -235,11 +235,6 @@ class StepLimit(Remembering):
         """So many steps were tried."""
         self.left -= steps
 
-    def look(self, state: State, h: float) -> None:
-        """Before one step, likewise."""
-        self.free(state, h)
-        self.count(1)
-
     def refuse(self, state: State, h: float) -> float:
         """Raise StabilityError where a step of size h (s) is not stable; how much longer it could be, AT_MOST; collective."""
         found = fastest_vibration(self.system, state, self.solver)
@@ -254,15 +249,17 @@ class StepLimit(Remembering):
             "or an implicit scheme, such as fmbd.GeneralizedAlpha(), fmbd.Radau() or fmbd.EnergyMomentum()."
         )
 
-    def hold(self, state: State, h: float, span: float) -> None:
-        """Hold steps of the scheme's own choice, of which one of h (s) is proposed, at a share of the largest that is stable,
-        looked at anew every so many steps; collective.
+    def hold(self, state: State, h: float, span: float) -> float:
+        """Hold steps of the scheme's own choice, of which one of h (s) is proposed, at a share of the largest that is stable, and
+        say how many may be made until that is looked at anew; collective.
 
         In longer ones the fastest vibration grows, until the error control sees it: to the tolerance, and velocities and stresses
         to that times its frequency. It is said where it makes more than :data:`MANY` steps of ``span`` (s).
         """
-        if self.left > 0 or not (self.system.parts or self.system.forces):  # joints alone do not vibrate
-            return
+        if not (self.system.parts or self.system.forces):  # joints alone do not vibrate
+            return np.inf
+        if self.left > 0:
+            return self.left
         found = fastest_vibration(self.system, state, self.solver)
         self.held = np.inf if found is None else HELD * largest_step(found, self.matrix)
         self.left = 1 + int(EVERY_OWN * min(max(self.held / h, 1.0), AT_MOST))
@@ -274,6 +271,7 @@ class StepLimit(Remembering):
                 "fmbd.GeneralizedAlpha(rtol=...) or fmbd.Radau()",
                 self.scheme, self.held, state.t, found.body, found.omega, span, span / self.held,
             )  # fmt: skip
+        return self.left
 
     def blame(self, state: State, h: float, error: Exception) -> ConvergenceError:
         """What to raise after a step from a state that ended in no finite forces; collective."""

@@ -28,7 +28,6 @@ from ..control import Statistics, StepControl, first_step, turn_limit, turns_too
 from ..error_norm import ErrorNorm, check_tolerance
 from ..newton import Newton
 from ..own_marching import OwnMarch
-from ..stepping import Observers
 from .explicit_limit import StepLimit
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ class ExplicitStepper(OwnMarch):
         "proposed": plain(),
         "local_error": plain(),
         "norm": worker,
-        "stable": worker,
+        "limit": worker,
     }
 
     def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
@@ -78,8 +77,7 @@ class ExplicitStepper(OwnMarch):
         self.local_error = 0.0
         self.before: State | None = None  # at the start of the last step
         self.adaptive = scheme.rtol is not None
-        self.stable = StepLimit(self.what, system, solver, self.amplification)
-        self.limit = None if self.adaptive else self.stable
+        self.limit: StepLimit = StepLimit(self.what, system, solver, self.amplification)
         self._lent: ExplicitRoom | None = None
 
     @property
@@ -105,40 +103,33 @@ class ExplicitStepper(OwnMarch):
 
     def advance(self, h: float) -> State:
         """One accepted step: of size h, or with error control of at most h (s); collective."""
-        if self.limit is not None:
-            self.limit.look(self.state, h)
-        elif self.proposed is None:
+        if self.adaptive and self.proposed is None:
             self.control.span = max(self.control.span, h)
             self.norm.update(self.state, h)
             self.proposed = first_step(self.norm, self.state, self.control.order, h)
-        self._hold(h, 1)
+        self._free(h)
+        self.limit.count(1)
         if self._step_in_one_call(h):
             return self.state
-        return self._accept(self._controlled(h) if self.limit is None else self._constant(h, self.limit))
+        self.before, self.state = self.state, self._controlled(h) if self.adaptive else self._constant(h)
+        self.stats.steps += 1
+        return self.state
 
-    def _hold(self, h: float, steps: int) -> int:
-        """How many steps of its own choice, at most so many, may be made before it is looked at anew how long they may be; ``h``:
-        what the next one may be at most (s).
-        """
-        if self.limit is not None or self.proposed is None:
-            return steps
-        self.stable.hold(self.state, min(self.proposed, h), max(self.control.span, h))
-        return min(steps, self.stable.left) if self.stable.left > 0 else steps
+    def _free(self, h: float) -> tuple[float, float]:
+        if not self.adaptive:
+            return self.limit.free(self.state, h)
+        if self.proposed is None:
+            return np.inf, np.inf
+        return self.limit.hold(self.state, min(self.proposed, h), max(self.control.span, h)), np.inf
 
     @property
     def longest_stable(self) -> float:  # type: ignore[override]
         """As :attr:`OwnMarch.longest_stable`."""
-        return self.stable.held
+        return self.limit.held
 
     # -- many steps in one call -----------------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:
         return self._chooses_alike if self.adaptive else True
-
-    def _made(self, h: float, count: int, most: float, observers: Observers) -> int:
-        made = super()._made(h, self._hold(h, count), most, observers)
-        if self.limit is None:
-            self.stable.count(made)
-        return made
 
     def _room(self, states: DriverStates) -> int:
         tableau, nothing = self._tableau()
@@ -175,14 +166,14 @@ class ExplicitStepper(OwnMarch):
         """What error control keeps with a state."""
         self.proposed, self.control.h_old, self.control.error_old = map(float, own[:CONTROLLED])
 
-    def _constant(self, h: float, limit: StepLimit) -> State:
-        """The state after a step of size h (s), on the constraints; ``limit``: whom a step that has run away is told."""
+    def _constant(self, h: float) -> State:
+        """The state after a step of size h (s), on the constraints."""
         try:
             return arrived(self.system, self._step(h)[0], self.solver)
         except (CallbackError, LawError) as fault:
             if not isinstance(fault, BalanceError) and not self._has_forces(h):
                 raise
-            raise limit.blame(self.state, h, fault) from fault
+            raise self.limit.blame(self.state, h, fault) from fault
 
     def _has_forces(self, h: float) -> bool:
         """Whether all laws have values, up to the end of a step of size h, where it begins: a step without has run away."""
@@ -232,13 +223,6 @@ class ExplicitStepper(OwnMarch):
         except CallbackError as fault:
             self.control.fault = str(fault)
             return None, np.inf, "forces not finite"
-
-    def _accept(self, made: State) -> State:
-        self.before, self.state = self.state, made
-        self.stats.steps += 1
-        if self.limit is None:
-            self.stable.count(1)
-        return self.state
 
     # -- what a method says -------------------------------------------------------------------------------------------
     def _tableau(self) -> tuple[Tableau, float]:

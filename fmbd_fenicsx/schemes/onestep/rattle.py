@@ -102,7 +102,8 @@ class RattleStepper(MarchingStepper):
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when the iteration for (1) fails, or h is too long."""
-        self.limit.look(self.state, h)
+        self.limit.free(self.state, h)
+        self.limit.count(1)
         try:
             return self.state if self._step_in_one_call(h) else self._step_in_parts(h)
         except BalanceError as error:
