@@ -15,7 +15,8 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import plot
-from fmbd_fenicsx.log import say, world_rank
+from fmbd_fenicsx.log import say
+from fmbd_fenicsx.ranks import world_rank
 
 SPEED, SECTION = 250 / 3.6, (60.0, 150.0)  # m/s, m
 

@@ -10,8 +10,8 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import plot, study
-from fmbd_fenicsx.log import world_rank
 from fmbd_fenicsx.post.drawing.draw import draw
+from fmbd_fenicsx.ranks import world_rank
 
 GROW = 30.0  # of the distance from the chord
 

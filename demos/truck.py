@@ -22,8 +22,8 @@ import truck_model as model
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo
-from fmbd_fenicsx.log import world_rank
 from fmbd_fenicsx.post.demo import Check, say
+from fmbd_fenicsx.ranks import world_rank
 
 args = demo.arguments(__doc__, {"--coordinates": "", "--study": ""})
 t_end, dt, size = (2.0, 4e-2, 0.6) if args.fast else (10.0, 1e-2, 0.3)

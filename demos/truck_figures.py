@@ -11,9 +11,10 @@ import truck_model as model
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import study
-from fmbd_fenicsx.log import say, world_rank
+from fmbd_fenicsx.log import say
 from fmbd_fenicsx.post.drawing.draw import draw
 from fmbd_fenicsx.post.drawing.scene_graph import Deforming
+from fmbd_fenicsx.ranks import world_rank
 
 MOTION, BENDING, APART = 10.0, 15.0, 11.5  # growth of motion and deformation in the drawing, m from truck to truck
 SHAPES = {  # corners about the place at the start, m

@@ -6,7 +6,7 @@ what a scene does not need is not imported. ``__init__.pyi`` lists them.
 """
 
 from ._lazy import attach
-from .log import install_hooks
+from .leaving import install_hooks
 
 __version__ = "0.1.0"
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from .errors import FmbdError
-from .log import note, together
+from .log import note
+from .ranks import together
 
 OLDEST = (0, 9)
 NOT_COMPILED = "Failed just-in-time compilation"  # how DOLFINx begins to say so

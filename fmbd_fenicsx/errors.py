@@ -135,7 +135,7 @@ class Told(dict[str, Any]):
 
 
 AGREEMENTS: list[Callable[[str, Callable[[], Any]], Any]] = []
-"""How the ranks of the run under way agree on what a user's function gives, see :mod:`fmbd_fenicsx.ranks`; empty on one rank."""
+"""How the ranks of the run under way agree on what a user's function gives, :mod:`fmbd_fenicsx.agreement`; empty on one rank."""
 
 
 ROUNDINGS = 2e-10  # of a time: what a sum of a million steps may be off

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from fmbd_fenicsx.log import world_size
+from fmbd_fenicsx.ranks import world_size
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.log import world_rank
+from fmbd_fenicsx.ranks import world_rank
 from fmbd_fenicsx.rotations import Array, tangent
 from fmbd_fenicsx.system.evaluation import Evaluation
 from fmbd_fenicsx.system.system import System

@@ -116,7 +116,7 @@ MUTATIONS: list[tuple[str, str, str, str, list[str]]] = [
      ["test_counted"]),
     ("a damaged checkpoint is read", "run/checkpoints/archive.py", "(actual := sha256(folder / name)) != expected", "not (actual := sha256(folder / name))",
      ["test_checkpoint_files"]),
-    ("a mesh library loaded by the package", "__init__.py", "from .log import install_hooks", "import gmsh\nfrom .log import install_hooks",
+    ("a mesh library loaded by the package", "__init__.py", "from .leaving import install_hooks", "import gmsh\nfrom .leaving import install_hooks",
      ["test_imports"]),
     ("an arrow that points up", "mechanics/frames.py", "def polar_rotation", "def _up() -> None:\n    from ..run import solve\n\n\ndef polar_rotation",
      ["test_layers"]),

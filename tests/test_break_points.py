@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.log import world_size
 from fmbd_fenicsx.materials import linear_elastic
+from fmbd_fenicsx.ranks import world_size
 from fmbd_fenicsx.run.schedule import step_schedule
 
 STOPS = (0.37, 0.613)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, ConvergenceError, InputError, LawError
-from fmbd_fenicsx.log import world_rank
+from fmbd_fenicsx.ranks import world_rank
 
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
 LINEAR = fmbd.materials.linear_elastic(1.0, 0.3)

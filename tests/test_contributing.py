@@ -175,7 +175,7 @@ def test_scheme_writes_checkpoints_and_reports(tmp_path):
 # -- the walks through the code ---------------------------------------------------------------------------------------------
 FLOORS = ["fem", "mechanics", "system", "linear", "schemes", "run", "post"]
 SOURCE = Path(fmbd.__file__).parent
-WALKS = re.split(r"\n(?=\d\. |\*\*|#)", TEXT[TEXT.index("### Five walks") : TEXT.index("Where a walk still looks")])
+WALKS = re.split(r"\n(?=\d\. |\*\*|#)", TEXT[TEXT.index("### Walks") : TEXT.index("Where a walk still looks")])
 
 
 def stations(walk):
@@ -185,7 +185,7 @@ def stations(walk):
 
 
 def test_the_map_names_every_folder():
-    named = set(re.findall(r"`(?:\w+/)*(\w+)/`", TEXT[TEXT.index("| floor |") : TEXT.index("### Five walks")]))
+    named = set(re.findall(r"`(?:\w+/)*(\w+)/`", TEXT[TEXT.index("| floor |") : TEXT.index("### Walks")]))
     folders = {
         path.parent.name for path in (ROOT / "fmbd_fenicsx").rglob("*.[pch]*") if "__pycache__" not in path.parts
     }
@@ -209,7 +209,7 @@ def test_walks_go_down():
 
 
 def test_rooms_of_the_house_are_there():
-    house = TEXT[TEXT.index("| floor |") : TEXT.index("### Five walks")]
+    house = TEXT[TEXT.index("| floor |") : TEXT.index("### Walks")]
     for folder, rooms in re.findall(r"^\| \d \| `([a-z]+)/` \| (.*) \|$", house, re.M):
         for room in re.findall(r"`([a-z_]+)/?`", rooms):
             assert (SOURCE / folder / room).is_dir() or (SOURCE / folder / f"{room}.py").is_file(), (folder, room)

@@ -24,6 +24,8 @@ FLOORS = [
         "hints",
         "notices",
         "ranks",
+        "agreement",
+        "leaving",
     },
     {"fem"},
     {"mechanics"},

@@ -25,7 +25,7 @@ def area(mesh: Any, name: str) -> float:
 @pytest.fixture
 def part(shared_tmp: Path) -> Path:
     """A STEP file: a plate of 40 x 20 x 5 mm with a bore of radius 4 mm about (10, 10)."""
-    from fmbd_fenicsx.log import world_rank
+    from fmbd_fenicsx.ranks import world_rank
 
     file = shared_tmp / "plate.step"
     if world_rank() == 0:

@@ -91,7 +91,7 @@ def test_equal_functions_give_what_one_rank_gives() -> None:
 
 def test_values_of_ranks_are_compared() -> None:
     """Roundoff is none; what is not finite has to be the same."""
-    from fmbd_fenicsx.ranks import _differ
+    from fmbd_fenicsx.agreement import _differ
 
     assert not _differ((1.0, [2.0, np.inf]), (1.0 + 1e-12, [2.0, np.inf]))
     assert not _differ(np.nan, np.nan)

@@ -20,7 +20,7 @@ import numpy as np
 from .. import dolfinx_compat as compat
 from ..energies import StoredEnergy
 from ..errors import InputError
-from ..log import together
+from ..ranks import together
 from ..rotations import Array, motions
 from .assembly import NodalVector, on_components
 from .density import density_on, mean_density

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import CallbackError
-from ..log import together
+from ..ranks import together
 from ..rotations import Array
 from .field_checks import check_start
 

@@ -6,7 +6,7 @@ import ctypes
 from typing import Any
 
 from ..errors import InputError, near
-from ..log import together
+from ..ranks import together
 
 ORTHOGONAL = "ksp_gmres_cgs_refinement_type"
 

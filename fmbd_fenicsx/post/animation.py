@@ -16,7 +16,7 @@ import numpy as np
 
 from ..checks import typed
 from ..errors import InputError, require
-from ..log import on_root
+from ..ranks import on_root
 from ..rotations import Array
 from ..run.result import Run
 from .drawing.draw import draw

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..log import say, world_rank
+from ..log import say
+from ..ranks import world_rank
 from ..run.recording.output import Output
 
 __all__ = ["Check", "arguments", "film", "finish", "say", "show", "snapshots"]

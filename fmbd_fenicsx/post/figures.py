@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from ..log import world_rank
+from ..ranks import world_rank
 from .exchange.files import write_whole
 
 STYLE = {

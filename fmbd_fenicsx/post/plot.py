@@ -12,7 +12,7 @@ import numpy as np
 
 from ..checks import typed, words
 from ..errors import InputError
-from ..log import on_root, world_rank
+from ..ranks import on_root, world_rank
 from ..rotations import Array
 from ..run.result import Run
 from ..schemes.declared import Declared

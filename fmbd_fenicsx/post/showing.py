@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from ..log import on_root
+from ..ranks import on_root
 from ..run.result import Run
 from .animation import make_story
 from .drawing.view import Paint, View

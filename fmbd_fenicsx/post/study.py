@@ -24,7 +24,7 @@ import numpy as np
 
 from ..checks import shown, typed
 from ..errors import FmbdError, InputError, near, require
-from ..log import world_rank
+from ..ranks import world_rank
 from ..rotations import Array
 from ..run.result import Run
 from ..run.variants import Variant as Variant

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from ..agreement import OneAnswer
 from ..linear.condensation import StepSolver
 from ..notices import Gathered
-from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.consistent import Correction, consistent
 from ..schemes.declared import Declared

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import resource
+import sys
 import time as clock
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from ..errors import Stopped
 from ..linear.condensation import StepSolver
 from ..linear.redundancy import not_unique
-from ..log import peak_memory
 from ..rotations import Array
 from ..schemes.newton import Newton
 from ..system.element_memory import memories
@@ -178,7 +179,7 @@ def _run(task: Task, built: Built, finished: FinishedMarch) -> Run:
         drift=(recorder.gap, recorder.slip),
         correction=finished.start.correction,
         local_error=marched.local_error,
-        memory=peak_memory(system.comm),
+        memory=_peak_memory(system.comm),
         newton_accuracy=task.newton.accuracy,
         # what users should know
         status=marched.status,
@@ -247,3 +248,9 @@ def _counters(march: March, newton: Newton, solver: StepSolver) -> dict[str, flo
         "core_factorisations": solver.core.factorisations,
         "worst_linear_residual": solver.worst_residual,
     }
+
+
+def _peak_memory(comm: Any) -> float:
+    """Peak resident memory of the largest rank, bytes; collective over ``comm`` (None: this process)."""
+    own = float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * (1.0 if sys.platform == "darwin" else 1024.0)
+    return own if comm is None else max(comm.allgather(own))

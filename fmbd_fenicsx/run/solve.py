@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import require
-from ..log import install_hooks
 from ..schemes.declared import Declared, checked_scheme
 from ..schemes.newton import Newton
 from ..system.scene.scene import Scene
@@ -70,7 +69,6 @@ def solve(
             to the step that was under way.
         CheckpointError: a checkpoint is damaged, belongs to another run, or cannot be written.
     """
-    install_hooks()
     check_settings(scene, newton, output, restart)
     check_ways(linear, checkpoint)
     check_origin(scene, tol, output)

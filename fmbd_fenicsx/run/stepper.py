@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from ..agreement import OneAnswer
 from ..checks import instance, number, typed
 from ..errors import InputError, near, require
-from ..ranks import OneAnswer
 from ..rotations import Array
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton

@@ -6,10 +6,10 @@ import time as clock
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, cast
 
+from ..agreement import OneAnswer
 from ..errors import ConvergenceError, LinearSolveError
 from ..linear.condensation import StepSolver
-from ..log import StopRequests, log
-from ..ranks import OneAnswer
+from ..log import log
 from ..system.element_memory import next_sample, reset
 from ..system.evaluation import Evaluation
 from ..system.layout import State
@@ -27,6 +27,7 @@ from .recording.progress_bar import Progress
 from .recording.recorder import Recorder
 from .schedule import StepSchedule
 from .step_bisection import ConstantSteps
+from .stop_requests import StopRequests
 
 if TYPE_CHECKING:
     from .checkpoints.checkpoint import Keeper

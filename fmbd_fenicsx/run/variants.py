@@ -20,7 +20,7 @@ import numpy as np
 from ..checks import function, refuse
 from ..errors import FmbdError, InputError, LawError, near, require
 from ..kernel_cache import cores
-from ..log import world_size
+from ..ranks import world_size
 from ..rotations import Array
 from ..system.scene.scene import Scene
 from .recording.output import Output

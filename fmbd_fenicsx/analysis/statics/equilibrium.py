@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from ...agreement import OneAnswer
 from ...checks import typed
 from ...errors import ConvergenceError, InputError, LinearSolveError, near, require
 from ...linear.condensation import StepSolver
 from ...log import log
 from ...mechanics.forces.effort_laws import Friction
 from ...mechanics.forces.forces import CoordinateForce
-from ...ranks import OneAnswer
 from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...system.layout import State

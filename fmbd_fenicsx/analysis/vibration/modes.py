@@ -16,11 +16,11 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import scipy.linalg as sl
 
+from ...agreement import OneAnswer
 from ...checks import typed
 from ...errors import InputError, require
 from ...fem.fields import rank_sum
 from ...linear.condensation import StepSolver
-from ...ranks import OneAnswer
 from ...rotations import Array
 from ...schemes.consistent import consistent
 from ...system.layout import State

@@ -34,9 +34,8 @@ def read_line(source: str | Path, *, line: str | None = None, comm: Any = None) 
     """
     from mpi4py import MPI
 
-    from ...log import install_hooks, together
+    from ...ranks import together
 
-    install_hooks()
     path = Path(instance("read_line: source", source, (str, Path)))
     if line is not None:
         word("read_line: line", line)

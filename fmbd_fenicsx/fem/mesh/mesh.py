@@ -21,7 +21,7 @@ import numpy as np
 from ... import dolfinx_compat as compat
 from ...checks import instance, number, vector, word, words
 from ...errors import InputError, MeshError, near
-from ...log import install_hooks, together
+from ...ranks import together
 from ...rotations import motions
 from .checks import Checked, check_model, name_of_volumes
 
@@ -227,7 +227,6 @@ def read_gmsh(
     Raises:
         MeshError: file missing, no or duplicated or unnamed groups, only surfaces meshed, cells inverted or degenerate.
     """
-    install_hooks()
     compat.check_versions()
     instance("read_gmsh: source", source, (str, Path))
     names = () if volume is None else (volume,) if isinstance(volume, str) else words("read_gmsh: volume", volume)

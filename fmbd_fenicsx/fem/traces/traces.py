@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...errors import MeshError
-from ...log import together
+from ...ranks import together
 from ...rotations import Array
 from .quadrilaterals import half_turn, skew_of, skewing, unskewed
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, LinearSolveError
-from ...log import together
+from ...ranks import together
 from ...rotations import Array
 from ...system.system import System
 from ..blocks.elastic_blocks import Bddc, Cholesky

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...errors import InputError
-from ...log import together
+from ...ranks import together
 from ...rotations import Array
 from ..rigid_modes import elastic_matrix
 from .elastic import Elastic

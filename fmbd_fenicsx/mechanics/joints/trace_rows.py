@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...agreement import OneAnswer
 from ...errors import CallbackError, InputError, named, require
 from ...fem.traces.mortar import mortar
 from ...fem.traces.multipliers import Multipliers, default_space, null_vectors
 from ...fem.traces.traces import Trace, trace_of
 from ...log import log
-from ...ranks import OneAnswer
 from ...rotations import Array, motions
 from ..bodies.bodies import Surface
 from ..rods.rods import node_name

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import require
-from ...log import on_root
 from ...mechanics.reduction.recovery import displacement_field, within_cells
+from ...ranks import on_root
 from ...run.result import Run
 from ...system.layout import State
 from ..drawing.draw import draw

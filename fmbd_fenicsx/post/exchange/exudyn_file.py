@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import InputError, require
-from ...log import log, on_root
+from ...log import log
 from ...mechanics.reduction.reduced import ReducedConstants
+from ...ranks import on_root
 from ...rotations import Array, hat
 
 if TYPE_CHECKING:

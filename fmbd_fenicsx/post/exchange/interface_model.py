@@ -19,11 +19,11 @@ import numpy as np
 
 from ...checks import typed
 from ...errors import InputError, require
-from ...log import on_root
 from ...mechanics.bodies.stored import StoredBody, packed, unpacked
 from ...mechanics.placements import FrameMotion
 from ...mechanics.reduction.craig_bampton import ReducedBody
 from ...mechanics.reduction.reduced import ReducedConstants
+from ...ranks import on_root
 from ...rotations import Array
 from ...system.scene.scene import Scene
 from ...system.sensors.sensors import position

@@ -21,9 +21,11 @@ from typing import Any
 
 from ...checks import check_fields, number, whole
 from ...errors import CheckpointError, InputError
-from ...log import StopRequests, log, together, world_rank, world_size
+from ...log import log
+from ...ranks import together, world_rank, world_size
 from ...system.serialisation import Memory
 from ...system.system import System
+from ..stop_requests import StopRequests
 from . import archive
 from .fingerprint import compare
 from .folder_lock import FolderLock

@@ -16,7 +16,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...log import note, world_size
+from ...log import note
+from ...ranks import world_size
 from ...system.system import System
 
 WORTH = 6_500  # unknowns of a body that make a rank worth while

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from ...log import world_rank
+from ...ranks import world_rank
 
 
 class Progress:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fmbd_fenicsx.errors import ConstraintError
-from fmbd_fenicsx.log import StopRequests
+from fmbd_fenicsx.run.stop_requests import StopRequests
 
 ROOT = Path(__file__).resolve().parents[1]
 PENDULUM = """
@@ -83,8 +83,7 @@ def test_ctrl_c_asks_where_a_library_has_put_the_system_s_own_handler_back():
 HOOK = """
 from mpi4py import MPI
 from fmbd_fenicsx.errors import ConstraintError
-from fmbd_fenicsx.log import install_hooks, together
-install_hooks()
+from fmbd_fenicsx.ranks import together
 rank = MPI.COMM_WORLD.rank
 """
 
