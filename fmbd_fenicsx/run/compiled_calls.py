@@ -103,7 +103,7 @@ class CompiledCalls:
 
     def _tape(self) -> Tape | None:
         """Room for the records of a march; None where it cannot make them."""
-        tape = self.stepper.tape(self.recorder.openness) if self.recorder.on_tape else None
+        tape = self.stepper.tape(self.recorder.drift.openness) if self.recorder.on_tape else None
         waits = self.recorder.wanted is not None
         return None if waits and tape is not None and tape.kept is None else tape
 

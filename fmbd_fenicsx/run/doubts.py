@@ -117,29 +117,29 @@ def _impacts(counters: Mapping[str, float]) -> None:
 
 def _open_velocities(recorder: Recorder, counters: Mapping[str, float]) -> None:
     """(2), above what roundoff of places is in one step: a scene at rest moves by nothing else."""
-    check = recorder.closed
-    if check is None or recorder.worst_slip <= SLIP * recorder.fastest:
+    drift = recorder.drift
+    if drift.closed is None or drift.worst_slip <= SLIP * drift.fastest:
         return
     step = (recorder.t_end - recorder.scene.begins) / max(counters["steps"], 1.0)
-    if recorder.worst_slip * step <= PLACES * recorder.system.length:
+    if drift.worst_slip * step <= PLACES * recorder.system.length:
         return
     log.warning(
         "joints open at up to %.2g m/s (or rad/s times the model's length), the largest velocity is %.3g m/s: velocities and "
         "accelerations are less accurate than positions. Take a smaller dt, or a scheme that holds velocities too, such as "
         "fmbd.Radau()",
-        recorder.worst_slip, recorder.fastest,
+        drift.worst_slip, drift.fastest,
     )  # fmt: skip
 
 
 def _open_joints(recorder: Recorder) -> None:
     """(3): forms of lower index let joints drift apart, and large steps let them fly apart."""
-    check, length = recorder.closed, recorder.system.length
-    if check is None or 0 in check.levels or recorder.gap <= APART * length:
+    drift, length = recorder.drift, recorder.system.length
+    if drift.closed is None or 0 in drift.closed.levels or drift.gap <= APART * length:
         return
     log.warning(
         "joints are open by up to %.2g m, the model's length is %.3g m: this form of the constraints does not hold positions. "
         "Take a smaller dt, or a form that holds them, such as fmbd.GGL()",
-        recorder.gap, length,
+        drift.gap, length,
     )  # fmt: skip
 
 

@@ -137,7 +137,7 @@ class Loop:
             from .recording.accompanied import Accompanied
 
             recorder = Accompanied(recorder, problem.beside)
-        recorder.closed = self.judges.closed
+        recorder.drift.closed = self.judges.closed
         recorder.warned = problem.warned
         recorder.take(0, first, self.stepper.evaluation)
         return recorder

@@ -51,7 +51,7 @@ class RunProgress:
         n.iterations, n.theta, n.renewals = m("Newton", (n.iterations, n.theta, n.renewals))
         self.recorder.remember(m.inside("recorder"))
         worker(m, "balanced", self.balanced)
-        worker(m, "closed", self.recorder.closed)
+        worker(m, "closed", self.recorder.drift.closed)
         self.done, self.local_error, self.first = m("course", (self.done, self.local_error, self.first))
         now = clock.perf_counter()
         spent = m("seconds", self.earlier + now - self.begun)

@@ -9,13 +9,17 @@ that they keep is work that they took.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import InputError, Told
 from ...rotations import Array
+from ...system.evaluation import Evaluation
+from ...system.layout import State
+from ...system.scene.scene import Scene
+from ...system.serialisation import Memory
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,48 @@ class Books:
     work: Mapping[str, Array]
     unlisted: tuple[str, ...]
     elements: tuple[str, ...] = ()
+
+
+class Bookkeeper:
+    """Takes down powers and works of the elements of a scene, state by state."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.powers: list[dict[str, float]] = []
+        self.works: list[dict[str, float]] = []
+        self.unlisted: tuple[str, ...] = ()
+
+    def enter(self, ev: Evaluation, state: State) -> None:
+        """Power of every element in a state, and work of contacts up to it; collective."""
+        from ...system.powers import contact_works, powers, unlisted
+
+        if not self.powers:
+            self.unlisted = tuple(unlisted(ev, state))
+        self.powers.append(powers(ev, state))
+        self.works.append(contact_works(state) if self.scene.unilateral else {})
+
+    @property
+    def books(self) -> Books:
+        """What was recorded for the ledger."""
+        return Books(_columns(self.powers), _columns(self.works), self.unlisted, tuple(self.scene.forces))
+
+    def remember(self, m: Memory) -> None:
+        """All that was taken down."""
+        count, power, work, self.unlisted = m(
+            "books", (len(self.powers), _columns(self.powers), _columns(self.works), self.unlisted)
+        )
+        self.powers, self.works = _entries(power, count), _entries(work, count)
+
+
+def _columns(entries: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+    """A column for every name that occurs, in the order of its first record."""
+    names = dict.fromkeys(name for entry in entries for name in entry)
+    return {name: np.array([entry.get(name, 0.0) for entry in entries]) for name in names}
+
+
+def _entries(columns: Mapping[str, Array], count: int) -> list[dict[str, float]]:
+    """A dictionary for each record from a column for each name."""
+    return [{name: float(x[k]) for name, x in columns.items()} for k in range(count)]
 
 
 @dataclass(frozen=True, repr=False)
