@@ -8,7 +8,7 @@ While a run is under way values are therefore compared: those that differ are re
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from .leaving import all_leave, end_all
 from .ranks import together
 
 SAME = 1e-9  # relative difference between ranks that counts as roundoff of different machines
+ABSENT = "absent"
 
 
 class OneAnswer:
@@ -69,7 +70,7 @@ class OneAnswer:
 
         values = self.comm.allgather(value)
         for rank, other in enumerate(values):
-            if _differ(values[0], other):
+            if differ(values[0], other):
                 raise InputError(
                     f"{what} gives {values[0]!r:.60} on rank 0 and {other!r:.60} on rank {rank} for the same arguments. It may "
                     "not depend on the rank, on random numbers without a fixed seed, or on the clock."
@@ -77,10 +78,30 @@ class OneAnswer:
         return values[0]
 
 
-def _differ(one: Any, other: Any) -> bool:
-    """Whether two values of a function are apart by more than roundoff."""
+def refuse_differing(comm: Any, what: str, values: Mapping[str, Any]) -> None:
+    """Refuse values by names, numbers, arrays or texts, that are not the same on all ranks; collective.
+
+    Raises:
+        InputError: with the first that differs, on the lowest rank where it does.
+    """
+    first: Mapping[str, Any] = comm.bcast(values)
+    apart = [name for name in (*first, *values) if differ(first.get(name, ABSENT), values.get(name, ABSENT))]
+    error = None
+    if apart:
+        here, there = (x.get(apart[0], ABSENT) for x in (values, first))
+        error = InputError(
+            f"{what}: {apart[0]} is {there} on rank 0 and {here} on rank {comm.rank}. Ranks that work on one scene must be "
+            "given the same: nothing may depend on the rank, on random numbers without a fixed seed, or on the clock."
+        )
+    together(comm, error)
+
+
+def differ(one: Any, other: Any) -> bool:
+    """Whether two values are apart by more than roundoff."""
+    if isinstance(one, str) or isinstance(other, str):
+        return type(one) is not type(other) or one != other
     if isinstance(one, tuple | list) and isinstance(other, tuple | list):
-        return len(one) != len(other) or any(_differ(a, b) for a, b in zip(one, other, strict=True))
+        return len(one) != len(other) or any(differ(a, b) for a, b in zip(one, other, strict=True))
     try:
         a = np.asarray(one, dtype=complex)
         b = np.asarray(other, dtype=complex)

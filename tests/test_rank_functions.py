@@ -33,8 +33,8 @@ def scene(motion=lambda t: 0.1 * t**2, law=lambda s, v, t: 10.0 * s, load=lambda
     made.add(fmbd.joint_spring("spring", fmbd.angle(pin), law=law))
     return made
 
-def solve(made, **more):
-    return fmbd.solve(made, t_end=0.02, dt=0.01, output=fmbd.Output(progress=False, **more))
+def solve(made, dt=0.01, **more):
+    return fmbd.solve(made, t_end=0.02, dt=dt, output=fmbd.Output(progress=False, **more))
 """
 
 
@@ -58,6 +58,32 @@ def test_a_function_that_depends_on_the_rank_is_refused(what: str, name: str) ->
     done = run(f"solve(scene({what}))", 2)
     assert done.returncode == 2, done.stderr[-2000:]
     assert name in done.stderr and "on rank 1 for the same arguments" in done.stderr
+
+
+REFUSED = """
+def refusal(call):
+    try:
+        call()
+    except fmbd.errors.FmbdError as error:
+        print(f"{rank}: {error}")
+
+made, other = scene(), scene()
+other.gravity = (0.0, -9.81 + rank)
+refusal(lambda: solve(made, dt=0.01 / (1 + rank)))
+refusal(lambda: fmbd.equilibrium(other))
+with fmbd.stepper(made, dt=0.01) as s:
+    refusal(lambda: s.step(0.01 / (1 + rank)))
+"""
+
+
+def test_numbers_that_differ_between_ranks_are_refused() -> None:
+    """Of settings, parts and steps, on all ranks in the same words."""
+    done = run(REFUSED, 2)
+    assert done.returncode == 0, done.stderr[-2000:]
+    for found in ("solve: dt is 0.01", "equilibrium: gravity is [ 0.   -9.81]", "step: dt is 0.01"):
+        lines = [line for line in done.stdout.splitlines() if found in line]
+        assert sorted(line[:2] for line in lines) == ["0:", "1:"], done.stdout
+        assert all("on rank 0 and" in line and "on rank 1." in line for line in lines)
 
 
 @pytest.mark.slow
@@ -91,11 +117,11 @@ def test_equal_functions_give_what_one_rank_gives() -> None:
 
 def test_values_of_ranks_are_compared() -> None:
     """Roundoff is none; what is not finite has to be the same."""
-    from fmbd_fenicsx.agreement import _differ
+    from fmbd_fenicsx.agreement import differ
 
-    assert not _differ((1.0, [2.0, np.inf]), (1.0 + 1e-12, [2.0, np.inf]))
-    assert not _differ(np.nan, np.nan)
-    assert _differ(np.inf, 1.0)
-    assert _differ([1.0, np.inf], [1.0, -np.inf])
-    assert _differ([1.0, 2.0], [1.0, 2.1])
-    assert _differ(1.0, [1.0])
+    assert not differ((1.0, [2.0, np.inf]), (1.0 + 1e-12, [2.0, np.inf]))
+    assert not differ(np.nan, np.nan)
+    assert differ(np.inf, 1.0)
+    assert differ([1.0, np.inf], [1.0, -np.inf])
+    assert differ([1.0, 2.0], [1.0, 2.1])
+    assert differ(1.0, [1.0])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import require
 from ..schemes.declared import Declared, checked_scheme
 from ..schemes.newton import Newton
+from ..system.scene.alike import alike
 from ..system.scene.scene import Scene
 from .accuracy.companion_runs import steps_beside
 from .built import build
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from .checkpoints.checkpoint import Checkpoint
 
 
+@alike
 def solve(
     scene: Scene,
     *,

@@ -19,13 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from ..agreement import OneAnswer
+from ..agreement import OneAnswer, refuse_differing
 from ..checks import instance, number, typed
 from ..errors import InputError, near, require
 from ..rotations import Array
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
 from ..system.layout import State
+from ..system.scene.alike import alike, values_of_inputs
 from ..system.scene.scene import Scene
 from ..system.serialisation import Memory
 from .checkpoints.progress import RunProgress
@@ -134,6 +135,8 @@ class SceneStepper(Uncopied):
         number("Step dt =", dt, above=0.0, unit="s")
         require(self.t + dt > self.t, f"Step dt = {dt} s is below the roundoff of t = {self.t} s.")
 
+        if (comm := self._problem.system.comm) is not None and comm.size > 1:
+            refuse_differing(comm, "step", {"dt": dt, **values_of_inputs(self.scene)})
         self._motions.look(self.t + dt)
 
         if self._jumped:  # the past of the stepper is that of other forces
@@ -230,6 +233,7 @@ class SceneStepper(Uncopied):
         self.close()
 
 
+@alike
 @typed
 def stepper(
     scene: Scene, *, dt: float, scheme: Any = None, newton: Newton | None = None, linear: Any = None

@@ -25,6 +25,7 @@ from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...system.layout import State
 from ...system.mobility import tell_of_modes
+from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.spins import Spins
@@ -83,6 +84,7 @@ def read(where: Any, sensor: str, state: State) -> Array:
     return np.atleast_1d(np.asarray(value, dtype=float))
 
 
+@alike
 @typed
 def equilibrium(
     scene: Scene,

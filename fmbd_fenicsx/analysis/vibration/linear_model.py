@@ -25,6 +25,7 @@ from ...errors import InputError, near, require
 from ...mechanics.forces.force_elements import ScalarLoads, TimeLoads
 from ...rotations import Array
 from ...system.layout import State
+from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
 from ..small_motions.basis import ProjectedSystem, projected
 from ..small_motions.small_memory import changed, memory_size, pushed_by
@@ -73,6 +74,7 @@ class LinearModel:
         return out
 
 
+@alike
 @typed
 def linearise(
     scene: Scene, inputs: Sequence[str] = (), outputs: Sequence[str] = (), *, at: Any = None, modes: int | None = None

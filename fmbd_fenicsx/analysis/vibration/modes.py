@@ -26,6 +26,7 @@ from ...schemes.consistent import consistent
 from ...system.layout import State
 from ...system.mobility import tell_of_modes
 from ...system.own_state import refuse_other_state
+from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.system import System
@@ -150,6 +151,7 @@ class Linearised:
     shift: float
 
 
+@alike
 @typed
 def modes(scene: Scene, n: int, *, at: Any = None, linear: Any = None) -> Modes:
     """The first n modes of a scene; collective.

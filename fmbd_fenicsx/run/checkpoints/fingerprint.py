@@ -8,35 +8,25 @@ seen.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
 
-from ...checks import OfBody, name_of
 from ...errors import CheckpointError
-from ...fem.mesh.mesh import Mesh
 from ...rotations import Array
 from ...system.layout import State
+from ...system.scene.described import described, text_of
 from ...system.scene.scene import Scene
 from ...system.serialisation import Memory
 from ...system.system import System
 
 SAME = 1e-6  # relative difference of forces and energies
 NOTHING = 1e-6  # of the largest force: what is smaller is measured by this, SAME * NOTHING being well above roundoff
-SMALL = 24  # arrays up to this size are compared entry by entry
 
 
 def given(scene: Scene, system: System, settings: dict[str, Any]) -> dict[str, str]:
     """What was given, as text: name -> value."""
-    out: dict[str, str] = {}
-    for name, value in settings.items():
-        _describe(name, value, out)
-    for name in ("gravity", "gravity_ramp", "breakpoints", "settle"):
-        _describe(name, getattr(scene, name), out)
-    for kind in ("bodies", "joints", "forces", "contacts", "limits", "sliders", "ties", "sensors"):
-        for name, part in getattr(scene, kind).items():
-            _describe(f'{kind} "{name}"', part, out)
+    out = {name: text_of(value) for name, value in described(scene, **settings).items()}
     for _, part in system.fields:
         out[f'unknowns of "{part.name}"'] = str(part.field.n_global)
     out["constraint rows"] = ", ".join(f"{b.name} ({b.rows.stop - b.rows.start})" for b in system.blocks)
@@ -55,42 +45,6 @@ def compare(known: dict[str, str], now: dict[str, str], where: Any) -> None:
             f"The checkpoint {where} is not of this run. {'; '.join(lines[:5])}{more}. Restart with the scene, scheme and "
             "settings of the first run."
         )
-
-
-def _describe(name: str, x: Any, out: dict[str, str], depth: int = 0) -> None:
-    """Enter a value, or the fields of an object, under their names."""
-    if isinstance(x, np.ndarray | list | tuple) and _numbers(x):
-        a = np.asarray(x, dtype=float)
-        out[name] = np.array2string(a, precision=12) if a.size <= SMALL else f"array {a.shape}"
-    # numbers and words
-    elif x is None or isinstance(x, bool | int | float | str | np.generic):
-        out[name] = repr(x.item() if isinstance(x, np.generic) else x)
-    # containers, item by item
-    elif isinstance(x, list | tuple):
-        for k, y in enumerate(x):
-            _describe(f"{name}[{k}]", y, out, depth + 1)
-    elif isinstance(x, dict):
-        for k, y in x.items():
-            _describe(f"{name}[{k!r}]", y, out, depth + 1)
-    # what has a name is told by it: bodies and joints are described where they stand
-    elif depth and name_of(x) is not None:
-        body = name_of(x.body) if isinstance(x, OfBody) else None
-        out[name] = f'{type(x).__name__} "{x.name}"' + (f' of "{body}"' if body else "")
-    # objects field by field, but for meshes
-    elif dataclasses.is_dataclass(x) and not isinstance(x, type) and depth < 4 and not isinstance(x, Mesh):
-        out[name] = type(x).__name__
-        for f in dataclasses.fields(x):
-            _describe(f"{name}.{f.name}", getattr(x, f.name), out, depth + 1)
-    else:
-        out[name] = "a function" if callable(x) else type(x).__name__
-
-
-def _numbers(x: Any) -> bool:
-    try:
-        a = np.asarray(x)
-    except ValueError:
-        return False
-    return a.dtype.kind in "fiub"
 
 
 def check_effect(system: System, state: State, m: Memory, where: Any) -> None:
