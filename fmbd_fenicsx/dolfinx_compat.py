@@ -200,3 +200,39 @@ def assembly_of(form: Any) -> Callable[[np.ndarray], None]:
         of.assemble_vector(x, inner, of.pack_constants(inner), of.pack_coefficients(inner))
 
     return assemble
+
+
+def integrals_of(form: Any) -> list[tuple[int, np.ndarray, np.ndarray | None, np.ndarray]] | None:
+    """Of each integral of a compiled form over cells or exterior facets: the address of FFCx's function, the cells, the facets of
+    these (None: the cells themselves) and the packed coefficients, (count, width); None where others are in it, or DOLFINx tells
+    them otherwise.
+    """
+    from dolfinx import cpp
+
+    inner, kinds = form._cpp_object, cpp.fem.IntegralType
+    known = [kinds.cell, kinds.exterior_facet]  # in FFCx's order
+    if form.ufcx_form is None or any(kind not in known for kind in inner.integral_types):
+        return None
+    packed = cpp.fem.pack_coefficients(inner)
+    found = []
+    for kind in inner.integral_types:
+        place = known.index(kind)
+        first, end = (form.ufcx_form.form_integral_offsets[i] for i in (place, place + 1))
+        for i in range(first, end):
+            number = form.ufcx_form.form_integral_ids[i]
+            function = form.ufcx_form.form_integrals[i].tabulate_tensor_float64
+            try:
+                where = np.array(inner.domains(kind, number))
+            except TypeError:
+                return None
+            cells, facets = (where, None) if kind == kinds.cell else where.reshape(-1, 2).T
+            address = int(form.module.ffi.cast("uintptr_t", function))
+            found.append((address, cells, facets, np.array(packed[kind, number])))
+    return found
+
+
+def constants_of(form: Any) -> np.ndarray:
+    """The constants of a compiled form as its functions read them, one behind the other."""
+    from dolfinx import cpp
+
+    return np.array(cpp.fem.pack_constants(form._cpp_object))

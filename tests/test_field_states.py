@@ -27,6 +27,7 @@ from fmbd_fenicsx.materials import (
 from fmbd_fenicsx.mechanics.contact.contact_set import ContactSet
 from fmbd_fenicsx.schemes.impacts.contact_detection import components
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
+from fmbd_fenicsx.system.compiled.tables.field_forces import FieldForces
 from fmbd_fenicsx.system.compiled.tables.fields import FieldTable
 from fmbd_fenicsx.system.evaluator import NumPyEvaluator
 
@@ -422,19 +423,20 @@ def test_factors_of_fields_are_solved_with_in_c(
 
 @compiled
 @pytest.mark.parametrize("body", ["large strains", "attached, large strains"])
-def test_forces_of_large_strains_are_asked_for_once_a_state(
+def test_python_tells_loads_of_large_strains_once_a_time(
     rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, body: str
 ) -> None:
-    """Other accelerations are no other state: inertia and weight are compiled, in frames that move too."""
+    """And nothing else: elasticity, damping, inertia and weight are compiled, in frames that move too."""
     asked: list[float] = []
-    forces = FieldTable.forces
-    monkeypatch.setattr(FieldTable, "forces", lambda *given: (asked.append(given[1]), forces(*given))[1])
+    load = FieldForces.load
+    monkeypatch.setattr(FieldForces, "load", lambda *given: (asked.append(given[1]), load(*given))[1])
+    monkeypatch.setattr(FieldTable, "forces", None)
     system, start, _ = swinging(rod_mesh(h=0.5, height=0.2), body, load=True).build()
     states = driver_states(system)
     for t, v in ((0.1, 0.0), (0.1, 1.0), (0.2, 1.0)):
         for a in (start.a, start.a + 1.0):
             states.at(t, start.q, start.v + v).balance(a, start.lam)
-    assert asked == [0.1, 0.1, 0.2]
+    assert asked == [0.1, 0.2]
 
     turned = start.q.copy()  # loads keep their direction in the world
     turned[2] += 0.0 if body in BODIES else 0.1

@@ -19,6 +19,7 @@ class NodalVector:
         """Collective."""
         from dolfinx import la
 
+        self.form = form
         space = form.function_spaces[0].dofmap
         self._assemble, self._room = compat.assembly_of(form), la.vector(space.index_map, space.index_map_bs)
         self._values, self._shares = self._room.array, space.index_map.comm.size > 1

@@ -228,14 +228,14 @@ class Field:
         """K_0 U with the stiffness of the body without stress, what stiffness_damping acts by, (n d,) -> (n d,)."""
         return self.stiffness(U) if self._unstressed is None else self._times(self._unstressed, U)
 
-    def _dampings(self) -> list[tuple[float, Any]]:
+    def dampings(self) -> list[tuple[float, Any]]:
         """What stands at cd in :meth:`combination`, with factors: the viscous form, K_0 beside a tangent."""
         own, rest = [] if self.D is None else [(1.0, self.D)], self.rest_damping
         return own if rest is None else [*own, (rest.beta, rest.matrix)]
 
     def damping_in_tangent(self, U: Array) -> Array:
         """The matrix at cd of :meth:`combination` times U, (n d,) -> (n d,)."""
-        return sum((c * self._times(A, U) for c, A in self._dampings()), np.zeros_like(U))
+        return sum((c * self._times(A, U) for c, A in self.dampings()), np.zeros_like(U))
 
     @property
     def extended(self) -> bool:
@@ -251,6 +251,11 @@ class Field:
         """K of :meth:`combination`, which the field keeps."""
         return self._with_extra if self._extra else self.K
 
+    @property
+    def stiffness_without_stress(self) -> Any:
+        """The matrix that stiffness_damping acts by, which the field keeps; K where no one asks for it."""
+        return self.K if self._unstressed is None else self._unstressed
+
     def _times(self, A: Any, U: Array) -> Array:
         x, y = self._big
         x.array[:] = U
@@ -263,6 +268,11 @@ class Field:
             return self.stiffness(U)
         self._place(U)
         return self._residual.assembled()
+
+    @property
+    def residual_form(self) -> Any:
+        """The compiled form of dPi/du."""
+        return self._residual.form
 
     def energy(self, U: Array) -> float:
         """Elastic energy in J; collective."""
@@ -361,7 +371,7 @@ class Field:
         M = self.mass_matrix()
         E.axpy(cm, M, structure=held)
         M.destroy()
-        for c, A in self._dampings() if cd else ():
+        for c, A in self.dampings() if cd else ():
             D = A.convert("aij", PETSc.Mat())
             E.axpy(c * cd, D, structure=held)
             D.destroy()

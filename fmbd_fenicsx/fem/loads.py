@@ -208,6 +208,11 @@ class AppliedLoads:
         """UFL form of all loads on the deformed body, L(u; v) times the factors of :meth:`at`; 0 without such loads."""
         return sum(factor * load.deformed(u, v, *self._measures) for load, factor in self.moving)  # type: ignore[misc]
 
+    @property
+    def moving_forms(self) -> list[tuple[Load, Any]]:
+        """Loads on the deformed body with their compiled forms, without factors."""
+        return [(load, form) for load, form in zip(self.loads, self._forms, strict=True) if form is not None]
+
     def at(self, t: float) -> None:
         """Set the factors of :meth:`moving_form` to those at time t."""
         for load, factor in self.moving:

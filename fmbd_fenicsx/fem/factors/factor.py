@@ -23,14 +23,15 @@ from .substructures import substructured
 
 @dataclass(frozen=True, eq=False)
 class InC:
-    """How C solves with a factor of ``mass`` M + ``stiffness`` K by itself: the address of its ``matrix``, (1,), zero once the
-    factor is freed; for PETSc's MatSolve, or of a complex one the structure ``Symmetric`` of driver/tables.h. With
+    """How C solves with a factor of ``mass`` M + ``stiffness`` K + ``damping`` C by itself: the address of its ``matrix``, (1,),
+    zero once the factor is freed; for PETSc's MatSolve, or of a complex one the structure ``Symmetric`` of driver/tables.h. With
     ``by_component`` it is that of M for one component, which serves all of them.
     """
 
     matrix: np.ndarray
-    mass: float
+    mass: complex
     stiffness: complex
+    damping: complex = 0.0
     by_component: bool = False
 
 
@@ -118,13 +119,11 @@ class Factor:
         return X[: self._n], [self._residual(X[:, j], B[:, j]) for j in range(B.shape[1])]
 
     def in_c(self) -> InC | None:
-        """How C solves, on one rank and where the matrix has no damping of its own; None where it cannot."""
+        """How C solves, on one rank; None where it cannot."""
         f = self.field
         if address_of_solve() is None or not isinstance(self.factor, PetscFactor) or f.comm.size > 1:
             return None
-        if self.cd:
-            return None
-        return InC(self.factor.address, self.cm, self.ck)
+        return InC(self.factor.address, self.cm, self.ck, self.cd)
 
     def destroy(self) -> None:
         """Free the factor; collective."""

@@ -60,9 +60,9 @@ class ComplexFactor(FieldFactor):
     def in_c(self) -> InC | None:
         """As :meth:`FieldFactor.in_c`, where no pivot was looked for beside the diagonal; it judges by the first criterion."""
         cm, ck, cd = self.weights
-        if cd or cm.imag or not np.array_equal(self.factor.perm_r, self.factor.perm_c):
+        if not np.array_equal(self.factor.perm_r, self.factor.perm_c):
             return None
-        return InC(self._lent[0], cm.real, ck)
+        return InC(self._lent[0], cm, ck, cd)
 
     @cached_property
     def _lent(self) -> tuple[np.ndarray, Any]:

@@ -136,6 +136,7 @@ class Calls:
             "FIELD": lambda number, t: tables.fields[number].solve(),
             "FIELD_FORCES": lambda number, t: tables.fields[number].forces(t),
             "FIELD_MEANS": lambda number, t: tables.fields[number].mean_forces(t),
+            "FIELD_LOADS": lambda number, t: tables.fields[number].forces_in_c.load(t),
             "FIELD_ENERGIES": lambda number, t: tables.fields[number].energies(t),
             "FIELD_TANGENTS": lambda number, t: tables.renew_fields(t),
             "FREQUENCIES": lambda number, key: tables.frequencies(key),

@@ -16,14 +16,11 @@ static void frame_block(const Body *o, const double *R, double *A, int n)
         for (int j = 0; j < ROT; j++) A[n * (TWIST + D + i) + D + j] = DIM == 3 ? R[D * j + i] : 1.0;
 }
 
-/* The rotation T of the factor: that of sum (M X) x^T, x = X + U, since the tangent was taken. 1 where there is none. */
+/* The rotation T of the factor: that of the body since the tangent was taken. 1 where there is none. */
 static int turn_factor(const Field *e, const double *U)
 {
-    double F[D * D] = {0.0}, turn[D * D], Z[ROT * ROT];
-    for (long i = 0; i < e->nodes; i++)
-        for (int k = 0; k < D; k++) add(F + D * k, e->MX[D * i + k], U + D * i, D);
-    add(F, 1.0, e->began + D * D, D * D);
-    if (polar(F, turn, Z)) return 1;
+    double turn[D * D];
+    if (mean_turn(e, U, turn)) return 1;
     for (int i = 0; i < D; i++) /* turn: R^T */
         for (int j = 0; j < D; j++) {
             e->T[D * i + j] = 0.0;
@@ -98,23 +95,34 @@ static void symmetric_solve(const Symmetric *o, const double *b, double *x)
     }
 }
 
+/* One part of (c_0 + i c_1) z, ``count`` numbers. */
+static void scaled(const Field *e, int part, const double *c, long count, double *x)
+{
+    const double *z = e->z + part * e->wide, *other = e->z + (1 - part) * e->wide, across = part ? c[1] : -c[1];
+    for (long i = 0; i < count; i++) x[i] = c[0] * z[i];
+    for (long i = 0; e->parts > 1 && i < count; i++) x[i] += across * other[i];
+}
+
 /* The square of one part of the residual E z - b, by nodes and by the rows of a pressure. */
 static double residual_of(const Field *e, int part)
 {
-    const double *z = e->z + part * e->wide, *other = e->z + (1 - part) * e->wide, *b = e->b + part * e->wide;
-    const double across = part ? e->lossy : -e->lossy;
+    const NodeMatrix K = {e->K_start, e->K_column, e->tangent};
+    const double *b = e->b + part * e->wide;
     double *x = e->elastic, *r = e->accel, square = 0.0;
-    for (long i = 0; i < e->wide; i++) x[i] = e->of_stiffness * z[i];
-    for (long i = 0; e->parts > 1 && i < e->wide; i++) x[i] += across * other[i];
-
     for (long i = 0; i < e->n; i++) r[i] = -b[i];
+    scaled(e, part, e->of_mass, e->n, x);
     for (long i = 0; i < e->nodes; i++)
-        for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++) add(r + D * i, e->of_mass * e->M[k], z + D * e->M_column[k], D);
-    for (long i = 0; !e->by_component && i < e->nodes; i++)
-        for (int k = e->K_start[i]; k < e->K_start[i + 1]; k++)
-            for (int c = 0; c < D; c++)
-                for (int j = 0; j < D; j++) r[D * i + j] += e->tangent[D * D * k + D * j + c] * x[D * e->K_column[k] + c];
-    if (e->pressure && !e->by_component) square = pressure_residual(e->pressure, x, x + e->n, r);
+        for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++) add(r + D * i, e->M[k], x + D * e->M_column[k], D);
+    for (int j = 0; !e->by_component && j < DAMPINGS; j++) {
+        if (!e->damping[j]) continue;
+        scaled(e, part, e->of_damping + 2 * j, e->n, x);
+        blocks_times(e->nodes, e->damping[j], x, x, 0.0, r);
+    }
+    if (!e->by_component) {
+        scaled(e, part, e->of_stiffness, e->wide, x);
+        blocks_times(e->nodes, &K, x, x, 0.0, r);
+        if (e->pressure) square = pressure_residual(e->pressure, x, x + e->n, r);
+    }
     for (long i = 0; i < e->n; i++) square += r[i] * r[i];
     return square;
 }
@@ -123,7 +131,7 @@ static double residual_of(const Field *e, int part)
 static int by_components(const Field *e)
 {
     for (int j = 0; j < D; j++) {
-        for (long i = 0; i < e->nodes; i++) e->one_b[i] = e->b[D * i + j] / e->of_mass;
+        for (long i = 0; i < e->nodes; i++) e->one_b[i] = e->b[D * i + j] / e->of_mass[0];
         if (e->direct(*e->factor, e->one_rhs, e->one_solution)) return 1;
         for (long i = 0; i < e->nodes; i++) e->z[D * i + j] = e->one_z[i];
     }

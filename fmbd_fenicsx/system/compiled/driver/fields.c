@@ -65,38 +65,31 @@ static void mass_times(const Field *e, const double *A, double *F)
 
 #include "pressure.c"
 
-/* F += K (U + beta U') by nodes */
-static void stiffness_times(const Field *e, const double *U, const double *Ud, double *F)
-{
-    for (long i = 0; i < e->nodes; i++)
-        for (int k = e->K_start[i]; k < e->K_start[i + 1]; k++) {
-            const double *K = e->K + D * D * k, *u = U + D * e->K_column[k], *ud = Ud + D * e->K_column[k];
-            for (int c = 0; c < D; c++) {
-                double x = u[c] + e->beta * ud[c];
-                for (int j = 0; j < D; j++) F[D * i + j] += K[D * j + c] * x;
-            }
-        }
-    if (e->pressure) pressure_force(e, U, Ud, F);
-}
+#include "forms.c"
 
-/* Forces that Python tells, without those of inertia and weight, asked once for a state: on the nodes, and their rows of the frame. */
+/* Forces without those of inertia and weight that cost more than products, found once for a state: on the nodes, and where Python tells
+   them their rows of the frame. */
 static int held_force(System *s, const Body *o, const double *R, const Motion *m, double t)
 {
     Field *e = o->field;
     const double *known[] = {m->U, m->Ud, R};
     const long sizes[] = {e->n, e->n, D * D};
     double *asked = e->asked;
-    int same = e->asked_at == t;
+    int same = e->asked_at == t, verdict;
     for (int i = 0; i < 3; asked += sizes[i++]) {
         same = same && !memcmp(asked, known[i], sizes[i] * sizeof(double));
         if (!same) memcpy(asked, known[i], sizes[i] * sizeof(double));
     }
     if (same) return DONE;
     e->asked_at = NAN;
-    int verdict = tell(s, FIELD_FORCES, e->number, e->n, e->state, R, m, s->gravity, t);
-    if (verdict) return verdict;
-    memcpy(e->held_force, e->force, e->n * sizeof(double));
-    memcpy(e->held_sums, e->sums, TWIST * sizeof(double));
+    if (e->own) {
+        if ((verdict = tell(s, FIELD_FORCES, e->number, e->n, e->state, R, m, s->gravity, t))) return verdict;
+        memcpy(e->held_force, e->force, e->n * sizeof(double));
+        memcpy(e->held_sums, e->sums, TWIST * sizeof(double));
+    } else {
+        memset(e->held_force, 0, e->n * sizeof(double));
+        if ((verdict = material_force(e, m->U, m->Ud, e->held_force))) return verdict;
+    }
     e->asked_at = t;
     return DONE;
 }
@@ -109,8 +102,9 @@ static int nodal_force(System *s, const Body *o, const double *R, const Motion *
     const double *U = m->U, *Ud = m->Ud, *Udd = m->Udd, *w = m->twist + D, *accel = m->accel;
     double W[D * D], L[D * D], alpha[D * D], free_[D], base[D], sum[D] = {0.0}, N[D * D] = {0.0}, local[ROT], square = 0.0;
     const double *rates[] = {U, Ud, Udd};
-    int verdict;
-    if (e->own && (verdict = held_force(s, o, R, m, t))) return verdict;
+    const int held = e->own || e->integrals;
+    int verdict = ask_loads(s, o->field, t);
+    if (verdict || (held && (verdict = held_force(s, o, R, m, t)))) return verdict;
 
     for (int i = 0; i < D; i++) free_[i] = accel[i] - gravity[i];
     transposed(R, free_, base);
@@ -139,8 +133,10 @@ static int nodal_force(System *s, const Body *o, const double *R, const Motion *
     if (e->own) {
         add(sum, 1.0, e->held_sums, D);
         add(local, 1.0, e->held_sums + D, ROT);
-        add(e->force, 1.0, e->held_force, e->n);
-    } else stiffness_times(e, U, Ud, e->force);
+    }
+    if (held) add(e->force, 1.0, e->held_force, e->n);
+    else if ((verdict = material_force(e, U, Ud, e->force))) return verdict;
+    if (e->dead) add_loads(e, R, U, sum, local);
     times(R, sum, f);
     to_world(R, local, f + D);
     return square <= o->large ? DONE : LOOK;
@@ -154,8 +150,9 @@ int field_force(System *s, int b, const double *q, const double *v, const double
     const double *R = s->frames + FRAME * b + TURN;
     Motion m = motion_of(o, b, q, v, a);
     int verdict;
-    if (e->own && s->from) m.U = s->from + o->at_q; /* those of the middle follow for linear fields alone */
-    if (e->whole || (e->own && s->from)) {
+    const int means = s->from && (e->own || e->integrals); /* those of the middle follow for linear fields alone */
+    if (means) m.U = s->from + o->at_q;
+    if (e->whole || means) {
         verdict = tell(s, s->from ? FIELD_MEANS : FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t);
         memcpy(f, e->sums, D * sizeof(double));
         to_world(R, e->sums + D, f + D);
@@ -203,7 +200,7 @@ static void linear_energies(const Body *o, const double *R, const Motion *m, con
 
     memset(e->force, 0, e->n * sizeof(double));
     memset(e->accel, 0, e->n * sizeof(double));
-    stiffness_times(e, U, e->accel, e->force);
+    stiffness_times(e, U, e->accel, 0.0, e->force);
     elastic = long_dot(U, e->force, e->n);
 
     out[0] += 0.5 * kinetic;
@@ -218,7 +215,7 @@ void field_energies(System *s, int b, double t, const double *q, const double *v
     const Field *e = o->field;
     const double *R = s->frames + FRAME * b + TURN;
     Motion m = motion_of(o, b, q, v, v);
-    if (!e->own) linear_energies(o, R, &m, gravity, out);
+    if (!e->own && !e->integrals) linear_energies(o, R, &m, gravity, out);
     else if (!tell(s, FIELD_ENERGIES, e->number, e->n, e->state, R, &m, gravity, t))
         for (int i = 0; i < 3; i++) out[i] += e->sums[i];
 }

@@ -10,12 +10,12 @@ static void push_by_pressure(const Pressure *o, const double *p, double *y)
 }
 
 /* F += B^T p of the pressure that belongs to U + beta U'; no numbers where it is not found. */
-static void pressure_force(const Field *e, const double *U, const double *Ud, double *F)
+static void pressure_force(const Field *e, const double *U, const double *Ud, double beta, double *F)
 {
     const Pressure *o = e->pressure;
     for (long i = 0; i < o->n; i++) {
         double sum = 0.0;
-        for (int k = o->B_start[i]; k < o->B_start[i + 1]; k++) sum += o->B[k] * (U[o->B_column[k]] + e->beta * Ud[o->B_column[k]]);
+        for (int k = o->B_start[i]; k < o->B_start[i + 1]; k++) sum += o->B[k] * (U[o->B_column[k]] + beta * Ud[o->B_column[k]]);
         o->b[i] = sum;
     }
     if (e->direct(*o->factor, o->rhs, o->solution))

@@ -98,6 +98,28 @@ typedef struct {
     void **factor, *rhs, *solution;    /* of C; vectors on b and p */
 } Pressure;
 
+/* Integrals of a compiled form over cells or facets: forces on the nodes from values at them; see forms.c. */
+enum { PLACES_OF, RATES_OF, FROM }; /* what moves: U and U' */
+typedef struct {
+    void (*kernel)(void);              /* FFCx's */
+    long count;                        /* of cells or facets */
+    int nodes, corners, width;         /* of a cell: nodes, points of its shape, coefficients */
+    int *node, *corner, *facet;        /* count x nodes, count x corners; of its cell, NULL over cells */
+    double *points, *constants;        /* 3 each */
+    double *coefficients;              /* count x width, of which these move: */
+    int moving[FROM];
+    int *place[FROM], *from_[FROM];    /* moving; count x moving */
+    double *factor, *room;             /* of the whole; work: width + nodes x D + 3 x corners */
+} Integral;
+
+/* A matrix by rows of nodes, D x D blocks. */
+typedef struct {
+    int *start, *column;
+    double *block;
+} NodeMatrix;
+
+enum { DAMPINGS = 2 };
+
 /* The elastic field U of a floating body, which its own factor eliminates from the step's matrix; see fields.c. */
 typedef struct {
     long n, nodes;
@@ -108,8 +130,13 @@ typedef struct {
     double *Q, *port;                  /* H: inertial x n columns of inertia, then the entries of columns of ports */
     int *port_start, *port_on;         /* by columns */
     int *M_start, *M_column, *K_start, *K_column; /* by rows of nodes: scalars, D x D blocks */
-    double *M, *K;
-    double beta;                       /* s, damping by the stiffness */
+    double *M, *K;                     /* K without stress */
+    double alpha, beta;                /* 1/s, s: damping by the mass and by the stiffness */
+    NodeMatrix *drag;                  /* of a viscous form, NULL without */
+    int integrals;                     /* of internal forces that are not linear, and of loads on the deformed body */
+    Integral *integral;
+    double *dead, *following, *internal; /* n each: loads at a time (s), NULL without; in world axes, in those of the frame, without */
+    double loaded_at;                  /* a resultant */
     int own, whole;                    /* whether Python tells forces and energies, those of inertia and weight too, from: */
     double *state, *sums;              /* R, twist, its rate, pose, gravity, U, U', U''; TWIST: rows of the frame, or energies */
     double *inertia, *moment;          /* of the columns of inertia: ROT x ROT; D: sum of M P */
@@ -134,10 +161,12 @@ typedef struct {
     double *one_b, *one_z;
     void *one_rhs, *one_solution;
     double *told;                      /* solves, and the worst of their relative residuals */
-    double of_mass, of_stiffness, lossy, tolerance; /* E = of_mass M + (of_stiffness + i lossy) K; a relative residual that is small */
+    double of_mass[2], of_stiffness[2], of_damping[2*DAMPINGS]; /* E = of_mass M + of_stiffness K + .. C, real and imaginary parts */
+    double tolerance;                  /* a relative residual that is small */
+    NodeMatrix *damping[DAMPINGS];     /* C of a viscous form, and of the stiffness without stress; NULL without */
     int parts;                         /* 2 where factor and columns are complex: all but the real parts stands behind these */
     long wide;                         /* unknowns of the factor: n, and those of the pressure */
-    double *tangent, *elastic;         /* K of the factor; wide: (of_stiffness + i lossy) z, one part */
+    double *tangent, *elastic;         /* K of the factor; wide: of_stiffness z, one part */
     double *asked, asked_at;           /* U, U', R and the time (s) of the last forces that Python told without those of inertia: */
     double *held_force, *held_sums;    /* n; TWIST, rows of the frame in body axes */
     Pressure *pressure;                /* NULL without */
@@ -349,7 +378,7 @@ typedef struct {
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
        FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, LINKS,
-       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES };
+       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS };
 enum { OUTSIDE = 2 };
 
 /* Parts of a SAMPLE: all of it, all but the rates of motions, these alone. */

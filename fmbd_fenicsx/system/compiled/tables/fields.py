@@ -14,6 +14,8 @@ from ....mechanics.elastic.field_part import FieldPart
 from ....mechanics.elastic.floating import FloatingField
 from ....mechanics.validity import TOO_LARGE
 from ....rotations import Array
+from .field_forces import FieldForces, told_in_c
+from .field_matrices import FieldMatrices, node_matrix
 from .resting import RestingField
 from .structures import structure
 from .told import ToldMotion
@@ -53,8 +55,11 @@ class FieldTable:
         self.rows = system.frame_rows[k]
         self.turns = isinstance(self.part, RestingField) and self.part.turns
         # stress of loads that stiffens a body goes with that of inertia forces
-        self.whole = not linear_field(self.part) and self.part.stiffening is not None
-        self.changes = self.turns or not linear_field(self.part)  # matrices with the steps that were made
+        self.told = not told_in_c(system.cache, k, self.part)  # whether Python tells its forces
+        self.whole = self.told and self.part.stiffening is not None
+        self.changes = self.turns or self.told  # matrices with the steps that were made
+        self.matrices = FieldMatrices(system.cache, self.part, k)
+        self.forces_in_c = FieldForces(tables, self.part, k)
 
         first = system.port_slice(k).start
         seen = [x for x in np.unique(system.markers.port) - first if 0 <= x < self.part.n_port]
@@ -104,12 +109,21 @@ class FieldTable:
         self.c.factor = None if solved is None else address_of(solved.matrix)
         if solved is None:
             return
-        self.c.tangent = address_of(self._tangent())
+        self.c.tangent = address_of(self.matrices.tangent())
         if self.part.field.mixed:
-            self._rows_of_pressure()
+            self.matrices.of_pressure()
         self.c.by_component = int(solved.by_component)
         self.c.told, self.c.tolerance = address_of(factor.judge.told), factor.judge.tolerance
-        self.c.of_mass, self.c.of_stiffness, self.c.lossy = solved.mass, solved.stiffness.real, solved.stiffness.imag
+        self.c.of_mass[:], self.c.of_stiffness[:] = _parts(solved.mass), _parts(solved.stiffness)
+        if solved.damping:
+            self._lend_dampings(solved.damping)
+
+    def _lend_dampings(self, c: complex) -> None:
+        """Matrices that stand in the factor times c, beside M and K."""
+        made = self.matrices.dampings()
+        for i, one in enumerate(made):
+            self.c.damping[i] = self.c.damping[i] or self.tables.store.structure(node_matrix(one, self.tables.dim))
+            self.c.of_damping[2 * i : 2 * i + 2] = _parts(c)
 
     def _of_tangent(self) -> dict[str, Array]:
         """What changes with the tangent."""
@@ -213,13 +227,13 @@ class FieldTable:
             n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
             wide=self.wide, elastic=store.address(np.zeros(self.wide)), pressure=self._pressure(), rhs=rhs, solution=solution,
             one_b=one_b, one_z=one_z, one_rhs=one_rhs, one_solution=one_solution,
-            direct=address_of_solve(), asked_at=np.nan, number=self.number, beta=field.forms.stiffness_damping, b=b, z=z,
-            own=int(not linear_field(part)), whole=int(self.whole), force=force, sums=sums, state=self.motion.address,
+            direct=address_of_solve(), asked_at=np.nan, number=self.number, b=b, z=z,
+            own=int(self.told), whole=int(self.whole), force=force, sums=sums, state=self.motion.address,
             inertial=self.inertial, turns=int(self.turns), parts=self.parts, frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
-            **{name: store.shared(x) for name, x in self._rows_of_nodes().items()},
-            **self._stiffening(),
+            **{name: store.shared(x) for name, x in self.matrices.of_nodes().items()},
+            **self._stiffening(), **self.forces_in_c.members(),
         )  # fmt: skip
         self._lend()
         self.sway(True)
@@ -240,7 +254,7 @@ class FieldTable:
         field, store = self.part.field, self.tables.store
         (b, at_b), (p, at_p) = (store.array(np.zeros(field.n_pressure)) for _ in range(2))
         rhs, solution = self._vectors(b, p)
-        rows = {name: store.shared(x) for name, x in self._rows_of_pressure().items()}
+        rows = {name: store.shared(x) for name, x in self.matrices.of_pressure().items()}
         factor = store.array([field.compliance_factor.handle], np.uint64)[1]
         made = structure("Pressure", self.tables.dim)(
             n=field.n_pressure, b=at_b, p=at_p, factor=factor, rhs=rhs, solution=solution, **rows
@@ -250,46 +264,6 @@ class FieldTable:
     def sway(self, corrected: bool) -> None:
         """Whether solutions correct moments on the frame that columns of inertia leave out, see ``driver/condensed.c``."""
         self.c.sways = int(corrected and self.part.shared_columns)
-
-    def _rows_of_nodes(self) -> dict[str, np.ndarray]:
-        """M and K by rows of nodes, which all tables of the system share: C only reads them."""
-        cache, key = self.tables.system.cache, ("rows of nodes", self.k)
-        if key not in cache:
-            field, n, d = self.part.field, self.part.n, self.tables.dim
-            start, columns, values = field.M.getValuesCSR()
-            K = sp.csr_matrix(field.K.getValuesCSR()[::-1], shape=(n, n)).tobsr((d, d))
-            cache[key] = {
-                "M_start": start.astype(np.int32), "M_column": columns.astype(np.int32), "M": values,
-                "K_start": K.indptr.astype(np.int32), "K_column": K.indices.astype(np.int32), "K": K.data,
-            }  # fmt: skip
-        found: dict[str, np.ndarray] = cache[key]
-        return found
-
-    def _tangent(self) -> Array:
-        """The stiffness of the newest tangent like K of :meth:`_rows_of_nodes`, likewise shared."""
-        part, cache, K = self.part, self.tables.system.cache, self._rows_of_nodes()["K"]
-        field, key = part.field, ("newest tangent", self.k)
-        if not field.extended:
-            return K
-        if key not in cache:
-            start, columns, values = field.stiffness_matrix.getValuesCSR()
-            places = sp.csr_matrix((np.arange(len(values)), columns, start)).tobsr((self.tables.dim,) * 2).data
-            cache[key] = [-1, places, np.zeros_like(K)]
-        known = cache[key]
-        if known[0] != field.tangents:
-            known[0], known[2][:] = field.tangents, field.stiffness_matrix.getValuesCSR()[2][known[1]]
-        return known[2]  # type: ignore[no-any-return]
-
-    def _rows_of_pressure(self) -> dict[str, np.ndarray]:
-        """B of the newest tangent and C by rows, likewise."""
-        field, cache, key = self.part.field, self.tables.system.cache, ("rows of the pressure", self.k)
-        if key not in cache:
-            B, C = _by_rows("B", field.coupling_matrix()), _by_rows("C", field.compliance_matrix())
-            cache[key] = [field.tangents, B | C]
-        known = cache[key]
-        if known[0] != field.tangents:
-            known[0], known[1]["B"][:] = field.tangents, _by_rows("B", field.coupling_matrix())["B"]
-        return known[1]  # type: ignore[no-any-return]
 
     def _columns_of_ports(self) -> dict[str, np.ndarray]:
         """The columns of ports, of the body that is not bent."""
@@ -306,11 +280,11 @@ class FieldTable:
         if part.stiffening is None:
             return {}
         store, stiffening = self.tables.store, part.stiffening
-        told = linear_field(part)
         pattern, entries = stiffening.entries
         first = d + d * d
-        entries = entries if told else entries[:, first:]
-        stresses, bends = (first if told else 0), entries.shape[1] - (first if told else 0)
+        entries = entries[:, first:] if self.told else entries
+        stresses = 0 if self.told else first
+        bends = entries.shape[1] - stresses
 
         N = np.zeros((self.count, bends))
         if part.shortening is not None:
@@ -372,13 +346,6 @@ def _least(share: Array) -> float:
     return LEAST * (largest if largest > ROUNDOFF else 1.0)
 
 
-def _by_rows(name: str, matrix: Any) -> dict[str, np.ndarray]:
-    """A matrix of PETSc, which is destroyed, by its rows as C's structures name them."""
-    start, columns, values = (x.copy() for x in matrix.getValuesCSR())
-    matrix.destroy()
-    return {f"{name}_start": start.astype(np.int32), f"{name}_column": columns.astype(np.int32), name: values}
-
-
 def parts_of(block: Block) -> int:
     """Of the numbers of a factor: 2 where they are complex."""
     return 1 + np.iscomplexobj(block.W)
@@ -389,15 +356,13 @@ def in_parts(x: Array) -> Array:
     return np.stack((x.real, x.imag)) if np.iscomplexobj(x) else x
 
 
+def _parts(c: complex) -> tuple[float, float]:
+    """The real and the imaginary part."""
+    return complex(c).real, complex(c).imag
+
+
 def known_field(part: Any) -> bool:
     """Whether the driver takes a part with a field, floating or at rest: on one rank, of moderate size."""
     if type(part) not in (FloatingField, RestingField):
         return False
     return part.comm.size == 1 and part.n <= FIELD_LIMIT and not part.field.carried  # type: ignore[no-any-return]
-
-
-def linear_field(part: Any) -> bool:
-    """Whether the forces of a field are in C: linear elasticity and damping by the stiffness. Python tells all others."""
-    field = part.field
-    told = field.nonlinear or field.D is not None or field.loads.loads or field.forms.mass_damping
-    return not told and (not field.mixed or address_of_solve() is not None)

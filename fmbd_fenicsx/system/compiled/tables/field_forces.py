@@ -1,0 +1,121 @@
+"""Forces of a field in the driver's tables, without inertia and weight: elasticity, damping, loads; see ``driver/forms.c``."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ....fem.factors.factor import address_of_solve
+from ....fem.integrals import Integral, tabulated
+from ....rotations import Array
+from .field_matrices import NodeBlocks, node_matrix
+from .resting import RestingField
+from .structures import array_of, structure
+
+if TYPE_CHECKING:
+    from .layout import TableLayout
+
+Formed = list[tuple[Any, list[Integral]]]  # integrals, and the load (None: elasticity and damping) that they belong to
+
+
+class FieldForces:
+    """Those of the field of a part, number k of the system; what C only reads is shared by all tables of the system."""
+
+    def __init__(self, tables: TableLayout, part: Any, k: int) -> None:
+        self.part, self.store, self.dim = part, tables.store, tables.dim
+        self._cache, self._key = tables.system.cache, k
+        self.loads: list[Array] = []  # in world axes, in those of the frame, internal ones: (n d,) each
+        self.factors: list[tuple[Any, Array]] = []  # loads on the deformed body, and what multiplies their forms
+
+    def members(self) -> dict[str, int | float]:
+        """Those of the structure Field."""
+        field, part = self.part.field, self.part
+        made: dict[str, int | float] = {"alpha": field.forms.mass_damping, "beta": field.forms.stiffness_damping}
+        formed = formed_forces(self._cache, self._key, part)
+        if not told_in_c(self._cache, self._key, part):
+            return made
+        if field.loads.loads:
+            for name in ("dead", "following", "internal"):
+                array, made[name] = self.store.array(np.zeros(part.n))
+                self.loads.append(array)
+            made["loaded_at"] = np.nan
+        if field.viscous.law is None and field.D is not None:
+            drag = NodeBlocks(field.D, self.dim)
+            self.store.kept.append(drag)
+            made["drag"] = self.store.structure(node_matrix(drag, self.dim))
+
+        integrals = [self._integral(one, load) for load, many in formed or () for one in many]
+        if integrals:
+            made_of: Any = array_of(structure("Integral", self.dim), len(integrals))(*integrals)
+            self.store.kept.append(made_of)
+            made |= {"integrals": len(integrals), "integral": ctypes.addressof(made_of)}
+        return made
+
+    def _integral(self, one: Integral, load: Any) -> Any:
+        """The structure Integral."""
+        store = self.store
+        factor, at_factor = store.array([1.0])
+        if load is not None:
+            self.factors.append((load, factor))
+        (count, nodes), corners, width = one.node.shape, one.corner.shape[1], one.coefficients.shape[1]
+        made = structure("Integral", self.dim)(
+            kernel=one.kernel, count=count, nodes=nodes, corners=corners, width=width,
+            node=store.shared(one.node), corner=store.shared(one.corner), points=store.shared(one.points),
+            facet=None if one.facet is None else store.integers(one.facet), constants=store.shared(one.constants),
+            coefficients=store.shared(one.coefficients), factor=at_factor,
+            room=store.address(np.zeros(width + nodes * self.dim + 3 * corners)),
+        )  # fmt: skip
+        for i, (places, entries) in enumerate(one.moving):
+            made.moving[i], made.place[i] = len(places), store.integers(places)
+            made.from_[i] = store.shared(np.ascontiguousarray(entries))
+        return made
+
+    def load(self, t: float) -> None:
+        """Loads at a time (s)."""
+        loads, name = self.part.field.loads, self.part.field.name
+        for values in self.loads:
+            values[:] = 0.0
+        dead, following, internal = self.loads
+        for load, b in zip(loads.loads, loads.vectors, strict=True):
+            if b is not None:
+                into = internal if load.internal else following if load.follower else dead
+                into += load.factor(t, name) * b.ravel()
+        for load, factor in self.factors:
+            factor[0] = -load.factor(t, name)
+
+
+def formed_forces(cache: dict[Any, Any], k: int, part: Any) -> Formed | None:
+    """Integrals of internal forces that are not linear, and of loads on the deformed body, of part k; None where C does not know
+    them. ``cache``: of the system.
+    """
+    key = "integrals", k
+    if key not in cache:
+        cache[key] = _formed(part)
+    return cache[key]  # type: ignore[no-any-return]
+
+
+def _formed(part: Any) -> Formed | None:
+    field = part.field
+    if not field.nonlinear:
+        return []
+    if field.mixed or (field.loads.moving and not isinstance(part, RestingField)):
+        return None
+    law = field.viscous.law is not None
+    forms = [(None, field.residual_form)] + ([(None, field.viscous.residual_form)] if law else [])
+    forms += [(load, form) for load, form in field.loads.moving_forms]
+    moving = [field.argument, field.viscous.rate] if law else [field.argument]
+    found = [(load, tabulated(form, moving)) for load, form in forms]
+    known = [(load, made) for load, made in found if made is not None]
+    return known if len(known) == len(found) else None
+
+
+def told_in_c(cache: dict[Any, Any], k: int, part: Any) -> bool:
+    """Whether the forces of the field of part k are in C; Python tells all others. ``cache``: of the system."""
+    field = part.field
+    if part.stiffening is not None and (field.loads.loads or field.nonlinear):
+        return False
+    if field.mixed and address_of_solve() is None:
+        return False
+    return formed_forces(cache, k, part) is not None
