@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
@@ -74,6 +75,20 @@ def test_consistent_mass_oscillates(caplog: pytest.LogCaptureFixture) -> None:
     assert plateau(run) > 0.2  # what the redistribution is for
     energy = sum(run.energy.values())
     assert energy.max() <= energy[0] * (1 + 1e-8)
+
+
+def test_steps_in_contact_ask_python_for_little() -> None:
+    """Calls of Python's functions a step, that of the sensors left out."""
+    bar = strip(10)
+    wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0, 0), (1, 0))))
+    scene = fmbd.Scene("bar impact")
+    scene.add(bar, wall)
+
+    def calls(steps: int) -> int:
+        return calls_of(lambda: fmbd.solve(scene, t_end=0.05 * steps, dt=0.05, output=fmbd.Output(every=steps)))
+
+    calls(20)
+    assert calls(20) - calls(10) < 10 * 480
 
 
 def test_contact_alpha_damps_and_touches_alike() -> None:

@@ -100,6 +100,28 @@ def test_rows_of_one_surface_against_several_obstacles() -> None:
     assert list(np.unique(rows.trace[system.contacts.pair == 1])) == [-1]
     assert set(rows.trace[system.contacts.pair != 1]) == {0}
 
+    near = rng.random(len(rows.gap)) < 0.3
+    some, expected = system.contacts.rows(system, 0.0, state.q, near=near), rows.take(near)
+    for name in ("gap", "normal", "friction", "restitution", "drift", "trace"):
+        assert getattr(some, name) == pytest.approx(getattr(expected, name), abs=1e-15), name
+    for one, other in zip((some.N, *some.tangents), (expected.N, *expected.tangents), strict=True):
+        assert one.core == pytest.approx(other.core, abs=1e-15)
+        assert system.contacts.times(system, one, v) == pytest.approx(
+            system.contacts.times(system, other, v), abs=1e-14
+        )
+
+
+@pytest.mark.parametrize("motion", [True, False])
+def test_rows_of_some_are_taken_from_those_of_all(motion: bool) -> None:
+    order = list(range(9)) if motion else [0, 1, 3, 4]
+    system, q, rows = looked_at(order)
+    near = np.random.default_rng(5).random(len(rows.gap)) < 0.5
+    some, expected = system.contacts.rows(system, 0.4, q, way=way_over(0.4, 0.1), near=near), rows.take(near)
+    for name in ("gap", "normal", "friction", "restitution", "drift", "trace"):
+        assert getattr(some, name) == pytest.approx(getattr(expected, name), abs=1e-15), name
+    for one, other in zip((some.N, *some.tangents), (expected.N, *expected.tangents), strict=True):
+        assert one.core == pytest.approx(other.core, abs=1e-15)
+
 
 def test_gaps_are_those_of_the_shapes() -> None:
     """Against each shape by itself, at the place of the point in the axes of its obstacle."""

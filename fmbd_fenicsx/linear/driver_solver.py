@@ -202,6 +202,7 @@ class FieldDriverSolver(DriverSolver):
         self.told, self.elastic, self.place = states, elastic, place
         self._made: MeanStates | None = None
         self._of_means = 0  # factorisations of it that are counted
+        self._chosen_for: Weights | None = None  # what the blocks are for, and
         self._versions: list[tuple[Any, Any]] = []  # of tangents and columns in the matrix prepared last
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
@@ -217,8 +218,10 @@ class FieldDriverSolver(DriverSolver):
 
     def _choose(self, ev: DriverEvaluation, weights: Weights) -> None:
         """Give the tables the factors of a size of step."""
-        self.blocks = self.elastic.of(ev.jacobian, weights, ties_apart=False, splits=False)
-        self._versions = self.elastic.versions(ev.t)
+        versions = self.elastic.versions(ev.t)
+        if (weights, versions) != (self._chosen_for, self._versions) or not self.elastic.used_last(self.blocks):
+            self.blocks = self.elastic.of(ev.jacobian, weights, ties_apart=False, splits=False)
+            self._chosen_for, self._versions = weights, versions
         found = self.told.factored(self.blocks, self.place)
         if found is not self.states:
             self._counted += found.factors - self.states.factors

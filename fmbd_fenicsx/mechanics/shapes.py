@@ -79,7 +79,8 @@ class HalfSpace(Shape):
     def distance(y: Array, numbers: tuple[Any, ...]) -> tuple[Array, Array]:
         """Gap over the plane and its normal; see :class:`Shape`."""
         normal, level = numbers
-        return (y * normal).sum(1) - level, np.broadcast_to(normal, y.shape)
+        gap = (y[:, None, :] @ normal[..., None])[..., 0, 0] - level
+        return gap, normal if normal.shape == y.shape else np.broadcast_to(normal, y.shape)
 
 
 @dataclass(frozen=True, eq=False)

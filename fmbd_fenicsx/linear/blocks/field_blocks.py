@@ -122,6 +122,10 @@ class FieldBlocks:
         return [(f.tangent_version, f.column_version(t)) for _, f in self.system.fields]
 
     # -- set-up -------------------------------------------------------------------------------------------------
+    def used_last(self, blocks: list[FactoredField]) -> bool:
+        """Whether these are the blocks that were asked for last."""
+        return next(reversed(self._sets.values()), None) is blocks
+
     def of(self, G: Any, w: Weights, *, ties_apart: bool, splits: bool) -> list[FactoredField]:
         """Blocks for the weights of a step, earlier ones where nothing of theirs has changed.
 

@@ -73,14 +73,17 @@ class Compliance(Remembering):
             block, turn = self.solver.blocks[position], self.solver.corotations[position]
             # the factor knows the body in the axes of its mean rotation
             N = rows.field[i].turned(turn)
-            used = (np.unique(N.node)[:, None] * tr.dim + np.arange(tr.dim)).ravel()
-            C, Y = self._columns(i, block.factor, used), self._rows_of_Y(i, block)
+            C, Y = self._columns(i, block.factor, N.node), self._rows_of_Y(i, block)
             local[position] = N, C, Y
-            seen[position] = N.columns(Y)
+            if Y.size:
+                seen[position] = N.columns(Y)
 
         # then the core, with all that fields pass on to it
-        X, acting = self._answers(rows.core, seen)
-        W = rows.core @ X.T
+        W: Array = np.zeros((m, m))
+        acting = seen
+        if rows.core.size or any(x.size for x in seen):
+            X, acting = self._answers(rows.core, seen)
+            W = rows.core @ X.T
 
         for position, (N, C, Y) in local.items():
             W = W + N.columns(N.columns(C).T - Y @ acting[position].T)
@@ -126,8 +129,8 @@ class Compliance(Remembering):
             return np.zeros_like(rhs)
         return np.concatenate(self.solver.core.solve_columns(rhs[:n], rhs[n:]))
 
-    def _columns(self, i: int, factor: Any, used: np.ndarray) -> Array:
-        """C_s with at least the columns ``used``."""
+    def _columns(self, i: int, factor: Any, nodes: np.ndarray) -> Array:
+        """C_s with at least the columns of ``nodes`` of the trace."""
         tr = self.contacts.on_fields[i]
         size = tr.n * tr.dim
         kept = self._kept.get(i)
@@ -138,9 +141,9 @@ class Compliance(Remembering):
             for earlier in again:
                 self._solve(i, earlier)
                 self.columns -= len(earlier)
-        missing = used[~kept[2][used]]
-        if len(missing):
-            self._solve(i, missing)
+        unknown = ~kept[2][nodes * tr.dim]
+        if np.logical_or.reduce(unknown):
+            self._solve(i, (np.unique(nodes[unknown])[:, None] * tr.dim + np.arange(tr.dim)).ravel())
         return kept[1]
 
     def _solve(self, i: int, missing: np.ndarray) -> None:

@@ -17,19 +17,31 @@ from .trace import ContactTrace, FieldTrace, ModalTrace
 Entries = tuple[np.ndarray, np.ndarray, Array | None]
 """Of a sparse matrix: rows, columns and values (None: one)."""
 
+Nodes = tuple[Array, Array, Array | None]
+"""World positions (n, d) of nodes, positions in the axes of their body, and its rotation (None: these are the world's)."""
+
 
 class Here:
     """One configuration, looked at once for all pairs."""
 
     def __init__(self, contacts: ContactSet, system: Any, t: float, q: Array) -> None:
         self.contacts, self.system, self.t, self.q = contacts, system, t, q
-        self._nodes: dict[int, tuple[Array, Array, Array]] = {}
+        self.poses: Array = system.poses(q)
+        self._nodes: dict[int, Nodes] = {}
 
-    def nodes(self, trace: int) -> tuple[Array, Array, Array]:
-        """Where the nodes of a trace are, see :meth:`ContactSet.nodes`; collective."""
-        if trace not in self._nodes:
-            self._nodes[trace] = self.contacts.nodes(self.system, self.q, trace)
-        return self._nodes[trace]
+    def nodes(self, trace: int) -> Nodes:
+        """Where the nodes of a trace are; collective."""
+        found = self._nodes.get(trace)
+        if found is None:
+            tr = self.contacts.traces[trace]
+            P = tr.X + tr.gather(self.system.local_q(self.q, tr.part))
+            found = P, P, None
+            if tr.moving:
+                pose, m = self.poses[tr.frame], self.contacts.m
+                R = m.matrix(pose)
+                found = pose[: m.dim] + P @ R.T, P, R
+            self._nodes[trace] = found
+        return found
 
     @cached_property
     def evaluation(self) -> Any:
@@ -62,22 +74,16 @@ class ContactSet:
         self._touched: tuple[float, Array, Touch] | None = None  # where :meth:`touch` looked last
 
     # -- kinematics ------------------------------------------------------------------------------------------
-    def nodes(self, system: Any, q: Array, trace: int) -> tuple[Array, Array, Array]:
-        """World positions (n, d) of a trace's nodes, positions in the body's axes, and the body's rotation;
-        collective.
+    def rows(self, system: Any, t: float, q: Array, *, way: Way | None = None, near: np.ndarray | None = None) -> Rows:
+        """Candidates at (t, q), all or those that are ``near``, (m,) bool; ``way``: for the tangential drift of obstacles.
+
+        Collective.
         """
-        tr = self.traces[trace]
-        pose = system.poses(q)[tr.frame]
-        R = self.m.matrix(pose)
-        P = tr.X + tr.gather(system.local_q(q, tr.part))
-
-        return pose[: self.m.dim] + P @ R.T, P, R
-
-    def rows(self, system: Any, t: float, q: Array, way: Way | None = None) -> Rows:
-        """All candidates at (t, q); ``way``: for the tangential drift of obstacles. Collective."""
         here = Here(self, system, t, q)
-        parts = [g.rows(self, system, (t, q, way), here) for g in self.groups]
-        return stacked(parts)
+        if near is None or np.logical_and.reduce(near):
+            return stacked([g.rows(here, way) for g in self.groups])
+        chosen = [near[span] for span in self._spans]
+        return stacked([g.some(some).rows(here, way) for g, some in zip(self.groups, chosen, strict=True)])
 
     def touch(self, system: Any, t: float, q: Array) -> Touch:
         """Gaps, points and normals of all candidates at (t, q), without derivatives; collective. The end of a step is where the
@@ -91,7 +97,7 @@ class ContactSet:
     def _looked_at(self, system: Any, t: float, q: Array) -> Touch:
         """The same, found anew."""
         here = Here(self, system, t, q)
-        parts = [g.touch(self, system, (t, q), here) for g in self.groups]
+        parts = [g.touch(here) for g in self.groups]
         if len(parts) == 1:
             return parts[0]
         return Touch(
@@ -101,6 +107,17 @@ class ContactSet:
             relative=np.concatenate([p.relative for p in parts]),
             true_gap=np.concatenate([p.geometric for p in parts]),
         )
+
+    @cached_property
+    def _spans(self) -> list[slice]:
+        """Candidates of the groups."""
+        ends = np.cumsum([g.count for g in self.groups])
+        return [slice(end - g.count, end) for g, end in zip(self.groups, ends, strict=True)]
+
+    @cached_property
+    def thin(self) -> bool:
+        """Whether points could pass through an obstacle."""
+        return bool(np.isfinite(self.thickness).any())
 
     @cached_property
     def thickness(self) -> Array:
@@ -149,12 +166,17 @@ class ContactSet:
             )
         return 2.0 * speed
 
+    @cached_property
+    def searching(self) -> list[Any]:
+        """Pairs whose gaps :meth:`update` changes."""
+        return [p for p in self.pairs if p.searches]
+
     def update(self, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
         """Pair two-body contacts anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
-        if any(p.searches for p in self.pairs):
-            self._touched = None
-        for p in self.pairs:
-            p.update(self, system, q, reach, keep=keep)
+        if self.searching:
+            self._touched, here = None, Here(self, system, np.nan, q)
+        for p in self.searching:
+            p.update(here, reach, keep=keep)
 
     def gap_rate(self, system: Any, t: float, q: Array, h: float) -> Array:
         """Part of the gaps' rates that comes from prescribed motion, m/s, (m,), by central differences;
@@ -188,14 +210,14 @@ class ContactSet:
         return np.zeros((m, self.n_core)), [NodalRows.none(m, self.m.dim) for _ in self.traces]
 
     def add_nodes(
-        self, linear: tuple[Array, list[NodalRows]], trace: int, entries: tuple[Entries, Array], at: tuple[Array, Array]
+        self, linear: tuple[Array, list[NodalRows]], trace: int, entries: tuple[Entries, Array], at: Nodes
     ) -> None:
         """Add rows sum_k W_jk n_j . x_k' of a trace: entries of W, n (m, d)."""
-        (core, field), ((row, node, weight), direction), (P, R) = linear, entries, at
+        (core, field), ((row, node, weight), direction), (_, P, R) = linear, entries, at
         tr = self.traces[trace]
         # of each node: components in world and in body axes
         world = direction[row] if weight is None else direction[row] * weight[:, None]
-        local = world @ R
+        local = world if R is None else world @ R
         nodal = NodalRows(len(core), row, node, local)
 
         if isinstance(tr, ModalTrace):

@@ -17,6 +17,7 @@ from ...rotations import Array
 from ..joints.relative import Relative, Separation
 from .contact_set import ContactSet, Here
 from .nodal_rows import NodalRows
+from .obstacles import Way
 from .pair import Pair
 from .rows import LinearRows, Rows, Touch
 from .trace import FieldTrace
@@ -61,9 +62,9 @@ class LimitPair(Pair):
         s = self.relative.values(kin)[0]
         return self.lever(system) * self.signs * (s - self.bounds)
 
-    def _place(self, system: Any, ev: Any) -> Touch:
+    def _place(self, here: Here) -> Touch:
         """Gaps, the joint's point on b, and the directions along which the forces act: none for moments."""
-        kin = ev.kin
+        system, kin = here.system, here.evaluation.kin
         a = int(self.relative.a[0])
         b = int(self.relative.b[0])
         along = np.zeros(system.motions.dim)
@@ -75,16 +76,16 @@ class LimitPair(Pair):
         x = np.tile(kin.x[b], (self.count, 1))
         return Touch(self._gaps(system, kin), x, self.signs[:, None] * along, np.zeros_like(x))
 
-    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here) -> Touch:
+    def touch(self, here: Here) -> Touch:
         """Gaps of the stops; collective."""
-        return self._place(system, here.evaluation)
+        return self._place(here)
 
-    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], here: Here) -> Rows:
+    def rows(self, here: Here, way: Way | None) -> Rows:
         """The rows (1) of all stops; collective."""
-        ev = here.evaluation
-        touch = self._place(system, ev)
+        contacts, system = here.contacts, here.system
+        touch = self._place(here)
         one = np.ones(self.count)
-        core, fields = self._row(contacts, ev)
+        core, fields = self._row(contacts, here.evaluation)
         factor = self.lever(system) * self.signs
         N = LinearRows(factor[:, None] * core, tuple(_alike(factor, f) for f in fields))
 

@@ -18,38 +18,90 @@ Source: Puso and Laursen, doi:10.1016/j.cma.2003.10.010; Huber and Wohlmuth, doi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ...fem.traces.mortar import diameters, overlap
 from ...fem.traces.multipliers import Continuous, Dual, Ends
 from ...fem.traces.traces import Trace as Facets
-from ...fem.traces.traces import scatter
 from ...rotations import Array, Motions
-from .contact_set import ContactSet, Entries, Here
-from .pair import Side, bodies_overlap
+from .contact_set import Here
+from .obstacles import Way
+from .pair import Side, SomeRows, bodies_overlap
 from .rows import LinearRows, Rows, Touch, tangents_of
 from .trace import ContactTrace
 
 COVERED = 0.05  # a multiplier with less than this share of its weight in the overlap is left out
 
 
+@dataclass(frozen=True, eq=False)
+class Means:
+    """Weighted sums over nodes of a trace: entries (k,) of their matrix by rows, ascending."""
+
+    row: np.ndarray
+    node: np.ndarray
+    weight: Array
+
+    @classmethod
+    def summed(cls, row: np.ndarray, node: np.ndarray, weight: Array) -> Means:
+        """Of entries in any order, those of one place together."""
+        n = int(node.max(initial=0)) + 1
+        places, which = np.unique(row * n + node, return_inverse=True)
+        total = np.bincount(which, weight, len(places))
+        kept = total != 0.0
+        return cls((places // n)[kept], (places % n)[kept], total[kept])
+
+    def scaled(self, factor: Array) -> Means:
+        """Row by row, (m,); those times zero are empty."""
+        kept = factor[self.row] != 0.0
+        row = self.row[kept]
+        return Means(row, self.node[kept], self.weight[kept] * factor[row])
+
+    def sums(self, m: int) -> Array:
+        """Of the weights of each of m rows."""
+        return np.bincount(self.row, self.weight, m).astype(float)
+
+    def times(self, x: Array, m: int) -> Array:
+        """Of x (n, d) at the nodes, (m, d)."""
+        out = np.zeros((m, x.shape[1]))
+        if len(self.row):
+            out[self._rows] = np.add.reduceat(self.weight[:, None] * x[self.node], self._first)
+        return out
+
+    @cached_property
+    def _first(self) -> np.ndarray:
+        """Where the entries of a row begin."""
+        return np.flatnonzero(np.diff(self.row, prepend=-1))
+
+    @cached_property
+    def _rows(self) -> np.ndarray:
+        """Rows that have some."""
+        return self.row[self._first]
+
+
 @dataclass
 class Pairing:
-    """(1), (2) of one step: rows S (m, slave nodes) and Q (m, master nodes), both divided by w; n (m, d); ``on`` (m,) bool.
+    """(1), (2) of one step: means S and Q of both sides, divided by w; n (m, d); ``on`` (m,) bool.
 
     ``offset`` (m,) m: overlap at the start of the step that came from the new pairing, not pushed out again. Candidates are in
-    the order of the trace. ``entries`` of S and -Q, by nodes of the traces.
+    the order of the trace.
     """
 
-    slave: Any
-    master: Any
+    slave: Means
+    master: Means
     normal: Array
     on: np.ndarray
     offset: Array
-    entries: tuple[Entries, Entries]
+
+    def between(self, xs: Array, xm: Array) -> Array:
+        """From the master to the slave, (m, d)."""
+        m = len(self.on)
+        return self.slave.times(xs, m) - self.master.times(xm, m)
+
+
+NOTHING = Means(np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0))
 
 
 class MortarPair:
@@ -86,7 +138,7 @@ class MortarPair:
         row = np.argsort(
             self.order[0][carriers]
         )  # candidates are in the order of the trace, functions in that of the facets
-        self.functions = self.basis.basis[row]
+        self.multipliers, self.shares = _by_facets(self.basis.basis[row].tocoo(), len(facets[0].nodes))
         self.candidates = carriers[row]  # the facets' numbers of the nodes with a multiplier
         self.weight = np.asarray(self.basis.coupling().sum(axis=1)).ravel()[row]  # int psi_j at rest
 
@@ -107,17 +159,16 @@ class MortarPair:
         """Pressures (N/m^(d-1)) of normal forces on the candidates, (m,) N."""
         return force / self.weight
 
-    @property
+    @cached_property
     def trace_nodes(self) -> np.ndarray:
         """Numbers in the slave's trace of the candidates' nodes."""
         return np.asarray(self.order[0][self.candidates])
 
     # -- pairing ---------------------------------------------------------------------------------------------
-    def update(self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
-        """Pair the surfaces anew for a step that starts at q; ``keep``: overlaps found stay. Collective."""
-        xs, xm = (
-            contacts.nodes(system, q, s.trace)[0][o] for s, o in zip((self.slave, self.master), self.order, strict=True)
-        )
+    def update(self, here: Here, reach: float, *, keep: bool = False) -> None:
+        """Pair the surfaces anew for a step that starts here; ``keep``: overlaps found stay. Collective."""
+        at = [here.nodes(s.trace)[0] for s in (self.slave, self.master)]
+        xs, xm = (x[o] for x, o in zip(at, self.order, strict=True))
         apart = float(np.linalg.norm(np.maximum(0.0, np.maximum(xs.min(0) - xm.max(0), xm.min(0) - xs.max(0)))))
 
         # the deformed facets, and how far they look
@@ -129,56 +180,61 @@ class MortarPair:
         m = self.count
         on: np.ndarray = np.zeros(m, dtype=bool)
         normal = _nodal_normals(slave)[self.candidates]
-        S, Q = sp.csr_matrix((m, len(xs))), sp.csr_matrix((m, len(xm)))
+        S = Q = NOTHING
         if apart <= sight.max():
             # overlaps of the facets as they lie now, gathered to the multipliers' functions
             pair, own, other = overlap(slave, master, self.basis.degree, sight)
-            k = own.shape[1]
             if len(pair):
-                rows = pair[:, :1] * k + np.arange(k)
-                basis = self.functions  # facet-wise coefficients do not depend on the shape
-                D = basis @ scatter(own, rows, slave.nodes[pair[:, 0]], (len(slave.nodes) * k, len(xs)))
-                M = basis @ scatter(other, rows, master.nodes[pair[:, 1]], (len(slave.nodes) * k, len(xm)))
+                f, g = pair.T
+                D = self._gathered(own, f, self.order[0][slave.nodes[f]])
+                M = self._gathered(other, f, self.order[1][master.nodes[g]])
 
-                w = np.asarray(M.sum(axis=1)).ravel()
+                w = M.sums(m)
                 on = w > COVERED * self.weight
-                inverse = sp.diags(np.where(on, 1.0 / np.where(on, w, 1.0), 0.0))
-                S, Q = (inverse @ D).tocsr(), (inverse @ M).tocsr()
+                inverse = np.where(on, 1.0 / np.where(on, w, 1.0), 0.0)
+                S, Q = D.scaled(inverse), M.scaled(inverse)
 
-        overlap_now = (-normal * (S @ xs - Q @ xm)).sum(1)
-        offset = np.where(on & keep, np.minimum(overlap_now, 0.0), 0.0)
-        entries = _entries(S, self.order[0]), _entries(-Q, self.order[1])
-        self.pairing = Pairing(S, Q, -normal, on, offset, entries)
+        self.pairing = Pairing(S, Q, -normal, on, np.zeros(m))
+        if keep:
+            overlap_now = (-normal * self.pairing.between(*at)).sum(1)
+            self.pairing.offset = np.where(on, np.minimum(overlap_now, 0.0), 0.0)
 
-    def _ready(self, contacts: ContactSet, system: Any, q: Array) -> Pairing:
+    def _gathered(self, blocks: Array, facets: np.ndarray, nodes: np.ndarray) -> Means:
+        """Integrals of the multipliers from those of facet-wise functions (k, k_p, c), on ``nodes`` (k, c) of a trace."""
+        found = self.shares[facets] @ blocks
+        row = np.broadcast_to(self.multipliers[facets][:, :, None], found.shape)
+        return Means.summed(row.ravel(), np.broadcast_to(nodes[:, None], found.shape).ravel(), found.ravel())
+
+    def _ready(self, here: Here) -> Pairing:
         if self.pairing is None:
-            self.update(contacts, system, q, 0.0)
+            self.update(here, 0.0)
         assert self.pairing is not None
         return self.pairing
 
     # -- rows ------------------------------------------------------------------------------------------------
-    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here) -> Touch:
+    def touch(self, here: Here) -> Touch:
         """Gaps of this pair; collective."""
-        pairing = self._ready(contacts, system, at[1])
-        on_slave, on_master = self.order
-        xs = here.nodes(self.slave.trace)[0][on_slave]
-        xm = here.nodes(self.master.trace)[0][on_master]
-
-        between = pairing.slave @ xs - pairing.master @ xm
-        along = (pairing.normal * between).sum(1)
+        pairing = self._ready(here)
+        xs = here.nodes(self.slave.trace)[0]
+        between = pairing.between(xs, here.nodes(self.master.trace)[0])
+        along = (pairing.normal[:, None, :] @ between[:, :, None])[:, 0, 0]
         gap = np.where(pairing.on, along, np.inf)  # inf: nothing opposite
-        return Touch(gap - pairing.offset, xs[self.candidates], pairing.normal, between, gap)
+        return Touch(gap - pairing.offset, xs[self.trace_nodes], pairing.normal, between, gap)
 
-    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], here: Here) -> Rows:
+    def some(self, near: np.ndarray) -> SomeRows:
+        """Those of its candidates that are ``near``, (m,) bool."""
+        return SomeRows(self, near)
+
+    def rows(self, here: Here, way: Way | None) -> Rows:
         """Candidates of this pair; collective."""
-        p = self._ready(contacts, system, at[1])
-        touch = self.touch(contacts, system, at[:2], here)
-        S, Q = p.entries
+        contacts, touch, pairing = here.contacts, self.touch(here), self._ready(here)
+        S, Q = pairing.slave, pairing.master
+        entries = (S.row, S.node, S.weight), (Q.row, Q.node, -Q.weight)
 
         def linear(direction: Array) -> LinearRows:
             made = contacts.blank(self.count)
-            for side, W in ((self.slave, S), (self.master, Q)):
-                contacts.add_nodes(made, side.trace, (W, direction), here.nodes(side.trace)[1:])
+            for side, W in zip((self.slave, self.master), entries, strict=True):
+                contacts.add_nodes(made, side.trace, (W, direction), here.nodes(side.trace))
             return LinearRows(made[0], tuple(made[1]))
 
         directions = tangents_of(touch.normal) if contacts.frictional else []
@@ -229,6 +285,19 @@ def _nodal_normals(facets: Facets) -> Array:
     return np.asarray(out / np.linalg.norm(out, axis=1)[:, None])
 
 
-def _entries(W: Any, columns: np.ndarray) -> Entries:
-    """Of a sparse matrix by rows, its columns at other places."""
-    return np.repeat(np.arange(W.shape[0]), np.diff(W.indptr)), columns[W.indices], W.data
+def _by_facets(basis: Any, facets: int) -> tuple[np.ndarray, Array]:
+    """Multipliers on each facet (facets, r), and their coefficients there (facets, r, k) by facet-wise functions.
+
+    ``basis``: all of these, sparse. Facets with fewer multipliers have some with coefficients of zero.
+    """
+    k = basis.shape[1] // facets
+    facet, function = np.divmod(basis.col, k)
+    places, which = np.unique(facet * basis.shape[0] + basis.row, return_inverse=True)
+    of, multiplier = np.divmod(places, basis.shape[0])
+    number = np.arange(len(of)) - np.searchsorted(of, of)
+
+    multipliers = np.zeros((facets, int(number.max()) + 1), dtype=int)
+    multipliers[of, number] = multiplier
+    shares = np.zeros((*multipliers.shape, k))
+    shares[of[which], number[which], function] = basis.data
+    return multipliers, shares

@@ -41,10 +41,22 @@ class NodalRows:
     @classmethod
     def in_turn(cls, parts: Sequence[NodalRows]) -> NodalRows:
         """The first row of each part, then the second ones, and so on."""
-        row = np.concatenate([p.row * len(parts) + k for k, p in enumerate(parts)])
-        order = np.argsort(row, kind="stable")
-        node, value = (np.concatenate(x)[order] for x in zip(*((p.node, p.value) for p in parts), strict=True))
-        return cls(len(parts) * parts[0].count, row[order], node, value)
+        first, number = parts[0], len(parts)
+        if all(p.alike(first) for p in parts[1:]):
+            value = np.concatenate([p.value for p in parts], axis=1).reshape(-1, first.value.shape[1])
+            row = first.row[:, None] * number + np.arange(number)
+            return cls(number * first.count, row.ravel(), np.repeat(first.node, number), value)
+        return cls(
+            number * first.count,
+            np.concatenate([p.row * number + k for k, p in enumerate(parts)]),
+            np.concatenate([p.node for p in parts]),
+            np.concatenate([p.value for p in parts]),
+        )
+
+    def alike(self, other: NodalRows) -> bool:
+        """Whether both see the same nodes."""
+        same = self.row is other.row and self.node is other.node
+        return same or (np.array_equal(self.row, other.row) and np.array_equal(self.node, other.node))
 
     def __add__(self, other: NodalRows) -> NodalRows:
         return NodalRows(
@@ -66,7 +78,7 @@ class NodalRows:
     @cached_property
     def _single(self) -> bool:
         """Whether each row sees one node."""
-        return len(self.row) == self.count and bool((self.row == np.arange(self.count)).all())
+        return len(self.row) == self.count and bool(np.logical_and.reduce(self.row == np.arange(self.count)))
 
     def _sums(self, x: Array) -> Array:
         """Sums over the nodes of each row, (count, ..), of x (k, ..)."""
@@ -78,7 +90,7 @@ class NodalRows:
 
     def times(self, w: Array) -> Array:
         """Products with w (n, d) on the nodes of the trace, (count,)."""
-        return self._sums(np.einsum("kd,kd->k", self.value, w[self.node]))
+        return self._sums((self.value[:, None, :] @ w[self.node][:, :, None])[:, 0, 0])
 
     def transposed(self, force: Array, n: int) -> Array:
         """Forces (n, d) on the nodes by ``force`` (count,) on the rows."""
@@ -94,7 +106,7 @@ class NodalRows:
         """Products with columns (n d, m) on the nodes, (count, m)."""
         d = self.value.shape[1]
         of_nodes = values.reshape(len(values) // d, d, values.shape[1])
-        return self._sums(np.einsum("kd,kdm->km", self.value, of_nodes[self.node]))
+        return self._sums((self.value[:, None, :] @ of_nodes[self.node])[:, 0])
 
     def matrix(self, n: int) -> Any:
         """The rows as a sparse matrix (count, n d)."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
 
 from ...rotations import Array, Motions
 from ..shapes import distances
-from .contact_set import ContactSet, Here
+from .contact_set import Here
+from .obstacles import Way
 from .pair import Pair
 from .rows import LinearRows, Rows, Touch, tangents_of
 from .trace import ContactTrace, FieldTrace
@@ -53,7 +55,8 @@ class ObstacleSearch:
         self._still: tuple[Array, Array] | None = None  # where all are at rest
         if not (self.prescribed or len(self.carried)):
             self._still = self.at_rest[self.of, : motions.dim], motions.matrix(self.at_rest)[self.of]
-        self.shapes = distances([p.shape for p in pairs], self.of, motions.dim)
+        self.all_shapes, self.dim = [p.shape for p in pairs], motions.dim
+        self.shapes = distances(self.all_shapes, self.of, self.dim)
 
         # points of frames
         sides = [p.slave for p in pairs]
@@ -72,19 +75,42 @@ class ObstacleSearch:
             self.nodes[i] = at, nodes
         on_field = np.array([*(isinstance(tr, FieldTrace) for tr in traces), False])
         self.multiplier = np.where(on_field[of_trace], of_trace, -1)
+        self._chosen: tuple[bytes, ObstacleSearch] | None = None  # those asked for last
 
-    def _place(
-        self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here
-    ) -> tuple[Touch, tuple[Array, ...]]:
+    def some(self, near: np.ndarray) -> ObstacleSearch:
+        """The same with those candidates alone that are ``near``, (m,) bool."""
+        key = near.tobytes()
+        if self._chosen is None or self._chosen[0] != key:
+            self._chosen = key, self._of_some(near)
+        return self._chosen[1]
+
+    def _of_some(self, near: np.ndarray) -> ObstacleSearch:
+        some = copy.copy(self)
+        number = np.cumsum(near) - 1
+        some._chosen, some.count = None, int(near.sum())
+        some.of, some.multiplier, some.radius = self.of[near], self.multiplier[near], self.radius[near]
+        some.friction, some.restitution = self.friction[near], self.restitution[near]
+        some.pushed = number[self.pushed[near[self.pushed]]]
+        if self._still is not None:
+            some._still = self._still[0][near], self._still[1][near]
+        some.shapes = [x for x in distances(self.all_shapes, some.of, self.dim) if len(x[0])]
+
+        kept = near[self.rigid]
+        some.rigid, some.places, some.on = number[self.rigid[kept]], self.places[kept], self.on[kept]
+        some.nodes = {i: (number[at[near[at]]], nodes[near[at]]) for i, (at, nodes) in self.nodes.items()}
+        return some
+
+    def _place(self, here: Here) -> tuple[Touch, tuple[Array, ...]]:
         """Where all candidates stand, and the frames that this was found with; collective."""
-        t, q = at
-        m, poses = contacts.m, system.poses(q)
-        r, R = self._obstacles(m, t, poses)
+        m, poses = here.contacts.m, here.poses
+        r, R = self._obstacles(m, here.t, poses)
 
         # points of the slaves
         x = np.empty((self.count, m.dim))
-        origin, turned = poses[self.frames][self.on, : m.dim], m.matrix(poses[self.frames])[self.on]
+        origin: Array = np.zeros(0)
+        turned: Array = origin
         if len(self.rigid):
+            origin, turned = poses[self.frames][self.on, : m.dim], m.matrix(poses[self.frames])[self.on]
             x[self.rigid] = origin + (turned @ self.places[:, :, None])[:, :, 0]
         for trace, (rows, nodes) in self.nodes.items():
             x[rows] = here.nodes(trace)[0][nodes]
@@ -123,21 +149,21 @@ class ObstacleSearch:
             gap[rows], gradient[rows] = told(y[rows])
         return gap, gradient
 
-    def touch(self, contacts: ContactSet, system: Any, at: tuple[float, Array], here: Here) -> Touch:
+    def touch(self, here: Here) -> Touch:
         """Gaps of all candidates; collective."""
-        return self._place(contacts, system, at, here)[0]
+        return self._place(here)[0]
 
-    def rows(self, contacts: ContactSet, system: Any, at: tuple[float, Array, Any], here: Here) -> Rows:
+    def rows(self, here: Here, way: Way | None) -> Rows:
         """All candidates with their rows; collective."""
-        t, q, way = at
-        touch, (r, R, origin, turned) = self._place(contacts, system, (t, q), here)
+        contacts = here.contacts
+        touch, (r, R, origin, turned) = self._place(here)
         x = touch.x
         on = self.pushed
 
         def linear(e: Array) -> LinearRows:
             core, field = contacts.blank(self.count)
             for trace, (rows, nodes) in self.nodes.items():
-                contacts.add_nodes((core, field), trace, ((rows, nodes, None), e), here.nodes(trace)[1:])
+                contacts.add_nodes((core, field), trace, ((rows, nodes, None), e), here.nodes(trace))
             if len(self.rigid):
                 geometry = e[self.rigid], x[self.rigid], origin, turned
                 contacts.add_frames(core, self.rigid, self.frames[self.on], geometry)

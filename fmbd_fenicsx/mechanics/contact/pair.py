@@ -9,7 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...rotations import Array, Motions
-from .contact_set import ContactSet
+from .contact_set import Here
+from .obstacles import Way
+from .rows import Rows
 from .trace import ContactTrace, SurfaceNodes
 
 
@@ -22,6 +24,18 @@ class Side:
     frames: np.ndarray
     points: Array
     radius: float
+
+
+@dataclass(frozen=True)
+class SomeRows:
+    """Those candidates of a ``group`` of pairs that are ``near``, (m,) bool."""
+
+    group: Any
+    near: np.ndarray
+
+    def rows(self, here: Here, way: Way | None) -> Rows:
+        """Their rows, taken from those of all; collective."""
+        return self.group.rows(here, way).take(self.near)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
@@ -74,8 +88,9 @@ class Pair:
         """What evaluates pairs of this kind: each for itself, or some in one."""
         return pairs
 
-    def update(self, contacts: ContactSet, system: Any, q: Array, reach: float, *, keep: bool = False) -> None:
-        """Nothing to pair anew: an obstacle is met where it is."""
+    def some(self, near: np.ndarray) -> SomeRows:
+        """Those of its candidates that are ``near``, (m,) bool."""
+        return SomeRows(self, near)
 
     @property
     def weight(self) -> Array:
@@ -85,7 +100,9 @@ class Pair:
     def pressures(self, force: Array) -> Array:
         """Pressures (N/m^(d-1), N on rigid points) of normal forces (m,) in N on the candidates; see :mod:`.trace`."""
         surface = self.slave.surface
-        return force if surface is None else np.asarray(surface.gather @ force) / surface.weights
+        if surface is None:
+            return force
+        return (force if surface.gather is None else surface.gather @ force) / surface.weights
 
     @property
     def trace_nodes(self) -> np.ndarray | None:

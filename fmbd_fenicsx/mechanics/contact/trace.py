@@ -31,7 +31,7 @@ _SHIFT = 0.2  # a in (1)
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """One surface of a trace: numbers in it (n_s,), weights D~ (n_s,) and the matrix f -> f~ of (1)."""
+    """One surface of a trace: numbers in it (n_s,), weights D~ (n_s,) and the matrix f -> f~ of (1); None: f itself."""
 
     nodes: np.ndarray
     weights: Array
@@ -71,6 +71,7 @@ class ContactTrace:
         self.part = number
         self.body_nodes = nodes
         self.comm = nodes.mesh.dolfinx.comm
+        self.alone = self.comm.size == 1
         self.dim = nodes.mesh.dim
         self.frame = part.frame
         self.moving = moving
@@ -92,7 +93,7 @@ class ContactTrace:
     def _everywhere(self, x: Array) -> Array:
         """Rows (n_own, k) of this rank's nodes at all contact nodes, (n, k), on all ranks; collective."""
         mine = x[self.own]
-        return mine if self.comm.size == 1 else np.concatenate(self.comm.allgather(mine))
+        return mine if self.alone else np.concatenate(self.comm.allgather(mine))
 
     def gather(self, w: Array) -> Array:
         """Values at the contact nodes, (n, d), on all ranks, of local coordinates of the part; collective."""
@@ -111,7 +112,7 @@ class ContactTrace:
         local = np.searchsorted(nodes, facets)
         D = np.array([weights[int(g)] for g in self.global_numbers[nodes]])
         n = len(nodes)
-        gather: Any = sp.identity(n, format="csr")
+        gather: Any = None
         # quadratic faces: functions of corners have integral zero, a share of the edges' is given to them
         if self.dim == 3 and facets.shape[1] == 6:
             vertices = _edge_vertices(self.X[nodes], local)
@@ -120,7 +121,7 @@ class ContactTrace:
                 rows += [e, *pair]
                 cols += [e, e, e]
                 values += [-2 * _SHIFT, _SHIFT, _SHIFT]
-            gather = (gather + sp.csr_matrix((values, (rows, cols)), shape=(n, n))).tocsr()
+            gather = (sp.identity(n) + sp.csr_matrix((values, (rows, cols)), shape=(n, n))).tocsr()
             D = gather @ D
 
         if (D <= 0).any():
@@ -146,7 +147,8 @@ class FieldTrace(ContactTrace):
 
     def gather(self, w: Array) -> Array:
         """Values of a nodal vector (n_own d,) of the part at the contact nodes, (n, d), on all ranks; collective."""
-        return self._everywhere(w.reshape(-1, self.dim))
+        mine = w.reshape(-1, self.dim)[self.own]
+        return mine if self.alone else np.concatenate(self.comm.allgather(mine))
 
     def spread(self, f: Array, out: Array) -> None:
         """Add values (n, d) at the contact nodes to a nodal vector (n_own d,) of this rank."""

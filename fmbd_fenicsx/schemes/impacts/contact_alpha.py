@@ -201,7 +201,7 @@ class _Step(ContactStep):
 
         touching = None
         if self.near.any():
-            rows = p.contacts.rows(system, s.t + h, q, way=way_over(s.t, h)).take(self.near)
+            rows = p.contacts.rows(system, s.t + h, q, way=way_over(s.t, h), near=self.near)
             touching = rows, openings(p.contacts, system, rows, rows.gap, self.xi)
         dq, dlam = self.changes(touching, residuals, self.scale)
         move_pressures(solver, dq, volumes)

@@ -25,7 +25,8 @@ def candidates(system: System, contacts: ContactSet, state: State, h: float, *, 
     ``keep``: overlaps from the new pairing of two bodies are not pushed out (see
     :mod:`fmbd_fenicsx.mechanics.contact.mortar`).
     """
-    contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v), keep=keep)
+    if contacts.searching:
+        contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v), keep=keep)
     now = contacts.touch(system, state.t, state.q)
     then = contacts.touch(system, state.t + h, system.compose(state.q, h * state.v))
     _refuse_tunnelling(system, contacts, state, (h, now, then))
@@ -76,9 +77,9 @@ def _refuse_tunnelling(system: System, contacts: ContactSet, state: State, step:
     collective.
     """
     h, now, then = step
-    thick = contacts.thickness
-    if not np.isfinite(thick).any():
+    if not contacts.thin:
         return
+    thick = contacts.thickness
     way = np.linalg.norm(then.relative - now.relative, axis=1)
     # far enough to be through, and not behind the surface already
     fast = np.flatnonzero((way > (0.5 + 1e-9) * thick) & (now.gap > -0.1 * thick))

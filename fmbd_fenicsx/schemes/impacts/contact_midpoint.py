@@ -215,7 +215,7 @@ class _Step(ContactStep):
 
         touching = None
         if self.near.any():
-            rows = p.contacts.rows(system, s.t + self.theta * h, middle, way=way_over(s.t, h)).take(self.near)
+            rows = p.contacts.rows(system, s.t + self.theta * h, middle, way=way_over(s.t, h), near=self.near)
             gap = p.contacts.touch(system, s.t + h, self.q).gap[self.near]
             touching = rows, openings(p.contacts, system, rows, gap, self.xi)
         dxi, dlam = self.changes(touching, (r, self.g), self.scale)

@@ -43,7 +43,7 @@ class MoreauStep(ContactStep):
         if closed.any():
             middle = stepper.system.compose(s.q, 0.5 * h * s.v)
             at = (stepper.system, s.t + h / 2, middle)
-            self.rows = contacts.rows(*at, way=way_over(s.t, self.span)).take(closed)
+            self.rows = contacts.rows(*at, way=way_over(s.t, self.span), near=closed)
             self.rate = contacts.gap_rate(*at, self.span)[closed]
             before = self._openings(s.v)
             back = np.where(before[:, 0] < 0.0, self.rows.restitution, 1.0)
@@ -66,7 +66,7 @@ class MoreauStep(ContactStep):
         contacts, system, s = self.p.contacts, self.p.system, self.p.state
         h, closed = self.h, self.closed
         way = way_at_start(s.t, h)
-        rows = contacts.rows(system, s.t, s.q, way=way).take(closed)
+        rows = contacts.rows(system, s.t, s.q, way=way, near=closed)
         rates = openings(contacts, system, rows, h * contacts.times(system, rows.N, s.v), h * s.v) / h
         if rows.tangents:
             slips = np.einsum("mk,kmd->md", rates[:, 1:], tangents_of(rows.normal))

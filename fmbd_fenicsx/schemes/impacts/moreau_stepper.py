@@ -250,7 +250,7 @@ class MoreauStepper(ContactStepper):
         """Rows of the chosen contacts alone, and the rates of their gaps, m/s."""
         contacts, system = self.contacts, self.system
         t, q, v = at
-        rows = contacts.rows(system, t, q, way=way_over(t, h)).take(chosen)
+        rows = contacts.rows(system, t, q, way=way_over(t, h), near=chosen)
         return rows, contacts.times(system, rows.N, v) + contacts.gap_rate(system, t, q, h)[chosen]
 
     def _gap_along(self, step: MoreauStep, share: float) -> Array:

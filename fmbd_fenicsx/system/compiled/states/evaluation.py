@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import accumulate, pairwise
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -274,7 +275,7 @@ class DriverStates(CompiledGeometry):
         of a complex one.
         """
         wide = self.tables.c.parts > 1
-        if not wide and not np.iscomplexobj(b):
+        if not wide and b.dtype.kind != "c":
             x, y = self._solve(b, c, columns=1)
             return x[0].copy(), y[0].copy()
 
@@ -320,8 +321,8 @@ class DriverStates(CompiledGeometry):
         self.library.driver_columns(
             self.address, len(core), *at_rest, *map(address_of, (forces, seen_at, found, acting))
         )
-        ends = np.cumsum([x.shape[1] for x in seen])[:-1]
-        return self.twin.forces(found), np.split(acting, ends, axis=1) if seen else []
+        ends = list(accumulate((x.shape[1] for x in seen), initial=0))
+        return self.twin.forces(found), [acting[:, a:b] for a, b in pairwise(ends)]
 
     def independent(self) -> bool:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
