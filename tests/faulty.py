@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 FAULTS = {
     "none": r"no physical groups",
     "unnamed": r"\(2, 1\).*no name",
@@ -13,6 +15,7 @@ FAULTS = {
     "twice": r"no name; gmsh also drops a name that is given twice",
     "no cells": r'volume "plate".*no cells',
     "inverted": r'2 of \d+ cells of volume "plate" are inverted',
+    "curved too far": r'1 of \d+ cells of volume "plate" are inverted',
     "not finite": r'volume "plate".*not finite',
     "solid forgotten": r"dimension 3 but the highest physical group has dimension 2",
     "two parts": r'volume "plate" consists of 2 separate parts .\d+ nodes about \[0.5\d*, 0.\d+, 0.0\], \d+ nodes about \[2.\d+',
@@ -70,6 +73,8 @@ def build(gmsh: Any, fault: str) -> None:
     model.mesh.generate(2)
     if fault == "inverted":
         invert(model, plates[0])
+    if fault == "curved too far":
+        curve(model, edges[0])
     if fault == "not finite":
         tag = int(model.mesh.getElements(2, plates[0])[2][0][0])
         model.mesh.setNode(tag, [float("nan"), 0.0, 0.0], [])
@@ -84,3 +89,11 @@ def invert(model: Any, surface: int) -> None:
     model.mesh.removeElements(2, surface, cells)
     for cell, (a, b, c) in zip(cells, corners, strict=True):
         model.mesh.addElementsByType(surface, kinds[0], [cell], [a, c, b])
+
+
+def curve(model: Any, edge: int) -> None:
+    """Triangles of second order, one with its middle node a fifth of a side from an end: where its side turns back."""
+    model.mesh.setOrder(2)
+    first, last, middle = model.mesh.getElements(1, edge)[2][0][:3]
+    x, y = (np.array(model.mesh.getNode(int(tag))[0]) for tag in (first, last))
+    model.mesh.setNode(int(middle), list(x + 0.2 * (y - x)), [])

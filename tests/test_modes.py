@@ -324,3 +324,20 @@ def test_sprung_hinges_of_thin_panels() -> None:
             before = panel.surface("tip")
         found.append(fmbd.modes(scene, 4).omega)
     assert found[0] == pytest.approx(found[1], rel=1e-4)
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-7])
+@pytest.mark.parametrize("heavier", [1e8, 1e12])
+def test_a_mass_far_heavier_than_its_beam(heavier: float, damping: float) -> None:
+    """By reduced and full bodies sqrt(k / m), k of Timoshenko's beam, although squares of frequencies are up to 1e19 apart."""
+    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0, 0.05), origin=(0.0, -0.025), counts=(20, 2))
+    law, mass = fmbd.materials.plane_stress(1e7, 0.0), 0.05 * heavier
+    full = fmbd.FloatingBody("beam", mesh, density=1.0, elastic=law, stiffness_damping=damping)
+    expected = np.sqrt(1.0 / (4.0 / (1e7 * 0.05**3) + 1.0 / (5e6 * 0.05 * 5.0 / 6.0)) / (mass + 33.0 / 140.0 * 0.05))
+
+    for beam in (full, full.reduced(basis=fmbd.CraigBampton(("left", "right"), 4))):
+        scene = fmbd.Scene("tip")
+        tip = fmbd.RigidBody("tip", mass, 1e-12 * mass, position=(1.0, 0.0))
+        scene.add(beam, tip, fmbd.fixed("clamp", fmbd.ground, beam.surface("left"), center=(0.0, 0.0)))
+        scene.add(fmbd.fixed("weld", beam.surface("right"), tip, center=(1.0, 0.0)))
+        assert fmbd.modes(scene, 2).omega[0] == pytest.approx(expected, rel=2e-4)

@@ -41,6 +41,7 @@ from .rotors import check_round
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
 PLANE = 1e-6  # share of circling motion below which a mode is plane
+FAR_BELOW = 1e-6  # share of the largest square below which squares of eigenvalues are found anew
 FAR = 1e-3  # accelerations of a state "in equilibrium", over weights
 STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
 RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
@@ -300,21 +301,43 @@ def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: 
     quiet = np.abs(C).max(initial=0.0) <= SYMMETRIC * float(np.sqrt(size_M * size_K))
     symmetric = np.abs(K - K.T).max(initial=0.0) <= SYMMETRIC * size_K
 
-    # without damping: real squares omega^2 of a symmetric pencil
-    if quiet and symmetric and not len(small.speeds[0]) and small.memory is None:
-        squares, Y = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
-        order = np.argsort(np.abs(squares))
-        rates = np.sqrt(np.abs(squares[order]))
-        values = np.where(squares[order] >= 0, 1j * rates, rates)
-        vectors = Y[:, order].astype(complex)
-    else:
+    if len(small.speeds[0]) or small.memory is not None:
         values, vectors = _double_zeros(small, *slowest(first_order(small), relaxing=relaxing))
+    else:
+        # real squares omega^2 of a symmetric pencil
+        squares, Y = _squares(0.5 * (K + K.T), 0.5 * (M + M.T))
+        if quiet and symmetric:
+            order = np.argsort(np.abs(squares))
+            rates = np.sqrt(np.abs(squares[order]))
+            values = np.where(squares[order] >= 0, 1j * rates, rates)
+            vectors = Y[:, order].astype(complex)
+        else:
+            # in their coordinates, where roundoff of a fast one stays with it
+            values, combined = slowest(first_order(small.on(Y)), relaxing=relaxing)
+            values, vectors = _double_zeros(small, values, Y @ combined)
 
     if held:
         kept = np.logical_not(_zeros(small, values, vectors))
         values, vectors = values[kept], vectors[:, kept]
     _enough(len(values), n)
     return values[:n], vectors[:, :n]
+
+
+def _squares(K: Array, M: Array) -> tuple[Array, Array]:
+    """omega^2 (n,) of K y = omega^2 M y and the vectors (n, n), each with its own digits.
+
+    Roundoff of the largest is in all of them: a light part on a heavy one, or a small cell, would hide the first. Those far below
+    are found again among themselves: their vectors are off by the root of what that costs.
+    """
+    squares, Y = sl.eigh(K, M)
+    sizes = np.abs(squares)
+    slow = sizes < FAR_BELOW * sizes.max(initial=0.0)
+    if not slow.any():
+        return squares, Y
+    Z = Y[:, slow]
+    squares[slow], combined = _squares(Z.T @ K @ Z, Z.T @ M @ Z)
+    Y[:, slow] = Z @ combined
+    return squares, Y
 
 
 def _zeros(small: ProjectedSystem, values: Array, vectors: Array) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import MeshError, near
 
 DEGENERATE = 1e-14  # of the largest Jacobian determinant
+INVERTED = 1e-9  # of that of the cell: a corner may be flat, as behind a quarter point, and not turned inside out
 
 
 @dataclass(frozen=True)
@@ -167,13 +168,16 @@ def _drop_others(model: Any, dim: int, entities: list[int]) -> None:
 # -- cells ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Cells:
-    """Cells of one kind (gmsh's number of it) in one entity: numbers, nodes (n, k), determinants (n, p) at points (n, p, 3)."""
+    """Cells of one kind (gmsh's number of it) in one entity: numbers, nodes (n, k), determinants (n, p) at points (n, p, 3), and
+    those at the nodes, (n, k).
+    """
 
     kind: int
     numbers: np.ndarray
     nodes: np.ndarray
     det: np.ndarray
     points: np.ndarray
+    at_nodes: np.ndarray
 
 
 def _cells(model: Any, dim: int, entities: list[int]) -> Iterator[Cells]:
@@ -181,7 +185,8 @@ def _cells(model: Any, dim: int, entities: list[int]) -> Iterator[Cells]:
     for entity in entities:
         types, tags, nodes = model.mesh.getElements(dim, entity)
         for kind, numbers, cell_nodes in zip(types, tags, nodes, strict=True):
-            points, _ = model.mesh.getIntegrationPoints(kind, "Gauss2")
+            inside, _ = model.mesh.getIntegrationPoints(kind, "Gauss2")
+            points = np.append(inside, _local_nodes(model, kind))
 
             J, det, x = model.mesh.getJacobians(kind, points, tag=entity)
 
@@ -190,14 +195,24 @@ def _cells(model: Any, dim: int, entities: list[int]) -> Iterator[Cells]:
                 J = np.asarray(J).reshape(-1, 9)
                 det = J[:, 0] * J[:, 4] - J[:, 1] * J[:, 3]
 
-            per = len(points) // 3
+            per, within = len(points) // 3, len(inside) // 3
+            det = np.asarray(det).reshape(-1, per)
             yield Cells(
                 int(kind),
                 numbers,
                 np.asarray(cell_nodes, dtype=np.int64).reshape(len(numbers), -1),
-                np.asarray(det).reshape(-1, per),
-                np.asarray(x).reshape(-1, per, 3),
+                det[:, :within],
+                np.asarray(x).reshape(-1, per, 3)[:, :within],
+                det[:, within:],
             )
+
+
+def _local_nodes(model: Any, kind: int) -> np.ndarray:
+    """Places of the nodes in the reference cell, (3 k,): sides that are curved too far turn a cell inside out there first."""
+    _, dim, _, count, local, _ = model.mesh.getElementProperties(kind)
+    found = np.zeros((count, 3))
+    found[:, :dim] = np.reshape(local, (count, dim))
+    return found.ravel()
 
 
 def _check_cells(model: Any, dim: int, entities: list[int], label: str, name: str) -> None:
@@ -265,7 +280,9 @@ def _check_signs(cells: list[Cells], label: str, name: str) -> None:
 
         # a cell is as bad as its worst quadrature point
         smallest = (c.det * orientation).min(axis=1)
-        wrong = np.flatnonzero(smallest <= DEGENERATE * np.abs(c.det).max())
+        at_worst = (c.at_nodes * orientation).min(axis=1)
+        turned = at_worst < -INVERTED * np.abs(c.at_nodes).max(axis=1)
+        wrong = np.flatnonzero(turned | (smallest <= DEGENERATE * np.abs(c.det).max()))
         if wrong.size and not first:
             at = c.points[wrong[0]].mean(0).round(6).tolist()
             first = f"cell {int(c.numbers[wrong[0]])} at {at}"
