@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 from scipy.special import erf
 
 import fmbd_fenicsx as fmbd
@@ -186,6 +187,10 @@ def test_what_functions_of_time_name() -> None:
     ):
         assert {0.71, 0.72, 0.73} <= set(named_times(kicked(law), 0.0, 3.0))
     assert len(named_times(kicked(lambda t: (5.0 * np.sin(7.0 * t), 0.0)), 0.0, 3.0)) == 0
+
+    # names are read, instructions are not: some hundred calls, not thousands
+    scene = kicked(bump(BEGINS, LASTS))
+    assert calls_of(lambda: named_times(scene, 0.0, 3.0)) < 300
 
 
 def test_a_column_that_never_rests_has_no_marks() -> None:

@@ -10,12 +10,14 @@ import pytest
 from profiled import calls_of
 from test_driver import compiled
 from test_field_stages import absolute, floating
+from tolerance_scenes import fe_crank
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.frequency_solvers import DECADE, SETTLED
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
 from fmbd_fenicsx.schemes.multistep.bdf import BDFStepper
 from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
+from fmbd_fenicsx.system.tangents.jacobian import Jacobian
 
 
 def pendulum_of(mesh: Any, kind: Any, ramp: float = 0.1, hinges: int = 1) -> fmbd.Scene:
@@ -135,3 +137,20 @@ def test_steps_of_a_size_of_their_own_enter_python_for_factors(
     (few, short), (many, long) = found
     assert long - short > 50
     assert many - few < most * (long - short)
+
+
+@compiled
+def test_constraints_are_linearised_in_python_for_new_factors_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a driven crank, whose loads are looked at in 51 instants before the first step: compiled code evaluates these."""
+    scene, made = fe_crank(), []
+    init = Jacobian.__init__
+
+    def counted(self: Any, ev: Any) -> None:
+        made.append(ev.t)
+        init(self, ev)
+
+    monkeypatch.setattr(Jacobian, "__init__", counted)
+    run = fmbd.solve(
+        scene, t_end=0.05, scheme=fmbd.Radau(3, rtol=1e-3), output=fmbd.Output(every=10**9, progress=False)
+    )
+    assert len(made) <= run.counters["factorisations"] + 4

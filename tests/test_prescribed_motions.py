@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -18,8 +19,7 @@ from fmbd_fenicsx.run.judges.prescribed_motions import Follower
 def followed(motion: Any, times: Any, length: float = 1.0) -> Follower:
     """A motion looked at at given times."""
     follower = Follower(smooth_motion("motor", motion), length)
-    for t in times:
-        follower.look(float(t))
+    follower.look(np.asarray(times, float))
     return follower
 
 
@@ -78,6 +78,44 @@ def test_a_kink_is_named_with_its_time(at: float, scale: float, h: float, caplog
     assert 'drive "motor" has a kink at t = ' in caplog.text
     said = float(caplog.text.split("at t = ")[1].split(" s")[0])
     assert abs(said - at) < 1e-5 * at
+
+
+MOTIONS = {
+    "kinks": lambda t: math.sin(3 * t) + 0.5 * max(t - 0.42, 0.0) - 0.5 * max(t - 0.44, 0.0) + 0.2 * max(t - 0.7, 0.0),
+    "small jumps": lambda t: t + 1e-6 * (t > 0.3) + 1e-6 * (t > 0.315),
+    "from rest, with rates": lambda t: (t**4, 4 * t**3, 12 * t**2),
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize("calls", [101, 34, 7])
+def test_many_places_are_looked_at_as_one_by_one(name: str, calls: int) -> None:
+    together, alone = (Follower(smooth_motion("motor", MOTIONS[name]), 1.0) for _ in range(2))
+    times = np.linspace(0, 1, 101)
+    together.look(times)
+    for some in np.array_split(times, calls):
+        alone.look(some)
+    for what in ("kinks", "looks", "worst", "fastest", "steps", "compared"):
+        assert getattr(alone, what) == getattr(together, what), what
+    for what in ("times", "places", "rates"):
+        np.testing.assert_array_equal(getattr(alone, what), getattr(together, what))
+
+
+def test_a_look_costs_little_more_than_the_motion() -> None:
+    """Places are judged together: six functions tell the motion at one of them, and some two hundred more places are compared."""
+    follower, times = Follower(smooth_motion("motor", SMOOTH["with rates"]), 1.0), np.linspace(0, 1, 1001)
+    assert calls_of(lambda: follower.look(times)) < 9 * len(times)
+
+
+def test_what_is_seen_before_a_motion_fails_is_told(caplog: Any) -> None:
+    def ends(t: float) -> float:
+        if t > 0.8:
+            raise ValueError("no table")
+        return max(t - 0.5, 0.0) + 0.3 * t
+
+    with pytest.raises(InputError, match="no table"):
+        followed(ends, np.linspace(0, 1, 101))
+    assert "has a kink at t = 0.5 s" in caplog.text
 
 
 def test_smooth_motions_are_looked_at_in_few_places() -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from ..log import log
 from ..rotations import Array
 from ..schemes.declared import Declared
+from ..system.compiled.choice import use_driver
 from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.system import System
@@ -63,7 +64,10 @@ def seeing_loads(schedule: StepSchedule, scheme: Any, scene: Scene, system: Syst
     """
     if schedule.steps or closed(scene, system):
         return schedule
-    told = Declared.by(scheme).looks_ahead
+    said = Declared.by(scheme)
+    told = said.looks_ahead
+    if said.compiled:  # as its steps do
+        use_driver(system)
     try:
         even = OF_FIELDS if system.fields else LOOKED_AT
         found = _all_comings(scene, HeldState(system, state), schedule, even, by_names=told)

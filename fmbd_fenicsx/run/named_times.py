@@ -6,7 +6,6 @@ numbers of the function, t_0 and its width, as values that it has from around it
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, is_dataclass
 from functools import partial
@@ -108,9 +107,10 @@ def _inside(x: Any) -> Iterable[Any]:
 
 
 def _around(function: FunctionType) -> list[Any]:
-    """What a function takes from around it."""
+    """What a function takes from around it; attributes that are called like something there are taken for it."""
     try:
-        names = inspect.getclosurevars(function)
+        enclosed = [cell.cell_contents for cell in function.__closure__ or ()]
     except ValueError:  # something has no value yet
         return []
-    return [*names.nonlocals.values(), *names.globals.values()]
+    around = function.__globals__
+    return [*enclosed, *(around[name] for name in function.__code__.co_names if name in around)]

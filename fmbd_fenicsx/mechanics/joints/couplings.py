@@ -75,7 +75,10 @@ class SmoothMotion:
 
     def _usable(self, *value: Any) -> bool:
         """Whether they are finite numbers as they stand, at a glance."""
-        return all(isinstance(x, float) and isfinite(x) for x in value) and (value[0] > 0.0 or not self.positive)
+        for x in value:
+            if not (isinstance(x, float) and isfinite(x)):
+                return False
+        return value[0] > 0.0 or not self.positive
 
     def _checked(self, value: Any, t: float) -> Array:
         """The numbers that the function returned, (1,) or (3,)."""

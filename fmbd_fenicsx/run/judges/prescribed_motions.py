@@ -31,6 +31,7 @@ from ...log import log
 from ...mechanics.joints.constraints import Perpendicular
 from ...mechanics.joints.couplings import CouplingBatch, SmoothMotion
 from ...mechanics.joints.drives import Coupling
+from ...rotations import Array
 from ...system.scene.scene import Scene
 from ...system.system import System
 
@@ -58,9 +59,9 @@ class Follower:
     motion: SmoothMotion
     length: float
     stated: tuple[float, ...] = ()  # times (s) of which the user has said that motions are not smooth there
-    times: list[float] = field(default_factory=list)  # of the last four places
-    places: list[float] = field(default_factory=list)
-    rates: tuple[float, float, float] | None = None  # s, s', s'' at the last place, where they are given
+    times: Array = field(default_factory=lambda: np.zeros(0))  # of the last three places
+    places: Array = field(default_factory=lambda: np.zeros(0))
+    rates: Array = field(default_factory=lambda: np.zeros((0, 3)))  # s, s', s'' at the last place, where they are given
     fastest: float = 0.0
     looks: int = 0
     kinks: int = 0
@@ -73,49 +74,64 @@ class Follower:
         """Whose motion, for messages."""
         return f'{self.motion.of} "{self.motion.name}"'
 
-    def look(self, t: float) -> None:
-        """Look at the step that ends at t (s)."""
-        before, self.rates = self.rates, self.motion(t) if self.motion.complete else None
-        s = self.motion.place(t) if self.rates is None else self.rates[0]
-        self.times, self.places = [*self.times[-3:], t], [*self.places[-3:], s]
-        if len(self.times) == 1:
+    def look(self, times: Array) -> None:
+        """Look at the steps that end at these times (n,) s, up to one at which the motion cannot be told."""
+        motion, told = self.motion, []
+        try:
+            for t in map(float, times):
+                told.append(motion(t) if motion.complete else motion.place(t))
+        finally:
+            self._look_at(times[: len(told)], np.array(told))
+
+    def _look_at(self, times: Array, told: Array) -> None:
+        """The same of what the motion is there, (n,), or (n, 3) with its rates."""
+        if not len(times):
             return
+        known = len(self.times)
+        t = np.concatenate((self.times, times))
+        s = np.concatenate((self.places, told.reshape(len(times), -1)[:, 0]))
+        h = np.diff(t)
+        slopes = np.concatenate(([self.fastest], abs(np.diff(s) / h)))
+        slopes[1:known] = 0.0
+        fastest = np.maximum.accumulate(slopes)
 
-        h, moved = t - self.times[-2], s - self.places[-2]
-        self.fastest = max(self.fastest, abs(moved / h))
+        # of the step that ends at each place; the first three have no parabola
+        bends, defects = np.zeros(len(t)), np.zeros(len(t))
+        bends[3:] = _bends(t, s, fastest, self.length)
+        steps = self.steps + 1 + np.arange(len(t)) - max(known, 1)
+        doubtful = bends > DOUBTFUL
+        if told.ndim == 2:
+            rates = np.concatenate((self.rates, told))
+            behind = len(t) - len(rates) + 1
+            defects[behind:] = _defects(rates, h[behind - 1 :], fastest[behind:])
+            doubtful |= (defects > DOUBTFUL) | (steps & (steps - 1) == 0)
+            self.rates, self.steps = rates[-1:], int(steps[-1])
 
-        if len(self.times) == 4 and self.kinks < KINKS:
-            self._look_for_kinks(self._bend())
-        if before is not None and self.rates is not None:
-            self._look_at_rates(t - h, h, _defect(before, self.rates, h, self.fastest))
+        smooth = 0  # place from which on nothing sharp is known
+        for i in np.flatnonzero(doubtful[max(known, 1) :]) + max(known, 1):
+            self.fastest = float(fastest[i])
+            if (
+                bends[i] > DOUBTFUL
+                and i - 3 >= smooth
+                and self.kinks < KINKS
+                and self._is_sharp(t[i - 3], t[i], bends[i])
+            ):
+                smooth = int(i)  # the same one is not found again
+            if told.ndim == 2:
+                self._look_at_rates(int(steps[i]), (float(t[i - 1]), float(h[i - 1])), float(defects[i]))
+        first = max(smooth, len(t) - 3)
+        self.times, self.places, self.fastest = t[first:], s[first:], float(fastest[-1])
 
     # -- kinks and jumps --------------------------------------------------------------------------------------------
-    def _bend(self) -> float:
-        """B of (1) over the motion in three steps."""
-        t0, t1, t2, t3 = self.times
-        s0, s1, s2, s3 = self.places
-
-        # Newton's form of the parabola through the first three places
-        first = (s1 - s0) / (t1 - t0)
-        second = (s2 - s1) / (t2 - t1)
-        bend = (second - first) / (t2 - t0)
-        parabola = s1 + (t3 - t1) * (second + (t3 - t2) * bend)
-
-        # against what has moved, where that is more than roundoff
-        size = max(self.places) - min(self.places) + 1e-3 * (t3 - t0) * self.fastest
-        roundoff = 1e3 * EPS * max(map(abs, self.places))
-        if size <= max(roundoff, SEEN * self.length):
-            return 0.0
-        return max(abs(s3 - parabola) - roundoff, 0.0) / size
-
-    def _look_for_kinks(self, bend: float) -> None:
-        if bend <= DOUBTFUL or (self.looks >= LOOKS and bend <= 2 * self.worst):
-            return
-        if self.find_sharp(self.times[0], self.times[3]):
-            self.times, self.places = self.times[-1:], self.places[-1:]  # the same one is not found again
-        else:
-            self.looks += 1
-            self.worst = max(self.worst, bend)
+    def _is_sharp(self, a: float, b: float, bend: float) -> bool:
+        """Whether there is a kink or a jump in three steps between two times (s), for which (1) is so large."""
+        if self.looks >= LOOKS and bend <= 2 * self.worst:
+            return False
+        if self.find_sharp(float(a), float(b)):
+            return True
+        self.looks += 1
+        self.worst = max(self.worst, float(bend))
+        return False
 
     def find_sharp(self, a: float, b: float) -> bool:
         """Whether there is a kink or a jump between two times (s): warns of it, or refuses it."""
@@ -188,13 +204,15 @@ class Follower:
         )  # fmt: skip
 
     # -- rates ----------------------------------------------------------------------------------------------------
-    def _look_at_rates(self, a: float, h: float, defect: float) -> None:
-        """Compare at steps 1, 2, 4, 8 ...: rates that are wrong are mostly wrong everywhere. And where (2) is large."""
-        self.steps += 1
-        if self.steps >= 2**self.compared or (defect > DOUBTFUL and self.compared < LOOKS):
+    def _look_at_rates(self, number: int, step: tuple[float, float], defect: float) -> None:
+        """Compare at steps 1, 2, 4, 8 ...: rates that are wrong are mostly wrong everywhere. And where (2) is large.
+
+        ``number``: of the step, which begins at a time (s) and has a size (s).
+        """
+        if number >= 2**self.compared or (defect > DOUBTFUL and self.compared < LOOKS):
             self.compared += 1
-            self._compare(1, "rate", "motion", (a, h))
-            self._compare(2, "second rate", "rate", (a, h))
+            self._compare(1, "rate", "motion", step)
+            self._compare(2, "second rate", "rate", step)
 
     def _compare(self, level: int, what: str, of: str, step: tuple[float, float]) -> None:
         """Refuse a rate that is not the slope of what it belongs to, at any of three places of a step."""
@@ -223,16 +241,37 @@ class Follower:
         return t, given, slope
 
 
-def _defect(before: tuple[float, ...], now: tuple[float, ...], h: float, fastest: float) -> float:
-    """D of (2) over the motion in the step."""
-    (s0, r0, a0), (s1, r1, a1) = before, now
+def _bends(t: Array, s: Array, fastest: Array, length: float) -> Array:
+    """B of (1) over the motion in three steps, at each place (n,) behind the first three."""
+    (t0, t1, t2, t3), (s0, s1, s2, s3) = ([x[i : len(x) - 3 + i] for i in range(4)] for x in (t, s))
+    if not len(t3):
+        return t3
+
+    # Newton's form of the parabola through the first three places
+    first = (s1 - s0) / (t1 - t0)
+    second = (s2 - s1) / (t2 - t1)
+    bend = (second - first) / (t2 - t0)
+    parabola = s1 + (t3 - t1) * (second + (t3 - t2) * bend)
+
+    # against what has moved, where that is more than roundoff
+    four = np.array((s0, s1, s2, s3))
+    size = np.ptp(four, axis=0) + 1e-3 * (t3 - t0) * fastest[3:]
+    roundoff = 1e3 * EPS * abs(four).max(axis=0)
+    moves = size > np.maximum(roundoff, SEEN * length)
+    return np.where(moves, np.maximum(abs(s3 - parabola) - roundoff, 0.0) / np.where(moves, size, 1.0), 0.0)
+
+
+def _defects(rates: Array, h: Array, fastest: Array) -> Array:
+    """D of (2) over the motion in the steps of sizes h (n,) between places (n + 1, 3)."""
+    (s0, r0, a0), (s1, r1, a1) = rates[:-1].T, rates[1:].T
     # Hermite's rule for s, the trapezoid rule for s'
     place = abs(s1 - s0 - 0.5 * h * (r0 + r1) + h * h / 12 * (a1 - a0))
     rate = h * abs(r1 - r0 - 0.5 * h * (a0 + a1))
 
     size = abs(s1 - s0) + h * (abs(r0) + abs(r1) + 1e-3 * fastest)
     roundoff = 1e3 * EPS * (abs(s0) + abs(s1))
-    return (place + rate - roundoff) / size if size > roundoff else 0.0
+    moves = size > roundoff
+    return np.where(moves, (place + rate - roundoff) / np.where(moves, size, 1.0), 0.0)
 
 
 class PrescribedMotions:
@@ -250,7 +289,7 @@ class PrescribedMotions:
         self.rivals = [(found[i], found[j], name) for i, j, name in _rivals(scene) if i in found and j in found]
 
         for follower in self.followers:
-            follower.look(t)
+            follower.look(np.array([t]))
 
     def ahead(self, t_end: float) -> None:
         """Look at all of a run whose steps are not known; see :meth:`look`. Error control would only creep up to a jump."""
@@ -265,9 +304,10 @@ class PrescribedMotions:
             return
         count = max(1, steps // self.every)
         # a last step may pass the end by a rounding, which holds few numbers
-        for time in map(float, np.unique(np.linspace(self.time, t, count + 1))[1:] if count > 1 else (t,)):
+        times = np.unique(np.linspace(self.time, t, count + 1))[1:] if count > 1 else np.array([t])
+        for some in np.array_split(times, len(times) if self.rivals else 1):
             for follower in self.followers:
-                follower.look(time)
+                follower.look(some)
             for one, other, joint in self.rivals:
                 _compare_drives(one, other, joint)
         self.time = t
