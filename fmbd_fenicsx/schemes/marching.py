@@ -22,7 +22,6 @@ from ..system.layout import State, States
 from ..system.system import System
 from .dense_output import within
 from .newton import Newton
-from .onestep.alpha.alpha_driver import settings
 from .stepping import UNOBSERVED, EnergyJudge, Observers, TimeStepper
 
 if TYPE_CHECKING:
@@ -32,6 +31,13 @@ if TYPE_CHECKING:
     from .onestep.explicit_limit import StepLimit
 
 AGAIN = (slots.GAIN, slots.DOUBT)  # after these the same step is found once more, by itself
+
+
+def lend_newton(p: Array, system: System, newton: Newton) -> None:
+    """Write Newton's settings, for a system, into the parameters of compiled steps."""
+    p[slots.TOL], p[slots.LENGTH] = newton.tolerance, system.length
+    p[slots.FLOOR], p[slots.CEILING] = newton.small(system, 0.0), newton.small(system, np.inf)
+    p[slots.SLOW], p[slots.MAXIT], p[slots.NEW_TANGENT] = newton.slow, newton.max_iterations, newton.patience
 
 
 def lend_energies(p: Array, judge: EnergyJudge | None) -> None:
@@ -200,7 +206,7 @@ class MarchingStepper(CompiledSteps):
             size = self._own(factored=False).shape[1]
             room = self._room(states)
             self._used = March(states.library, states.tables, states.calls, self.maker, own=size, room=room)
-            settings(self._used.parameters, self.system, self.newton)
+            lend_newton(self._used.parameters, self.system, self.newton)
         return self._used
 
     def _made(self, h: float, count: int, most: float, observers: Observers) -> int:

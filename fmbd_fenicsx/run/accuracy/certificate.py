@@ -182,13 +182,13 @@ def struck_or_sampled(scene: Scene) -> bool:
     return bool(scene.contacts or scene.limits) or any(f.period is not None for f in scene.forces.values())
 
 
-def left_by_kinks(run: Run, name: str, order: float | None = None) -> tuple[float, float]:
-    """What a jump of a force within a step may leave in a sensor, and of which order, below a given one or that of the scheme,
-    see :func:`.orders.kink`.
+def left_by_kinks(run: Run, name: str) -> tuple[float, float]:
+    """What a jump of a force within a step may leave in a sensor, and of which order, below that of the scheme, see
+    :func:`.orders.kink`.
     """
     if Declared.by(run.scheme).adaptive or struck_or_sampled(run.scene):
         return 0.0, np.inf
-    order = expected_orders(run.scheme, run.scene, run.system)[name] if order is None else order
+    order = expected_orders(run.scheme, run.scene, run.system)[name]
     return max(kink(t, x, order, run.scene.sensors[name].derivative) for t, x in _pieces_of(run, name))
 
 

@@ -80,7 +80,7 @@ class ContactAlpha(GeneralizedAlpha):
         return replace(start, a=a, lam=lam), correction
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> ContactAlphaStepper:  # type: ignore[override]
-        """A run's worker, from a consistent state."""
+        """The time stepper of a run, from a consistent state."""
         return ContactAlphaStepper(self, system, solver, newton, state)
 
 

@@ -78,7 +78,7 @@ class ContactMidpoint:
     holds = (0,)
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> ContactMidpointStepper:
-        """A run's worker, from a consistent state."""
+        """The time stepper of a run, from a consistent state."""
         return ContactMidpointStepper(self.theta, system, solver, newton, state)
 
 

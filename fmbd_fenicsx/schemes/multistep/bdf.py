@@ -84,7 +84,7 @@ class BDF(OfForm):
         return super().refusal(held)
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> BDFStepper:
-        """A run's worker, from a consistent state."""
+        """The time stepper of a run, from a consistent state."""
         return BDFStepper(self, system, solver, newton, state)
 
 

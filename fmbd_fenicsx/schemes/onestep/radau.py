@@ -82,7 +82,7 @@ class Radau(OfForm):
         return f"Radau IIA({self.stages}), {self.form.name}"
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> RadauStepper:
-        """A run's worker, from a consistent state."""
+        """The time stepper of a run, from a consistent state."""
         return RadauStepper(self, system, solver, newton, state)
 
 

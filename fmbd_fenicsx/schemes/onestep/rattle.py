@@ -59,7 +59,7 @@ class Rattle:
         return positions_refused(held, "Rattle", self.holds)
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> RattleStepper:
-        """A run's worker, from a consistent state."""
+        """The time stepper of a run, from a consistent state."""
         return RattleStepper(system, solver, newton, state)
 
 

@@ -32,7 +32,7 @@ from ....system.compiled.tables.tables import Tables
 from ....system.layout import State
 from ....system.speed_rows import speed_rows
 from ....system.system import System
-from ...onestep.alpha.alpha_driver import settings
+from ...marching import lend_newton
 from ..contact_detection import tell_rest
 from ..contact_newton import frictional_forces, normal_forces
 from .spheres import Spheres
@@ -343,7 +343,7 @@ class ContactDriver:
     def march(self, h: float, steps: int, newton: Newton, tape: Tape | None = None) -> int:
         """Make up to so many steps, recorded on the ``tape``; the number made."""
         p = self.parameters
-        settings(p, self.system, newton)
+        lend_newton(p, self.system, newton)
         p[slots.H], p[slots.THETA], p[slots.COUNTED], self.unsolved = h, newton.theta, 0.0, None
         made = self.library.moreau_march(
             ctypes.addressof(self.tables.c), ctypes.addressof(self.c), p.ctypes.data, steps, self.ring.address,

@@ -16,7 +16,7 @@ from ....kernel_cache import address_of
 from ....rotations import Array
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import STORAGE_LIMIT, driver_of, solves
-from ....system.compiled.march import CEILING, FLOOR, LENGTH, MAXIT, NEW_TANGENT, SLOW, TOL, JointLimits, March
+from ....system.compiled.march import JointLimits, March
 from ....system.compiled.tables.fields import Block
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.tables import Tables
@@ -27,7 +27,6 @@ from ....system.system import System
 if TYPE_CHECKING:
     from ....linear.blocks.field_blocks import Weights
     from ....system.compiled.states.evaluation import DriverStates
-    from ...newton import Newton
     from .compiled_control import CompiledControl
 
 
@@ -111,13 +110,6 @@ class AlphaDriver(March):
             self.slopes = slopes
         self.calls.raise_error()
         return None if refused else twin.places(q)
-
-
-def settings(p: Array, system: System, newton: Newton) -> None:
-    """Fill the driver's parameters from a system and Newton's settings."""
-    p[TOL], p[LENGTH] = newton.tolerance, system.length
-    p[FLOOR], p[CEILING] = newton.small(system, 0.0), newton.small(system, np.inf)
-    p[SLOW], p[MAXIT], p[NEW_TANGENT] = newton.slow, newton.max_iterations, newton.patience
 
 
 def drivable(system: System) -> Any:

@@ -14,9 +14,9 @@ from ....system.compiled import march as slots
 from ....system.compiled.tape import on_the_way
 from ....system.layout import State, States
 from ...dae import GGL
-from ...marching import CompiledSteps, lend_energies, take_energies
+from ...marching import CompiledSteps, lend_energies, lend_newton, take_energies
 from ...stepping import UNOBSERVED, Observers
-from .alpha_driver import AlphaDriver, settings
+from .alpha_driver import AlphaDriver
 from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
 from .alpha_stepper import CLOSINGS, SHUT, AlphaStepper
 
@@ -48,7 +48,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         """Take a driver."""
         self._driver, self._tail, self._driven = driver, None, False
         driver.parameters[slots.AM : slots.BETA + 1] = self.scheme.parameters
-        settings(driver.parameters, driver.system, self.newton)
+        lend_newton(driver.parameters, driver.system, self.newton)
         driver.parameters[slots.FAR] = FAR * self.system.length
         driver.parameters[slots.PATIENCE] = PATIENCE
         driver.parameters[slots.STABILISED] = isinstance(self.scheme.form, GGL)

@@ -83,7 +83,7 @@ class EnergyMomentum:
         return next((reason for body in held.nodal if (reason := _refused(body))), "")
 
     def stepper(self, system: System, solver: StepSolver, newton: Newton, state: State) -> EnergyMomentumStepper:
-        """A run's worker, from a consistent state."""
+        """The time stepper of a run, from a consistent state."""
         return EnergyMomentumStepper(system, solver, newton, state)
 
 
