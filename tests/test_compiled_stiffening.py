@@ -14,7 +14,7 @@ from test_kernel import agree, floating
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.materials import plane_stress
-from fmbd_fenicsx.system.compiled.tables.fields import Condensed
+from fmbd_fenicsx.system.compiled.tables.fields import CondensedColumns
 
 pytestmark = compiled
 FRAMES = {"mean axis": fmbd.MeanAxis(), "attached": fmbd.Attached("pin"), "chord": fmbd.Chord("pin", "tip")}
@@ -69,10 +69,10 @@ def test_columns_that_give_way() -> None:
     Q, at = np.linalg.qr(rng.normal(size=(7, 7)))[0], np.array([0])
     W = (Q * [40.0, -80.0, 3.0, 0.2, -0.05, 0.04, 1.0]) @ Q.T
     assert W[1:3, 1:3].diagonal().min() < 0
-    made = Condensed(W, at, 3)
+    made = CondensedColumns(W, at, 3)
     compliance = W - np.outer(W[:, 0], W[0]) / W[0, 0]
     assert np.allclose(compliance @ made.S @ compliance, compliance, atol=1e-9) and made.indefinite
 
     W[4, 4] = np.nan
     with pytest.raises(ConvergenceError, match="not finite"):
-        Condensed(W, at, 3)
+        CondensedColumns(W, at, 3)

@@ -20,7 +20,7 @@ from fmbd_fenicsx.system.compiled.tables.structures import structure
 OF_TABLES = "Surface Body Told Field Batch Front Angle Rod Reaction Deflection Control System".split()
 OF_CORE: dict[str, Any] = {"Symmetric": Symmetric, "Closed": march.Closed, "Tape": tape.TAPE}
 OF_IMPLICIT: dict[str, Any] = {
-    "Implicit": implicit.Implicit, "OwnSteps": own_steps.OwnSteps, "Orders": implicit.Orders,
+    "Implicit": implicit.Implicit, "OwnSteps": own_steps.OwnSteps, "Orders": implicit.OrdersOfBDF,
     "Convergence": convergence.Convergence, "Sparse": stages.Sparse, "Lower": stages.Lower, "Stages": stages.Stages,
     "Product": stage_patterns.ProductPairs,
     "Patterns": stage_patterns.Patterns, "FieldStages": field_stages.FieldStages,

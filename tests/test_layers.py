@@ -150,6 +150,16 @@ def test_names_are_imported_from_where_they_stand() -> None:
     assert not handed_on
 
 
+def test_class_names_are_used_once() -> None:
+    """Two classes of one name are taken for one another; private ones are seen in their own file alone."""
+    homes: dict[str, list[str]] = {}
+    for path in MODULES:
+        for node in parsed(path).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
+    assert not {name: paths for name, paths in homes.items() if len(paths) > 1}
+
+
 def test_files_and_functions_are_short() -> None:
     found = []
     for path in MODULES:

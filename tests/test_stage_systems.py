@@ -29,7 +29,7 @@ from fmbd_fenicsx.schemes.onestep.collocation import tableau
 from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.states.convergence import CONVERGED, DIVERGED, GOES_ON, TOO_SLOW, Convergence
 from fmbd_fenicsx.system.compiled.states.couplings import couplings_of
-from fmbd_fenicsx.system.compiled.states.stages import Rule
+from fmbd_fenicsx.system.compiled.states.stages import StageRule
 from fmbd_fenicsx.system.layout import State
 
 FORMS = [
@@ -153,9 +153,9 @@ def test_increments_of_compiled_code(name: str, form: Any, stages: int) -> None:
     t, _, v, a, _ = at
     eq, state, mult = equations(system, form, at)
     tangent, tab = eq.refresh(state, mult), tableau(3)
-    rule, s = Rule(np.array([[1.5 / H]]), np.eye(1), np.eye(1), 0.9), np.array([1.5 / H])
+    rule, s = StageRule(np.array([[1.5 / H]]), np.eye(1), np.eye(1), 0.9), np.array([1.5 / H])
     if stages > 1:
-        rule, s = Rule(tab.W / H, tab.inverse, tab.vectors), tab.values / H
+        rule, s = StageRule(tab.W / H, tab.inverse, tab.vectors), tab.values / H
     points = Points(*(x[:stages] for x in (0.01 * v, v - a, v, a)), np.repeat(mult[None], stages, axis=0))
     weights = np.random.default_rng(6).uniform(1.0, 2.0, (3, system.n_v))
 

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline, interp1d
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError
 from fmbd_fenicsx.mechanics.kinds import time_derivatives
-from fmbd_fenicsx.mechanics.kinds.time_derivatives import KeptSteps, rates
+from fmbd_fenicsx.mechanics.kinds.time_derivatives import CountingSteps, rates
 
 SIZES, SPEEDS = np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0])
 
@@ -199,7 +199,7 @@ def test_steps_that_count_serve_an_interval(scale: float) -> None:
             return float(law(float(t) / scale))
 
         times = [k * 1e-3 * scale for k in range(1, 2000, 2)]
-        kept, calls = KeptSteps(), 0
+        kept, calls = CountingSteps(), 0
         few = np.array([rates(asked, t, kept=kept) for t in times])
         by_few, calls = calls, 0
         every = np.array([rates(asked, t) for t in times])
@@ -211,7 +211,7 @@ def test_steps_that_count_serve_an_interval(scale: float) -> None:
 def test_what_is_found_does_not_depend_on_what_was_asked_before() -> None:
     times = [0.013 * k for k in range(300)]
     law = lambda t: math.sin(3 * float(t)) + math.exp(-(((float(t) - 2) / 0.01) ** 2))
-    forth, back = KeptSteps(), KeptSteps()
+    forth, back = CountingSteps(), CountingSteps()
     ahead = [rates(law, t, kept=forth) for t in times]
     assert ahead == [rates(law, t, kept=back) for t in reversed(times)][::-1]
 
@@ -241,7 +241,7 @@ def of_terms_that_cancel(t: float) -> float:
 
 def test_terms_that_cancel() -> None:
     """Both rates, at most forty values a time; differences over long steps are the reference."""
-    calls, kept, h = 0, KeptSteps(), 2e-3
+    calls, kept, h = 0, CountingSteps(), 2e-3
 
     def counted(t: float) -> float:
         nonlocal calls

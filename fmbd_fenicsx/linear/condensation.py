@@ -35,7 +35,7 @@ from .core import ADVICE, TIE_LIMIT, CoreSolver
 from .core_matrix import core_matrix
 from .driver_solver import DriverSolver, driver_solver
 from .field_couplings import FieldCouplings
-from .prepared import Condensed, CoreAlone, Prepared, Tied, Whole
+from .prepared import Condensed, CoreAlone, Prepared, TiesIterated, Whole
 from .residual import Judge
 
 
@@ -223,7 +223,7 @@ class StepSolver:
         if self.iterated is not None:
             self.iterated.prepare(ev, w, A)
             nothing = [None] * len(self.blocks)
-            return Tied(Condensed(fields, self.core, A, self.iterated.direct, nothing), self.iterated)
+            return TiesIterated(Condensed(fields, self.core, A, self.iterated.direct, nothing), self.iterated)
         corrected = w.ck and s.contacts is None
         momenta = [f.missing_momentum(s.local_q(ev.q, k)) if corrected else None for k, f in s.fields]
         return Condensed(fields, self.core, A, slice(None), momenta)

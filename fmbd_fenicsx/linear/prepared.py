@@ -133,7 +133,7 @@ class Condensed(Prepared):
         return out
 
 
-class Tied(Prepared):
+class TiesIterated(Prepared):
     """Fields are condensed with few rows of constraints, and the many of surface ties iterated on."""
 
     def __init__(self, condensed: Condensed, ties: IteratedMultipliers) -> None:

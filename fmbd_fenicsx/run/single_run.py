@@ -30,7 +30,7 @@ from .recording.recorder import Recorder
 from .result import Run
 from .schedule import StepSchedule, warn_of_close_break_points, warn_of_dense_break_points, warn_of_late_samples
 from .settings import check_times
-from .time_loop import March, march
+from .time_loop import Marched, march
 
 if TYPE_CHECKING:
     from .checkpoints.checkpoint import Checkpoint, Keeper
@@ -67,7 +67,7 @@ class FinishedMarch:
     ``times``: of the clock when the run began, when its start was found, and at its end, s. ``exit_code``: where it stops.
     """
 
-    march: March
+    march: Marched
     problem: Problem
     start: ConsistentStart
     counters: dict[str, float]
@@ -229,7 +229,7 @@ def _keeper(
     return Keeper(plan, restart, problem.system, given(problem.scene, problem.system, settings))
 
 
-def _counters(march: March, newton: Newton, solver: StepSolver) -> dict[str, float]:
+def _counters(march: Marched, newton: Newton, solver: StepSolver) -> dict[str, float]:
     """Counts of a run; back-solves per step without those of the first step, which also solves the constant
     columns.
     """

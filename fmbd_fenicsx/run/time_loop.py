@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class March:
+class Marched:
     """What a march left: recorder, last state, largest local error, the first step's back-solves, the
     scheme's statistics, the seconds before a restart.
     """
@@ -77,7 +77,7 @@ def _motions(problem: Problem, schedule: StepSchedule, t: float) -> PrescribedMo
 
 def march(
     problem: Problem, solver: StepSolver, schedule: StepSchedule, output: Output, keeper: Keeper | None = None
-) -> March:
+) -> Marched:
     """All steps from a consistent start, or from the checkpoint that the ``keeper`` takes up; collective."""
     reset(problem.system, problem.start)
     loop = Loop(problem, solver, schedule, output, keeper)
@@ -325,10 +325,10 @@ class Loop:
         kept = "" if newest is None else f" The newest checkpoint is {newest}."
         return type(error)(f'Scene "{self.problem.scene.name}", {step}: {error}{kept}')
 
-    def left(self) -> March:
+    def left(self) -> Marched:
         """What the march has left."""
         progress = self.progress
-        return March(
+        return Marched(
             recorder=self.recorder,
             state=self.state,
             local_error=progress.local_error,

@@ -20,7 +20,7 @@ from ...errors import ConvergenceError, require
 from ...mechanics.forces.dry_friction import DryFrictionLoads
 from ...mechanics.frames import Kinematics
 from ...rotations import Array
-from ...system.control.control_memory import Kept
+from ...system.control.control_memory import ControllerMemory
 from ...system.control.controllers import ControlLoads
 from ...system.element_memory import memories, restore
 from ...system.layout import State
@@ -119,7 +119,7 @@ def steady(newton: StaticNewton, start: StaticPoint, t: float, keeping: list[Con
     span = LENGTHS * newton.tau
     for _ in range(MOST):
         for loads in keeping:
-            loads.kept = Kept(t - span, loads.kept.z, np.zeros_like(loads.kept.z), loads.kept.u, 0)
+            loads.kept = ControllerMemory(t - span, loads.kept.z, np.zeros_like(loads.kept.z), loads.kept.u, 0)
         point = by_load_steps(newton, point, t)
 
         kin = system.at(t, point.q, np.zeros(system.n_v)).kin
@@ -151,5 +151,5 @@ def _advanced(loads: ControlLoads, kin: Kinematics, t: float) -> Array:
     readings = loads.read(kin)
     u, z, _ = loads.with_memory(t, readings)
     before = loads.ask_law(t, readings, loads.kept.z)[0]
-    loads.kept = Kept(t, z, np.zeros_like(z), u, 0)
+    loads.kept = ControllerMemory(t, z, np.zeros_like(z), u, 0)
     return np.array([u, u - before])

@@ -142,8 +142,8 @@ class MassInverse(FieldFactor):
         self.judge = Judge(f'the mass matrix of body "{field.name}"')
         small = field.comm.size == 1 and field.n * field.dim <= SMALL
         definite = small and not field.redistributed  # contact nodes may have no mass
-        self.component: PetscFactor | ConjugateGradients = (
-            PetscFactor(field.M, True, "CHOLMOD") if definite else ConjugateGradients(field.M)
+        self.component: PetscFactor | MassConjugateGradients = (
+            PetscFactor(field.M, True, "CHOLMOD") if definite else MassConjugateGradients(field.M)
         )
 
     def solve(self, b: Array) -> Array:
@@ -169,7 +169,7 @@ class MassInverse(FieldFactor):
         self.component.destroy()
 
 
-class ConjugateGradients:
+class MassConjugateGradients:
     """M^-1 with diagonal scaling; collective."""
 
     def __init__(self, M: Any) -> None:

@@ -15,7 +15,7 @@ from ...system.system import System
 from ..saddle.saddle import share_of
 
 
-class Layout:
+class SplitLayout:
     """Of one system: the core if there is one, the fields, then blocks of rows. ``rows``: block of multipliers -> its rows."""
 
     def __init__(self, system: System) -> None:

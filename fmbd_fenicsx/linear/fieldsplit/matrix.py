@@ -10,7 +10,7 @@ import numpy as np
 from ...rotations import Array, rotate_nodal
 from ...system.tangents.jacobian import Jacobian
 from ..blocks.field_blocks import FactoredField
-from .layout import Layout
+from .layout import SplitLayout
 
 ROUNDOFF = 1e-13  # relative error that a product with the matrix may have
 
@@ -23,7 +23,7 @@ class StepMatrix:
     ``corotations``: rotations (d, d) of the axes of each field's factor, or None.
     """
 
-    layout: Layout
+    layout: SplitLayout
     A: Array
     G: Jacobian
     twists: list[Array]

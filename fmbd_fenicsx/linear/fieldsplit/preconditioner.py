@@ -12,7 +12,7 @@ from ...rotations import Array
 from ..blocks.field_blocks import Weights
 from ..iterated_multipliers import SceneTies
 from ..saddle.precondition import Fractional, lumped, rigid_term, to_petsc
-from .layout import Layout
+from .layout import SplitLayout
 from .matrix import StepMatrix
 
 LEAST = 1e-10  # eigenvalues of preconditioning blocks, scaled to a unit diagonal, are at least this
@@ -100,7 +100,7 @@ def _units(matrix: StepMatrix, small: list[sp.csr_matrix]) -> list[float]:
     return [float(np.sqrt(mean / S.diagonal().mean())) for S in small]
 
 
-def _index_sets(layout: Layout) -> list[Any]:
+def _index_sets(layout: SplitLayout) -> list[Any]:
     """Where each block stands in the vectors of PETSc, which hold the blocks of a rank one after the other."""
     from petsc4py import PETSc
 

@@ -30,7 +30,7 @@ from ..field_couplings import FieldCouplings
 from ..iterated_multipliers import CHANGED
 from ..options import check_options, set_from_options
 from ..residual import Judge, KrylovTest
-from .layout import Layout
+from .layout import SplitLayout
 from .matrix import StepMatrix
 from .preconditioner import Preconditioner
 
@@ -60,7 +60,7 @@ class SplitSolver:
             )
         together(system.comm, _refusal(system, preset, prefix))
         self.system, self.preset, self.prefix = system, preset, prefix
-        self.layout = Layout(system)
+        self.layout = SplitLayout(system)
         self.judge = Judge("the whole matrix of a step", 100 * preset.rtol)
         self.test = KrylovTest(self.judge, lambda x: self._residual(x.array_r.copy(), self.given))
         self.iterations = 0

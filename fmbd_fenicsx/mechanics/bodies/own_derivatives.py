@@ -73,7 +73,7 @@ def line_rates(function: Function, x: Array, v: Array) -> tuple[Array, Array]:
     """First and second derivative, (m,) each, of s -> function(x + s v) at s = 0: exact where the function is made of
     arithmetic and NumPy's functions, else by differences whose step suits the function.
     """
-    line = Line(function, x, v)
+    line = ValuesOnLine(function, x, v)
     exact = line.exact()
     if exact is not None:
         return exact
@@ -113,7 +113,7 @@ class Slopes:
 def slopes_of(function: Function, start: Array) -> Slopes:
     """The derivative of a user's function, looked at where a run starts; whoever asks for it there is told what fails."""
     along = 1.0 + 0.1 * np.arange(len(start))
-    line = Line(function, start, along)
+    line = ValuesOnLine(function, start, along)
     axes = _axes(function, start)
     try:
         exact = line.exact()
@@ -140,7 +140,7 @@ def _complex_steps_tell(function: Function, x: Array, v: Array, told: Array, err
         return False
 
 
-def _short_steps(axes: list[Line]) -> tuple[tuple[Sequence[int], ...], tuple[Sequence[float], ...]]:
+def _short_steps(axes: list[ValuesOnLine]) -> tuple[tuple[Sequence[int], ...], tuple[Sequence[float], ...]]:
     """Steps and errors of :class:`Slopes`, of each axis: what is a polynomial at the start is none elsewhere, so these are not
     the best steps but the shortest ones that are good enough.
     """
@@ -164,7 +164,7 @@ def _complex_slope(function: Function, x: Array, v: Array) -> Array:
         return np.imag(np.ravel(np.asarray(function(x + 1j * _STEP * v), dtype=complex))) / _STEP
 
 
-class Line:
+class ValuesOnLine:
     """The values of a function on a line x + s v; each place is asked once."""
 
     def __init__(self, function: Function, x: Array, v: Array) -> None:
@@ -193,19 +193,19 @@ class Line:
         return [search(lambda s, i=i: self.at(s)[i], 0.0, sizes[i], steps=steps) for i in range(len(sizes))]  # type: ignore[misc]
 
 
-def _axes(function: Function, x: Array) -> list[Line]:
+def _axes(function: Function, x: Array) -> list[ValuesOnLine]:
     """The lines through x along each coordinate."""
-    return [Line(function, x, e) for e in np.eye(len(x))]
+    return [ValuesOnLine(function, x, e) for e in np.eye(len(x))]
 
 
-def _searched(axes: list[Line], steps: Sequence[Sequence[int]] = ()) -> list[list[Best]]:
+def _searched(axes: list[ValuesOnLine], steps: Sequence[Sequence[int]] = ()) -> list[list[Best]]:
     """The derivative along each of the axes, of each value."""
     each = steps or [ALL] * len(axes)
     sizes = _sizes(axes)
     return [[first for first, _ in line.search(sizes, some)] for line, some in zip(axes, each, strict=True)]
 
 
-def _sizes(axes: list[Line]) -> Array:
+def _sizes(axes: list[ValuesOnLine]) -> Array:
     """Of the terms that may cancel in each value, (m,): sum_k |dg/dx_k| |x_k|, roughly; not small where a constraint holds."""
     here = axes[0].at(0.0)
     reaches = [ROUGH * abs(float(x)) for x in axes[0].x]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
-from ..joints.relative import Relative, Separation
+from ..joints.relative import RelativeCoordinates, Separation
 from .contact_set import ContactSet, Here
 from .nodal_rows import NodalRows
 from .obstacles import Way
@@ -30,7 +30,7 @@ class LimitPair(Pair):
     ``bounds`` (m,): where the stops are, rad or m; ``signs`` (m,): +1 below, -1 above.
     """
 
-    relative: Relative
+    relative: RelativeCoordinates
     bounds: Array
     signs: Array
 

@@ -23,7 +23,7 @@ from ..validity import TOO_LARGE, too_large
 from .field_part import FieldPart, TangentPoint
 from .foreshortening import Bent, Shortening
 from .modes import rigid_fields
-from .second_order import Acting, Moments, turning
+from .second_order import Acting, DisplacementMoments, turning
 from .stiffening import Stiffening
 
 
@@ -288,7 +288,9 @@ class FloatingField(FieldPart):
         weight = -float(motion.gravity @ center)
         return float(sums[0]), self.field.energy(U), weight
 
-    def _second_momentum(self, stiffening: Stiffening, moments: Moments, motion: FrameMotion) -> tuple[Array, float]:
+    def _second_momentum(
+        self, stiffening: Stiffening, moments: DisplacementMoments, motion: FrameMotion
+    ) -> tuple[Array, float]:
         """Momentum (n_twist,) in body axes and energy of the second-order displacements."""
         d = self.field.dim
         twist = np.concatenate((motion.R.T @ motion.twist[:d], motion.twist[d:]))

@@ -41,7 +41,7 @@ from ...rotations import Array, axial, motions, spin_matrix
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
+class DisplacementMoments:
     """Of displacements and their rates: ``s`` (count, d) int rho p, ``T`` (count, d, d) int rho X p^T of p = X + u, u', u'';
     ``m`` and ``P`` m2, P2 of (1) and their rates, in the same shapes.
     """
@@ -52,7 +52,7 @@ class Moments:
     P: Array
 
     @classmethod
-    def of(cls, first: Array, z: Array, d: int) -> Moments:
+    def of(cls, first: Array, z: Array, d: int) -> DisplacementMoments:
         """From the numbers of s and T, and of (1), one after the other, both (d + d^2, count)."""
         return cls(first[:d].T, first[d:].T.reshape(-1, d, d), z[:d].T, z[d:].T.reshape(-1, d, d))
 
@@ -95,7 +95,7 @@ class SecondOrder:
 
     def __post_init__(self) -> None:
         d = len(self.S0)
-        rest = Moments(self.S0[None], self.X0[None], np.zeros((1, d)), np.zeros((1, d, d)))
+        rest = DisplacementMoments(self.S0[None], self.X0[None], np.zeros((1, d)), np.zeros((1, d, d)))
         object.__setattr__(self, "inverse", np.linalg.inv(self.columns(rest)[0]))
 
     def _vector(self, found: tuple[Array, Array]) -> Array:
@@ -105,7 +105,7 @@ class SecondOrder:
         """The rigid motion (n_twist,) with these momenta."""
         return self.inverse @ self._vector(found)
 
-    def columns(self, z: Moments) -> tuple[Array, Array]:
+    def columns(self, z: DisplacementMoments) -> tuple[Array, Array]:
         """What (v, w) gives to g and to h, both (n_twist, n_twist)."""
         d = len(self.S0)
         n = motions(d).n_twist
@@ -117,7 +117,7 @@ class SecondOrder:
             B[:, k] = self._vector(z.second((w,)))
         return A, B
 
-    def acting(self, z: Moments, twist: Array, accel: Array, gravity: Array) -> Acting:
+    def acting(self, z: DisplacementMoments, twist: Array, accel: Array, gravity: Array) -> Acting:
         """(4); twist, accel (n_twist,) and gravity (d,) in body axes, moments with two rates."""
         d = len(self.S0)
         one = np.eye(d)
@@ -141,7 +141,7 @@ class SecondOrder:
         frame = np.concatenate((self.mass * a + L @ self.S0, axial(N)))
         return Acting(frame, a, L, np.concatenate((pull, L_b.ravel())))
 
-    def momentum(self, z: Moments, twist: Array) -> tuple[Array, float]:
+    def momentum(self, z: DisplacementMoments, twist: Array) -> tuple[Array, float]:
         """Derivatives of (3) by the twist (n_twist,) in body axes, and (3) itself; moments with one rate."""
         d = len(self.S0)
         turns = spin_matrix(twist[d:]), np.eye(d)
@@ -150,7 +150,7 @@ class SecondOrder:
         e = self.inverse @ h
         return A.T @ e + B.T @ (self.inverse @ g + e), float(g @ e + 0.5 * h @ e)
 
-    def mass_blocks(self, z: Moments, A_u: Array, B_u: Array) -> tuple[Array, Array]:
+    def mass_blocks(self, z: DisplacementMoments, A_u: Array, B_u: Array) -> tuple[Array, Array]:
         """What (3) adds to the mass: (frame, frame) and (field, frame), body axes; A_u, B_u (n_twist, n): g and h of u'."""
         A, B = self.columns(z)
         JA, JB = self.inverse @ A, self.inverse @ B

@@ -35,7 +35,7 @@ from ...fem.loads import Load
 from ...rotations import Array
 from ..frames import polar
 from .foreshortening import Shortening, rigid_ports
-from .second_order import Moments, SecondOrder, load_moment
+from .second_order import DisplacementMoments, SecondOrder, load_moment
 
 
 def geometric_form(form: Any, v: Any, w: Any) -> Any:
@@ -206,7 +206,7 @@ class Stiffening:
         weights = np.concatenate((one, MX), axis=1)
         return np.einsum("nk,ce->nekc", weights, np.eye(d)).reshape(f.n * d, -1)
 
-    def moments(self, bent: Array, local: Sequence[Array]) -> Moments:
+    def moments(self, bent: Array, local: Sequence[Array]) -> DisplacementMoments:
         """Of ``mechanics.elastic.second_order`` and their rates, from :meth:`bent` of the first of local; collective."""
         d = self.field.dim
         k = d + d * d
@@ -217,7 +217,7 @@ class Stiffening:
             z[:, 2] += products(self._matrices[:k], d, local[1]).T @ local[1]
         stacked[:, 0] += self.field.X.ravel()
         both = self.field.total(np.stack((self.first.T @ stacked, z)))
-        return Moments.of(both[0], both[1], d)
+        return DisplacementMoments.of(both[0], both[1], d)
 
     def load_moment(self, coefficients: Array, bent: Array, U: Array) -> Array:
         """Moment (n_rot,) in body axes of the loads on the second-order displacements; collective."""

@@ -16,7 +16,7 @@ import numpy as np
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.drives import JointCoordinate
-from ..joints.relative import Relative
+from ..joints.relative import RelativeCoordinates
 from .force_elements import Loads, MarkerTangent, ScalarLoads
 from .forces import Force
 from .formulas import MEMORY, Formula, table
@@ -27,7 +27,9 @@ class DryFrictionLoads(ScalarLoads):
 
     by_ends = True
 
-    def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: Relative) -> None:
+    def __init__(
+        self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: RelativeCoordinates
+    ) -> None:
         super().__init__(motions, forces, markers, relative)
         self.limit = np.array([f.limit for f in forces])
         self.kept: Array = np.zeros(len(forces))

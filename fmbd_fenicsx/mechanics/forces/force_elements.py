@@ -20,7 +20,7 @@ import numpy as np
 from ...errors import AGREEMENTS, InputError, named
 from ...rotations import Array, Motions
 from ..frames import Kinematics
-from ..joints.relative import Relative, Separation
+from ..joints.relative import RelativeCoordinates, Separation
 from ..kinds.time_derivatives import along, rates
 from .effort_laws import EffortLaw
 from .formulas import Formula, SampledEffort, formulas_of
@@ -166,7 +166,9 @@ class TimeLoads(Loads):
 class ScalarLoads(Loads):
     """Efforts N on relative coordinates, (1): linear springs and dampers, and laws of the user's own."""
 
-    def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: Relative) -> None:
+    def __init__(
+        self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: RelativeCoordinates
+    ) -> None:
         super().__init__(motions, forces, markers)
         self.relative = relative
         self.k = np.array([f.stiffness for f in forces], dtype=float)

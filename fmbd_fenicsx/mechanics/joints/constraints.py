@@ -168,7 +168,7 @@ class Perpendicular(Batch):
         return np.full(len(self.a), length)
 
 
-class InTime(Batch):
+class DrivenKinds(Batch):
     """Constraints whose kind itself depends on a motion of time, as one of its constants."""
 
     def _drive(self, t: float) -> None:
@@ -197,7 +197,7 @@ class InTime(Batch):
         return self.items.rates(kin)[1]
 
 
-class Turned(InTime, Perpendicular):
+class Turned(DrivenKinds, Perpendicular):
     """The same, e turned in marker a about ``axis`` by the motion: the angle between the markers follows it."""
 
     kind = "turned"
@@ -222,7 +222,7 @@ class ExpressedConstraint(NamedConstants):
         return np.full(len(self.a), length if self.items.turns_only else 1.0)
 
 
-class ExpressedInTime(InTime, ExpressedConstraint):
+class ExpressedInTime(DrivenKinds, ExpressedConstraint):
     """The same, with time in the formula: its motion is the time itself."""
 
 
@@ -236,5 +236,5 @@ class ExpressedSpeed(ExpressedConstraint):
         return self.items.rates(kin)[0]
 
 
-class ExpressedSpeedInTime(InTime, ExpressedSpeed):
+class ExpressedSpeedInTime(DrivenKinds, ExpressedSpeed):
     """The same, with time in the formula."""

@@ -17,9 +17,9 @@ from ...checks import function as checked_function
 from ...errors import ROUNDINGS, CallbackError, FmbdError, named
 from ...rotations import Array
 from ..frames import Kinematics
-from ..kinds.time_derivatives import KeptSteps, rates
+from ..kinds.time_derivatives import CountingSteps, rates
 from .constraints import Batch, Motion, Sides
-from .relative import Relative
+from .relative import RelativeCoordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class SmoothMotion:
     complete: bool
     differenced: Callable[[Any], Any]  # the function up to its very end
     positive: bool = False
-    steps: KeptSteps = field(default_factory=KeptSteps)  # of differences
+    steps: CountingSteps = field(default_factory=CountingSteps)  # of differences
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""
@@ -102,7 +102,7 @@ class SmoothMotion:
 
 
 @dataclass(frozen=True)
-class Constant:
+class Standing:
     """A motion that stands at a value: the length of a rope over pulleys."""
 
     value: float
@@ -144,7 +144,9 @@ def smooth_motion(
 class CouplingBatch(Batch):
     """Rows (1). ``terms``: (relative coordinates of one kind, constraint numbers, coefficients)."""
 
-    def __init__(self, terms: list[tuple[Relative, np.ndarray, Array]], motions: list[Motion | None]) -> None:
+    def __init__(
+        self, terms: list[tuple[RelativeCoordinates, np.ndarray, Array]], motions: list[Motion | None]
+    ) -> None:
         self.terms, self.size = terms, len(motions)
         self.driven = [(i, m) for i, m in enumerate(motions) if m is not None]
 

@@ -18,9 +18,9 @@ from ...checks import instance, number, typed
 from ...errors import InputError, require
 from ...rotations import Motions
 from .constraints import Motion
-from .couplings import Constant, lead_ratio, smooth_motion
+from .couplings import Standing, lead_ratio, smooth_motion
 from .joints import Joint
-from .relative import Relative, RelativeAngle, Separation, Slide
+from .relative import RelativeAngle, RelativeCoordinates, Separation, Slide
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class JointCoordinate:
     """
 
     joint: Joint
-    kind: type[Relative]
+    kind: type[RelativeCoordinates]
 
     made_by: ClassVar[str] = "fmbd.angle(...) or fmbd.displacement(...) of a joint itself, not of its name"
 
@@ -63,7 +63,9 @@ def displacement(joint: Joint) -> JointCoordinate:
     return JointCoordinate(joint, Slide)
 
 
-def relative_of(m: Motions, kind: type[Relative], entries: Iterable[tuple[JointCoordinate, int, int]]) -> Relative:
+def relative_of(
+    m: Motions, kind: type[RelativeCoordinates], entries: Iterable[tuple[JointCoordinate, int, int]]
+) -> RelativeCoordinates:
     """The batch of joint coordinates of one kind from (coordinate, marker a, marker b)."""
     found = list(entries)
     e = [
@@ -165,7 +167,7 @@ def couple(
     factors = [(s, number(f'Joint "{name}": factor of joint "{s.joint.name}"', c)) for s, c in terms.items()]
     require(all(c != 0.0 for _, c in factors), f'Joint "{name}": a factor is 0; leave that coordinate out.')
     start = sum(c * s.joint.length for s, c in factors if s.kind is Separation)
-    stands = None if start == 0.0 else Constant(start)
+    stands = None if start == 0.0 else Standing(start)
     return _coupling(name, "coupling", factors, stands if motion is None else smooth_motion(name, motion))
 
 

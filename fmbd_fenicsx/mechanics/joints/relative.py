@@ -48,7 +48,7 @@ def dot(a: Array, b: Array) -> Array:
     return np.asarray((a * b).sum(-1))
 
 
-class Relative:
+class RelativeCoordinates:
     """Coordinates of one kind between markers a and b; ``e`` (m, d): a direction each, for kinds that have one."""
 
     kind: ClassVar[str]
@@ -107,20 +107,20 @@ class Relative:
         return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
 
 
-class Separation(Relative):
+class Separation(RelativeCoordinates):
     """Distance of the two points."""
 
     kind = "separation"
     quotient = DISTANCE
 
 
-class Slide(Relative):
+class Slide(RelativeCoordinates):
     """Difference of the two points along directions fixed in a."""
 
     kind = "along"
 
 
-class ExpressedCoordinate(Relative):
+class ExpressedCoordinate(RelativeCoordinates):
     """A coordinate by a formula of the user's own; ``terms``: those of all items, of one kind."""
 
     kind = "own"
@@ -135,7 +135,7 @@ class ExpressedCoordinate(Relative):
         return {name: np.array([term.constants[name] for term in self.terms]) for name in self.terms[0].constants}
 
 
-class RelativeAngle(Relative):
+class RelativeAngle(RelativeCoordinates):
     """Rotation of b against a about directions fixed in a, beyond a turn; 0 where the marker axes agree."""
 
     kind = "angle"

@@ -10,7 +10,7 @@ with k = -3 ... 3, and where the function ends (it raises, or returns no finite 
 or -6 ... -1. The step counts whose error, by its difference from the formula of the four nearest k and its roundoff, is smallest.
 Longer steps are tried as long as they agree with what shorter ones have found: a whole period would else look like rest. The
 steps that count at a few places of an interval of time serve all of it, where they do not contradict each other: two to four in
-place of some fifteen (:class:`KeptSteps`).
+place of some fifteen (:class:`CountingSteps`).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Span = tuple[float, float]  # of time, s
 ALWAYS: Span = -math.inf, math.inf
 
 
-def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: KeptSteps | None = None) -> Rates:
+def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: CountingSteps | None = None) -> Rates:
     """s'(t) and s''(t) of ``function``(t) -> s.
 
     ``scale``: of terms that may cancel in s, whose roundoff stays; ``kept``: steps of differences of this function.
@@ -68,7 +68,7 @@ def along(function: Callable[[Any, Any], Any], x: Any, v: Any, t: float) -> Rate
 
 
 @dataclass(frozen=True)
-class Formula:
+class DifferenceFormula:
     """Of the m-th derivative in (1): the w_k of all six nodes and of the four nearest, and the sum of the former's sizes."""
 
     best: tuple[float, ...]
@@ -80,7 +80,7 @@ class Formula:
         return sum(map(mul, self.best, d)), sum(map(mul, self.rough, d))
 
 
-def _formulas(nodes: Sequence[int]) -> tuple[Formula, ...]:
+def _formulas(nodes: Sequence[int]) -> tuple[DifferenceFormula, ...]:
     """Those of the first and the second derivative, numbers of Python: six of them are summed sooner than an array is made."""
     found = np.zeros((2, 2, 6))
     for kind, used in enumerate((6, 4)):
@@ -88,7 +88,8 @@ def _formulas(nodes: Sequence[int]) -> tuple[Formula, ...]:
         powers = np.array(nodes, dtype=float)[which] ** np.arange(1, used + 1)[:, None]
         found[kind][:, which] = np.linalg.solve(powers, np.eye(used)[:, :2] * (1.0, 2.0)).T
     return tuple(
-        Formula(tuple(w.tolist()), tuple(r.tolist()), float(np.abs(w).sum())) for w, r in zip(*found, strict=True)
+        DifferenceFormula(tuple(w.tolist()), tuple(r.tolist()), float(np.abs(w).sum()))
+        for w, r in zip(*found, strict=True)
     )
 
 
@@ -125,7 +126,7 @@ class Best:
             self.value, self.error, self.number = value, doubt, number
 
 
-class KeptSteps:
+class CountingSteps:
     """Steps that count at a few places of an interval of time, which is so many of those over which it is smooth at t = 0.
 
     What is found is a function of the time alone, whoever was asked before: runs that are taken up go on to the last bit.
@@ -200,7 +201,7 @@ def _smooth_step(function: Callable[[Any], Any]) -> float:
     return STEPS[-1]
 
 
-def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: KeptSteps | None) -> Rates:
+def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: CountingSteps | None) -> Rates:
     """(1) for m = 1 and 2, each with the step that suits it best; NaN where the function is known at t alone."""
     few = None if kept is None else kept.by_few(function, t, scale)
     if few is not None:
@@ -242,7 +243,7 @@ def search(
 
 def _around(
     function: Callable[[Any], Any], t: float, h: float, span: Span
-) -> tuple[list[float], tuple[Formula, ...]] | None:
+) -> tuple[list[float], tuple[DifferenceFormula, ...]] | None:
     """Values at t + k h with the formulas of these k: on both sides, else ahead, else behind; None where neither is known."""
     for nodes, formulas in SIDES:
         if t + min(nodes) * h < span[0] or t + max(nodes) * h >= span[1]:

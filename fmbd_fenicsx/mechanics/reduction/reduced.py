@@ -28,7 +28,7 @@ from ...errors import ConvergenceError
 from ...rotations import Array, axial, hat, motions, spin_matrix
 from ..body import Placed, Site
 from ..elastic.foreshortening import of_constants
-from ..elastic.second_order import Acting, Moments, SecondOrder, load_moment, turning
+from ..elastic.second_order import Acting, DisplacementMoments, SecondOrder, load_moment, turning
 from ..placements import FrameMotion, Part
 from ..validity import TOO_LARGE, too_large
 
@@ -198,13 +198,13 @@ class ReducedPart(Part):
         assert G is not None
         return np.asarray((G @ eta).T)
 
-    def _moments(self, bent: Array, local: Sequence[Array]) -> Moments:
+    def _moments(self, bent: Array, local: Sequence[Array]) -> DisplacementMoments:
         """Of :mod:`..elastic.second_order` and their rates, from the columns :meth:`_bent` of the first of local."""
         z = bent.T @ np.stack(local, axis=1)
         z[:, 0] *= 0.5
         if len(local) > 2:
             z[:, 2] += self._bent(local[1]).T @ local[1]
-        return Moments.of(self._first @ self._with_shape(*local), z, self.dim)
+        return DisplacementMoments.of(self._first @ self._with_shape(*local), z, self.dim)
 
     def _acting(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> Acting:
         """(4) of :mod:`..elastic.second_order`, for local coordinates with two rates."""

@@ -14,7 +14,7 @@ from ..problem import Problem, make_solver
 from ..recording.output import Output
 from ..recording.recorder import Recorder
 from ..schedule import StepSchedule, sampled_late
-from ..time_loop import March, march
+from ..time_loop import Marched, march
 from .certificate import struck_or_sampled
 
 # of runs that only tell an error: with larger steps forces may have no value
@@ -69,7 +69,7 @@ def unbegun(scene: Scene, built: Built, scheme: Any, *, newton: Newton, linear: 
 
 def companion(
     problem: Problem, schedule: StepSchedule, output: Output, of: Built | None = None, *, beside: Output | None = None
-) -> March:
+) -> Marched:
     """A march that only tells an error, with an iteration and a solver of its own, warning of nothing: from the start of the
     problem, or from that ``of`` another system; recorded ``beside``, too; collective.
 

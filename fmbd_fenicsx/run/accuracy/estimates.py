@@ -21,7 +21,7 @@ from ..recording.accompanied import Accompanied
 from ..recording.output import Output
 from ..recording.recorder import Recorder
 from ..schedule import StepSchedule
-from ..time_loop import March
+from ..time_loop import Marched
 from .algebra import algebra_error, tighter_run
 from .certificate import HIDDEN, kinked, stated_of, uncertain_of
 from .companion_runs import UNFIT, Compared, as_recorded, companion
@@ -186,7 +186,7 @@ def space_error(problem: Problem, compared: Compared) -> tuple[dict[str, Deviati
     return space_deviations(compared.recorder, fine, why)
 
 
-def run_like(problem: Problem, compared: Compared, scene: Scene, built: Built) -> March:
+def run_like(problem: Problem, compared: Compared, scene: Scene, built: Built) -> Marched:
     """The march of another scene, with the same sensors, with the same steps; collective.
 
     Raises one of :data:`UNFIT` where the run does not end.

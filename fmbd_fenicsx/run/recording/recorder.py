@@ -23,7 +23,7 @@ from .drift import Drift
 from .instants import Instants
 from .ledger import Bookkeeper
 from .output import MOST, ROUNDING, Output
-from .rows import Rows, StepNumbers
+from .rows import Records, StepNumbers
 from .straight import Straight
 
 
@@ -48,9 +48,9 @@ class Recorder:
     def __post_init__(self) -> None:
         self.steps = StepNumbers(np.zeros(0, dtype=int))
         # (k,) of times and energies, (k, size) of sensors
-        self.moments = Rows()
-        self.energies: dict[str, Rows] = {}
-        self.values: dict[str, Rows] = {n: Rows() for n in self.scene.sensors}
+        self.moments = Records()
+        self.energies: dict[str, Records] = {}
+        self.values: dict[str, Records] = {n: Records() for n in self.scene.sensors}
         times = self.output.times
         self.instants: Instants | None = None
         if times is not None:
@@ -145,7 +145,7 @@ class Recorder:
         if self.output.energy and not unknown and not (there and self.straight.single):
             for name, values in seen.energies().items():
                 if ("energy", name) not in there:
-                    self.energies.setdefault(name, Rows()).append(values)
+                    self.energies.setdefault(name, Records()).append(values)
         for rows in (self.moments, *self.energies.values(), *self.values.values()):
             rows.joined(self.expected)  # the tape is written anew
 
@@ -167,7 +167,7 @@ class Recorder:
             for name, sensor in sensors:
                 self.values[name].append(sensor.read(ev, s, self.markers[name])[None])
             for name, value in ev.energies().items() if energy else ():
-                self.energies.setdefault(name, Rows()).append(np.array([value]))
+                self.energies.setdefault(name, Records()).append(np.array([value]))
 
     def quiet(self, n: int, t: float, h: float, *, through: bool = False) -> int:
         """Steps of size h (s) after step n, at time t, up to the next that is recorded, it included; or all before one that
@@ -264,7 +264,7 @@ class Recorder:
             self.drift.judge(n, state, ev)
         if self.output.energy:
             for name, value in ev.energies().items():
-                self.energies.setdefault(name, Rows()).append(np.array([value]))
+                self.energies.setdefault(name, Records()).append(np.array([value]))
         if self.output.ledger:
             self.bookkeeper.enter(ev, state)
 
@@ -274,14 +274,14 @@ class Recorder:
         """All that was recorded so far."""
         steps, times = m("steps", (self.indices, self.times))
         self.newest = int(steps[-1]) if len(steps) else -1
-        self.steps, self.moments = StepNumbers(np.asarray(steps, dtype=int)), Rows([np.asarray(times, dtype=float)])
+        self.steps, self.moments = StepNumbers(np.asarray(steps, dtype=int)), Records([np.asarray(times, dtype=float)])
 
         sensors = self.scene.sensors
-        self.values = {n: Rows([sensors[n].remember(m, f"sensor {n}", x)]) for n, x in self.series.items()}
+        self.values = {n: Records([sensors[n].remember(m, f"sensor {n}", x)]) for n, x in self.series.items()}
 
         kinds = m("kinds", list(self.energies))
         now = self.energy
-        self.energies = {k: Rows([np.asarray(m(f"energy {k}", now.get(k, np.zeros(0))))]) for k in kinds}
+        self.energies = {k: Records([np.asarray(m(f"energy {k}", now.get(k, np.zeros(0))))]) for k in kinds}
 
         self.seconds, self._due = m("snapshots due", (self.seconds, self._due))
         self.drift.remember(m.inside("drift"))

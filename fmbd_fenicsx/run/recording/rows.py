@@ -25,7 +25,7 @@ class StepNumbers(list[np.ndarray]):
         return self.known
 
 
-class Rows(list[Array]):
+class Records(list[Array]):
     """The newest records as pieces (k, ..) that are appended; :meth:`joined` moves them into one array.
 
     That has room for all records of a run, up to a million, from the start, where their number is known: fresh memory

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...system.compiled.recording import Numbers, Recorded
 from ...system.compiled.tape import Tape
-from .rows import Rows
+from .rows import Records
 
 if TYPE_CHECKING:
     from .recorder import Recorder
@@ -53,10 +53,10 @@ class Straight:
         self._count = len(out)
         return out
 
-    def _rows(self, key: Key) -> Rows:
+    def _rows(self, key: Key) -> Records:
         """Where it goes to."""
         what, name = key
         if key == TIME:
             return self.recorder.moments
         rows: dict[str, Any] = self.recorder.values if what == "sensor" else self.recorder.energies
-        return rows.setdefault(name, Rows())
+        return rows.setdefault(name, Records())

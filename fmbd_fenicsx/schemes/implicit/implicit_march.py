@@ -19,7 +19,7 @@ from ...system.compiled.implicit import ImplicitRoom, work_of
 from ...system.compiled.march import March
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.evaluation import DriverStates
-from ...system.compiled.states.stages import Rule
+from ...system.compiled.states.stages import StageRule
 from ..error_norm import EPS
 from ..own_marching import OwnMarch
 
@@ -48,7 +48,7 @@ class ImplicitMarch(OwnMarch):
         """The room of its stages, with its coefficients."""
         raise NotImplementedError
 
-    def _settings(self) -> tuple[Convergence, Rule]:
+    def _settings(self) -> tuple[Convergence, StageRule]:
         """What it says of Newton's iteration of a constant step, and of its points."""
         raise NotImplementedError
 

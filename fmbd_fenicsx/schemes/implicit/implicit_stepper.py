@@ -19,7 +19,7 @@ from ...linear.residual import Judge
 from ...log import log
 from ...rotations import Array
 from ...system.compiled.states.convergence import GOES_ON, Convergence
-from ...system.compiled.states.stages import Rule
+from ...system.compiled.states.stages import StageRule
 from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
@@ -242,7 +242,7 @@ class ImplicitStepper(ImplicitMarch):
         self._still = moved <= self._roundoff
         return size if self.adaptive else max(moved, h * h * pushes) / self._allowed
 
-    def _iteration(self, h: float, t: Array, points: Points, rule: Rule) -> StageIteration:
+    def _iteration(self, h: float, t: Array, points: Points, rule: StageRule) -> StageIteration:
         """Newton's iteration for the points of a step of size h (s)."""
         self._allow(h)
         weights = self.norm.weights(h) if self.adaptive else self._unweighted

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...rotations import Array
 from ...system.compiled.states.convergence import Convergence
-from ...system.compiled.states.stages import Rule
+from ...system.compiled.states.stages import StageRule
 from ..dae import Points
 
 Increments = tuple[Array, Array, Array]  # of xi, v and of multipliers
@@ -22,7 +22,7 @@ Increments = tuple[Array, Array, Array]  # of xi, v and of multipliers
 class StageIteration:
     """The iteration from predicted ``points`` at the times t (k,); ``equations`` and ``pencil`` of the step."""
 
-    def __init__(self, equations: Any, t: Array, points: Points, rule: Rule, weights: Array | None) -> None:
+    def __init__(self, equations: Any, t: Array, points: Points, rule: StageRule, weights: Array | None) -> None:
         self.eq, self.t, self.rule, self._weights = equations, t, rule, weights
         self._points = points
         self._room: Any = None  # of compiled code, which has the points

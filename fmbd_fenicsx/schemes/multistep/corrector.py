@@ -13,7 +13,7 @@ import numpy as np
 
 from ...rotations import Array
 from ...system.compiled.states.convergence import CONVERGED
-from ...system.compiled.states.stages import Rule
+from ...system.compiled.states.stages import StageRule
 from ...system.layout import State
 from ..dae import Points
 from ..newton import strayed
@@ -58,7 +58,7 @@ class Corrector(MultistepMarch):
         self.eq.begin(self.state)
         relax = self._prepare(t, p, c[0])
 
-        iteration = self._iteration(h, np.array([t]), p, Rule(c[:1, None], ALONE, ALONE, relax))
+        iteration = self._iteration(h, np.array([t]), p, StageRule(c[:1, None], ALONE, ALONE, relax))
         convergence, most = self._convergence(h, RATES, 1.0), self.newton.max_iterations
         for until in range(1, most + 1) if self._full and self.eq.dense else (most,):
             if convergence.done:

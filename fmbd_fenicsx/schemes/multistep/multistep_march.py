@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...rotations import Array
-from ...system.compiled.implicit import WORK, ImplicitRoom, Orders
+from ...system.compiled.implicit import WORK, ImplicitRoom, OrdersOfBDF
 from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
-from ...system.compiled.states.stages import Rule
+from ...system.compiled.states.stages import StageRule
 from ...system.layout import States
 from ..control import growth_factor
 from ..implicit.convergence import Rates
@@ -82,14 +82,14 @@ class MultistepMarch(ImplicitStepper):
         if not self.adaptive:
             return ImplicitRoom(stages, {}, order)
         (shrink, grow), (keep, calm), (nearest, farthest) = WITHIN, CALM, NEAR
-        orders = Orders(
+        orders = OrdersOfBDF(
             highest=self.highest, safety=SAFETY, least=LEAST, shrink=shrink, grow=grow, keep=keep, calm=calm,
             lower=LOWER, higher=HIGHER, nearest=nearest, farthest=farthest, **self.eq.frequency_grid,
         )  # fmt: skip
         return ImplicitRoom(stages, {}, order, own=self._own_room(orders=orders))
 
-    def _settings(self) -> tuple[Convergence, Rule]:
-        return self._convergence(0.0, RATES, 1.0), Rule(ALONE, ALONE, ALONE)
+    def _settings(self) -> tuple[Convergence, StageRule]:
+        return self._convergence(0.0, RATES, 1.0), StageRule(ALONE, ALONE, ALONE)
 
     def _memory(self) -> Array:
         (newest, *older), twin = self.past[: self.scheme.order + 1], self._twin

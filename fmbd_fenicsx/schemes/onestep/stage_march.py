@@ -11,7 +11,7 @@ from ...system.compiled.implicit import WORK, ImplicitRoom
 from ...system.compiled.march import March
 from ...system.compiled.own_steps import OwnRoom
 from ...system.compiled.states.convergence import Convergence
-from ...system.compiled.states.stages import Rule
+from ...system.compiled.states.stages import StageRule
 from ...system.layout import States
 from ..dae import Points
 from ..implicit.convergence import Rates
@@ -65,9 +65,9 @@ class StageMarch(ImplicitStepper):
         room.c.longer, room.c.least_share = LONGER, LEAST_SHARE
         return room
 
-    def _settings(self) -> tuple[Convergence, Rule]:
+    def _settings(self) -> tuple[Convergence, StageRule]:
         tab = self.tab
-        return self._convergence(0.0, RATES[self.adaptive], 1.0), Rule(tab.W, tab.inverse, tab.vectors)
+        return self._convergence(0.0, RATES[self.adaptive], 1.0), StageRule(tab.W, tab.inverse, tab.vectors)
 
     def _memory(self) -> Array:
         s, k, control, twin = self.state, len(self.tab.c), self.control, self._twin

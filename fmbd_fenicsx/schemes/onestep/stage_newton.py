@@ -16,7 +16,7 @@ import numpy as np
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.implicit.pencil import Pencil, cuts_of, stacked
 from ...rotations import Array
-from ...system.compiled.states.stages import Rule
+from ...system.compiled.states.stages import StageRule
 from ...system.layout import State
 from ..control import ROUNDOFF, STAGNATION
 from ..dae import Points
@@ -70,7 +70,7 @@ class StageNewton(StageMarch):
     def _iterate(self, h: float, predicted: Stages) -> Points | str:
         """With one tangent for all stages, as long as it converges."""
         tab = self.tab
-        rule = Rule(tab.W / h, tab.inverse, tab.vectors)
+        rule = StageRule(tab.W / h, tab.inverse, tab.vectors)
         times = self.state.t + h * tab.c
         stages = self.eq.aligned(times, rule.couple, self._stages(h, *predicted))
         iteration = self._iteration(h, times, stages, rule)

@@ -14,7 +14,7 @@ from ...errors import ConvergenceError, LinearSolveError
 from ...kernel_cache import address_of
 from ...mechanics.forces.formulas import TARGET
 from ...mechanics.forces.laws_together import mean_effort
-from ...mechanics.joints.couplings import Constant, SmoothMotion
+from ...mechanics.joints.couplings import SmoothMotion, Standing
 from ...mechanics.kinds.asked import AskedKind
 from .declarations import PYTHON, enumeration
 from .tables.item_batches import turned, turning
@@ -85,9 +85,9 @@ class Calls:
             found += zip(items.drive, items.table[:, place : place + 3], strict=True)
 
         for motion, value in found:
-            if isinstance(motion, Constant):
+            if isinstance(motion, Standing):
                 value[:] = motion(0.0)
-        return [x for x in found if not isinstance(x[0], Constant)]
+        return [x for x in found if not isinstance(x[0], Standing)]
 
     def _list_timed(self) -> int:
         """Tell C which arrays a sample writes; numbers in all of them."""
@@ -268,10 +268,10 @@ def _moving(target: Any) -> Callable[[float], tuple[float, float]]:
 
 def _motions(system: Any) -> list[tuple[np.ndarray, list[Any], Any]]:
     """Rows with a prescribed motion on their right-hand side, these motions (one each, or one for all), and factors of these."""
-    from ...mechanics.joints.constraints import InTime
+    from ...mechanics.joints.constraints import DrivenKinds
 
     out: list[tuple[np.ndarray, list[Any], Any]] = []
     for batch, rows in system.batches:
-        if batch.driven and not isinstance(batch, InTime):
+        if batch.driven and not isinstance(batch, DrivenKinds):
             out.append((rows[[i for i, _ in batch.driven]], [motion for _, motion in batch.driven], 1.0))
     return out + motions_of_ties(system)

@@ -10,7 +10,7 @@ import numpy as np
 from ...kernel_cache import address_of
 from ...rotations import Array
 from .declarations import enumeration, fields_of
-from .own_steps import Bent, OwnRoom
+from .own_steps import BentRods, OwnRoom
 from .states.convergence import Convergence
 from .states.stages import PointRoom
 
@@ -24,7 +24,7 @@ class Implicit(ctypes.Structure):
     _fields_ = fields_of("implicit.c", "Implicit")
 
 
-class Orders(ctypes.Structure):
+class OrdersOfBDF(ctypes.Structure):
     """``Orders`` of bdf.c."""
 
     _fields_ = fields_of("bdf.c", "Orders")
@@ -46,7 +46,7 @@ class ImplicitRoom:
     ) -> None:
         self.stages, self.own = stages, own
         n, size, points, tables = stages.c.n, stages.c.size, stages.c.points, stages.states.tables
-        bent = Bent(tables.system)
+        bent = BentRods(tables.system)
         bent.lend(stages.c, apart=own is not None and own.c.index < 3)
         mixed = np.empty((max(points, order + 1) + 14) * n + 2 * tables.system.n_q + 6 * size + tables.nu)
         self._kept = [mixed, bent, *(np.ascontiguousarray(x) for x in coefficients.values())]

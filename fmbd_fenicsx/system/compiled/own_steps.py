@@ -59,7 +59,7 @@ class OwnRoom:
         return sizes, speeds, np.array([one.size for one in self._deflections])
 
 
-class Bent:
+class BentRods:
     """Room in which norms weigh deformations of rods apart from their rigid motions; none where a system has no rods."""
 
     def __init__(self, system: Any) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
 from ...mechanics.frames import SeenKinematics
-from ...mechanics.joints.relative import Relative
+from ...mechanics.joints.relative import RelativeCoordinates
 from ...mechanics.kinds.frames import FRAME
 from ...rotations import Array
 from ..layout import State
@@ -43,7 +43,7 @@ class Look:
     """
 
     marker: int = -1
-    relative: Relative | None = None
+    relative: RelativeCoordinates | None = None
     element: str = ""
     joint: str = ""
     rows: bool = False

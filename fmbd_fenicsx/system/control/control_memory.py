@@ -18,7 +18,7 @@ SLOW = 1e-2  # share of an error that may be left by inserting a memory in its o
 
 
 @dataclass(frozen=True)
-class Kept:
+class ControllerMemory:
     """What a controller keeps: time t_n (s), memory z and its rate g, efforts u, and the number of the next sample."""
 
     t: float
@@ -29,27 +29,27 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Found:
+class ContinuousAnswer:
     """What a continuous law answered with at time t (s) and readings y after a step was kept: u, z and g of (1)."""
 
-    kept: Kept
+    kept: ControllerMemory
     t: float
     y: dict[str, Array]
     u: Array
     z: Array
     rate: Array
 
-    def holds(self, kept: Kept, t: float, y: Mapping[str, Array]) -> bool:
+    def holds(self, kept: ControllerMemory, t: float, y: Mapping[str, Array]) -> bool:
         """Whether it is asked for the same once more."""
         return self.follows(kept, t) and all(np.array_equal(x, self.y[name]) for name, x in y.items())
 
-    def follows(self, kept: Kept, t: float) -> bool:
+    def follows(self, kept: ControllerMemory, t: float) -> bool:
         """Whether it is of the same step."""
         return self.kept is kept and self.t == t
 
 
 def implicit(
-    name: str, kept: Kept, t: float, law: Callable[[Array], tuple[Array, Array]], start: Array | None
+    name: str, kept: ControllerMemory, t: float, law: Callable[[Array], tuple[Array, Array]], start: Array | None
 ) -> tuple[Array, Array, Array]:
     """u, z and g of (1) at time t: by inserting, enough for memories that are slow; else by Newton's method.
 

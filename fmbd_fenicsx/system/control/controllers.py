@@ -28,12 +28,12 @@ from ...mechanics.forces.formulas import Formula, SampledEffort, table
 from ...mechanics.forces.joint_elements import motion_of
 from ...mechanics.frames import Kinematics
 from ...mechanics.joints.drives import JointCoordinate
-from ...mechanics.joints.relative import Relative
+from ...mechanics.joints.relative import RelativeCoordinates
 from ...rotations import Array, Motions, hat
 from ..sensors.sensor import Sensor
 from ..sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Velocity
 from .control_laws import PidLaw, differences, numbers_of
-from .control_memory import Found, Kept, implicit
+from .control_memory import ContinuousAnswer, ControllerMemory, implicit
 
 _KINEMATIC = (Position, Velocity, AngularVelocity, Rotation)
 _AT = 1e-9  # share of the sampling period by which a step may end before its sample
@@ -53,7 +53,7 @@ class Reading:
     name: str
     sensor: Sensor
     marker: int
-    relative: Relative | None
+    relative: RelativeCoordinates | None
     level: int
 
     @property
@@ -95,17 +95,17 @@ class Readings(dict[str, Array]):
 
 
 class ControlLoads(Loads):
-    """One controller: efforts on the coordinates ``acts``, one marker pair each; ``kept`` as in :class:`Kept`."""
+    """One controller: efforts on the coordinates ``acts``, one marker pair each; ``kept`` as in :class:`ControllerMemory`."""
 
     def __init__(
-        self, motions: Motions, controller: Controller, acts: Sequence[Relative], readings: Sequence[Reading]
+        self, motions: Motions, controller: Controller, acts: Sequence[RelativeCoordinates], readings: Sequence[Reading]
     ) -> None:
         super().__init__(motions, [controller] * len(acts), [(int(r.a[0]), int(r.b[0])) for r in acts])
         self.controller, self.acts, self.readings = controller, tuple(acts), tuple(readings)
         self.law = named("The law of controller", controller.name, controller.law, time=0)
         z = np.asarray(controller.memory, dtype=float)
-        self.kept: Kept = Kept(0.0, z, np.zeros_like(z), np.zeros(len(acts)), 0)
-        self._found: Found | None = None
+        self.kept: ControllerMemory = ControllerMemory(0.0, z, np.zeros_like(z), np.zeros(len(acts)), 0)
+        self._found: ContinuousAnswer | None = None
 
     @property
     def called(self) -> bool:
@@ -150,7 +150,7 @@ class ControlLoads(Loads):
         if last is None or not last.holds(self.kept, t, y):
             start = last.z if last is not None and last.follows(self.kept, t) else None
             found = implicit(self.controller.name, self.kept, t, partial(self.ask_law, t, y), start)
-            last = self._found = Found(self.kept, t, {name: x.copy() for name, x in y.items()}, *found)
+            last = self._found = ContinuousAnswer(self.kept, t, {name: x.copy() for name, x in y.items()}, *found)
         return last.u, last.z, last.rate
 
     def read(self, kin: Kinematics) -> dict[str, Array]:
@@ -238,17 +238,17 @@ class ControlLoads(Loads):
 
         def keep(memory: Array) -> None:
             z, rate, t = (float(x) for x in memory[0])
-            self.kept = Kept(t, np.array([z]), np.array([rate]), self.kept.u, 0)
+            self.kept = ControllerMemory(t, np.array([z]), np.array([rate]), self.kept.u, 0)
 
         kp, ki, kd = law.gains
         numbers = table([(kp, kd, law.limit, ki, *law.target(0.0)[:2])])
         return [Formula(self.acts[0], "PID", np.zeros(1, dtype=int), numbers, [law.target], kept, keep)]
 
     # -- memory -----------------------------------------------------------------------------------------------------
-    def first(self, ev: Any, state: Any) -> Kept:
+    def first(self, ev: Any, state: Any) -> ControllerMemory:
         """Memory at the start, with the first sample taken."""
         z = np.asarray(self.controller.memory, dtype=float)
-        self.kept = Kept(state.t, z, np.zeros_like(z), np.zeros(len(self.acts)), 0)
+        self.kept = ControllerMemory(state.t, z, np.zeros_like(z), np.zeros(len(self.acts)), 0)
         return self.accepted(ev, state)
 
     @property
@@ -262,7 +262,7 @@ class ControlLoads(Loads):
         acting = self.acts if self.controller.every is not None else ()
         return [SampledEffort(relative, lambda i=i: -float(self.kept.u[i])) for i, relative in enumerate(acting)]  # type: ignore[misc]
 
-    def jumps(self, kept: Kept) -> bool:
+    def jumps(self, kept: ControllerMemory) -> bool:
         """A new sample has been taken."""
         return kept.next != self.kept.next
 
@@ -279,12 +279,12 @@ class ControlLoads(Loads):
         z = self.memory_values()
         return self.ask_law(t, self.read(ev.kin), z)[1] if len(z) else z
 
-    def after(self, t: float, y: Mapping[str, Array]) -> Kept:
+    def after(self, t: float, y: Mapping[str, Array]) -> ControllerMemory:
         """What a continuous law keeps of a step that ended at t with these readings, by (3)."""
         u, z, rate = self.with_memory(t, y)
-        return Kept(t, z, rate, u, 0)
+        return ControllerMemory(t, z, rate, u, 0)
 
-    def accepted(self, ev: Any, state: Any) -> Kept:
+    def accepted(self, ev: Any, state: Any) -> ControllerMemory:
         """Memory after a step: of (3), or of the sample that is due."""
         every, kept = self.controller.every, self.kept
         if every is None:
@@ -293,7 +293,7 @@ class ControlLoads(Loads):
             return kept
         y = {r.name: r.at(ev.kin) if r.relative else r.sensor.read(ev, state, r.marker) for r in self.readings}
         u, z = self.ask_law(state.t, y, kept.z)
-        return Kept(state.t, z, kept.rate, u, int(np.floor(state.t / every + _AT)) + 1)
+        return ControllerMemory(state.t, z, kept.rate, u, int(np.floor(state.t / every + _AT)) + 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from ...mechanics.forces.expressed import ExpressedForce
 from ...mechanics.forces.force_elements import Loads, ScalarLoads
 from ...mechanics.forces.forces import Force
 from ...mechanics.joints.drives import JointCoordinate, relative_of
-from ...mechanics.joints.relative import ExpressedCoordinate, Relative, Separation
+from ...mechanics.joints.relative import ExpressedCoordinate, RelativeCoordinates, Separation
 from ...rotations import Motions
 from ..sensors.sensor import Sensor
 
@@ -25,7 +25,7 @@ class Place:
     def __init__(self, builder: Builder) -> None:
         self.motions, self._builder = builder.m, builder
 
-    def relative(self, coordinate: JointCoordinate) -> Relative:
+    def relative(self, coordinate: JointCoordinate) -> RelativeCoordinates:
         """A joint coordinate."""
         a, b = self._builder.joint_markers[coordinate.joint.name]
         return relative_of(self.motions, coordinate.kind, [(coordinate, a, b)])
@@ -73,7 +73,7 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
     return tuple(out)
 
 
-def _relative(m: Motions, kind: Any, fs: list[Force], ms: list[tuple[int, int]]) -> Relative:
+def _relative(m: Motions, kind: Any, fs: list[Force], ms: list[tuple[int, int]]) -> RelativeCoordinates:
     if fs[0].coordinate is not None:
         return relative_of(m, kind, [(f.coordinate, a, b) for f, (a, b) in zip(fs, ms, strict=True) if f.coordinate])
 
@@ -81,5 +81,5 @@ def _relative(m: Motions, kind: Any, fs: list[Force], ms: list[tuple[int, int]])
     terms = [f.term for f in fs if isinstance(f, ExpressedForce)]
     if terms:
         return ExpressedCoordinate(m, markers[:, 0], markers[:, 1], terms)
-    made: Relative = kind(m, markers[:, 0], markers[:, 1], np.zeros((len(fs), m.dim)))
+    made: RelativeCoordinates = kind(m, markers[:, 0], markers[:, 1], np.zeros((len(fs), m.dim)))
     return made

@@ -15,7 +15,7 @@ from ...mechanics.joints.couplings import CouplingBatch
 from ...mechanics.joints.drives import Coupling, JointCoordinate, relative_of
 from ...mechanics.joints.expressed import asked_rows, is_asked
 from ...mechanics.joints.joints import Joint
-from ...mechanics.joints.relative import Relative, RelativeAngle
+from ...mechanics.joints.relative import RelativeAngle, RelativeCoordinates
 from ...mechanics.kinds.derivation import Kind
 from ...rotations import Array, Motions
 from ..layout import RowBlock
@@ -76,7 +76,7 @@ class JointRows:
         return out
 
     def _coupling_batch(self) -> CouplingBatch:
-        found: dict[type[Relative], list[tuple[JointCoordinate, int, float]]] = {}
+        found: dict[type[RelativeCoordinates], list[tuple[JointCoordinate, int, float]]] = {}
 
         # coordinates of one kind are evaluated together
         for i, (joint, _) in enumerate(self._couplings):

@@ -13,7 +13,7 @@ from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.joints.drives import JointCoordinate, relative_of
 from ...mechanics.joints.joints import Ground, ground, refuse_no_attachment
-from ...mechanics.joints.relative import Relative
+from ...mechanics.joints.relative import RelativeCoordinates
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
@@ -231,14 +231,14 @@ class JointReading(Sensor):
         relative = self._relative(ev.system)
         return relative.rates(ev.kin) if self.derivative else relative.values(ev.kin)
 
-    def _relative(self, s: Layout) -> Relative:
+    def _relative(self, s: Layout) -> RelativeCoordinates:
         """The coordinate in a system."""
         key = f"reading {id(self)}"
         if key not in s.cache:
             # made once a system: sensors read it at every record
             block = s.block(self.coordinate.joint.name)
             s.cache[key] = relative_of(s.motions, self.coordinate.kind, [(self.coordinate, block.a, block.b)])
-        found: Relative = s.cache[key]
+        found: RelativeCoordinates = s.cache[key]
         return found
 
     def looks_at(self, system: Layout, marker: int) -> Look:

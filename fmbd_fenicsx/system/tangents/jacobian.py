@@ -24,7 +24,7 @@ def dense_core(system: Layout) -> bool:
     return few and system.n_lam * system.n_core <= DENSE_LIMIT
 
 
-class Pattern:
+class CorePattern:
     """Where the entries of G's core part go: found at the first assembly, the same ever after."""
 
     def __init__(self, system: Layout, rows: np.ndarray, markers: np.ndarray) -> None:
@@ -103,7 +103,7 @@ class Jacobian:
         self._fold()
 
     @staticmethod
-    def _sides(ev: Evaluation) -> tuple[Pattern, Array]:
+    def _sides(ev: Evaluation) -> tuple[CorePattern, Array]:
         """The rows of all batches by marker, (count, d + n_rot), and where they go."""
         s = ev.system
         numbers, markers = [np.zeros(0, int)], [np.zeros(0, int)]
@@ -115,10 +115,10 @@ class Jacobian:
                 sides.append(side)
         # where entries go is the same in all configurations
         if "pattern" not in s.cache:
-            s.cache["pattern"] = Pattern(s, np.concatenate(numbers), np.concatenate(markers))
+            s.cache["pattern"] = CorePattern(s, np.concatenate(numbers), np.concatenate(markers))
         return s.cache["pattern"], np.concatenate(sides)
 
-    def _add_surfaces(self, ev: Evaluation, pattern: Pattern, side: Array) -> None:
+    def _add_surfaces(self, ev: Evaluation, pattern: CorePattern, side: Array) -> None:
         """Rows of markers on surfaces, on the ports of these."""
         at = pattern.rows[pattern.on]
         k = pattern.surface

@@ -19,7 +19,7 @@ import numpy as np
 from ...mechanics.forces.force_elements import ScalarLoads
 from ...mechanics.joints.constraints import Motion
 from ...mechanics.joints.couplings import CouplingBatch
-from ...mechanics.joints.relative import Relative, Separation, Slide
+from ...mechanics.joints.relative import RelativeCoordinates, Separation, Slide
 from ...rotations import Array
 from ..evaluation import Evaluation
 from ..system import System
@@ -90,7 +90,7 @@ def _stiff_ties(system: System, acceleration: float) -> StiffTies:
     ties = [_part(loads, which) for loads, which in springs]
     counts = np.cumsum([0, *(len(tie.forces) for tie in ties)])
     numbers = [np.arange(i, j) for i, j in zip(counts[:-1], counts[1:], strict=True)]
-    terms: list[tuple[Relative, np.ndarray, Array]]
+    terms: list[tuple[RelativeCoordinates, np.ndarray, Array]]
     terms = [(tie.relative, at, np.ones(len(at))) for tie, at in zip(ties, numbers, strict=True)]
     free = np.concatenate([tie.free for tie in ties])
     places = system.n_rows + np.arange(len(free))

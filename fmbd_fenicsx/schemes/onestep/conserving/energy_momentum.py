@@ -47,7 +47,7 @@ from ....mechanics.bodies.bodies import AbsoluteBody
 from ....rotations import Array
 from ....system.compiled.march import HISTORY, H, March
 from ....system.compiled.states.evaluation import DriverStates
-from ....system.compiled.states.means import Ends
+from ....system.compiled.states.means import IterationEnds
 from ....system.layout import State
 from ....system.scene.contents import Contents
 from ....system.serialisation import Memory, plain, worker
@@ -180,7 +180,7 @@ class EnergyMomentumStepper(StepsInParts):
         return 12 + most + s.n_v + max(int(step), 2 * s.n_v + 3 * s.n_lam + states.tables.nu)
 
     def _prepare_room(self, room: Array, *, alone: bool) -> None:
-        ends = Ends(0.0, NOTHING, ROUNDOFF, self.newton.max_iterations + NEAR)
+        ends = IterationEnds(0.0, NOTHING, ROUNDOFF, self.newton.max_iterations + NEAR)
         room[:12] = ends.most, np.inf if alone or self._warned else LARGE, *ends.numbers
 
     def _own(self, *, factored: bool) -> Array:
@@ -197,7 +197,7 @@ class EnergyMomentumStepper(StepsInParts):
         self._kept = None
         self._warn_of_turns(float(march.parameters[H]), self.past.known[0][1], march.state(1).v)
 
-    def _guess(self, h: float, ends: Ends) -> tuple[Array, Array]:
+    def _guess(self, h: float, ends: IterationEnds) -> tuple[Array, Array]:
         """Mean accelerations and multipliers of the next step; collective."""
         s, past = self.state, self.past
         a, lam = past.predicted(s.t + 0.5 * h)

@@ -14,7 +14,7 @@ from ....linear.blocks.field_blocks import Weights
 from ....linear.condensation import StepSolver
 from ....linear.redundancy import scaled_solution
 from ....rotations import Array
-from ....system.compiled.states.means import Ends, MeanStates, rate_of
+from ....system.compiled.states.means import IterationEnds, MeanStates, rate_of
 from ....system.configurations import count
 from ....system.layout import State
 from ....system.lengths import farthest
@@ -63,7 +63,7 @@ class StepsInParts(MarchingStepper):
             self.fields = Fields(self.system, ports_in_use(self.system.at(s.t, s.q, s.v)))
             self.ports = self.fields.used
 
-    def _ends(self, h: float, *, parts: bool = False) -> Ends:
+    def _ends(self, h: float, *, parts: bool = False) -> IterationEnds:
         """When the iteration of a step of size h (s) ends; with ``parts`` that of the small system, fields apart."""
         system, both = self.system, np.stack((self.state.a, self.state.v))
         if parts:
@@ -74,10 +74,10 @@ class StepsInParts(MarchingStepper):
         way, most = size * h**2, farthest(system, self.state.q)
         far = max(system.length, most) / way  # much, of slow motion in small steps
         lost = (ROUNDOFF * system.length + LEFT_OF_PLACES * most) / way
-        return Ends(size, NOTHING * max(far, 4.0), lost, self.newton.max_iterations + NEAR)
+        return IterationEnds(size, NOTHING * max(far, 4.0), lost, self.newton.max_iterations + NEAR)
 
     def _in_parts(
-        self, h: float, guess: tuple[Array, Array], ends: Ends, *, differences: bool
+        self, h: float, guess: tuple[Array, Array], ends: IterationEnds, *, differences: bool
     ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Mean accelerations and multipliers of a step, and q, v at its end, the small system apart from fields; collective.
 
@@ -106,7 +106,7 @@ class StepsInParts(MarchingStepper):
         settled = min(rate_of(sizes), 0.9)
         self.newton.note(settled / (1 - settled) * sizes[-1] / self.newton.tolerance)
 
-    def _iterated(self, h: float, y: Array, ends: Ends, *, differences: bool) -> Array:
+    def _iterated(self, h: float, y: Array, ends: IterationEnds, *, differences: bool) -> Array:
         """The unknowns of a step from a guess, in parts; ``differences``: the matrix of the middle did not serve."""
         tangent = self._first_tangent(h, y, differences=differences)
         weights = self.system.units[: self.n] / ends.size

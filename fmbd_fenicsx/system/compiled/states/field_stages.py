@@ -16,7 +16,7 @@ from ..declarations import structure_of
 from ..tables.structures import zeros_of
 from .evaluation import DriverStates
 from .field_states import FactoredFieldStates
-from .stages import POINTS, PointRoom, Rule, Stages
+from .stages import POINTS, PointRoom, StageRule, Stages
 
 FieldStages = structure_of("field_stages.c", "FieldStages")
 MOVING = ("xi", "rate", "v", "vd")  # of points, like v
@@ -63,7 +63,7 @@ class FieldStageRoom(PointRoom):
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
 
-    def put(self, t: Array, q0: Array, points: Any, rule: Rule, weights: Array) -> None:
+    def put(self, t: Array, q0: Array, points: Any, rule: StageRule, weights: Array) -> None:
         """As of all points, with the frames at rest."""
         twin = self.twin
         wide = replace(points, **{name: twin.velocities(getattr(points, name)) for name in MOVING})

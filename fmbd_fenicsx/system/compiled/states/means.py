@@ -18,7 +18,7 @@ Start = tuple[float, Array, Array]  # t, q, v
 
 
 @dataclass(frozen=True)
-class Ends:
+class IterationEnds:
     """When an iteration for accelerations ends, in shares of their ``size`` by which increments are judged (m/s^2), as in mean.c.
 
     It is over where the next increment would be ``nothing`` and the last one was ``enough``; where rates above ``slow`` meet
@@ -79,7 +79,7 @@ def rate_of(history: list[float]) -> float:
 
 
 @dataclass(frozen=True)
-class Found:
+class MeanStep:
     """Mean accelerations and multipliers, sizes of the increments, whether fields have new tangents; q and v at the end, None
     where the matrix did not serve.
     """
@@ -115,7 +115,7 @@ class MeanStates(ExplicitStates):
         made = self._ask(self.states.library.driver_mean, [(t, h, self.system.length)], arrays, factors=False)
         return (twin.forces(core), gap) if made else None
 
-    def step(self, start: Start, h: float, guess: tuple[Array, Array], ends: Ends, *, old: bool) -> Found:
+    def step(self, start: Start, h: float, guess: tuple[Array, Array], ends: IterationEnds, *, old: bool) -> MeanStep:
         """A step of size h by the matrix of its middle; ``old``: fields are to have new tangents first."""
         self._take_room()
         twin, (t, q, v) = self.states.twin, start
@@ -129,4 +129,4 @@ class MeanStates(ExplicitStates):
         made = self._ask(self.states.library.driver_mean_step, numbers, arrays)
         self.states.factors += self.states.tables.c.factors - before
         end = (twin.places(after), twin.forces(then)) if made else None
-        return Found(twin.forces(a), lam, list(map(float, sizes[: int(done[0])])), bool(done[1]), end)
+        return MeanStep(twin.forces(a), lam, list(map(float, sizes[: int(done[0])])), bool(done[1]), end)

@@ -30,7 +30,7 @@ POINTS = (
 
 
 @dataclass(frozen=True)
-class Rule:
+class StageRule:
     """How points hang together: d rate / d xi (k, k), what decouples the points, (p, k) and (k, p); ``relax``: of increments."""
 
     couple: Array
@@ -51,7 +51,7 @@ class PointRoom:
         """Addresses of what whole steps take tangents with, by their names in implicit.c."""
         return {}
 
-    def put(self, t: Array, q0: Array, points: Any, rule: Rule, weights: Array) -> None:
+    def put(self, t: Array, q0: Array, points: Any, rule: StageRule, weights: Array) -> None:
         """Points about q0 at the times t (k,), the rule, and weights of increments (3, n)."""
         x = self.arrays
         x["t"][:], x["q0"][:] = t, q0
@@ -59,7 +59,7 @@ class PointRoom:
         x["mult"][:] = points.mult
         self.lend(rule, weights)
 
-    def lend(self, rule: Rule, weights: Array) -> None:
+    def lend(self, rule: StageRule, weights: Array) -> None:
         """The rule, and weights of increments (3, n)."""
         x = self.arrays
         x["couple"][:], x["weigh"][:] = rule.couple, weights

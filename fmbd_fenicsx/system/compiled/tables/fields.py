@@ -81,7 +81,7 @@ class FieldTable:
         self.indefinite = False
         self.of_tangent: dict[str, Array] = {}  # likewise, what changes with the tangent
         # of the factors in use, which sizes of steps come back to, and other tables
-        self._condensed: dict[int, tuple[Array, Condensed]] = system.cache.setdefault(("condensed", k), {})
+        self._condensed: dict[int, tuple[Array, CondensedColumns]] = system.cache.setdefault(("condensed", k), {})
 
     def solve(self) -> None:
         """z = E^-1 b, complex ones by their parts."""
@@ -147,11 +147,11 @@ class FieldTable:
             "second": part.second_inertia,
         }
 
-    def _inverse(self, W: Array) -> Condensed:
+    def _inverse(self, W: Array) -> CondensedColumns:
         """The compliance W of a factor without the frame conditions; kept, as steps change between a few sizes."""
         known = self._condensed.pop(id(W), None)
         if known is None or known[0] is not W:
-            known = W, Condensed(W, self.frame_slots, self.inertial)
+            known = W, CondensedColumns(W, self.frame_slots, self.inertial)
         self._condensed[id(W)] = known
         for old in list(self._condensed)[:-SIZES]:
             del self._condensed[old]
@@ -301,7 +301,7 @@ class FieldTable:
         }  # fmt: skip
 
 
-class Condensed:
+class CondensedColumns:
     """What equation (2) of ``driver/fields.c`` knows of the columns of H: S, the inverse of their compliance with the frame
     conditions solved.
 

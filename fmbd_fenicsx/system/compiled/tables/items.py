@@ -22,7 +22,7 @@ from ....mechanics.forces.forces import Constant
 from ....mechanics.forces.formulas import Formula
 from ....mechanics.joints import constraints as ct
 from ....mechanics.joints.couplings import CouplingBatch
-from ....mechanics.joints.relative import Relative
+from ....mechanics.joints.relative import RelativeCoordinates
 from ....mechanics.kinds.derivation import Kind, kinds
 from ....rotations import Array
 from ...control.controllers import ControlLoads
@@ -128,7 +128,7 @@ def _constraint(batch: ct.Batch, rows: np.ndarray) -> Items:
     """Items of a batch of elementary constraints."""
     out = of_source(batch, ROW)
     out.row, out.factor = rows, np.ones(len(rows))
-    if isinstance(batch, ct.InTime):
+    if isinstance(batch, ct.DrivenKinds):
         out.drive = [motion for _, motion in batch.driven]
     return out
 
@@ -205,7 +205,7 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
 
 
 def items_of(
-    system: System, looks: Looks, control: Sequence[Items] = (), coordinates: Sequence[Relative] = ()
+    system: System, looks: Looks, control: Sequence[Items] = (), coordinates: Sequence[RelativeCoordinates] = ()
 ) -> list[Items]:
     """All items of a system; constraints in the order of its batches, then efforts, those of ``control``, what sensors read, and
     ``coordinates``.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ....errors import ConvergenceError
-from ....mechanics.joints.relative import Relative
+from ....mechanics.joints.relative import RelativeCoordinates
 from ....mechanics.kinds.frames import FRAME
 from ....rotations import Array
 from ...system import System
@@ -49,7 +49,12 @@ class Tables(TableLayout):
     frequencies: Callable[[float], None]
 
     def __init__(
-        self, system: System, *, redundant: bool, blocks: Sequence[Block] = (), coordinates: Sequence[Relative] = ()
+        self,
+        system: System,
+        *,
+        redundant: bool,
+        blocks: Sequence[Block] = (),
+        coordinates: Sequence[RelativeCoordinates] = (),
     ) -> None:
         """``blocks``: factors and columns of the floating fields for the size of a step; ``coordinates``: one item each that
         nothing acts on, for :meth:`coordinate`.
