@@ -11,9 +11,8 @@ import numpy as np
 from ufl import grad, sqrt, sym
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx import demo, plot
+from fmbd_fenicsx import Check, demo, plot
 from fmbd_fenicsx.materials import linear_elastic, nearly_incompressible
-from fmbd_fenicsx.post.demo import Check
 
 E, RHO, STROKE, T = 5e6, 1100.0, 1e-4, 0.05  # Pa, kg/m^3, m, s: so slow that inertia does not count
 CASES = {  # form, degree of the displacements

@@ -18,15 +18,13 @@ args = arguments(__doc__)
 plain = fmbd.RodSection((1e4, 1e4, 1e4, 100, 100, 100), mass=1.0, inertia=(2, 1, 1))
 
 
-def solved(section, length, elements, degree=3, *, force=None, torque=None, stops=(1.0,), first=0.25, twist=None):
+def solved(section, length, n, degree=3, *, force=(0, 0, 0), torque=(0, 0, 0), stops=(1.0,), first=0.25, twist=None):
     """A straight cantilever under force and torque at its end, in proportion to the load factors ``stops``."""
-    rod = fmbd.Rod("rod", [(0, 0, 0), (length, 0, 0)], section, elements=elements, degree=degree, twist=twist)
+    rod = fmbd.Rod("rod", [(0, 0, 0), (length, 0, 0)], section, elements=n, degree=degree, twist=twist)
     scene = fmbd.Scene("cantilever")
     scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
-    if force is not None:
-        scene.add(fmbd.forces.force("F", rod.surface("end"), lambda f: f * np.asarray(force)))
-    if torque is not None:
-        scene.add(fmbd.forces.torque("M", rod.surface("end"), lambda f: f * np.asarray(torque)))
+    scene.add(fmbd.forces.force("F", rod.surface("end"), lambda f: f * np.asarray(force)))
+    scene.add(fmbd.forces.torque("M", rod.surface("end"), lambda f: f * np.asarray(torque)))
     scene.sensor("tip", fmbd.sensors.position(rod.surface("end")))
     return rod, fmbd.equilibrium(scene, path=fmbd.LoadSteps(stops, first))
 

@@ -16,7 +16,7 @@ from tolerance_scenes import rise, spun_up
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.run.accuracy.certificate import kinked
-from fmbd_fenicsx.run.accuracy.deviation import Deviation, together
+from fmbd_fenicsx.run.accuracy.deviation import Deviation, added_up
 from fmbd_fenicsx.run.accuracy.orders import usable_order
 
 QUICK = (
@@ -148,11 +148,11 @@ def test_errors_add_up_with_their_signs() -> None:
     t, half = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 3)
     up, down = Deviation(t, t[:, None]), Deviation(half, -0.75 * half[:, None])
     early = Deviation(half, (1.0 - half)[:, None])
-    assert together([up, up]) == pytest.approx(2.0)
-    assert together([up, early]) == pytest.approx(1.0)  # never at once
-    assert together([up, down]) == pytest.approx(1.75 / 3)
-    assert together([up, Deviation(half, -0.25 * half[:, None])]) == pytest.approx(0.75)
-    assert together([]) == 0.0
+    assert added_up([up, up]) == pytest.approx(2.0)
+    assert added_up([up, early]) == pytest.approx(1.0)  # never at once
+    assert added_up([up, down]) == pytest.approx(1.75 / 3)
+    assert added_up([up, Deviation(half, -0.25 * half[:, None])]) == pytest.approx(0.75)
+    assert added_up([]) == 0.0
 
 
 def test_the_error_of_algebra_is_measured() -> None:

@@ -14,7 +14,7 @@ from fmbd_fenicsx.errors import ConstraintError, LinearSolveError
 from fmbd_fenicsx.linear import configuration_warnings
 from fmbd_fenicsx.linear.configuration_warnings import CLOSE, NearSingular
 from fmbd_fenicsx.schemes.marching import MarchingStepper
-from fmbd_fenicsx.system.mobility import Mobility, independent, nearly_dependent
+from fmbd_fenicsx.system.mobility import Mobility, nearly_dependent, rows_are_independent
 
 BAR = (0.01, 0.08, 0.08)
 
@@ -257,7 +257,7 @@ def test_singular_values_where_a_factor_is_not_enough(monkeypatch: pytest.Monkey
         ratio = nearly_dependent(ev, system.n_lam)[0]
         assert near.now == (ratio < CLOSE)
         assert ratio < 10 * CLOSE if asked else ratio > CLOSE
-        assert independent(ev, CLOSE) != bool(asked) and not independent(ev, 10 * ratio)
+        assert rows_are_independent(ev, CLOSE) != bool(asked) and not rows_are_independent(ev, 10 * ratio)
 
 
 SCHEMES = [fmbd.ExplicitRungeKutta(), fmbd.Radau(), fmbd.BDF(), fmbd.GeneralizedAlpha(rtol=1e-4, compiled=False)]
@@ -477,14 +477,14 @@ def chain_of(links: int, closed: bool) -> fmbd.Scene:
 @pytest.mark.parametrize("links", [3, 150])  # dense and sparse rows
 @pytest.mark.parametrize("closed", [False, True])
 def test_independent_rows_are_told_without_singular_values(links: int, closed: bool) -> None:
-    from fmbd_fenicsx.system.mobility import independent, mobility
+    from fmbd_fenicsx.system.mobility import mobility, rows_are_independent
 
     system, state, _ = chain_of(links, closed).build()
     ev = system.at(state.t, state.q)
     assert isinstance(ev.jacobian.core, np.ndarray) == (links == 3)
-    assert independent(ev) == (mobility(ev).redundant == 0) == (not closed)
+    assert rows_are_independent(ev) == (mobility(ev).redundant == 0) == (not closed)
     four, start, _ = four_bar().build()
-    assert not independent(four.at(start.t, start.q))
+    assert not rows_are_independent(four.at(start.t, start.q))
 
 
 def test_conditioning_of_two_distances_at_a_small_angle() -> None:

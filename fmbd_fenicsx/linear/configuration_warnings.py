@@ -8,7 +8,7 @@ from ..log import log
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.lengths import Measured
-from ..system.mobility import NEAR_SINGULAR, independent, mobility, nearly_dependent
+from ..system.mobility import NEAR_SINGULAR, mobility, nearly_dependent, rows_are_independent
 
 CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
 LOOK_LIMIT = 600  # constraint rows up to which dependent ones are looked for
@@ -29,7 +29,7 @@ def rows_depend(ev: Evaluation) -> bool:
 
 def _look(ev: Evaluation) -> bool:
     """See :func:`rows_depend`."""
-    if not 0 < ev.system.n_lam <= LOOK_LIMIT or independent(ev):
+    if not 0 < ev.system.n_lam <= LOOK_LIMIT or rows_are_independent(ev):
         return False
     found = mobility(ev)
     warn_of_ties(ev.system, found.shares)
@@ -66,7 +66,7 @@ class NearSingular:
 
     def look(self, ev: Evaluation, rank: int | None, *, limit: float = NEAR_SINGULAR) -> None:
         """``limit``: sigma_min / sigma_max below which it is close. Once warned of, a position is left behind above ``CLOSE``."""
-        if independent(ev, CLOSE if self.now else limit):
+        if rows_are_independent(ev, CLOSE if self.now else limit):
             self.now = False
             return
         ratio, joint = nearly_dependent(ev, rank or ev.system.n_lam)

@@ -20,7 +20,7 @@ def memories(system: System) -> list[Any]:
     return [f.kept for f in system.keepers]
 
 
-def kinds(system: System) -> set[type]:
+def memory_types(system: System) -> set[type]:
     """The dataclasses among the memories."""
     return {type(f.kept) for f in system.keepers if is_dataclass(f.kept)}
 

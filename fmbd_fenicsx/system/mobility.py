@@ -127,7 +127,7 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
 
 
-def independent(ev: Evaluation, above: float = 0.0) -> bool:
+def rows_are_independent(ev: Evaluation, above: float = 0.0) -> bool:
     """Whether the constraint rows certainly do not depend on each other; False where a closer look is needed, :func:`mobility`.
     ``above``: sigma_min / sigma_max that they certainly have.
 
@@ -240,7 +240,7 @@ def locked_modes(ev: Evaluation) -> str:
     """
     s = ev.system
     reduced = [(s.slices[1][k], part) for k, part in s.core_parts if isinstance(part, ReducedPart) and part.n]
-    if not reduced or not 0 < s.n_lam <= LOCKED_LOOK or independent(ev, LOCKED):
+    if not reduced or not 0 < s.n_lam <= LOCKED_LOOK or rows_are_independent(ev, LOCKED):
         return ""
 
     modes = np.concatenate([np.arange(span.start, span.stop) for span, _ in reduced])

@@ -42,7 +42,7 @@ class SmallMemory:
         return SmallMemory(Y.T @ self.H, self.P @ Y, self.Q @ Y, self.R, self.which)
 
 
-def hold(system: System, t: float) -> None:
+def hold_memories(system: System, t: float) -> None:
     """Take all memories at time t, s, so that forces at this time are those of the memory as it is."""
     for elements in system.keepers:
         elements.set_memory(elements.memory_values(), t)

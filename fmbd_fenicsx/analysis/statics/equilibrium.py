@@ -201,10 +201,10 @@ def _with_controllers(
     if not system.keepers:
         return find(newton, start, t)
 
-    from .memories import begin, check_sampled, remembering, steady
+    from .memories import begin_memories, check_sampled, remembering, steady
 
     check_sampled(system)
-    begin(system, State(t, start.q, np.zeros(system.n_v), np.zeros(system.n_v), start.lam))
+    begin_memories(system, State(t, start.q, np.zeros(system.n_v), np.zeros(system.n_v), start.lam))
     point = find(newton, start, t)
     # only memories that change efforts have to come to rest
     keeping = remembering(system, point.q, t)
@@ -240,9 +240,9 @@ def static_newton(
     if system.contacts is None:
         return StaticNewton(Residual(system, spin), solver, tau)
 
-    from .static_contact import ContactNewton, check_contacts
+    from .static_contact import ContactNewton, check_closed_contacts
 
-    check_contacts(system)
+    check_closed_contacts(system)
     # what slides and rolls freely moves by roundoff as the square of the step: one unit of a pendulum's time, not ten
     return ContactNewton(Residual(system, spin), solver, 0.1 * tau)
 

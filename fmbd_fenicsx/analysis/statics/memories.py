@@ -25,7 +25,7 @@ from ...system.control.controllers import ControlLoads
 from ...system.element_memory import memories, restore
 from ...system.layout import State
 from ...system.system import System
-from ..small_motions.small_memory import hold
+from ..small_motions.small_memory import hold_memories
 from .static_newton import StaticNewton, StaticPoint, by_load_steps
 
 LENGTHS = 100.0  # T over the preconditioner's time step
@@ -46,7 +46,7 @@ def remember(system: System, state: State, at: Any, *, relaxed: bool) -> None:
     ``relaxed``: ``at`` is an equilibrium, in which viscoelastic rods are relaxed whatever they are strained by. Refuses what has
     no linear model there: sampled controllers, friction at its limit.
     """
-    begin(system, state)
+    begin_memories(system, state)
     for elements in system.elements:
         elements.kept = elements.first(system.at(state.t, state.q, state.v), state)
     if at is not None and not isinstance(at, State):
@@ -58,10 +58,10 @@ def remember(system: System, state: State, at: Any, *, relaxed: bool) -> None:
         restore(system, theirs)
     check_sampled(system)
     stick(system, state)
-    hold(system, state.t)
+    hold_memories(system, state.t)
 
 
-def begin(system: System, state: State) -> None:
+def begin_memories(system: System, state: State) -> None:
     """What force elements remember at a start; viscoelastic rods stay relaxed. Collective."""
     ev = system.at(state.t, state.q, state.v)
     for loads in system.forces:

@@ -305,7 +305,7 @@ class ContactNewton(StaticNewton):
         return here.point.q, lambda b: solve(b, np.append(none[1], more))[0]
 
 
-def check_contacts(system: System) -> None:
+def check_closed_contacts(system: System) -> None:
     """Refuse contacts whose equilibrium is not determined, or not offered; each by name."""
     contacts = system.contacts
     rough = [p.name for p in contacts.pairs if p.friction > 0.0]

@@ -14,7 +14,7 @@ from ...schemes.declared import Declared
 from ...system.scene.refinement import meshed_bodies, modal_bodies
 from ...system.scene.scene import Scene
 from ..schedule import far_side
-from .deviation import together
+from .deviation import added_up
 from .orders import expected_orders, irregular, kink, rough
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def stated_of(run: Run, sensors: Iterable[str]) -> Certificate:
 
     The error of algebra is that of Newton's iteration: what it left on average, relative to accelerations and reactions, as a
     share of the range of each sensor, or as it was measured (:mod:`.algebra`). The total adds errors of known signs, see
-    :func:`.deviation.together`.
+    :func:`.deviation.added_up`.
     """
     reduced, meshed = bool(modal_bodies(run.scene)), bool(meshed_bodies(run.scene))
     controlled = Declared.by(run.scheme).adaptive
@@ -136,7 +136,7 @@ def stated_of(run: Run, sensors: Iterable[str]) -> Certificate:
         left, more = (bound, bound) if measured is None else (measured.size, 0.0)
         found = [kind[name] for kind in run.deviations.values() if name in kind]
         unit = run.scene.sensors[name].unit
-        made.append(Statement(name, unit, space, in_time.get(name), modes, left, together(found) + more, span))
+        made.append(Statement(name, unit, space, in_time.get(name), modes, left, added_up(found) + more, span))
     return Certificate(tuple(made), run.seconds["total"], unstated)
 
 

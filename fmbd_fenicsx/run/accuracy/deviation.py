@@ -71,7 +71,7 @@ def sizes(found: dict[str, Deviation]) -> dict[str, float]:
     return {name: deviation.size for name, deviation in found.items()}
 
 
-def together(found: Iterable[Deviation]) -> float:
+def added_up(found: Iterable[Deviation]) -> float:
     """The largest error of a sensor by several kinds at once:
 
         max_t |e_1(t) + e_2(t) + ...|,  at least a third of  max |e_1| + max |e_2| + ...                              (1)

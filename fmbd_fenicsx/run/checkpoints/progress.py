@@ -39,10 +39,10 @@ class RunProgress:
     def remember(self, m: Memory, where: Any = "") -> None:
         """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.serialisation`. Collective."""
         from ...linear.blocks.solver_memory import remember_solver
-        from ...system.element_memory import kinds, memories, restore
+        from ...system.element_memory import memories, memory_types, restore
         from .fingerprint import check_effect
 
-        restore(self.system, m("elements", memories(self.system), *kinds(self.system)))
+        restore(self.system, m("elements", memories(self.system), *memory_types(self.system)))
         for k, part in enumerate(self.system.parts):
             part.remember(m.inside(f"part {k}"))
         self.stepper.remember(m.inside("stepper"))

@@ -54,12 +54,12 @@ def joint_tree(n_bodies: int, groups: list[RowGroup]) -> dict[int, list[int]]:
         seen.add(root)
         reached = [root]
         for body in reached:
-            for number in touching[body]:
-                for other in groups[number].bodies:
-                    if other not in seen:
-                        seen.add(other)
-                        reached.append(other)
-                        led[other].append(number)
+            ways = [(number, other) for number in touching[body] for other in groups[number].bodies]
+            for number, other in ways:
+                if other not in seen:
+                    seen.add(other)
+                    reached.append(other)
+                    led[other].append(number)
     return led
 
 
