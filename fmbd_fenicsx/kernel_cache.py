@@ -84,7 +84,7 @@ class SourceUnit:
     shared: bool = False
 
     def key(self, command: list[str]) -> str:
-        """The same for the same code and the same compiler."""
+        """A name that is the same for the same code and the same compiler."""
         known = self.made_from if callable(self.source) else _bytes(self.source)
         return hashlib.sha256(known + repr((command, self.flags)).encode()).hexdigest()[:20]
 

@@ -240,7 +240,7 @@ class MixedField(Field):
         return self._times(self._unstressed, U) if self.carried else self._with_volume(self.K, self._B, U)
 
     def stiffness_at_rest(self, U: Array) -> Array:
-        """The same of the body without stress."""
+        """:meth:`stiffness` of the body without stress."""
         kept = self._unstressed_B is not None
         return self._with_volume(self._unstressed, self._unstressed_B, U) if kept else self.stiffness(U)
 

@@ -46,7 +46,7 @@ class Check:
 
     @classmethod
     def relative(cls, name: str, value: float, reference: float, tolerance: float) -> Check:
-        """The same with a tolerance relative to |reference|."""
+        """A check with a tolerance relative to |reference|."""
         return cls(name, value, reference, tolerance * abs(float(reference)))
 
     @classmethod

@@ -66,7 +66,7 @@ class StepSchedule:
         return stop
 
     def below(self, size: float) -> StepSchedule:
-        """The same with steps of a scheme's choice that are none above a size, s."""
+        """The schedule with steps of a scheme's choice that are none above a size, s."""
         return replace(self, largest=min(self.largest, size))
 
     def left(self, done: int) -> int:
@@ -250,7 +250,7 @@ def sampled_late(scene: Scene, schedule: StepSchedule) -> list[str]:
 
 
 def warn_of_late_samples(scene: Scene, schedule: StepSchedule) -> None:
-    """The same, where a user sees it."""
+    """Tell a user of samples that :func:`sampled_late` names."""
     for name in sampled_late(scene, schedule):
         log.warning(
             'controller "%s" samples every %g s, which is no multiple of the step of %g s: samples are taken late, at the '

@@ -122,7 +122,7 @@ class ConstantSteps(Around):
 
     @property
     def earlier(self) -> State | None:
-        """The same of a step that :meth:`in_turn` has made."""
+        """Where the newest step began, one that :meth:`in_turn` has made too."""
         began, ended = self._newest
         return began if ended is self.stepper.state else self.stepper.earlier
 

@@ -156,7 +156,7 @@ class TimeStepper(Remembering):
         return None
 
     def within(self, steps: KeptSteps) -> States:
-        """The same at instants of steps that :meth:`march` has kept on its tape, of all at once."""
+        """The states at instants of steps that :meth:`march` has kept on its tape, of all at once."""
         raise NotImplementedError(f"{_kind(self)} keeps no steps.")
 
 

@@ -73,7 +73,7 @@ class Evaluation:
         return self.markers()
 
     def markers(self) -> Kinematics:
-        """The same, found anew."""
+        """:attr:`kin`, found anew."""
         s = self.system
         rates = None if self.v is None else (self.twist, self.port_rate)
         kin = s.markers.evaluate(self.pose, self.rotation, self.port, rates)

@@ -60,7 +60,7 @@ class Measured(Layout):
         return local if not self.fields or self.comm.size == 1 else float(np.max(self.comm.allgather(local)))
 
     def each_max_abs(self, x: Array) -> Array:
-        """The same of each of several arrays like v, (..., n_v) -> (...); collective."""
+        """:meth:`max_abs` of each of several arrays like v, (..., n_v) -> (...); collective."""
         local = np.abs(self.units * x).max(axis=-1, initial=0.0)
         return local if not self.fields or self.comm.size == 1 else np.max(self.comm.allgather(local), axis=0)
 
@@ -69,7 +69,7 @@ class Measured(Layout):
         return float(self.each_typical(x[None])[0])
 
     def each_typical(self, x: Array) -> Array:
-        """The same of each of several arrays like v, (k, n_v) -> (k,); collective."""
+        """:meth:`typical` of each of several arrays like v, (k, n_v) -> (k,); collective."""
         n = self.n_core
         sizes = np.abs(self.units[:n] * x[:, :n]).max(axis=1, initial=0.0)
         for k, p in self.fields:

@@ -50,7 +50,7 @@ class ProjectedSystem:
     memory: SmallMemory | None = None
 
     def on(self, Q: Array) -> ProjectedSystem:
-        """The same on combinations Q (k, n) of the basis."""
+        """The system on combinations Q (k, n) of the basis."""
         G, P = self.speeds
         memory = None if self.memory is None else self.memory.on(Q)
         return ProjectedSystem(

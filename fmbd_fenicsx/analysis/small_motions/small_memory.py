@@ -38,7 +38,7 @@ class SmallMemory:
     which: np.ndarray
 
     def on(self, Y: Array) -> SmallMemory:
-        """The same on combinations Y (k, n) of the basis."""
+        """The memories on combinations Y (k, n) of the basis."""
         return SmallMemory(Y.T @ self.H, self.P @ Y, self.Q @ Y, self.R, self.which)
 
 

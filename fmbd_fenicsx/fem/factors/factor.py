@@ -85,7 +85,7 @@ class Factor:
         return self._solve(b)[: self._n]
 
     def solve_all(self, B: Array) -> Array:
-        """The same for columns (n d, k), all at once."""
+        """E^-1 B for columns B (n d, k), all at once."""
         if self._E is None and B.shape[1]:
             return self.factor.solve(B)  # type: ignore[no-any-return]
         return np.stack([self.solve(b) for b in B.T], axis=1) if B.shape[1] else B.copy()

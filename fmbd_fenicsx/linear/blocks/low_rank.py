@@ -55,7 +55,7 @@ class SlackFactor(FieldFactor):
         return self._judged(z, b)
 
     def solve_columns(self, H: Array) -> Array:
-        """The same for columns (n, k)."""
+        """(1) for columns (n, k)."""
         Z = self.base.solve_columns(H)
         if self.small is not None and H.shape[1]:
             Z = Z + self.Y @ sl.lu_solve(self.small, self.B @ Z)
@@ -112,7 +112,7 @@ class HeavierFactor(FieldFactor):
         return self._corrected(self.base.solve(b))
 
     def solve_columns(self, B: Array) -> Array:
-        """The same for columns (n, k)."""
+        """(2) for columns (n, k)."""
         return self._corrected(self.base.solve_columns(B))
 
     def _corrected(self, z: Array) -> Array:

@@ -63,7 +63,7 @@ class FieldFactor:
         return None
 
     def solve_columns(self, B: Array) -> Array:
-        """The same for columns (n, k)."""
+        """E^-1 B for columns B (n, k)."""
         if not B.shape[1]:
             return B.copy()
         return np.stack([self.solve(column) for column in B.T], axis=1)

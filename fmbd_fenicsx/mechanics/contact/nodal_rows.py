@@ -99,7 +99,7 @@ class NodalRows:
         return out
 
     def turned(self, turn: Array | None) -> NodalRows:
-        """The same in axes turned by ``turn`` (d, d)."""
+        """The rows in axes turned by ``turn`` (d, d)."""
         return self if turn is None else NodalRows(self.count, self.row, self.node, self.value @ turn)
 
     def columns(self, values: Array) -> Array:

@@ -146,7 +146,7 @@ class TimeLoads(Loads):
         return np.asarray(self.numbers(i, t))
 
     def numbers(self, i: int, t: float) -> Sequence[float] | Array:
-        """The same as numbers."""
+        """The components of :meth:`value` as numbers."""
         f = self.forces[i]
         return checked_numbers(f.name, self.laws[i](t), self.motions.n_rot if f.turns else self.motions.dim, t)
 

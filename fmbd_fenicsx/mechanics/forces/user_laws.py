@@ -26,7 +26,7 @@ def checked(name: str, value: Any, size: int, t: float, what: str = "the law") -
 
 
 def checked_number(name: str, value: Any, t: float) -> float:
-    """The same for a single number."""
+    """:func:`checked` for a single number."""
     found = _plain(value)
     return float(checked(name, value, 1, t)[0]) if found is None else found
 

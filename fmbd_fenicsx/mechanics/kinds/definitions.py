@@ -88,7 +88,7 @@ def tied(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
 
 
 def tied_along(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
-    """The same along a direction fixed in B."""
+    """Distance of the frames along a direction fixed in B, beside a constant one."""
     return b.axis(c.vector("e")) @ (b.x - a.x) + c.scalar("shift")
 
 

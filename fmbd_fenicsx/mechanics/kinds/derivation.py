@@ -208,7 +208,7 @@ static inline double nearest_turn(double angle, double near)
 
 @cache
 def numpy_kernel(kind: Kind, which: str) -> Any:
-    """The same kernel for NumPy: f(A, B, P, W) with one item a row of each array (W: one number an item), results likewise."""
+    """A kernel for NumPy: f(A, B, P, W) with one item a row of each array (W: one number an item), results likewise."""
     results = kind.outputs[which]
     needed = _needed(kind, results)
     first = Program([y for _, y in needed])

@@ -200,7 +200,7 @@ def kinked(run: Run) -> bool:
 
 
 def show_kinks(scene: Scene, scheme: Any, times: Array, series: Mapping[str, Array]) -> bool:
-    """The same of records at the ends of equal steps (s)."""
+    """Whether records at the ends of equal steps (s) show kinks, see :func:`kinked`."""
     if Declared.by(scheme).adaptive or struck_or_sampled(scene):
         return False
     pieces = ((x, scene.sensors[n].derivative) for n, y in series.items() for x in _pieces(scene, times, y))

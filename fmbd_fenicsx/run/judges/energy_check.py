@@ -162,7 +162,7 @@ class Guarded(Around):
         return made
 
     def step_back(self) -> None:
-        """The same of the stepper."""
+        """Go back as the stepper does."""
         self.stepper.step_back()
 
     def advance(self, h: float) -> State:

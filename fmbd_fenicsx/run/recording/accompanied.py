@@ -49,7 +49,7 @@ class Accompanied(Recorder):
 
     @property
     def earlier(self) -> State | None:
-        """The same."""
+        """As :attr:`wanted`, of the other one."""
         return super().earlier if self.timed else self.beside.earlier
 
     def take_tape(self, seen: Recorded, first: int) -> None:

@@ -53,7 +53,7 @@ class Drift:
             self.fastest = max(self.fastest, self.system.max_abs(state.v))
 
     def judge_tape(self, seen: Recorded, t: float) -> None:
-        """The same of all records of compiled steps up to a time t (s)."""
+        """Joints in all records of compiled steps up to a time t (s), as :meth:`judge`."""
         if self.closed is not None:
             self.closed.check_tape(seen, t)
         gap, slip, worst, fastest = seen.worst

@@ -73,7 +73,7 @@ class DenseTangents(Remembering):
         return self._full, self.inverse_mass.ravel()
 
     def matrix(self) -> Array:
-        """The same as a matrix."""
+        """The inverse of the mass matrix as a matrix."""
         return self.inverse_mass
 
     def take(self, state: State, mult: Array, solver: StepSolver, lower: Lower) -> StepTangent:
@@ -198,7 +198,7 @@ class SparseTangents(Remembering):
         return self.structure.couplings.masses, self.inverse_mass
 
     def matrix(self) -> Array:
-        """The same as a matrix."""
+        """The inverse of the mass matrix as a matrix."""
         pattern, data = self.metric()
         return dense(pattern.matrix(data))
 

@@ -75,7 +75,7 @@ def weights(nodes: Array, t: float) -> Array:
 
 
 def all_weights(nodes: Array, t: Array) -> Array:
-    """The same for many nodes (n, k) and times (n,), (n, k)."""
+    """The weights l_j(t) for many nodes (n, k) and times (n,), (n, k)."""
     return np.stack(_products(list(nodes.T), t), axis=1)
 
 

@@ -75,8 +75,8 @@ def _embedded_weights(c: Array, at_start: float) -> Array:
 
 @lru_cache
 def controlled(stages: int) -> Tableau:
-    """The same with gamma first of all frequencies, which filters errors. Of an even number of stages it is none of their own: no
-    stage has a share in it.
+    """The tableau with gamma first of all frequencies, which filters errors. Of an even number of stages it is none of their own:
+    no stage has a share in it.
     """
     tab = tableau(stages)
     if tab.values[0].imag == 0:

@@ -53,7 +53,7 @@ class OwnRoom:
             one.size = size
 
     def told(self) -> tuple[Array, Array, Array]:
-        """The same behind a march."""
+        """The largest sizes behind a march."""
         core = self._twin.original.n_core
         sizes, speeds = (self._twin.forces(self._arrays[name][0])[:core].copy() for name in ("sizes", "speeds"))
         return sizes, speeds, np.array([one.size for one in self._deflections])

@@ -166,7 +166,7 @@ class Recorded:
         return self.count
 
     def copied(self) -> Recorded:
-        """The same with arrays of its own, which the next records leave as they are."""
+        """The records with arrays of their own, which the next records leave as they are."""
         out = copy(self)
         out.arrays = {name: x.copy() for name, x in self.arrays.items()}
         out.t, out.lam = out.arrays["block"][:, 0], out.arrays["lam"]

@@ -186,7 +186,7 @@ class LimitEffort(Sensor):
         return Look()
 
     def series(self, seen: Recorded, marker: int) -> Array:
-        """The same in all records."""
+        """The effort in all records."""
         return self._told(seen.contact, seen.system)
 
     def _told(self, found: ContactForces, system: Layout) -> Array:

@@ -40,7 +40,7 @@ class SectionSensor(Sensor):
         return Look(states=True) if self.strain or self._rod(system).elastic else None
 
     def series(self, seen: Recorded, marker: int) -> Array:
-        """The same in all records, (k, 6)."""
+        """The values in all records, (k, 6)."""
         s, q, _, _ = seen.motion
         rod = self._rod(s)
         found = rod.strains(s.frame_poses(q))

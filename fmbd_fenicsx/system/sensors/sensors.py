@@ -277,7 +277,7 @@ class Coordinates(Sensor):
         return Look(states=True)
 
     def series(self, seen: Recorded, marker: int) -> Array:
-        """The same in all records."""
+        """The coordinates in all records."""
         return self._told(*seen.motion)
 
     def _told(self, system: Layout, q: Array, v: Array, a: Array) -> Array:

@@ -84,7 +84,7 @@ class CompiledControl:
         c.low = control.pressure(stay.ratio) if stay.ratio else 0.0
 
     def take(self) -> None:
-        """The same back."""
+        """Take back what :meth:`lend` gave."""
         norm, c = self.norm, self.c
         norm.deflections = np.array([one.size for one in self.deflections])
         norm.way, self.control.error_old = c.way, c.before

@@ -123,7 +123,7 @@ class _Body:
         return rotate_nodal(np.array(self.x.array), self.turn)
 
     def solve_columns(self, B: Array) -> Array:
-        """The same for columns (n d, k)."""
+        """J_f^-1 B for columns B (n d, k)."""
         return np.stack([self.solve(B[:, k]) for k in range(B.shape[1])], axis=1) if B.shape[1] else B.copy()
 
     def destroy(self) -> None:

@@ -108,7 +108,7 @@ class DriverJacobian(Jacobian):
 
     @cached_property
     def numpy(self) -> Jacobian:
-        """The same as arrays with a pattern."""
+        """The rows as arrays with a pattern."""
         return Jacobian(self.ev)
 
     @cached_property

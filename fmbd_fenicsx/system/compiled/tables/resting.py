@@ -149,7 +149,7 @@ class RestingTwin(Twin):
         return _wider(q, self._in_q, self._poses)
 
     def velocities(self, v: Array) -> Array:
-        """The same of arrays like v, (.., n_v): they do not move."""
+        """Arrays like v, (.., n_v), with the frames at rest: they do not move."""
         return _wider(v, self._in_v, self._twists)
 
     def forces(self, x: Array) -> Array:
