@@ -188,6 +188,34 @@ def test_every_module_says_what_it_is_for() -> None:
     assert not bare
 
 
+def test_names_in_docstrings_stand_where_they_are_said_to() -> None:
+    """As ``:func:`..module.name```: the module holds the name."""
+    wrong = []
+    for path in MODULES:
+        package = path.relative_to(PACKAGE).parent.parts
+        for dots, name in re.findall(r":(?:func|class|meth|data):`~?(\.+|fmbd_fenicsx\.)([\w.]+)`", path.read_text()):
+            start = () if dots == "fmbd_fenicsx." else package[: len(package) - len(dots) + 1]
+            parts = [*start, *name.split(".")]
+            home = module(parts)
+            file = PACKAGE.joinpath(*home.split(".")).with_suffix(".py")
+            by_itself = "." not in name or name[0].isupper()  # looked for everywhere
+            if not by_itself and not (file.exists() and parts[len(home.split("."))] in top_names(file)):
+                wrong.append(f"{path.relative_to(PACKAGE)}: {dots}{name}")
+    assert not wrong
+
+
+def top_names(path: Path) -> set[str]:
+    """Functions, classes and data at the top of a module."""
+    found: set[str] = set()
+    for node in parsed(path).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found |= {x.id for target in targets for x in ast.walk(target) if isinstance(x, ast.Name)}
+    return found
+
+
 def test_modules_named_in_texts_exist() -> None:
     """In docstrings as ``:mod:`.name```, in comments of C and on pages by their files; tables of old mutants keep old names."""
     sources = [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.[ch]")]

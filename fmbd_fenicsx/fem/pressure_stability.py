@@ -36,7 +36,7 @@ def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clam
     """The three smallest beta of (1), ascending, zero modes included; collective. Needs SLEPc.
 
     Args:
-        mesh: a :class:`~fmbd_fenicsx.mesh.Mesh`.
+        mesh: a :class:`~fmbd_fenicsx.fem.mesh.mesh.Mesh`.
         degree: of the displacements.
         pressure: degree of the continuous pressure; by default one less (Taylor-Hood).
         clamped: surfaces where displacements are held.

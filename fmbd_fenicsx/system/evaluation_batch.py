@@ -1,6 +1,6 @@
 """Many configurations of one small system: the stages of a step, the directions of a difference quotient.
 
-The names are those of :class:`~.system.Evaluation`, with the configurations in front of every array: t (k,), q (k, n_q),
+The names are those of :class:`~.evaluation.Evaluation`, with the configurations in front of every array: t (k,), q (k, n_q),
 v (k, n_v), lambda (k, n_lam), G (k, n_lam, n_v). Where the compiled driver knows the system it evaluates all of them in one call
 (:mod:`~.compiled.states.evaluation`); equations in coordinates of the user's own take arrays of configurations; others are
 evaluated one by one.

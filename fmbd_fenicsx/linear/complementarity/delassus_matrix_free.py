@@ -112,7 +112,7 @@ class Applied:
 
 
 class _Iterated:
-    """The problem of :func:`.normal.active_set` by conjugate gradients."""
+    """The problem of :func:`.active_set.active_set` by conjugate gradients."""
 
     noise = 10 * FINE
 

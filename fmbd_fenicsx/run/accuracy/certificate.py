@@ -38,7 +38,7 @@ class Statement:
     time: float | None
     modes: float | None
     algebra: float | None
-    total: float  # of all at once: see deviation.together
+    total: float  # of all at once: see deviation.added_up
     span: float  # largest less smallest value of the component that moves most, 0 of one that does not
 
     @property

@@ -1,7 +1,7 @@
 """A system evaluated and solved by the driver: one configuration, or many in a call.
 
 What schemes in Python ask for at every stage, the balance and the constraints with their derivatives, comes from the driver's
-tables, to roundoff the numbers of :class:`~..evaluation.Evaluation`, and so are energies. Markers and momenta are NumPy's, made
+tables, to roundoff the numbers of :class:`~...evaluation.Evaluation`, and so are energies. Markers and momenta are NumPy's, made
 when someone asks for them (:mod:`.driver_evaluation`). Systems without elastic fields.
 """
 
@@ -326,7 +326,7 @@ class DriverStates(CompiledGeometry):
 
     def independent(self) -> bool:
         """Whether the rows certainly do not depend on each other, by the factor with masses only: as
-        :func:`~fmbd_fenicsx.system.mobility.independent`, with the true inertia.
+        :func:`~fmbd_fenicsx.system.mobility.rows_are_independent`, with the true inertia.
         """
         assert self._held is not None
         size = np.sqrt(self.tables.arrays["weight"])

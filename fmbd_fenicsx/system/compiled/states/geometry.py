@@ -15,7 +15,7 @@ NOWHERE = (None, 0)  # an array that is not given
 
 
 class CompiledGeometry:
-    """What :class:`~..evaluator.NumPyEvaluator` tells of configurations, for systems that the driver knows as they are."""
+    """What :class:`~...evaluator.NumPyEvaluator` tells of configurations, for systems that the driver knows as they are."""
 
     system: System
     library: Any
