@@ -48,7 +48,7 @@ def joint_limit(
         upper: largest value.
         restitution: e in [0, 1], ratio of the rates after and before an impact; 0: the joint stays at the stop.
 
-    Scenes with limits are run by :class:`~fmbd_fenicsx.schemes.Moreau`, the scheme with impacts.
+    Scenes with limits are run by :class:`~fmbd_fenicsx.schemes.impacts.moreau.Moreau`, the scheme with impacts.
 
     Raises:
         InputError: no stop at all, stops in the wrong order, or e outside [0, 1].
