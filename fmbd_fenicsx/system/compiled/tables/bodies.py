@@ -16,7 +16,7 @@ from ..declarations import enumeration
 from ..places import rigid_places
 from .fields import known_field
 from .structures import structure
-from .tied import Integral, covers_ties
+from .tied import SeenByTie, covers_ties
 from .told import can_be_told, is_told
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def surface(tables: TableLayout, marker: int) -> Any:
     return one
 
 
-def _integral(tables: TableLayout, marker: int, seen: Integral) -> Any:
+def _integral(tables: TableLayout, marker: int, seen: SeenByTie) -> Any:
     """The structure Surface of what a tie sees of a body by one function."""
     system, store, d = tables.system, tables.store, tables.dim
     body = int(system.markers.frame[marker])

@@ -28,7 +28,7 @@ MOST = 200  # rows of ties: of more NumPy's dense matrices are found as fast
 
 
 @dataclass(frozen=True)
-class Integral:
+class SeenByTie:
     """What a function of a tie sees of a body: its measure m and s (d,) of equation (2) of the ties."""
 
     measure: float
@@ -42,7 +42,7 @@ class TiedPoints:
 
     def __init__(self, system: System) -> None:
         self.system = system
-        self.sees: dict[int, Integral] = {}
+        self.sees: dict[int, SeenByTie] = {}
         self._frames: list[int] = []
         self._ports: list[np.ndarray] = []
         self.items = [self._rows(tie, np.arange(rows.start, rows.stop)) for tie, rows in system.traces]
@@ -80,7 +80,7 @@ class TiedPoints:
 
         self._frames += [side.frame] * n
         self._ports += list(ports)
-        self.sees |= {first + j: Integral(float(side.m[j]), side.s[j]) for j in range(n)}
+        self.sees |= {first + j: SeenByTie(float(side.m[j]), side.s[j]) for j in range(n)}
         return first + np.arange(n), np.zeros((n, d))
 
     def _with_points(self, markers: Markers) -> Markers:
