@@ -93,7 +93,7 @@ typedef struct {
     double *lam, *none;                /* multipliers of the matrix; those of the closing, which nobody asks for */
     double sizes[MOST], left;          /* of increments, and the error after the newest, over the tolerance */
     double misfit;                     /* of the springs' pulls across in the matrix */
-    int done, far;                     /* increments; whether the matrix is far from the state */
+    int done, hesitations, far;                    /* increments; whether the matrix is far from the state */
     int evaluated, renewals;           /* whether the end was evaluated already; new tangents of fields */
     Secants told;
 } AlphaStep;
@@ -173,7 +173,7 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     s->renewed = slow && !k->told.poor;
     int cheap = k->done == 1 && s->fields; /* beside a solution with the factor of a field */
     int turning = s->stiff && later
-                  && (s->renewed || cheap || k->misfit > 0.0 || misled(s) || other_slopes(s, k->damp, k->scale));
+                  && (s->renewed || s->bridged || cheap || k->misfit > 0.0 || misled(s) || other_slopes(s, k->damp, k->scale));
     if (!(k->far || turning || impatient)) return DONE;
 
     /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
@@ -276,8 +276,11 @@ static int iterate(System *s, double *p, AlphaStep *k)
         if (outworn(s, p, k)) {
             if ((verdict = renew_tangents(s, p, k))) return verdict;
             converged = 0;
-        } else if (converged < 0) return NEWTON;
-        else if (s->bridged || k->misfit * k->sizes[k->done - 1] > 1.0) converged = 0;
+        } else if (converged < 0 && !(s->bridged && k->sizes[k->done - 1] < INFINITY)) return NEWTON;
+        else if (converged > 0 && s->stiff && k->hesitations < HESITATIONS && undecided(s, k->scale, k->x)) {
+            k->hesitations++;
+            converged = 0;
+        } else if (s->bridged || k->misfit * k->sizes[k->done - 1] > 1.0) converged = 0;
     }
     return k->done > (int)p[PATIENCE] + 1 && !s->fields && strayed(s, p, k->xi, k->begun) ? NEWTON : DONE;
 }

@@ -208,6 +208,15 @@ void item_row(System *s, const Batch *k, long i, double factor, double *row)
     }
 }
 
+/* The row of an effort, added likewise. */
+void effort_row(System *s, const Batch *k, long i, double *row)
+{
+    for (int side = 0; side < 2; side++) {
+        int body, width = side_row(s, k, i, side, &body);
+        if (width) add_row(s, body, s->big, width - TWIST, 1.0, row);
+    }
+}
+
 /* Rows of the constraints of one batch into G, rows x nv; with multipliers their sum G^T mu instead, nv. */
 static void add_rows(System *s, const Batch *k, const double *mu, double *G)
 {

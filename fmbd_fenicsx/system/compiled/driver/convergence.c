@@ -21,6 +21,15 @@ static int is_roundoff(const Convergence *o, int k, double ratio, double size, d
     return (ratio > 0.5 && size <= o->calm && last <= o->before * o->calm) || (stagnates && still);
 }
 
+/* Take notice of an increment that tells nothing of the iteration. */
+static void pass_increment(Convergence *o, double size)
+{
+    o->done++;
+    o->size = size;
+    if (!(size < INFINITY)) o->outcome = DIVERGED;
+    else if (o->done == o->most) o->outcome = TOO_SLOW;
+}
+
 /* Take notice of one more increment; ``still``: it moved nothing beyond roundoff. */
 EXPORT void judge_increment(Convergence *o, double size, int still)
 {

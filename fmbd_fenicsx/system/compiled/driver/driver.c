@@ -10,6 +10,7 @@
 #include "bodies.c"
 #include "formulas.c"
 #include "mapped.c"
+#include "bridges.c"
 #include "evaluate.c"
 #include "links.c"
 #include "matrix.c"

@@ -88,6 +88,16 @@ int inertia(System *s, const double *q, const double *v, const double *a, double
     return verdict;
 }
 
+/* N of a batch at its s and s'. */
+static int law_of_state(System *s, Batch *k, const void *none, double t)
+{
+    (void)none;
+    for (long i = 0; k->role == FORMULA && i < k->n; i++) formula(k, i, t);
+    if (k->role != LAW) return DONE;
+    s->calls++;
+    return s->python(EFFORT, k->number, t) ? FAILED : DONE;
+}
+
 /* Coordinates s, rates s' and efforts of a batch; what a law in Python gives comes with one call for all items. */
 int efforts(System *s, Batch *k, double t)
 {
@@ -98,12 +108,9 @@ int efforts(System *s, Batch *k, double t)
         for (int e = 0; e < k->live; e++) rate += out[k->entry[e]] * s->velocity[at[e]];
         k->s[i] = out[0];
         k->rate[i] = rate;
-        if (k->role == FORMULA) formula(s, k, i, t);
-        else if (k->role != GIVEN) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
+        if (k->role == LINEAR || k->role == READ) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
     }
-    if (k->role != LAW) return DONE;
-    s->calls++;
-    return s->python(EFFORT, k->number, t) ? FAILED : DONE;
+    return k->role == FORMULA || k->role == LAW ? ask_iterate(s, k, law_of_state, NULL, t) : DONE;
 }
 
 int items(System *s, Batch *k, const double *lam, double t)
@@ -178,9 +185,9 @@ int evaluate(System *s, const double *q, const double *v, const double *a, const
 /* The same at an iterate of a step after ``done`` increments, with what the iterate before tells of elements. */
 int evaluate_iterate(System *s, int done, const double *q, const double *v, const double *a, const double *lam, double t)
 {
-    s->following = done > 0;
+    s->iterate = done ? FOLLOWING : FIRST;
     s->bridged = 0;
     int verdict = evaluate(s, q, v, a, lam, t);
-    s->following = 0;
+    s->iterate = ON_ITS_OWN;
     return verdict;
 }

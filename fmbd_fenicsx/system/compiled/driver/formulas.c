@@ -13,15 +13,9 @@ static double cut(double effort, double limit, double *k, double *c)
     return effort > 0 ? limit : -limit;
 }
 
-/* Dry friction, sticking below its limit; a point that was dragged lies on it, and roundoff does not decide: it slides. ``before``: its
-   effort at the iterate before. Where an increment led from one limit beyond the other, the slope of sliding would lead back and so
-   on: what lies in between sticks, and so it does for one increment (Newton's iteration by active sets). */
-static double friction(System *s, double effort, double limit, double before, double *k, double *c)
+/* Dry friction, sticking below its limit; a point that was dragged lies on it, and roundoff does not decide: it slides. */
+static double friction(double effort, double limit, double *k, double *c)
 {
-    if (s->following && fabs(effort) > limit && before == (effort > 0.0 ? -limit : limit)) {
-        s->bridged = 1;
-        return effort;
-    }
     if (fabs(effort) > (1.0 - 1e-9) * limit) *k = *c = 0.0;
     return fmax(-limit, fmin(limit, effort));
 }
@@ -74,7 +68,7 @@ static double stop_effort(const double *p, double x, double rate, double *k, dou
 }
 
 /* The effort of item i at its s and s', and its slopes. */
-void formula(System *s, Batch *k, long i, double t)
+void formula(Batch *k, long i, double t)
 {
     const double *p = k->constants + FORMULA_WIDTH * i, *kept = k->kept + MEMORY * i;
     double x = k->s[i] - k->free[i], rate = k->rate[i], *slope = k->stiffness + i, *drag = k->damping + i;
@@ -87,7 +81,7 @@ void formula(System *s, Batch *k, long i, double t)
     *slope = p[0];
     *drag = p[1];
     if (k->formula == SERVO) k->effort[i] = cut(p[0] * (x - p[4]) + p[1] * (rate - p[5]), p[2], slope, drag);
-    else k->effort[i] = friction(s, p[0] * (x - kept[0]) + p[1] * rate, p[2], k->effort[i], slope, drag);
+    else k->effort[i] = friction(p[0] * (x - kept[0]) + p[1] * rate, p[2], slope, drag);
 }
 
 /* Where dry friction sticks if a step ends at the s, s' and effort of the last evaluation. */
@@ -130,9 +124,11 @@ static int surprises(const Batch *k, long i)
 /* Whether the slopes at the last evaluation are others than those in the matrix. */
 int other_slopes(const System *s, double cd, double ck)
 {
-    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role == LAW && k->sloped == s->evaluations) return 1;
         for (long i = 0; k->role == LAW && i < k->n; i++)
             if (surprises(k, i)) return 1;
+    }
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
         for (long i = 0; k->role == FORMULA && i < k->n; i++) {
             double slope = ck * k->stiffness[i] + cd * k->damping[i];

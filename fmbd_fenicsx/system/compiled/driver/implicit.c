@@ -76,6 +76,43 @@ static int begin_implicit(System *s, Implicit *o, const Block *now, Block out)
     return DONE;
 }
 
+/* The tangent at the last of the points with laws as they are there, none of whose slopes it has. */
+static int take_straight(System *s, Implicit *o, double length, double *work)
+{
+    const Stages *g = o->stages;
+    const int n = g->n, j = g->points - 1;
+    const double key = o->factored;
+    double *q = g->given + (long)g->points * (n + g->size) + n;
+    configuration(s, g->q0, g->xi + (long)j * n, q);
+    s->iterate = AGAIN;
+    s->point = j;
+    int verdict = take_tangent(s, o, g->t[j], q, g->v + (long)j * n, g->vd + (long)j * n, g->mult + (long)j * (g->size - n), length, work);
+    s->iterate = ON_ITS_OWN;
+    s->point = 0;
+    return verdict ? verdict : take_factors(s, o, key, work);
+}
+
+/* Newton's iteration for all points, across laws that bend. */
+static int iterate_points(System *s, Implicit *o, double length, double *work)
+{
+    Stages *g = o->stages;
+    Convergence *c = o->convergence;
+    Bend none[MOST_BENT];
+    s->bent = 0;
+    g->hesitations = 0;
+    g->iterate = g->fields || bends_of(s, g->points, none) < 0 ? ON_ITS_OWN : FIRST;
+    int verdict = driver_stage_iterate(s, g, c, c->most);
+    if (verdict == BENT && !(verdict = take_straight(s, o, length, work))) {
+        s->bent = 1;
+        g->iterate = AGAIN;
+        verdict = driver_stage_iterate(s, g, c, c->most);
+        o->factored = 0.0; /* the next step takes slopes as they are */
+    }
+    g->iterate = ON_ITS_OWN;
+    s->bent = 0;
+    return verdict;
+}
+
 /* Newton's iteration of a step from a state on, with the rate so far; ``first``: what one increment leaves. */
 static int iterate_step(System *s, Implicit *o, double *p, const Block *now, double first, double *work)
 {
@@ -89,7 +126,7 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
     c->done = 0;
     c->outcome = GOES_ON;
 
-    int verdict = driver_stage_iterate(s, o->stages, c, c->most);
+    int verdict = iterate_points(s, o, p[LENGTH], work);
     const double *judged = o->stages->judged;
     work[RATE] = c->theta;
     work[INCREMENTS_MADE] += c->done;
@@ -100,7 +137,7 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
         return verdict;
     }
     farthest_apart(judged, work + RESIDUAL);
-    work[KNOWN] = c->theta <= o->slow && !o->stages->fields;
+    work[KNOWN] = c->theta <= o->slow && !o->stages->fields && o->factored != 0.0;
     if (o->stages->fields) sample_point(s, o->stages, o->stages->points - 1, 1); /* derivatives were taken elsewhere */
     p[LEFT] += c->share * c->size;
     return DONE;

@@ -156,7 +156,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         }
         configuration(s, now.q, xi, out.q);
         if ((verdict = evaluate_iterate(s, done, out.q, vm, out.a, out.lam, middle))) return verdict;
-        if (!done || (s->stiff && other_slopes(s, 0.5 * h, 0.25 * h * h))) {
+        if (!done || (s->stiff && (s->bridged || other_slopes(s, 0.5 * h, 0.25 * h * h)))) {
             if ((verdict = prepare(s, out.q, 0.5 * h, 0.25 * h * h, now.lam, 0, middle))) return verdict;
             if (m) own_compliance(s, c, m);
         }
@@ -189,7 +189,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         const double size_v = fmax(largest_of(s->units, out.v, s->nv), speed);
         sizes[done++] = largest_of(s->units, x, s->nv) / (SHARPLY * p[TOL] * size_v);
         converged = judge(p, sizes, done, &left);
-        if (s->bridged && converged > 0) converged = 0;
+        if (s->bridged && sizes[done - 1] < INFINITY) converged = 0;
         if (s->redundant && done == 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
         if (converged < 0) return NEWTON;
     }

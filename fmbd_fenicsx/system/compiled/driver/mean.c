@@ -15,7 +15,7 @@ typedef struct {
     const double *q0, *v0;
     double *frames[2], *maps[2], *s[2], *gap0; /* frames, maps of surfaces, coordinates of efforts; g_0 */
     double *q, *v, *middle, *w, *xi;           /* the end; between: configuration, velocity, increment */
-    double *core, *inertia, *along, *missing, *share, *effort;
+    double *core, *inertia, *along, *missing, *share, *effort, *means; /* means: room */
     double *sampled[2];                        /* what depends on time only, at the end and in the middle */
 } Step;
 
@@ -43,7 +43,7 @@ EXPORT long driver_mean_room(const System *s)
 {
     long frames = FRAME * (s->bodies + 1 + s->surfaces);
     long pairs = s->fields ? (2 * PAIRS + 3) * (2 * s->nv + s->rows) : 0;
-    return 2 * (frames + mean_maps(s) + sample_size(s)) + 4 * mean_coordinates(s) + 3 * s->nq + 7 * s->nv + 4 * s->rows + pairs;
+    return 2 * (frames + mean_maps(s) + sample_size(s)) + 8 * mean_coordinates(s) + 3 * s->nq + 7 * s->nv + 4 * s->rows + pairs;
 }
 
 static double *part_of(double **room, long n)
@@ -82,7 +82,7 @@ static int mean_begin(System *s, Step *o, double **room)
         o->s[end] = part_of(room, n);
         o->sampled[end] = part_of(room, sample_size(s));
     }
-    o->share = part_of(room, n), o->effort = part_of(room, n);
+    o->share = part_of(room, n), o->effort = part_of(room, n), o->means = part_of(room, 4 * n);
     o->q = part_of(room, s->nq), o->middle = part_of(room, s->nq);
     o->v = part_of(room, s->nv), o->w = part_of(room, s->nv), o->xi = part_of(room, s->nv);
     o->core = part_of(room, s->nv), o->inertia = part_of(room, s->nv), o->along = part_of(room, s->nv);
@@ -118,6 +118,43 @@ static void mean_motion(const System *s, Step *o, const double *a)
     configuration(s, o->q0, o->xi, o->middle);
 }
 
+/* Where coordinates of efforts begin, and room for four numbers each. */
+typedef struct {
+    const double *from;
+    double *room;
+} Mean;
+
+/* Means of N over a step whose middle is at s, at the mean rate, and slopes of formulas; Python takes the mean of all three points in one
+   call. */
+static int law_of_step(System *s, Batch *k, const void *how, double t)
+{
+    const Mean *o = how;
+    const long n = k->n;
+    double *middle = o->room, *sum = middle + n, *slope = sum + n, *drag = slope + n;
+    memcpy(middle, k->s, n * sizeof(double));
+    memset(sum, 0, 3 * n * sizeof(double));
+    for (int g = 0; g < 3 && k->role == FORMULA; g++) {
+        for (long i = 0; i < n; i++) {
+            k->s[i] = o->from[i] + 2.0 * GAUSS[g] * (middle[i] - o->from[i]);
+            formula(k, i, t);
+        }
+        add(sum, SHARES[g], k->effort, n);
+        add(slope, 2.0 * GAUSS[g] * SHARES[g], k->stiffness, n);
+        add(drag, SHARES[g], k->damping, n);
+    }
+    if (k->role == FORMULA) {
+        memcpy(k->effort, sum, n * sizeof(double));
+        memcpy(k->stiffness, slope, n * sizeof(double));
+        memcpy(k->damping, drag, n * sizeof(double));
+    } else {
+        for (long i = 0; i < n; i++) k->s[i] = o->from[i];
+        s->calls++;
+        if (s->python(EFFORT_MEANS, k->number, t)) return FAILED;
+    }
+    memcpy(k->s, middle, n * sizeof(double));
+    return DONE;
+}
+
 /* Efforts N as means of the law from s_0 to s_1 at the mean rate, and the share of rows with h rows . twist = s_1 - s_0; the kernel's
    answers at the mean are there. */
 static int mean_efforts(System *s, Batch *k, const Step *o, long first, double t)
@@ -138,20 +175,19 @@ static int mean_efforts(System *s, Batch *k, const Step *o, long first, double t
         k->rate[i] = (to[i] - from[i]) / o->h;
         sum[i] = 0.0;
     }
-    if (k->role == LAW) { /* Python takes the mean, of all three points in one call */
-        memcpy(k->s, from, k->n * sizeof(double));
-        s->calls++;
-        if (s->python(EFFORT_MEANS, k->number, t)) return FAILED;
-    }
-    for (int g = 0; g < 3 && k->role != GIVEN && k->role != LAW; g++) {
+    for (int g = 0; g < 3 && k->role == LINEAR; g++) {
         for (long i = 0; i < k->n; i++) {
             k->s[i] = from[i] + GAUSS[g] * (to[i] - from[i]);
-            if (k->role == FORMULA) formula(s, k, i, t);
-            if (k->role == LINEAR) k->effort[i] = k->stiffness[i] * (k->s[i] - k->free[i]) + k->damping[i] * k->rate[i];
+            k->effort[i] = k->stiffness[i] * (k->s[i] - k->free[i]) + k->damping[i] * k->rate[i];
         }
         add(sum, SHARES[g], k->effort, k->n);
     }
-    if (k->role == GIVEN || k->role == LAW) memcpy(sum, k->effort, k->n * sizeof(double));
+    if (k->role == FORMULA || k->role == LAW) {
+        const Mean mean = {from, o->means};
+        for (long i = 0; i < k->n; i++) k->s[i] = 0.5 * (from[i] + to[i]);
+        if (ask_iterate(s, k, law_of_step, &mean, t)) return FAILED;
+    }
+    if (k->role != LINEAR) memcpy(sum, k->effort, k->n * sizeof(double));
     for (long i = 0; i < k->n; i++) sum[i] *= share[i];
     return DONE;
 }
@@ -292,6 +328,12 @@ static int mean_prepare(System *s, const Step *o, const double *lam, double *fac
     for (Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (rod_forces(s, k, t)) return FAILED;
     if ((verdict = acting(s, lam, t))) return verdict;
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) /* of the means that the residual has */
+        for (long i = 0; k->line && i < k->n; i++) {
+            if (k->role == LAW && k->sloped != s->evaluations) continue;
+            k->stiffness[i] = line_of(k, 0, i)[3];
+            k->damping[i] = line_of(k, 0, i)[4];
+        }
     memcpy(factored, o->middle, s->nq * sizeof(double));
     return prepare(s, o->middle, 0.5 * o->h, 0.25 * o->h * o->h, lam, 0, t);
 }
@@ -344,25 +386,31 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
     Step o = {t, h, length, q0, v0};
     double rate = 0.0;
     s->span = h;
-    int verdict = mean_begin(s, &o, &room), anew = 1, taken = 0, since = 0;
+    int verdict = mean_begin(s, &o, &room), anew = 1, taken = 0, since = 0, slow = 1, turned, over, hesitations = 0;
     double *x = part_of(&room, s->nv), *y = part_of(&room, s->rows), *gap = part_of(&room, s->rows), *factored = part_of(&room, s->nq);
     const int width = 2 * s->nv + s->rows;
     Secants told = {.last = room, .made = room + width, .pair = room + 2 * width};
     if (verdict) return verdict;
 
     for (int k = 0; k < most; k++) {
-        if ((verdict = mean_residual(s, &o, a, lam, gap))) return verdict;
+        s->iterate = k ? FOLLOWING : FIRST;
+        s->bridged = 0;
+        verdict = mean_residual(s, &o, a, lam, gap);
+        s->iterate = ON_ITS_OWN;
+        if (verdict) return verdict;
+        if (slow && taken++ == MATRICES) return NEWTON;
+        turned = s->stiff && k && (s->bridged || other_slopes(s, 0.5 * h, 0.25 * h * h));
+        if (turned) anew = 1;
         if (anew) {
-            if (taken++ == MATRICES) return NEWTON;
             forget(&told);
             told.poor = 1; /* each increment is worth more than what the pairs cost */
-            if ((old || taken > 1) && s->renewable) {
+            if (slow && (old || taken > 1) && s->renewable) {
                 if ((verdict = take_tangents(s, x, t + 0.5 * h))) return verdict;
                 done[1]++;
             }
             if (mean_prepare(s, &o, lam, factored)) return NEWTON;
         }
-        anew = 0;
+        anew = slow = 0;
         if ((verdict = mean_increment(s, &o, factored, gap, x, y))) return verdict;
         if (s->fields) improve(s, &told, x, NULL, y);
 
@@ -373,7 +421,12 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
         add(lam, 1.0, y, s->rows);
         done[0] = k + 1;
         rate = k ? sizes[k] / fmax(sizes[k - 1], 1e-300) : 0.0;
-        if (mean_over(sizes, k + 1, rate, e)) {
+        over = !s->bridged && mean_over(sizes, k + 1, rate, e);
+        if (over && s->stiff && hesitations < HESITATIONS && undecided(s, 1.0, x)) {
+            hesitations++;
+            over = 0;
+        }
+        if (over) {
             if (!(sizes[k] <= fmax(e[ENOUGH], e[LOST]))) return NEWTON;
             mean_motion(s, &o, a);
             if (turns_freely(s)) {
@@ -384,7 +437,7 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
             memcpy(v, o.v, s->nv * sizeof(double));
             return DONE;
         }
-        anew = s->fields ? mean_lingers(&told, sizes + since, k + 1 - since, e) : rate > e[SLOW_RATE] && sizes[k] > e[NOISE];
+        anew = slow = turned ? 0 : s->fields ? mean_lingers(&told, sizes + since, k + 1 - since, e) : rate > e[SLOW_RATE] && sizes[k] > e[NOISE];
         if (anew) since = k + 1;
     }
     return NEWTON;

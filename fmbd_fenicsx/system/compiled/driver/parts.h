@@ -136,6 +136,7 @@ int sample(System *s, double t, double *last);
 long sample_size(const System *s);
 void keep_sample(const System *s, double *kept, int back);
 void like_v(const System *s, const double *u, double *x);
+void effort_row(System *s, const Batch *k, long i, double *row);
 int side_row(System *s, const Batch *k, long i, int side, int *body);
 void item_row(System *s, const Batch *k, long i, double factor, double *row);
 void all_rows(System *s, const double *mu, double *G);
@@ -148,7 +149,15 @@ void derivatives_in_time(System *s, double *partial, double *second);
 int efforts(System *s, Batch *k, double t);
 static const double LEFT_OF_PLACES = 3.6e-15; /* share of places that increments may be roundoff of */
 double far_from_origin(const System *s, const double *q, double length);
-void formula(System *s, Batch *k, long i, double t);
+void formula(Batch *k, long i, double t);
+typedef int Law(System *s, Batch *k, const void *how, double t); /* N of a batch at its s and s', and slopes of formulas */
+int ask_iterate(System *s, Batch *k, Law *law, const void *how, double t);
+int ask_slopes(System *s, Batch *k, double t);
+static const double OF_THE_LAW = 0.1; /* share of N that a change worth looking at is of */
+/* The line of item i at a point of a step. */
+static inline double *line_of(const Batch *k, int point, long i) { return k->line + LINE * (point * k->n + i); }
+int undecided(System *s, double unit, const double *x);
+enum { HESITATIONS = 3 }; /* increments of a step at most that are made for what it tells */
 int increment(System *s, double scale, double *x, double *y, double t);
 int items(System *s, Batch *k, const double *lam, double t);
 int misled(const System *s);

@@ -37,6 +37,9 @@ typedef struct {
     double *sampled;                /* points x what a SAMPLE writes */
     double *weigh, *moved, *judged; /* weigh: 3 x n, of dxi, dv and U dlambda; moved: 6; judged: 2, of an iteration */
     double *local, relax;           /* local: nq + 2 n */
+    double *given;                  /* points x (n + size) + n + nq: work beside laws that bend, see bends.c */
+    int iterate, swings, hesitations; /* what points are: ON_ITS_OWN ..; whether efforts of these laws changed much in an increment, */
+                                    /* and how often they have been waited for */
     double *bases, *bent, span;     /* of rods whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
     struct FieldStages *fields;     /* of elastic fields, whose systems have no such K; NULL for others */
 } Stages;
@@ -245,12 +248,17 @@ static int stage_residuals(System *s, const Stages *o, int increments)
     const Form form = form_of(o);
     const Sparse frozen = directions_of(o);
     int verdict;
+    s->bridged = s->swung = 0;
     if (o->fields) o->fields->aligned = 0;
     for (int j = 0; j < o->points; j++) {
         double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
         if ((verdict = sample_point(s, o, j, known))) return verdict;
         const Normal along = normal_at(o, &frozen, j);
+        s->point = j;
+        s->iterate = o->iterate;
         verdict = local_point(s, &along, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult, kin, low, o->local);
+        s->iterate = ON_ITS_OWN;
+        s->point = 0;
         if (verdict) return verdict;
         for (int i = 0; i < n; i++) {
             kin[i] = o->rate[j * n + i] - kin[i];
@@ -299,15 +307,12 @@ static void farthest_apart(const double *judged, double *most)
     if (!(share <= most[0] / (most[1] > 0.0 ? most[1] : 1.0))) memcpy(most, judged, 2 * sizeof *most);
 }
 
-/* One increment of all points, behind so many of this call: residuals, solutions, what they move. ``moved``: the largest lengths of dxi, dv and U dlambda, and the
-   mean squares of the three by their weights; ``judged``: as of farthest_apart(). */
-static int stage_increment(System *s, Stages *o, int increments)
+/* What the tangent answers to the residuals of all points. */
+static int solve_points(System *s, Stages *o)
 {
-    const int n = o->n, size = o->size, k = o->points, multipliers = size - n;
+    const int n = o->n, k = o->points, multipliers = o->size - n;
     double judged[2];
-    int verdict = stage_residuals(s, o, increments);
-    if (verdict) return verdict;
-
+    int verdict;
     memset(o->dxi, 0, (size_t)k * n * sizeof(double));
     memset(o->dv, 0, (size_t)k * n * sizeof(double));
     memset(o->dmult, 0, (size_t)k * multipliers * sizeof(double));
@@ -318,9 +323,23 @@ static int stage_increment(System *s, Stages *o, int increments)
         else contribute_complex(o, f, judged);
         farthest_apart(judged, o->judged);
     }
-
     for (int i = 0; i < k * n; i++) o->dxi[i] *= o->relax, o->dv[i] *= o->relax;
     for (int i = 0; i < k * multipliers; i++) o->dmult[i] *= o->relax;
+    return DONE;
+}
+
+#include "bends.c"
+
+/* One increment of all points, behind so many of this call: residuals, solutions, what they move. ``moved``: the largest lengths of dxi, dv and U dlambda, and the
+   mean squares of the three by their weights; ``judged``: as of farthest_apart(). */
+static int stage_increment(System *s, Stages *o, int increments)
+{
+    const int n = o->n, k = o->points, multipliers = o->size - n;
+    int verdict = stage_residuals(s, o, increments);
+    if (verdict) return verdict;
+    if ((s->bridged || s->swung) && !s->bent && o->iterate == FOLLOWING) return BENT;
+    if ((verdict = solve_points(s, o)) || (s->bent && (verdict = across_bends(s, o)))) return verdict;
+
     const Sparse directions = directions_of(o);
     const int acts = o->fields || !o->levels ? 0 : o->levels > 2 ? 2 : 1; /* levels whose multipliers accelerate */
     memset(o->push, 0, (size_t)2 * k * n * sizeof(double));
@@ -365,7 +384,10 @@ EXPORT int driver_stage_iterate(System *s, Stages *o, Convergence *c, int until)
         int verdict = stage_increment(s, o, c->done - before);
         if (verdict && c->done > before) sample_point(s, o, o->points - 1, 1);
         if (verdict) return verdict;
-        judge_increment(c, size_moved(o, c), fmax(o->moved[0], c->h * o->moved[1]) <= c->still);
+        if (s->bridged) pass_increment(c, size_moved(o, c));
+        else judge_increment(c, size_moved(o, c), fmax(o->moved[0], c->h * o->moved[1]) <= c->still);
+        if (o->iterate != ON_ITS_OWN) o->iterate = FOLLOWING;
+        if (c->outcome == CONVERGED && c->done < c->most && hesitates(s, o)) c->outcome = GOES_ON;
     }
     return DONE;
 }

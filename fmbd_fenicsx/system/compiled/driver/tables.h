@@ -28,6 +28,9 @@ enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE, DOUBT }; /* verdicts; L
                                                           /* FAILED: a law in Python raised; GAIN: energy from nothing; SIZE: */
                                                           /* the next step may have another size; DOUBT: whether the state */
                                                           /* counts is to be looked at closely */
+enum { ON_ITS_OWN, FIRST, FOLLOWING, AGAIN };              /* evaluations: of a state; of the first iterate of a step, of one that */
+                                                          /* follows another, of the same with laws as there; see bridges.c */
+enum { LINE = 5, MOST_POINTS = 8 };                                      /* s, s', N, dN/ds and dN/ds' where Newton's iteration was last */
 enum { GOES_ON, CONVERGED, DIVERGED, TOO_SLOW };           /* outcomes of Newton's iteration of an implicit step */
 enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF }; /* schemes that make many steps in one call, see march.c */
 
@@ -54,6 +57,9 @@ typedef struct {
     double *foretold;                  /* LINEAR: n efforts where the last increment of a step leads; LAW, linked: what the slopes foretell */
     int formula;                       /* FORMULA: which; n x FORMULA_WIDTH constants, n x MEMORY memory of accepted steps */
     double *constants, *kept;
+    double *line;                      /* FORMULA, LAW: MOST_POINTS x n x LINE, see bridges.c; NULL for others */
+    int *bridges;                      /* n: whether the law counts as its line */
+    long sloped;                       /* LAW: the evaluation for which slopes were asked already */
     double *known;                     /* LAW: n x 3, s, s' and N where the slopes were taken; WHOLE, MOUNT: see whole.c, mounts.c */
     int *first, *second, *product_to;  /* products: pairs of live entries; n x products places in the fronts */
     int *curve, *curve_to, hessians;   /* curved: which outputs of the tangent kernel; n x curved places; outputs in all */
@@ -279,8 +285,10 @@ typedef struct {
                                        /* many may do so, and do; see links.c */
     double *push, *pull, *answer, *mutual; /* linkable x (nu + TWIST surfaces + 1), twice; x (nu + rows); x linkable */
     int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
-    int following, bridged;            /* whether an iterate follows another of the same step; whether it bridges dry friction, */
-                                       /* whose effort is none of the state then */
+    int point, bent;                   /* which of a step is evaluated; whether the slopes of all laws are asked for at all points */
+    long begun;                        /* the evaluation of its first iterate */
+    int swung;                         /* whether a law changed much since the last iterate */
+    int iterate, bridged;              /* what is evaluated: ON_ITS_OWN ..; whether laws count as lines at the newest iterate */
     int leaves_out;                    /* whether the matrix lacks terms of the motion of a body, see secants.c */
     const double *from;                /* where a step begins whose mean forces fields tell in place of those of a state; NULL else */
     double span;                       /* its size, s */

@@ -115,6 +115,7 @@ class StageRoom(PointRoom):
             "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)), "push": (2 * k, n), "weigh": (3, n),
             "sampled": (k, states.calls.written),
             "moved": 6, "judged": 2, "local": states.tables.system.n_q + 2 * n,
+            "given": k * (n + size) + n + states.tables.system.n_q,
         }  # fmt: skip
 
         made = zeros_of(sizes)

@@ -11,13 +11,14 @@ from ....rotations import Array
 from ..declarations import enumeration
 from ..places import batch_of
 from .angles import theta_places
-from .items import LAW, READ, ROW, Items
+from .items import FORMULA, LAW, READ, ROW, Items
 from .structures import Store
 
 if TYPE_CHECKING:
     from .layout import TableLayout
 
 FORMULAS = enumeration("SERVO", "formulas.c")
+LINE, MOST_POINTS = enumeration("LINE").values()  # numbers that stand for a law, at each of so many points
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
 DIRECTIONS = {  # constants that are directions in the axes of a marker: of which side
@@ -98,6 +99,9 @@ def item_batch(tables: TableLayout, items: Items, number: int) -> Any:
         "P": (n, kind.width), "out": (n, one.outputs), "hessian": (n, 0 if items.role == READ else one.hessians),
         "known": (n, 3 if items.role == LAW else 0), "numbers": (len(OF_ITEMS), n),
     })  # fmt: skip
+    if items.role in (LAW, FORMULA):
+        one.line = store.zeros({"line": (MOST_POINTS, n, LINE)})["line"][1]
+        one.bridges = store.integers(np.zeros(n))
     items.table, one.P = room["P"]
     items.arrays["out"] = room["out"][0]
     _constants(tables, items, items.table)
