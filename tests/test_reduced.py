@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -18,6 +20,7 @@ from fmbd_fenicsx.mechanics.reduction.craig_bampton import FrameModes
 from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 from fmbd_fenicsx.rotations import motions
 
+ROOT = Path(__file__).resolve().parents[1]
 MODULUS, DENSITY = 5e6, 1000.0
 FREE_FREE = (22.3733, 61.6728, 120.9034)  # (beta L)^2 of the free-free Euler-Bernoulli beam
 CLAMPED = (3.51602, 22.0345, 61.6972)
@@ -226,3 +229,47 @@ def test_warning_of_modes_that_miss_the_start(rod_mesh: Callable[..., Any], capl
     with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
         _ = body.reduced(modes=1).constants
     assert "leave out 1" in caplog.text
+
+
+NOTCHED = """
+def build(gmsh, width):
+    gmsh.model.add("plate")
+    geo = gmsh.model.geo
+    corners = [(0, -0.05), (1, -0.05), (1, 0.05), (0, 0.05), (0, width / 2), (0, -width / 2)]
+    points = [geo.addPoint(x, y, 0.0, 0.05 if k < 4 else width) for k, (x, y) in enumerate(corners)]
+    lines = [geo.addLine(points[k], points[k - 5]) for k in range(6)]
+    plate = geo.addPlaneSurface([geo.addCurveLoop(lines)])
+    geo.mesh.setTransfiniteCurve(lines[4], 2)
+    geo.synchronize()
+    gmsh.model.addPhysicalGroup(2, [plate], name="plate")
+    gmsh.model.addPhysicalGroup(1, [lines[4]], name="held")
+    gmsh.model.mesh.generate(2)
+"""
+
+
+def test_a_surface_of_one_small_facet_turns_by_itself(shared_tmp: Path) -> None:
+    """Its static modes have strain and hardly any mass: a plate fixed there swings as slowly as the full one does."""
+    width = 1e-4
+    script = shared_tmp / "plate.py"
+    script.write_text(NOTCHED)
+    full = fmbd.FloatingBody("plate", fmbd.read_gmsh(script, width=width), density=1e3, elastic=plane_stress(1e7, 0.3))
+
+    found = []
+    for body in (full, full.reduced(basis=fmbd.CraigBampton(("held",), 4))):
+        scene = fmbd.Scene("plate")
+        scene.add(body, fmbd.fixed("pin", fmbd.ground, body.surface("held"), center=(0.0, 0.0)))
+        found.append(fmbd.modes(scene, 3).frequencies[0])
+    assert found[1] == pytest.approx(found[0], rel=1e-4)
+    assert found[0] < 100.0 * width  # a clamp of the whole end gives 16 Hz
+
+
+@pytest.mark.parametrize(("ratio", "told"), [(1e6, False), (1e12, True)])
+def test_moduli_whose_roundoff_hides_modes_are_told(ratio: float, told: bool, caplog: pytest.LogCaptureFixture) -> None:
+    def elastic(u: Any, v: Any, dx: Any) -> Any:
+        stiff = ufl.conditional(ufl.lt(ufl.SpatialCoordinate(dx.ufl_domain())[0], 0.5), 1.0, ratio)
+        return 1e7 * stiff * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * dx
+
+    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0, 0.05), counts=(20, 2))
+    body = fmbd.FloatingBody("beam", mesh, density=1.0, elastic=elastic)
+    assert len(body.reduced(basis=fmbd.CraigBampton(("left", "right"), 4)).reduction.omega) >= 4
+    assert ("roundoff of its stiffness" in caplog.text) is told

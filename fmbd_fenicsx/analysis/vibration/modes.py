@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-import scipy.linalg as sl
 
 from ...agreement import OneAnswer
 from ...checks import typed
 from ...errors import InputError, require
 from ...fem.fields import rank_sum
 from ...linear.condensation import StepSolver
+from ...mechanics.elastic.modes import squares_of_frequencies
 from ...rotations import Array
 from ...schemes.consistent import consistent
 from ...system.layout import State
@@ -41,7 +41,6 @@ from .rotors import check_round
 
 SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
 PLANE = 1e-6  # share of circling motion below which a mode is plane
-FAR_BELOW = 1e-6  # share of the largest square below which squares of eigenvalues are found anew
 FAR = 1e-3  # accelerations of a state "in equilibrium", over weights
 STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
 RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
@@ -305,7 +304,7 @@ def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: 
         values, vectors = _double_zeros(small, *slowest(first_order(small), relaxing=relaxing))
     else:
         # real squares omega^2 of a symmetric pencil
-        squares, Y = _squares(0.5 * (K + K.T), 0.5 * (M + M.T))
+        squares, Y = squares_of_frequencies(0.5 * (K + K.T), 0.5 * (M + M.T))
         if quiet and symmetric:
             order = np.argsort(np.abs(squares))
             rates = np.sqrt(np.abs(squares[order]))
@@ -321,23 +320,6 @@ def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: 
         values, vectors = values[kept], vectors[:, kept]
     _enough(len(values), n)
     return values[:n], vectors[:, :n]
-
-
-def _squares(K: Array, M: Array) -> tuple[Array, Array]:
-    """omega^2 (n,) of K y = omega^2 M y and the vectors (n, n), each with its own digits.
-
-    Roundoff of the largest is in all of them: a light part on a heavy one, or a small cell, would hide the first. Those far below
-    are found again among themselves: their vectors are off by the root of what that costs.
-    """
-    squares, Y = sl.eigh(K, M)
-    sizes = np.abs(squares)
-    slow = sizes < FAR_BELOW * sizes.max(initial=0.0)
-    if not slow.any():
-        return squares, Y
-    Z = Y[:, slow]
-    squares[slow], combined = _squares(Z.T @ K @ Z, Z.T @ M @ Z)
-    Y[:, slow] = Z @ combined
-    return squares, Y
 
 
 def _zeros(small: ProjectedSystem, values: Array, vectors: Array) -> Array:

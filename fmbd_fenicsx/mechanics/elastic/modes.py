@@ -23,6 +23,7 @@ import numpy as np
 from ...errors import FmbdError, InputError
 from ...fem.factors.factor import Factor
 from ...fem.fields import Field
+from ...log import log
 from ...rotations import Array
 
 SHIFT = 1e-3  # of an upper bound of the first eigenvalue
@@ -30,6 +31,10 @@ SLOW = 20  # refinements after which the shift is taken for too large
 LOWER = 3  # times that it is made smaller
 # squares of corrections over a displacement's: those of roundoff, and where parts a million times as stiff leave more
 ROUNDED, ROUGH = 1e-12, 1e-8
+VANISHED = 1e-12  # share of mass and strain below which a direction is none
+SEEN = 0.1  # share of a square of a frequency that may be roundoff; most of it cancels
+WEIGHTLESS = 1e-13  # share of mass in both that is roundoff
+FAR_BELOW = 1e-6  # share of the largest square below which squares of frequencies are found anew
 
 
 def rigid_fields(field: Field) -> Array:
@@ -262,30 +267,74 @@ def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array,
     """A basis of span V in the frame given by ``conditions``, M-orthonormal with diagonal K: omega (rad/s) and phi (n d, m).
 
     Rigid parts of V are taken out by the frame's conditions; directions that vanish with them, against the size that they had
-    before, are dropped: static modes of one interface hold all rigid motions.
-    """
-    import scipy.linalg as sl
+    before, are dropped: static modes of one interface hold all rigid motions. What vanishes has neither mass nor strain; what a
+    small surface moves by itself has strain, and hardly any mass.
 
+    Raises:
+        InputError: there are directions with strain whose mass is lost in roundoff.
+    """
     Z = rigid_fields(field)
     # sizes before rigid parts are taken out, so that what vanishes with them is seen
     before = np.array([field.total(np.array(v @ field.mass(v.reshape(-1, field.dim)).ravel())) for v in V.T])
     V = V - Z @ np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ V))
 
-    def product(A: Array, B: Array) -> Array:
-        return field.total(A.T @ B)
-
-    def mass(A: Array) -> Array:
-        return np.stack([field.mass(a.reshape(-1, field.dim)).ravel() for a in A.T], axis=1)
+    def both(A: Array) -> tuple[Array, Array]:
+        """A^T K A and A^T M A."""
+        KA = np.stack([field.stiffness(a) for a in np.ascontiguousarray(A.T)], axis=1)
+        MA = np.stack([field.mass(a.reshape(-1, field.dim)).ravel() for a in A.T], axis=1)
+        K, M = field.total(A.T @ KA), field.total(A.T @ MA)
+        return 0.5 * (K + K.T), 0.5 * (M + M.T)
 
     V = V / np.sqrt(np.maximum(before, 1e-300))
+    K, M = both(V)
+    # one square of a frequency, by which strain counts as mass does
+    unit = np.trace(K) / max(np.trace(M), 1e-300)
     for _ in range(2):  # twice is enough: the second pass cleans the roundoff of the first
-        G = product(V, mass(V))
-        s, U = np.linalg.eigh(0.5 * (G + G.T))
-        keep = s > 1e-12 * s.max()
+        s, U = np.linalg.eigh(M + K / unit if unit else M)
+        keep = s > VANISHED * s.max()
         V = V @ (U[:, keep] / np.sqrt(s[keep]))
+        K, M = both(V)
 
-    # in their span: K diagonal
-    KV = np.stack([field.stiffness(a) for a in V.T], axis=1)
-    K, M = product(V, KV), product(V, mass(V))
-    values, U = sl.eigh(0.5 * (K + K.T), 0.5 * (M + M.T))
-    return np.sqrt(np.maximum(values, 0.0)), V @ U
+    light = float(np.linalg.eigvalsh(M)[0])
+    if not light > WEIGHTLESS:
+        raise InputError(
+            f'Body "{field.name}": roundoff hides the mass of its static modes ({light:.1e} of the others): a surface is too '
+            "small against the body, or its materials are too far apart. Take a larger surface, or the full body."
+        )
+    squares, U = squares_of_frequencies(K, M)
+    order = np.argsort(squares)
+    squares, modes = squares[order], V @ U[:, order]
+    _tell_roundoff(field, float(squares[0]), modes[:, 0])
+    return np.sqrt(np.maximum(squares, 0.0)), modes
+
+
+def _tell_roundoff(field: Field, square: float, mode: Array) -> None:
+    """Warn where roundoff of the stiffness, eps sum_i K_ii phi_i^2, is seen beside omega^2 of the first mode; collective."""
+    stiff = field.K.getDiagonal().array[: len(mode)]
+    noise = np.finfo(float).eps * float(field.total(np.array(stiff @ mode**2)))
+    if noise > SEEN * square:
+        log.warning(
+            'body "%s": roundoff of its stiffness is up to %.1g of what its first mode has: modes are uncertain. Its materials '
+            "or cells are too far apart in stiffness; take a rigid body for a part that hardly bends",
+            field.name,
+            noise / max(square, 1e-300),
+        )
+
+
+def squares_of_frequencies(K: Array, M: Array) -> tuple[Array, Array]:
+    """omega^2 (n,) of K y = omega^2 M y and the vectors (n, n), each with its own digits.
+
+    Roundoff of the largest is in all of them: a light part on a heavy one, or a small cell, would hide the first. Those far below
+    are found again among themselves: their vectors are off by the root of what that costs.
+    """
+    import scipy.linalg as sl
+
+    squares, Y = sl.eigh(K, M)
+    sizes = np.abs(squares)
+    slow = sizes < FAR_BELOW * sizes.max(initial=0.0)
+    if not slow.any():
+        return squares, Y
+    Z = Y[:, slow]
+    squares[slow], combined = squares_of_frequencies(Z.T @ K @ Z, Z.T @ M @ Z)
+    Y[:, slow] = Z @ combined
+    return squares, Y
