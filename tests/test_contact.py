@@ -88,7 +88,7 @@ def test_steps_in_contact_ask_python_for_little() -> None:
         return calls_of(lambda: fmbd.solve(scene, t_end=0.05 * steps, dt=0.05, output=fmbd.Output(every=steps)))
 
     calls(20)
-    assert calls(20) - calls(10) < 10 * 480
+    assert calls(20) - calls(10) < 10 * 450
 
 
 def test_contact_alpha_damps_and_touches_alike() -> None:

@@ -230,7 +230,7 @@ def _polygons(slave: Trace, master: Trace, pairs: np.ndarray) -> tuple[Array, np
     e = slave.corners[f, 1:] - a[:, None]  # (n, 2, 3)
     gram = np.linalg.inv(e @ np.swapaxes(e, 1, 2))
     d = master.corners[g] - a[:, None]
-    polygon = np.einsum("nij,njd,nkd->nki", gram, e, d, optimize=True)  # master triangle in slave coordinates
+    polygon = d @ np.swapaxes(e, 1, 2) @ gram  # master triangle in slave coordinates
 
     # clipped by the three sides x >= 0, y >= 0, x + y <= 1; each may add a corner
     count = np.full(len(pairs), 3)
@@ -242,7 +242,7 @@ def _polygons(slave: Trace, master: Trace, pairs: np.ndarray) -> tuple[Array, np
     # fans of triangles from the first corner
     triangles, owner = [], []
     for k in range(1, 7):
-        some = np.flatnonzero(count > k + 1)
+        some = (count > k + 1).nonzero()[0]
         triangles.append(vertices[some][:, [0, k, k + 1]])
         owner.append(some)
     cells, who = np.concatenate(triangles), np.concatenate(owner)
@@ -263,15 +263,15 @@ def _clip(vertices: Array, count: np.ndarray, value: object) -> tuple[Array, np.
         out[which, made[which]] = points
         made[which] += 1
 
-    for k in range(vertices.shape[1] - 1):
+    for k in range(int(count.max(initial=0))):
         following = np.where(k + 1 < count, k + 1, 0)
         live = k < count
         here, there = v[:, k], v[rows, following]
 
         # corners inside stay; an edge that crosses the line leaves the point where it does
-        inside = np.flatnonzero(live & (here >= 0))
+        inside = (live & (here >= 0)).nonzero()[0]
         push(inside, vertices[inside, k])
-        crossing = np.flatnonzero(live & (here * there < 0))
+        crossing = (live & (here * there < 0)).nonzero()[0]
         s = (here[crossing] / (here[crossing] - there[crossing]))[:, None]
         push(crossing, (1 - s) * vertices[crossing, k] + s * vertices[crossing, following[crossing]])
     return out, made

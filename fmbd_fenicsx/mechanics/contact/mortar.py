@@ -26,7 +26,7 @@ import numpy as np
 from ...fem.traces.mortar import diameters, overlap
 from ...fem.traces.multipliers import Continuous, Dual, Ends
 from ...fem.traces.traces import Trace as Facets
-from ...rotations import Array, Motions
+from ...rotations import Array, Motions, cross3
 from .contact_set import Here
 from .obstacles import Way
 from .pair import Side, SomeRows, bodies_overlap
@@ -263,18 +263,16 @@ def _match(facets: Facets, side: Side, trace: ContactTrace) -> np.ndarray:
 def _moved(facets: Facets, x: Array) -> Facets:
     """The facets with nodes at x."""
     moved = replace(facets, points=x)
-    e = moved.corners[:, 1:] - moved.corners[:, :1]
-    n = np.stack((e[:, 0, 1], -e[:, 0, 0]), axis=1) if x.shape[1] == 2 else np.cross(e[:, 0], e[:, 1])
-    n = n / np.linalg.norm(n, axis=1)[:, None]
-
-    before = facets.corners[:, 1:] - facets.corners[:, :1]
-    m = (
-        np.stack((before[:, 0, 1], -before[:, 0, 0]), axis=1)
-        if x.shape[1] == 2
-        else np.cross(before[:, 0], before[:, 1])
-    )
-    n *= np.sign((m * facets.normals).sum(1))[:, None]  # the side that was outward at rest
+    n, before = _across(moved.corners), _across(facets.corners)
+    n = n / np.sqrt((n * n).sum(1))[:, None]
+    n *= np.sign((before * facets.normals).sum(1))[:, None]  # the side that was outward at rest
     return replace(facets, points=x, normals=n)
+
+
+def _across(corners: Array) -> Array:
+    """Vectors across facets, (n, d)."""
+    e = corners[:, 1:] - corners[:, :1]
+    return np.stack((e[:, 0, 1], -e[:, 0, 0]), axis=1) if corners.shape[2] == 2 else cross3(e[:, 0], e[:, 1])
 
 
 def _nodal_normals(facets: Facets) -> Array:

@@ -52,9 +52,11 @@ class ObstacleSearch:
         self.carried = np.flatnonzero(self.frame >= 0)
         self.pushed = np.flatnonzero(self.frame[self.of] >= 0)
         self._asked: dict[float, list[Array]] = {}  # of prescribed ones, by time
-        self._still: tuple[Array, Array] | None = None  # where all are at rest
+        self._still: tuple[Array, Array | None] | None = None  # where all are at rest
         if not (self.prescribed or len(self.carried)):
-            self._still = self.at_rest[self.of, : motions.dim], motions.matrix(self.at_rest)[self.of]
+            R = motions.matrix(self.at_rest)
+            turned = bool((np.eye(motions.dim) != R).any())
+            self._still = self.at_rest[self.of, : motions.dim], R[self.of] if turned else None
         self.all_shapes, self.dim = [p.shape for p in pairs], motions.dim
         self.shapes = distances(self.all_shapes, self.of, self.dim)
 
@@ -92,7 +94,8 @@ class ObstacleSearch:
         some.friction, some.restitution = self.friction[near], self.restitution[near]
         some.pushed = number[self.pushed[near[self.pushed]]]
         if self._still is not None:
-            some._still = self._still[0][near], self._still[1][near]
+            r, R = self._still
+            some._still = r[near], None if R is None else R[near]
         some.shapes = [x for x in distances(self.all_shapes, some.of, self.dim) if len(x[0])]
 
         kept = near[self.rigid]
@@ -100,7 +103,7 @@ class ObstacleSearch:
         some.nodes = {i: (number[at[near[at]]], nodes[near[at]]) for i, (at, nodes) in self.nodes.items()}
         return some
 
-    def _place(self, here: Here) -> tuple[Touch, tuple[Array, ...]]:
+    def _place(self, here: Here) -> tuple[Touch, tuple[Any, ...]]:
         """Where all candidates stand, and the frames that this was found with; collective."""
         m, poses = here.contacts.m, here.poses
         r, R = self._obstacles(m, here.t, poses)
@@ -116,13 +119,13 @@ class ObstacleSearch:
             x[rows] = here.nodes(trace)[0][nodes]
 
         # distances in the axes of the obstacles
-        y = ((x - r)[:, None] @ R)[:, 0]
+        y = x - r if R is None else ((x - r)[:, None] @ R)[:, 0]
         gap, gradient = self._distances(y)
-        normal = (R @ gradient[:, :, None])[:, :, 0]
+        normal = gradient.copy() if R is None else (R @ gradient[:, :, None])[:, :, 0]
         return Touch(gap - self.radius, x - self.radius[:, None] * normal, normal, y), (r, R, origin, turned)
 
-    def _obstacles(self, m: Motions, t: float, poses: Array) -> tuple[Array, Array]:
-        """Places (m, d) and rotations (m, d, d) of the obstacles that the candidates may touch."""
+    def _obstacles(self, m: Motions, t: float, poses: Array) -> tuple[Array, Array | None]:
+        """Places (m, d) and rotations (m, d, d; None: no turn) of the obstacles that the candidates may touch."""
         if self._still is not None:
             return self._still
         obstacles = self.at_rest.copy()

@@ -15,8 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...rotations import Array
+from ...rotations import Array, cross3
 from .nodal_rows import NodalRows
+
+AXES = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ def tangents_of(normal: Array) -> list[Array]:
     if normal.shape[1] == 2:
         return [np.stack((-normal[:, 1], normal[:, 0]), axis=1)]
     # the axis most across the normal
-    pick = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
-    a = np.cross(normal, pick)
-    a /= np.linalg.norm(a, axis=1)[:, None]
-    return [a, np.cross(normal, a)]
+    pick = AXES[np.abs(normal).argmin(axis=1)]
+    a = cross3(normal, pick)
+    a = a / np.sqrt((a * a).sum(1))[:, None]
+    return [a, cross3(normal, a)]

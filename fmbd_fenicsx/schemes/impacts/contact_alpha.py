@@ -120,7 +120,7 @@ class ContactAlphaStepper(ContactStepper):
     def _advance(self, h: float) -> State:
         """The same; pressures that bodies carry are left as they are when Newton fails."""
         system, s = self.system, self.state
-        near = candidates(system, self.contacts, s, h)
+        near, _ = candidates(system, self.contacts, s, h)
 
         for _ in range(4):
             step = _Step(self, h, near)

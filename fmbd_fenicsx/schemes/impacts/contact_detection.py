@@ -18,9 +18,11 @@ from ...system.system import System
 ALLOWED = 1e-8  # penetration at the start, as a share of the model's length
 
 
-def candidates(system: System, contacts: ContactSet, state: State, h: float, *, keep: bool = False) -> np.ndarray:
+def candidates(
+    system: System, contacts: ContactSet, state: State, h: float, *, keep: bool = False
+) -> tuple[np.ndarray, Array]:
     """Points that may touch within the step, (m,) bool: near now, or at the position reached with the
-    present velocity.
+    present velocity, which comes second.
 
     ``keep``: overlaps from the new pairing of two bodies are not pushed out (see
     :mod:`fmbd_fenicsx.mechanics.contact.mortar`).
@@ -28,10 +30,11 @@ def candidates(system: System, contacts: ContactSet, state: State, h: float, *, 
     if contacts.searching:
         contacts.update(system, state.q, 2 * h * contacts.fastest(system, state.v), keep=keep)
     now = contacts.touch(system, state.t, state.q)
-    then = contacts.touch(system, state.t + h, system.compose(state.q, h * state.v))
+    ahead = system.compose(state.q, h * state.v)
+    then = contacts.touch(system, state.t + h, ahead)
     _refuse_tunnelling(system, contacts, state, (h, now, then))
     reach = contacts.search(now.gap, then.gap, system.length)
-    return np.asarray((now.gap < reach) | (then.gap < reach))
+    return (now.gap < reach) | (then.gap < reach), ahead
 
 
 def components(rows: Rows) -> LinearRows:

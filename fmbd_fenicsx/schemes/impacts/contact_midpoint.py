@@ -129,10 +129,10 @@ class ContactMidpointStepper(ContactStepper):
         unchanged.
         """
         system, s = self.system, self.state
-        near = candidates(system, self.contacts, s, h, keep=self.theta == 0.5)
+        near, ahead = candidates(system, self.contacts, s, h, keep=self.theta == 0.5)
 
         for _ in range(4):
-            step = _Step(self, h, near)
+            step = _Step(self, h, near, ahead)
             iterations = step.solve()
             # points that the step brings through a surface join in, and the step is made again
             missed = (self.contacts.touch(system, s.t + h, step.q).gap < -1e-9 * system.length) & ~near
@@ -177,14 +177,15 @@ class ContactMidpointStepper(ContactStepper):
 class _Step(ContactStep):
     """The Newton iteration of one step."""
 
-    def __init__(self, stepper: ContactMidpointStepper, h: float, near: np.ndarray) -> None:
+    def __init__(self, stepper: ContactMidpointStepper, h: float, near: np.ndarray, ahead: Array) -> None:
+        """``ahead``: where the velocity at the start leads, from which the iteration goes on."""
         super().__init__(stepper, h, stepper.ledger.force[near])
         self.near = near
         system, s = stepper.system, stepper.state
         self.xi = h * s.v
         self.theta = stepper.theta
         self.scale = self.theta * h * h
-        self.q = s.q
+        self.q = ahead
         self.g: Array = np.zeros(0)
         self.floor = 100 * np.finfo(float).eps * system.length
 
@@ -203,14 +204,13 @@ class _Step(ContactStep):
         system = p.system
 
         # balance in the middle, constraints at the end
-        self.q = system.compose(s.q, self.xi)
         middle = system.compose(s.q, self.theta * self.xi)
         vm = self.xi / h
         weights = Weights(1.0, self.theta * h, (self.theta * h) ** 2)
         r = self.balance((s.t + self.theta * h, middle, vm), (vm - s.v) / (self.theta * h), weights)
 
         self.g = system.at(s.t + h, self.q).constraint() if system.n_lam else np.zeros(0)
-        if speed_rows(system).size:  # no slip at the middle of the step
+        if system.n_lam and speed_rows(system).size:  # no slip at the middle of the step
             self.g[speed_rows(system)] = gaps(self.ev, h)[speed_rows(system)]
 
         touching = None

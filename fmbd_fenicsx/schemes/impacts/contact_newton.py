@@ -176,5 +176,7 @@ def frictional_forces(
 
 def openings(contacts: ContactSet, system: Any, rows: Rows, gap: Array, xi: Array) -> Array:
     """Gaps, and slips over a step with the increment xi where there is friction: (m, 1 or d); collective."""
+    if not rows.tangents:
+        return gap[:, None]
     slips = [contacts.times(system, t, xi) - rows.drift[:, k] for k, t in enumerate(rows.tangents)]
     return np.stack([gap, *slips], axis=1)

@@ -58,6 +58,7 @@ class DriverStates(CompiledGeometry):
         # what C reads and writes for a solution: two right-hand sides are those of a complex one
         self._given = Exchange({"q": self.tables.system.n_q, "b": (2, n), "c": (2, m)})
         self._found = Exchange({"x": (2, n), "y": (2, m)})
+        self._standing: Array | None = None  # the configuration that is in the first of them
         self._columns: tuple[int, Exchange] | None = None  # the same for several, with nothing but rows on the right
         self._kept_room: Room | None = None
         self._held: tuple[float, Array, Array, tuple[Any, Any]] | None = None  # t, q, v and weights of the factor
@@ -235,7 +236,7 @@ class DriverStates(CompiledGeometry):
         a, lam = ev.forces
         if self.balances(ev.alone, a[None], lam[None]) is None:
             return False
-        q, _, below = self._given.put(self.twin.configurations(ev.q), None, lam)
+        q, _, below = self._given.put(self._placed(ev.q), None, lam)
         if isinstance(ck, complex):
             weights = np.array((cd, ck)).view(float)
             at = address_of(weights)
@@ -282,11 +283,18 @@ class DriverStates(CompiledGeometry):
         x, y = self._solve(np.array((b.real, b.imag)), np.array((c.real, c.imag)), columns=1 if wide else 2)
         return x[0] + 1j * x[1], y[0] + 1j * y[1]
 
+    def _placed(self, q: Array) -> Array | None:
+        """A configuration as C reads it; None where it stands there already."""
+        if self._standing is q:
+            return None
+        self._standing = q
+        return self.twin.configurations(q)
+
     def _solve(self, b: Array, c: Array, *, columns: int) -> tuple[Array, Array]:
         """x (2, n_v) and y (2, n_lam) of so many right-hand sides, as they stand in the room of this class."""
         assert self._held is not None
         twin = self.twin
-        q, right, below = self._given.put(twin.configurations(self._held[1]), twin.velocities(b), c)
+        q, right, below = self._given.put(self._placed(self._held[1]), twin.velocities(b), c)
         self.library.driver_solve(self.address, columns, q, right, below, *self._found.at)
         if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()
@@ -317,7 +325,7 @@ class DriverStates(CompiledGeometry):
         forces = np.ascontiguousarray(self.twin.velocities(core))
         seen_at, found = np.concatenate([np.zeros((len(core), 0)), *seen], axis=1), np.empty_like(forces)
         acting = np.empty_like(seen_at)
-        at_rest = self._given.put(self.twin.configurations(self._held[1]), np.zeros(self.tables.system.n_v))
+        at_rest = self._given.put(self._placed(self._held[1]), np.zeros(self.tables.system.n_v))
         self.library.driver_columns(
             self.address, len(core), *at_rest, *map(address_of, (forces, seen_at, found, acting))
         )
@@ -332,7 +340,7 @@ class DriverStates(CompiledGeometry):
         size = np.sqrt(self.tables.arrays["weight"])
         if not size.any():
             return True  # conditions of frames, which have no weight, and no other rows
-        places = self._given.put(self.twin.configurations(self._held[1]), np.zeros(self.tables.system.n_v))
+        places = self._given.put(self._placed(self._held[1]), np.zeros(self.tables.system.n_v))
         below, found = self._given.arrays[2][0], self._found.arrays[1][0]
 
         def solve(x: Array) -> Array:
