@@ -96,7 +96,14 @@ def hinged(place: float, speed: float) -> fmbd.Scene:
 
 @pytest.mark.parametrize(
     "scheme",
-    [fmbd.Rattle(), fmbd.EnergyMomentum(), fmbd.HalfExplicit(), fmbd.GeneralizedAlpha(compiled=False)],
+    [
+        fmbd.Rattle(),
+        fmbd.EnergyMomentum(),
+        fmbd.HalfExplicit(),
+        fmbd.GeneralizedAlpha(compiled=False),
+        fmbd.Radau(rtol=None),
+        fmbd.BDF(rtol=None),
+    ],
     ids=lambda s: s.name,
 )
 @pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "in parts"])

@@ -25,9 +25,11 @@ from ..errors import require
 from ..fem.fields import rank_sum
 from ..rotations import Array
 from ..system.layout import State
+from ..system.lengths import farthest
 from ..system.serialisation import Memory, Remembering, plain
 from ..system.system import System
 from ..system.tangents.linearise import Sizes
+from .newton import LEFT_OF_PLACES
 from .prescribed_ways import openings
 from .rigid_motions import RigidMotions
 
@@ -193,10 +195,10 @@ class ErrorNorm(Remembering):
         return float(np.sqrt(max(means, default=0.0)))
 
     def constant(self, h: float, state: State) -> float:
-        """What a Newton increment may move (m) in runs with constant steps: rtol of the accelerations, above roundoff."""
+        """What a Newton increment may move (m) in constant steps: rtol of the accelerations, above roundoff of places."""
         s = self.system
         typical = max(s.max_abs(state.a), 1e-3 * s.max_abs(state.v) / h)
-        return max(self.rtol * h * h * typical, 64 * EPS * s.length)
+        return max(self.rtol * h * h * typical, 64 * EPS * s.length, LEFT_OF_PLACES * farthest(s, state.q))
 
 
 def _largest(u: Array, rms: Array | None) -> float:

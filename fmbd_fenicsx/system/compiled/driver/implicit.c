@@ -118,8 +118,9 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
 {
     Convergence *c = o->convergence;
     const double h = p[H], typical = fmax(largest_of(s->units, now->a, s->nv), 1e-3 * largest_of(s->units, now->v, s->nv) / h);
+    const double unknown = LEFT_OF_PLACES * far_from_origin(s, now->q, p[LENGTH]);
     c->h = h;
-    c->allowed = fmax(o->rtol * h * h * typical, o->floor);
+    c->allowed = fmax(o->rtol * h * h * typical, fmax(o->floor, unknown));
     c->theta = work[RATE];
     c->first = first;
     c->size = 0.0;
