@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -48,6 +49,11 @@ def test_a_complex_factor_solves_with_the_matrix_of_the_field(rod_mesh: Callable
     x = factor.solve(B[:, 0])
     assert times(x.real) + 1j * times(x.imag) == pytest.approx(B[:, 0], abs=1e-9)
     assert factor.solve_columns(B)[:, 0] == pytest.approx(x)
+
+    # an iterate that flies apart is judged by its size, whose square is no number
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert factor.solve(1e200 * B) == pytest.approx(1e200 * factor.solve(B))
 
 
 def test_a_singular_complex_matrix_is_refused(rod_mesh: Callable[..., Any]) -> None:

@@ -52,7 +52,7 @@ class ComplexFactor(FieldFactor):
         whole[: len(b)] = b
         x = self.factor.solve(whole)
         r = self.matrix @ x - whole
-        rr, bb, xx = (np.sqrt((abs(y) ** 2).sum(axis=0)) for y in (r, b, x))
+        rr, bb, xx = map(_sizes, (r, b, x))
         for left, given, found in zip(np.atleast_1d(rr), np.atleast_1d(bb), np.atleast_1d(xx), strict=True):
             self.judge.check(float(left), float(given), grown=self.norm * float(found))
         return np.asarray(x[: len(b)])
@@ -77,6 +77,14 @@ class ComplexFactor(FieldFactor):
     def solve_columns(self, B: Array) -> Array:
         """The solutions of columns (n, k)."""
         return self.solve(B) if B.shape[1] else B.astype(complex)
+
+
+def _sizes(y: Array) -> Array:
+    """Euclidean norms of columns; iterates that fly apart have squares beyond the largest number, and norms below it."""
+    size = abs(y)
+    largest = size.max(axis=0, initial=0.0)
+    unit = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)
+    return np.asarray(unit * np.sqrt(((size / unit) ** 2).sum(axis=0)))
 
 
 def _matrix(field: Field, cm: float, ck: float, cd: float) -> sp.csr_matrix:
