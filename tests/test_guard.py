@@ -42,7 +42,7 @@ def test_without_the_guard_it_gains() -> None:
     end = run.system.at(run.state.t, run.state.q, run.state.v)
     start = scene.build()[1]
     before = run.system.at(0.0, start.q, start.v)
-    assert sum(end.energies().values()) > 100 * sum(before.energies().values())
+    assert sum(end.energies().values()) > 10 * sum(before.energies().values())
     assert "energy_rejections" not in run.counters
 
 

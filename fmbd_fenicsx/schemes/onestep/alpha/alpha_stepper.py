@@ -37,6 +37,7 @@ from ...jerk import jerk, spin_of_acceleration
 from ...newton import Newton, not_converged, strayed
 from ...stepping import Observers, TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
+from .damped_start import LEFT, MOST, damped_acceleration, on_constraints, stages
 
 if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
@@ -57,6 +58,7 @@ class AlphaStepper(TimeStepper):
         "state": Memory.state,
         "A": Memory.like_v,
         "fresh": plain(),
+        "damped": plain(),
         "local_error": plain(),
         "counters": _keep_counters,
         "_past": Memory.past,
@@ -64,12 +66,16 @@ class AlphaStepper(TimeStepper):
     }
     counters: dict[str, float] = {}
     slopes: Array | None = None  # of forces in Python, where steps go on with earlier ones
+    damps = True  # starts that steps do not resolve, where anything pushes by itself
 
     def __init__(
         self, scheme: GeneralizedAlpha, system: System, solver: StepSolver, newton: Newton, state: State
     ) -> None:
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.counters = {}
+        pushes = system.parts or system.elements or system.forces
+        if not pushes or any(part.field.carried for _, part in system.fields):  # pressures know no stabilised form
+            self.damps = False
         self._begin_from(state)
 
     def _begin_from(self, state: State) -> None:
@@ -77,6 +83,8 @@ class AlphaStepper(TimeStepper):
         self.state = state
         self.A = state.a.copy()
         self.fresh = True  # the next step is the first after a consistent start
+        self.damped = 0  # steps that have damped it
+        self._looked: tuple[float, State, Array | None] | None = None  # at a start for steps of a size (s)
         self._past: list[tuple[float, Array, Array]] = []
         self._begun: tuple[State, Array, Array] | None = None  # state, v and A as the last step took them
         self.size = 0.0  # of the last step, s
@@ -126,6 +134,8 @@ class AlphaStepper(TimeStepper):
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""
         rule = self.scheme.rule(h)
+        if self.damps and (damped := self._damped(rule)) is not None:
+            return self._damp(h, damped)
         start = self._predicted(rule)
         pressures = self.solver.pressures
         try:
@@ -138,13 +148,40 @@ class AlphaStepper(TimeStepper):
         self.newton.theta = 0.5
         return self._step(rule, start, 0)  # stiff springs that turn need Newton's own tangent
 
+    def _damped(self, rule: Rule) -> Array | None:
+        """What a step leaves of the acceleration that it begins with, where this is an unresolved start; else None."""
+        if not self.fresh or self.damped == MOST:
+            return None
+        s, known = self.state, self._looked
+        if known is None or known[0] != rule.h or known[1] is not s:
+            ev = self.system.at(s.t, s.q, s.v)
+            nothing = self.newton.small(self.system, np.inf)
+            found = damped_acceleration(ev, s, self.solver, rule, nothing, LEFT[min(self.damped, len(LEFT) - 1)])
+            self._looked = known = rule.h, s, found
+        return known[2]
+
+    def _damp(self, h: float, a: Array) -> State:
+        """A step of size h (s) of :mod:`.damped_start`, with accelerations predicted; the next one is a first step again."""
+        s, count = self.state, self.damped + 1
+        begin, end = stages(h)
+        stage = self._solved(begin, StepStart(s, s.v, np.zeros_like(a), a, s.lam), PATIENCE, stabilised=True).end
+        step = self._solved(end, StepStart(s, s.v, stage.A, stage.a, stage.lam), PATIENCE, stabilised=True)
+        found = on_constraints(step.found, self.solver, end)
+        self._begin_from(replace(found, lam=least(self.solver, found.t, found.q, found.lam)))
+        self.damped, self.local_error = count, self._indicator(step)
+        self.counters["damped_steps"] = self.counters.get("damped_steps", 0.0) + 1.0
+        return self.state
+
     def controlled(self, h: float, steps: int, control: Any, observers: Observers) -> int:
         """Up to so many steps under error control in one call of compiled code; none here."""
         return 0
 
     def _step(self, rule: Rule, start: StepStart, patience: int) -> State:
+        """The step by Newton's iteration, accepted."""
+        return self._accept(self._solved(rule, start, patience, stabilised=isinstance(self.scheme.form, GGL)))
+
+    def _solved(self, rule: Rule, start: StepStart, patience: int, *, stabilised: bool) -> AlphaStep:
         """The step by Newton's iteration, its first ``patience`` iterations with one tangent."""
-        stabilised = isinstance(self.scheme.form, GGL)
         step = AlphaStep(rule, start, self.solver, self.newton, patience=patience, stabilised=stabilised)
         try:
             converged, history = step.solve()
@@ -152,7 +189,7 @@ class AlphaStepper(TimeStepper):
             self._count(step)
         if not converged or (patience == 0 and strayed(self.system, step.end.xi, step.begun.xi)):
             raise self._failure(step, history)
-        return self._accept(step)
+        return step
 
     def _count(self, step: AlphaStep) -> None:
         """Iterations on the exact tangent, where one is taken."""
@@ -172,7 +209,7 @@ class AlphaStepper(TimeStepper):
         s = self.state
         h = step.rule.h
         A = step.end.A
-        self.local_error = h * h * abs(step.rule.beta - 1.0 / 6.0) * self.system.max_abs(A - step.start.A)
+        self.local_error = self._indicator(step)
         # two earlier states and the newest one make the parabola of the predictor
         self._past = [(s.t, s.a, s.lam), *self._past][:2]
         self.A, self.fresh = A, False
@@ -183,6 +220,11 @@ class AlphaStepper(TimeStepper):
             self.solver.note_lost_gaps(self.system.at(found.t, found.q))
         self.state = replace(found, lam=least(self.solver, found.t, found.q, found.lam))
         return self.state
+
+    def _indicator(self, step: AlphaStep) -> float:
+        """The error of the places at the end of a step (m), by how much A has changed."""
+        rule, jump = step.rule, step.end.A - step.start.A
+        return rule.h * rule.h * abs(rule.beta - 1.0 / 6.0) * self.system.max_abs(jump)
 
     @property
     def begun(self) -> tuple[State, Array, Array] | None:

@@ -170,8 +170,10 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
 
     def _first_march(self, h: float, observers: Observers = UNOBSERVED) -> int:
         """The first step after a consistent start, as :meth:`Stepper._first` prepares it; 1, or 0 where it fails."""
-        s = self.state
-        start = self._predicted(self.scheme.rule(h))  # which factors the fields
+        s, rule = self.state, self.scheme.rule(h)
+        if self.damps and self._damped(rule) is not None:
+            return 0
+        start = self._predicted(rule)  # which factors the fields
         if not self._ready(h):
             return 0
 

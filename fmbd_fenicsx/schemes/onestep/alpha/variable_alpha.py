@@ -108,7 +108,9 @@ class VariableAlpha(TimeStepper):
 
     def _steps(self, start: State) -> Any:
         """The stepper of one size from a consistent state; errors are solved for between its steps."""
-        return self.constant.steps((self.constant, self.system, self.solver, self.newton, start), alone=False)
+        made = self.constant.steps((self.constant, self.system, self.solver, self.newton, start), alone=False)
+        made.damps = False  # they are refused until they resolve what happens
+        return made
 
     @property
     def state(self) -> State:

@@ -1,0 +1,85 @@
+"""Starts whose accelerations die out within a step: what of them a step resolves, and steps that damp the rest at once.
+
+The recursion of generalized-alpha carries A_0 on for many steps. Where a_0 is that of a vibration or of a damper far faster than
+the step (a speed that begins at the pin of a body with strong damping, a load that sets in on a thin panel), h^2 a_0 is a
+displacement that the motion never has. The matrix S = M + cd C + ck K of a step tells what is left of a_0 at its end,
+
+    S a + G^T mu = M a_0 - r,    G a = G a_0,                                                                         (1)
+
+with r what forces change where v_0 leads in the step: of what begins at rest, a = a_0 / (1 + cd c + ck w^2) in each mode, while
+a_0 stays where forces change as it goes on, as in the slow motion of a strong damper or of a stiff spring that turns. A start is
+unresolved where |a| < 0.3 |a_0| in the norm of the largest entry, both with r and without: the rest moves nothing for longer than
+a step (from w h = 3 on for a vibration, from c h = 4.6 on for a damper, rho_inf = 0.8). Units and sizes of loads have no part in
+it, and where h resolves the motion |a_0 - a| is O(h). What moves places, ck |a|, by less than Newton's iteration may leave open
+counts as none: forces at roundoff shake stiff bodies at rest. A start is damped for four steps, each of which leaves a fifth at
+most, and until half of an acceleration is left.
+
+Until a start is resolved its steps are those of the diagonally implicit method of two stages, g = 1 - 1/sqrt(2),
+
+    V_1 = v_0 + g h A_1,                          Q_1 = q_0 o exp(g h V_1)                                            (2)
+    v_1 = v_0 + h ((1 - g) A_1 + g A_2),          q_1 = q_0 o exp(h v_0 + h^2 ((1/2 - g^2) A_1 + g^2 A_2))              (3)
+
+in the stabilised form. It is of second order, L-stable and stiffly accurate: what is faster than the step is gone at its end, in
+velocities and places, and a_0 takes no part. Both stages are steps of generalized-alpha's own kind with alpha_m = alpha_f = 0:
+(2) with A_0 = 0, beta = gamma = 1 and the size g h, (3) with A_0 = A_1, gamma = g, beta = g^2. A stage's acceleration misses the
+constraints on accelerations by O(h); the end gets one more increment with its matrix, by which it and lambda are of second order.
+
+Source: Alexander, doi:10.1137/0714068.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf, sqrt
+
+import numpy as np
+
+from ....linear.condensation import StepSolver
+from ....rotations import Array
+from ....system.evaluation import Evaluation
+from ....system.layout import State
+from .alpha_step import Rule
+
+# shares of an acceleration that a step has to leave: of a start, and behind each step that damps it
+LEFT = 0.3, inf, inf, inf, 0.5
+MOST = 10  # steps that damp a start
+G = 1.0 - sqrt(0.5)
+
+
+def stages(h: float) -> tuple[Rule, Rule]:
+    """The rules of (2) and (3) for a step of size h (s)."""
+    return Rule(G * h, 0.0, 0.0, 1.0, 1.0), Rule(h, 0.0, 0.0, G, G * G)
+
+
+def damped_acceleration(
+    ev: Evaluation, start: State, solver: StepSolver, rule: Rule, nothing: float, left: float
+) -> Array | None:
+    """The a of (1), like v, for a start evaluated as ``ev``, where it is less than the share ``left`` of a_0; else None.
+
+    ``nothing``: displacement (m) that counts as none. Collective.
+    """
+    system, w, h = solver.system, rule.weights, rule.h
+    size, across = system.max_abs(start.a), ev.jacobian.times(start.a)
+    solver.prepare(ev, w)
+    held = ev.balance(start.a, start.lam)
+    push = held - ev.balance(np.zeros_like(start.a), start.lam)
+
+    def foreseen(push: Array) -> Array | None:
+        a, _ = solver.solve(push, across)
+        rest = system.max_abs(a)
+        return a if rest < left * size and w.ck * rest > nothing else None
+
+    if foreseen(push) is None:
+        return None
+    there = system.at(start.t + h, system.compose(start.q, h * start.v), start.v)
+    push = push - (there.balance(start.a, start.lam) - held)
+    solver.prepare(ev, w)
+    return foreseen(push)
+
+
+def on_constraints(end: State, solver: StepSolver, rule: Rule) -> State:
+    """The end of (3) with accelerations on their constraints, moved with the matrix of its step; collective."""
+    ev = solver.system.at(end.t, end.q, end.v)
+    solver.prepare(ev, rule.weights)
+    da, dlam = solver.solve(np.zeros_like(end.a), -(ev.jacobian.times(end.a) + ev.gamma()))
+    return replace(end, a=end.a + da, lam=end.lam + dlam)

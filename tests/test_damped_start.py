@@ -1,0 +1,158 @@
+"""Starts that a step of generalized-alpha does not resolve: strong damping against a speed, loads at once on stiff bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.materials import linear_elastic
+from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
+
+FORMS = (fmbd.Index3(), fmbd.GGL())
+INERTIA = 1.1  # of the pendulum about its pin, kg m^2
+
+
+def pendulum(damping: float, stiffness: float = 0.0, angle: float = 0.0, rate: float = 0.0) -> fmbd.Scene:
+    """A bob of 1 kg on an arm of 1 m, a rotational damper and a spring in its pin."""
+    c, s = np.cos(angle), np.sin(angle)
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, (c, s), angle, velocity=(-rate * s, rate * c), angular_velocity=rate)
+    pin = fmbd.revolute("pin", fmbd.ground, bob, center=(0, 0))
+    scene = fmbd.Scene("damped")
+    turn = fmbd.joint_spring("damper", fmbd.angle(pin), stiffness=stiffness, damping=damping, free=-angle)
+    scene.add(bob, pin, turn)
+    scene.sensor("x", fmbd.position(bob))
+    scene.sensor("v", fmbd.velocity(bob))
+    scene.sensor("lambda", fmbd.reaction("pin"))
+    return scene
+
+
+def solved(scene: fmbd.Scene, t_end: float, dt: float, **more: Any) -> fmbd.Run:
+    """A run with tight Newton; ``more``: of the scheme."""
+    scheme = fmbd.GeneralizedAlpha(**{"rho_inf": 0.8, **more})
+    return fmbd.solve(scene, t_end=t_end, dt=dt, scheme=scheme, newton=fmbd.Newton(tolerance=1e-9))
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)
+def test_damper_takes_a_speed_within_a_step(form: Any) -> None:
+    """The speed w is gone after I / c = 1e-5 s: the pendulum has turned by w I / c = 5.5e-5, where it stays."""
+    run = solved(pendulum(INERTIA / 1e-5, rate=5.0), 0.2, 1e-2, form=form)
+    assert np.abs(run["x"][1:, 1] - 5e-5).max() < 1e-6
+    assert run.counters["damped_steps"] >= 1
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda f: f.name)
+def test_order_two_behind_a_layer(form: Any) -> None:
+    """A spring of rate k / c = 5 / s begins at once against the damper: places, velocities and reactions of the slow motion."""
+    slow, fast = sorted(np.roots([INERTIA, 1e6, 5e6]), key=abs)
+    size, errors = fast / (fast - slow), []
+    for n in (20, 40, 80):
+        run = solved(pendulum(1e6, 5e6, angle=1.0), 0.4, 0.4 / n, form=form)
+        assert run.counters["damped_steps"] >= 1
+        turn = size * np.exp(slow * run.times)
+        exact = np.column_stack((np.cos(turn), np.sin(turn)))
+        speed = slow * turn[:, None] * np.column_stack((-exact[:, 1], exact[:, 0]))
+        late = run.times > 0.11  # the last of the layer
+        push = np.linalg.norm(run["lambda"], axis=1) - slow**2 * turn * np.hypot(turn, 1.0)
+        misses = run["x"][1:] - exact[1:], (run["v"] - speed)[late], push[late]
+        errors.append([np.abs(x).max() for x in misses])
+    e = np.array(errors)
+    assert (np.log2(e[:-1] / e[1:]) > 1.7).all(), e
+
+
+def rod(mesh: Any, kind: Any, E: float, **more: Any) -> fmbd.Scene:
+    """A damped rod whose pin is driven with a speed from the first instant on, while all of it is at rest."""
+    body = kind("rod", mesh, density=1e3, elastic=linear_elastic(E, 0.3), stiffness_damping=0.1, **more)
+    scene = fmbd.Scene("driven")
+    pin = fmbd.revolute("pin", fmbd.ground, body.surface("pin"), center=(0, 0))
+    scene.add(body, pin, fmbd.drive("turn", fmbd.angle(pin), lambda t: 2.0 * t))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    return scene
+
+
+@pytest.mark.parametrize("E", [1e9, 2e11])
+@pytest.mark.parametrize(
+    ("kind", "more"),
+    [(fmbd.FloatingBody, {}), (fmbd.FloatingBody, {"frame": fmbd.Attached("pin")}), (fmbd.AbsoluteBody, {})],
+    ids=["mean axes", "attached", "absolute"],
+)
+def test_drive_that_starts_with_a_speed(rod_mesh: Callable[..., Any], kind: Any, more: Any, E: float) -> None:
+    """a_0 is that of a layer beside the pin, up to 6e9 m/s^2; the rod follows within its bending of 0.002 rad and less."""
+    run = solved(rod(rod_mesh(dim=2, h=0.2), kind, E, **more), 0.02, 1e-3)
+    turned = np.arctan2(run["tip"][:, 1], run["tip"][:, 0]) - 2.0 * run.times
+    assert np.abs(turned).max() < 2.5e-3
+    assert abs(turned[-1]) < 2e-3
+    assert not run.counters.get("halved_steps")
+
+
+@pytest.mark.parametrize("t_load", [0.0, 0.1])
+def test_load_at_once_on_a_stiff_panel(rod_mesh: Callable[..., Any], t_load: float) -> None:
+    """A step of a hundred periods: the panel goes to its equilibrium, within a fifth of the deflection, and stays."""
+    body = fmbd.FloatingBody(
+        "panel",
+        rod_mesh(dim=2, h=0.1, height=0.1),
+        density=7800.0,
+        elastic=linear_elastic(2e11, 0.3),
+        stiffness_damping=1e-3,
+    )
+    scene = fmbd.Scene("load", breakpoints=[t_load] if t_load else [])
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("pin"), center=(0, 0)))
+    scene.add(
+        fmbd.force("load", body.surface("tip"), lambda t: np.array([0.0, -1e4 if t > t_load or not t_load else 0.0]))
+    )
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    run = solved(scene, t_load + 1.0, 0.1)
+    down = -run["tip"][run.times > t_load + 1e-9, 1]
+    assert down[-1] > 1e-6
+    assert np.abs(down / down[-1] - 1.0).max() < 0.2
+
+
+def test_starts_that_are_resolved_stay_as_they_are(rod_mesh: Callable[..., Any], monkeypatch: Any) -> None:
+    """Not one bit: a pendulum with a damper that acts over twenty steps, and a soft rod that falls."""
+    body = fmbd.FloatingBody("rod", rod_mesh(dim=2, h=0.2), density=1e3, elastic=linear_elastic(1e7, 0.3))
+    falling = fmbd.Scene("falling", gravity=(0, -9.81))
+    falling.add(body, fmbd.revolute("pin", fmbd.ground, body.surface("pin"), center=(0, 0)))
+    falling.sensor("x", fmbd.position(body.surface("tip")))
+    found: list[list[Any]] = []
+    for damps in (True, False):
+        monkeypatch.setattr(AlphaStepper, "damps", damps)
+        runs = solved(pendulum(5.0, rate=5.0), 0.2, 1e-2), solved(falling, 0.02, 1e-3)
+        assert not any(run.counters.get("damped_steps") for run in runs)
+        found.append([run["x"] for run in runs])
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_damped_starts_go_on_from_a_checkpoint_and_in_compiled_code(
+    rod_mesh: Callable[..., Any], tmp_path: Path
+) -> None:
+    """From between two damped steps to the same bits; steps of NumPy alone are the same to roundoff."""
+    scene = rod(rod_mesh(dim=2, h=0.2), fmbd.FloatingBody, 2e11)
+    whole = solved(scene, 0.02, 1e-3)
+    assert whole.counters["damped_steps"] > 2
+    arguments: dict[str, Any] = {
+        "dt": 1e-3,
+        "scheme": fmbd.GeneralizedAlpha(0.8),
+        "newton": fmbd.Newton(tolerance=1e-9),
+    }
+    fmbd.solve(scene, t_end=0.02, checkpoint=fmbd.Checkpoint(tmp_path, every=2, keep=100), **arguments)
+    again = fmbd.solve(scene, t_end=0.02, restart=min(tmp_path.glob("*_step2*")), **arguments)
+    np.testing.assert_array_equal(again["tip"][-1], whole["tip"][-1])
+    np.testing.assert_allclose(solved(scene, 0.02, 1e-3, compiled=False)["tip"], whole["tip"], atol=1e-9)
+
+
+def test_own_steps_resolve_the_layer(rod_mesh: Callable[..., Any]) -> None:
+    """They begin as small as the layer asks for, and damp nothing."""
+    run = fmbd.solve(
+        rod(rod_mesh(dim=2, h=0.2), fmbd.FloatingBody, 1e9),
+        t_end=0.02,
+        dt=1e-3,
+        scheme=fmbd.GeneralizedAlpha(0.8, rtol=1e-4),
+    )
+    turned = np.arctan2(run["tip"][:, 1], run["tip"][:, 0]) - 2.0 * run.times
+    assert np.abs(turned).max() < 2.5e-3
+    assert not run.counters.get("damped_steps")
