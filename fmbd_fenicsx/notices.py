@@ -8,6 +8,7 @@ sees is none.
 from __future__ import annotations
 
 import logging
+import re
 import sys
 import textwrap
 from collections.abc import Callable
@@ -27,8 +28,7 @@ class OnStandardError(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a warning, unless the program has handlers of its own."""
-        text = record.getMessage()
-        kind = str(record.msg)
+        text, kind = record.getMessage(), _kind(record)
         if _set_up_by_program() or text in self._said or self._rank() > 0:
             return
         self._said.add(text)
@@ -53,6 +53,12 @@ def write_note(text: str) -> None:
     print(textwrap.fill(f"fmbd_fenicsx: {text}", WIDTH, subsequent_indent="    "), file=sys.stderr, flush=True)
 
 
+def _kind(record: logging.LogRecord) -> str:
+    """The sentence of a warning without its names and numbers."""
+    told = record.getMessage() if record.msg == "%s" else str(record.msg)
+    return re.sub(r'"[^"]*"|[-+]?\d[\w.+-]*', "", told)
+
+
 def _set_up_by_program() -> bool:
     """Whether someone else listens."""
     ours = (OnStandardError, Gathered, logging.NullHandler)
@@ -69,7 +75,7 @@ class Gathered(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a warning."""
-        entry = (str(record.msg), record.getMessage())
+        entry = (_kind(record), record.getMessage())
         if entry not in self.found:
             self.found.append(entry)
 

@@ -135,6 +135,17 @@ def test_of_many_warnings_of_one_kind_three_are_kept() -> None:
     assert len(lines) == 4 and "7 more of this kind" in lines[2] and lines[3] == "something else"
 
 
+def test_warnings_told_as_whole_sentences_are_of_one_kind_where_only_names_and_numbers_differ() -> None:
+    from fmbd_fenicsx.log import log
+
+    with Gathered() as gathered:
+        for i in range(5):
+            log.warning("%s", f'joint "pin {i}" is open by {10.0**-i:g} m')
+        log.warning("%s", "a step was halved")
+    lines = gathered.lines()
+    assert len(lines) == 4 and "2 more of this kind" in lines[2] and lines[3] == "a step was halved"
+
+
 @pytest.mark.parametrize("place", [(0.0075, 0.0), (0.003, 0.002)])
 def test_gaps_of_quadratic_surfaces_beside_a_sphere_are_distances(place: tuple[float, float]) -> None:
     """Of the nodes: between vertices they were off by h^2 / (12 R)."""
