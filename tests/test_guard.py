@@ -27,7 +27,7 @@ def rod() -> fmbd.Scene:
 
 @pytest.mark.parametrize(("rho", "eps", "h"), [(0.9, 1e-2, 0.5), (0.8, 1e-3, 0.5)])
 def test_a_stiff_spring_that_turns_gains_nothing(rho: float, eps: float, h: float) -> None:
-    """Without the guard these runs end with 315 and 48 J instead of 0.5, in NumPy with 1224 and 318."""
+    """Without the guard these runs end with 1788 and 13 J instead of 0.5."""
     run = fmbd.solve(spinner(eps), t_end=20.0, dt=h, scheme=fmbd.GeneralizedAlpha(rho))
     energy = sum(run.energy.values())
     assert energy.max() < 1.02 * energy[0]
@@ -42,7 +42,7 @@ def test_without_the_guard_it_gains() -> None:
     end = run.system.at(run.state.t, run.state.q, run.state.v)
     start = scene.build()[1]
     before = run.system.at(0.0, start.q, start.v)
-    assert sum(end.energies().values()) > 10 * sum(before.energies().values())
+    assert sum(end.energies().values()) > 100 * sum(before.energies().values())
     assert "energy_rejections" not in run.counters
 
 

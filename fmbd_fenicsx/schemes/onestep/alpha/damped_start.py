@@ -8,20 +8,24 @@ displacement that the motion never has. The matrix S = M + cd C + ck K of a step
 
 with r what forces change where v_0 leads in the step: of what begins at rest, a = a_0 / (1 + cd c + ck w^2) in each mode, while
 a_0 stays where forces change as it goes on, as in the slow motion of a strong damper or of a stiff spring that turns. A start is
-unresolved where |a| < 0.3 |a_0| in the norm of the largest entry, both with r and without: the rest moves nothing for longer than
-a step (from w h = 3 on for a vibration, from c h = 4.6 on for a damper, rho_inf = 0.8). Units and sizes of loads have no part in
-it, and where h resolves the motion |a_0 - a| is O(h). What moves places, ck |a|, by less than Newton's iteration may leave open
-counts as none: forces at roundoff shake stiff bodies at rest. A start is damped for four steps, each of which leaves a fifth at
-most, and until half of an acceleration is left.
+unresolved where |a| < 0.3 |a_0| in the norm of the largest entry, both with r and without, and damping alone leaves as little,
+
+    a_0^T M a_0 < 0.3 (a_0^T M a_0 + cd a_0^T C a_0),                                                                 (2)
+
+that is from c h = 4.6 on, rho_inf = 0.8. A vibration that h does not resolve stays what the scheme makes of it: it goes on in the
+body, and runs with other steps have to tell it as an error. Units and sizes of loads have no part in this, and where h resolves
+the motion |a_0 - a| is O(h). What moves places, ck |a|, by less than Newton's iteration may leave open counts as none: forces at
+roundoff shake stiff bodies at rest. A start is damped for four steps, each of which leaves a fifth at most of what is far faster
+than the step, and until half of an acceleration is left.
 
 Until a start is resolved its steps are those of the diagonally implicit method of two stages, g = 1 - 1/sqrt(2),
 
-    V_1 = v_0 + g h A_1,                          Q_1 = q_0 o exp(g h V_1)                                            (2)
-    v_1 = v_0 + h ((1 - g) A_1 + g A_2),          q_1 = q_0 o exp(h v_0 + h^2 ((1/2 - g^2) A_1 + g^2 A_2))              (3)
+    V_1 = v_0 + g h A_1,                          Q_1 = q_0 o exp(g h V_1)                                            (3)
+    v_1 = v_0 + h ((1 - g) A_1 + g A_2),          q_1 = q_0 o exp(h v_0 + h^2 ((1/2 - g^2) A_1 + g^2 A_2))              (4)
 
 in the stabilised form. It is of second order, L-stable and stiffly accurate: what is faster than the step is gone at its end, in
 velocities and places, and a_0 takes no part. Both stages are steps of generalized-alpha's own kind with alpha_m = alpha_f = 0:
-(2) with A_0 = 0, beta = gamma = 1 and the size g h, (3) with A_0 = A_1, gamma = g, beta = g^2. A stage's acceleration misses the
+(3) with A_0 = 0, beta = gamma = 1 and the size g h, (4) with A_0 = A_1, gamma = g, beta = g^2. A stage's acceleration misses the
 constraints on accelerations by O(h); the end gets one more increment with its matrix, by which it and lambda are of second order.
 
 Source: Alexander, doi:10.1137/0714068.
@@ -44,10 +48,11 @@ from .alpha_step import Rule
 LEFT = 0.3, inf, inf, inf, 0.5
 MOST = 10  # steps that damp a start
 G = 1.0 - sqrt(0.5)
+SMALL = 1e-3  # of a step: how far velocities move to tell what damping they meet
 
 
 def stages(h: float) -> tuple[Rule, Rule]:
-    """The rules of (2) and (3) for a step of size h (s)."""
+    """The rules of (3) and (4) for a step of size h (s)."""
     return Rule(G * h, 0.0, 0.0, 1.0, 1.0), Rule(h, 0.0, 0.0, G, G * G)
 
 
@@ -71,6 +76,10 @@ def damped_acceleration(
 
     if foreseen(push) is None:
         return None
+    dt = SMALL * h
+    drag = (system.at(start.t, start.q, start.v + dt * start.a).balance(start.a, start.lam) - held) / dt
+    if w.cd * system.dot(start.a, drag) < (1.0 / left - 1.0) * w.cm * system.dot(start.a, push):
+        return None
     there = system.at(start.t + h, system.compose(start.q, h * start.v), start.v)
     push = push - (there.balance(start.a, start.lam) - held)
     solver.prepare(ev, w)
@@ -78,7 +87,7 @@ def damped_acceleration(
 
 
 def on_constraints(end: State, solver: StepSolver, rule: Rule) -> State:
-    """The end of (3) with accelerations on their constraints, moved with the matrix of its step; collective."""
+    """The end of (4) with accelerations on their constraints, moved with the matrix of its step; collective."""
     ev = solver.system.at(end.t, end.q, end.v)
     solver.prepare(ev, rule.weights)
     da, dlam = solver.solve(np.zeros_like(end.a), -(ev.jacobian.times(end.a) + ev.gamma()))
