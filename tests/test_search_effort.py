@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dae_problems import pendulum
 from tolerance_more import MORE, copper_arm, springs_in_millimetres
 
 import fmbd_fenicsx as fmbd
@@ -98,3 +99,23 @@ def test_kinks_of_larger_steps_than_those_that_tell_an_error_do_not_matter(monke
     )
     assert run.counters["steps"] == 300 and made == [50, 200]
     assert run.observed_order["coupler"] == pytest.approx(2.0, abs=0.1)
+
+
+def test_an_attempt_whose_error_nobody_told_tells_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 steps agree with 50, of which no run with other steps came to its end: one more run shows whether they do by chance."""
+    shared, output = shared_runs.SharedRuns(None, None, 25), fmbd.Output(energy=False, progress=False)
+    again, lets_all = shared_runs.again, shared_runs.Allowed(("x",), lambda _: 0.0, 1.0, rough=True)
+
+    def refused(problem: Any, schedule: Any, *rest: Any) -> Any:
+        if schedule.steps == 50:
+            raise ConvergenceError("it does not end")
+        return again(problem, schedule, *rest)
+
+    monkeypatch.setattr(shared_runs, "again", refused)
+    scene, scheme = pendulum(), fmbd.GeneralizedAlpha()
+    untold, told = (
+        shared.time_error(shared.solve(scene, scheme, StepSchedule(1.0, n), output), shared_runs.Orders(), lets_all)
+        for n in (50, 100)
+    )
+    assert not untold.errors
+    assert told.orders["x"] == pytest.approx(2.0, abs=0.1)  # nan where 50 alone told it

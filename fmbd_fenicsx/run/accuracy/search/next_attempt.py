@@ -133,6 +133,7 @@ def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted:
         return None
 
     output = replace(wanted, every=1, energy=False, ledger=False, estimate_error=False)
+    output = replace(output, snapshots=0, on_step=None, events=())  # these belong to whole runs
     seen = shared.look(plan.scene, plan.scheme, plan.schedule.with_steps(few), output)
     spans, limit = moving(seen.recorder.series, plan.scene.sensors, FLOOR), space_limit(plan.scene)
     check_floor(plan.scene, spans, tol)
