@@ -218,6 +218,11 @@ class FieldBlocks:
         return CholeskyFactor(field, cm, ck, cd, turns=part.frame == self.system.n_frames)
 
     # -- end ----------------------------------------------------------------------------------------------------
+    def keep(self, sets: int) -> None:
+        """Let so many sets stay from now on."""
+        self.kept = sets
+        self.drop(keep=sets, live=[])
+
     def drop(self, keep: int, live: list[FieldFactor]) -> None:
         """Free all but the newest ``keep`` sets of factors, and those still ``live``."""
         while len(self._sets) > keep:

@@ -74,19 +74,24 @@ def quadratic_fields(X: Array) -> Iterator[Array]:
 
 
 def first_eigenvalue_bound(field: Field) -> float:
-    """Rayleigh quotients of quadratic displacements without their rigid part: an upper bound, close for slender bodies."""
+    """Rayleigh quotients of displacements without their rigid part: an upper bound in (rad/s)^2, close for slender bodies.
+
+    Displacements are quadratic, or what forces of such accelerations do to each node alone: soft parts. Collective.
+    """
     f, d = field, field.dim
     Z = rigid_fields(f)
     G = f.total(Z.T @ f.Q)
+    stiff = f.K.getDiagonal().array[: len(Z)]
 
     best = np.inf
     for shape in quadratic_fields(f.X / f.size):
-        # less its rigid part
-        u = shape.ravel() - Z @ np.linalg.solve(G, f.total(f.Q.T @ shape.ravel()))
-        # Rayleigh's quotient
-        kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, d)).ravel()]))
-        if mm > 0:  # contact nodes may carry no inertia
-            best = min(best, float(kk / mm))
+        for u in (shape.ravel(), f.mass(shape).ravel() / stiff):
+            # less its rigid part
+            u = u - Z @ np.linalg.solve(G, f.total(f.Q.T @ u))
+            # Rayleigh's quotient
+            kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, d)).ravel()]))
+            if mm > 0:  # contact nodes may carry no inertia
+                best = min(best, float(kk / mm))
     return best
 
 

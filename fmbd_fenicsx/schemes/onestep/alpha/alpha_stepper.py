@@ -37,7 +37,7 @@ from ...jerk import jerk, spin_of_acceleration
 from ...newton import Newton, not_converged, strayed
 from ...stepping import Observers, TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
-from .damped_start import LEFT, MOST, damped_acceleration, on_constraints, stages
+from .damped_start import LEAST, LEFT, LEFT_BEHIND, MOST, damped_acceleration, on_constraints, stages
 
 if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
@@ -114,6 +114,8 @@ class AlphaStepper(TimeStepper):
         ahead = rule.alpha_m - rule.alpha_f
         ev = self.system.at(s.t, s.q, s.v)
         rate, lam_rate, volume = jerk(ev, s, self.solver, rule.weights, h)
+        if self.damped:
+            self.solver.elastic.keep(1)  # the matrix of the steps that come
 
         v = s.v
         if (system.n_lam or volume) and not isinstance(self.scheme.form, GGL):
@@ -149,21 +151,27 @@ class AlphaStepper(TimeStepper):
         return self._step(rule, start, 0)  # stiff springs that turn need Newton's own tangent
 
     def _damped(self, rule: Rule) -> Array | None:
-        """What a step leaves of the acceleration that it begins with, where this is an unresolved start; else None."""
-        if not self.fresh or self.damped == MOST:
+        """Accelerations that a step which damps begins with, where this is a start for one; else None. Collective."""
+        if not self.fresh:
             return None
+        if 0 < self.damped < LEAST:
+            return self.state.a
+        return self._look(rule) if self.damped < MOST else None
+
+    def _look(self, rule: Rule) -> Array | None:
+        """What a step leaves of the acceleration that it begins with, where this is an unresolved start; else None."""
         s, known = self.state, self._looked
         if known is None or known[0] != rule.h or known[1] is not s:
-            ev = self.system.at(s.t, s.q, s.v)
-            nothing = self.newton.small(self.system, np.inf)
-            found = damped_acceleration(ev, s, self.solver, rule, nothing, LEFT[min(self.damped, len(LEFT) - 1)])
-            self._looked = known = rule.h, s, found
+            ev, nothing = self.system.at(s.t, s.q, s.v), self.newton.small(self.system, np.inf)
+            left = LEFT_BEHIND if self.damped else LEFT
+            self._looked = known = rule.h, s, damped_acceleration(ev, s, self.solver, rule, nothing, left)
         return known[2]
 
     def _damp(self, h: float, a: Array) -> State:
         """A step of size h (s) of :mod:`.damped_start`, with accelerations predicted; the next one is a first step again."""
         s, count = self.state, self.damped + 1
         begin, end = stages(h)
+        self.solver.elastic.keep(2)  # looks take the matrix of usual steps
         stage = self._solved(begin, StepStart(s, s.v, np.zeros_like(a), a, s.lam), PATIENCE, stabilised=True).end
         step = self._solved(end, StepStart(s, s.v, stage.A, stage.a, stage.lam), PATIENCE, stabilised=True)
         found = on_constraints(step.found, self.solver, end)

@@ -33,27 +33,41 @@ Source: Alexander, doi:10.1137/0714068.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import inf, sqrt
+from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
+from ....linear.blocks.field_blocks import Weights
 from ....linear.condensation import StepSolver
 from ....rotations import Array
 from ....system.evaluation import Evaluation
 from ....system.layout import State
 from .alpha_step import Rule
 
-# shares of an acceleration that a step has to leave: of a start, and behind each step that damps it
-LEFT = 0.3, inf, inf, inf, 0.5
-MOST = 10  # steps that damp a start
+LEFT = 0.3  # of an acceleration that a step has to leave
+LEFT_BEHIND = 0.5  # the same behind steps that damp
+LEAST, MOST = 4, 10  # steps that damp a start
 G = 1.0 - sqrt(0.5)
 SMALL = 1e-3  # of a step: how far velocities move to tell what damping they meet
 
 
+@dataclass(frozen=True)
+class LastStage(Rule):
+    """The rule of (4), with the ``matrix`` of (3): they are the same but for roundoff, and one factor serves."""
+
+    matrix: Weights
+
+    @property
+    def weights(self) -> Weights:
+        """Those of the matrix."""
+        return self.matrix
+
+
 def stages(h: float) -> tuple[Rule, Rule]:
     """The rules of (3) and (4) for a step of size h (s)."""
-    return Rule(G * h, 0.0, 0.0, 1.0, 1.0), Rule(h, 0.0, 0.0, G, G * G)
+    first = Rule(G * h, 0.0, 0.0, 1.0, 1.0)
+    return first, LastStage(h, 0.0, 0.0, G, G * G, first.weights)
 
 
 def damped_acceleration(
@@ -64,26 +78,25 @@ def damped_acceleration(
     ``nothing``: displacement (m) that counts as none. Collective.
     """
     system, w, h = solver.system, rule.weights, rule.h
-    size, across = system.max_abs(start.a), ev.jacobian.times(start.a)
-    solver.prepare(ev, w)
     held = ev.balance(start.a, start.lam)
     push = held - ev.balance(np.zeros_like(start.a), start.lam)
 
-    def foreseen(push: Array) -> Array | None:
-        a, _ = solver.solve(push, across)
-        rest = system.max_abs(a)
-        return a if rest < left * size and w.ck * rest > nothing else None
-
-    if foreseen(push) is None:
-        return None
+    # (2), which costs no solution
     dt = SMALL * h
     drag = (system.at(start.t, start.q, start.v + dt * start.a).balance(start.a, start.lam) - held) / dt
-    if w.cd * system.dot(start.a, drag) < (1.0 / left - 1.0) * w.cm * system.dot(start.a, push):
+    if w.cd * system.dot(start.a, drag) <= (1.0 / left - 1.0) * w.cm * system.dot(start.a, push):
         return None
+
+    size, across = system.max_abs(start.a), ev.jacobian.times(start.a)
     there = system.at(start.t + h, system.compose(start.q, h * start.v), start.v)
-    push = push - (there.balance(start.a, start.lam) - held)
+    change = there.balance(start.a, start.lam) - held
     solver.prepare(ev, w)
-    return foreseen(push)
+    for pushed in (push, push - change):
+        a, _ = solver.solve(pushed, across)
+        rest = system.max_abs(a)
+        if not rest < left * size or w.ck * rest <= nothing:
+            return None
+    return a
 
 
 def on_constraints(end: State, solver: StepSolver, rule: Rule) -> State:
