@@ -264,7 +264,9 @@ def test_forces_without_a_value_in_larger_steps_leave_no_estimate(caplog: pytest
 
 
 def test_a_run_in_parts_is_told_by_one_in_parts() -> None:
-    """Friction of 1 mm/s is too stiff for steps in which the speed changes by far more: with 2 h, h and h / 2 they are halved."""
+    """Few increments are allowed for friction of 1 mm/s, far less than speeds change by in a step: with 2 h, h and h / 2 some are
+    halved.
+    """
     scene = fmbd.Scene("sliding")
     block = fmbd.RigidBody("block", 2.0, 0.1, (0.0, 0.0))
     rail = fmbd.prismatic("rail", fmbd.ground, block, axis=(1, 0), center=(0, 0))
@@ -274,7 +276,8 @@ def test_a_run_in_parts_is_told_by_one_in_parts() -> None:
 
     times = tuple(np.linspace(0.0, 2.0, 101))
     exact = fmbd.solve(scene, t_end=2.0, scheme=fmbd.Radau(3, rtol=1e-8), output=fmbd.Output(times=times))["x"]
-    run = fmbd.solve(scene, t_end=2.0, dt=0.02, output=fmbd.Output(estimate_error=True, progress=False))
+    newton, output = fmbd.Newton(max_iterations=3), fmbd.Output(estimate_error=True, progress=False)
+    run = fmbd.solve(scene, t_end=2.0, dt=0.02, newton=newton, output=output)
     assert run.counters["halved_steps"]
     true = np.abs(run["x"] - exact).max()
     assert 0.5 * true < run.error_estimate["x"] < 3.0 * true

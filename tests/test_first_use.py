@@ -99,9 +99,10 @@ def test_objects_print_as_what_they_are(rod_mesh: Any) -> None:
 
 def test_books_name_each_element_once() -> None:
     """Elements that appear late count as zero before."""
-    from fmbd_fenicsx.run.recording.recorder import _names
+    from fmbd_fenicsx.run.recording.ledger import _columns
 
-    assert _names([{"b": 1.0}, {"a": 1.0, "b": 2.0}, {"a": 0.0}]) == ["b", "a"]
+    columns = _columns([{"b": 1.0}, {"a": 1.0, "b": 2.0}, {"a": 0.0}])
+    assert {name: list(x) for name, x in columns.items()} == {"b": [1.0, 2.0, 0.0], "a": [0.0, 1.0, 0.0]}
 
 
 def test_an_element_that_did_no_work_has_an_entry() -> None:

@@ -55,6 +55,7 @@ TWICE = 2.0  # least ratio where they do not
 MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
 # times the room up to which an error that is told by chance is asked again, as it may be a tenth; and ratio of two such
 DOUBTED = 3.0
+BY_CHANCE = 0.2  # what an order is beyond that of the scheme where kinks may have made it
 HALF_MORE = 1.5  # ratio of steps of the run with a smaller tolerance that is to tell an error
 
 
@@ -197,7 +198,7 @@ class SharedRuns:
         not show, because they do not end.
         """
         found = self._compared(solved, known, allowed)
-        kinks = kinked(solved.run) or self._meet_kinks(solved, found.told_by)
+        kinks = kinked(solved.run) or self._meet_kinks(solved, found, allowed.sensors)
         by_chance = kinks or found.unseen or not found.by_chance.isdisjoint(allowed.sensors)
         doubted = by_chance and not found.halved and found.errors
         if doubted and allowed.share(found.errors) <= DOUBTED * allowed.room:
@@ -207,12 +208,15 @@ class SharedRuns:
         self._seen.update(known_orders(found))
         return found
 
-    def _meet_kinks(self, solved: Solved, fewest: int) -> bool:
+    def _meet_kinks(self, solved: Solved, found: TimeError, sensors: Sequence[str]) -> bool:
         """Whether records of runs with so many steps, or more, but fewer than a given one have kinks: what is short beside the
-        steps of a run that tells its error, as a stiff contact, may be smooth in smaller ones.
+        steps of a run that tells its error, as a stiff contact, may be smooth in smaller ones. Where the order is beyond that of
+        the scheme, the run beside that one, with which it was seen, counts too.
         """
         scene, scheme = solved.problem.scene, solved.compared.scheme
-        made = self._runs[id(scene)]
+        made, orders, fewest = self._runs[id(scene)], _expected(solved.problem), found.told_by
+        if any(found.orders.get(n, 0.0) > orders[n] + BY_CHANCE for n in sensors):
+            fewest = max((n for n in made if n <= fewest / NEAREST), default=fewest)
         between = [made[n].recorder for n in made if fewest <= n < solved.compared.schedule.steps]
         ends = [(x.beside if isinstance(x, Accompanied) else x) for x in between]
         return any(show_kinks(scene, scheme, x.times, x.series) for x in ends)

@@ -120,7 +120,9 @@ int ask_iterate(System *s, Batch *k, Law *law, const void *how, double t)
     for (long i = 0; i < k->n; i++) {
         double *line = line_of(k, s->point, i);
         const double here[LINE] = {k->s[i], k->rate[i], k->effort[i], k->stiffness[i], k->damping[i]};
-        if (s->iterate == FOLLOWING && fabs(line[2] - k->effort[i]) > known) s->swung = 1;
+        const double along = k->stiffness[i] * (here[0] - line[0]) + k->damping[i] * (here[1] - line[1]);
+        const double foretold = line[2] + (k->role == LAW ? along : 0.0); /* by slopes that the tangent has */
+        if (s->iterate == FOLLOWING && fabs(foretold - k->effort[i]) > known) s->swung = 1;
         if (!k->bridges[i]) {
             memcpy(line, here, (sloped ? 5 : 3) * sizeof(double));
             continue;
