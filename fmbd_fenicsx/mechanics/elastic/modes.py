@@ -27,6 +27,8 @@ from ...log import log
 from ...rotations import Array
 
 SHIFT = 1e-3  # of an upper bound of the first eigenvalue
+SOFTER = 0.1  # share of a bound below which another one shows that it was none of a first eigenvalue
+INVERSE = 3  # inverse iterations with one factor
 SLOW = 20  # refinements after which the shift is taken for too large
 LOWER = 3  # times that it is made smaller
 # squares of corrections over a displacement's: those of roundoff, and where parts a million times as stiff leave more
@@ -76,23 +78,27 @@ def quadratic_fields(X: Array) -> Iterator[Array]:
 def first_eigenvalue_bound(field: Field) -> float:
     """Rayleigh quotients of displacements without their rigid part: an upper bound in (rad/s)^2, close for slender bodies.
 
-    Displacements are quadratic, or what forces of such accelerations do to each node alone: soft parts. Collective.
+    Displacements are quadratic. Where others, as forces of such accelerations move each node alone, tell of far softer parts,
+    inverse iteration goes on from them. Collective.
     """
-    f, d = field, field.dim
+    f, shapes = field, list(quadratic_fields(field.X / field.size))
     Z = rigid_fields(f)
-    G = f.total(Z.T @ f.Q)
-    stiff = f.K.getDiagonal().array[: len(Z)]
+    G, stiff = f.total(Z.T @ f.Q), f.K.getDiagonal().array[: len(Z)]
 
-    best = np.inf
-    for shape in quadratic_fields(f.X / f.size):
-        for u in (shape.ravel(), f.mass(shape).ravel() / stiff):
-            # less its rigid part
-            u = u - Z @ np.linalg.solve(G, f.total(f.Q.T @ u))
-            # Rayleigh's quotient
-            kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, d)).ravel()]))
-            if mm > 0:  # contact nodes may carry no inertia
-                best = min(best, float(kk / mm))
-    return best
+    def quotient(u: Array) -> tuple[float, Array]:
+        """Rayleigh's, and a displacement without its rigid part."""
+        u = u - Z @ np.linalg.solve(G, f.total(f.Q.T @ u))
+        kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, f.dim)).ravel()]))
+        return float(kk / mm) if mm > 0 else np.inf, u  # contact nodes may carry no inertia
+
+    best = min(quotient(shape.ravel())[0] for shape in shapes)
+    soft, u = min((quotient(f.mass(shape).ravel() / stiff) for shape in shapes), key=lambda found: found[0])
+    while 0.0 < soft < SOFTER * best:
+        best, factor = soft, Factor(f, SHIFT * soft, 1.0)
+        for _ in range(INVERSE):
+            soft, u = quotient(factor.solve(f.mass(u.reshape(-1, f.dim)).ravel()))
+        factor.destroy()
+    return min(best, soft) if soft > 0.0 else best
 
 
 def first_frequency(field: Field, conditions: Array) -> float:
