@@ -1,8 +1,8 @@
 """Starts whose accelerations die out within a step: what of them a step resolves, and steps that damp the rest at once.
 
-The recursion of generalized-alpha carries A_0 on for many steps. Where a_0 is that of a vibration or of a damper far faster than
-the step (a speed that begins at the pin of a body with strong damping, a load that sets in on a thin panel), h^2 a_0 is a
-displacement that the motion never has. The matrix S = M + cd C + ck K of a step tells what is left of a_0 at its end,
+The recursion of generalized-alpha carries A_0 on for many steps. Where a_0 is that of a motion which damping ends within a step
+(a speed that begins at the pin of a strongly damped body, a load that sets in on a damped panel), h^2 a_0 is a displacement that
+is never there. The matrix S = M + cd C + ck K of a step tells what is left of a_0 at its end,
 
     S a + G^T mu = M a_0 - r,    G a = G a_0,                                                                         (1)
 

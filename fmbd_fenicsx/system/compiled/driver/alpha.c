@@ -93,7 +93,8 @@ typedef struct {
     double *lam, *none;                /* multipliers of the matrix; those of the closing, which nobody asks for */
     double sizes[MOST], left;          /* of increments, and the error after the newest, over the tolerance */
     double misfit;                     /* of the springs' pulls across in the matrix */
-    int done, hesitations, far;                    /* increments; whether the matrix is far from the state */
+    int done, hesitations;             /* increments; those that were made as laws were undecided */
+    int far;                           /* whether the matrix is far from the state */
     int evaluated, renewals;           /* whether the end was evaluated already; new tangents of fields */
     Secants told;
 } AlphaStep;
