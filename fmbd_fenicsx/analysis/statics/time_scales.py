@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...fem.fields import Field
-from ...mechanics.elastic.modes import first_eigenvalue_bound
+from ...mechanics.elastic.modes import bound_by_soft_parts
 from ...mechanics.reduction.reduced import ReducedPart
 from ...system.layout import State
 from ...system.mobility import stiffnesses
@@ -25,7 +25,7 @@ def long_step(system: System, start: State, spin: Spin | BodySpin | None, *, bal
     taus = [PENDULUM * float(np.sqrt(system.length / pull))] if pull else []
     taus += [
         # less than nothing where prestress makes the body buckle: so it does as fast
-        PERIODS / float(np.sqrt(abs(first_eigenvalue_bound(p.field))))
+        PERIODS / float(np.sqrt(abs(bound_by_soft_parts(p.field))))
         for _, p in system.fields
         if isinstance(p.field, Field)
     ]

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import FmbdError, InputError
+from ...errors import FmbdError, InputError, LinearSolveError
 from ...fem.factors.factor import Factor
 from ...fem.fields import Field
 from ...log import log
@@ -76,29 +76,38 @@ def quadratic_fields(X: Array) -> Iterator[Array]:
 
 
 def first_eigenvalue_bound(field: Field) -> float:
-    """Rayleigh quotients of displacements without their rigid part: an upper bound in (rad/s)^2, close for slender bodies.
-
-    Displacements are quadratic. Where others, as forces of such accelerations move each node alone, tell of far softer parts,
-    inverse iteration goes on from them. Collective.
+    """Rayleigh quotients of quadratic displacements without their rigid part: an upper bound in (rad/s)^2, close for slender
+    bodies of one material. Collective.
     """
-    f, shapes = field, list(quadratic_fields(field.X / field.size))
-    Z = rigid_fields(f)
-    G, stiff = f.total(Z.T @ f.Q), f.K.getDiagonal().array[: len(Z)]
+    return min(_quotient(field, shape.ravel())[0] for shape in quadratic_fields(field.X / field.size))
 
-    def quotient(u: Array) -> tuple[float, Array]:
-        """Rayleigh's, and a displacement without its rigid part."""
-        u = u - Z @ np.linalg.solve(G, f.total(f.Q.T @ u))
-        kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, f.dim)).ravel()]))
-        return float(kk / mm) if mm > 0 else np.inf, u  # contact nodes may carry no inertia
 
-    best = min(quotient(shape.ravel())[0] for shape in shapes)
-    soft, u = min((quotient(f.mass(shape).ravel() / stiff) for shape in shapes), key=lambda found: found[0])
+def bound_by_soft_parts(field: Field) -> float:
+    """The same where parts may be far softer than others: of displacements by which forces of such accelerations move each node
+    alone, and of inverse iteration from there. Collective.
+    """
+    f, best = field, first_eigenvalue_bound(field)
+    alone = f.K.getDiagonal().array[: field.n * field.dim]
+    moved = [f.mass(shape).ravel() / alone for shape in quadratic_fields(f.X / f.size)]
+    soft, u = min((_quotient(f, u) for u in moved), key=lambda found: found[0])
     while 0.0 < soft < SOFTER * best:
-        best, factor = soft, Factor(f, SHIFT * soft, 1.0)
+        best = soft
+        try:
+            factor = Factor(f, SHIFT * soft, 1.0)
+        except LinearSolveError:
+            return best  # what is softer is lost in roundoff
         for _ in range(INVERSE):
-            soft, u = quotient(factor.solve(f.mass(u.reshape(-1, f.dim)).ravel()))
+            soft, u = _quotient(f, factor.solve(f.mass(u.reshape(-1, f.dim)).ravel()))
         factor.destroy()
     return min(best, soft) if soft > 0.0 else best
+
+
+def _quotient(field: Field, u: Array) -> tuple[float, Array]:
+    """Rayleigh's of a displacement (n d,) without its rigid part, and this; collective."""
+    f, Z = field, rigid_fields(field)
+    u = u - Z @ np.linalg.solve(f.total(Z.T @ f.Q), f.total(f.Q.T @ u))
+    kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, f.dim)).ravel()]))
+    return float(kk / mm) if mm > 0 else np.inf, u  # contact nodes may carry no inertia
 
 
 def first_frequency(field: Field, conditions: Array) -> float:

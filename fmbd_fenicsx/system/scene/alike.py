@@ -49,4 +49,4 @@ def values_of_inputs(scene: Scene) -> dict[str, float]:
 
 def _common(scene: Scene) -> Any:
     """The ranks that work on a scene together, those of the mesh of a body whose nodes are unknowns; None where there is none."""
-    return next((body.solid.mesh.dolfinx.comm for body in scene.bodies.values() if body.nodal), None)
+    return next((body.solid.mesh.dolfinx.comm for body in scene.bodies.values() if body.nodal and body.meshed), None)
