@@ -209,7 +209,9 @@ def integrals_of(form: Any) -> list[tuple[int, np.ndarray, np.ndarray | None, np
     """
     from dolfinx import cpp
 
-    inner, kinds = form._cpp_object, cpp.fem.IntegralType
+    inner, kinds = form._cpp_object, getattr(cpp.fem, "IntegralType", None)
+    if kinds is None:
+        return None
     known = [kinds.cell, kinds.exterior_facet]  # in FFCx's order
     if form.ufcx_form is None or any(kind not in known for kind in inner.integral_types):
         return None
