@@ -15,7 +15,7 @@ Source: Craig and Bampton, doi:10.2514/3.4741.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -79,17 +79,18 @@ def first_eigenvalue_bound(field: Field) -> float:
     """Rayleigh quotients of quadratic displacements without their rigid part: an upper bound in (rad/s)^2, close for slender
     bodies of one material. Collective.
     """
-    return min(_quotient(field, shape.ravel())[0] for shape in quadratic_fields(field.X / field.size))
+    quotient = _rayleigh(field)
+    return min(quotient(shape.ravel())[0] for shape in quadratic_fields(field.X / field.size))
 
 
 def bound_by_soft_parts(field: Field) -> float:
     """The same where parts may be far softer than others: of displacements by which forces of such accelerations move each node
     alone, and of inverse iteration from there. Collective.
     """
-    f, best = field, first_eigenvalue_bound(field)
+    f, quotient, best = field, _rayleigh(field), first_eigenvalue_bound(field)
     alone = f.K.getDiagonal().array[: field.n * field.dim]
     moved = [f.mass(shape).ravel() / alone for shape in quadratic_fields(f.X / f.size)]
-    soft, u = min((_quotient(f, u) for u in moved), key=lambda found: found[0])
+    soft, u = min(map(quotient, moved), key=lambda found: found[0])
     while 0.0 < soft < SOFTER * best:
         best = soft
         try:
@@ -97,17 +98,22 @@ def bound_by_soft_parts(field: Field) -> float:
         except LinearSolveError:
             return best  # what is softer is lost in roundoff
         for _ in range(INVERSE):
-            soft, u = _quotient(f, factor.solve(f.mass(u.reshape(-1, f.dim)).ravel()))
+            soft, u = quotient(factor.solve(f.mass(u.reshape(-1, f.dim)).ravel()))
         factor.destroy()
     return min(best, soft) if soft > 0.0 else best
 
 
-def _quotient(field: Field, u: Array) -> tuple[float, Array]:
-    """Rayleigh's of a displacement (n d,) without its rigid part, and this; collective."""
+def _rayleigh(field: Field) -> Callable[[Array], tuple[float, Array]]:
+    """Rayleigh's quotient of a displacement (n d,) without its rigid part, and this; collective."""
     f, Z = field, rigid_fields(field)
-    u = u - Z @ np.linalg.solve(f.total(Z.T @ f.Q), f.total(f.Q.T @ u))
-    kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, f.dim)).ravel()]))
-    return float(kk / mm) if mm > 0 else np.inf, u  # contact nodes may carry no inertia
+    G = f.total(Z.T @ f.Q)
+
+    def quotient(u: Array) -> tuple[float, Array]:
+        u = u - Z @ np.linalg.solve(G, f.total(f.Q.T @ u))
+        kk, mm = f.total(np.array([u @ f.stiffness(u), u @ f.mass(u.reshape(-1, f.dim)).ravel()]))
+        return float(kk / mm) if mm > 0 else np.inf, u  # contact nodes may carry no inertia
+
+    return quotient
 
 
 def first_frequency(field: Field, conditions: Array) -> float:
