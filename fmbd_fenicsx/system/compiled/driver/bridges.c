@@ -89,33 +89,37 @@ static int ask_again(System *s, Batch *k, Law *law, const void *how, double t)
     return DONE;
 }
 
-/* N of a batch whose s and s' are told, where Newton's iteration has come to: lines in place of laws that it would not find across. */
-int ask_iterate(System *s, Batch *k, Law *law, const void *how, double t)
+/* Slopes of laws in Python at the last iterate, where they were asked for since the step began. */
+static void recall_slopes(const System *s, const Batch *k)
 {
-    const int followed = s->iterate != ON_ITS_OWN && k->line && !k->linked;
-    if (followed && s->iterate == AGAIN) return ask_again(s, k, law, how, t);
-    int verdict = law(s, k, how, t);
-    if (verdict || !followed) return verdict;
-    memset(k->bridges, 0, k->n * sizeof(int));
-    if (s->iterate == FIRST) s->begun = s->evaluations;
-    for (long i = 0; k->role == LAW && !s->bent && i < k->n; i++) { /* slopes of the last iterate, where they were asked for since */
-        const int asked = s->iterate == FOLLOWING && k->sloped >= s->begun;
-        line_of(k, s->point, i)[3] = asked ? k->stiffness[i] : 0.0;
-        line_of(k, s->point, i)[4] = asked ? k->damping[i] : 0.0;
+    const int asked = s->iterate == FOLLOWING && k->sloped >= s->begun;
+    for (long i = 0; k->role == LAW && !s->bent && i < k->n; i++) {
+        double *line = line_of(k, s->point, i);
+        line[3] = asked ? k->stiffness[i] : 0.0;
+        line[4] = asked ? k->damping[i] : 0.0;
     }
-    if (s->iterate == FOLLOWING && any_hidden(s, k, k->role == FORMULA)) {
-        if ((verdict = ask_slopes(s, k, t))) return verdict;
-        for (long i = 0; i < k->n; i++) {
-            if (!is_hidden(s, k, i, 1)) continue;
-            const double x = k->s[i], rate = k->rate[i];
-            verdict = touch(s, k, i, law, how, t);
-            k->s[i] = x;
-            k->rate[i] = rate;
-            if (verdict || (verdict = law(s, k, how, t)) || (verdict = ask_slopes(s, k, t))) return verdict;
-        }
+}
+
+/* Lines in place of the laws of a batch that changed by what slopes do not tell. */
+static int cross_hidden(System *s, Batch *k, Law *law, const void *how, double t)
+{
+    int verdict = ask_slopes(s, k, t);
+    for (long i = 0; !verdict && i < k->n; i++) {
+        if (!is_hidden(s, k, i, 1)) continue;
+        const double x = k->s[i], rate = k->rate[i];
+        verdict = touch(s, k, i, law, how, t);
+        k->s[i] = x;
+        k->rate[i] = rate;
+        if (verdict || (verdict = law(s, k, how, t))) return verdict;
+        verdict = ask_slopes(s, k, t);
     }
+    return verdict;
+}
+
+/* What the next iterate is compared with; laws that count as lines become these. */
+static void keep_lines(System *s, Batch *k)
+{
     const double known = OF_THE_LAW * largest(k->effort, (int)k->n);
-    if (s->bent && k->sloped != s->evaluations && (verdict = ask_slopes(s, k, t))) return verdict;
     const int sloped = k->role == FORMULA || k->sloped >= s->begun;
     for (long i = 0; i < k->n; i++) {
         double *line = line_of(k, s->point, i);
@@ -131,6 +135,23 @@ int ask_iterate(System *s, Batch *k, Law *law, const void *how, double t)
         k->stiffness[i] = line[3];
         k->damping[i] = line[4];
     }
+}
+
+/* N of a batch whose s and s' are told, where Newton's iteration has come to: lines in place of laws that it would not find across. */
+int ask_iterate(System *s, Batch *k, Law *law, const void *how, double t)
+{
+    const int followed = s->iterate != ON_ITS_OWN && k->line && !k->linked;
+    if (followed && s->iterate == AGAIN) return ask_again(s, k, law, how, t);
+    int verdict = law(s, k, how, t);
+    if (verdict || !followed) return verdict;
+
+    memset(k->bridges, 0, k->n * sizeof(int));
+    if (s->iterate == FIRST) s->begun = s->evaluations;
+    recall_slopes(s, k);
+    const int hidden = s->iterate == FOLLOWING && any_hidden(s, k, k->role == FORMULA);
+    if (hidden && (verdict = cross_hidden(s, k, law, how, t))) return verdict;
+    if (s->bent && k->sloped != s->evaluations && (verdict = ask_slopes(s, k, t))) return verdict;
+    keep_lines(s, k);
     return DONE;
 }
 
