@@ -10,7 +10,7 @@ from test_kernel import flexible
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import kernel_cache
-from fmbd_fenicsx.system.compiled.library import CONTACT, driver_library, units_of
+from fmbd_fenicsx.system.compiled.library import CONTACT, RODS, driver_library, units_of
 
 pytestmark = pytest.mark.skipif(kernel_cache.compiler() is None, reason="no C compiler")
 
@@ -18,9 +18,10 @@ pytestmark = pytest.mark.skipif(kernel_cache.compiler() is None, reason="no C co
 @pytest.mark.parametrize("dim", [2, 3])
 def test_all_units_compile(dim: int) -> None:
     """A unit with an error would let everything run in NumPy."""
-    rods = ("rods",) if dim == 3 else ()
+    rods = (RODS,) if dim == 3 else ()
+    units = ("bodies/reduced", "bodies/told", "fields/fields", *rods, "forces/mounts", "forces/whole", CONTACT)
     assert driver_library(dim) is not None
-    assert driver_library(dim, ("reduced", "fields", *rods, "mounts", "whole", CONTACT)) is not None
+    assert driver_library(dim, units) is not None
 
 
 def test_a_scene_gets_the_units_that_it_needs() -> None:
@@ -28,9 +29,9 @@ def test_a_scene_gets_the_units_that_it_needs() -> None:
         return units_of(scene.build()[0])
 
     assert units(links(2, 3)) == ()
-    assert units(bushings(3)) == ("mounts",)
-    assert units(flexible(3)) == ("reduced",)
-    assert units(tyre(3)) == ("whole",)
+    assert units(bushings(3)) == ("forces/mounts",)
+    assert units(flexible(3)) == ("bodies/reduced",)
+    assert units(tyre(3)) == ("forces/whole",)
 
 
 SCHEMES = (fmbd.GeneralizedAlpha(), fmbd.Moreau(), fmbd.Radau(), fmbd.ExplicitRungeKutta(), fmbd.HalfExplicit())

@@ -200,7 +200,7 @@ def test_walks_name_what_is_there():
         for name in names:
             assert re.search(rf"^ *(?:class|def) {name}\b", text, re.M), (path, name)
 
-    in_c = re.findall(r"`(\w+\.c):(\w+)`", TEXT)
+    in_c = re.findall(r"`([\w/]+\.c):(\w+)`", TEXT)
     assert len(in_c) > 8
     for file, name in in_c:
         text = (SOURCE / "system/compiled/driver" / file).read_text()

@@ -1,4 +1,4 @@
-"""Steppers whose steps are calls of compiled code: one step in a call, or many between two records (driver/march.c).
+"""Steppers whose steps are calls of compiled code: one step in a call, or many between two records (driver/marches/march.c).
 
 A step that compiled code does not find is made in parts, by the scheme in Python, from the same beginning, which says what is
 wrong with it; one whose end does not pass is made once more by itself, for those who judge steps.

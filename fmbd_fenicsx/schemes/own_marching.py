@@ -1,4 +1,4 @@
-"""Steps of a size of their own in compiled code (driver/own_steps.c): what all schemes with error control have in common.
+"""Steps of a size of their own in compiled code (driver/marches/own_steps.c): what all schemes with error control have in common.
 
 A step that fails in another way than by its error is made by Python from the same beginning.
 """

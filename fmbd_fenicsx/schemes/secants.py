@@ -21,8 +21,9 @@ from ..system.system import System
 
 # an increment of the tangent, over the one made before, above which (1) is taken; share of an image that the earlier ones do not
 # have, below which it tells nothing
-POOR, ALIKE = constants("secants.c", "POOR", "ALIKE")
-DEPTH, LEARNT = enumeration("PAIRS", "secants.c").values()  # pairs at most; those without which the rate tells nothing
+POOR, ALIKE = constants("onestep/secants.c", "POOR", "ALIKE")
+# pairs at most; those without which the rate tells nothing
+DEPTH, LEARNT = enumeration("PAIRS", "onestep/secants.c").values()
 
 
 class Secants:

@@ -28,7 +28,7 @@ ATTEMPTS = ((0, 0.0), (0, 1e-4), (8, 1e-4), (16, 1e-4))
 PIVOTED = 30  # points at most: a tableau of many takes minutes, where half a step takes moments
 # residual of a solution, of the largest force; the same where roundoff in W (an elastic step of many wave transits) allows no
 # better; share of a Newton step below which the line search takes it
-FOUND, ACCEPTED, SHORTEST = constants("friction.c", "FOUND", "ACCEPTED", "SHORTEST")
+FOUND, ACCEPTED, SHORTEST = constants("contact/friction.c", "FOUND", "ACCEPTED", "SHORTEST")
 PAINLEVE = (
     " With large friction coefficients no solution with finite forces may exist (Painleve); use the Moreau scheme, which has "
     "impacts, or a smaller dt."
@@ -228,7 +228,7 @@ class Coulomb:
 
 
 class Refused(Coulomb):
-    """A problem whose first attempts compiled code has made (driver/friction.c) without a solution.
+    """A problem whose first attempts compiled code has made (driver/contact/friction.c) without a solution.
 
     Least steps by singular values may still find one; proximal points, which fail after many iterations, come behind pivoting.
     """

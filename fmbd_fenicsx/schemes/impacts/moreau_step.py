@@ -14,7 +14,7 @@ from .contact_stepper import ContactStepper
 from .restitution import Impact
 
 # of the model's length in a flight: the rate of a contact that does not leave
-(STILL,) = constants("flights.c", "STILL")
+(STILL,) = constants("impacts/flights.c", "STILL")
 
 
 class MoreauStep(ContactStep):

@@ -28,12 +28,12 @@ from .contact_stepper import ContactStepper
 from .moreau_step import MoreauStep
 
 # length of an impact, as a share of the step; gap of a closed contact, as a share of the model's length
-IMPACT, TOUCH = constants("flights.c", "INSTANT", "TOUCHING")
+IMPACT, TOUCH = constants("impacts/flights.c", "INSTANT", "TOUCHING")
 DRIFT = 1e-5  # the same of a contact that carries a force: positions of closed contacts drift by O(h^3) a step
 # approach in a step from which on a touch is an impact also where a closed contact would only drift; that of a resting contact:
 # this share of the model's length in a step
-DEEP, SLOW = constants("moreau.c", "DEEP", "APPROACH")
-LOCATING = enumeration("LOCATING", "flights.c")["LOCATING"]  # attempts to end a step where a contact closes
+DEEP, SLOW = constants("impacts/moreau.c", "DEEP", "APPROACH")
+LOCATING = enumeration("LOCATING", "impacts/flights.c")["LOCATING"]  # attempts to end a step where a contact closes
 
 
 class MoreauStepper(ContactStepper):

@@ -28,8 +28,8 @@ from ...system.compiled.declarations import constants, enumeration
 
 # work in an impact, of its terms, that is more than roundoff, and than what a Newton iteration changes; the same where a share is
 # found; shares of the rebound that are one
-ADDED, CLOSE, NARROW = constants("impulses.c", "ADDED", "CLOSE", "NARROW")
-TRIED = enumeration("TRIED", "impulses.c")["TRIED"]  # shares of the rebound at most
+ADDED, CLOSE, NARROW = constants("impacts/impulses.c", "ADDED", "CLOSE", "NARROW")
+TRIED = enumeration("TRIED", "impacts/impulses.c")["TRIED"]  # shares of the rebound at most
 
 
 @dataclass

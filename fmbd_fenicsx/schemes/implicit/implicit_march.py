@@ -1,8 +1,8 @@
-"""Steps of implicit schemes by calls of compiled code (driver/implicit.c), for systems whose stage systems are sparse.
+"""Steps of implicit schemes by calls of compiled code (driver/implicit/implicit.c), for systems whose stage systems are sparse.
 
-Constant ones, and those that error control chooses (driver/own_steps.c). Tangent and factors are those of the room that steps
-made in parts use too: whoever comes next goes on with them. A step that fails in another way than by its error is made by Python
-from the same beginning, and so is the first of a run, whose size nobody proposes.
+Constant ones, and those that error control chooses (driver/marches/own_steps.c). Tangent and factors are those of the room that
+steps made in parts use too: whoever comes next goes on with them. A step that fails in another way than by its error is made by
+Python from the same beginning, and so is the first of a run, whose size nobody proposes.
 """
 
 from __future__ import annotations

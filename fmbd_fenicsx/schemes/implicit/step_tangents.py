@@ -33,7 +33,7 @@ from ...system.tangents.step_tangent import StepTangent
 from ...system.tangents.stiff_ties import StiffTies
 from ..dae import Form
 
-(TURNED,) = constants("tangent.c", "TURNED")  # rad and m, of differences of rates
+(TURNED,) = constants("implicit/tangent.c", "TURNED")  # rad and m, of differences of rates
 Lower = Callable[[EvaluationBatch], Array]  # the lower rows of many states
 
 

@@ -37,7 +37,7 @@ RENEWAL = 50  # uses after which the vibrations are looked at again, up to
 RARER = 4  # times as many where the fastest stays as it was, up to
 ALIKE = 0.1  # of itself
 # orders: the highest of all, and of those that damp undamped vibrations at any step
-HIGHEST, STABLE = enumeration("ORDERS", "bdf.c").values()
+HIGHEST, STABLE = enumeration("ORDERS", "implicit/bdf.c").values()
 POINTS = 8192  # of the curve
 LARGEST = 200  # unknowns of the core, up to which eigenvalues are solved for
 RESOLVED = 0.3  # h omega below which any order follows a vibration

@@ -1,4 +1,4 @@
-"""What steps of BDF by calls of compiled code begin with and leave (driver/bdf.c), and how sizes and orders follow each other.
+"""What steps of BDF by calls of compiled code begin with and leave (driver/implicit/bdf.c); sizes and orders.
 
 Growths of a step are bounded, and those that pay little are not taken: factors, and the memory of equal steps, are worth more.
 """

@@ -35,7 +35,7 @@ from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
 
 STAGES = 12
 # weight of the square of the error of order three beside that of order five
-(THIRD,) = constants("runge_kutta.c", "THIRD")
+(THIRD,) = constants("onestep/runge_kutta.c", "THIRD")
 
 
 @lru_cache

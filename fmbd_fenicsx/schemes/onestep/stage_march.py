@@ -1,4 +1,4 @@
-"""What steps of Radau by calls of compiled code begin with and leave (driver/radau.c)."""
+"""What steps of Radau by calls of compiled code begin with and leave (driver/implicit/radau.c)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps of explicit methods in the driver (driver/runge_kutta.c): what Python lends of a method."""
+"""Steps of explicit methods in the driver (driver/onestep/runge_kutta.c): what Python lends of a method."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from .own_steps import BentRods, OwnRoom
 from .states.evaluation import DriverStates
 from .states.explicit import Tableau
 
-CONTROLLED = enumeration("CONTROLLED", "own_steps.c")["CONTROLLED"]  # numbers that error control keeps with a state
-Norm = structure_of("error_norm.c", "Norm")
-Explicit = structure_of("runge_kutta.c", "Explicit", Norm=Norm)
+# numbers that error control keeps with a state
+CONTROLLED = enumeration("CONTROLLED", "marches/own_steps.c")["CONTROLLED"]
+Norm = structure_of("marches/error_norm.c", "Norm")
+Explicit = structure_of("onestep/runge_kutta.c", "Explicit", Norm=Norm)
 
 
 class ExplicitRoom:

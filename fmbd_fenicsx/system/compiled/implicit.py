@@ -1,4 +1,4 @@
-"""Steps of Radau and BDF in the driver (driver/implicit.c): what it lends of a scheme, and the room that it works in."""
+"""Steps of Radau and BDF in the driver (driver/implicit/implicit.c): what it lends of a scheme, and the room that it works in."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from .own_steps import BentRods, OwnRoom
 from .states.convergence import Convergence
 from .states.stages import PointRoom
 
+SOURCE = "implicit/implicit.c"
 # what a state keeps first
-RATE, KNOWN, TANGENTS, FACTORED, INCREMENTS, RESIDUAL, RESIDUAL_SCALE, WORK = enumeration("RATE", "implicit.c").values()
+RATE, KNOWN, TANGENTS, FACTORED, INCREMENTS, RESIDUAL, RESIDUAL_SCALE, WORK = enumeration("RATE", SOURCE).values()
 
 
 class Implicit(ctypes.Structure):
     """``Implicit`` of implicit.c."""
 
-    _fields_ = fields_of("implicit.c", "Implicit")
+    _fields_ = fields_of(SOURCE, "Implicit")
 
 
 class OrdersOfBDF(ctypes.Structure):
     """``Orders`` of bdf.c."""
 
-    _fields_ = fields_of("bdf.c", "Orders")
+    _fields_ = fields_of("implicit/bdf.c", "Orders")
 
     def lend(self, spans: Mapping[int, Array], uses: int, most: int) -> None:
         """The sizes with which each order amplifies vibrations, (k, 2), s; ``uses``: of these so far, ``most`` of them."""

@@ -1,7 +1,8 @@
 """The driver as a shared library, built at first use and kept (:mod:`fmbd_fenicsx.kernel_cache`).
 
-It is made of units: the core and its schemes, and what a scene may lack, which is compiled and linked only for systems that have
-it. Without a C compiler there is none, which is said once; everything then runs in NumPy.
+It is made of units, files that are compiled by themselves: the core and its schemes, which stand above the folders of the driver,
+and what a scene may lack, which is compiled and linked only for systems that have it. Without a C compiler there is none, which
+is said once; everything then runs in NumPy.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ FLAGS = (
 CORE = ("schemes", "driver", "implicit_schemes")  # units of every scene, to be compiled side by side, the longest first
 # whose loops are short or jump: vectors gain nothing there, and double the time to compile
 SPARSE = ("implicit_schemes",)
-CONTACT = "moreau"
+RODS, CONTACT = "rods/rods", "impacts/moreau"
 EXPORTED = re.compile(r"^EXPORT (\w+) (\w+)\((.*?)\)", re.MULTILINE | re.DOTALL)
 TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double, "void": None}
 
@@ -42,12 +43,12 @@ TYPES = {"int": ctypes.c_int, "long": ctypes.c_long, "double": ctypes.c_double, 
 def units_of(system: System) -> tuple[str, ...]:
     """The units, beside the core, that a system needs."""
     wanted = {
-        "reduced": bool(system.parts),
-        "told": any(map(is_told, system.parts)),
-        "fields": bool(system.fields),
-        "rods": bool(system.elements),
-        "mounts": any(loads.mounts() is not None for loads in system.forces),
-        "whole": bool(other_loads(system)),
+        "bodies/reduced": bool(system.parts),
+        "bodies/told": any(map(is_told, system.parts)),
+        "fields/fields": bool(system.fields),
+        RODS: bool(system.elements),
+        "forces/mounts": any(loads.mounts() is not None for loads in system.forces),
+        "forces/whole": bool(other_loads(system)),
     }
     return tuple(name for name, needed in wanted.items() if needed)
 
@@ -65,17 +66,17 @@ def driver_library(dim: int, units: tuple[str, ...] = ()) -> Any:
 def _unit(dim: int, name: str) -> kernel_cache.SourceUnit:
     """One unit as it is compiled; it follows from all sources of the driver, and from what generates those of rods."""
     definitions = Path(strains.__file__).parents[1] / "kinds"
-    files = [*sorted(definitions.glob("*.py")), Path(strains.__file__)] if name == "rods" else []
+    files = [*sorted(definitions.glob("*.py")), Path(strains.__file__)] if name == RODS else []
     text = b"".join(path.read_bytes() for path in files) + _source(dim, name, generated=False).encode()
     flags = ("-O2" if name in SPARSE else "-O3", *FLAGS, f"-DDIM={dim}")
     return kernel_cache.SourceUnit(
-        f"{name}_{dim}d", lambda: _source(dim, name), flags, text + processor().encode(), shared=True
+        f"{Path(name).name}_{dim}d", lambda: _source(dim, name), flags, text + processor().encode(), shared=True
     )
 
 
 @cache
 def _source(dim: int, name: str, *, generated: bool = True) -> str:
-    """A unit as one text, with what rods generate for it."""
+    """A unit as one text, with what rods generate for it; its name, and those that it includes, are paths within the driver."""
 
     def included(line: re.Match[str]) -> str:
         file = line.group(1)

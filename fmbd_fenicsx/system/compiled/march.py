@@ -1,4 +1,4 @@
-"""Many steps of a scheme in one call of C (driver/march.c): a ring of states, parameters, room for records."""
+"""Many steps of a scheme in one call of C (driver/marches/march.c): a ring of states, parameters, room for records."""
 
 from __future__ import annotations
 

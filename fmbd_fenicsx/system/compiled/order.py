@@ -16,7 +16,7 @@ import numpy as np
 
 from .declarations import enumeration
 
-LANES = enumeration("LANES", "factor.c")["LANES"]  # columns of fronts begin at whole vectors of the processor
+LANES = enumeration("LANES", "algebra/factor.c")["LANES"]  # columns of fronts begin at whole vectors of the processor
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Steps whose sizes error control chooses, in the driver (driver/own_steps.c): what Python lends of that."""
+"""Steps whose sizes error control chooses, in the driver (driver/marches/own_steps.c): what Python lends of that."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .tables.deflections import deflections_of
 from .tables.resting import Twin
 from .tables.structures import Store
 
-OwnSteps = structure_of("own_steps.c", "OwnSteps")
+OwnSteps = structure_of("marches/own_steps.c", "OwnSteps")
 
 
 class OwnRoom:

@@ -11,7 +11,7 @@ own, for any k; and an increment whose tangent had another N is judged by how mu
 
     ck |(N' - N) dr/dq| / m                                                                                            (2)
 
-with m the smallest mass. The driver does the same, ``compiled/driver/matrix.c``.
+with m the smallest mass. The driver does the same, ``compiled/driver/evaluation/matrix.c``.
 """
 
 from __future__ import annotations

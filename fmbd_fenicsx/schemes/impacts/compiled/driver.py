@@ -51,7 +51,7 @@ MOST = 1024  # contacts closed at once: a step with more is NumPy's
 
 
 def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
-    """Kind and numbers of a shape as ``driver/contact.c`` reads them."""
+    """Kind and numbers of a shape as ``driver/contact/contact.c`` reads them."""
     if type(shape) not in KNOWN:
         return OWN, []
     return KNOWN.index(type(shape)), [float(x) for part in shape.numbers(dim) for x in np.ravel(part)]

@@ -1,6 +1,7 @@
-"""The small problem of contacts in compiled code, where its matrix is known: Newton's iteration of ``driver/complementarity.c``.
+"""The small problem of contacts in compiled code, where its matrix is known.
 
-What this does not solve at once, and contacts that depend on each other, are those of :mod:`....linear.complementarity`.
+It is solved by Newton's iteration of ``driver/contact/complementarity.c``. What this does not solve at
+once, and contacts that depend on each other, are those of :mod:`....linear.complementarity`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Spheres around what may touch, which the compiled driver looks at before it looks at contacts (``driver/candidates.c``)."""
+"""Spheres around what may touch, which compiled code looks at before it looks at contacts (``driver/contact/candidates.c``)."""
 
 from __future__ import annotations
 

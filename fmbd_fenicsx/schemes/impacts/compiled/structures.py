@@ -1,4 +1,4 @@
-"""The structures of ``driver/contact.c`` and the files around it."""
+"""The structures of ``driver/contact/contact.c`` and the files around it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import ctypes
 
 from ....system.compiled.declarations import structure_of
 
-SOURCE, PARTS = "contact.c", "parts.h"
+SOURCE, PARTS = "contact/contact.c", "parts.h"
 
 Touch, Tally, Problem, Graph, Blocks = (
     structure_of(SOURCE, name) for name in ("Touch", "Tally", "Problem", "Graph", "Blocks")

@@ -31,7 +31,7 @@ class ContactTape(Tape):
         pairs = len(contacts.pairs)
         d = tables.dim
         self.contacts, self.whole_system = contacts, system
-        # as record_contacts() of driver/moreau.c writes them
+        # as record_contacts() of driver/impacts/moreau.c writes them
         self.shapes = [(m,), (m, d), (m, d), (m,), (m, d), (pairs, d), (len(WORKS),), ()]
         self.numbers = sum(int(np.prod(x)) for x in self.shapes)
         super().__init__(tables, judged, contact=self.numbers, kept=kept)

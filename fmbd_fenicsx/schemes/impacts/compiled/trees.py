@@ -1,4 +1,4 @@
-"""Parts of a system that nothing couples: a force on a body moves those of its own part only (``driver/compliance.c``)."""
+"""Parts of a system that nothing couples: a force on a body moves its own part only (``driver/contact/compliance.c``)."""
 
 from __future__ import annotations
 

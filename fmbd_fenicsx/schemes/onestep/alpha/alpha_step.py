@@ -28,7 +28,7 @@ from ...secants import Secants
 FAR = 1e-4
 # rate above which force elements get a new tangent: a stiff spring has its true tension, and with it its
 # stiffness across, only after the first increment
-(SLOW_TURN,) = constants("alpha.c", "SLOW_TURN")
+(SLOW_TURN,) = constants("onestep/alpha.c", "SLOW_TURN")
 SLOW = 0.1  # rate above which gaps of roundoff may be what keeps increments from falling
 PATIENCE = 4  # iterations with the tangent of the first one, where a new tangent is cheap
 

@@ -1,4 +1,4 @@
-"""Error control of compiled steps of one size: what :mod:`.variable_alpha` lends to ``driver/control.c`` for a march.
+"""Error control of compiled steps of one size: what :mod:`.variable_alpha` lends to ``driver/marches/control.c`` for a march.
 
 C judges each step by the norm of :class:`~...error_norm.NormOfWays` and goes on while the next step has the same size. It stops
 behind a step after which the size may change, and before one that is refused: all decisions are Python's.

@@ -16,7 +16,7 @@ in (3) is zero. Dampers and viscous laws take exactly their work at the mean poi
 order in q, v and lambda: accelerations and multipliers of a state are solved for at its end, those in (1) are means over the
 step. No damping at high frequencies, so the multipliers of stiff systems oscillate.
 
-Usual steps are one call of compiled code (driver/mean.c): Newton's iteration with the matrix M + h D / 2 + h^2 K / 4 of the
+Usual steps are one call of C (driver/onestep/mean.c): Newton's iteration with the matrix M + h D / 2 + h^2 K / 4 of the
 middle, fields with the tangent of an earlier state, turned with the body. Where that does not serve, as where steps turn bodies
 far, one iteration solves for the core, the ports p = H^T u of the fields and lambda together. With the tangent J_f of a field,
 its residual r_f, z = J_f^-1 r_f and W = H^T J_f^-1 H, and forces P(a, p, lambda) of joints and springs on the ports,

@@ -3,20 +3,20 @@
    are the kernels of kinds. For the plane (-DDIM=2) and for space (-DDIM=3). */
 
 #include "tables.h"
-#include "rotations.c"
+#include "algebra/rotations.c"
 #include "parts.h"
-#include "factor.c"
-#include "complex_factor.c"
-#include "bodies.c"
-#include "formulas.c"
-#include "mapped.c"
-#include "bridges.c"
-#include "evaluate.c"
-#include "links.c"
-#include "matrix.c"
-#include "states.c"
-#include "record.c"
-#include "answers.c"
+#include "algebra/factor.c"
+#include "algebra/complex_factor.c"
+#include "bodies/bodies.c"
+#include "forces/formulas.c"
+#include "bodies/mapped.c"
+#include "forces/bridges.c"
+#include "evaluation/evaluate.c"
+#include "forces/links.c"
+#include "evaluation/matrix.c"
+#include "evaluation/states.c"
+#include "evaluation/record.c"
+#include "evaluation/answers.c"
 
 /* Factors for Python at a state that has been evaluated, without what reactions push across. */
 EXPORT int driver_prepare(System *s, const double *q, double cd, double ck, const double *lam, double t)

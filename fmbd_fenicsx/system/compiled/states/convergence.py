@@ -1,4 +1,4 @@
-"""What C and Python know of Newton's iteration for the points of an implicit step (driver/convergence.c)."""
+"""What C and Python know of Newton's iteration for the points of an implicit step (driver/implicit/convergence.c)."""
 
 from __future__ import annotations
 
@@ -21,4 +21,4 @@ class Convergence(ctypes.Structure):
     steps below ``stagnation``. Found: ``size`` of the newest increment, rate ``theta``, ``share``.
     """
 
-    _fields_ = fields_of("convergence.c", "Convergence")
+    _fields_ = fields_of("implicit/convergence.c", "Convergence")

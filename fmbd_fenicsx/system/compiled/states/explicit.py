@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Tableau = tuple[Array, Array]  # nodes c (stages,), rows A (stages + 1, stages) with the weights last
 Stages = tuple[Array, Array, Array, Array]  # rates and accelerations (stages, n_v); xi and v at the end
 # of the model's length in a step; of velocities
-MOVES_NOTHING, SPEEDS = constants("explicit.c", "MOVES_NOTHING", "SPEEDS")
+MOVES_NOTHING, SPEEDS = constants("onestep/explicit.c", "MOVES_NOTHING", "SPEEDS")
 Found = tuple[Array, Array, int]  # a and lambda of a stage, and how many solutions that took
 
 

@@ -18,7 +18,7 @@ from .evaluation import DriverStates
 from .field_states import FactoredFieldStates
 from .stages import POINTS, PointRoom, StageRule, Stages
 
-FieldStages = structure_of("field_stages.c", "FieldStages")
+FieldStages = structure_of("implicit/field_stages.c", "FieldStages")
 MOVING = ("xi", "rate", "v", "vd")  # of points, like v
 
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 DATA = "J M G U by_q by_v by_a".split()  # of a tangent, one behind the other
 
 
-ProductPairs = structure_of("tangent.c", "Product")
-Patterns = structure_of("tangent.c", "Patterns", Product=ProductPairs)
+ProductPairs = structure_of("implicit/tangent.c", "Product")
+Patterns = structure_of("implicit/tangent.c", "Patterns", Product=ProductPairs)
 
 
 class StageStructure:

@@ -21,8 +21,8 @@ SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
 FILLED = 4  # entries of L, and of U, over those of K, that there is room for at first
 
 
-Sparse, Lower = structure_of("stages.c", "Sparse"), structure_of("stages.c", "Lower")
-Stages = structure_of("stages.c", "Stages", Sparse=Sparse)
+Sparse, Lower = structure_of("implicit/stages.c", "Sparse"), structure_of("implicit/stages.c", "Lower")
+Stages = structure_of("implicit/stages.c", "Stages", Sparse=Sparse)
 MATRICES = "by_v by_a J U".split()  # of a tangent, that C multiplies with
 POINTS = (
     "t q0 xi rate v vd mult couple inverse vectors kin low dxi dv dmult push sampled weigh moved judged local".split()

@@ -1,4 +1,4 @@
-"""Forces of a field in the driver's tables, without inertia and weight: elasticity, damping, loads; see ``driver/forms.c``."""
+"""Forces of a field without inertia and weight, in the tables (``driver/fields/forms.c``): elasticity, damping, loads."""
 
 from __future__ import annotations
 

@@ -262,7 +262,7 @@ class FieldTable:
         return store.structure(made)
 
     def sway(self, corrected: bool) -> None:
-        """Whether solutions correct moments on the frame that columns of inertia leave out, see ``driver/condensed.c``."""
+        """Whether solutions correct moments on the frame that columns of inertia leave out, see ``driver/fields/condensed.c``."""
         self.c.sways = int(corrected and self.part.shared_columns)
 
     def _columns_of_ports(self) -> dict[str, np.ndarray]:
@@ -275,7 +275,7 @@ class FieldTable:
         }
 
     def _stiffening(self) -> dict[str, int]:
-        """What a field with stiffening has beside, see ``driver/stiffened.c``."""
+        """What a field with stiffening has beside, see ``driver/fields/stiffened.c``."""
         part, d = self.part, self.tables.dim
         if part.stiffening is None:
             return {}
@@ -302,8 +302,8 @@ class FieldTable:
 
 
 class CondensedColumns:
-    """What equation (2) of ``driver/fields.c`` knows of the columns of H: S, the inverse of their compliance with the frame
-    conditions solved.
+    """What equation (2) of ``driver/fields/fields.c`` knows of the columns of H: S, the inverse of their compliance with the
+    frame conditions solved.
 
     W: H^T E^-1 H. ``at``: columns of the frame conditions. ``inertial``: how many columns are those of inertia.
     """

@@ -17,7 +17,7 @@ from .structures import Store
 if TYPE_CHECKING:
     from .layout import TableLayout
 
-FORMULAS = enumeration("SERVO", "formulas.c")
+FORMULAS = enumeration("SERVO", "forces/formulas.c")
 LINE, MOST_POINTS = enumeration("LINE").values()  # numbers that stand for a law, at each of so many points
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame

@@ -2,7 +2,7 @@
 
 The coordinates are items that are told at every evaluation, before the efforts on the coordinates that are acted on are asked
 for; markers' motions are taken from the frames that C has placed. What efforts answer to beside
-their own coordinates goes into the matrix of steps by rows (driver/links.c). The memory is taken up by accepted steps.
+their own coordinates goes into the matrix of steps by rows (driver/forces/links.c). The memory is taken up by accepted steps.
 """
 
 from __future__ import annotations

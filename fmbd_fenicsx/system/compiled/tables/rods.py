@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .layout import TableLayout
 
 # numbers of a load on a node: force, moment in world axes, then in axes of its section
-LOADED = enumeration("NODES", "rods.c")["LOADED"]
+LOADED = enumeration("NODES", "rods/rods.c")["LOADED"]
 
 
 class RodTable:

@@ -27,8 +27,8 @@ def array_of(kind: type[ctypes.Structure], count: int) -> Any:
 
 
 LANES = 8  # numbers in a line of the cache
-# vectors of ``driver/secants.c``: of pairs, and three more
-SECANTS = 2 * enumeration("PAIRS", "secants.c")["PAIRS"] + 3
+# vectors of ``driver/onestep/secants.c``: of pairs, and three more
+SECANTS = 2 * enumeration("PAIRS", "onestep/secants.c")["PAIRS"] + 3
 
 
 def zeros_of(sizes: Mapping[str, int | tuple[int, ...]]) -> dict[str, tuple[Array, int]]:

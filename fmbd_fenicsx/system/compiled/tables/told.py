@@ -1,4 +1,4 @@
-"""Parts that the driver asks Python about: lines, loaded reduced bodies, and those of the user's own, see ``driver/told.c``."""
+"""Parts that the driver asks Python about (``driver/bodies/told.c``): lines, loaded reduced bodies, the user's own."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
    long as they foretell what the wrenches do. */
 
 #include "tables.h"
-#include "rotations.c"
+#include "algebra/rotations.c"
 #include "parts.h"
 
 enum { PAIR = 2 * TWIST, PLACED = D + D * D + TWIST, SIDE = D + D * D }; /* of both markers; of one: x, R, twist; constants of a side */

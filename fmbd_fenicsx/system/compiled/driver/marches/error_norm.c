@@ -8,7 +8,7 @@ typedef struct {
     double *bases, *bent, h;           /* of rods whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
 } Norm;
 
-#include "rigid_motions.c"
+#include "marches/rigid_motions.c"
 
 /* By how much n coordinates of one kind are moved, ``least`` of which all are at least; ``unit``: what makes them lengths. */
 static void own_sizes(int n, const double *unit, const double *x, double share, double least, double factor, double *h)

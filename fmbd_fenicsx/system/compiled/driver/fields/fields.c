@@ -18,7 +18,7 @@
    large strains E turns with the body, by T since its tangent was taken: E = T E_0 T^T node by node, and p, f, S turn likewise. */
 
 #include "tables.h"
-#include "rotations.c"
+#include "algebra/rotations.c"
 #include "parts.h"
 
 /* Four sums, so that the processor adds them at once. */
@@ -50,7 +50,7 @@ static void add_column(const Field *e, int k, double c, double *U)
         for (int i = e->port_start[k - e->inertial]; i < e->port_start[k - e->inertial + 1]; i++) U[e->port_on[i]] += c * e->port[i];
 }
 
-#include "stiffened.c"
+#include "fields/stiffened.c"
 
 /* F = M A by nodes */
 static void mass_times(const Field *e, const double *A, double *F)
@@ -63,9 +63,9 @@ static void mass_times(const Field *e, const double *A, double *F)
     }
 }
 
-#include "pressure.c"
+#include "fields/pressure.c"
 
-#include "forms.c"
+#include "fields/forms.c"
 
 /* Forces without those of inertia and weight that cost more than products, found once for a state: on the nodes, and where Python tells
    them their rows of the frame. */
@@ -171,7 +171,7 @@ void frame_conditions(System *s, const Body *o, const double *lam)
     }
 }
 
-#include "condensed.c"
+#include "fields/condensed.c"
 
 /* Kinetic, elastic and potential energy of weight, added to out. */
 static void linear_energies(const Body *o, const double *R, const Motion *m, const double *gravity, double *out)

@@ -4,19 +4,19 @@
 #include <stdlib.h>
 
 #include "tables.h"
-#include "rotations.c"
+#include "algebra/rotations.c"
 #include "parts.h"
-#include "contact.c"
-#include "candidates.c"
-#include "contact_rows.c"
-#include "graph.c"
-#include "compliance.c"
-#include "blocks.c"
-#include "complementarity.c"
-#include "interior.c"
-#include "friction.c"
-#include "impulses.c"
-#include "flights.c"
+#include "contact/contact.c"
+#include "contact/candidates.c"
+#include "contact/contact_rows.c"
+#include "contact/graph.c"
+#include "contact/compliance.c"
+#include "algebra/blocks.c"
+#include "contact/complementarity.c"
+#include "contact/interior.c"
+#include "contact/friction.c"
+#include "impacts/impulses.c"
+#include "impacts/flights.c"
 
 enum { BOUNDED = AM }; /* of the parameters: whether obstacles are thin, so that points could pass through */
 static const double APPROACH = 1e-8, DEEP = 1e-4; /* as in moreau.py */

@@ -4,13 +4,13 @@
    nodes; a node that turns by theta in world axes moves its quaternion by (theta, 0) p / 2. */
 
 #include "tables.h"
-#include "rotations.c"
+#include "algebra/rotations.c"
 #include "parts.h"
 #include "strains.c"
 
 enum { NODES = 4, STRAINS = 6, Z = 11, NODAL = 7, LOADED = 12 };
 
-#include "relaxation.c"
+#include "rods/relaxation.c"
 
 /* Places and quaternions of an element's nodes, these of one sign. */
 static void rod_nodes(const System *s, const Rod *k, const int *node, double nodal[][NODAL])

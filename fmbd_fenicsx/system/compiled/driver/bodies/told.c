@@ -2,7 +2,7 @@
    forces and blocks are added to those of a rigid body on the same frame; a part on the ground has a frame that rests. */
 
 #include "tables.h"
-#include "rotations.c"
+#include "algebra/rotations.c"
 #include "parts.h"
 
 /* Rows of the frame (world axes) and of the coordinates, behind each other in f. */

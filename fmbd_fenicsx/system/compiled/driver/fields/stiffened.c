@@ -5,7 +5,7 @@
    the surfaces in use, G_r. They share a pattern and lie entry by entry, so that one pass gives all K_c U and G_r U (``bent``), and
    the numbers U K U, U' K U, U' K U' (``form``). The ports are p = B U + N y with y_r = -U G_r U / 2: columns of H that follow U. */
 
-#include "second_order.c"
+#include "bodies/second_order.c"
 
 static int stresses(const Field *e) { return e->stresses + e->bends; }
 

@@ -19,7 +19,7 @@ typedef struct {
     double *sampled[2];                        /* what depends on time only, at the end and in the middle */
 } Step;
 
-#include "mean_places.c"
+#include "onestep/mean_places.c"
 
 /* When an iteration ends, see Ends of system/compiled/states/means.py. */
 enum { LARGEST, NONE, LOST, SLOW_RATE, FASTEST, ENOUGH, ZERO, CLOSE, IDLE, NOISE };

@@ -2,10 +2,10 @@
    accelerations come in body axes. */
 
 #include "tables.h"
-#include "rotations.c"
+#include "algebra/rotations.c"
 #include "parts.h"
-#include "surfaces.c"
-#include "second_order.c"
+#include "bodies/surfaces.c"
+#include "bodies/second_order.c"
 
 /* The moments T(e_a, p) = T_a0 + sum_b eta_b T_ab of a reduced body, into U. */
 static void modal_moments(const Body *o, const double *eta)

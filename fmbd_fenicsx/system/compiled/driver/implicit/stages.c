@@ -91,7 +91,7 @@ static void soften_rows(const Stages *o)
 #define ABSOLUTE(x) fabs(x)
 #define REAL(x) (x)
 #define FREQUENCY(x) (*(x))
-#include "lu.c"
+#include "algebra/lu.c"
 #undef NUMBER
 #undef NAME
 #undef MAGNITUDE
@@ -105,7 +105,7 @@ static void soften_rows(const Stages *o)
 #define ABSOLUTE(x) cabs(x)
 #define REAL(x) creal(x)
 #define FREQUENCY(x) (*(const double complex *)(x))
-#include "lu.c"
+#include "algebra/lu.c"
 
 /* Whether points have a share in a frequency: not in one that filters errors only. */
 static int shared(const Stages *o, int f)
@@ -213,7 +213,7 @@ EXPORT int driver_points(System *s, long count, const double *t, const double *q
     return DONE;
 }
 
-#include "field_stages.c"
+#include "implicit/field_stages.c"
 
 /* What depends on time only at point j: asked for where Newton's iteration begins, the same for all ``increments`` after. */
 static int sample_point(System *s, const Stages *o, int j, int increments)
@@ -328,7 +328,7 @@ static int solve_points(System *s, Stages *o)
     return DONE;
 }
 
-#include "bends.c"
+#include "implicit/bends.c"
 
 /* One increment of all points, behind so many of this call: residuals, solutions, what they move. ``moved``: the largest lengths of dxi, dv and U dlambda, and the
    mean squares of the three by their weights; ``judged``: as of farthest_apart(). */

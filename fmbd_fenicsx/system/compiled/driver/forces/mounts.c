@@ -1,7 +1,7 @@
 /* Bushings, equation (1) of mechanics/forces/bushing.py: s and s' of two markers, an effort K s + C s' on all components at once. */
 
 #include "tables.h"
-#include "rotations.c"
+#include "algebra/rotations.c"
 #include "parts.h"
 
 enum { MOUNT_ROWS = D + ROT };
