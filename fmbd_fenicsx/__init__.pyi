@@ -186,7 +186,7 @@ from .mechanics.forces.joint_elements import elastic_stop as elastic_stop
 from .mechanics.forces.joint_elements import joint_friction as joint_friction
 from .mechanics.forces.joint_elements import motor as motor
 from .run.stepper import stepper as stepper
-from .run.accuracy.shares import relative as relative
+from .run.accuracy.search.shares import relative as relative
 from .system.sensors.elements import element_effort as element_effort
 from .system.sensors.elements import element_force as element_force
 from .system.sensors.elements import element_power as element_power

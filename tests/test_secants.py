@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.schemes.secants import DEPTH, Secants
+from fmbd_fenicsx.schemes.onestep.alpha.secants import DEPTH, Secants
 
 SPIN = 25.0  # rad/s
 

@@ -15,7 +15,7 @@ from fmbd_fenicsx.errors import ConstraintError, InputError
 from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.consistent import consistent
-from fmbd_fenicsx.schemes.jerk import jerk
+from fmbd_fenicsx.schemes.onestep.alpha.jerk import jerk
 from fmbd_fenicsx.system.layout import State
 from fmbd_fenicsx.system.system import System
 

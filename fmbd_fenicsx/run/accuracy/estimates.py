@@ -12,7 +12,6 @@ import numpy as np
 from ...log import log
 from ...notices import Gathered
 from ...schemes.error_norm import FINEST
-from ...system.scene.refined_basis import finer_system
 from ...system.scene.scene import Scene
 from ..built import Built
 from ..loads_ahead import PASSED, loads_ahead
@@ -30,6 +29,7 @@ from .deviation import Deviation, scaled
 from .equal_steps import equal_steps_error
 from .jumps_in_time import jumps_about_kinks
 from .orders import expected_orders, seen_by_ends
+from .refined_basis import finer_system
 from .search.space_levels import finer_scene, space_deviations, unended
 
 if TYPE_CHECKING:

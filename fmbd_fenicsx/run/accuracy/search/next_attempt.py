@@ -39,9 +39,9 @@ from ..equal_steps import FEWEST
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, loads_vary, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
-from ..shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .shared_runs import Orders, doubt
 from .shared_spaces import SharedSpaces
+from .shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .space_levels import UNENDED
 
 if TYPE_CHECKING:

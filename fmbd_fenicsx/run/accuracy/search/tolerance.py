@@ -35,17 +35,6 @@ from ..damped import damped_vibrations
 from ..deviation import Deviation
 from ..equal_steps import FEWEST, TimeError
 from ..estimates import warn_of_uncertain, with_damped
-from ..shares import (
-    AIM,
-    SAFE,
-    WHOLE,
-    Tolerance,
-    check_tolerances,
-    largest_share,
-    safe,
-    warn_of_still,
-    worst,
-)
 from .next_attempt import (
     AttemptPlan,
     Looked,
@@ -60,6 +49,17 @@ from .next_attempt import (
 )
 from .shared_runs import Allowed, Orders, known_orders
 from .shared_spaces import SharedSpaces
+from .shares import (
+    AIM,
+    SAFE,
+    WHOLE,
+    Tolerance,
+    check_tolerances,
+    largest_share,
+    safe,
+    warn_of_still,
+    worst,
+)
 
 ATTEMPTS = 12
 START = 100  # steps of the first attempt where no dt is given

@@ -22,7 +22,7 @@ from ....system.speed_rows import gaps, speed_rows
 from ....system.tangents.foretold_efforts import foretold_efforts
 from ...exact_tangent import Pair, exact_increment
 from ...newton import ExactTangent, Newton, above_roundoff, known_gaps
-from ...secants import Secants
+from .secants import Secants
 
 # of the model's length: after a larger increment, rows and the core's matrix are taken where it led
 FAR = 1e-4

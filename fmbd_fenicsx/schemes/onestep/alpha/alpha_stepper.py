@@ -33,11 +33,11 @@ from ....system.system import System
 from ...consistent import widest
 from ...dae import GGL
 from ...dense_output import cubic, place_within, state_within
-from ...jerk import jerk, spin_of_acceleration
 from ...newton import Newton, not_converged, strayed
 from ...stepping import Observers, TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
 from .damped_start import LEAST, LEFT, LEFT_BEHIND, MOST, damped_acceleration, on_constraints, stages
+from .jerk import jerk, spin_of_acceleration
 
 if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha

@@ -1,4 +1,5 @@
-/* What the increments of a step tell of the terms that its tangent leaves out: the algorithm of schemes/secants.py, with its names.
+/* What the increments of a step tell of the terms that its tangent leaves out: the algorithm, and the names, of
+   schemes/onestep/alpha/secants.py.
 
    A vector holds x (nv), the correction of the stabilised form (nv), y (rows); the first two are compared as lengths. */
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from ..linear.blocks.field_blocks import Weights
-from ..linear.blocks.incompressibility import volume_push
-from ..linear.condensation import StepSolver
-from ..rotations import Array, cross3
-from ..system.evaluation import Evaluation
-from ..system.layout import State
-from ..system.system import System
+from ....linear.blocks.field_blocks import Weights
+from ....linear.blocks.incompressibility import volume_push
+from ....linear.condensation import StepSolver
+from ....rotations import Array, cross3
+from ....system.evaluation import Evaluation
+from ....system.layout import State
+from ....system.system import System
 
 Defects = tuple[Array, Array, list[Array]]  # of the balance, of the constraints on accelerations, of volumes
 

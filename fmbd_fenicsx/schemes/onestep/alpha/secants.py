@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..rotations import Array
-from ..system.compiled.declarations import constants, enumeration
-from ..system.system import System
+from ....rotations import Array
+from ....system.compiled.declarations import constants, enumeration
+from ....system.system import System
 
 # an increment of the tangent, over the one made before, above which (1) is taken; share of an image that the earlier ones do not
 # have, below which it tells nothing

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...checks import typed
-from ...errors import InputError, near, require
-from ...log import log
-from ...system.scene.scene import Scene
-from .certificate import FLOOR, Certificate, Statement, moving
-from .deviation import Deviation
+from ....checks import typed
+from ....errors import InputError, near, require
+from ....log import log
+from ....system.scene.scene import Scene
+from ..certificate import FLOOR, Certificate, Statement, moving
+from ..deviation import Deviation
 
 if TYPE_CHECKING:
-    from ..result import Run
+    from ...result import Run
 
 AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
 WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...mechanics.reduction.reduced import ReducedPart, reduced_part
-from ..layout import State
-from ..system import System
+from ...system.layout import State
+from ...system.system import System
 
 
 def finer_system(system: System, state: State) -> tuple[System, State] | None:
