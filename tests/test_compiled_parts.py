@@ -16,8 +16,8 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.system.compiled.march import March
+from fmbd_fenicsx.system.compiled.tables.bodies.told import can_be_told
 from fmbd_fenicsx.system.compiled.tables.resting import RestingPart
-from fmbd_fenicsx.system.compiled.tables.told import can_be_told
 
 
 def beside_a_field(mesh: Any) -> fmbd.Scene:

@@ -14,7 +14,7 @@ from test_kernel import agree, floating
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
 from fmbd_fenicsx.materials import plane_stress
-from fmbd_fenicsx.system.compiled.tables.fields import CondensedColumns
+from fmbd_fenicsx.system.compiled.tables.bodies.fields import CondensedColumns
 
 pytestmark = compiled
 FRAMES = {"mean axis": fmbd.MeanAxis(), "attached": fmbd.Attached("pin"), "chord": fmbd.Chord("pin", "tip")}

@@ -14,7 +14,7 @@ from test_trace_ties import body, scene_of
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import saint_venant_kirchhoff
 from fmbd_fenicsx.system.compiled.choice import driver_states
-from fmbd_fenicsx.system.compiled.tables.tied import MOST
+from fmbd_fenicsx.system.compiled.tables.items.tied import MOST
 
 pytestmark = compiled
 SIDES = [(a, b) for a in ("absolute", "floating") for b in ("ground", "rigid", "absolute", "floating")]

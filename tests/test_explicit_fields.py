@@ -14,7 +14,7 @@ from fmbd_fenicsx.materials import linear_elastic, nearly_incompressible, saint_
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.system.compiled import choice
 from fmbd_fenicsx.system.compiled.march import March
-from fmbd_fenicsx.system.compiled.tables.fields import FieldTable
+from fmbd_fenicsx.system.compiled.tables.bodies.fields import FieldTable
 
 CONSTANT = (fmbd.Rattle(), fmbd.HalfExplicit(rtol=None), fmbd.ExplicitRungeKutta(rtol=None))
 OWN = (fmbd.HalfExplicit(rtol=1e-4), fmbd.ExplicitRungeKutta(rtol=1e-5))

@@ -27,8 +27,8 @@ from fmbd_fenicsx.materials import (
 from fmbd_fenicsx.mechanics.contact.contact_set import ContactSet
 from fmbd_fenicsx.schemes.impacts.contact_detection import components
 from fmbd_fenicsx.system.compiled.choice import driver_states, use_driver
-from fmbd_fenicsx.system.compiled.tables.field_forces import FieldForces
-from fmbd_fenicsx.system.compiled.tables.fields import FieldTable
+from fmbd_fenicsx.system.compiled.tables.bodies.field_forces import FieldForces
+from fmbd_fenicsx.system.compiled.tables.bodies.fields import FieldTable
 from fmbd_fenicsx.system.evaluator import NumPyEvaluator
 
 SMALL = {"elastic": linear_elastic(5e6, 0.3)}

@@ -65,7 +65,7 @@ def test_other_exceptions_of_a_variant_name_its_parameter() -> None:
 
 
 def test_scenes_of_one_structure_share_their_places() -> None:
-    from fmbd_fenicsx.system.compiled.matrix_structure import structures_kept
+    from fmbd_fenicsx.system.compiled.tables.matrix_structure import structures_kept
     from fmbd_fenicsx.system.compiled.tables.tables import Tables
 
     tables = [Tables(pendulum(length).build()[0], redundant=False) for length in (1.0, 0.5, 2.0)]

@@ -22,7 +22,7 @@ from ...system.compiled.declarations import constants
 from ...system.compiled.states.points import Metric
 from ...system.compiled.states.stage_patterns import StageStructure
 from ...system.compiled.states.stages import StageRoom
-from ...system.compiled.tables.told import is_told
+from ...system.compiled.tables.bodies.told import is_told
 from ...system.evaluation_batch import EvaluationBatch
 from ...system.layout import State
 from ...system.serialisation import Remembering, plain

@@ -17,10 +17,10 @@ from ...mechanics.forces.laws_together import mean_effort
 from ...mechanics.joints.couplings import SmoothMotion, Standing
 from ...mechanics.kinds.asked import AskedKind
 from .declarations import PYTHON, enumeration
-from .tables.item_batches import turned, turning
-from .tables.items import GIVEN, Items
+from .tables.items.item_batches import turned, turning
+from .tables.items.items import GIVEN, Items
+from .tables.items.tied import motions_of_ties
 from .tables.tables import MOTIONS, Tables
-from .tables.tied import motions_of_ties
 
 ASKED = enumeration("SAMPLE")  # what C asks for
 OUTSIDE = enumeration("OUTSIDE")["OUTSIDE"]  # an answer

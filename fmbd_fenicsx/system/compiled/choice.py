@@ -9,8 +9,8 @@ from ..system import System
 from .library import driver_library, units_of
 from .states.evaluation import DriverStates
 from .states.field_states import FieldStates
-from .tables.bodies import covers_bodies
-from .tables.items import covers
+from .tables.bodies.bodies import covers_bodies
+from .tables.items.items import covers
 from .tables.resting import twin_of
 
 STORAGE_LIMIT = 20_000_000  # numbers in the factor

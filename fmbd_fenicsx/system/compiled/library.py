@@ -17,8 +17,8 @@ from ... import kernel_cache
 from ...mechanics.kinds.library import package_kernels, processor
 from ...mechanics.rods import strains
 from .declarations import DRIVER
-from .tables.items import other_loads
-from .tables.told import is_told
+from .tables.bodies.told import is_told
+from .tables.items.items import other_loads
 
 if TYPE_CHECKING:
     from ..system import System

@@ -17,7 +17,7 @@ from ....rotations import Array
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import STORAGE_LIMIT, driver_of, solves
 from ....system.compiled.march import JointLimits, March
-from ....system.compiled.tables.fields import Block
+from ....system.compiled.tables.bodies.fields import Block
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.tables import Tables
 from ....system.compiled.tape import Tape

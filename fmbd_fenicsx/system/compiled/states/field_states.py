@@ -15,7 +15,7 @@ import numpy as np
 
 from ....rotations import Array
 from ...system import System
-from ..tables.fields import Block, parts_of
+from ..tables.bodies.fields import Block, parts_of
 from ..tables.tables import Tables
 from .evaluation import Configurations, DriverStates
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from ....rotations import Array
 from ...system import System
-from ..matrix_structure import Structure
 from ..order import Fronts
 from ..recording import Looks
-from .items import Items
+from .items.items import Items
+from .items.tied import TiedPoints
+from .matrix_structure import Structure
 from .resting import twin_of
 from .structures import Store
-from .tied import TiedPoints
 
 ONE_SIDED = ("dead", "couple", "follower", "follower_couple")
 

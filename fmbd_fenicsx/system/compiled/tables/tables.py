@@ -14,22 +14,22 @@ from ....mechanics.joints.relative import RelativeCoordinates
 from ....mechanics.kinds.frames import FRAME
 from ....rotations import Array
 from ...system import System
-from ..matrix_structure import MatrixShape, structure_of
 from ..order import RowGroup
-from ..places import fronts_of, pivots_of
-from ..sights import reaction_of, seen_places
-from .angles import angles, free_markers
-from .bodies import reduced_body, rigid_bodies, surface
-from .fields import Block, FieldTable
-from .item_batches import item_batch, of_one_sort
-from .items import READ, ROW, items_of, other_loads
+from .bodies.bodies import reduced_body, rigid_bodies, surface
+from .bodies.fields import Block, FieldTable
+from .bodies.rods import RodTable, rod_pairs
+from .bodies.told import ToldPart, is_told
+from .items.angles import angles, free_markers
+from .items.item_batches import item_batch, of_one_sort
+from .items.items import READ, ROW, items_of, other_loads
+from .items.listening import listeners
+from .items.mounts import mount_batch
+from .items.whole import WholeLoads
 from .layout import TableLayout
-from .listening import listeners
-from .mounts import mount_batch
-from .rods import RodTable, rod_pairs
+from .matrix_structure import MatrixShape, structure_of
+from .places import fronts_of, pivots_of
+from .sights import reaction_of, seen_places
 from .structures import SECANTS, array_of, structure
-from .told import ToldPart, is_told
-from .whole import WholeLoads
 
 MOTIONS = "motion", "motion_rate", "motion_second"  # of rows: s, s' and s'' of what is prescribed
 LINKS_LIMIT = 1_000_000  # entries of the rows of efforts that answer to more than their own coordinate

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....fem.factors.factor import address_of_solve
-from ....fem.integrals import Integral, tabulated
-from ....rotations import Array
+from .....fem.factors.factor import address_of_solve
+from .....fem.integrals import Integral, tabulated
+from .....rotations import Array
+from ..resting import RestingField
+from ..structures import array_of, structure
 from .field_matrices import NodeBlocks, node_matrix
-from .resting import RestingField
-from .structures import array_of, structure
 
 if TYPE_CHECKING:
-    from .layout import TableLayout
+    from ..layout import TableLayout
 
 Formed = list[tuple[Any, list[Integral]]]  # integrals, and the load (None: elasticity and damping) that they belong to
 

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....mechanics.frames import Kinematics
-from ....rotations import Array
-from ...control.controllers import ControlLoads, Reading
+from .....mechanics.frames import Kinematics
+from .....rotations import Array
+from ....control.controllers import ControlLoads, Reading
 from .items import LAW, READ, Items, of_source
 
 if TYPE_CHECKING:
-    from .layout import TableLayout
+    from ..layout import TableLayout
 
 
 class Listener:

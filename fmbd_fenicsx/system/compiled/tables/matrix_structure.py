@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .order import Fronts, RowGroup
-from .tables.structures import Store
+from ..order import Fronts, RowGroup
+from .structures import Store
 
 STRUCTURES = 16  # that are kept
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .tables.structures import structure
+from .structures import structure
 
 if TYPE_CHECKING:
-    from .tables.layout import TableLayout
+    from .layout import TableLayout
 
 
 def seen_places(tables: TableLayout) -> int:

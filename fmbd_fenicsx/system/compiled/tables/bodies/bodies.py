@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....mechanics.elastic.second_order import SecondOrder
-from ....mechanics.rods.elements import RodElements
-from ....mechanics.validity import TOO_LARGE
-from ....rotations import Array
-from ...system import System
-from ..declarations import enumeration
+from .....mechanics.elastic.second_order import SecondOrder
+from .....mechanics.rods.elements import RodElements
+from .....mechanics.validity import TOO_LARGE
+from .....rotations import Array
+from ....system import System
+from ...declarations import enumeration
+from ..items.tied import SeenByTie, covers_ties
 from ..places import rigid_places
+from ..structures import structure
 from .fields import known_field
-from .structures import structure
-from .tied import SeenByTie, covers_ties
 from .told import can_be_told, is_told
 
 if TYPE_CHECKING:
-    from .layout import TableLayout
+    from ..layout import TableLayout
 
 
 SORTS = enumeration("MEAN")  # of surfaces

@@ -1,4 +1,4 @@
-"""Ties of surfaces by field multipliers as items of kinds, see :mod:`~....mechanics.joints.trace_rows`.
+"""Ties of surfaces by field multipliers as items of kinds, see :mod:`~.....mechanics.joints.trace_rows`.
 
 What a tie sees of a side by one function of its multipliers, y = m r + R (s + p), is a point of the side's frame for the driver
 (a Surface of the sort INTEGRAL in ``driver/tables.h``), on rigid bodies one without ports; that of the ground, s, is a constant
@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....mechanics.frames import Markers
-from ....mechanics.joints.constraints import standstill
-from ....mechanics.joints.trace_rows import TiedSide, TraceRows
-from ....mechanics.kinds.derivation import kinds
-from ....rotations import Array
+from .....mechanics.frames import Markers
+from .....mechanics.joints.constraints import standstill
+from .....mechanics.joints.trace_rows import TiedSide, TraceRows
+from .....mechanics.kinds.derivation import kinds
+from .....rotations import Array
+from ..resting import RestingField
 from .items import ROW, Items
-from .resting import RestingField
 
 if TYPE_CHECKING:
-    from ...system import System
+    from ....system import System
 
 MOST = 200  # rows of ties: of more NumPy's dense matrices are found as fast
 
@@ -36,7 +36,7 @@ class SeenByTie:
 
 
 class TiedPoints:
-    """The ties of a system where all parts have frames (:mod:`.resting`): the ``system`` with their points as markers behind the
+    """The ties of a system where all parts have frames (:mod:`..resting`): the ``system`` with their points as markers behind the
     others, what each of these ``sees`` by its number, and the ``items``.
     """
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ....kernel_cache import address_of
-from ....rotations import Array
-from .structures import structure
+from .....kernel_cache import address_of
+from .....rotations import Array
+from ..structures import structure
 
 
 class NodeBlocks:

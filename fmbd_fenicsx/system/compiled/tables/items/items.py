@@ -17,18 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from ....mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
-from ....mechanics.forces.forces import Constant
-from ....mechanics.forces.formulas import Formula
-from ....mechanics.joints import constraints as ct
-from ....mechanics.joints.couplings import CouplingBatch
-from ....mechanics.joints.relative import RelativeCoordinates
-from ....mechanics.kinds.derivation import Kind, kinds
-from ....rotations import Array
-from ...control.controllers import ControlLoads
-from ...system import System
-from ..declarations import enumeration
-from ..recording import Looks
+from .....mechanics.forces.force_elements import Loads, ScalarLoads, TimeLoads
+from .....mechanics.forces.forces import Constant
+from .....mechanics.forces.formulas import Formula
+from .....mechanics.joints import constraints as ct
+from .....mechanics.joints.couplings import CouplingBatch
+from .....mechanics.joints.relative import RelativeCoordinates
+from .....mechanics.kinds.derivation import Kind, kinds
+from .....rotations import Array
+from ....control.controllers import ControlLoads
+from ....system import System
+from ...declarations import enumeration
+from ...recording import Looks
 
 ROW, LINEAR, GIVEN, LAW, READ, FORMULA, _, _ = enumeration("ROW").values()
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....mechanics.rods.elements import RodElements
-from ....mechanics.rods.relaxation import ArmMemory
-from ....mechanics.rods.sections import LinearLaw
-from ....rotations import Array
-from ..declarations import enumeration
-from .structures import structure
+from .....mechanics.rods.elements import RodElements
+from .....mechanics.rods.relaxation import ArmMemory
+from .....mechanics.rods.sections import LinearLaw
+from .....rotations import Array
+from ...declarations import enumeration
+from ..structures import structure
 
 if TYPE_CHECKING:
-    from .layout import TableLayout
+    from ..layout import TableLayout
 
 # numbers of a load on a node: force, moment in world axes, then in axes of its section
 LOADED = enumeration("NODES", "rods/rods.c")["LOADED"]

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...system import System
-from .structures import structure
+from ....system import System
+from ..structures import structure
 
 if TYPE_CHECKING:
+    from ..layout import TableLayout
     from .items import Items
-    from .layout import TableLayout
 
 
 def theta_places(system: System, items: Items) -> np.ndarray:

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ...mechanics.kinds.derivation import KERNELS, Kind
-from ...mechanics.kinds.library import kernel_address
-from .tables.items import GIVEN, READ, ROW, Items
-from .tables.layout import TableLayout
-from .tables.structures import structure
+from ....mechanics.kinds.derivation import KERNELS, Kind
+from ....mechanics.kinds.library import kernel_address
+from .items.items import GIVEN, READ, ROW, Items
+from .layout import TableLayout
+from .structures import structure
 
 
 def batch_of(tables: TableLayout, items: Items) -> Any:

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....mechanics.forces.force_elements import Loads
-from ..declarations import enumeration
-from .structures import structure
+from .....mechanics.forces.force_elements import Loads
+from ...declarations import enumeration
+from ..structures import structure
 
 if TYPE_CHECKING:
-    from .layout import TableLayout
+    from ..layout import TableLayout
 
 MOUNT = enumeration("ROW")["MOUNT"]  # the role
 

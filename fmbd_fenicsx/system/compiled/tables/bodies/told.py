@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....mechanics.placements import FrameMotion, Part
-from ....mechanics.reduction.reduced import ReducedPart
-from ....rotations import Array
-from .resting import RestingPart
-from .structures import structure
+from .....mechanics.placements import FrameMotion, Part
+from .....mechanics.reduction.reduced import ReducedPart
+from .....rotations import Array
+from ..resting import RestingPart
+from ..structures import structure
 
 if TYPE_CHECKING:
-    from .layout import TableLayout
+    from ..layout import TableLayout
 
 
 def is_told(part: Any) -> bool:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ....mechanics.forces.force_elements import Loads
-from ....mechanics.frames import Kinematics
-from ..declarations import enumeration
+from .....mechanics.forces.force_elements import Loads
+from .....mechanics.frames import Kinematics
+from ...declarations import enumeration
+from ..structures import structure
 from .mounts import squares
-from .structures import structure
 
 if TYPE_CHECKING:
-    from .layout import TableLayout
+    from ..layout import TableLayout
 
 WHOLE = enumeration("ROW")["WHOLE"]  # the role
 

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....mechanics.forces.formulas import MEMORY
-from ....rotations import Array
-from ..declarations import enumeration
+from .....mechanics.forces.formulas import MEMORY
+from .....rotations import Array
+from ...declarations import enumeration
 from ..places import batch_of
+from ..structures import Store
 from .angles import theta_places
 from .items import FORMULA, LAW, READ, ROW, Items
-from .structures import Store
 
 if TYPE_CHECKING:
-    from .layout import TableLayout
+    from ..layout import TableLayout
 
 FORMULAS = enumeration("SERVO", "forces/formulas.c")
 LINE, MOST_POINTS = enumeration("LINE").values()  # numbers that stand for a law, at each of so many points

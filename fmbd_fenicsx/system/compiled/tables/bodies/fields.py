@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from ....errors import ConvergenceError
-from ....fem.factors.factor import address_of_solve
-from ....kernel_cache import address_of
-from ....mechanics.elastic.field_part import FieldPart
-from ....mechanics.elastic.floating import FloatingField
-from ....mechanics.validity import TOO_LARGE
-from ....rotations import Array
+from .....errors import ConvergenceError
+from .....fem.factors.factor import address_of_solve
+from .....kernel_cache import address_of
+from .....mechanics.elastic.field_part import FieldPart
+from .....mechanics.elastic.floating import FloatingField
+from .....mechanics.validity import TOO_LARGE
+from .....rotations import Array
+from ..resting import RestingField
+from ..structures import structure
 from .field_forces import FieldForces, told_in_c
 from .field_matrices import FieldMatrices, node_matrix
-from .resting import RestingField
-from .structures import structure
 from .told import ToldMotion
 
 if TYPE_CHECKING:
-    from .layout import TableLayout
+    from ..layout import TableLayout
 
 FIELD_LIMIT = 50_000  # unknowns of a field: above, calls cost nothing, and the driver's copies of the matrices memory
 SIZES = 9  # of steps, whose compliances are kept

@@ -1,0 +1,1 @@
+"""Bodies, elastic fields and rods in the tables."""

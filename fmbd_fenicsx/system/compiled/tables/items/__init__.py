@@ -1,0 +1,1 @@
+"""Constraints and forces in the tables: items of kinds, in batches."""
