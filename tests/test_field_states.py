@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
@@ -136,6 +137,17 @@ def assert_equal_to_numpy(scene: fmbd.Scene) -> None:
     for name in ("constraint", "opening", "gamma"):
         assert getattr(many, name)()[0] == pytest.approx(getattr(expected, name)(), rel=1e-11, abs=1e-12), name
     assert many.jacobian.times(both[1])[0] == pytest.approx(expected.jacobian.times(v), rel=1e-12)
+
+    # increments of one configuration, and of several: counted angles of bodies without a frame are those of their surfaces
+    numpy, xi = NumPyEvaluator(system), 0.3 * rng.normal(size=(2, system.n_v))
+    xi[:, system.n_core :] *= 1e-2
+    for way in (xi[0], xi):
+        assert states.compose(q, way) == pytest.approx(moved := numpy.compose(q, way), rel=1e-13, abs=1e-13)
+        assert states.difference(q, moved, None) == pytest.approx(
+            numpy.difference(q, moved, None), rel=1e-12, abs=1e-12
+        )
+        assert states.rate(way, way) == pytest.approx(numpy.rate(way, way), rel=1e-12, abs=1e-12)
+    assert calls_of(lambda: states.compose(q, xi)) <= 16
 
 
 @compiled

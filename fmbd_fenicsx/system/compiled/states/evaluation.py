@@ -53,7 +53,8 @@ class DriverStates(CompiledGeometry):
         self.address = ctypes.addressof(self.tables.c)
         self.taken = False
         self.twin = self.tables.twin  # between arrays of the system and those of the tables
-        self.same_rows = self.twin.system is self.system
+        self.same_rows = self.twin.system is self.system  # whether the driver's configurations are the system's own
+        self.know_twin()
         n, m = self.tables.system.n_v, self.system.n_lam
         # what C reads and writes for a solution: two right-hand sides are those of a complex one
         self._given = Exchange({"q": self.tables.system.n_q, "b": (2, n), "c": (2, m)})

@@ -325,9 +325,15 @@ EXPORT int driver_columns(System *s, long count, const double *q, const double *
 /* Geometry of many increments. ``step``: numbers from one row of an array to the next, 0 where one row serves all.
 
    q0 o exp(xi): */
-EXPORT void driver_compose(const System *s, long count, const double *q0, long step, const double *xi, long xi_step, double *q)
+EXPORT int driver_compose(System *s, long count, const double *q0, long step, const double *xi, long xi_step, double *q)
 {
-    for (long i = 0; i < count; i++, q += s->nq) configuration(s, q0 + i * step, xi + i * xi_step, q);
+    const int free = turns_freely(s);
+    int verdict = DONE;
+    for (long i = 0; i < count && !verdict; i++, q += s->nq) {
+        configuration(s, q0 + i * step, xi + i * xi_step, q);
+        if (free && !(verdict = place(s, q, xi + i * xi_step))) settle_angles(s, q);
+    }
+    return verdict;
 }
 
 /* xi with q0 o exp(xi) = q1, of all rotations those nearest to the ones of ``near``, or (NULL) the smallest. */
