@@ -28,7 +28,7 @@ def test_right_hand_sides_share_directions() -> None:
 
     def solved(b: np.ndarray) -> tuple[np.ndarray, int]:
         before = known.iterations
-        x, y, z = known.solve((b, np.ones(2), np.ones(1)), image)
+        x, y, z, _ = known.solve((b, np.ones(2), np.ones(1)), image)
         assert y == pytest.approx(1.0 - rows[:2] @ x)
         assert z == pytest.approx(1.0 + rows[2:] @ x)
         return x, known.iterations - before

@@ -131,7 +131,7 @@ class FrequencySolvers(Remembering):
 def _sparse_blocks(system: System) -> bool:
     """Whether all elastic blocks are sparse matrices on one rank, with few entries."""
     parts = [part for _, part in system.fields]
-    sparse = all(p.slack is None and p.heavier is None and not p.field.carried for p in parts)
+    sparse = all(p.slack is None and p.heavier is None for p in parts)
     return sparse and system.comm.size == 1 and _entries(system) <= ENTRIES
 
 

@@ -107,6 +107,11 @@ class OfForm:
     form: Form
     forgets: ClassVar[bool] = True
 
+    @property
+    def carries_pressure(self) -> bool:
+        """Whether bodies may have a pressure that is an unknown, whose volumes are held as by index 3."""
+        return 2 not in self.form.levels
+
     def refusal(self, held: Contents) -> str:
         """Why it does not take what a scene holds."""
         return positions_refused(held, f"form={self.form.name}", self.form.levels)

@@ -66,7 +66,7 @@ class Declared:
         if held.pressures and not self.carries_pressure:
             return (
                 f'Body "{held.pressures[0]}" has a pressure that is an unknown; {name} does not solve for it. Use '
-                "GeneralizedAlpha() with form=Index3(), or energy=neo_hookean_mixed(...)."
+                "GeneralizedAlpha() with form=Index3(), Radau() or BDF(), or energy=neo_hookean_mixed(...)."
             )
         return "" if self.refusal is None else self.refusal(held)
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ...rotations import Array
+from ...schemes.dae import Index3, OfForm
 from ...schemes.declared import Declared
 from ...system.scene.scene import Scene
 from ...system.system import System
@@ -32,9 +34,12 @@ FALLING = 0.5  # order below which differences do not fall with the step: a tent
 
 def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]:
     """The order that a scheme has in each sensor: multipliers, and motion that constraints take part in, may have a lower one
-    than positions (:attr:`.Declared.orders`), and none is above that of the memories of continuous elements.
+    than positions (:attr:`.Declared.orders`), and none is above that of the memories of continuous elements. Volumes that bodies
+    keep are constraints on positions alone.
     """
-    orders = Declared.by(scheme).orders if system.blocks else None
+    keeps_volumes = any(part.field.keeps_volume for _, part in system.fields)
+    of_volumes = replace(scheme, form=Index3()) if keeps_volumes and isinstance(scheme, OfForm) else scheme
+    orders = Declared.by(of_volumes).orders if system.blocks or keeps_volumes else None
     known = (scheme.order,) * 3 if orders is None else orders
     remembers = any(len(keeper.memory_values()) for keeper in system.keepers) or seen_by_ends(system)
     highest = OF_MEMORIES if remembers else max(known)

@@ -12,7 +12,7 @@ from ...linear.condensation import StepSolver
 from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
-from ...system.compiled.states.stages import PointRoom
+from ...system.compiled.states.stages import PointRoom, StageRule
 from ...system.layout import State
 from ...system.serialisation import Remembering
 from ...system.system import System
@@ -76,6 +76,9 @@ class Equations(Remembering):
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
         raise NotImplementedError
+
+    def follow(self, dxi: Array, rule: StageRule) -> None:
+        """Move what is eliminated from them along with increments (k, n_v) of the points of :meth:`residual`."""
 
     def aligned(self, t: Array, W: Array, p: Points) -> Points:
         """Foretold stages at the times t (k,) as an iteration wants to begin; d rate = W dxi."""

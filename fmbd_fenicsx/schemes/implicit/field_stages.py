@@ -33,6 +33,7 @@ from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.compiled.states.points import PointsTold
+from ...system.compiled.states.stages import StageRule
 from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
@@ -40,6 +41,7 @@ from ...system.system import System
 from ..dae import Form, Points
 from .equations import Equations, Start
 from .stage_krylov import FieldStages, shares
+from .stage_pressures import StagePressures
 
 MASS = Weights(1.0, 0.0, 0.0)
 SHIFT = float(np.sqrt(np.finfo(float).eps))  # of a difference quotient, over the model's length
@@ -57,6 +59,7 @@ class FieldTangent:
     state: State
     ev: Evaluation
     low: Array
+    pressures: StagePressures
 
     def along(self, dq: Array, dv: Array, da: Array) -> Array:
         """Derivative of balance and rows along (dq, dv, da), one direction or many in one evaluation, complex ones by their two
@@ -72,7 +75,10 @@ class FieldTangent:
         ev = system.batch(s.t, system.compose(s.q, eps * parts[0]), s.v + eps * parts[1])
         lam = np.array([s.lam] * len(eps))
         a = s.a + eps * parts[2]
-        change = (self.form.lower(ev.balance(a, lam), ev, a) - self.low) / eps
+        with self.pressures.held(self.pressures.start):
+            change = (self.form.lower(ev.balance(a, lam), ev, a) - self.low) / eps
+        if self.pressures.fields:
+            change[:, : system.n_v] += self.pressures.stiffness(parts[0])
         change = change[:count] + 1j * change[count:] if wide else change
         return change if direction.ndim == 3 else change[0]
 
@@ -120,6 +126,7 @@ class FieldEquations(Equations):
         ),
         "solvers": worker,
         **dict.fromkeys(("metric", "_last_metric"), plain(Weights)),
+        "pressures": worker,
     }
     dense = False
 
@@ -137,6 +144,8 @@ class FieldEquations(Equations):
         self._basis: Evaluation | None = None  # where N is taken
         self._motions: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
         self._room: FieldStageRoom | None = None
+        self.pressures = StagePressures(solver)
+        self.left_motions: Array = np.zeros((1, 0))  # of frequencies, what iterations have left, as pressures see it
         self._lent: list[FrequencySolver] = []  # who solves in whole steps, and for which frequencies
 
     @property
@@ -165,6 +174,7 @@ class FieldEquations(Equations):
     # -- residuals ----------------------------------------------------------------------------------------------
     def begin(self, state: State, *, closed: bool = True) -> None:
         """Local coordinates about the state; ``closed``: with :meth:`consistent_start`, where that is asked for."""
+        self.pressures.begin(again=self._begun is state)
         if self._begun is not state:
             self._begun, self._basis = state, None
             self._last_metric = self.metric
@@ -203,24 +213,30 @@ class FieldEquations(Equations):
         return self.metric
 
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
-        """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) at the times t (k,)."""
+        """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) at the times t (k,); behind it, where bodies carry pressures, the
+        share of these in the balance.
+        """
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
         told = self._told(t, p)
         if told is not None:
             low, rates = self.form.lower(told.sums, told, p.vd), told.rates
         else:
-            ev = s.batch(t, s.compose(self.origin, p.xi), p.v)
-            a = self.accelerations(p)
-            low = self.form.lower(ev.balance(a, p.mult[:, :m]), ev, a)
+            q, a, lam = s.compose(self.origin, p.xi), self.accelerations(p), p.mult[:, :m]
+            ev = s.batch(t, q, p.v)
             rates = s.rate(p.xi, p.v)
+            if self.pressures.fields:
+                balance, pushes = self.pressures.balances([s.at(*each) for each in zip(t, q, p.v, strict=True)], a, lam)
+                low = np.concatenate((self.form.lower(balance, ev, a), pushes), axis=1)
+            else:
+                low = self.form.lower(ev.balance(a, lam), ev, a)
         self.left = low[-1, s.n_v : s.n_v + m]
         return self._lacking(p, rates), low
 
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
         states = self.system.evaluator
-        if not isinstance(states, DriverStates) or 2 in self.form.levels:
+        if not isinstance(states, DriverStates) or not self._known:
             return None
         return states.points(t, self.origin, (p.xi, p.v, p.vd), (p.mult[:, : self.system.n_lam], None, None))
 
@@ -278,8 +294,7 @@ class FieldEquations(Equations):
     def stage_room(self, frequencies: int, points: int, square: Array) -> FieldStageRoom | None:
         """Room of compiled code for increments of so many points, their lengths squared by these weights; None without any."""
         states, shape = self.system.evaluator, (frequencies, points)
-        many = self.system.n_lam > COLUMNS or 2 in self.form.levels
-        if many or not isinstance(states, DriverStates):
+        if not self._covered or not isinstance(states, DriverStates):
             return None
         if self._room is None or self._room.states is not states or self._room.shape != shape:
             self._room = FieldStageRoom(states, self.form.levels, shape, square)
@@ -296,7 +311,12 @@ class FieldEquations(Equations):
     @property
     def _covered(self) -> bool:
         """Whether compiled code adds increments of these forms."""
-        return self.system.n_lam <= COLUMNS and 2 not in self.form.levels
+        return self.system.n_lam <= COLUMNS and self._known
+
+    @property
+    def _known(self) -> bool:
+        """Whether compiled code evaluates points of these forms: pressures are not among them."""
+        return 2 not in self.form.levels and not self.pressures.fields
 
     def whole_steps(self, state: State) -> DriverStates | None:
         """As :meth:`Equations.whole_steps`: matrices have tables of their own."""
@@ -352,6 +372,11 @@ class FieldEquations(Equations):
         for states in ready:
             states.hold(None)
 
+    def follow(self, dxi: Array, rule: StageRule) -> None:
+        """As :meth:`Equations.follow`: pressures move along, and take what iterations have left of the balance."""
+        if self.pressures.fields:
+            self.pressures.move(dxi + rule.relax * (rule.vectors @ self.left_motions).real, rule.relax)
+
     def prepare(self, ev: Evaluation, weights: Weights) -> None:
         """The matrix of a step, unless it is there."""
         if not self.solver.holds(ev, weights):
@@ -392,8 +417,10 @@ class FieldEquations(Equations):
         self.jacobians += 1
         ev = self._basis = self.system.at(state.t, state.q, state.v)
         state = replace(state, lam=mult[: self.system.n_lam])
-        low = self.form.lower(ev.balance(state.a, state.lam), ev, state.a)
-        return FieldTangent(self.system, self.form, state, ev, low)
+        self.pressures.take_tangents(ev)
+        with self.pressures.held(self.pressures.start):
+            low = self.form.lower(ev.balance(state.a, state.lam), ev, state.a)
+        return FieldTangent(self.system, self.form, state, ev, low, self.pressures)
 
     def inertia(self, tangent: FieldTangent, a: Array) -> Array:
         """M a at the tangent's motion."""

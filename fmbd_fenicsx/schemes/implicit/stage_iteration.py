@@ -54,6 +54,7 @@ class StageIteration:
         change, mult = self._solved(pencil, kin, low)
         dxi, dv = change[:, :n], change[:, n:]
         couple = self.rule.couple
+        self.eq.follow(dxi, self.rule)
         self._points = Points(p.xi + dxi, p.rate + couple @ dxi, p.v + dv, p.vd + couple @ dv, p.mult + mult)
         return dxi, dv, mult
 

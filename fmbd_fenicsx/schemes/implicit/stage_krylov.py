@@ -66,9 +66,9 @@ class Directions:
         """The directions (count, n_v) and their images: motions, multipliers and further rows."""
         return [x[: self.count] for x in self._rows]
 
-    def solve(self, first: Images, image: Callable[[Array], Images]) -> Images:
+    def solve(self, first: Images, image: Callable[[Array], Images]) -> tuple[Array, Array, Array, Array]:
         """dxi with P^-1 J dxi = x, but for a share of the residual; y less the multipliers that go with dxi, z plus its further
-        rows; ``first``: x, y, z. Collective.
+        rows, and that share; ``first``: x, y, z. Collective.
 
         Raises LinearSolveError where the residual does not fall.
         """
@@ -100,7 +100,7 @@ class Directions:
             dxi, residual = dxi + share * d, residual - share * w
             y, z = y - share * reaction, z + share * row
             used, left = used + 1, self.norm(residual)
-        return dxi, y, z
+        return dxi, y, z, residual
 
     def _add(self, d: Array, image: Callable[[Array], Images]) -> None:
         """One more direction, with an image of unit size across the others."""
@@ -182,12 +182,13 @@ class FieldStages:
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
         """Increments dxi, dv side by side (p, 2 n_v) and multipliers (p, levels n_lam), for residuals r_kin (p, n_v) and r_low
-        (p, n_v + levels n_lam).
+        (p, n_v + levels n_lam); behind it the share that pressures have in the balance, where bodies carry some.
         """
         eq, n, m, L = self.eq, self.eq.system.n_v, self.eq.system.n_lam, self.eq.levels
         s, kin, low = np.array(self.s)[:, None], np.asarray(kin), np.asarray(low)
         if not any(self.wide):
             kin, low = kin.real, low.real
+        low, volumes = low[:, : n + L * m], low[:, n + L * m :]
         at = [low[:, n + level * m : n + (level + 1) * m] for level in range(L)]
 
         # slips that follow from the rows alone: their motion acts on the balance
@@ -203,7 +204,11 @@ class FieldStages:
             pull = s * at[1] - at[2]
             push = push + eq.closing(pull)
 
+        closing = self._closing_volumes(volumes)
+        if closing is not None:
+            low = low + self.t.along(closing, self._lift(s, closing), s * self._lift(s, closing))
         dxi, dlam, left = self._motions(rate, push, low)
+        dxi = dxi if closing is None else dxi + closing
         dv = self._lift(s, dxi) + rate
         mult = [dlam] if L else []
         if L > 1:  # what the motion itself adds
@@ -212,6 +217,26 @@ class FieldStages:
         if L > 2:
             mult.append(pull + left[:, m:] - s * left[:, :m])
         return np.concatenate((dxi, dv), axis=1), np.concatenate(mult, axis=1) if L else np.zeros((len(s), 0))
+
+    def _closing_volumes(self, volumes: Array) -> Array | None:
+        """Motions (p, n_v) of the frequencies whose matrices are not exact, None without any, that close what ``volumes``, shares
+        of pressures in the balance, say is open.
+
+        Rows of volumes are the same for all frequencies: a solution with any matrix closes them, by what is open times the weight
+        that the stiffness has in it. Iterations go on from there, in motions that keep the volume; on the whole residual
+        they would leave a share of what is open, to which pressures answer with the bulk modulus.
+        """
+        system = self.eq.system
+        if not self.eq.pressures.fields or all(by.exact for by in self.by):
+            return None
+        made = np.zeros((len(self.s), system.n_v), complex if any(self.wide) else float)
+        pushes = volumes if volumes.size else made  # filters of errors have none
+        for i, by in enumerate(self.by):
+            if i >= self.first and not by.exact:
+                by.prepare(self.t.ev)
+                push = pushes[i] if self.wide[i] else pushes[i].real
+                made[i] = by.solver.solve(-by.weights.ck * push, np.zeros(system.n_lam))[0]
+        return made
 
     def _rows(self, x: Array) -> Array:
         """G x (p, n_lam) at the tangent's motion."""
@@ -241,6 +266,7 @@ class FieldStages:
         slow = (self.before > 0.0) & (SLOW * self.before < sizes)
         self.before = sizes
         left = np.zeros((p, low.shape[1] - further), x.dtype)
+        self.eq.left_motions = np.zeros_like(x)
         for i in np.flatnonzero(slow | ~trusted):
             x[i], y[i], left[i] = self._iterated(i, (x[i], y[i], low[i, further:]))
         return x, self.square_of_s * y, left
@@ -272,9 +298,10 @@ class FieldStages:
             x, y, z = first
             first = x.real, y.real, z.real
         before = directions.iterations
-        dxi, dlam, rows = directions.solve(first, lambda d: self._image(i, d))
+        dxi, dlam, rows, residual = directions.solve(first, lambda d: self._image(i, d))
         used = directions.iterations - before
         self.eq.krylov += used
+        self.eq.left_motions[i] = self.square_of_s[i] * self.by[i].weights.ck * residual
         if self.by[i].exact:
             self.eq.trusted = used <= FEW
         return dxi, dlam, -rows
