@@ -1,4 +1,4 @@
-"""The ranks of a program, and one error on all of them.
+"""The ranks of a program: sums over them, and one error on all of them.
 
 An error that one rank finds is raised on all, by :func:`together`, before the next collective call; an error that leaves one rank
 alone ends the program (:mod:`.leaving`).
@@ -29,6 +29,15 @@ def world_rank() -> int:
     from mpi4py import MPI
 
     return int(MPI.COMM_WORLD.rank)
+
+
+def rank_sum(comm: Any, x: Any) -> Any:
+    """Sum of arrays over ranks in the order of ranks: the same bits everywhere; collective."""
+    if comm.size == 1:
+        return x
+    import numpy as np
+
+    return np.sum(comm.allgather(x), axis=0)
 
 
 def together(comm: Any, error: BaseException | None) -> None:

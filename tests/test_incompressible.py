@@ -34,7 +34,7 @@ def volume_gap(run: fmbd.Run) -> float:
     from dolfinx import fem, la
 
     field, U = the_field(run)
-    field._place(U)
+    field.place(U)
     q, dx = ufl.TestFunction(field.pressure), ufl.Measure("dx", field.mesh.dolfinx)
     J = ufl.det(ufl.Identity(field.dim) + ufl.grad(field._w))
     moments = []

@@ -182,7 +182,7 @@ def area(field: Any, U: Any) -> float:
     import ufl
     from dolfinx import fem
 
-    field._place(U)
+    field.place(U)
     F = ufl.Identity(2) + ufl.grad(field._w)
     return float(
         field.total(np.array(fem.assemble_scalar(fem.form(ufl.det(F) * ufl.Measure("dx", field.mesh.dolfinx)))))

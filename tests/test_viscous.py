@@ -13,6 +13,7 @@ from ufl import Identity, SpatialCoordinate, as_vector, grad, inner, sym
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.fem.fields import Field
+from fmbd_fenicsx.fem.motion_tangent import MotionTangent
 from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -82,7 +83,7 @@ def test_tangents_are_derivatives(rod_mesh: Callable[..., Any]) -> None:
     loads = [fmbd.pressure(s, 70.0, time=lambda t: 2 * t) for s in mesh.surface_names]
     field = the_field(rod(mesh, viscous=kelvin_voigt(3.0), loads=loads))
     U, rate = smooth(field, 1), smooth(field, 2)
-    field.linearise_motion(0.5, U, rate)
+    MotionTangent(field).take(0.5, U, rate)
     v, w = smooth(field, 3), smooth(field, 4)
 
     def force(s: float, r: float, d: Any) -> Any:
@@ -127,7 +128,7 @@ def ring_under_pressure() -> tuple[float, float, float]:
 def test_stiffness_of_a_pressure_keeps_newton_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     """With it a third of the iterations and half of the tangents are saved, or more; the motion is the same."""
     count, factors, moved = ring_under_pressure()
-    monkeypatch.setattr(Field, "linearise_motion", lambda self, t, U, *_: self.linearise(U))
+    monkeypatch.setattr(MotionTangent, "take", lambda self, t, U, *_: self.field.linearise(U))
     without, more, same = ring_under_pressure()
     assert count < 0.7 * without and factors < 0.6 * more, (count, without, factors, more)
     np.testing.assert_allclose(moved, same, rtol=1e-4)

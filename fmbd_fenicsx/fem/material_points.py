@@ -15,8 +15,8 @@ import numpy as np
 
 from .. import dolfinx_compat as compat
 from ..errors import InputError
+from ..ranks import rank_sum
 from ..rotations import Array
-from .fields import rank_sum
 
 CLOSE = 1e-6  # of the mesh's extent: a point so far outside of the mesh counts as on its boundary
 

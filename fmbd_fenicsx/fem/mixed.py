@@ -108,7 +108,7 @@ class MixedField(Field):
         """Assemble the blocks at the displacements U (None: zero); collective."""
         import dolfinx.fem.petsc as fp
 
-        self._place(np.zeros(self.n * self.dim) if U is None else U)
+        self.place(np.zeros(self.n * self.dim) if U is None else U)
         super().linearise(U, *extra)
         first = self._B is None
         if first:
@@ -121,9 +121,9 @@ class MixedField(Field):
             kept = self._unstressed is not None and not self.carried
             self._unstressed_B = self._B.copy() if kept else None
 
-    def _place(self, U: Array) -> None:
+    def place(self, U: Array) -> None:
         """Displacements and the pressure that belongs to them, ghosts included; collective."""
-        super()._place(U)
+        super().place(U)
         if not self.carried:
             self._take_pressure_of_law()
 
@@ -144,7 +144,7 @@ class MixedField(Field):
         """r of (2) at displacements U (n d,), int q (J - 1) for a body that keeps its volume; collective."""
         from dolfinx import fem, la
 
-        self._place(U)
+        self.place(U)
         b = fem.assemble_vector(self._balance_form)
         b.scatter_reverse(la.InsertMode.add)
         gap = b.array[: self.n_pressure].copy()
@@ -189,7 +189,7 @@ class MixedField(Field):
         from dolfinx import fem, la
 
         form, *functions = self._bias_form
-        super()._place(U)
+        super().place(U)
         for function, values in zip(functions, (V, np.zeros_like(V) if A is None else A), strict=True):
             function.x.array[: len(V)] = values
             function.x.scatter_forward()
@@ -212,7 +212,7 @@ class MixedField(Field):
 
     def constitutive_pressure(self, U: Array) -> Array:
         """The pressure that the law gives for displacements U, nu below 1/2; collective."""
-        self._place(U)
+        self.place(U)
         self._take_pressure_of_law()
         return self.pressure_values
 
@@ -288,7 +288,7 @@ class MixedField(Field):
 
     def pressure_of(self, U: Array) -> Any:
         """The pressure that belongs to displacements U (n d,), as a dolfinx function (carried: the present one); collective."""
-        self._place(U)
+        self.place(U)
         return self._p
 
     @cached_property

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..checks import check_fields
 from ..errors import require
-from ..fem.fields import rank_sum
+from ..ranks import rank_sum
 from ..rotations import Array
 from ..system.layout import State
 from ..system.lengths import farthest

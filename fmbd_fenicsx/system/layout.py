@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, near
-from ..fem.fields import rank_sum
 from ..mechanics.bodies.port_constraint import PortConstraint
 from ..mechanics.forces.force_elements import Loads
 from ..mechanics.frames import Markers
 from ..mechanics.joints.constraints import Batch
 from ..mechanics.joints.counted import CountedAngles
 from ..mechanics.placements import DistributedPart, FrameElements, Part, RigidBlock, is_distributed
+from ..ranks import rank_sum
 from ..rotations import Array, Motions
 
 

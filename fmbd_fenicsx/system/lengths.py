@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..fem.fields import rank_sum
+from ..ranks import rank_sum
 from ..rotations import Array
 from .layout import Layout
 

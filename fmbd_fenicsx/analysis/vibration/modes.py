@@ -18,9 +18,9 @@ import numpy as np
 from ...agreement import OneAnswer
 from ...checks import typed
 from ...errors import InputError, require
-from ...fem.fields import rank_sum
 from ...linear.condensation import StepSolver
 from ...mechanics.elastic.modes import squares_of_frequencies
+from ...ranks import rank_sum
 from ...rotations import Array
 from ...schemes.consistent import consistent
 from ...system.layout import State

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...errors import require
 from ...fem.factors.factor import Factor, InC, PetscFactor, address_of_solve
-from ...fem.fields import Field, rank_sum
+from ...fem.fields import Field
+from ...ranks import rank_sum
 from ...rotations import Array
 from ..residual import Judge
 

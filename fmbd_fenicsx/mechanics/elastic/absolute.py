@@ -18,6 +18,7 @@ import numpy as np
 from ...fem.fields import Field
 from ...fem.initial import initial_fields
 from ...fem.mean_forces import MeanForces
+from ...fem.motion_tangent import MotionTangent
 from ...rotations import Array
 from ..body import Placed, Site
 from ..frames import polar_rotation
@@ -40,6 +41,7 @@ class AbsoluteField(FieldPart):
 
     def __init__(self, field: Field, ground: int, surfaces: list[str]) -> None:
         super().__init__(field, ground, surfaces, np.zeros((field.n * field.dim, 0)))
+        self.tangent = MotionTangent(field)
         self.origin = np.zeros(field.dim)
         per = field.dim * (1 + field.dim)
         for k in range(len(self.surfaces)):
@@ -81,7 +83,7 @@ class AbsoluteField(FieldPart):
     @property
     def foretells(self) -> bool:
         """Bodies with a stored energy: see :mod:`fmbd_fenicsx.fem.foretold_stress`."""
-        return self.field.foretells
+        return self.tangent.foretells
 
     def relinearise(
         self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Array | None = None
@@ -101,14 +103,14 @@ class AbsoluteField(FieldPart):
         self.turn_at_tangent = self.mean_rotation(at.U)
         if self.field.rest_damping is not None:
             self.field.rest_damping.turn(self.turn_at_tangent)
-        self.field.linearise_motion(at.t, at.U, at.Ud, at.increment)
+        self.tangent.take(at.t, at.U, at.Ud, at.increment)
         self._tangent_at = at
 
     def _first_tangent(self) -> None:
         self.turn_at_tangent = np.eye(self.field.dim)
         if self.field.rest_damping is not None:
             self.field.rest_damping.turn(self.turn_at_tangent)
-        self.field.linearise_motion(0.0, np.zeros(self.n), np.zeros(self.n))
+        self.tangent.take(0.0, np.zeros(self.n), np.zeros(self.n))
 
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:

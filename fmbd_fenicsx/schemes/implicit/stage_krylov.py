@@ -31,9 +31,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import LinearSolveError
-from ...fem.fields import rank_sum
 from ...linear.frequency_solvers import FrequencySolver
 from ...linear.residual import Judge
+from ...ranks import rank_sum
 from ...rotations import Array
 from ...system.compiled.states.convergence import Convergence
 from ...system.compiled.states.field_stages import FieldStageRoom

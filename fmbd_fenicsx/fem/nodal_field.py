@@ -1,0 +1,137 @@
+"""Nodes of an elastic body, their masses and its surfaces: what a displacement field is without its elasticity.
+
+For displacements u in V_h (Lagrange, any degree) and material points X, in body axes,
+
+    M_ij = int rho phi_i phi_j,     Q = [M 1_k, M (e_k x X)]                                                 (1)
+
+and, for every surface in use, the moments b_0, b_k of ``mechanics.frames`` as rows T of weights on its nodes. All of it is
+assembled once. Arrays hold the nodes that this rank owns; sums over all ranks are made in a fixed order, so that
+replicated numbers are equal on all ranks to the last bit.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import dolfinx_compat as compat
+from ..ranks import rank_sum, together
+from ..rotations import Array, motions
+from .assembly import on_components
+from .density import density_on, mean_density
+from .rigid_constants import RigidConstants
+from .surfaces import Moments
+
+if TYPE_CHECKING:
+    from .elastic_forms import ElasticForms
+    from .numbering import Numbering
+
+
+class NodalField:
+    """Nodes and inertia of one displacement field on one mesh; collective to build.
+
+    Attributes: ``X`` (n, d) owned nodes (m, relative to the centre of mass), ``X_world`` (n, d) those of the mesh,
+    ``mass_total`` (kg), ``center`` (d,), ``inertia`` (n_rot, n_rot) about the centre of mass, ``Q`` (n d, n_twist),
+    ``n`` owned nodes, ``M`` the mass matrix of one component.
+    """
+
+    def __init__(self, name: str, mesh: Any, forms: ElasticForms) -> None:
+        import dolfinx.fem.petsc as fp
+        import ufl
+        from dolfinx import fem
+
+        compat.check_versions()
+        self.name, self.forms, self.mesh = name, forms, mesh
+        msh = mesh.dolfinx
+        self.comm = msh.comm
+        self.dim = d = mesh.dim
+        self.motions = motions(d)
+
+        # one numbering of nodes for displacements and for what has one component
+        self.space = fem.functionspace(msh, ("Lagrange", forms.degree, (d,)))
+        self.n = self.space.dofmap.index_map.size_local
+        self.n_global = self.space.dofmap.index_map.size_global * d
+        self.scalar_space = scalar = fem.functionspace(msh, ("Lagrange", forms.degree))
+        same = np.array_equal(self.space.dofmap.list, scalar.dofmap.list)
+        together(self.comm, None if same else RuntimeError("DOLFINx numbered scalar and vector spaces differently"))
+
+        # inertia: the same of every component
+        p, q = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
+        self.rho = density_on(mesh, forms.density)
+        self.M = fp.assemble_matrix(compat.form(self.rho * p * q * mesh.dx))
+        self.M.assemble()
+        self.redistributed = False  # whether masses were moved between nodes, see replace_mass
+        self._of_component = [self.M.createVecRight(), self.M.createVecLeft()]
+        self.known_moments: dict[str, Moments] = {}  # by surface; another field of the same body may take them
+        self._rigid_properties()
+
+    # -- inertia ------------------------------------------------------------------------------------------------
+    def mass(self, A: Array) -> Array:
+        """M A for nodal vectors, (n, d) -> (n, d)."""
+        x, y = self._of_component
+        out = np.empty_like(A)
+        for k in range(self.dim):
+            x.array[:] = A[:, k]
+            self.M.mult(x, y)
+            out[:, k] = y.array
+        return out
+
+    def mass_matrix(self) -> Any:
+        """The scalar mass matrix on each component of vectors (aij); collective. The caller destroys it."""
+        return on_components(self.M, self.dim)
+
+    @cached_property
+    def mass_form(self) -> Any:
+        """The compiled form of M on vectors."""
+        import ufl
+
+        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        return compat.form(self.rho * ufl.inner(u, v) * self.mesh.dx)
+
+    @cached_property
+    def mean_density(self) -> float:
+        """Mass over volume, kg/m^3; collective."""
+        return mean_density(self)
+
+    def replace_mass(self, M: Any) -> None:
+        """Use another scalar mass matrix with the same layout from now on (see ``mechanics.contact.mass``); collective."""
+        self.M.destroy()
+        self.M, self.redistributed = M, True
+        self._rigid_properties()
+
+    def _rigid_properties(self) -> None:
+        """What (1) says of the field as a rigid body; collective."""
+        self.X_world = self.space.tabulate_dof_coordinates()[: self.n, : self.dim]
+        found = RigidConstants.of(self.X_world, self.mass, self.total, self.motions, self.comm)
+        self.mass_total, self.center, self.inertia, self.size = found.mass, found.center, found.inertia, found.size
+        self.X, self.Q = found.X, found.Q
+
+    # -- nodes and surfaces -------------------------------------------------------------------------------------
+    def total(self, x: Array) -> Array:
+        """Sum of a rank-local contribution over the ranks."""
+        return rank_sum(self.comm, x)
+
+    def points(self, U: Array) -> Array:
+        """P = X + U, (n, d)."""
+        return self.X + U.reshape(-1, self.dim)
+
+    def moments(self, surface: str) -> Moments:
+        """Moments of a named surface, assembled at first use; collective."""
+        known = self.known_moments
+        if surface not in known:
+            known[surface] = Moments(self.scalar_space, self.mesh, surface, self.center, self.n)
+        return known[surface]
+
+    @cached_property
+    def numbering(self) -> Numbering | None:
+        """Numbers of the nodes that do not depend on the ranks; None for fields that every rank holds whole. Collective."""
+        from .numbering import Numbering
+
+        return Numbering(self.space)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects; collective."""
+        for x in (self.M, *self._of_component):
+            x.destroy()
