@@ -135,9 +135,11 @@ def _finite(x: np.ndarray) -> bool:
     return bool(np.isfinite(x).all())
 
 
-def vector(what: str, value: Any, *, size: int | None = None, zero: bool = True) -> np.ndarray:
-    """Finite numbers, (size,). In the plane (2) a third number may follow when it is zero; ``zero``: all may be zero."""
-    wanted = f"{'a vector of' if size is None else size} finite numbers" + ("" if zero else ", not all zero")
+def vector(what: str, value: Any, *, size: int | None = None, zero: bool = True, other: str = "") -> np.ndarray:
+    """Finite numbers, (size,). In the plane (2) a third number may follow when it is zero; ``zero``: all may be zero; ``other``:
+    what else may stand there.
+    """
+    wanted = f"{'a vector of' if size is None else size} finite numbers" + ("" if zero else ", not all zero") + other
     found = array(what, value, shape=wanted)
 
     if size == 2 and found.shape == (3,):

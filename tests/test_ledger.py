@@ -46,7 +46,7 @@ def machine(dim: int) -> fmbd.Scene:
 def test_works_of_rigid_elements_explain_the_energy(dim: int) -> None:
     coarse, fine, run = rests(lambda: machine(dim), 0.5, 5e-3)
     book = run.ledger
-    assert {"drive", "motor", "bearing", "friction", "stay", "push", "gravity ramp"} == set(book.work)
+    assert {"drive", "motor", "bearing", "friction", "stay", "push", "gravity"} == set(book.work)
     assert np.abs(book.change).max() > 0.3
     assert fine < 1e-3 * np.abs(book.change).max() and 3.4 < coarse / fine < 4.6, (coarse, fine)
     assert book["friction"][-1] < 0 < book["drive"][-1]

@@ -168,9 +168,9 @@ def _share(run: Run, name: str, error: float, share: float, order: float) -> str
 
 def conservative(scene: Scene) -> bool:
     """Whether the exact motion of a scene keeps the sum of the recorded energies: no loads, drives, damping,
-    gravity ramp.
+    gravity that changes.
     """
-    if scene.gravity is not None and scene.gravity_ramp > 0:
+    if scene.gravity_changes:
         return False
     if not all(body.keeps_energy for body in scene.bodies.values()):
         return False
@@ -201,7 +201,7 @@ def _ledger(run: Run) -> list[str]:
             "numerical loss", f"{loss:.3g} J{share}; largest deviation {np.abs(total - total[0]).max():.2g} J"
         )
     else:
-        lines += _entry("numerical loss", "not separable: loads, drives, damping or a gravity ramp do work here")
+        lines += _entry("numerical loss", "not separable: loads, drives, damping or gravity that changes do work here")
     return lines
 
 

@@ -57,7 +57,7 @@ def _growth(system: System, energy: dict[str, Array], times: Array) -> None:
     total: Array = sum(energy.values(), start=np.zeros(len(times)))
     turnover = max(float(np.max(energy["kinetic"] + energy["elastic"] + np.abs(energy["springs"]))), 0.0)
 
-    weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
+    weight = system.mass * system.gravity.size * system.length
 
     growth = float(np.max(total) - total[0])
     much = GROWTH * (turnover + weight)

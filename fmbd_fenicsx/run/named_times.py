@@ -32,6 +32,7 @@ def named_times(scene: Scene, begin: float, end: float) -> Array:
     for part in (*scene.forces.values(), *scene.joints.values(), *scene.bodies.values(), *scene.contacts.values()):
         for function in _functions(part):
             found.take(function, DEPTH)
+    found.take(scene.gravity, DEPTH)
     times = np.unique([t for t in found.instants(end - begin) if begin < t < end])
     between = 0.5 * (times[1:] + times[:-1])
     columns = [x[(x > begin) & (x < end)] for x in found.columns]

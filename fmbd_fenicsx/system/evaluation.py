@@ -266,8 +266,7 @@ class Evaluation:
     def _found_energies(self) -> dict[str, float]:
         s = self.system
         assert self.v is not None
-        # a ramp of gravity is over: potential energy is that of the full weight
-        g = s.gravity(np.inf)
+        g = s.gravity.lasting
         kinetic, elastic, weight = 0.0, 0.0, 0.0
         if s.rigid is not None:
             kinetic, weight = s.rigid.energies(self.pose, self.twist, g)

@@ -10,7 +10,7 @@ body axes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -26,6 +26,7 @@ from ..mechanics.joints.counted import CountedAngles
 from ..mechanics.placements import DistributedPart, FrameElements, Part, RigidBlock, is_distributed
 from ..ranks import rank_sum
 from ..rotations import Array, Motions
+from .gravity import Gravity
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ class Layout:
     batches: tuple[tuple[Batch, np.ndarray], ...]  # with the numbers of their rows in lambda
     port_constraints: tuple[tuple[PortConstraint, slice], ...]
     forces: tuple[Loads, ...]
-    gravity: Callable[[float], Array]
+    gravity: Gravity
     blocks: tuple[RowBlock, ...]
     length: float  # characteristic length of the model, m
     mass: float  # total mass, kg

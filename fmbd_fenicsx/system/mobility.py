@@ -394,7 +394,7 @@ def stiffnesses(system: System) -> Array:
 def _units(system: System) -> list[str]:
     """Sizes that suggest other units than m, kg, s."""
     notes = []
-    g = float(np.linalg.norm(system.gravity(np.inf)))
+    g = system.gravity.size
     if g > 0 and not 1.0 < g < 30.0:
         notes.append(f"gravity is {g:g} m/s^2; in SI units it is 9.81 on Earth")
     if not 1e-4 < system.length < 1e5:

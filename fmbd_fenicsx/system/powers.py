@@ -77,10 +77,10 @@ def _moved(ev: Evaluation, state: State, k: int) -> tuple[FrameMotion, tuple[Arr
 
 
 def _weight(ev: Evaluation) -> dict[str, float]:
-    """What gravity gives beyond the weight's energy, which is that of its final value."""
-    missing = ev.system.gravity(ev.t) - ev.system.gravity(np.inf)
+    """What gravity gives beyond the weight's energy, which is that of its lasting value."""
+    missing = ev.system.gravity(ev.t) - ev.system.gravity.lasting
 
-    return {"gravity ramp": float(missing @ ev.momenta()[0])} if missing.any() else {}
+    return {"gravity": float(missing @ ev.momenta()[0])} if missing.any() else {}
 
 
 def contact_works(state: State) -> dict[str, float]:

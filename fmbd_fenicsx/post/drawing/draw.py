@@ -74,9 +74,7 @@ def direction_up(run: Run, view: View) -> Array:
     if view.up is not None:
         given = np.asarray(view.up, dtype=float)
         return np.asarray(given / np.linalg.norm(given))
-    g = np.zeros(3)
-    if run.scene.gravity is not None and run.system.motions.dim == 3:
-        g[: len(run.scene.gravity)] = run.scene.gravity
+    g = run.system.gravity.usual if run.system.motions.dim == 3 else np.zeros(3)
     size = float(np.linalg.norm(g))
     return np.asarray(-g / size) if size > 0 else np.array([0.0, 1.0, 0.0])
 
@@ -108,9 +106,9 @@ def _bounds(drawing: Drawing, at: Places) -> tuple[Array, Array]:
 
 def _floor_fits(run: Run, pieces: list[Piece]) -> bool:
     """In space, under gravity, without an obstacle that is a ground itself."""
-    heavy = run.scene.gravity is not None and any(run.scene.gravity)
-
-    return run.system.motions.dim == 3 and heavy and not any(p.role is Role.OBSTACLE for p in pieces)
+    return (
+        run.system.motions.dim == 3 and run.system.gravity.size > 0 and not any(p.role is Role.OBSTACLE for p in pieces)
+    )
 
 
 def _floor(bounds: tuple[Array, Array], up: Array) -> Piece:

@@ -43,8 +43,7 @@ def closed(scene: Scene, system: System) -> bool:
     driven = any(batch.driven for batch, _ in system.batches)
     moved = any(tie.motion is not None for tie in scene.ties.values())
     forced = any(not isinstance(f, ScalarLoads) or _gives(f) for f in system.forces)
-    ramp = scene.gravity is not None and scene.gravity_ramp > 0
-    return not (worked or driven or moved or forced or ramp or scene.unilateral or scene.sliders)
+    return not (worked or driven or moved or forced or scene.gravity_changes or scene.unilateral or scene.sliders)
 
 
 def _gives(loads: ScalarLoads) -> bool:
@@ -60,7 +59,7 @@ class Watch(Remembering):
 
     def __init__(self, system: System, state: State) -> None:
         self.system, self.rejections = system, 0
-        self.weight = system.mass * float(np.linalg.norm(system.gravity(0.0))) * system.length
+        self.weight = system.mass * system.gravity.size * system.length
         self.turnover, self.highest = 0.0, -float("inf")
         self.strained, self.time = strain_energy(system), state.t
         self.settling = SETTLING + 1 if system.parts else 1

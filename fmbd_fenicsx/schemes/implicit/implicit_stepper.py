@@ -91,7 +91,7 @@ class ImplicitStepper(ImplicitMarch):
         """Say that a spring is too stiff for Newton's iteration with one tangent for several configurations."""
         name, lost = foretold_efforts(self.system).lost(self.state.q)
         system = self.system
-        weight = system.mass * max(float(np.linalg.norm(system.gravity(np.inf))), acceleration)
+        weight = system.mass * max(system.gravity.size, acceleration)
         if lost > self.lost * weight > 0:  # at rest without loads nothing can be lost
             log.warning(
                 'the effort of spring "%s" is known to %.1e N only, by roundoff of places times its stiffness, where forces are '

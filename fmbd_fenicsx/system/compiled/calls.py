@@ -55,7 +55,7 @@ class Calls:
         # loads, gravity and targets of laws, as far as these depend on time
         self.loaded = [_load_of(tables, x) for x in tables.sources if x.load is not None]
         self.given = [x for x in tables.sources if x.role == GIVEN and x.given is not None]
-        self.ramp = bool((self.system.gravity(0.0) != self.system.gravity(np.inf)).any())
+        self.heavier = not self.system.gravity.steady
         formulas = ((x.arrays, x.formula) for x in tables.sources if x.formula is not None)
         self.targets = [
             (arrays["constants"], [_moving(x) for x in formula.targets])
@@ -68,7 +68,7 @@ class Calls:
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
         timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
         slower = any(_differentiated(motion) for motion, _ in self.prescribed)
-        tables.c.samples = int(self.ramp or any(timed)) + int(slower)
+        tables.c.samples = int(self.heavier or any(timed)) + int(slower)
 
         self.written: int = self._list_timed()  # numbers
         self.answers = self._answers()
@@ -97,7 +97,7 @@ class Calls:
         written += [x.arrays["effort"] for x in self.given]
         written += [constants for constants, _ in self.targets]
         written += [rod.load for rod in self.loaded_rods]
-        written += [tables.arrays["gravity"]] if self.ramp else []
+        written += [tables.arrays["gravity"]] if self.heavier else []
 
         store = tables.store
         tables.c.timed = len(written)
@@ -206,7 +206,7 @@ class Calls:
             constants[:, TARGET : TARGET + 2] = [target(t) for target in targets]
         for rod in self.loaded_rods:
             rod.sample(t)
-        if self.ramp:
+        if self.heavier:
             tables.arrays["gravity"][:] = self.system.gravity(t)
 
     def _effort(self, items: Items, t: float) -> None:

@@ -20,13 +20,13 @@ from ...mechanics.joints.joints import Joint, ground
 from ...mechanics.rods.rods import Rod
 from ...rotations import Array, Motions, motions
 from ..configurations import count
+from ..gravity import gravity_of
 from ..layout import RowBlock, State
 from ..sensors.sensor import Sensor
 from ..system import System
 from .break_points import tell_break_points
 from .force_batches import build_loads
 from .going_on import go_on
-from .gravity import gravity_of
 from .joints import JointRows, counted_angles
 from .model_length import model_length
 from .point_masses import at_its_place, attitude_of, refuse_angles, refuse_turning
@@ -114,7 +114,7 @@ class Builder:
             batches=rows.batches,
             port_constraints=rows.port_constraints,
             forces=forces,
-            gravity=gravity_of(scene, self.m.dim),
+            gravity=gravity_of(scene.name, scene.gravity, scene.gravity_ramp, self.m.dim, scene.begins),
             blocks=rows.blocks,
             length=self.length(),
             mass=self._mass(rigid),

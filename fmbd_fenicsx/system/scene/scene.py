@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Any
 
-from ...checks import array, check_fields, instance, number, shown, vector, word
+from ...checks import array, check_fields, instance, number, shown, word
 from ...errors import InputError, near, require
 from ...log import log
 from ...mechanics.body import Body
@@ -18,6 +18,7 @@ from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.limits import JointLimit
 from ...mechanics.parts import ScenePart
+from ..gravity import GivenGravity, check_gravity
 from ..layout import State
 from ..mobility import Mobility, check, loose_bodies
 from ..sensors.sensor import Sensor
@@ -74,7 +75,7 @@ class Scene:
 
     Args:
         name: what messages call the scene.
-        gravity: acceleration in m/s^2, world axes, (d,) or (3,); None for no gravity.
+        gravity: acceleration in m/s^2, world axes, (d,) or (3,), or a function of time (s) that gives it; None for no gravity.
         gravity_ramp: duration (s) of a smooth switch-on of gravity; 0 for gravity from the start.
         settle: start at rest in the static equilibrium near the given placement (loads of t = 0) instead of in the placement.
         breakpoints: times (s) at which loads or drives are not smooth: steps end there, equal ones too, which are fitted in
@@ -83,7 +84,7 @@ class Scene:
     """
 
     name: str
-    gravity: Sequence[float] | None = None
+    gravity: GivenGravity = None
     gravity_ramp: float = 0.0
     breakpoints: Sequence[float] = ()
     settle: bool = False
@@ -124,8 +125,8 @@ class Scene:
             empty = type(value) is dict and not value  # as all are in a new scene
             value = Parts(value if empty else self._fitting(name, value))
             value.scene, value.what = self, PLACES[name][1]
-        if name == "gravity" and value is not None:
-            vector(f'Scene "{self.__dict__.get("name", "")}": gravity', value)
+        if name == "gravity":
+            check_gravity(f'Scene "{self.__dict__.get("name", "")}": gravity', value)
         if name == "breakpoints" and not (isinstance(value, tuple) and not value):
             what = f'Scene "{self.__dict__.get("name", "")}": breakpoints'
             require(
@@ -172,6 +173,11 @@ class Scene:
         instance(f'Sensor "{name}": quantity', quantity, Sensor)
         self.sensors[name] = quantity.in_scene(name, self)
         return name
+
+    @property
+    def gravity_changes(self) -> bool:
+        """Whether gravity depends on time."""
+        return callable(self.gravity) or (self.gravity is not None and self.gravity_ramp > 0)
 
     @property
     def begins(self) -> float:

@@ -72,7 +72,7 @@ def stiff_ties(system: System, acceleration: float) -> StiffTies:
 
 
 def _stiff_ties(system: System, acceleration: float) -> StiffTies:
-    weight = _lightest(system) * (float(np.linalg.norm(system.gravity(np.inf))) or acceleration)
+    weight = _lightest(system) * (system.gravity.size or acceleration)
     linear = (loads for loads in system.forces if type(loads) is ScalarLoads)
     springs = tuple((loads, which) for loads in linear if len(which := _stiff(system, loads, weight)))
     if not springs:

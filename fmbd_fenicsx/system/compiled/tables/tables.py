@@ -213,7 +213,7 @@ class Tables(TableLayout):
         widest = int(self.width.max(initial=0))
         given = {
             "gravity": s.gravity(0.0),
-            "rest_gravity": s.gravity(np.inf),
+            "rest_gravity": s.gravity.lasting,
             "units": s.units,
             "row_units": s.row_units,
             "multiplier_units": s.multiplier_units,
