@@ -16,6 +16,10 @@ from .ranks import together
 
 OLDEST = (0, 9)
 NOT_COMPILED = "Failed just-in-time compilation"  # how DOLFINx begins to say so
+OTHER_MESH = (
+    "it holds coordinates or functions of another mesh than that of its measure. The body may be taken to a finer mesh: write "
+    "x = ufl.SpatialCoordinate(dx.ufl_domain())"
+)
 SLOW = 1.0  # s: a form that is kept is there in a hundredth of it
 JIT_OPTIONS: dict[str, Any] = {"timeout": 600}  # wait for another process that compiles the same form
 
@@ -167,6 +171,7 @@ def form(ufl_form: Any) -> Any:
     One that is not kept from earlier runs takes seconds, which is then said.
     """
     from dolfinx import fem
+    from ufl import Mesh
 
     modules = _modules()
     sort = ("a functional", "a linear form", "a bilinear form")[len(ufl_form.arguments())]
@@ -185,6 +190,11 @@ def form(ufl_form: Any) -> Any:
         # raised on all ranks, of which only the first knows why
         if str(error).startswith(NOT_COMPILED):
             together(ufl_form.ufl_domain().ufl_cargo().comm, error)
+        raise
+    except KeyError as error:
+        # UFL numbers the meshes of measures only
+        if isinstance(error.args[0], Mesh):
+            raise TypeError(OTHER_MESH) from error
         raise
     finally:
         saying.cancel()

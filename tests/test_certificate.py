@@ -161,6 +161,33 @@ def test_a_tolerance_that_cannot_be_kept_gives_the_best_run(rod_mesh: Callable[.
     assert "was not reached" in caplog.text
 
 
+def test_an_error_in_space_that_is_not_known_is_no_singular_corner(rod_mesh: Callable[..., Any], caplog: Any) -> None:
+    """At the highest degree, of a mesh that cannot be refined, it was said that the sensor sees one."""
+    scene = loaded(rod_mesh(dim=2, h=0.25, height=0.1), 2)
+    body = scene.bodies["rod"]
+    fixed = with_bodies(scene, {"rod": body.with_(mesh=replace(body.mesh, recipe=None))})
+    run = fmbd.solve(fixed, t_end=0.1, dt=1e-3, tol={"tip": 1e-7})
+    assert run.history[-1].meshes == 1
+    assert "not known once the meshes were refined: no finer space" in caplog.text and "corner" not in caplog.text
+
+
+def test_a_form_that_holds_the_coarse_mesh_is_told_when_that_is_refined(rod_mesh: Callable[..., Any]) -> None:
+    """It was "KeyError: Mesh(...)"."""
+    import ufl
+
+    scene = loaded(rod_mesh(dim=2, h=0.25, height=0.1), 2)
+    body = scene.bodies["rod"]
+    mesh, law = body.mesh, body.elastic
+
+    def graded(u: Any, v: Any, dx: Any) -> Any:
+        stiffer = 1.0 + ufl.SpatialCoordinate(mesh.dolfinx)[0]
+        return law(stiffer * u, v, dx) + law(u, stiffer * v, dx)
+
+    held = with_bodies(scene, {"rod": body.with_(elastic=graded)})
+    with pytest.raises(InputError, match="coordinates or functions of another mesh.*SpatialCoordinate"):
+        refined(held).build()
+
+
 @pytest.mark.parametrize(
     ("tol", "message"),
     [
@@ -204,9 +231,8 @@ def test_a_scene_with_finer_bodies_shares_nothing_with_the_old_one_but_what_is_e
     assert finer_space(reduced)[0].bodies["rod"].source.degree == 3
     with pytest.raises(InputError, match="no reduced body"):
         more_modes(scene, scene.build()[0])
-    unsized = replace(scene.bodies["rod"].mesh.recipe, parameters={"dim": 2})
-    with pytest.raises(MeshError, match=r"give its script the cell size, read_gmsh\(\.\.\., h=0\.1\)"):
-        replace(scene.bodies["rod"].mesh, recipe=unsized).refined()
+    with pytest.raises(MeshError, match="it was not read by read_gmsh or read_mesh"):
+        replace(scene.bodies["rod"].mesh, recipe=None).refined()
 
 
 def test_orders_of_nothing_that_falls_are_found() -> None:

@@ -149,6 +149,44 @@ def test_a_finished_mesh_has_its_edges_halved(dim: int, shared_tmp: Path) -> Non
         assert after.center == pytest.approx(before.center, abs=1e-13)
 
 
+ROUND = """
+Point(1) = {0, 0, 0}; Point(2) = {100, 0, 0}; Point(3) = {-100, 0, 0};
+Circle(1) = {2, 1, 3}; Circle(2) = {3, 1, 2};
+Curve Loop(1) = {1, 2}; Plane Surface(1) = {1};
+Physical Surface("disc") = {1}; Physical Curve("rim") = {1, 2};
+Mesh.MeshSizeMax = 60;
+Mesh 2;
+"""
+SCRIPT = """
+def build(gmsh, size=60.0):
+    disc = gmsh.model.occ.addDisk(0, 0, 0, 100, 100)
+    gmsh.model.occ.synchronize()
+    gmsh.model.addPhysicalGroup(2, [disc], name="disc")
+    gmsh.model.addPhysicalGroup(1, [1], name="rim")
+    gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+    gmsh.model.mesh.generate(2)
+"""
+
+
+@pytest.mark.parametrize(("name", "text"), [("disc.geo", ROUND), ("disc.py", SCRIPT)])
+def test_halved_edges_of_a_round_shape_in_millimetres_meet_it(name: str, text: str, shared_tmp: Path) -> None:
+    """They were put on the shape in mm of a mesh in m, a disc of 98 m; scripts without a cell size ``h`` were not refined."""
+    from dolfinx import fem
+
+    file = shared_tmp / name
+    file.write_text(text)
+    mesh = read_gmsh(file, scale=1e-3)
+    missing = []
+    for _ in range(3):
+        assert np.linalg.norm(mesh.dolfinx.geometry.x, axis=1).max() == pytest.approx(0.1, rel=1e-6)
+        area = fem.assemble_scalar(fem.form(fem.Constant(mesh.dolfinx, 1.0) * mesh.dx))
+        missing.append(np.pi * 0.01 - area)
+        mesh = mesh.refined()
+    assert missing[0] / missing[1] == pytest.approx(4.0, rel=0.1) and missing[1] / missing[2] == pytest.approx(
+        4.0, rel=0.1
+    )
+
+
 def write_rod(file: Path, dim: int) -> None:
     """The rod of meshes/rod.py as a finished mesh."""
     import gmsh

@@ -16,7 +16,7 @@ from ...checks import instance, number
 from ...errors import InputError, MeshError, near
 from ...rotations import Array
 from .checks import check_model
-from .mesh import Mesh, distributed, require_file
+from .mesh import Mesh, distributed, halve_edges, require_file
 
 Where = Callable[[Array], Any]
 """Which points belong to a surface: x (3, n) in m -> n truth values."""
@@ -55,7 +55,7 @@ def read_cad(
     number("read_cad: h", h, above=0.0, unit="m")
     number("read_cad: scale", scale, above=0.0)
 
-    def load(gmsh: Any) -> Any:
+    def load(gmsh: Any, halvings: int) -> Any:
         require_file(path)
         gmsh.option.setNumber("Geometry.OCCScaling", scale)
         try:
@@ -70,6 +70,7 @@ def read_cad(
 
         gmsh.option.setNumber("Mesh.MeshSizeMax", h)
         gmsh.model.mesh.generate(3)
+        halve_edges(gmsh, halvings)
         gmsh.model.addPhysicalGroup(3, [solids[0][1]], name=volume)
         for name, where in surfaces.items():
             gmsh.model.addPhysicalGroup(2, _faces(gmsh.model, name, where, (path, h)), name=name)
@@ -164,7 +165,7 @@ def read_mesh(
     path = Path(instance("read_mesh: source", source, (str, Path)))
     number("read_mesh: scale", scale, above=0.0)
 
-    def load(gmsh: Any) -> Any:
+    def load(gmsh: Any, halvings: int) -> Any:
         require_file(path)
         found = _read(path)
         points, dim, cells = _body(path, found, volume, scale)
@@ -175,6 +176,7 @@ def read_mesh(
                 f"{path}: no named set makes a surface. There is: {_content(found)}. Name one by surfaces={{...}}."
             )
         _model(gmsh, (points, dim, cells), named, volume or "body")
+        halve_edges(gmsh, halvings)
         return check_model(gmsh.model, str(path), volume or "body")
 
     return distributed(load, str(path), comm)

@@ -25,13 +25,14 @@ from ...ranks import together
 from ...rotations import motions
 from .checks import Checked, check_model, name_of_volumes
 
-Loader = Callable[[Any], Checked]  # fills a gmsh session
+Loader = Callable[[Any, int], Checked]  # fills a gmsh session with a mesh whose edges are halved so many times
+SIZES = ("h", "counts", "cells")  # parameters of scripts by which cells become smaller
 SMALLEST = 1e-12  # area of a surface over extent^(d - 1)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a mesh was made by a script, and where it was placed."""
+    """How a mesh was made by a script with the size of its cells, or their numbers, and where it was placed."""
 
     source: Path
     volume: str | Sequence[str] | None
@@ -47,17 +48,15 @@ class Recipe:
             p["h"] = 0.5 * p["h"]
         elif p.get("counts") is not None:
             p["counts"] = tuple(2 * n for n in p["counts"])
-        elif "cells" in p:
-            p["cells"] = 2 * p["cells"]
         else:
-            raise MeshError(f"{label} cannot be refined: give its script the cell size, read_gmsh(..., h=0.1).")
+            p["cells"] = 2 * p["cells"]
         mesh = read_gmsh(self.source, volume=self.volume, comm=self.comm, scale=self.scale, **p)
         return _placed(mesh, self.placed)
 
 
 @dataclass(frozen=True)
 class FinishedMesh:
-    """How a finished mesh was loaded into gmsh, how often its edges were halved since, and where it was placed."""
+    """How a mesh is loaded into gmsh, how often its edges were halved since, and where it was placed."""
 
     load: Loader
     comm: Any
@@ -66,16 +65,7 @@ class FinishedMesh:
 
     def halved(self, label: str) -> Mesh:
         """The mesh with every edge halved; collective."""
-        count = self.halvings + 1
-
-        def load(gmsh: Any) -> Checked:
-            found = self.load(gmsh)
-            for _ in range(count):
-                gmsh.model.mesh.refine()
-            return found
-
-        mesh = distributed(load, label, self.comm)
-        return _placed(replace(mesh, recipe=replace(self, halvings=count, placed=())), self.placed)
+        return _placed(distributed(self.load, label, self.comm, self.halvings + 1), self.placed)
 
 
 def _placed(mesh: Mesh, places: tuple[tuple[Any, Any], ...]) -> Mesh:
@@ -112,13 +102,13 @@ class Mesh:
         )
 
     def refined(self) -> Mesh:
-        """The mesh of half the cell size; collective. By its script, at the same place, so that curved sides are met better; of a
-        finished mesh every edge is halved, and its sides stay as they are.
+        """The mesh of half the cell size, at the same place; collective.
 
-        A script must take the cell size ``h``, or the numbers of ``cells`` or ``counts``, and must have been given it.
+        By its script where that was given the cell size ``h``, or the numbers of ``cells`` or ``counts``; else every edge is
+        halved. Either way curved sides are met better where gmsh knows the shape; sides of a finished mesh stay as they are.
 
         Raises:
-            MeshError: the script was given no cell size, or nobody knows where the mesh is from.
+            MeshError: nobody knows where the mesh is from.
         """
         if self.recipe is None:
             raise MeshError(f"{self.label} cannot be refined: it was not read by read_gmsh or read_mesh.")
@@ -234,14 +224,15 @@ def read_gmsh(
         word("read_gmsh: volume", name)
     number("read_gmsh: scale", scale, above=0.0)
     path = Path(source)
-    made = distributed(lambda gmsh: _load(gmsh, path, parameters, volume, scale), str(path), comm)
-    if path.suffix != ".py":
+    made = distributed(lambda gmsh, n: _load(gmsh, path, parameters, (volume, scale, n)), str(path), comm)
+    sized = any(parameters.get(name) is not None for name in SIZES)
+    if path.suffix != ".py" or not sized:
         return made
     return replace(made, recipe=Recipe(path, volume, made.dolfinx.comm, parameters, scale))
 
 
-def distributed(load: Loader, label: str, comm: Any = None) -> Mesh:
-    """The mesh that ``load``(gmsh) makes on rank 0 in an open gmsh session, checked there; collective over ``comm``.
+def distributed(load: Loader, label: str, comm: Any = None, halvings: int = 0) -> Mesh:
+    """The mesh that ``load``(gmsh, halvings) makes on rank 0 in an open gmsh session, checked there; collective over ``comm``.
 
     ``load`` returns what :func:`check_model` does. An error of rank 0 is raised on all ranks, under the ``label``.
     """
@@ -254,7 +245,7 @@ def distributed(load: Loader, label: str, comm: Any = None) -> Mesh:
         try:
             gmsh.initialize(interruptible=False)
             gmsh.option.setNumber("General.Terminal", 0)
-            found = load(gmsh)
+            found = load(gmsh, halvings)
         except Exception as exc:  # sent to all ranks
             told = f"{label}: {type(exc).__name__}: {exc}"
             if "OpenCASCADE" in told:
@@ -272,7 +263,7 @@ def distributed(load: Loader, label: str, comm: Any = None) -> Mesh:
             gmsh.finalize()
 
     msh.topology.create_connectivity(checked.dim - 1, checked.dim)
-    made_by = FinishedMesh(load, comm)
+    made_by = FinishedMesh(load, comm, halvings)
     name = name_of_volumes(checked.volumes)
     return Mesh(msh, facets, checked.surfaces, name, checked.label, made_by, checked.others, checked.volumes, cells)
 
@@ -283,10 +274,17 @@ def require_file(path: Path) -> None:
         raise MeshError(f"Mesh file {path} does not exist (looked in {Path.cwd()}).")
 
 
+def halve_edges(gmsh: Any, times: int) -> None:
+    """Halve every edge of a model's mesh so many times; new nodes lie on its shape, in whose units the mesh has to be."""
+    for _ in range(times):
+        gmsh.model.mesh.refine()
+
+
 def _load(
-    gmsh: Any, path: Path, parameters: dict[str, Any], volume: str | Sequence[str] | None, scale: float
+    gmsh: Any, path: Path, parameters: dict[str, Any], wanted: tuple[str | Sequence[str] | None, float, int]
 ) -> Checked:
-    """Rank 0: build or open the model, check it, keep one body."""
+    """Rank 0: build or open the model, check it, keep one body; ``wanted``: its volume, scale and halvings."""
+    volume, scale, halvings = wanted
     require_file(path)
 
     if path.suffix == ".py":
@@ -304,6 +302,7 @@ def _load(
             raise MeshError(f"{path} is a finished mesh: parameters {sorted(parameters)} have no meaning for it.")
         gmsh.open(str(path))
 
+    halve_edges(gmsh, halvings)
     if scale != 1.0:
         gmsh.model.mesh.affineTransform([scale, 0, 0, 0, 0, scale, 0, 0, 0, 0, scale, 0])
     return check_model(gmsh.model, str(path), volume)

@@ -117,8 +117,7 @@ def refined(scene: Scene) -> Scene:
 
     if not found:
         raise InputError(
-            f'Scene "{scene.name}": no mesh can be refined. Meshes made by a script with a cell size h (or cells, counts) can, '
-            "finished meshes, and degrees below 3"
+            f'Scene "{scene.name}": no mesh can be refined. Those of read_gmsh, read_cad and read_mesh can, and degrees below 3.'
         )
     return with_bodies(scene, found)
 

@@ -176,7 +176,7 @@ def next_plan(
 
     # spaces
     limits = _limits(over)
-    if why := _do_not_fall(plan, over["space"], limits["space"]):
+    if why := _do_not_fall(plan, over["space"], limits["space"], certificate.unstated.get("space", "")):
         return None, why
     try:
         made, changes = _finer_spaces(plan, run, (over, limits), shared)
@@ -222,11 +222,15 @@ def _iterate_further(shared: SharedSpaces, over: float) -> str:
     return ""
 
 
-def _do_not_fall(plan: AttemptPlan, over: float, limit: float) -> str:
-    """That finer meshes have not helped, where they have not; ``over``: errors in space over the tolerance."""
+def _do_not_fall(plan: AttemptPlan, over: float, limit: float, unstated: str) -> str:
+    """That finer meshes have not helped, where they have not; ``over``: errors in space over the tolerance, not finite where they
+    are ``unstated`` for that reason.
+    """
     before = np.inf if plan.before is None else plan.before[1]
     if over <= limit or over <= max(before / FALLS, 1.0):
         return ""
+    if unstated and np.isinf(over):
+        return f"errors in space are not known once the meshes were refined: {unstated}"
     return (
         f"errors in space do not fall with the cells: {before:.2g} times the tolerance, {over:.2g} times after the meshes were "
         "refined. The sensor sees a singular corner, or jumps: take one that is a mean over a surface or over time"
