@@ -141,6 +141,25 @@ def test_a_run_is_taken_up(scheme: Any, tmp_path: Path) -> None:
     at_every_step(lambda: chain((1e-3, 1.0), 1e12), tmp_path, (3, 10), t_end=0.2, scheme=scheme)
 
 
+@pytest.mark.parametrize("stages", [2, 3])
+@pytest.mark.parametrize(("mass", "length", "k"), [(1.0, 1.0, 1e18), (1e-15, 1e9, 1e18)], ids=str)
+def test_own_steps_see_no_roundoff_of_efforts(mass: float, length: float, k: float, stages: int) -> None:
+    """Places tell the effort of such a spring, and its energy, to far more than the weight of the pendulum."""
+
+    def pendulum(bob: fmbd.PointMass, tie: Any) -> Any:
+        scene = fmbd.Scene("pendulum", gravity=(0.0, -G * length))
+        scene.add(bob, tie)
+        scene.sensor("place", fmbd.position(bob))
+        return fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(stages, rtol=1e-6))
+
+    ends = {"point_a": (0.0, 0.0), "point_b": (length, 0.0)}
+    rigid, stiff = (fmbd.PointMass("bob", mass, (length, 0.0)) for _ in range(2))
+    exact = pendulum(rigid, fmbd.distance("tie", fmbd.ground, rigid, **ends))
+    run = pendulum(stiff, fmbd.Spring("tie", fmbd.ground, stiff, **ends, stiffness=k, length=length))
+    assert run["place"][-1] == pytest.approx(exact["place"][-1], abs=1e-5 * length) and not run.warnings
+    assert run.counters["steps"] <= 1.5 * exact.counters["steps"]
+
+
 def test_which_springs_are_ties() -> None:
     """Those that hang on their weight by less than a millionth; soft ones, laws of a user's own and angles stay forces."""
     scene = chain((1.0, 1.0), 1e10)

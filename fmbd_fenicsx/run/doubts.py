@@ -23,14 +23,13 @@ from ..system.layout import State
 from ..system.mobility import tell_of_modes
 from ..system.scene.scene import Scene
 from ..system.system import System
-from .judges.energy_check import closed, strain_energy
+from .judges.energy_check import closed, roundoff_energy, strain_energy
 from .recording.recorder import Recorder
 
 GROWTH = 0.02
 SLIP = 0.02
 APART = 1e-3  # of the model's length
-ROUNDOFF = 1e-12  # of the model's length
-PLACES = 100 * float(np.finfo(float).eps)  # the same, of places in one step
+PLACES = 100 * float(np.finfo(float).eps)  # of the model's length, roundoff of places in one step
 HALVINGS = 10
 SHARE = 0.05  # of the steps
 SETTLING = 10  # records, of the first steps
@@ -43,7 +42,7 @@ def warn_of_doubts(
     """Say what is doubtful in a run; collective."""
     system = solver.system
     if recorder.energies and closed(scene, system):
-        _growth(system, recorder.energy, recorder.times)
+        _growth(system, recorder.energy, recorder.times, start)
     _halvings(counters)
     _impacts(counters)
     _open_velocities(recorder, counters)
@@ -52,7 +51,7 @@ def warn_of_doubts(
     tell_of_modes(system.at(start.t, start.q))
 
 
-def _growth(system: System, energy: dict[str, Array], times: Array) -> None:
+def _growth(system: System, energy: dict[str, Array], times: Array, start: State) -> None:
     """(1): steps that each gain little are not refused, many of them add up."""
     total: Array = sum(energy.values(), start=np.zeros(len(times)))
     turnover = max(float(np.max(energy["kinetic"] + energy["elastic"] + np.abs(energy["springs"]))), 0.0)
@@ -60,8 +59,9 @@ def _growth(system: System, energy: dict[str, Array], times: Array) -> None:
     weight = system.mass * system.gravity.size * system.length
 
     growth = float(np.max(total) - total[0])
+    step = float(np.min(np.diff(times), initial=np.inf))  # between two records
     much = GROWTH * (turnover + weight)
-    if growth <= much or growth <= much + _roundoff(system, times):
+    if growth <= much or growth <= much + roundoff_energy(system, start.q, step, strain_energy(system)):
         return
 
     # only at first: the start, not the step, is to blame
@@ -78,14 +78,6 @@ def _growth(system: System, energy: dict[str, Array], times: Array) -> None:
             "does not follow the motion. Take a smaller dt, fmbd.Radau() or fmbd.EnergyMomentum()",
             growth, total[0], np.max(total),
         )  # fmt: skip
-
-
-def _roundoff(system: System, times: Array) -> float:
-    """Energy (J) of a body at rest in roundoff: of its places between two records, and of strains; collective."""
-    step = float(np.min(np.diff(times), initial=np.inf))
-    speed = ROUNDOFF * system.length / step
-
-    return float(system.mass * speed**2 + strain_energy(system))
 
 
 def _halvings(counters: Mapping[str, float]) -> None:

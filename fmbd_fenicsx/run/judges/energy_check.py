@@ -4,7 +4,7 @@
 
 with T and V the largest kinetic and elastic energies so far (of springs and potentials the size), L the length of the model and
 m g its weight: the energy that can turn into motion. R is the energy of roundoff, which bodies at rest have too: of motion by
-1e-12 (L + |x|) in a step, of strains of 1e-12.
+1e-12 (L + |x|) in a step, of strains of 1e-12, of springs in elongations by 16 eps (L + |x|).
 
 Damping at high frequencies in the linear sense is no protection: a stiff spring that turns by half a radian in a step makes
 generalized-alpha with rho_inf = 0.9 gain a factor of thirty. Scenes with anything that may do work (loads in time, drives, laws
@@ -23,6 +23,8 @@ import numpy as np
 from ...errors import ConvergenceError
 from ...mechanics.forces.effort_laws import EffortLaw
 from ...mechanics.forces.force_elements import ScalarLoads
+from ...rotations import Array
+from ...schemes.newton import LEFT_OF_PLACES
 from ...schemes.stepping import UNOBSERVED, Around, Observers, TimeStepper
 from ...system.evaluation import Evaluation
 from ...system.layout import State
@@ -102,12 +104,7 @@ class Watch(Remembering):
 
     def _roundoff(self, state: State) -> float:
         """R of (1) for a step that ends in a state, J."""
-        h = state.t - self.time
-        s = self.system
-        places = s.poses(state.q)[:, : s.motions.dim]
-        far = s.length + float(np.abs(places).max(initial=0.0))
-        speed = ROUNDOFF * far / h if h > 0 else 0.0
-        return self.system.mass * speed**2 + self.strained
+        return roundoff_energy(self.system, state.q, state.t - self.time, self.strained)
 
     def count(self, before: State, gain: float, stop: bool) -> None:
         """One more step from ``before`` taken back; raises ConvergenceError when it must ``stop``."""
@@ -122,6 +119,16 @@ class Watch(Remembering):
 def strain_energy(system: System) -> float:
     """Elastic energy (J) of all bodies in strains of the size of roundoff; collective."""
     return sum(abs(float(part.field.energy(ROUNDOFF * part.field.X.ravel()))) for _, part in system.fields)
+
+
+def roundoff_energy(system: System, q: Array, h: float, strained: float) -> float:
+    """R of (1) for a step of h (s) that ends with q, beside ``strained`` of :func:`strain_energy`, J."""
+    places = system.poses(q)[:, : system.motions.dim]
+    far = system.length + float(np.abs(places).max(initial=0.0))
+    speed = ROUNDOFF * far / h if h > 0 else 0.0
+    springs = (loads for loads in system.forces if isinstance(loads, ScalarLoads))
+    sprung = sum(float(x.k.sum()) * x.relative.size(system.length) ** 2 for x in springs)
+    return system.mass * speed**2 + strained + sprung * (LEFT_OF_PLACES * far / system.length) ** 2
 
 
 class Guarded(Around):

@@ -13,9 +13,11 @@ from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import PointRoom, StageRule
+from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.serialisation import Remembering
 from ...system.system import System
+from ..consistent import MASS
 from ..dae import Form, Points, Unconstrained
 
 Start = tuple[Array, Array, Array]  # an increment of q, v and a
@@ -36,6 +38,7 @@ class Equations(Remembering):
         self.residuals = self.jacobians = 0
         self.left: Array = np.zeros(system.n_lam)  # the first rows of the form at the last point
         self.origin: Array = np.zeros(0)
+        self._last_metric = MASS  # of the step before: its errors across the constraints are of least size in it
         self._closed: State | None = None
         self._start: Start = (self.origin,) * 3
 
@@ -130,7 +133,25 @@ class Equations(Remembering):
         return self._start
 
     def _closed_start(self, state: State) -> Start:
-        raise NotImplementedError
+        """Moved across the constraints alone, accelerations too: the balance that a step has ended with is not asked again."""
+        s, zero = self.system, np.zeros(self.system.n_v)
+        ev = s.at(state.t, state.q, state.v)
+        self.prepare(ev, self._last_metric)
+
+        def closed(gap: Array) -> Array:
+            return self.solver.solve(zero, -gap)[0]
+
+        dq = closed(ev.constraint()) if 0 in self.form.levels else zero
+        q = s.compose(state.q, dq)  # rows turn by dq
+        v = state.v + closed(s.at(state.t, q, state.v).opening())
+        ev = s.at(state.t, q, v)
+        a = state.a + closed(ev.jacobian.times(state.a) + ev.gamma())
+        return dq, v, a
+
+    def prepare(self, ev: Evaluation, weights: Weights) -> None:
+        """The matrix of a step, unless it is there."""
+        if not self.solver.holds(ev, weights):
+            self.solver.prepare(ev, weights)
 
     # -- whole steps in compiled code -----------------------------------------------------------------------------
     @property

@@ -38,12 +38,12 @@ from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
+from ..consistent import MASS
 from ..dae import Form, Points
 from .equations import Equations, Start
 from .stage_krylov import FieldStages, shares
 from .stage_pressures import StagePressures
 
-MASS = Weights(1.0, 0.0, 0.0)
 SHIFT = float(np.sqrt(np.finfo(float).eps))  # of a difference quotient, over the model's length
 ROUNDED_UP = 1.1  # what a step may be longer than the one proposed, whose safety allows it
 ROUNDOFF = 1e-14  # of rates, over their largest
@@ -139,7 +139,6 @@ class FieldEquations(Equations):
         self._equal = False  # whether all steps, of which none was made so far, are to have one size
         self._estimates = False  # whether steps end with :meth:`consistent_start`
         self.metric = MASS  # of the corrections N c: the matrix P of the step
-        self._last_metric = MASS  # of the step before: its errors across the constraints are of least size in it
         self._begun: State | None = None
         self._basis: Evaluation | None = None  # where N is taken
         self._motions: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
@@ -377,11 +376,6 @@ class FieldEquations(Equations):
         if self.pressures.fields:
             self.pressures.move(dxi + rule.relax * (rule.vectors @ self.left_motions).real, rule.relax)
 
-    def prepare(self, ev: Evaluation, weights: Weights) -> None:
-        """The matrix of a step, unless it is there."""
-        if not self.solver.holds(ev, weights):
-            self.solver.prepare(ev, weights)
-
     def accelerations(self, p: Points) -> Array:
         """a = v' + N e, (k, n_v)."""
         slips = self._slips(p.mult, 2)
@@ -395,21 +389,6 @@ class FieldEquations(Equations):
         """With the matrix of the step, which is at hand when the next one begins."""
         self._estimates = True
         return super().consistent_start(state)
-
-    def _closed_start(self, state: State) -> Start:
-        s, zero = self.system, np.zeros(self.system.n_v)
-        ev = s.at(state.t, state.q, state.v)
-        self.prepare(ev, self._last_metric)
-
-        def closed(gap: Array) -> Array:
-            return self.solver.solve(zero, -gap)[0]
-
-        dq = closed(ev.constraint()) if 0 in self.form.levels else zero
-        q = s.compose(state.q, dq)  # rows turn by dq
-        v = state.v + closed(s.at(state.t, q, state.v).opening())
-        ev = s.at(state.t, q, v)
-        a = state.a + closed(ev.jacobian.times(state.a) + ev.gamma())
-        return dq, v, a
 
     # -- derivatives --------------------------------------------------------------------------------------------
     def refresh(self, state: State, mult: Array) -> FieldTangent:
