@@ -63,6 +63,44 @@ def test_small_steps_that_were_asked_for_are_no_news(planned: int, largest: floa
     solver.destroy()
 
 
+def far_away(far: float) -> fmbd.Scene:
+    """1 kg on a spring of 1e12 N/m, so far (m) from the origin."""
+    mass = fmbd.PointMass("bob", 1.0, (far + 1.0, far))
+    scene = fmbd.Scene("far", gravity=(0.0, -9.81))
+    ends = {"point_a": (far, far), "point_b": (far + 1.0, far)}
+    scene.add(mass, fmbd.Spring("spring", fmbd.ground, mass, **ends, stiffness=1e12, length=1.0))
+    return scene
+
+
+def ends_after(scene: fmbd.Scene, h: float, says: str, *, longer: float = 1.0, most: int = 5000) -> int:
+    """How many steps of h (s), each so many times as long as the one before, a run of 1 s makes before it is refused."""
+    from dataclasses import replace
+
+    system, state, _ = scene.build()
+    solver = StepSolver(system)
+    watched, t, k = Forecast(solver, 0.0, 1.0, 0), 0.0, 0
+    try:
+        for k in range(1, most + 1):
+            t += h * longer**k
+            watched.note(replace(state, t=t))
+    except fmbd.errors.ConvergenceError as error:
+        assert "Steps do not come away from t = " in str(error) and says in str(error)
+    finally:
+        solver.destroy()
+    return k
+
+
+def test_forces_that_are_roundoff_end_the_run() -> None:
+    assert ends_after(far_away(1e9), 1e-6, "Places are known to 3.6e-06 m here") == 300
+    assert ends_after(far_away(0.0), 1e-6, "") == 5000
+
+
+def test_steps_without_end_that_do_not_grow_end_the_run() -> None:
+    """1e12 of them; the beginning of a vibration that damping ends takes as short ones, which grow."""
+    assert ends_after(far_away(0.0), 1e-12, 'The fastest period is 6.3e-06 s, of body "bob"') == 2100
+    assert ends_after(far_away(0.0), 1e-12, "", longer=1.0001) == 5000
+
+
 def parallelogram(lift: float) -> fmbd.Scene:
     """Two legs and a bar of one length, the legs turned by ``lift`` (rad) out of the position in which all lie on one line."""
     turn = np.cos(lift), np.sin(lift)

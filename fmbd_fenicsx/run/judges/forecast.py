@@ -9,6 +9,11 @@ with K the stiffness of springs, joint springs and other force elements. Elastic
 a singular position, which the smallest singular value of G over the largest tells, no period is to blame: constraints almost
 depend on each other there, and its inverse amplifies what they are open by. Error control that has fallen to a thousandth of its
 pace there, and would need ten millions of steps, does not come away again: the run ends when that has gone on for some hundreds.
+So does one whose forces are roundoff: where places known to eps |x| answer with accelerations above those of the motion,
+
+    16 eps |x| K_ii / M_ii  >  0.1 (|g| + v^2 / L)                                                               (2)
+
+and one that would need ten milliards of steps, as soon as a thousand of them are no longer than those before.
 """
 
 from __future__ import annotations
@@ -19,7 +24,9 @@ from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver
 from ...linear.configuration_warnings import CLOSE
 from ...log import log
+from ...schemes.newton import LEFT_OF_PLACES
 from ...system.layout import State
+from ...system.lengths import farthest
 from ...system.mobility import nearly_dependent
 from ...system.tangents.force_tangent import force_tangent
 
@@ -29,6 +36,10 @@ TIMES = 10  # the planned ones, where steps are constant
 HOPELESS = 1e7  # steps that a run at a singular position does not make
 FALLEN = 1e-3  # of the pace before
 PATIENCE = 3  # looks, one after another
+ENDLESS = 1e10  # steps that no run makes
+STEADY = 1000  # steps whose pace is compared with that of as many before
+GROWN = 1.001  # the least growth of a pace
+DROWNED = 0.1  # of the accelerations of a motion
 LOOKED_AT = 2000  # constraints up to which their singular values are found
 
 
@@ -45,11 +56,12 @@ class Forecast:
         self.counted = 0  # steps at the time ``since``
         self.pace = 0.0  # s a step, the largest of all looks
         self.stuck = 0  # looks
+        self.back: tuple[int, float, float] | None = None  # steps, time and pace (s a step) of a look a thousand before
 
     def note(self, state: State, steps: int = 1) -> None:
         """So many more steps, or parts of steps, the last of which ended in ``state``; collective.
 
-        Raises ConvergenceError where steps of error control do not come away from a singular position.
+        Raises ConvergenceError where steps of error control stay too small to end.
         """
         self.taken += steps
         recent = self.taken - self.counted
@@ -64,26 +76,52 @@ class Forecast:
 
         # as fast as of late up to the end
         needed = self.taken + (self.t_end - state.t) / pace
-        if not self.said and needed >= max(MANY, TIMES * self.asked):
+        many = needed >= max(MANY, TIMES * self.asked)
+        if many and not self.said:
             self.said = True
             log.warning(
                 "t = %g s: the last %d steps or parts of steps took %.2g s; at this pace the run needs about %.1e. %s",
                 state.t, recent, advanced, needed, reason(self.solver, state),
             )  # fmt: skip
 
-        hopeless = not self.planned and needed > HOPELESS and pace < FALLEN * self.pace
-        near = singular(self.solver, state) if hopeless else ""
-        self.stuck = self.stuck + 1 if near else 0
+        if self.planned:
+            return
+        why = self._hopeless(state, pace, needed) if many else ""
+        self.stuck = self.stuck + 1 if why else 0
         if self.stuck == PATIENCE:
-            raise ConvergenceError(
-                f"Steps do not come away from t = {state.t:.9g} s: the last {PATIENCE * recent} took {pace:.1e} s each, and the "
-                f"run would need about {needed:.0e}. {near} A form that holds positions passes more easily, such as fmbd.GGL()."
-            )
+            raise endless(state.t, PATIENCE * recent, pace, needed, why)
+        if not self._grown(state) and needed >= max(ENDLESS, TIMES * self.asked):
+            raise endless(state.t, STEADY, pace, needed, reason(self.solver, state))
+
+    def _hopeless(self, state: State, pace: float, needed: float) -> str:
+        """Why steps of error control stay as small as they are, as sentences, or nothing; collective."""
+        fallen = needed > HOPELESS and pace < FALLEN * self.pace
+        if fallen and (near := singular(self.solver, state)):
+            return f"{near} A form that holds positions passes more easily, such as fmbd.GGL()."
+        return drowned(self.solver, state)
+
+    def _grown(self, state: State) -> bool:
+        """Whether steps are longer than a thousand steps ago, where so many were made since."""
+        taken, t, before = self.back or (self.taken, state.t, 0.0)
+        steps = self.taken - taken
+        if self.back is not None and steps < STEADY:
+            return True
+        pace = (state.t - t) / max(steps, 1)
+        self.back = self.taken, state.t, pace
+        return not before or pace > GROWN * before
+
+
+def endless(t: float, steps: int, pace: float, needed: float, why: str) -> ConvergenceError:
+    """The error of a run at t (s) whose last steps took ``pace`` (s) each."""
+    return ConvergenceError(
+        f"Steps do not come away from t = {t:.9g} s: the last {steps} took {pace:.1e} s each, and the run would need about "
+        f"{needed:.0e}. {why}"
+    )
 
 
 def reason(solver: StepSolver, state: State) -> str:
     """Why steps are small in a state, as far as it tells, as a sentence; collective."""
-    return singular(solver, state) or fastest(solver, state)
+    return singular(solver, state) or drowned(solver, state) or fastest(solver, state)
 
 
 def singular(solver: StepSolver, state: State) -> str:
@@ -101,23 +139,46 @@ def singular(solver: StepSolver, state: State) -> str:
     )
 
 
-def fastest(solver: StepSolver, state: State) -> str:
-    """The shortest period (1) and its body, as a sentence; collective."""
+def drowned(solver: StepSolver, state: State) -> str:
+    """That roundoff of places moves a body on its springs more than forces do (2), as sentences, or nothing; collective."""
+    s = solver.system
+    ratio, body = stiffest(solver, state)
+    if not ratio > 0:
+        return ""
+    known = LEFT_OF_PLACES * farthest(s, state.q)
+    pushed = ratio * known
+    moves = float(np.linalg.norm(s.gravity(state.t))) + s.max_abs(state.v) ** 2 / s.length
+    if not pushed > DROWNED * moves:
+        return ""
+    return (
+        f'Places are known to {known:.1e} m here, which the springs of body "{body}" answer with accelerations of {pushed:.1e} '
+        f"m/s^2; those of the motion are {moves:.1e} m/s^2. Put the origin into the scene, replace stiff springs by joints, or "
+        "give light bodies more mass."
+    )
+
+
+def stiffest(solver: StepSolver, state: State) -> tuple[float, str]:
+    """The largest K_ii / M_ii (1/s^2) of a coordinate of a frame and its body; 0 where no spring is there; collective."""
     s = solver.system
     ev = s.at(state.t, state.q, state.v)
     applied = force_tangent(ev, 0.0, 1.0) if s.forces else None
     if applied is None or applied.core is None or not s.n_frames:
-        return "No spring is there to blame: look for a stiff law, an elastic body with a fine mesh, or a singular position."
+        return 0.0, ""
 
     # diagonals: one coordinate of a frame at a time
     mass = np.asarray(solver.masses(ev).diagonal())
     ratio = np.asarray(applied.core.diagonal()) / np.where(mass > 0, mass, np.inf)
     ratio = ratio[: s.n_frames * s.motions.n_twist]
     k = int(np.argmax(ratio))
-    if not ratio[k] > 0:
-        return "No spring is stiff now: look for a law that switches, or a singular position."
-    period = 2 * np.pi / np.sqrt(ratio[k])
+    return float(ratio[k]), s.frame_names[k // s.motions.n_twist]
+
+
+def fastest(solver: StepSolver, state: State) -> str:
+    """The shortest period (1) and its body, as a sentence; collective."""
+    ratio, body = stiffest(solver, state)
+    if not ratio > 0:
+        return "No spring is there to blame: look for a stiff law, an elastic body with a fine mesh, or a singular position."
     return (
-        f'The fastest period is {period:.2g} s, of body "{s.frame_names[k // s.motions.n_twist]}" on its springs: give it more '
-        "mass or a softer spring, replace the spring by a joint, or take fmbd.EnergyMomentum()."
+        f'The fastest period is {2 * np.pi / np.sqrt(ratio):.2g} s, of body "{body}" on its springs: give it more mass or a '
+        "softer spring, replace the spring by a joint, or take fmbd.EnergyMomentum()."
     )
