@@ -14,6 +14,11 @@ takes energy, never gives it.
 With theta instead of 1/2 in (1), (2) the rule is q_theta = q_0 o exp(theta xi), v_1 = v_0 + (v_m - v_0) / theta;
 theta = 1 is the implicit Euler rule, of first order and strongly damped: for equilibria by large steps.
 
+Nodes without inertia take no part in M (v_1 - v_0): the balance holds their mean velocities v_m alone, and by (1) jumps of
+these would add up in v_1, with a changing sign. Their velocity at the end is led on by the difference of two mean ones,
+
+    a_1 = (v_m - (v_0 - (1 - theta) h a_0)) / h,   v_1 = v_m + (1 - theta) h a_1                             (4)
+
 Source: Khenous, Laborde, Renard, doi:10.1016/j.euromechsol.2008.01.001; Deuflhard, Krause, Ertel,
 doi:10.1002/nme.2119.
 """
@@ -114,6 +119,14 @@ def elastic_start(system: System, state: State, solver: StepSolver, tau: float) 
     return start, correction
 
 
+def weightless(system: System) -> np.ndarray:
+    """Entries of v that belong to nodes without inertia, (n_v,) bool."""
+    out = np.zeros(system.n_v, dtype=bool)
+    for k, part in system.fields:
+        system.local_v(out, k)[:] = np.repeat(part.field.M.getDiagonal().array == 0.0, part.field.dim)
+    return out
+
+
 class ContactMidpointStepper(ContactStepper):
     """Advances a state through contact."""
 
@@ -121,6 +134,7 @@ class ContactMidpointStepper(ContactStepper):
         super().__init__(system, solver, newton, state)
         self.theta = theta
         self._projects = any(b.kind != "frame" for b in system.blocks)
+        self._weightless = weightless(system)
         self._begun: State | None = None  # what the last step began with
         self._means: list[Array] = []  # velocities of the last two steps
 
@@ -140,12 +154,13 @@ class ContactMidpointStepper(ContactStepper):
                 break
             near = near | missed
 
-        self._begun, self._means = s, [*self._means[-1:], step.xi / h]
-        # (1): v_n+1 from the mean velocity xi / h
-        v = s.v + (step.xi / h - s.v) / self.theta
+        mean = step.xi / h
+        self._begun, self._means = s, [*self._means[-1:], mean]
+        v, slopes = self._velocities(mean, h)
         if self._projects:
             v = self._project(step, v)
         a = (v - s.v) / h
+        a[self._weightless] = slopes
         self.local_error = h * h / 12 * system.max_abs(a - s.a)
 
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
@@ -156,7 +171,7 @@ class ContactMidpointStepper(ContactStepper):
 
     def between(self, t: float) -> State | None:
         """The state at a time t (s) within the last step: positions on the parabola through the last three, as velocities at the
-        ends of steps say nothing of nodes without inertia, where they alternate.
+        ends of steps are led on from mean ones where nodes have no inertia.
         """
         before, after = self._begun, self.state
         if before is None or t < before.t:
@@ -165,6 +180,14 @@ class ContactMidpointStepper(ContactStepper):
         x, earlier, mean = (t - before.t) / h, self._means[0], self._means[-1]
         xi = x * h * mean - 0.5 * x * (1 - x) * h * (mean - earlier)
         return state_within(before, after, t, self.system.compose(before.q, xi))
+
+    def _velocities(self, mean: Array, h: float) -> tuple[Array, Array]:
+        """Those at the end of a step by (1), from the mean one, and accelerations of what has no inertia, by (4)."""
+        s, massless, left = self.state, self._weightless, 1.0 - self.theta
+        slopes = (mean - s.v)[massless] / h + left * s.a[massless]
+        v = s.v + (mean - s.v) / self.theta
+        v[massless] = mean[massless] + left * h * slopes
+        return v, slopes
 
     def _project(self, step: _Step, v: Array) -> Array:
         """Velocity that satisfies the joints at the end of the step."""
