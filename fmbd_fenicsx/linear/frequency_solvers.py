@@ -92,6 +92,12 @@ class FrequencySolvers(Remembering):
             return FrequencySolver.of(self._complex_at(place) if s.imag else self.real, s, True)
         return FrequencySolver.of(self.real, complex(nearest), False)
 
+    def at_hand(self, s: float) -> Weights:
+        """Those of the real matrix that steps with a frequency s (1/s) were solved by: its own, or the next one of the grid."""
+        known = [x for x, count in self.asked if abs(x - s) <= SAME * s and count > SETTLED]
+        own = known and self.settles and self._possible
+        return FrequencySolver.of(self.real, complex(known[0] if own else self._on_grid(s)), True).weights
+
     def _complex_at(self, place: int) -> StepSolver:
         """The solver for complex matrices at a place."""
         while len(self._complex) <= place:

@@ -26,6 +26,14 @@ def accelerated(system: System, states: States, solver: StepSolver) -> States:
 
 def projected(system: System, states: States, solver: StepSolver, metrics: Sequence[Weights]) -> States:
     """States with q, then v, moved on the constraints, each in a metric of its own; a and lambda kept; collective."""
+    different = dict.fromkeys(metrics)
+    if system.fields and len(different) > 1:  # their factors are those of one metric
+        every = replace(states, q=states.q.copy(), v=states.v.copy())
+        for metric in different:
+            which = np.array([x == metric for x in metrics])
+            every.put(which, projected(system, states.chosen(which), solver, [metric] * int(which.sum())))
+        return every
+
     driver = solver.driver
     found = None if driver is None else driver.all_closed(states, metrics)
     if found is not None:

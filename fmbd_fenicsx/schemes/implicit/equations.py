@@ -68,8 +68,8 @@ class Equations(Remembering):
         """The frequencies (1/s) that have factors, as bdf.c has them; none: any one has."""
         return {}
 
-    def metric_of(self, h: float) -> Weights:
-        """The matrix of a step of h (s), in which motions are least that do not bend what is stiff there."""
+    def metric_of(self, h: float, s: Array) -> Weights:
+        """The matrix of a step of h (s) for frequencies s (p,), in which motions are least that do not bend what is stiff."""
         return Weights(1.0, h, h * h)
 
     def weigh(self, state: State) -> None:

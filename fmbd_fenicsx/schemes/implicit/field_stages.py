@@ -207,9 +207,10 @@ class FieldEquations(Equations):
         self.solvers.settles = True
         self.solvers.expect(s)
 
-    def metric_of(self, h: float) -> Weights:
-        """The one that is at hand."""
-        return self.metric
+    def metric_of(self, h: float, s: Array) -> Weights:
+        """The real one of those that the step was solved with; one at hand may be of another step of the same march."""
+        real = s.real[s.imag == 0]
+        return self.solvers.at_hand(float(real[0])) if len(real) else self.metric
 
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) at the times t (k,); behind it, where bodies carry pressures, the

@@ -132,7 +132,11 @@ class ImplicitStepper(ImplicitMarch):
     def _metric(self, h: float) -> Weights:
         """In which motions within a step of h (s) are least: that of a step, where bodies deform."""
         deforms = self.norm.deforming or self.system.elements
-        return self.eq.metric_of(h) if deforms else MASS
+        return self.eq.metric_of(h, self._solved_for(h)) if deforms else MASS
+
+    def _solved_for(self, h: float) -> Array:
+        """The frequencies, (p,) in 1/s, that a step of h (s) was solved for; none where steps nearby have about the same."""
+        return np.zeros(0)
 
     def _found(self, iterate: Callable[[], Points | str]) -> Points | str:
         """The stages that an iteration finds, or the cause of its failure."""

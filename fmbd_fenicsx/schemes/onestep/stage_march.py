@@ -84,6 +84,9 @@ class StageMarch(ImplicitStepper):
     def _frequencies(self, h: float) -> Array:
         return self.tab.frequencies(h)
 
+    def _solved_for(self, h: float) -> Array:
+        return self._frequencies(h)
+
     def _lend_matrices(self, h: float) -> None:
         assert self._lent is not None
         self.eq.lend_matrices(self._lent.stages, self.state, self._frequencies(h))
