@@ -36,6 +36,7 @@ FILES = (
     "steps_one_by_one",
     "checkpoint",
     "substructures",
+    "sums",
     "whole_forces",
 )
 

@@ -200,9 +200,11 @@ def test_tangent_of_bushings_is_the_derivative_of_their_wrench(dim: int, turn: f
     M = np.diag([1.3] * dim + ([0.4] if dim == 2 else [0.4, 0.5, 0.6]))
     tangent = system.forces[0].tangent(ev.kin, 0.0)
     assert tangent is not None
-    W = ev.kin.jac_frame[tangent.b[0]]
+    W = ev.kin.jac_frame[tangent.markers[1][0]]
     K, D = (W.T @ x[0, n:, n:] @ W for x in (tangent.K, tangent.D))
-    K[dim:, dim:] += carried(ev.kin.x[tangent.b[0]] - q[:dim], system.forces[0].wrenches(ev.kin, 0.0)[1][0, :dim], W)
+    K[dim:, dim:] += carried(
+        ev.kin.x[tangent.markers[1][0]] - q[:dim], system.forces[0].wrenches(ev.kin, 0.0)[1][0, :dim], W
+    )
     found = ck * K + cd * D
     assert np.abs(matrix - M - 0.5 * (found + found.T)).max() < 1e-7 * np.abs(found).max()
 

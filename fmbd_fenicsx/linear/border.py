@@ -100,7 +100,7 @@ def loaded_ports(system: System) -> np.ndarray:
     if not system.fields:
         return out
     m = system.markers
-    carrying = {int(i) for loads in system.forces if loads.stiff for i in (*loads.a, *loads.b)}
+    carrying = {int(i) for loads in system.forces if loads.stiff for m in loads.markers for i in m}
     for slot, marker in enumerate(m.surface):
         if int(marker) in carrying:
             out[m.port[slot]] = True

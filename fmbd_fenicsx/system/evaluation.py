@@ -152,7 +152,7 @@ class Evaluation:
         s = self.system
         out = np.zeros(self.kin.jac_frame.shape[:2])
         for loads in s.forces:
-            for marker, wrench in zip((loads.a, loads.b), loads.wrenches(self.kin, self.t), strict=True):
+            for marker, wrench in zip(loads.markers, loads.wrenches(self.kin, self.t), strict=True):
                 np.add.at(out, marker, wrench)
         return out
 

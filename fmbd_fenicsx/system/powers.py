@@ -29,11 +29,11 @@ def unlisted(ev: Evaluation, state: State) -> list[str]:
 
 
 def power_of(loads: Loads, ev: Evaluation) -> Array:
-    """Power (W) that each element of a batch gives to the bodies, (m,): wrench times twist, summed over both markers."""
+    """Power (W) that each element of a batch gives to the bodies, (m,): wrench times twist, summed over its markers."""
     assert ev.kin.twist is not None
-    on_a, on_b = ev.asked(loads, "wrenches")
-    at_a, at_b = ev.kin.twist[loads.a], ev.kin.twist[loads.b]
-    return np.asarray((on_a * at_a).sum(1) + (on_b * at_b).sum(1))
+    each = zip(loads.markers, ev.asked(loads, "wrenches"), strict=True)
+    first, *rest = ((wrench * ev.kin.twist[marker]).sum(1) for marker, wrench in each)
+    return np.asarray(sum(rest, first))
 
 
 def _elements(ev: Evaluation) -> dict[str, float]:

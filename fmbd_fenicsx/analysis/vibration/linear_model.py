@@ -130,9 +130,8 @@ def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
         for i, f in enumerate(loads.forces):
             wrench = np.zeros((len(ev.kin.x), count))
             if isinstance(loads, ScalarLoads):
-                ra, rb = loads.relative.rows(ev.kin)
-                wrench[loads.a[i]] += ra[i]
-                wrench[loads.b[i]] += rb[i]
+                for marker, row in zip(loads.markers, loads.relative.rows(ev.kin), strict=True):
+                    wrench[marker[i]] += row[i]
                 known[f.name] = ev.spread(wrench)
             # one input for each component, in the axes that the force has
             elif isinstance(loads, TimeLoads):

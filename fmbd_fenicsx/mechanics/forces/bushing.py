@@ -152,7 +152,7 @@ class BushingLoads(Loads):
                     R[at] += h * spin @ R[at].real
 
         K = -self._forces(_Pose(xa, Ra, xb, Rb), twist).imag / _STEP
-        return MarkerTangent(self.a, self.b, np.moveaxis(K, 0, -1), np.swapaxes(B, 1, 2) @ self.C @ B)
+        return MarkerTangent(self.markers, np.moveaxis(K, 0, -1), np.swapaxes(B, 1, 2) @ self.C @ B)
 
 
 @dataclass(frozen=True, eq=False)

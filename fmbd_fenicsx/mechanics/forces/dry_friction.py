@@ -15,8 +15,8 @@ import numpy as np
 
 from ...rotations import Array, Motions
 from ..frames import Kinematics
-from ..joints.drives import JointCoordinate
 from ..joints.relative import RelativeCoordinates
+from ..joints.sums import Coordinate
 from .force_elements import Loads, MarkerTangent, ScalarLoads
 from .forces import Force
 from .formulas import MEMORY, Formula, table
@@ -69,7 +69,7 @@ class DryFrictionLoads(ScalarLoads):
 
         A point that was dragged lies on the limit: there it slides, and roundoff does not decide.
         """
-        s, rate, _, _ = self._state(kin)
+        s, rate = self._state(kin)
         sticks = np.abs(self._trial(s, rate)) <= (1.0 - 1e-9) * self.limit
         return self._tangent_of(kin, self.effort(s, rate, t), (self.k * sticks, self.c * sticks))
 
@@ -79,7 +79,7 @@ class DryFrictionLoads(ScalarLoads):
 
     def overran(self, ev: Any, h: float) -> bool:
         """Whether friction pushes along the motion: that turned within the step, by more than the spring before sliding gives."""
-        s, rate, _, _ = self._state(ev.kin)
+        s, rate = self._state(ev.kin)
         trial = self._trial(s, rate)
         wrong = (np.abs(trial) > self.limit) & (trial * rate < 0) & (self.k * np.abs(rate) * h > self.limit)
         return bool(wrong.any())
@@ -90,7 +90,7 @@ class DryFrictionLoads(ScalarLoads):
 
     def _dragged(self, kin: Kinematics, t: float) -> Array:
         """p if a step ends here, (m,)."""
-        s, rate, _, _ = self._state(kin)
+        s, rate = self._state(kin)
         slides = np.abs(self._trial(s, rate)) > self.limit
         return np.where(slides, s - (self.effort(s, rate, t) - self.c * rate) / self.k, self.kept)
 
@@ -99,7 +99,7 @@ class DryFrictionLoads(ScalarLoads):
 class DryFriction(Force):
     """See :func:`~fmbd_fenicsx.dry_friction`; ``limit`` F, ``stiffness`` k and ``damping`` c of (1)."""
 
-    on: JointCoordinate = None  # type: ignore[assignment]
+    on: Coordinate = None  # type: ignore[assignment]
     limit: float = 0.0
     stiffness: float = 0.0
     damping: float = 0.0
@@ -110,6 +110,6 @@ class DryFriction(Force):
     kind: ClassVar[str] = "dry friction"
 
     @property
-    def coordinate(self) -> JointCoordinate:
+    def coordinate(self) -> Coordinate:
         """The joint coordinate on which it acts."""
         return self.on

@@ -4,8 +4,9 @@ A law on a relative coordinate s (see ``mechanics.joints.relative``) with restor
 
     w_a = -N r_a,   w_b = -N r_b,        K = dN/ds r r^T + N ds-rows,   D = dN/ds' r r^T,    r = (r_a, r_b)        (1)
 
-K and D are minus the derivatives of the wrenches with respect to displacements and velocities of the two markers; they
-serve as Newton tangents only. User functions are checked on every call; an error names the force.
+and on as many markers more as s depends on, where it is a sum. K and D are minus the derivatives of the wrenches with respect to
+displacements and velocities of the markers; they serve as Newton tangents only. User functions are checked on every call; an
+error names the force.
 """
 
 from __future__ import annotations
@@ -32,10 +33,9 @@ ROAD = "road(x, t), which is asked for one height at x, all coordinates of the w
 
 @dataclass(frozen=True)
 class MarkerTangent:
-    """Stiffness and damping (m, 2 n, 2 n) over the displacements of markers a and b, n = d + n_rot."""
+    """Stiffness and damping (m, k n, k n) over the displacements of k ``markers`` (m,), n = d + n_rot."""
 
-    a: np.ndarray
-    b: np.ndarray
+    markers: tuple[np.ndarray, ...]
     K: Array
     D: Array
 
@@ -51,8 +51,8 @@ class MarkerMotion:
 
 
 class Loads:
-    """Forces of one kind with their markers. ``wrench``: (m, n) on markers a and on markers b. ``stiff``: whether they depend
-    on the motion of their markers in a way that :meth:`tangent` gives.
+    """Forces of one kind with their markers, a and b for most. ``stiff``: whether they depend on the motion of their markers in a
+    way that :meth:`tangent` gives.
     """
 
     stiff = True
@@ -69,8 +69,13 @@ class Loads:
         """The user's function of a force, its exceptions named; None without one."""
         return None if f.law is None else Repeatable(f"The law of {f.kind}", f.name, f.law)
 
-    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
-        """Wrenches (force, torque) in world axes on markers a and b, each (m, d + n_rot)."""
+    @property
+    def markers(self) -> tuple[np.ndarray, ...]:
+        """All markers that they act on, (m,) each."""
+        return self.a, self.b
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, ...]:
+        """Wrenches (force, torque) in world axes on the :attr:`markers`, each (m, d + n_rot)."""
         raise NotImplementedError
 
     def energy(self, kin: Kinematics, t: float) -> float:
@@ -177,21 +182,20 @@ class ScalarLoads(Loads):
         self.own = np.flatnonzero([f.law is not None for f in forces])
         self._together: dict[bytes, LawsTogether] = {}  # by their numbers
 
-    def _state(self, kin: Kinematics) -> tuple[Array, Array, Array, Array]:
-        assert kin.twist is not None
+    @property
+    def markers(self) -> tuple[np.ndarray, ...]:
+        """Those of the coordinates."""
+        return self.relative.markers
+
+    def _state(self, kin: Kinematics) -> tuple[Array, Array]:
+        """s - free and s'."""
         s = self.relative.values(kin)
         if isinstance(self.relative, Separation) and not s.all():
             raise InputError(
                 f'Spring "{self.forces[int(np.argmin(s))].name}": its two points coincide, so it has no direction.'
             )
 
-        return s - self.free, self.along(kin, kin.twist), *self.relative.rows(kin)
-
-    def along(self, kin: Kinematics, twists: Array) -> Array:
-        """The rates s' for twists of all markers, (m,)."""
-        ra, rb = self.relative.rows(kin)
-        rate: Array = (ra * twists[self.a] + rb * twists[self.b]).sum(1)
-        return rate
+        return s - self.free, self.relative.rates(kin)
 
     def laws_of(self, which: np.ndarray) -> LawsTogether:
         """The laws of the user's own of some forces, (m,): N at their elongations and rates (.., m)."""
@@ -226,15 +230,14 @@ class ScalarLoads(Loads):
             N[..., self.own] = self.laws_of(self.own)(s[..., self.own], rate[..., self.own], t)
         return N
 
-    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
-        """N along the direction of the coordinate, opposite on the two markers."""
-        s, rate, ra, rb = self._state(kin)
-        N = self.effort(s, rate, t)[:, None]
-        return -N * ra, -N * rb
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, ...]:
+        """-N along the rows of the coordinate."""
+        N = self.effort(*self._state(kin), t)[:, None]
+        return tuple(-N * row for row in self.relative.rows(kin))
 
     def scalar(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array]:
         """s, s' and N."""
-        s, rate, _, _ = self._state(kin)
+        s, rate = self._state(kin)
         return s, rate, self.effort(s, rate, t)
 
     def energy(self, kin: Kinematics, t: float) -> float:
@@ -247,7 +250,7 @@ class ScalarLoads(Loads):
 
     def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """Material stiffness k and damping c, and the geometric stiffness of N."""
-        s, rate, _, _ = self._state(kin)
+        s, rate = self._state(kin)
         k, c = self.k.copy(), self.c.copy()
         if len(self.own):
             k[self.own], c[self.own] = self.slopes(self.own, s[self.own], rate[self.own], t)
@@ -255,14 +258,13 @@ class ScalarLoads(Loads):
 
     def _tangent_of(self, kin: Kinematics, N: Array, slopes: tuple[Array, Array]) -> MarkerTangent:
         """The tangent of efforts N with dN/ds and dN/ds', and the geometric stiffness of N, (1)."""
-        _, _, ra, rb = self._state(kin)
         k, c = slopes
-        r = np.concatenate((ra, rb), axis=1)
+        r = np.concatenate(self.relative.rows(kin), axis=1)
         rr = r[:, :, None] * r[:, None, :]
         K, D = k[:, None, None] * rr, c[:, None, None] * rr
         # the direction turns: an effort along it is stiff across
         K += self.relative.geometric(kin, N)
-        return MarkerTangent(self.a, self.b, K, D)
+        return MarkerTangent(self.markers, K, D)
 
 
 class TyreLoads(Loads):
@@ -361,4 +363,4 @@ class TyreLoads(Loads):
         n = self.motions.dim + self.motions.n_rot
         outer = np.zeros((len(c), 2 * n, 2 * n))
         outer[:, :d, :d] = up[:, :, None] * row[:, None, :]
-        return MarkerTangent(self.a, self.b, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)
+        return MarkerTangent(self.markers, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)

@@ -24,6 +24,7 @@ from ...errors import InputError, require
 from ...rotations import Array
 from ..joints.drives import JointCoordinate
 from ..joints.joints import ground, refuse_no_attachment
+from ..joints.sums import Coordinate
 from .force_elements import Loads, ScalarLoads, TimeLoads, TyreLoads
 from .own_loads import OwnLoads
 
@@ -64,19 +65,19 @@ class Force:
         require(self.b is None or self.a != self.b, f"{what} connects {shown(self.a)} with itself.")
 
     @property
-    def coordinate(self) -> JointCoordinate | None:
+    def coordinate(self) -> Coordinate | None:
         """The joint coordinate that it acts on, if any."""
         return None
 
     @property
     def sides(self) -> tuple[Any, ...]:
         """All attachments that it uses."""
-        return self.a, self.b
+        return self.a, self.b, *(side for s in self.coordinates for side in (s.joint.a, s.joint.b))
 
     @property
     def coordinates(self) -> tuple[JointCoordinate, ...]:
         """All joint coordinates that it uses."""
-        return () if self.coordinate is None else (self.coordinate,)
+        return () if self.coordinate is None else self.coordinate.coordinates
 
     @property
     def period(self) -> float | None:
@@ -175,7 +176,7 @@ class Spring(Force):
 class CoordinateForce(Force):
     """A restoring effort N(s - length, s', t) on a joint coordinate s, N or N m; ``length`` is its unstressed value."""
 
-    on: JointCoordinate = None  # type: ignore[assignment]
+    on: Coordinate = None  # type: ignore[assignment]
     stiffness: float = 0.0
     damping: float = 0.0
     length: float = 0.0
@@ -186,7 +187,7 @@ class CoordinateForce(Force):
     kind: ClassVar[str] = "joint spring or effort"
 
     @property
-    def coordinate(self) -> JointCoordinate:
+    def coordinate(self) -> Coordinate:
         """The joint coordinate on which the force acts."""
         return self.on
 
@@ -284,7 +285,7 @@ def torque(name: str, on: Any, law: Any, *, follower: bool = False) -> Torque:
 @typed
 def joint_spring(
     name: str,
-    on: JointCoordinate,
+    on: Coordinate,
     *,
     stiffness: float | None = None,
     damping: float | None = None,
@@ -293,6 +294,8 @@ def joint_spring(
 ) -> CoordinateForce:
     """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s'; a law(s - free, s', t)
     replaces both.
+
+    s may be a sum, ``fmbd.angle(a) - 2 * fmbd.angle(b)``: an effort N on it is c_k N on each of its terms c_k s_k.
     """
     k, c = _constants(f'Joint spring "{name}"', stiffness, damping, law)
     number(f'Joint spring "{name}": free', free)
@@ -300,7 +303,7 @@ def joint_spring(
 
 
 @typed
-def effort(name: str, on: JointCoordinate, law: Any) -> CoordinateForce:
+def effort(name: str, on: Coordinate, law: Any) -> CoordinateForce:
     """Prescribed effort law(t), or a constant, on a joint coordinate s: torque (N m) or force (N), positive where s increases."""
     given = in_time(f'Effort "{name}"', law)
     if isinstance(given, Constant):

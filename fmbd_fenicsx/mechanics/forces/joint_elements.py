@@ -20,13 +20,13 @@ import numpy as np
 from ...checks import number, typed
 from ...errors import require
 from ..joints.couplings import smooth_motion
-from ..joints.drives import JointCoordinate
+from ..joints.sums import Coordinate
 from .dry_friction import DryFriction
 from .effort_laws import ElasticStop, Feedback, Friction, Held, not_negative, positive
 from .forces import CoordinateForce
 
 
-def _on(name: str, coordinate: JointCoordinate, law: Any) -> CoordinateForce:
+def _on(name: str, coordinate: Coordinate, law: Any) -> CoordinateForce:
     """The force element of a law on a joint coordinate."""
     joint = coordinate.joint
     return CoordinateForce(name, joint.a, joint.b, None, None, coordinate, law=law)
@@ -35,7 +35,7 @@ def _on(name: str, coordinate: JointCoordinate, law: Any) -> CoordinateForce:
 @typed
 def joint_friction(
     name: str,
-    on: JointCoordinate,
+    on: Coordinate,
     *,
     coulomb: float,
     speed: float,
@@ -68,7 +68,7 @@ def joint_friction(
 
 
 @typed
-def dry_friction(name: str, on: JointCoordinate, *, limit: float, stick: float, damping: float = 0.0) -> DryFriction:
+def dry_friction(name: str, on: Coordinate, *, limit: float, stick: float, damping: float = 0.0) -> DryFriction:
     """Dry friction with true rest: the set-valued law -N in [-F, F] at rest, N = F sign(s') while sliding.
 
         N = k (s - p) + c s',   |N| <= F,   p follows s while |N| = F                                              (1)
@@ -92,7 +92,7 @@ def dry_friction(name: str, on: JointCoordinate, *, limit: float, stick: float, 
 @typed
 def elastic_stop(
     name: str,
-    on: JointCoordinate,
+    on: Coordinate,
     *,
     lower: float = -np.inf,
     upper: float = np.inf,
@@ -114,7 +114,7 @@ def elastic_stop(
 @typed
 def motor(
     name: str,
-    on: JointCoordinate,
+    on: Coordinate,
     *,
     target: Callable[[float], Any] | float,
     kp: float,

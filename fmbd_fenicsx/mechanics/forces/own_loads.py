@@ -100,7 +100,7 @@ class OwnLoads(Loads):
         K, D = np.zeros((2, len(self.forces), 2 * n, 2 * n))
         for k in range(len(self.forces)):
             K[k], D[k] = self._given(k, kin, t) if self.laws[k][1] is not None else self._differenced(k, kin, t)
-        return MarkerTangent(self.a, self.b, K, D)
+        return MarkerTangent(self.markers, K, D)
 
     def _given(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """K and D of a Jacobian of the user's own."""

@@ -3,28 +3,31 @@
     phi = fmbd.angle(hinge)                        s = fmbd.displacement(slider)
     fmbd.drive("motor", phi, lambda t: 3 * t)    fmbd.gear("gear", phi, psi, ratio=-2)    fmbd.screw("screw", joint, lead=0.01)
 
-A coordinate is also a sensor (``scene.sensor("phi", phi)``) and what :func:`fmbd_fenicsx.effort` acts on.
+A coordinate is also a sensor (``scene.sensor("phi", phi)``) and what :func:`fmbd_fenicsx.effort` acts on. Wherever one can
+stand, a sum can (:mod:`.sums`): ``phi - 2 * psi``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import partial
+from typing import Any
 
 import numpy as np
 
-from ...checks import instance, number, typed
+from ...checks import function, instance, number, typed
 from ...errors import InputError, require
 from ...rotations import Motions
 from .constraints import Motion
 from .couplings import Standing, lead_ratio, smooth_motion
 from .joints import Joint
-from .relative import RelativeAngle, RelativeCoordinates, Separation, Slide
+from .relative import CoordinateSums, RelativeAngle, RelativeCoordinates, Separation, Slide
+from .sums import ANGLE, LENGTH, Coordinate, CoordinateSum
 
 
 @dataclass(frozen=True, eq=False)
-class JointCoordinate:
+class JointCoordinate(Coordinate):
     """A coordinate of a joint: the angle (rad, counted over revolutions) or displacement (m) of its b against its a.
 
     Zero at the start of a run where the two points of the joint coincide.
@@ -33,12 +36,25 @@ class JointCoordinate:
     joint: Joint
     kind: type[RelativeCoordinates]
 
-    made_by: ClassVar[str] = "fmbd.angle(...) or fmbd.displacement(...) of a joint itself, not of its name"
+    @property
+    def terms(self) -> tuple[tuple[JointCoordinate, float], ...]:
+        """Itself."""
+        return ((self, 1.0),)
+
+    @property
+    def offset(self) -> float:
+        """None."""
+        return 0.0
+
+    @property
+    def factored(self) -> bool:
+        """No."""
+        return False
 
     @property
     def unit(self) -> str:
         """Unit for labels."""
-        return "rad" if self.kind.angular else "m"
+        return ANGLE if self.kind.angular else LENGTH
 
 
 @typed
@@ -78,6 +94,21 @@ def relative_of(
     return kind(m, a, b, np.reshape(e, (len(found), m.dim)))
 
 
+def coordinates_of(
+    m: Motions, coordinates: Sequence[Coordinate], markers: Mapping[str, tuple[int, int]]
+) -> RelativeCoordinates:
+    """The batch of coordinates of one sort (:attr:`Coordinate.sort`); ``markers``: those of all joints, by their names."""
+    each = [s.terms for s in coordinates]
+    terms = [
+        relative_of(m, one[0][0].kind, [(s, *markers[s.joint.name]) for s, _ in one]) for one in zip(*each, strict=True)
+    ]
+    if isinstance(coordinates[0], JointCoordinate):
+        return terms[0]
+    factors = np.array([[c for _, c in one] for one in each])
+    offsets = np.array([s.offset for s in coordinates])
+    return CoordinateSums(terms, factors, offsets, angular=coordinates[0].unit == ANGLE)
+
+
 @dataclass(frozen=True, eq=False)
 class Coupling(Joint):
     """One row sum_k c_k s_k = motion(t) on joint coordinates."""
@@ -96,11 +127,10 @@ class Coupling(Joint):
         return ("N m" if self.coordinates[0].kind.angular else "N",)
 
 
-def _coupling(
-    name: str, kind: str, terms: list[tuple[JointCoordinate, float]], motion: Motion | None = None
-) -> Coupling:
-    first = terms[0][0].joint
-    for s, _ in terms:
+def _coupling(name: str, kind: str, combination: Coordinate, motion: Callable[[float], Any] | None = None) -> Coupling:
+    """One row that holds a combination at a motion of time; None: at zero."""
+    first = combination.joint
+    for s in combination.coordinates:
         held = s.kind is Separation and s.joint.rows
         require(
             not held,
@@ -117,65 +147,85 @@ def _coupling(
         first.center_b,
         kind=kind,
         axis=first.axis,
-        terms=tuple(terms),
-        motion=motion,
+        terms=combination.terms,
+        motion=_motion(name, motion, combination.offset),
     )
 
 
+def _motion(name: str, motion: Callable[[float], Any] | None, offset: float) -> Motion | None:
+    """Where the terms of a combination with an offset go, for it to follow a motion; None where they stay at zero."""
+    if motion is None:
+        return None if offset == 0.0 else Standing(-offset)
+    if offset == 0.0:
+        return smooth_motion(name, motion)
+    function(f'Drive "{name}": motion', motion, "t", named="t")
+    return smooth_motion(name, partial(_without, motion, offset))
+
+
+def _without(motion: Callable[[float], Any], offset: float, t: Any) -> Any:
+    """A motion less an offset: s alone, or s with its rates."""
+    s = motion(t)
+    if np.ndim(s) == 0:
+        return s - offset
+    return (s[0] - offset, *s[1:])
+
+
 @typed
-def drive(name: str, coordinate: JointCoordinate, motion: Callable[[float], Any]) -> Coupling:
+def drive(name: str, coordinate: Coordinate, motion: Callable[[float], Any]) -> Coupling:
     """Prescribe a joint coordinate: motion(t) -> s, or (s, s', s''); smooth. Its multiplier is minus the drive's effort.
 
     The effort (N or N m) increases the coordinate; :func:`fmbd_fenicsx.reaction_force` and ``reaction_torque`` give it on
     the first body.
     """
-    return _coupling(name, "drive", [(coordinate, 1.0)], smooth_motion(name, motion))
+    return _coupling(name, "drive", coordinate, motion)
 
 
 @typed
-def gear(name: str, driving: JointCoordinate, driven: JointCoordinate, *, ratio: float) -> Coupling:
+def gear(name: str, driving: Coordinate, driven: Coordinate, *, ratio: float) -> Coupling:
     """driven = ratio * driving, of angles, displacements, or one of each (rack and pinion: ratio in m/rad).
 
     The two joints should have the same first body (the housing): only then is the pair free of a bearing force of its own.
     """
     _not_zero(f'Joint "{name}": ratio', ratio)
+    both = isinstance(driving, JointCoordinate) and isinstance(driven, JointCoordinate)
     require(
-        driving.joint is not driven.joint or driving.kind is not driven.kind,
+        not both or driving.joint is not driven.joint or driving.kind is not driven.kind,  # type: ignore[attr-defined]
         f'Joint "{name}" couples a coordinate with itself.',
     )
-    return _coupling(name, "gear", [(driven, 1.0), (driving, -float(ratio))])
+    return _coupling(name, "gear", driven - float(ratio) * driving)
 
 
 @typed
 def couple(
-    name: str, terms: Mapping[JointCoordinate, float], *, motion: Callable[[float], Any] | None = None
+    name: str, terms: Coordinate | Mapping[JointCoordinate, float], *, motion: Callable[[float], Any] | None = None
 ) -> Coupling:
     """One constraint on a combination of joint coordinates: sum_k c_k s_k = motion(t).
 
     Args:
-        terms: coordinate -> factor c_k: of a differential ``{left: 1, right: 1, shaft: -2}``, of a rope over pulleys the
-            lengths of its segments (:func:`segment`) and how often each is passed.
+        terms: a sum, ``left + right - 2 * shaft``, or coordinate -> factor c_k, ``{left: 1, right: 1, shaft: -2}``: of a rope
+            over pulleys the lengths of its segments (:func:`segment`) and how often each is passed.
         motion: t -> value, or (value, rate, second rate), smooth. None: the combination stays what it is at the start.
 
     With angles and lengths in one sum factors carry the radius (m/rad). The multiplier times c_k is the effort on s_k, with the
-    sign of :func:`drive`. A spring or a law on a combination is a
-    controller that reads and acts on its coordinates: efforts -c_k f(sum_k c_k s_k).
+    sign of :func:`drive`. What gives way is a :func:`fmbd_fenicsx.joint_spring` on the same sum.
     """
-    require(len(terms) > 0, f'Joint "{name}" couples nothing: give coordinate -> factor.')
-    for s in terms:
-        instance(f'Joint "{name}": coordinate', s, JointCoordinate)
-    factors = [(s, number(f'Joint "{name}": factor of joint "{s.joint.name}"', c)) for s, c in terms.items()]
-    require(all(c != 0.0 for _, c in factors), f'Joint "{name}": a factor is 0; leave that coordinate out.')
-    start = sum(c * s.joint.length for s, c in factors if s.kind is Separation)
-    stands = None if start == 0.0 else Standing(start)
-    return _coupling(name, "coupling", factors, stands if motion is None else smooth_motion(name, motion))
+    if not isinstance(terms, Coordinate):
+        require(len(terms) > 0, f'Joint "{name}" couples nothing: give coordinate -> factor.')
+        for s in terms:
+            instance(f'Joint "{name}": coordinate', s, JointCoordinate)
+        factors = [(s, number(f'Joint "{name}": factor of joint "{s.joint.name}"', c)) for s, c in terms.items()]
+        require(all(c != 0.0 for _, c in factors), f'Joint "{name}": a factor is 0; leave that coordinate out.')
+        terms = CoordinateSum(tuple(factors), 0.0, factors[0][0].unit, True)
+
+    start = sum(c * s.joint.length for s, c in terms.terms if s.kind is Separation)
+    return _coupling(name, "coupling", terms - (start + terms.offset) if motion is None else terms, motion)
 
 
 @typed
 def screw(name: str, joint: Joint, *, lead: float) -> Coupling:
     """The displacement of a cylindrical joint advances ``lead`` (m) in one turn of its angle."""
     _not_zero(f'Joint "{name}": lead', lead)
-    return _coupling(name, "screw", [(displacement(joint), 1.0), (angle(joint), -lead_ratio(lead))])
+    return _coupling(name, "screw", displacement(joint) - lead_ratio(lead) * angle(joint))
 
 
 def _not_zero(what: str, value: float) -> None:

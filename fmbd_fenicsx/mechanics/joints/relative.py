@@ -19,7 +19,7 @@ the values of atan2 it takes the one nearest to the counted angle of the configu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -62,6 +62,21 @@ class RelativeCoordinates:
         self.e: Array = np.asarray(e, dtype=float).reshape(len(self.a), motions.dim)
         self.items = KindItems(motions, kind or kinds(motions.dim)[self.kind], self.a, self.b, self.constants())
 
+    @property
+    def markers(self) -> tuple[np.ndarray, ...]:
+        """The markers (m,) that s depends on, in the order of :meth:`rows`."""
+        return self.a, self.b
+
+    @property
+    def summands(self) -> tuple[RelativeCoordinates, ...]:
+        """What it is the sum of: itself."""
+        return (self,)
+
+    @property
+    def turns_only(self) -> bool:
+        """Whether s depends on rotations alone."""
+        return self.items.turns_only
+
     def size(self, length: float) -> float:
         """What s may be in a model of this length, m: that, or a radian."""
         return 1.0 if self.angular else length
@@ -74,8 +89,8 @@ class RelativeCoordinates:
         """s, (m,): m or rad."""
         return self.items.values(kin)
 
-    def rows(self, kin: Kinematics) -> tuple[Array, Array]:
-        """s' = rows_a . twist_a + rows_b . twist_b; each (m, d + n_rot)."""
+    def rows(self, kin: Kinematics) -> tuple[Array, ...]:
+        """s' = sum of rows . twist over :attr:`markers`; each (m, d + n_rot)."""
         return self.items.rows(kin)
 
     def gamma(self, kin: Kinematics) -> Array:
@@ -83,14 +98,26 @@ class RelativeCoordinates:
         return self.items.rates(kin)[1]
 
     def geometric(self, kin: Kinematics, effort: Array) -> Array:
-        """Stiffness of constant efforts along the turning rows, (m, 2 n, 2 n), n = d + n_rot."""
+        """Stiffness of constant efforts along the turning rows, (m, k n, k n), of k markers, n = d + n_rot."""
         return self.items.geometric(kin, effort)
 
     def rates(self, kin: Kinematics) -> Array:
         """s', (m,)."""
         assert kin.twist is not None
-        ra, rb = self.rows(kin)
-        return dot(ra, kin.twist[self.a]) + dot(rb, kin.twist[self.b])
+        return self.along(kin, kin.twist)
+
+    def along(self, kin: Kinematics, twists: Array) -> Array:
+        """The rates s' for twists of all markers, (m,)."""
+        first, *rest = (row * twists[m] for m, row in zip(self.markers, self.rows(kin), strict=True))
+        return np.asarray(sum(rest, first).sum(1))
+
+    def quotients(
+        self, mean: Kinematics, ends: tuple[Kinematics, Kinematics], h: float, length: float
+    ) -> tuple[Array, ...]:
+        """Rows at the mean of two configurations, a step of h (s) apart, with h rows . twist = s_1 - s_0."""
+        s0, s1 = (self.values(kin) for kin in ends)
+        share = self.share(mean, (s0, s1), h * self.rates(mean), length)
+        return tuple(share[:, None] * row for row in self.rows(mean))
 
     def share(self, mean: Kinematics, ends: tuple[Array, Array], linear: Array, length: float) -> Array:
         """Factor of the rows at the mean of two configurations with which s_1 - s_0 is their product with the motion between,
@@ -105,6 +132,65 @@ class RelativeCoordinates:
         whole = np.max([np.abs(rows * lengths).max(axis=1) for rows in self.rows(mean)], axis=0)
         far = np.abs(linear) > UNMOVED * whole
         return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
+
+
+class CoordinateSums(RelativeCoordinates):
+    """Sums s = offset + sum_k c_k s_k: ``terms`` s_k (m,) of one kind each, ``factors`` (m, k), ``offsets`` (m,) in m or rad."""
+
+    def __init__(self, terms: Sequence[RelativeCoordinates], factors: Array, offsets: Array, *, angular: bool) -> None:
+        self.motions, self._summands = terms[0].motions, tuple(terms)
+        self.factors, self.offsets, self.is_angle = factors, offsets, angular
+        self.a, self.b = terms[0].a, terms[0].b
+
+    @property
+    def markers(self) -> tuple[np.ndarray, ...]:
+        """Those of all terms, one term after another."""
+        return tuple(m for term in self._summands for m in term.markers)
+
+    @property
+    def summands(self) -> tuple[RelativeCoordinates, ...]:
+        """s_k."""
+        return self._summands
+
+    @property
+    def turns_only(self) -> bool:
+        """Whether all terms depend on rotations alone."""
+        return all(term.turns_only for term in self._summands)
+
+    def size(self, length: float) -> float:
+        """What s may be in a model of this length, m: that, or a radian."""
+        return 1.0 if self.is_angle else length
+
+    def _each(self) -> Iterator[tuple[RelativeCoordinates, Array]]:
+        """s_k with c_k, (m,)."""
+        return zip(self._summands, self.factors.T, strict=True)
+
+    def values(self, kin: Kinematics) -> Array:
+        """s, (m,): m or rad."""
+        return np.asarray(self.offsets + sum(c * term.values(kin) for term, c in self._each()))
+
+    def rows(self, kin: Kinematics) -> tuple[Array, ...]:
+        """c_k times those of the terms."""
+        return tuple(c[:, None] * row for term, c in self._each() for row in term.rows(kin))
+
+    def gamma(self, kin: Kinematics) -> Array:
+        """Sum of c_k times those of the terms."""
+        return np.asarray(sum(c * term.gamma(kin) for term, c in self._each()))
+
+    def geometric(self, kin: Kinematics, effort: Array) -> Array:
+        """Those of the terms for efforts c_k N, on the diagonal."""
+        width = 2 * self.motions.n_twist
+        out = np.zeros((len(self.offsets), width * len(self._summands), width * len(self._summands)))
+        for k, (term, c) in enumerate(self._each()):
+            own = slice(width * k, width * (k + 1))
+            out[:, own, own] = term.geometric(kin, c * effort)
+        return out
+
+    def quotients(
+        self, mean: Kinematics, ends: tuple[Kinematics, Kinematics], h: float, length: float
+    ) -> tuple[Array, ...]:
+        """c_k times those of the terms."""
+        return tuple(c[:, None] * row for term, c in self._each() for row in term.quotients(mean, ends, h, length))
 
 
 class Separation(RelativeCoordinates):

@@ -67,12 +67,13 @@ def readable(system: System, look: Look) -> bool:
         return any(look.element == x.name for f in scalar for x in f.forces)
     if look.relative is None:
         return True
-    if not look.relative.angular:
+    angles = [term for term in look.relative.summands if term.angular]
+    if not angles:
         return True
     if system.motions.dim == 2 or system.counted is None:
         return system.counted is not None
     known = set(zip(system.counted.turn.a, system.counted.turn.b, strict=True))
-    return all(pair in known for pair in zip(look.relative.a, look.relative.b, strict=True))
+    return all(pair in known for term in angles for pair in zip(term.a, term.b, strict=True))
 
 
 def first_alike(system: System, markers: set[int]) -> dict[int, int]:

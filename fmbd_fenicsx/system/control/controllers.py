@@ -29,6 +29,7 @@ from ...mechanics.forces.joint_elements import motion_of
 from ...mechanics.frames import Kinematics
 from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.relative import RelativeCoordinates
+from ...mechanics.joints.sums import Coordinate
 from ...rotations import Array, Motions, hat
 from ..sensors.sensor import Sensor
 from ..sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Velocity
@@ -57,7 +58,7 @@ class Reading:
     level: int
 
     @property
-    def coordinate(self) -> JointCoordinate | None:
+    def coordinate(self) -> Coordinate | None:
         """The joint coordinate that it is, or is the rate of; None at a marker."""
         return self.sensor.coordinate if isinstance(self.sensor, JointReading) else None
 
@@ -77,8 +78,8 @@ class Reading:
         """(marker, rows (size, n), of velocities) by which it answers to markers."""
         d, n = kin.x.shape[1], kin.jac_frame.shape[1]
         if self.relative is not None:
-            ra, rb = self.relative.rows(kin)
-            return [(int(m[0]), r, bool(self.level)) for m, r in ((self.relative.a, ra), (self.relative.b, rb))]
+            each = zip(self.relative.markers, self.relative.rows(kin), strict=True)
+            return [(int(m[0]), r, bool(self.level)) for m, r in each]
         if isinstance(self.sensor, Position | Velocity):
             return [(self.marker, np.eye(d, n), isinstance(self.sensor, Velocity))]
         turning = np.eye(n)[d:]
@@ -95,7 +96,7 @@ class Readings(dict[str, Array]):
 
 
 class ControlLoads(Loads):
-    """One controller: efforts on the coordinates ``acts``, one marker pair each; ``kept`` as in :class:`ControllerMemory`."""
+    """One controller: efforts on the coordinates ``acts``; ``kept`` as in :class:`ControllerMemory`."""
 
     def __init__(
         self, motions: Motions, controller: Controller, acts: Sequence[RelativeCoordinates], readings: Sequence[Reading]
@@ -162,15 +163,23 @@ class ControlLoads(Loads):
         return self.kept.u if self.controller.every is not None else self.with_memory(t, self.read(kin))[0]
 
     # -- forces -----------------------------------------------------------------------------------------------------
-    def _rows(self, kin: Kinematics) -> tuple[Array, Array]:
-        rows = [r.rows(kin) for r in self.acts]
-        return np.concatenate([a for a, _ in rows]), np.concatenate([b for _, b in rows])
+    @property
+    def markers(self) -> tuple[np.ndarray, ...]:
+        """Those of each coordinate, as many as the longest sum has: the first one stands for what others have not."""
+        count = max(len(r.markers) for r in self.acts)
+        each = [[int(m[0]) for m in r.markers] for r in self.acts]
+        return tuple(np.array([on[k] if k < len(on) else on[0] for on in each]) for k in range(count))
 
-    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
+    def _rows(self, kin: Kinematics) -> tuple[Array, ...]:
+        """Rows of the coordinates on these, (acts, n) each; zero where one has no such marker."""
+        each, none = [r.rows(kin) for r in self.acts], np.zeros((1, self.motions.n_twist))
+        count = max(map(len, each))
+        return tuple(np.concatenate([rows[k] if k < len(rows) else none for rows in each]) for k in range(count))
+
+    def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, ...]:
         """u along each coordinate."""
         u = self.efforts(kin, t)[:, None]
-        ra, rb = self._rows(kin)
-        return u * ra, u * rb
+        return tuple(u * row for row in self._rows(kin))
 
     def scalar(self, kin: Kinematics, t: float) -> tuple[Array, Array, Array]:
         """Coordinates, rates, and minus the efforts."""
@@ -183,7 +192,7 @@ class ControlLoads(Loads):
         if self.controller.every is not None:
             return None
         y = self.read(kin)
-        ra, rb = self._rows(kin)
+        pushed = list(zip(self.markers, self._rows(kin), strict=True))
         entries: list[tuple[int, int, Array, bool]] = []
         slopes = self.slopes(t, y, list(y))
         for reading in self.readings:
@@ -191,8 +200,7 @@ class ControlLoads(Loads):
             for j in range(len(self.acts)):
                 for marker, row, fast in rows:
                     push = slopes[reading.name][j] @ row  # du/d(displacement or velocity of the marker), (n,)
-                    entries.append((int(self.a[j]), marker, -np.outer(ra[j], push), fast))
-                    entries.append((int(self.b[j]), marker, -np.outer(rb[j], push), fast))
+                    entries += [(int(m[j]), marker, -np.outer(r[j], push), fast) for m, r in pushed]
         if not entries:
             return None
 
@@ -201,7 +209,7 @@ class ControlLoads(Loads):
         K, D = np.zeros((2, len(entries), 2 * n, 2 * n))
         for i, (_, _, block, fast) in enumerate(entries):
             (D if fast else K)[i, :n, n:] = block
-        return MarkerTangent(np.array([e[0] for e in entries]), np.array([e[1] for e in entries]), K, D)
+        return MarkerTangent((np.array([e[0] for e in entries]), np.array([e[1] for e in entries])), K, D)
 
     def slopes(self, t: float, y: dict[str, Array], names: Sequence[str], *, quick: bool = False) -> dict[str, Array]:
         """du/dy of some readings, (acts, size) each, the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy.
@@ -300,7 +308,7 @@ class ControlLoads(Loads):
 class Controller(Force):
     """See :func:`controller`."""
 
-    acts: tuple[JointCoordinate, ...] = ()
+    acts: tuple[Coordinate, ...] = ()
     reads: dict[str, Sensor] = field(default_factory=dict)
     law: Callable[..., Any] = None  # type: ignore[assignment]
     memory: tuple[float, ...] = ()
@@ -310,14 +318,17 @@ class Controller(Force):
     batch: ClassVar[type[Loads]] = ControlLoads
 
     @property
-    def coordinate(self) -> JointCoordinate:
+    def coordinate(self) -> Coordinate:
         """The first coordinate that it acts on."""
         return self.acts[0]
 
     @property
     def coordinates(self) -> tuple[JointCoordinate, ...]:
         """Those that it acts on or reads."""
-        return (*self.acts, *(c for s in self.reads.values() for c in s.coordinates))
+        return (
+            *(c for s in self.acts for c in s.coordinates),
+            *(c for s in self.reads.values() for c in s.coordinates),
+        )
 
     @property
     def period(self) -> float | None:
@@ -327,7 +338,8 @@ class Controller(Force):
     @property
     def sides(self) -> tuple[Any, ...]:
         """All that it acts on or reads from."""
-        return (*(x for s in self.acts for x in (s.joint.a, s.joint.b)), *(s.on for s in self.reads.values()))
+        acted = (c for s in self.acts for c in s.coordinates)
+        return (*(x for s in acted for x in (s.joint.a, s.joint.b)), *(s.on for s in self.reads.values()))
 
     def own_loads(self, place: Any) -> ControlLoads:
         """The controller in a system; ``place`` gives the coordinate and the marker of a sensor."""
@@ -344,8 +356,8 @@ class Controller(Force):
 def controller(
     name: str,
     *,
-    reads: Mapping[str, Sensor | JointCoordinate],
-    acts: JointCoordinate | Sequence[JointCoordinate],
+    reads: Mapping[str, Sensor | Coordinate],
+    acts: Coordinate | Sequence[Coordinate],
     law: Callable[..., Any],
     memory: Sequence[float] = (),
     every: float | None = None,
@@ -354,7 +366,7 @@ def controller(
 
     Args:
         reads: name -> sensor or joint coordinate, say ``{"phi": fmbd.angle(hinge), "tip": fmbd.position(tip)}``.
-        acts: joint coordinates whose efforts it sets (N m of an angle, N of a displacement).
+        acts: joint coordinates, or sums of such, whose efforts it sets (N m of an angle, N of a displacement).
         law: law(t, y, z) -> efforts, one for each of ``acts``; with a memory -> (efforts, rate of z), and sampled ->
             (efforts, new z). ``y["phi"]`` are the readings as arrays, z the memory (m,).
         memory: z at the start.
@@ -368,10 +380,10 @@ def controller(
     Raises:
         CallbackError: during a run, where the law returns something of another shape.
     """
-    acts = (acts,) if isinstance(acts, JointCoordinate) else tuple(acts)
+    acts = (acts,) if isinstance(acts, Coordinate) else tuple(acts)
     require(len(acts) > 0, f'Controller "{name}": acts must hold a joint coordinate at least.')
     for coordinate in acts:
-        instance(f'Controller "{name}": on', coordinate, JointCoordinate)
+        instance(f'Controller "{name}": on', coordinate, Coordinate)
 
     # continuous laws are asked inside Newton's iteration, where only the motion is known
     function(f'Controller "{name}": law', law, "tyz", named="t, y, z")
@@ -379,7 +391,7 @@ def controller(
 
     sensors: dict[str, Sensor] = {}
     for label, given in reads.items():
-        sensor = JointReading(None, given.unit, coordinate=given) if isinstance(given, JointCoordinate) else given
+        sensor = JointReading(None, given.unit, coordinate=given) if isinstance(given, Coordinate) else given
         require(isinstance(sensor, Sensor), f'Controller "{name}" reads "{label}": expected a sensor, found {given!r}.')
         if every is None and not isinstance(sensor, (*_KINEMATIC, JointReading)):
             raise InputError(
@@ -396,7 +408,7 @@ def controller(
 @typed
 def pid(
     name: str,
-    on: JointCoordinate,
+    on: Coordinate,
     *,
     target: Callable[[float], Any] | float,
     gains: tuple[float, float, float],
@@ -418,7 +430,7 @@ def pid(
     require(gains[0] > 0 or not np.isfinite(limit), f'PID "{name}": a limit needs a proportional gain above 0.')
 
     law = PidLaw(gains, motion_of(name, target), limit, every)
-    reads: dict[str, Sensor | JointCoordinate] = {
+    reads: dict[str, Sensor | Coordinate] = {
         "s": on,
         "rate": JointReading(None, on.unit + "/s", coordinate=on, derivative=1),
     }

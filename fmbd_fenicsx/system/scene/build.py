@@ -241,7 +241,7 @@ class Builder:
             "joint": joints, "body": scene.bodies, "force": scene.forces, "contact": scene.contacts, "joint limit": scene.limits,
         }  # fmt: skip
         for name, sensor in scene.sensors.items():
-            for what, wanted in sensor.reads.items():
+            for what, wanted in sensor.wanted:
                 known = there[what]
                 here = known.get(wanted)
                 another = here is not None and getattr(wanted, "part", here) is not here  # ties have rows alone

@@ -10,9 +10,9 @@ from ...errors import InputError, near
 from ...mechanics.forces.expressed import ExpressedForce
 from ...mechanics.forces.force_elements import Loads, ScalarLoads
 from ...mechanics.forces.forces import Force
-from ...mechanics.joints.drives import JointCoordinate, relative_of
+from ...mechanics.joints.drives import coordinates_of
 from ...mechanics.joints.relative import ExpressedCoordinate, RelativeCoordinates, Separation
-from ...rotations import Motions
+from ...mechanics.joints.sums import Coordinate
 from ..sensors.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -25,10 +25,9 @@ class Place:
     def __init__(self, builder: Builder) -> None:
         self.motions, self._builder = builder.m, builder
 
-    def relative(self, coordinate: JointCoordinate) -> RelativeCoordinates:
+    def relative(self, coordinate: Coordinate) -> RelativeCoordinates:
         """A joint coordinate."""
-        a, b = self._builder.joint_markers[coordinate.joint.name]
-        return relative_of(self.motions, coordinate.kind, [(coordinate, a, b)])
+        return coordinates_of(self.motions, [coordinate], self._builder.joint_markers)
 
     def marker(self, sensor: Sensor) -> int:
         """The marker of a sensor, -1 for one that has none."""
@@ -54,17 +53,17 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
 
         s = f.coordinate
         # springs between points are loads on their distance
-        kind: Any = Separation if s is None else s.kind
+        kind: Any = Separation if s is None else s.sort
         if isinstance(f, ExpressedForce):
             kind = f.term.kind
 
         markers = builder.force_markers(f) if s is None else builder.joint_markers[s.joint.name]
         groups.setdefault((f.batch, kind), []).append((f, markers))
 
-    for (batch, kind), found in groups.items():
+    for (batch, _), found in groups.items():
         fs, ms = [f for f, _ in found], [m for _, m in found]
         if issubclass(batch, ScalarLoads):
-            out.append(batch(builder.m, fs, ms, _relative(builder.m, kind, fs, ms)))
+            out.append(batch(builder.m, fs, ms, _relative(builder, fs, ms)))
         else:
             out.append(batch(builder.m, fs, ms))
 
@@ -73,13 +72,13 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
     return tuple(out)
 
 
-def _relative(m: Motions, kind: Any, fs: list[Force], ms: list[tuple[int, int]]) -> RelativeCoordinates:
-    if fs[0].coordinate is not None:
-        return relative_of(m, kind, [(f.coordinate, a, b) for f, (a, b) in zip(fs, ms, strict=True) if f.coordinate])
+def _relative(builder: Builder, fs: list[Force], ms: list[tuple[int, int]]) -> RelativeCoordinates:
+    on = [f.coordinate for f in fs if f.coordinate is not None]
+    if on:
+        return coordinates_of(builder.m, on, builder.joint_markers)
 
-    markers = np.array(ms)
+    a, b = np.array(ms).T
     terms = [f.term for f in fs if isinstance(f, ExpressedForce)]
     if terms:
-        return ExpressedCoordinate(m, markers[:, 0], markers[:, 1], terms)
-    made: RelativeCoordinates = kind(m, markers[:, 0], markers[:, 1], np.zeros((len(fs), m.dim)))
-    return made
+        return ExpressedCoordinate(builder.m, a, b, terms)
+    return Separation(builder.m, a, b, np.zeros((len(fs), builder.m.dim)))

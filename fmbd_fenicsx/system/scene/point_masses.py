@@ -99,12 +99,13 @@ def _rows_of(batches: Sequence[tuple[ct.Batch, np.ndarray]]) -> Iterator[tuple[K
             yield batch.items, rows
 
 
-def _turned(loads: Loads) -> Iterator[tuple[tuple[int, int], Sequence[bool]]]:
+def _turned(loads: Loads) -> Iterator[tuple[Sequence[int], Sequence[bool]]]:
     """Of each force its markers, and which of them it turns; laws of the motions of points may do anything, and are let be."""
     pairs = list(zip(map(int, loads.a), map(int, loads.b), strict=True))
     mounts = loads.mounts()
     if isinstance(loads, ScalarLoads):
-        yield from zip(pairs, loads.relative.items.turning.tolist(), strict=True)
+        turning = np.concatenate([term.items.turning for term in loads.relative.summands], axis=1)
+        yield from zip(np.array(loads.markers).T.tolist(), turning.tolist(), strict=True)
     elif mounts is not None:
         # axes go with the first side; the second feels moments where there is a stiffness against turning
         d = loads.motions.dim

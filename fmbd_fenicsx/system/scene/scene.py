@@ -14,9 +14,9 @@ from ...mechanics.body import Body
 from ...mechanics.catenary.sliding import SlidingContact
 from ...mechanics.forces.forces import Force
 from ...mechanics.forces.inputs import Input
-from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.joints import Joint
 from ...mechanics.joints.limits import JointLimit
+from ...mechanics.joints.sums import Coordinate
 from ...mechanics.parts import ScenePart
 from ..gravity import GivenGravity, check_gravity
 from ..layout import State
@@ -164,11 +164,11 @@ class Scene:
             self._put(self.__dict__[place], part, PLACES[place][1])
         return parts[0] if len(parts) == 1 else parts
 
-    def sensor(self, name: str, quantity: Sensor | JointCoordinate) -> str:
+    def sensor(self, name: str, quantity: Sensor | Coordinate) -> str:
         """Record a quantity in every run, say ``scene.sensor("tip", fmbd.position(rod.surface("tip")))``; returns the name."""
         word("A sensor's name", name)
         require(name not in self.sensors, f'Two sensors are called "{name}".')
-        if isinstance(quantity, JointCoordinate):
+        if isinstance(quantity, Coordinate):
             quantity = JointReading(None, quantity.unit, coordinate=quantity)
         instance(f'Sensor "{name}": quantity', quantity, Sensor)
         self.sensors[name] = quantity.in_scene(name, self)

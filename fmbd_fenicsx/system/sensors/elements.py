@@ -128,6 +128,22 @@ class ElementPower(_ElementSensor):
         return np.asarray(-found[:, :, 2] * found[:, :, 1])
 
 
+def _pushing(what: str, element: Any) -> Force:
+    """An element with one force and torque on each of its two sides.
+
+    Raises:
+        InputError: one on a sum of coordinates, which pushes on every joint of it.
+    """
+    f = _element(what, element)
+    several = f.coordinate is not None and len(f.coordinates) > 1 and f.kind != "controller"
+    require(
+        not several,
+        f'{what}: "{f.name}" acts on the sum of {len(f.coordinates)} coordinates, and on the bodies of all their joints. '
+        "Take element_effort: that on a coordinate is it times the factor of the coordinate in the sum.",
+    )
+    return f
+
+
 def _element(what: str, element: Any, *, scalar: bool = False) -> Force:
     require(
         isinstance(element, Force),
@@ -174,14 +190,14 @@ def elongation(element: Force) -> Sensor:
 @or_name("forces")
 def element_force(element: Force) -> Sensor:
     """Force (N) of any element on its body b (on a where it has no b), world axes, (d,)."""
-    f = _element("element_force", element)
+    f = _pushing("element_force", element)
     return ElementWrench(None, "N", None, f.name, False, f.b is not None)
 
 
 @or_name("forces")
 def element_torque(element: Force) -> Sensor:
     """Torque (N m) of any element on its body b (on a where it has no b) about its point there, world axes, (n_rot,)."""
-    f = _element("element_torque", element)
+    f = _pushing("element_torque", element)
     return ElementWrench(None, "N m", None, f.name, True, f.b is not None)
 
 

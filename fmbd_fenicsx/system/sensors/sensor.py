@@ -59,10 +59,15 @@ class Sensor:
 
     def reads_part(self, what: str, part: Any) -> bool:
         """Whether it reads a part of a scene, or is on it; ``what`` it is: "joint", "body", ...; of ties as of joints."""
-        wanted = self.reads.get("joint" if what == "tie" else what)
-        if wanted is None:
+        wanted = [name for kind, name in self.wanted if kind == ("joint" if what == "tie" else what)]
+        if not wanted:
             return isinstance(self.on, OfBody) and self.on.body is part
-        return wanted == part.name and getattr(wanted, "part", part) is part
+        return any(name == part.name and getattr(name, "part", part) is part for name in wanted)
+
+    @property
+    def wanted(self) -> list[tuple[str, str]]:
+        """All that it reads, as of :attr:`reads`: joints of several coordinates, too."""
+        return [*self.reads.items(), *(("joint", named_part("joint", s.joint)) for s in self.coordinates[1:])]
 
     def in_scene(self, name: str, scene: Any) -> Sensor:
         """The quantity as the sensor ``name`` of a scene."""

@@ -11,9 +11,10 @@ import numpy as np
 from ...checks import shown, typed, vector
 from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import RigidBody, Surface
-from ...mechanics.joints.drives import JointCoordinate, relative_of
+from ...mechanics.joints.drives import JointCoordinate, coordinates_of
 from ...mechanics.joints.joints import Ground, ground, refuse_no_attachment
 from ...mechanics.joints.relative import RelativeCoordinates
+from ...mechanics.joints.sums import Coordinate
 from ...rotations import Array
 from ..compiled.recording import Look, Recorded
 from ..evaluation import Evaluation
@@ -213,17 +214,17 @@ class ReactionWrench(_Vector):
 class JointReading(Sensor):
     """A joint coordinate (derivative 0) or its rate (1), see :func:`fmbd_fenicsx.angle` and ``displacement``."""
 
-    coordinate: JointCoordinate = None  # type: ignore[assignment]
+    coordinate: Coordinate = None  # type: ignore[assignment]
     derivative: int = 0
 
     @property
     def coordinates(self) -> tuple[JointCoordinate, ...]:
-        """The one."""
-        return (self.coordinate,)
+        """The one, or those that it is the sum of."""
+        return self.coordinate.coordinates
 
     @property
     def reads(self) -> dict[str, str]:
-        """The joint of the coordinate."""
+        """The joint of the first of them."""
         return {"joint": named_part("joint", self.coordinate.joint)}
 
     def read(self, ev: Evaluation, state: State, marker: int) -> Array:
@@ -236,8 +237,8 @@ class JointReading(Sensor):
         key = f"reading {id(self)}"
         if key not in s.cache:
             # made once a system: sensors read it at every record
-            block = s.block(self.coordinate.joint.name)
-            s.cache[key] = relative_of(s.motions, self.coordinate.kind, [(self.coordinate, block.a, block.b)])
+            blocks = [s.block(one.joint.name) for one in self.coordinates]
+            s.cache[key] = coordinates_of(s.motions, [self.coordinate], {b.name: (b.a, b.b) for b in blocks})
         found: RelativeCoordinates = s.cache[key]
         return found
 
@@ -302,7 +303,7 @@ def coordinates(body: Any, *, level: int = 0, unit: str = "-", names: Sequence[s
 
 
 @typed
-def joint_rate(coordinate: JointCoordinate) -> Sensor:
+def joint_rate(coordinate: Coordinate) -> Sensor:
     """Rate of a joint coordinate (rad/s or m/s), (1,); the coordinate itself is a sensor too."""
     return JointReading(None, coordinate.unit + "/s", coordinate=coordinate, derivative=1)
 

@@ -1,6 +1,6 @@
 """The tangent of applied forces: springs, dampers, tyres and laws of the user's own, as Newton's iteration sees them.
 
-An element between two markers has the tangent T = cd D + ck K over their displacements, d = J_a dq + J_b dq. On frames and on
+An element between markers has the tangent T = cd D + ck K over their displacements, d = J dq. On frames and on
 replicated parts J^T T J goes into the core. A marker on the surface of a distributed field moves with the ports of the field
 as well; with the singular values of T = U S V^T the element becomes a compliant row beside the constraints,
 
@@ -55,12 +55,12 @@ def force_tangent(ev: Evaluation, cd: float, ck: float) -> ForceTangent | None:
         T = ck * tangent.K + cd * tangent.D
         if isinstance(loads, ScalarLoads) and loads in ev.foretold:
             T = T + ck * loads.relative.geometric(ev.kin, ev.foretold[loads] - loads.scalar(ev.kin, ev.t)[2])
-        on_surface = entries.seen.touches(tangent.a) | entries.seen.touches(tangent.b)
-        entries.add_frames(T, tangent.a, tangent.b, ~on_surface)
+        on_surface = np.any([entries.seen.touches(m) for m in tangent.markers], axis=0)
+        entries.add_frames(T, tangent.markers, ~on_surface)
 
         for i in np.flatnonzero(on_surface):
-            # both markers of an element on a surface, by core and ports
-            J = np.concatenate((entries.seen.rows(tangent.a[i]), entries.seen.rows(tangent.b[i])))
+            # all markers of an element on a surface, by core and ports
+            J = np.concatenate([entries.seen.rows(m[i]) for m in tangent.markers])
             if not J[:, s.n_core :].any():
                 entries.add_block(J[:, : s.n_core].T @ T[i] @ J[:, : s.n_core])
                 continue
@@ -133,14 +133,14 @@ class _Entries:
         """A dense contribution, (n_core, n_core)."""
         self.block = block if self.block is None else self.block + block
 
-    def add_frames(self, T: Array, marker_a: np.ndarray, marker_b: np.ndarray, which: np.ndarray) -> None:
+    def add_frames(self, T: Array, markers: tuple[np.ndarray, ...], which: np.ndarray) -> None:
         """Elements between markers on frames, of those that ``which`` selects."""
         if not which.any():
             return
         s = self.ev.system
         kin = self.ev.kin
         n = s.motions.n_twist
-        T, sides = T[which], (marker_a[which], marker_b[which])
+        T, sides = T[which], [m[which] for m in markers]
         jac = [kin.jac_frame[i] for i in sides]
         size = kin.jac_frame.shape[1]
         for i, a in enumerate(sides):

@@ -42,7 +42,7 @@ class ForetoldEfforts:
 
     def __init__(self, system: System) -> None:
         self.system = system
-        turning = [f for f in system.forces if isinstance(f, ScalarLoads) and not f.relative.items.turns_only]
+        turning = [f for f in system.forces if isinstance(f, ScalarLoads) and not f.relative.turns_only]
         masses = [system.mass] if system.rigid is None else [*system.rigid.mass, system.mass]
         self.lightest = float(np.min(masses))
         self.linear = {f: np.array([force.law is None for force in f.forces]) for f in turning}
@@ -65,9 +65,13 @@ class ForetoldEfforts:
             return {}
         moved, faster = self._twists(ev, dq), self._twists(ev, dv)
         return {
-            f: f.scalar(ev.kin, ev.t)[2] + linear * (f.k * f.along(ev.kin, moved) + f.c * f.along(ev.kin, faster))
+            f: f.scalar(ev.kin, ev.t)[2] + linear * self._change(ev, f, moved, faster)
             for f, linear in self.linear.items()
         }
+
+    def _change(self, ev: Evaluation, f: ScalarLoads, moved: Array, faster: Array) -> Array:
+        """k r . dq + c r . dv of (1), (m,), for displacements and changes of the twists of all markers."""
+        return np.asarray(f.k * f.relative.along(ev.kin, moved) + f.c * f.relative.along(ev.kin, faster))
 
     def misfit(self, ev: Evaluation, after: dict[ScalarLoads, Array], ck: float) -> float:
         """(2), the share of an increment that may be wrong; ``ev``: where it began, with the N of its tangent."""

@@ -99,26 +99,18 @@ class Mean(Evaluation):
         """Applied wrenches; those of laws on relative coordinates as difference quotients of their potentials."""
         out = np.zeros(self.kin.jac_frame.shape[:2])
         for loads in self.system.forces:
-            pair = self._springs(loads) if isinstance(loads, ScalarLoads) else loads.wrenches(self.kin, self.t)
-            for marker, wrench in zip((loads.a, loads.b), pair, strict=True):
+            pushed = self._springs(loads) if isinstance(loads, ScalarLoads) else loads.wrenches(self.kin, self.t)
+            for marker, wrench in zip(loads.markers, pushed, strict=True):
                 np.add.at(out, marker, wrench)
         return out
 
-    def _springs(self, loads: ScalarLoads) -> tuple[Array, Array]:
+    def _springs(self, loads: ScalarLoads) -> tuple[Array, ...]:
         """N along rows with h rows . twist = s_1 - s_0; N the mean of the law from s_0 to s_1 at the mean rate."""
-        twist = self.kin.twist
-        assert twist is not None
-        s0, s1 = (loads.relative.values(ev.kin) for ev in self.ends)
-        moved = s1 - s0
-
-        # rows that give all of s_1 - s_0
-        ra, rb = loads.relative.rows(self.kin)
-        linear = self.h * (ra * twist[loads.a] + rb * twist[loads.b]).sum(1)
-        share = loads.relative.share(self.kin, (s0, s1), linear, self.system.length)
-
-        mean = mean_effort(lambda s, rate: loads.effort(s, rate, self.t), s0 - loads.free, moved / self.h, self.h)
-        N = (share * mean)[:, None]
-        return -N * ra, -N * rb
+        old, new = (ev.kin for ev in self.ends)
+        s0, s1 = (loads.relative.values(kin) for kin in (old, new))
+        mean = mean_effort(lambda s, rate: loads.effort(s, rate, self.t), s0 - loads.free, (s1 - s0) / self.h, self.h)
+        rows = loads.relative.quotients(self.kin, (old, new), self.h, self.system.length)
+        return tuple(-mean[:, None] * row for row in rows)
 
     # -- balance ------------------------------------------------------------------------------------------------
     def small(self, a: Array, lam: Array) -> tuple[Array, Array]:

@@ -137,7 +137,8 @@ def ports_in_use(ev: Evaluation) -> np.ndarray:
     system, m = ev.system, ev.system.markers
     on = np.zeros(len(m.frame), dtype=bool)
     for loads in system.forces:
-        on[loads.a] = on[loads.b] = True
+        for marker in loads.markers:
+            on[marker] = True
     for batch, _ in system.batches:
         for _, marker, _ in batch.sides(ev.kin, ev.t):
             on[marker] = True

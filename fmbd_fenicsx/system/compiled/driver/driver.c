@@ -10,6 +10,7 @@
 #include "bodies/bodies.c"
 #include "forces/formulas.c"
 #include "bodies/mapped.c"
+#include "forces/sums.c"
 #include "forces/bridges.c"
 #include "evaluation/evaluate.c"
 #include "forces/links.c"

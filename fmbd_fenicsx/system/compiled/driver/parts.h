@@ -66,6 +66,8 @@ typedef struct {
 int side_map(const System *s, int frame, const double **map);
 void through(const double *map, int width, const double *y, double *row);
 void twist_row(const Batch *k, long i, double *y);
+void add_terms(const Batch *k, const double *shares);
+void values(const System *s, const Batch *k);
 void mapped_square(System *s, const Batch *k, long i, const double *C);
 int place(System *s, const double *q, const double *v);
 void turn_velocity(System *s, const double *v);

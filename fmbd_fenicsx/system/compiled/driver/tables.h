@@ -18,10 +18,11 @@ enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin 
 enum { WORST = 4 };                                      /* what of records only the largest is kept of */
 enum { ANGLE = FRAME + D, SIGHT = ANGLE + (D == 2) };     /* of a marker in records: its own frame, x'', in the plane its angle */
 
-enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE }; /* roles of items: a term of a constraint; an effort that is linear, */
+enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE, TERM }; /* roles of items: a term of a constraint; an effort that is linear, */
                                                           /* given for the whole step, or from a law in Python; READ: only */
                                                           /* looked at in records; FORMULA: one of formulas.c; MOUNT: bushings; */
-                                                          /* WHOLE: wrenches on two markers from Python */
+                                                          /* WHOLE: wrenches on two markers from Python; */
+                                                          /* TERM: of a sum of coordinates, see sums.c */
 enum { POINT, SQUARE, DISTANCE, QUOTIENT };               /* of an effort over a step that keeps energy: at its mean point; else by */
                                                           /* differences of s, see mechanics/joints/relative.py */
 enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE, DOUBT }; /* verdicts; LOOK: the NumPy path has something to say; */
@@ -36,7 +37,8 @@ enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF }; /* scheme
 
 typedef void kernel(long n, const int *pair, const double *frames, const double *P, const double *W, double *out);
 
-/* Items of one kind between frames of like sort: all entries of their rows that are not on the ground are ``live``. */
+/* Items of one kind between frames of like sort: all entries of their rows that are not on the ground are ``live``. Sums of
+   coordinates have terms, the batches that stand before theirs, and no kernels. */
 typedef struct {
     kernel *value, *rates, *tangent;   /* of the kind, see mechanics/kinds/derivation.py */
     int role, outputs, live, products, curved, number; /* outputs: of the value kernel; number: for calls into Python */
@@ -45,12 +47,16 @@ typedef struct {
     int linked;                        /* LAW: whether it reads more than its coordinate; Python tells what its slopes foretell */
     int quotient;                      /* efforts: POINT .. of what they do over a step */
     int told;                          /* READ: whether its s and s' are told at every evaluation, to controllers */
+    int terms, sides;                  /* sums: of how many; frames of an item, 2 where these are no sums */
+    int turning;                       /* sums: whether rows of terms turn, so that efforts are stiff across them */
+    int *into;                         /* sums: of each entry of the rows of the terms, to which output it adds */
+    double *shift;                     /* sums: n, what is added */
     long n, width;                     /* width: constants of an item */
-    int *pair;                         /* n x 2 frames */
+    int *pair;                         /* n x sides frames */
     double *P, *out;                   /* constants; s and the entries of the row */
     int *entry, *at;                   /* live: which output; n x live: place in velocities and residuals */
     int *row;                          /* ROW: number of the constraint */
-    double *factor;                    /* ROW: coefficient of s in it */
+    double *factor;                    /* ROW: coefficient of s in it; sums: n x terms, of s of each */
     int *dest;                         /* ROW: n x live places in the fronts */
     double *stiffness, *damping, *free; /* efforts: N = stiffness (s - free) + damping s' */
     double *s, *rate, *effort, *weight, *slope; /* n each */

@@ -13,7 +13,8 @@ import numpy as np
 
 from ....mechanics.kinds.derivation import KERNELS, Kind
 from ....mechanics.kinds.library import kernel_address
-from .items.items import GIVEN, READ, ROW, Items
+from ....mechanics.kinds.sums import SumKind
+from .items.items import GIVEN, READ, ROW, TERM, Items
 from .layout import TableLayout
 from .structures import structure
 
@@ -44,12 +45,16 @@ def _batch(tables: TableLayout, items: Items, frames: np.ndarray) -> Any:
         pair=store.integers(frames), entry=store.integers(1 + live), at=store.integers(places[:, components[live]]),
         component=store.integers(components),
     )  # fmt: skip
-    where = np.zeros(2 * tables.twist, int)
+    one.sides, one.terms = frames.shape[1], len(items.terms)
+    if isinstance(kind, SumKind):
+        one.into = store.integers(np.array(kind.into, dtype=int))
+    where = np.zeros(one.sides * tables.twist, int)
     where[list(kind.entries)] = 1 + np.arange(len(kind.entries))
     one.where = store.integers(np.tile(where, (n, 1)))
     if items.role == READ:  # nothing acts
         return one
     one.hessians = len(kind.pattern)
+    one.turning = int(any(term.kind.pattern for term in items.terms))
     if items.role == ROW:
         one.row = store.integers(items.row)
     if mapped:
@@ -79,7 +84,7 @@ def _plain_places(
     if items.role == ROW:
         rows = tables.nu + np.asarray(items.row)
         one.dest = store.integers(fronts.place(rows[:, None], places[:, components]))
-    elif items.role != GIVEN:
+    elif items.role not in (GIVEN, TERM):
         first, second = np.tril_indices(len(live))
         one.products = len(first)
         one.first, one.second = store.integers(1 + live[first]), store.integers(1 + live[second])
@@ -97,13 +102,14 @@ def _mapped_places(tables: TableLayout, one: Any, batch: tuple[Items, np.ndarray
     starts = [np.concatenate(([0], np.cumsum(x))).astype(np.int64) for x in (counts, counts * (counts + 1) // 2)]
     one.row_start, one.square_start = (store.array(x, np.int64)[1] for x in starts)
     squares = [np.zeros(0, int)]
-    for x in rates if len(pattern) or items.role != ROW else ():
+    for x in rates if len(pattern) or items.role not in (ROW, TERM) else ():
         c, r = np.tril_indices(len(x))
         squares.append(fronts.place(x[c], x[r]))
     one.square_to = store.integers(np.concatenate(squares))
+    if items.role == ROW or items.terms:
+        one.row_on = store.integers(np.concatenate(rates))
     if items.role == ROW:
         rows = tables.nu + np.asarray(items.row)
-        one.row_on = store.integers(np.concatenate(rates))
         to = [fronts.place(row, x) for row, x in zip(rows, rates, strict=True)]
         one.row_to = store.integers(np.concatenate(to))
 

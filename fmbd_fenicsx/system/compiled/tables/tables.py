@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -105,7 +106,9 @@ class Tables(TableLayout):
     # -- order ---------------------------------------------------------------------------------------------------------------
     def _connections(self) -> tuple[Any, ...]:
         """What acts between which frames, and on which rows: all that the structure depends on."""
-        acting = ((x.role == ROW, _bytes(x.frames), _bytes(x.row)) for x in self.items if x.role != READ)
+        acting = (
+            (x.role == ROW, x.frames.shape[1], _bytes(x.frames), _bytes(x.row)) for x in self.items if x.role != READ
+        )
         whole = ((_bytes(self.frame[f.a]), _bytes(self.frame[f.b])) for f in (*self.loads, *self.mounts))
         rods = frozenset(rod_pairs(self.system.elements)) if self.system.elements else frozenset()
         on = _bytes(self.system.markers.frame[self.surfaces])
@@ -123,7 +126,7 @@ class Tables(TableLayout):
                 for number, pair in zip(items.row, bodies.tolist(), strict=True):
                     touched[int(number)] |= {x for x in pair if x >= 0}
                     terms[int(number)] += 1
-            pairs |= {(min(x), max(x)) for x in bodies.tolist() if x[0] != x[1] and min(x) >= 0}
+            pairs |= {(a, b) for x in bodies.tolist() for a, b in combinations(sorted({*x} - {-1}), 2)}
         for f in (*self.loads, *self.mounts):
             both: Any = self.body_of(self.frame[np.stack((f.a, f.b), axis=1)])
             pairs |= {(min(x), max(x)) for x in both.tolist() if x[0] != x[1] and min(x) >= 0}
@@ -211,6 +214,7 @@ class Tables(TableLayout):
         store = self.store
         size, parts = self.nu + self.rows, self.parts_of_numbers
         widest = int(self.width.max(initial=0))
+        sides = max([2, *(x.frames.shape[1] for x in self.sources)])
         given = {
             "gravity": s.gravity(0.0),
             "rest_gravity": s.gravity.lasting,
@@ -223,7 +227,8 @@ class Tables(TableLayout):
             "velocity": self.nothing + 1, "residual": self.nothing + 1,
             "L": self.fronts.storage + 8, "lossy": (parts - 1) * self.fronts.storage + 8, "diagonal": size,
             "inverse": parts * size, "b": parts * size, "local": parts * size + 8,
-            "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows), "big": (2 * self.twist + 1) * 2 * widest + size,
+            "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows),
+            "big": (2 * self.twist + 1) * sides * widest + size,
             **dict.fromkeys(("gap", "slip", "weight", *MOTIONS), self.rows),
             "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},
         })  # fmt: skip

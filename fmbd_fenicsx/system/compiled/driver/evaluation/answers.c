@@ -190,11 +190,11 @@ static void add_row(const System *s, int body, const double *rates, int modes, d
 /* The row of one item, as its kernel left it, on the rates of the body of one of its frames, into s->big; how many, 0: the ground. */
 int side_row(System *s, const Batch *k, long i, int side, int *body)
 {
-    const double *out = k->out + 1 + i * k->outputs, *map;
-    const int frame = k->pair[2 * i + side], width = side_map(s, frame, &map);
-    double both[2 * TWIST] = {0.0};
-    for (int e = 0; e < k->outputs - 1; e++) both[k->component[e]] = out[e];
-    if (width) through(map, width, both + TWIST * side, s->big);
+    const double *map;
+    const int frame = k->pair[k->sides * i + side], width = side_map(s, frame, &map);
+    double y[TWIST];
+    row_of_side(k, i, side, y);
+    if (width) through(map, width, y, s->big);
     *body = map ? s->surface[frame - s->bodies - 1].body : frame;
     return width;
 }
@@ -211,7 +211,7 @@ void item_row(System *s, const Batch *k, long i, double factor, double *row)
 /* The row of an effort, added likewise. */
 void effort_row(System *s, const Batch *k, long i, double *row)
 {
-    for (int side = 0; side < 2; side++) {
+    for (int side = 0; side < k->sides; side++) {
         int body, width = side_row(s, k, i, side, &body);
         if (width) add_row(s, body, s->big, width - TWIST, 1.0, row);
     }

@@ -115,13 +115,13 @@ int efforts(System *s, Batch *k, double t)
 
 int items(System *s, Batch *k, const double *lam, double t)
 {
-    if (k->role == READ && !k->told) return DONE;
+    if ((k->role == READ && !k->told) || k->role == TERM) return DONE;
     if (k->role == MOUNT) {
         mount_forces(s, k);
         return DONE;
     }
     if (k->role == WHOLE) return whole_forces(s, k, t);
-    k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+    values(s, k);
     if (k->role == READ || k->role == LINEAR || k->role == LAW || k->role == FORMULA) {
         int verdict = efforts(s, k, t);
         if (verdict || k->role == READ) return verdict;

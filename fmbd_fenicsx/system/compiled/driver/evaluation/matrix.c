@@ -26,16 +26,35 @@ static void plain_rows(System *s, const Batch *k)
     }
 }
 
-static void plain_tangents(System *s, const Batch *k, const double *slope)
+static void plain_squares(System *s, const Batch *k, const double *slope)
 {
-    const double *out = k->out, *hessian = k->hessian;
+    const double *out = k->out;
     const int *to = k->product_to;
-    for (long i = 0; slope && i < k->n; i++, out += k->outputs)
+    for (long i = 0; i < k->n; i++, out += k->outputs)
         for (int e = 0; e < k->products; e++, to++) s->L[*to] += slope[i] * out[k->first[e]] * out[k->second[e]];
+}
 
-    to = k->curve_to;
+static void plain_curves(System *s, const Batch *k)
+{
+    const double *hessian = k->hessian;
+    const int *to = k->curve_to;
     for (long i = 0; k->curved && i < k->n; i++, hessian += k->hessians)
         for (int e = 0; e < k->curved; e++, to++) s->L[*to] += hessian[k->curve[e]];
+}
+
+/* ---- sums ---- */
+
+/* The geometric stiffness of the terms, by the weights of the sums. */
+static void curves_of_terms(System *s, const Batch *k)
+{
+    for (int j = 0; j < k->terms; j++) {
+        const Batch *term = k - k->terms + j;
+        if (!term->curved) continue;
+        for (long i = 0; i < k->n; i++) term->weight[i] = k->factor[i * k->terms + j] * k->weight[i];
+        term->tangent(term->n, term->pair, s->frames, term->P, term->weight, term->hessian);
+        if (term->mapped) mapped_tangents(s, term, 0);
+        else plain_curves(s, term);
+    }
 }
 
 /* ---- all of it ---- */
@@ -70,11 +89,20 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
 
     int curved = k->curved && geometric != 0.0;
     for (long i = 0; i < k->n; i++) k->weight[i] = geometric * pull_of(s, k, i, lam);
+    if (k->terms) {
+        if (k->turning && geometric != 0.0) curves_of_terms(s, k);
+        if (slope && k->mapped) mapped_squares(s, k, slope);
+        else if (slope) plain_squares(s, k, slope);
+        return DONE;
+    }
     if (curved) k->tangent(k->n, k->pair, s->frames, k->P, k->weight, k->hessian);
     else if (k->curved) memset(k->hessian, 0, k->n * k->hessians * sizeof(double));
     if (!slope && !curved) return DONE;
     if (k->mapped) mapped_tangents(s, k, slope);
-    else plain_tangents(s, k, slope);
+    else {
+        if (slope) plain_squares(s, k, slope);
+        plain_curves(s, k);
+    }
     return DONE;
 }
 
@@ -97,7 +125,7 @@ static int entries(System *s, const double *q, double cd, double ck, double geom
         if (o->told && (verdict = told_block(s, o, t))) return verdict;
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (k->role == READ) continue;
+        if (k->role == READ || k->role == TERM) continue;
         if (k->role == ROW && k->mapped && !s->imaginary) mapped_rows(s, k);
         else if (k->role == ROW && !s->imaginary) plain_rows(s, k);
         if ((k->role == ROW && !reactions) || masses) continue;
@@ -303,7 +331,7 @@ static void foretell(System *s, const double *x)
 {
     int turned = 0;
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (k->role != LINEAR || !k->curved) continue;
+        if (k->role != LINEAR || !(k->curved || k->turning)) continue;
         if (!turned) turn_velocity(s, x);
         turned = 1;
         const double *out = k->out;
@@ -324,20 +352,30 @@ static double inertia_of(const System *s, int at)
     return surface < s->surfaces ? s->diagonal[s->body[s->surface[surface].body].at_u + on % TWIST] : INFINITY;
 }
 
+/* The largest entry of the geometric stiffness of item i for an effort. */
+static double stiffness_across(const System *s, const Batch *k, long i, double effort)
+{
+    double found = 0.0;
+    for (int j = 0; j < k->terms; j++)
+        found = fmax(found, stiffness_across(s, k - k->terms + j, i, k->factor[i * k->terms + j] * effort));
+    if (!k->curved) return found;
+    k->tangent(1, k->pair + 2 * i, s->frames, k->P + i * k->width, &effort, k->hessian);
+    for (int e = 0; e < k->curved; e++) found = fmax(found, fabs(k->hessian[k->curve[e]]));
+    return found;
+}
+
 /* Share of an increment x that may be wrong since springs pull otherwise across, where it leads, than in the matrix. */
 double other_pulls(System *s, const double *x)
 {
     double worst = 0.0;
     foretell(s, x);
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
-        if (k->role != LINEAR || !k->curved) continue;
+        if (k->role != LINEAR || !(k->curved || k->turning)) continue;
         for (long i = 0; i < k->n; i++) {
-            double pull = s->ck * k->foretold[i], other = pull - k->weight[i], stiffness = 0.0, inertia = INFINITY;
+            double pull = s->ck * k->foretold[i], other = pull - k->weight[i], inertia = INFINITY;
             if (!(fabs(other) > SAME_PULL * fmax(fabs(pull), fabs(k->weight[i])))) continue;
-            k->tangent(1, k->pair + 2 * i, s->frames, k->P + i * k->width, &other, k->hessian);
-            for (int e = 0; e < k->curved; e++) stiffness = fmax(stiffness, fabs(k->hessian[k->curve[e]]));
             for (int e = 0; e < k->live; e++) inertia = fmin(inertia, inertia_of(s, k->at[i * k->live + e]));
-            worst = fmax(worst, stiffness / inertia);
+            worst = fmax(worst, stiffness_across(s, k, i, other) / inertia);
         }
     }
     return worst;

@@ -17,7 +17,7 @@ static int readings(System *s, double t, double *found)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (!k->slot) continue;
-        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        values(s, k);
         int verdict = efforts(s, k, t);
         if (verdict) return verdict;
         for (long i = 0; i < k->n; i++) {

@@ -79,7 +79,7 @@ void energies(System *s, double t, const double *q, const double *v, const doubl
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role == MOUNT) out[3] += mount_energy(s, k);
         if (k->role != LINEAR && k->role != FORMULA) continue;
-        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        values(s, k);
         if (k->role == FORMULA) efforts(s, k, t);
         for (long i = 0; k->role == FORMULA && i < k->n; i++) out[3] += stored(k, i);
         for (long i = 0; k->role == LINEAR && i < k->n; i++) {
@@ -95,7 +95,7 @@ int friction_overran(System *s, double t, double h)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->told || k->role != FORMULA || k->formula != DRY) continue;
-        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        values(s, k);
         efforts(s, k, t);
         for (long i = 0; i < k->n; i++)
             if (overruns(k, i, h)) return 1;
@@ -108,7 +108,7 @@ int keep(System *s, double t)
 {
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (!k->told && (k->role != FORMULA || (k->formula != DRY && k->formula != PID))) continue;
-        k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        values(s, k);
         efforts(s, k, t);
         for (long i = 0; !k->told && i < k->n; i++) {
             double *kept = k->kept + MEMORY * i;

@@ -40,7 +40,7 @@ static int bend_row(System *s, const Stages *o, const Bend *b, const Bend *last,
         int verdict = place(s, q, o->v + (long)j * n);
         if (verdict) return verdict;
     }
-    if (!there || last->k != b->k) b->k->value(b->k->n, b->k->pair, s->frames, b->k->P, 0, b->k->out);
+    if (!there || last->k != b->k) values(s, b->k);
     memset(row, 0, n * sizeof(double));
     effort_row(s, b->k, b->i, row);
     return DONE;

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .....mechanics.forces.formulas import MEMORY
+from .....mechanics.kinds.sums import sum_kind
 from .....rotations import Array
 from ...declarations import enumeration
 from ..places import batch_of
 from ..structures import Store
 from .angles import theta_places
-from .items import FORMULA, LAW, READ, ROW, Items
+from .items import FORMULA, LAW, READ, Items
 
 if TYPE_CHECKING:
     from ..layout import TableLayout
@@ -37,15 +38,37 @@ OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split() 
 
 
 def of_one_sort(tables: TableLayout, items: Items) -> list[Items]:
-    """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces."""
-    sorts = tables.structure.once(("sorts", items.frames.tobytes()), lambda: _sorts(tables.nb, items.frames))
-    return [items] if len(sorts) == 1 else [items.part(which) for which in sorts]
+    """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces. Terms stand before their sums."""
+    key = "sorts", items.frames.shape[1], items.frames.tobytes()
+    sorts = tables.structure.once(key, lambda: _sorts(tables.nb, items.frames))
+    parts = [items] if len(sorts) == 1 else [items.part(which) for which in sorts]
+    for part in parts:
+        if part.terms:
+            _share_frames(part)
+    return [one for part in parts for one in (*part.terms, part)]
 
 
 def _sorts(ground: int, frames: np.ndarray) -> list[np.ndarray]:
-    """Numbers of the items of each sort."""
-    sort = np.where((frames > ground).any(axis=1), 9, (frames == ground) @ np.array([1, 2]))
-    return [np.flatnonzero(sort == k) for k in np.unique(sort)]
+    """Numbers of the items of each sort, which have the same frames in common."""
+    sort = np.where(
+        (frames > ground).any(axis=1), 1 << frames.shape[1], (frames == ground) @ (1 << np.arange(frames.shape[1]))
+    )
+    _, number = np.unique(np.column_stack((sort, _first_alike(frames))), axis=0, return_inverse=True)
+    return [np.flatnonzero(number.ravel() == k) for k in range(number.max(initial=-1) + 1)]
+
+
+def _first_alike(frames: np.ndarray) -> np.ndarray:
+    """Of each frame of an item the first that is the same, (n, sides)."""
+    return np.asarray((frames[:, :, None] == frames[:, None, :]).argmax(axis=2))
+
+
+def _share_frames(items: Items) -> None:
+    """The frames of sums of one sort, each of them once."""
+    for k, term in enumerate(items.terms):
+        term.frames = items.frames[:, 2 * k : 2 * k + 2]
+    columns, number = np.unique(_first_alike(items.frames[:1])[0], return_inverse=True)
+    items.kind = sum_kind(tuple(term.kind for term in items.terms), tuple(number.tolist()))
+    items.frames = items.frames[:, columns]
 
 
 def _constants(tables: TableLayout, items: Items, P: Array) -> None:
@@ -119,8 +142,10 @@ def item_batch(tables: TableLayout, items: Items, number: int) -> Any:
         _formula(store, one, items)
     if items.slot is not None:
         one.slot = store.integers(items.slot)
-    if items.role == ROW:
+    if items.factor is not None:
         one.factor = store.address(items.factor)
+    if items.terms:
+        one.shift = store.address(items.shift)
     if kind.name == "angle" and tables.dim == 3:
         one.near, one.theta = kind.place("near").start, store.integers(theta_places(tables.system, items))
     return one

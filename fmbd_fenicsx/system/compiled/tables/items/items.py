@@ -6,6 +6,7 @@ role GIVEN    an effort that is the same for the whole step: loads and drives, o
 role LAW      an effort from a law in Python, N(s - free, s', t)
 role READ     nothing acts: a coordinate that a sensor reads, in records; where ``told`` a controller, at every evaluation
 role FORMULA  an effort by a formula that the driver knows, maybe with a memory
+role TERM     nothing acts: a term of a sum of coordinates, whose own items act
 """
 
 from __future__ import annotations
@@ -22,21 +23,23 @@ from .....mechanics.forces.forces import Constant
 from .....mechanics.forces.formulas import Formula
 from .....mechanics.joints import constraints as ct
 from .....mechanics.joints.couplings import CouplingBatch
-from .....mechanics.joints.relative import RelativeCoordinates
+from .....mechanics.joints.relative import CoordinateSums, RelativeCoordinates
 from .....mechanics.kinds.derivation import Kind, kinds
+from .....mechanics.kinds.sums import sum_kind
 from .....rotations import Array
 from ....control.controllers import ControlLoads
 from ....system import System
 from ...declarations import enumeration
 from ...recording import Looks
 
-ROW, LINEAR, GIVEN, LAW, READ, FORMULA, _, _ = enumeration("ROW").values()
+ROW, LINEAR, GIVEN, LAW, READ, FORMULA, _, _, TERM = enumeration("ROW").values()
 
 
 @dataclass
 class Items:
     """Items of one kind and role: numbers of their markers (n, 2) and constants by name, (n,) or (n, size), in the axes of the
-    markers.
+    markers. Items of sums of coordinates have ``terms``, k Items in role TERM, with ``factor`` (n, k) and ``shift`` (n,), and
+    the markers of all of these, (n, 2 k).
 
     ``row``, ``factor``: of constraints. ``law``, ``stiffness``, ``damping``, ``free``: of efforts. ``drive``: per item t -> (s,
     s', s'') of a prescribed angle. ``load``: t -> constants of all items that change in time, by name. ``given``: t -> efforts.
@@ -64,6 +67,8 @@ class Items:
     told: bool = False
     quotient: int = 0  # of efforts over a step that keeps energy, as in mechanics/joints/relative.py
     linked: bool = False  # whether a law reads more than its own coordinate
+    terms: list[Items] = field(default_factory=list)
+    shift: Array | None = None
     frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))  # of both sides
     arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
 
@@ -89,6 +94,12 @@ class Items:
         assert self.formula is not None and self.formula.keep is not None
         self.formula.keep(memory)
 
+    def take_quotient(self, relative: RelativeCoordinates) -> None:
+        """How efforts on a coordinate become difference quotients, of sums term by term."""
+        self.quotient = relative.quotient
+        for items, term in zip(self.terms, relative.summands, strict=False):
+            items.quotient = term.quotient
+
     def part(self, which: np.ndarray) -> Items:
         """Some of the items."""
 
@@ -102,6 +113,7 @@ class Items:
         )  # fmt: skip
         made.slot, made.told, made.linked, made.quotient = some(self.slot), self.told, self.linked, self.quotient
         made.frames = self.frames[which] if len(self.frames) else self.frames
+        made.terms, made.shift = [term.part(which) for term in self.terms], some(self.shift)
         made.formula = None if self.formula is None else self.formula.part(which)
         return made
 
@@ -121,6 +133,11 @@ class Items:
 
 def of_source(source: Any, role: int) -> Items:
     """Items of a joint coordinate or of a batch of constraints."""
+    if isinstance(source, CoordinateSums):
+        terms = [of_source(term, TERM) for term in source.summands]
+        kind = sum_kind(tuple(term.kind for term in terms), tuple(range(2 * len(terms))))
+        markers = np.concatenate([term.markers for term in terms], axis=1)
+        return Items(kind, role, markers, {}, factor=source.factors, terms=terms, shift=source.offsets)
     return Items(source.items.kind, role, source.items.pair, dict(source.items.constants))
 
 
@@ -164,7 +181,8 @@ def _formulas(loads: Loads, looks: Looks) -> list[Items]:
         whole = of_source(formula.on, FORMULA)
         whole.free = np.zeros(len(loads.forces))
         if isinstance(loads, ScalarLoads):
-            whole.free, whole.quotient = loads.free, loads.relative.quotient
+            whole.free = loads.free
+            whole.take_quotient(loads.relative)
         whole.slot = looks.slots_of(loads)
         made = whole.part(formula.which)
         made.formula = formula
@@ -177,7 +195,8 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     n = len(loads.forces)
     whole = of_source(loads.relative, LINEAR)
     whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
-    whole.slot, whole.quotient = looks.slots_of(loads), loads.relative.quotient
+    whole.slot = looks.slots_of(loads)
+    whole.take_quotient(loads.relative)
     stated = {int(i) for formula in loads.formulas() for i in formula.which}
     own = np.array([i for i in loads.own if i not in stated], dtype=int)
     of_time = np.array([i for i in own if loads.forces[i].of_time], dtype=int)
