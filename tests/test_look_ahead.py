@@ -11,6 +11,7 @@ from test_variable_alpha import driven_crank, driven_pendulum, knocked, stepper_
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.blocks.field_blocks import Weights
+from fmbd_fenicsx.schemes.onestep.alpha.look_ahead import LookAhead
 
 
 @pytest.mark.parametrize("make", [driven_crank, lambda: driven_pendulum(1.0), lambda: driven_pendulum(1e-3)])
@@ -69,6 +70,14 @@ def test_a_look_at_loads_makes_no_factor(rod_mesh: Any) -> None:
     seen = stepper.look.loads(s, h)
     assert 1.0 < seen < softer
     assert solver.weights == stepper.look.weights(h)
+
+
+def test_loads_that_stay_as_they_are_are_not_solved_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even for their roundoff between the ends of a step."""
+    monkeypatch.setattr(LookAhead, "_moved", lambda *_: pytest.fail("a solution for nothing"))
+    for scene in (point_pendulum(), driven_crank()):
+        stepper = stepper_of(scene, fmbd.Index3())
+        assert stepper.look.loads(stepper.state, 0.1, 8) == 0.0
 
 
 def _knock(stepper: Any, h: float) -> np.ndarray:

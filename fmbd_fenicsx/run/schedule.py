@@ -59,10 +59,10 @@ class StepSchedule:
     def stop(self, t: float) -> float:
         """Where steps that the scheme chooses have to end: the near side of the next break point, s."""
         stop = self.t_end
-        for places in (self.stops, self.marks):
-            place = next((x for x in places if x - 4 * SIDE * np.spacing(x) > t), self.t_end)
-            if place < self.t_end:
-                stop = min(stop, near_side(place))
+        for places, reached in self._reached:
+            at = bisect_right(reached, t)
+            if at < len(places) and places[at] < self.t_end:
+                stop = min(stop, near_side(places[at]))
         return stop
 
     def below(self, size: float) -> StepSchedule:
@@ -116,6 +116,11 @@ class StepSchedule:
         """Times (s) between which the solution is smooth, as far as break points tell."""
         places = (self.begin, *self.stops, self.t_end)
         return tuple(zip(places[:-1], places[1:], strict=True))
+
+    @cached_property
+    def _reached(self) -> list[tuple[tuple[float, ...], list[float]]]:
+        """Stops, then marks, each with the times (s) from which on a march has reached them."""
+        return [(x, (np.array(x) - 4 * SIDE * np.spacing(x)).tolist()) for x in (self.stops, self.marks)]
 
     @cached_property
     def _ends(self) -> tuple[int, ...]:

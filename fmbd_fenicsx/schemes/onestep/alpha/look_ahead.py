@@ -96,8 +96,8 @@ class LookAhead:
         if way > 1.0:
             return way
 
-        shares = np.array(LOOKS)[:, None]
-        between = looked[:, 1:] - (1.0 - shares) * ends[:-1, None] - shares * ends[1:, None]
+        # none of forces that stay as they are: not even roundoff, which would be solved for
+        between = looked[:, 1:] - ends[:-1, None] - np.array(LOOKS)[:, None] * jumps[:, None]
         # what the ends of the step differ by is seen by the error of the step
         unseen = np.sign(between) * np.maximum(np.abs(between) - np.abs(jumps[:, None]), 0.0)
         worst = h * h / 6.0 * _largest(unseen.reshape(-1, forces.shape[1]))
@@ -110,6 +110,8 @@ class LookAhead:
 
     def _at_most(self, s: State, h: float, force: Array, size: Callable[[Array], float]) -> float:
         """The size of what a force moves in a step of h (s), or more where that is below one."""
+        if self.system.max_abs(force) == 0.0:
+            return 0.0  # whatever the matrix, which may have no factor so far
         # a softer matrix that is at hand tells more than the error, and costs no factor
         softer, own = self.solver.weights, self.weights(h)
         at_hand = (softer.cm, softer.ck < own.ck) == (own.cm, True)
