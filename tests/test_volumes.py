@@ -192,6 +192,28 @@ def test_a_stiffness_lost_in_roundoff_is_told(script, ratio):
         fmbd.equilibrium(scene)
 
 
+@pytest.mark.parametrize("ratio", [1e4, 1e7])
+def test_digits_lost_beside_a_stiff_part_are_told(script, ratio, caplog):
+    """A soft half that holds a stiff one, in absolute coordinates, against the same in a floating frame."""
+    mesh = fmbd.read_gmsh(script, volume=BOTH)
+    laws = {name: fmbd.materials.plane_stress(modulus, 0.0) for name, modulus in (("one", 1.0), ("two", ratio))}
+
+    def elastic(u, v, dx):
+        return sum(law(u, v, dx(mesh.volume_tag(name))) for name, law in laws.items())
+
+    def bent(body):
+        scene = fmbd.Scene("bar", gravity=(0.0, -1e-9))
+        scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+        scene.sensor("tip", fmbd.position(body.surface("right")))
+        return fmbd.equilibrium(scene)["tip"][1] - 0.05
+
+    exact, found = (
+        bent(make("bar", mesh, density=1.0, elastic=elastic)) for make in (fmbd.FloatingBody, fmbd.AbsoluteBody)
+    )
+    rough = abs(found / exact - 1.0) > 1e-5
+    assert rough == (ratio > 1e6) == ("roundoff of forces moves bodies by" in caplog.text)
+
+
 @pytest.mark.parametrize("softer", [0, 1])
 def test_first_frequencies_are_bounded_by_soft_parts(script, softer):
     """Free, one half 1e11 times as stiff: the soft one, of 1 m, vibrates by 0.01 (rad/s)^2 held, by 0.42 free."""

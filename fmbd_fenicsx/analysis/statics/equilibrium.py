@@ -42,6 +42,7 @@ from .time_scales import long_step
 
 FEW = 120  # coordinates up to which stability is looked at
 ASIDE = 0.1  # displacement along a motion that may be free, over the model's length
+ROUGH = 1e-5  # of the largest displacement, roundoff that is told
 SAME = 1e-3  # relative change of the force along a free motion there
 
 
@@ -127,6 +128,8 @@ def equilibrium(
             made = None if path is None else path.trace(newton, point, t)
             _check_given_speeds(newton.residual, point.q, t)
             check_steady(newton, point if made is None else made.points[-1], t if made is None else made.parameter[-1])
+            if made is None:
+                _tell_roundoff(newton, point, t, given)
         finally:
             solver.destroy()
 
@@ -157,6 +160,25 @@ def _tell_smooth_friction(system: System) -> None:
             'friction "%s" is smooth through rest and holds nothing in an equilibrium; dry_friction does',
             '", "'.join(names),
         )
+
+
+def _tell_roundoff(newton: StaticNewton, point: StaticPoint, t: float, given: State) -> None:
+    """Say how far displacements of elastic bodies are known, where forces of stiff parts have lost the digits of soft ones."""
+    system = newton.residual.system
+    displaced = system.difference(given.q, point.q)
+    for k, _ in system.fields:
+        own = system.slices[1][k]
+        displaced[own] = np.maximum(np.abs(displaced[own]), np.abs(system.local_q(point.q, k)))
+    size = system.max_abs(displaced)
+    if not system.fields or system.contacts is not None or not size > 0.0:
+        return
+    lost = newton.roundoff(point, t, size)
+    if lost > max(ROUGH * size, newton.tolerance * system.length):
+        log.warning(
+            "equilibrium: roundoff of forces moves bodies by %.1e m, %.0e of the largest displacement: stiffnesses lie far "
+            "apart; take fmbd.FloatingBody or bodies of one stiffness each, or rigid ones for what hardly deforms",
+            lost, lost / size,
+        )  # fmt: skip
 
 
 def _check_drives(residual: Residual, q: Array, t: float) -> None:

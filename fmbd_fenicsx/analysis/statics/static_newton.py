@@ -40,7 +40,10 @@ WHOLE, DAMPED = 12, 40  # increments at most, without and with a line search
 TINY = 1e-6  # increments, over the model's length, that ought to become smaller
 LONG = 0.5  # increment that is not taken whole, over the model's length
 FALLEN = 1e-2  # of the first one, increments with inertia beside the tangent that have found an equilibrium
+GOLDEN = 0.6180339887498949
 NOTHING = 1e-14  # such increments, over the model's length, that are roundoff of places
+ASIDE = 1e-13  # of the model's length, by which residuals are compared
+UNSEEN = 1e-9  # of a displacement, by which P^-1 may answer to roundoff
 SHORTEST_STEP = 1e-4  # of the preconditioner, s, over the root of the model's length
 
 Pair = tuple[Array, Array]
@@ -70,6 +73,9 @@ class StaticNewton:
     tolerance: float = 1e-12  # of increments, over the model's length
     iterations: int = 0
     tangent_iterations: int = 0
+    slow: bool = field(
+        default=False, init=False
+    )  # whether the newest equilibrium was found with inertia beside the tangent
     weights: Weights = field(init=False)
 
     def __post_init__(self) -> None:
@@ -130,7 +136,7 @@ class StaticNewton:
     # -- a whole iteration ----------------------------------------------------------------------------------------
     def solve(self, start: StaticPoint, t: float, rest: Pair) -> StaticPoint:
         """The point where both residuals equal ``rest``; ConvergenceError where the iteration ends elsewhere."""
-        carried = any(p.field.carried for _, p in self.residual.system.fields)
+        carried, self.slow = any(p.field.carried for _, p in self.residual.system.fields), False
         if carried:
             return self._iterate(start, t, rest, DAMPED, self._carrying_increment)
         try:
@@ -140,6 +146,7 @@ class StaticNewton:
         try:
             return self._iterate(start, t, rest, DAMPED, self._damped_increment)
         except ConvergenceError:
+            self.slow = True
             return self._iterate(start, t, rest, WHOLE, self._slow_increment)
 
     def _iterate(self, start: StaticPoint, t: float, rest: Pair, most: int, increment: Increment) -> StaticPoint:
@@ -165,6 +172,7 @@ class StaticNewton:
                     continue
                 if not self._balanced(point, t, rest):
                     break
+                self.stalled = size if stalled else 0.0
                 return point
             if sizes[-2] <= size <= TINY * system.length:  # roundoff, enlarged by a motion without stiffness
                 break
@@ -207,6 +215,24 @@ class StaticNewton:
         measure of M / tau^2 + K. Where tau is short against a vibration all of them are small, and the load is not carried.
         """
         return sizes[-1] <= max(FALLEN * sizes[1], NOTHING * self.residual.system.length)
+
+    def roundoff(self, point: StaticPoint, t: float, displaced: float) -> float:
+        """By how much (m) roundoff of the forces moves the newest equilibrium, which displaces bodies by so much (m); collective.
+
+        What residuals on both sides of it miss of the way there, and increments that became no smaller; 0 where motions are free.
+        """
+        system, here = self.residual.system, self.take(point, t)
+        if self.slow:
+            return 0.0
+        pattern, lost = np.arange(system.n_v) * GOLDEN % 1.0 - 0.5, self.stalled
+        for way in (ASIDE, -ASIDE):
+            aside = way * system.length / system.units * pattern
+            there = self.residual.values(self.residual.at(system.compose(point.q, aside), t), point.lam)
+            seen = self.solver.solve(there[0] - here[0], there[1] - here[1])[0]
+            if system.max_abs(seen - aside) > UNSEEN * displaced:
+                seen = self.inverse(point, t, here, there)[0]
+            lost = max(lost, system.max_abs(seen - aside))
+        return lost
 
     def respond(self, start: StaticPoint, t: float) -> tuple[Array, Callable[[Array], Array]]:
         """A configuration, and P^-1 there: what forces move where there is no equilibrium."""
