@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 
@@ -16,6 +17,12 @@ def world_size() -> int:
     """Number of ranks this process was started with; does not import mpi4py where mpirun was not used."""
     if "mpi4py.MPI" in sys.modules:
         return int(sys.modules["mpi4py.MPI"].COMM_WORLD.size)
+    return _launched_with()
+
+
+@cache
+def _launched_with() -> int:
+    """What the launcher says of it to this process."""
     for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
         if name in os.environ:
             return int(os.environ[name])

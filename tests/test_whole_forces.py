@@ -193,8 +193,8 @@ def test_tangent_of_bushings_is_the_derivative_of_their_wrench(dim: int, turn: f
     v[:dim] = (0.4, -0.3, 0.6)[:dim]
 
     states = driver_states(system)
-    assert states is not None and states.prepare(states.at(0.0, q, v), cd, ck)
-    matrix = np.linalg.inv([states.solve(b, np.zeros(0))[0] for b in np.eye(n)]).T
+    assert states is not None and states.factor.prepare(states.at(0.0, q, v), cd, ck)
+    matrix = np.linalg.inv([states.factor.solve(b, np.zeros(0))[0] for b in np.eye(n)]).T
 
     ev = system.at(0.0, q, v)
     M = np.diag([1.3] * dim + ([0.4] if dim == 2 else [0.4, 0.5, 0.6]))

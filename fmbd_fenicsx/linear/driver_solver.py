@@ -54,12 +54,12 @@ class DriverSolver:
         self.states.sway(sways)
         self._weights = weights
         self._look_at(ev)
-        self.ready = self._solves() and self.states.prepare(ev, weights.cd, weights.ck)
+        self.ready = self._solves() and self.states.factor.prepare(ev, weights.cd, weights.ck)
         return self.ready
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
         """Whether the matrix prepared last is this one."""
-        return self._evaluated(ev) and weights == self._weights and self.states.holds(ev, weights.cd, weights.ck)
+        return self._evaluated(ev) and weights == self._weights and self.states.factor.holds(ev, weights.cd, weights.ck)
 
     def _takes(self, weights: Weights) -> bool:
         """Whether the driver makes matrices of these."""
@@ -76,7 +76,7 @@ class DriverSolver:
         """Find whether rows do not depend on each other, which the first state tells."""
         if self.usable is None:
             depend = self.core.redundant
-            self.usable = not depend and self.states.prepare(ev, 0.0, 0.0) and self.states.independent()
+            self.usable = not depend and self.states.factor.prepare(ev, 0.0, 0.0) and self.states.factor.independent()
 
     def _solves(self) -> bool:
         """Whether the driver solves: rows do not depend on each other, or are known to, for the smallest multipliers then."""
@@ -154,17 +154,17 @@ class DriverSolver:
     def begin_steps(self, state: State) -> bool:
         """Steps from a state begin, which take the factor; whether it is that of the masses there."""
         states, self.ready = self.states, False
-        known = states.holds_masses(state.t, state.q)
-        states.hold(None)
+        known = states.factor.holds_masses(state.t, state.q)
+        states.factor.hold(None)
         self._before = int(states.tables.c.factors)
         return known
 
     def end_steps(self, state: State | None) -> None:
         """They have ended in a state, with the factor of the masses there; None: of something else."""
-        self.states.factors += int(self.states.tables.c.factors) - self._before
+        self.states.factor.count += int(self.states.tables.c.factors) - self._before
         self.ready, self._weights = state is not None, MASSES
         if state is not None:
-            self.states.hold(state.t, state.q, state.v, new=False)
+            self.states.factor.hold(state.t, state.q, state.v, new=False)
 
     @cached_property
     def _means(self) -> MeanStates:
@@ -177,20 +177,20 @@ class DriverSolver:
 
     def new_factors(self) -> int:
         """Factorisations since the last call."""
-        new, self._counted = self.states.factors - self._counted, self.states.factors
+        new, self._counted = self.states.factor.count - self._counted, self.states.factor.count
         return new
 
     def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
         """Increment like v and multipliers (n_lam,) for right-hand sides b and c."""
-        return self.states.solve(b, c)
+        return self.states.factor.solve(b, c)
 
     def answers(self, core: Array, seen: list[Array]) -> tuple[Array, list[Array]]:
         """Of the core, and of the columns of fields, to forces on both: as DriverStates."""
-        return self.states.answers(core, seen)
+        return self.states.factor.answers(core, seen)
 
     def closing(self, C: Array) -> Array:
         """Motions (n_v, k) that open the rows by the columns C (n_lam, k)."""
-        return self.states.closing(C)
+        return self.states.factor.closing(C)
 
 
 class FieldDriverSolver(DriverSolver):
@@ -224,7 +224,7 @@ class FieldDriverSolver(DriverSolver):
             self._chosen_for, self._versions = weights, versions
         found = self.told.factored(self.blocks, self.place)
         if found is not self.states:
-            self._counted += found.factors - self.states.factors
+            self._counted += found.factor.count - self.states.factor.count
             self.states, self.explicit = found, ExplicitStates(found)
 
     def _usable_at(self, t: float, q: Array, v: Array) -> bool:
@@ -250,7 +250,7 @@ class FieldDriverSolver(DriverSolver):
 
     def new_factors(self) -> int:
         """As above, those of steps of the energy-momentum scheme too."""
-        now = 0 if self._made is None else self._made.states.factors
+        now = 0 if self._made is None else self._made.states.factor.count
         new, self._of_means = now - self._of_means, now
         return new + super().new_factors()
 

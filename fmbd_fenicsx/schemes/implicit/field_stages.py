@@ -370,7 +370,7 @@ class FieldEquations(Equations):
             raise LinearSolveError("the matrix of a frequency is NumPy's.")
         room.solve_by(ready, np.zeros(len(s)), np.inf)
         for states in ready:
-            states.hold(None)
+            states.factor.hold(None)
 
     def follow(self, dxi: Array, rule: StageRule) -> None:
         """As :meth:`Equations.follow`: pressures move along, and take what iterations have left of the balance."""

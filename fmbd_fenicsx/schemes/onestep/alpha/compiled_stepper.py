@@ -254,15 +254,17 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
 
     def tape(self, judged: Openness) -> Tape | None:
         """Room for records of :meth:`march`; ``judged``: how open joints are told."""
-        return self.driver.tape(judged) if on_the_way(self.driver.tables) else None
+        driver = self.driver
+        return driver.tape(judged) if on_the_way(driver.tables) else None
 
     def _take(self, made: int) -> None:
         """The newest state, and what the steps counted."""
-        p = self.driver.parameters
+        driver = self.driver
+        p = driver.parameters
         self.counters["compiled_steps"] += made
         self._count_increments(p, made)
-        self.newton.renewals = int(self.driver.tables.c.renewals)
+        self.newton.renewals = int(driver.tables.c.renewals)
         self.solver.core.factorisations += made
         self.local_error = float(p[slots.LOCAL])
         self._ahead = self._driven = True
-        self.state = self._tail = self.driver.state()
+        self.state = self._tail = driver.state()

@@ -1,8 +1,8 @@
-"""A system evaluated and solved by the driver: one configuration, or many in a call.
+"""A system evaluated by the driver: one configuration, or many in a call.
 
 What schemes in Python ask for at every stage, the balance and the constraints with their derivatives, comes from the driver's
 tables, to roundoff the numbers of :class:`~...evaluation.Evaluation`, and so are energies. Markers and momenta are NumPy's, made
-when someone asks for them (:mod:`.driver_evaluation`). Systems without elastic fields.
+when someone asks for them (:mod:`.driver_evaluation`). Solutions are those of its :mod:`.factor`. Systems without elastic fields.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import accumulate, pairwise
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -18,12 +17,12 @@ import numpy as np
 from ....kernel_cache import address_of
 from ....rotations import Array
 from ...evaluation import Evaluation
-from ...mobility import certainly_regular
 from ...system import System
 from ..calls import Calls
 from ..tables.tables import Tables
 from .driver_evaluation import DriverBatch, DriverEvaluation
-from .exchange import Exchange, Room
+from .exchange import Room
+from .factor import DriverFactor
 from .geometry import CompiledGeometry
 from .glance import DriverGlance
 from .points import LocalPoints, Metric, PointsTold
@@ -39,7 +38,8 @@ class DriverStates(CompiledGeometry):
     solves = True  # whether it factors matrices too
 
     def __init__(self, system: System, library: Any) -> None:
-        self.system, self.library, self.factors = system, library, 0
+        self.system, self.library = system, library
+        self.factor = DriverFactor(self)
         self.anew = True  # whether laws are asked again, since a state was taken
         self.taken: bool = False
         self.dependent = False  # whether rows depend on each other: multipliers are the smallest then
@@ -55,14 +55,8 @@ class DriverStates(CompiledGeometry):
         self.twin = self.tables.twin  # between arrays of the system and those of the tables
         self.same_rows = self.twin.system is self.system  # whether the driver's configurations are the system's own
         self.know_twin()
-        n, m = self.tables.system.n_v, self.system.n_lam
-        # what C reads and writes for a solution: two right-hand sides are those of a complex one
-        self._given = Exchange({"q": self.tables.system.n_q, "b": (2, n), "c": (2, m)})
-        self._found = Exchange({"x": (2, n), "y": (2, m)})
-        self._standing: Array | None = None  # the configuration that is in the first of them
-        self._columns: tuple[int, Exchange] | None = None  # the same for several, with nothing but rows on the right
+        self.factor.renew()
         self._kept_room: Room | None = None
-        self._held: tuple[float, Array, Array, tuple[Any, Any]] | None = None  # t, q, v and weights of the factor
         self._last: DriverEvaluation | None = None  # made by :meth:`at`
         self._points = LocalPoints(self)
         tables = self.tables
@@ -75,7 +69,7 @@ class DriverStates(CompiledGeometry):
     def let_depend(self) -> None:
         """Solve for rows that depend on each other from now on."""
         if not self.dependent:
-            self.dependent, self._held = True, None
+            self.dependent, self.factor.held = True, None
             self.tables.c.redundant = 1
 
     @property
@@ -87,7 +81,7 @@ class DriverStates(CompiledGeometry):
         """The tables, for steps; they begin with new slopes of forces in Python."""
         if self.taken:
             self.renew()
-        self.taken, self._held = True, None
+        self.taken, self.factor.held = True, None
         for loads in self.tables.whole:
             loads.astray[0] = 1
         return self.tables, self.calls
@@ -95,7 +89,7 @@ class DriverStates(CompiledGeometry):
     @contextmanager
     def back(self) -> Iterator[None]:
         """Tables that steps have taken are one's own meanwhile, between two of them."""
-        self.taken, self._held = False, None
+        self.taken, self.factor.held = False, None
         try:
             yield
         finally:
@@ -105,7 +99,7 @@ class DriverStates(CompiledGeometry):
         """Serve another run, the one before is over: tables that remember nothing of its steps serve again."""
         if self.taken and (self.remembers or self.tables.whole):
             self.renew()
-        self.taken, self._held = False, None
+        self.taken, self.factor.held = False, None
 
     def at(self, t: float, q: Array, v: Array | None = None) -> DriverEvaluation:
         """The system in one configuration (and velocity); what was found of the one before is taken where it is the same."""
@@ -215,6 +209,9 @@ class DriverStates(CompiledGeometry):
             x[:count] = value
         return room
 
+    def sway(self, corrected: bool) -> None:
+        """Nothing sways where there are no fields."""
+
     def ask(self, function: Any, *given: float | None) -> bool:
         """One call of C for many configurations, with numbers and addresses; whether they have been evaluated."""
         if self.recalls:
@@ -225,128 +222,3 @@ class DriverStates(CompiledGeometry):
         if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()
         return not verdict
-
-    # -- solution ---------------------------------------------------------------------------------------------------------
-    def prepare(self, ev: DriverEvaluation, cd: Any, ck: Any) -> bool:
-        """Factor [M + cd C + ck K, G^T; G, 0] at a state, with complex weights where factors of fields are complex; False where
-        rows depend on each other, or nearly do.
-        """
-        if self.holds(ev, cd, ck):
-            return True
-        self._held = None
-        a, lam = ev.forces
-        if self.balances(ev.alone, a[None], lam[None]) is None:
-            return False
-        q, _, below = self._given.put(self._placed(ev.q), None, lam)
-        if isinstance(ck, complex):
-            weights = np.array((cd, ck)).view(float)
-            at = address_of(weights)
-            verdict = self.library.driver_prepare_complex(self.address, q, at, at + 2 * weights.itemsize, below, ev.t)
-        else:
-            verdict = self.library.driver_prepare(self.address, q, cd, ck, below, ev.t)
-        self.calls.raise_error()
-        if verdict:
-            return False
-        self._held, self.factors = (ev.t, ev.q, ev.alone[2][0], (cd, ck)), self.factors + 1
-        return True
-
-    def holds(self, ev: DriverEvaluation, cd: Any, ck: Any) -> bool:
-        """Whether the factor is that of a state; velocities count where weights are those of stiffness or damping."""
-        if not self._holds_in(ev.t, ev.q, (cd, ck)):
-            return False
-        assert self._held is not None
-        return not (cd or ck) or bool((self._held[2] == ev.alone[2][0]).all())
-
-    def holds_masses(self, t: float, q: Array) -> bool:
-        """Whether the factor is that of the masses in a configuration."""
-        return self._holds_in(t, q, (0.0, 0.0))
-
-    def _holds_in(self, t: float, q: Array, weights: tuple[Any, Any]) -> bool:
-        """Whether the factor is that of a configuration; steps that took the tables write over it."""
-        if self.taken or self._held is None:
-            return False
-        return self._held[::3] == (t, weights) and bool(np.logical_and.reduce(self._held[1] == q))
-
-    def hold(self, t: float | None, q: Array | None = None, v: Array | None = None, *, new: bool = True) -> None:
-        """Take note that the factor is that of the masses in a state, or, without one, of nothing that is known."""
-        self._held = None if t is None or q is None or v is None else (t, q.copy(), v.copy(), (0.0, 0.0))
-        self.factors += self._held is not None and new
-
-    def solve(self, b: Array, c: Array) -> tuple[Array, Array]:
-        """x like v and y (n_lam,) for the right-hand sides b and c, complex ones too: two of a real matrix, two parts of one
-        of a complex one.
-        """
-        wide = self.tables.c.parts > 1
-        if not wide and b.dtype.kind != "c":
-            x, y = self._solve(b, c, columns=1)
-            return x[0].copy(), y[0].copy()
-
-        x, y = self._solve(np.array((b.real, b.imag)), np.array((c.real, c.imag)), columns=1 if wide else 2)
-        return x[0] + 1j * x[1], y[0] + 1j * y[1]
-
-    def _placed(self, q: Array) -> Array | None:
-        """A configuration as C reads it; None where it stands there already."""
-        if self._standing is q:
-            return None
-        self._standing = q
-        return self.twin.configurations(q)
-
-    def _solve(self, b: Array, c: Array, *, columns: int) -> tuple[Array, Array]:
-        """x (2, n_v) and y (2, n_lam) of so many right-hand sides, as they stand in the room of this class."""
-        assert self._held is not None
-        twin = self.twin
-        q, right, below = self._given.put(self._placed(self._held[1]), twin.velocities(b), c)
-        self.library.driver_solve(self.address, columns, q, right, below, *self._found.at)
-        if self.calls.error is not None or self.calls.asked:
-            self.calls.raise_error()
-        x, y = self._found.arrays
-        return twin.forces(x), y
-
-    def closing(self, C: Array) -> Array:
-        """x (n_v, k) that open the rows by the columns C (n_lam, k), in one call."""
-        assert self._held is not None
-        n, (m, count) = self.tables.system.n_v, C.shape
-        if self._columns is None or self._columns[0] != count:
-            sizes: dict[str, int | tuple[int, ...]] = {"q": self.tables.system.n_q, "b": (count, n), "c": (count, m)}
-            sizes |= {"x": (count, n), "y": (count, m)}
-            self._columns = count, Exchange(sizes)
-        room = self._columns[1]
-        room.put(self.twin.configurations(self._held[1]), None, C.T)
-        self.library.driver_solve(self.address, count, *room.at)
-        return self.twin.forces(room.arrays[3]).T.copy()
-
-    def sway(self, corrected: bool) -> None:
-        """Nothing sways where there are no fields."""
-
-    def answers(self, core: Array, seen: list[Array]) -> tuple[Array, list[Array]]:
-        """What the core does (k, n_core), and what acts on the columns H of each field (k, ..), under forces on the core
-        (k, n_core) and on nodes, of which the factor of a field has found H^T E^-1 b = ``seen`` (k, ..), in its axes.
-        """
-        assert self._held is not None
-        forces = np.ascontiguousarray(self.twin.velocities(core))
-        seen_at, found = np.concatenate([np.zeros((len(core), 0)), *seen], axis=1), np.empty_like(forces)
-        acting = np.empty_like(seen_at)
-        at_rest = self._given.put(self._placed(self._held[1]), np.zeros(self.tables.system.n_v))
-        self.library.driver_columns(
-            self.address, len(core), *at_rest, *map(address_of, (forces, seen_at, found, acting))
-        )
-        ends = list(accumulate((x.shape[1] for x in seen), initial=0))
-        return self.twin.forces(found), [acting[:, a:b] for a, b in pairwise(ends)]
-
-    def independent(self) -> bool:
-        """Whether the rows certainly do not depend on each other, by the factor with masses only: as
-        :func:`~fmbd_fenicsx.system.mobility.rows_are_independent`, with the true inertia.
-        """
-        assert self._held is not None
-        size = np.sqrt(self.tables.arrays["weight"])
-        if not size.any():
-            return True  # conditions of frames, which have no weight, and no other rows
-        places = self._given.put(self._placed(self._held[1]), np.zeros(self.tables.system.n_v))
-        below, found = self._given.arrays[2][0], self._found.arrays[1][0]
-
-        def solve(x: Array) -> Array:
-            np.multiply(size, x, out=below)
-            self.library.driver_solve(self.address, 1, *places, self._given.at[2], *self._found.at)
-            return np.asarray(size * found)
-
-        return certainly_regular(solve, len(size), float(len(size)))

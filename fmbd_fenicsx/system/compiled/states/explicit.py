@@ -60,17 +60,17 @@ class ExplicitStates:
 
     def accelerations(self, t: float, q: Array, v: Array) -> tuple[Array, Array] | None:
         """a and lambda of a consistent state; its matrix of masses is factored then."""
-        known = self.states.holds_masses(t, q)
+        known = self.states.factor.holds_masses(t, q)
         found = self._accelerations((t,), q[None], v[None], known=known)
         if found is None:
             return None
-        self.states.hold(t, q, v, new=not known)
+        self.states.factor.hold(t, q, v, new=not known)
         return found[0][0], found[1][0]
 
     def all_accelerations(self, states: States) -> tuple[Array, Array] | None:
         """:meth:`accelerations` of many states."""
         found = self._accelerations(states.times, states.q, states.v, known=False)
-        self.states.factors += len(states.q)
+        self.states.factor.count += len(states.q)
         return found
 
     def _accelerations(self, t: Sequence[float], q: Array, v: Array, *, known: bool) -> tuple[Array, Array] | None:
@@ -86,11 +86,11 @@ class ExplicitStates:
     def least(self, t: float, q: Array, lam: Array) -> Array | None:
         """Of multipliers (k, n_lam) with the same forces in a configuration the smallest; the masses are factored then."""
         states, lam = self.states, lam.copy()
-        known = states.holds_masses(t, q)
+        known = states.factor.holds_masses(t, q)
         numbers = (int(known), t, len(lam))
         if not self._ask(states.library.driver_least, [numbers], (states.twin.configurations(q), lam)):
             return None
-        states.hold(t, q, np.zeros(states.system.n_v), new=not known)
+        states.factor.hold(t, q, np.zeros(states.system.n_v), new=not known)
         return lam
 
     def closed(self, t: float, q: Array, v: Array, cd: float = 0.0, ck: float = 0.0) -> tuple[Array, Array] | None:
@@ -118,7 +118,7 @@ class ExplicitStates:
         if not self._ask(self.states.library.driver_arrive, [(places, t, self.system.length)], arrays):
             return None
         end = State(t, twin.places(q), twin.forces(v), twin.forces(a), lam)
-        self.states.hold(t, end.q, end.v)
+        self.states.factor.hold(t, end.q, end.v)
         return end
 
     def stages(self, span: tuple[float, float], start: tuple[Array, Array, Array], tableau: Tableau) -> Stages | None:
@@ -147,13 +147,13 @@ class ExplicitStates:
         sizes, times = np.array((o.b, o.c, o.damping, o.nothing)), np.array(o.times)
         q, after = twin.configurations(o.q), twin.configurations(o.after)
         v, known = twin.velocities(o.v), twin.velocities(o.known)
-        factored = not o.damping and states.holds_masses(o.times[0], o.q)
+        factored = not o.damping and states.factor.holds_masses(o.times[0], o.q)
 
         arrays: tuple[Any, ...] = (sizes, times, q, v, after, known, a, lam, solves, newton)
         if not self._ask(states.library.driver_stage, [(o.on_places, factored)], arrays):
             return None
         if not o.damping:
-            states.hold(o.times[0], o.q, o.v, new=not factored)
+            states.factor.hold(o.times[0], o.q, o.v, new=not factored)
         return twin.forces(a), lam, int(solves[0])
 
     def half_stages(
@@ -198,7 +198,7 @@ class ExplicitStates:
         if states.taken:
             return False
         if factors:
-            states.hold(None)
+            states.factor.hold(None)
         if states.recalls:
             states.tables.recall()
 

@@ -112,7 +112,7 @@ class FactoredFieldStates(FieldStates):
         """Go on with the factors of another size of step."""
         self.blocks, self.tangents = blocks, self.newest_tangents
         if self.tables.take(blocks):
-            self._held = None
+            self.factor.held = None
         else:
             self.renew()
 

@@ -127,6 +127,6 @@ class MeanStates(ExplicitStates):
         numbers = [(ends.most, int(old), t, h, self.system.length)]
         arrays: tuple[Any, ...] = (ends.numbers, q, v, a, lam, sizes, done, after, then)
         made = self._ask(self.states.library.driver_mean_step, numbers, arrays)
-        self.states.factors += self.states.tables.c.factors - before
+        self.states.factor.count += self.states.tables.c.factors - before
         end = (twin.places(after), twin.forces(then)) if made else None
         return MeanStep(twin.forces(a), lam, list(map(float, sizes[: int(done[0])])), bool(done[1]), end)
