@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 ALIKE = 3  # warnings of one kind that are written in full
 WIDTH = 112
+EVERYONES, OURS = logging.getLogger(), logging.getLogger("fmbd_fenicsx")
 
 
 class OnStandardError(logging.Handler):
@@ -62,7 +63,7 @@ def _kind(record: logging.LogRecord) -> str:
 def _set_up_by_program() -> bool:
     """Whether someone else listens."""
     ours = (OnStandardError, Gathered, logging.NullHandler)
-    handlers = [*logging.getLogger().handlers, *logging.getLogger("fmbd_fenicsx").handlers]
+    handlers = [*EVERYONES.handlers, *OURS.handlers]
     return any(not isinstance(handler, ours) for handler in handlers)
 
 
@@ -93,18 +94,18 @@ class Gathered(logging.Handler):
         return out
 
     def __enter__(self) -> Gathered:
-        logging.getLogger("fmbd_fenicsx").addHandler(self)
+        OURS.addHandler(self)
         return self
 
     def __exit__(self, *error: object) -> None:
-        logging.getLogger("fmbd_fenicsx").removeHandler(self)
+        OURS.removeHandler(self)
 
 
 class Withheld:
     """Context in which those who listened before hear no warnings: of attempts only those of the best one are said, later."""
 
     def __enter__(self) -> None:
-        self._handlers = [*logging.getLogger().handlers, *logging.getLogger("fmbd_fenicsx").handlers]
+        self._handlers = [*EVERYONES.handlers, *OURS.handlers]
         for handler in self._handlers:
             handler.addFilter(self._passes)
 
@@ -114,4 +115,4 @@ class Withheld:
 
     def _passes(self, record: logging.LogRecord) -> bool:
         """Whether it is of another package, or none."""
-        return record.levelno != logging.WARNING or record.name != "fmbd_fenicsx"
+        return record.levelno != logging.WARNING or record.name != OURS.name

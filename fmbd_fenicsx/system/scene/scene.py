@@ -111,10 +111,8 @@ class Scene:
         return f"<pre>{escape(repr(self)[1:-1].replace('; ', chr(10) + '  '))}</pre>"
 
     def __post_init__(self) -> None:
-        what = f'Scene "{self.name}"'
         word("A scene's name", self.name)
-        check_fields(self, what)
-        number(f"{what}: gravity_ramp", self.gravity_ramp, least=0.0, unit="s")
+        check_fields(self, f'Scene "{self.name}"')
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Only what a scene has: ``scene.gravtiy = ...`` would change nothing, without a word."""
@@ -125,15 +123,14 @@ class Scene:
             empty = type(value) is dict and not value  # as all are in a new scene
             value = Parts(value if empty else self._fitting(name, value))
             value.scene, value.what = self, PLACES[name][1]
+        what = f'Scene "{self.__dict__.get("name", "")}": {name}'
         if name == "gravity":
-            check_gravity(f'Scene "{self.__dict__.get("name", "")}": gravity', value)
+            check_gravity(what, value)
         if name == "breakpoints" and not (isinstance(value, tuple) and not value):
-            what = f'Scene "{self.__dict__.get("name", "")}": breakpoints'
-            require(
-                array(what, value, shape="times (s)").ndim == 1, f"{what} {shown(value)} must be a list of times (s)."
-            )
+            times = array(what, value, shape="times (s)")
+            require(times.ndim == 1, f"{what} {shown(value)} must be a list of times (s).")
         if name == "gravity_ramp":
-            number(f'Scene "{self.__dict__.get("name", "")}": gravity_ramp', value, least=0.0, unit="s")
+            number(what, value, least=0.0, unit="s")
         object.__setattr__(self, name, value)
 
     def _fitting(self, place: str, given: Any) -> dict[str, Any]:
