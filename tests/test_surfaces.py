@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from motion import elastic_rod, elastic_scene
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import dolfinx_compat
-from fmbd_fenicsx.errors import InputError, MeshError
+from fmbd_fenicsx.errors import ConvergenceError, InputError, MeshError
 from fmbd_fenicsx.fem.fields import Field
 
 pytestmark = pytest.mark.mpi
@@ -121,3 +122,33 @@ def test_one_form_serves_all_weights(rod_mesh: Callable[..., Any], monkeypatch: 
     monkeypatch.setattr(dolfinx_compat, "form", lambda x: (made.append(x), form(x))[1])
     f.moments("tip")
     assert len(made) == 1
+
+
+NARROW = """
+def build(gmsh, size, h=0.1):
+    \"\"\"A bar of 1 m by 0.1 m with a piece of its left end by itself.\"\"\"
+    g = gmsh.model.geo
+    corners = [(0, -0.05, h), (1, -0.05, h), (1, 0.05, h), (0, 0.05, h), (0, size / 2, size), (0, -size / 2, size)]
+    points = [g.addPoint(x, y, 0, near) for x, y, near in corners]
+    lines = [g.addLine(a, b) for a, b in zip(points, points[1:] + points[:1])]
+    bar = g.addPlaneSurface([g.addCurveLoop(lines)])
+    g.synchronize()
+    gmsh.model.addPhysicalGroup(2, [bar], name="bar")
+    gmsh.model.addPhysicalGroup(1, [lines[4]], name="piece")
+    gmsh.model.mesh.generate(2)
+"""
+
+
+@pytest.mark.parametrize(("size", "narrow"), [(1e-2, False), (1e-5, True)])
+def test_surfaces_on_which_bodies_turn_are_named(size: float, narrow: bool, tmp_path: Path) -> None:
+    """A clamped piece that is too small to carry the weight: what is open there, and why nothing rests."""
+    (tmp_path / "narrow.py").write_text(NARROW)
+    mesh = fmbd.read_gmsh(tmp_path / "narrow.py", size=size)
+    body = fmbd.FloatingBody("bar", mesh, density=1000.0, elastic=fmbd.materials.plane_stress(1e9, 0.3))
+    scene = fmbd.Scene("clamped", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("piece")))
+    system, _, _ = scene.build()
+    assert system.block_of(system.n_rows - 1).told == f'joint "clamp" (fixed{", on a surface of 2.9e-06 m" * narrow})'
+    if narrow:
+        with pytest.raises(ConvergenceError, match="turns as on a hinge of little stiffness: joint"):
+            fmbd.equilibrium(scene)

@@ -305,8 +305,7 @@ def _refuse_open(system: System, t: float, g: np.ndarray, solver: StepSolver) ->
 
 def worst_block(system: Layout, g: np.ndarray) -> str:
     """The joint or frame with the largest entry of a constraint vector."""
-    block = system.block_of(int(np.argmax(np.abs(g))))
-    return block.name if block.kind == "frame" else f'joint "{block.name}" ({block.kind})'
+    return system.block_of(int(np.argmax(np.abs(g)))).told
 
 
 def widest(system: System, g: np.ndarray) -> str:

@@ -84,13 +84,24 @@ class States:
 
 @dataclass(frozen=True)
 class RowBlock:
-    """Names a block of constraint rows: the joint (or body frame) it comes from, and the joint's two markers."""
+    """Names a block of constraint rows: the joint (or body frame) it comes from, and the joint's two markers; ``narrow``: size
+    (m) of its surface, where that is hardly anything of the body.
+    """
 
     name: str
     rows: slice
     kind: str
     a: int = -1
     b: int = -1
+    narrow: float = 0.0
+
+    @property
+    def told(self) -> str:
+        """The joint or frame in messages."""
+        if self.kind == "frame":
+            return self.name
+        on = f", on a surface of {self.narrow:.1e} m" if self.narrow else ""
+        return f'joint "{self.name}" ({self.kind}{on})'
 
 
 NOBODY = RowBlock("a constraint", slice(0, 0), "frame")

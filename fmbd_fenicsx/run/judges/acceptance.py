@@ -229,7 +229,8 @@ class Closed(Remembering):
         if not np.maximum.reduce(gap) <= allowed:
             raise ConvergenceError(
                 f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
-                "bodies that are much lighter or stiffer than what they are attached to, or take a smaller dt."
+                "bodies that are much lighter or stiffer than what they are attached to, or surfaces so small that they turn as "
+                "on a hinge, or take a smaller dt."
             )
         # (2), velocities
         if 1 in self.levels and ev.v is not None:

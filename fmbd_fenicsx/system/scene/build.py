@@ -33,6 +33,8 @@ from .point_masses import at_its_place, attitude_of, refuse_angles, refuse_turni
 from .rods import RodNodes
 from .wires import slider_rows
 
+NARROW = 1e-3  # of a body, a surface on which it turns as on a hinge
+
 if TYPE_CHECKING:
     from .scene import Scene
 
@@ -269,6 +271,12 @@ class Builder:
         center: Array = self.fields[self.part_of[side.body.name]].surface_center(side.name)
         return center
 
+    def _narrow(self, side: Any) -> float:
+        """Size (m) of a surface that is hardly anything of its elastic body: it turns there as on a hinge; 0 elsewhere."""
+        part = self.fields[self.part_of[side.body.name]] if isinstance(side, Surface) and side.body.meshed else None
+        width = part.field.moments(side.name).length if part is not None and part.distributed else np.inf
+        return width if part is not None and width < NARROW * part.size else 0.0
+
     def _mass(self, rigid: list[RigidBody]) -> float:
         return self.nodes.mass + sum(b.mass for b in rigid) + sum(p.mass_total for p in self.fields)
 
@@ -389,7 +397,7 @@ class Builder:
             default = self._default_point(joint) if joint.joined and not somewhere else None
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
-            rows.add(joint, (a, b))
+            rows.add(joint, (a, b), min(filter(None, map(self._narrow, (joint.a, joint.b))), default=0.0))
             if origin is not None and origin.closes(joint):
                 self.closing.append((a, b))
         for body in self.scene.bodies.values():

@@ -35,8 +35,8 @@ class JointRows:
     )
     _couplings: list[tuple[Coupling, int]] = field(default_factory=list)
 
-    def add(self, joint: Joint, markers: tuple[int, int]) -> None:
-        """Append the rows of one joint with its markers."""
+    def add(self, joint: Joint, markers: tuple[int, int], narrow: float = 0.0) -> None:
+        """Append the rows of one joint with its markers; ``narrow``: see :class:`.RowBlock`."""
         if isinstance(joint, Coupling):
             markers = self.markers.get(joint.terms[0][0].joint.name, markers)
         self.markers[joint.name] = markers
@@ -57,7 +57,7 @@ class JointRows:
             self._couplings.append((joint, self.row))
             self.row += 1
 
-        self.blocks.append(RowBlock(joint.name, slice(first, self.row), joint.kind, a, b))
+        self.blocks.append(RowBlock(joint.name, slice(first, self.row), joint.kind, a, b, narrow))
 
     def take(self, name: str, count: int, kind: str) -> slice:
         """Number so many rows of something else that is not a joint."""
