@@ -7,9 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
+from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.mechanics.bodies.line_body import LinePart
+from fmbd_fenicsx.run.accuracy.jumps_in_time import HeldState
+from fmbd_fenicsx.system.compiled.choice import use_driver
 
 L, EA, GA, EI, RHO_A, RHO_I = 2.0, 1e6, 4e5, 50.0, 1.0, 1e-3
 
@@ -167,3 +171,24 @@ def test_the_curve_of_a_line_passes_between_its_nodes() -> None:
         assert np.allclose(np.diff(x), 2.0 / 15)
     with pytest.raises(InputError, match="values of 10 nodes, found 5 numbers"):
         line.curve(np.zeros(5))
+
+
+@compiled
+def test_a_line_whose_motion_is_held_is_assembled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its forces know no time: loads are looked at in hundreds of instants. With other rates they are others."""
+    beam, asked = line(mass_damping=12.0), []
+    scene = fmbd.Scene("held", gravity=(0.0, -9.81))
+    scene.add(beam, fmbd.fixed("clamp", fmbd.ground, beam.surface("start")))
+    scene.add(fmbd.force("push", beam.surface("end"), lambda t: (0.0, t)))
+    system, state, _ = scene.build()
+    plain = HeldState(system, state).rows(np.linspace(0.0, 1.0, 50))
+
+    use_driver(system)
+    force = LinePart.force
+    monkeypatch.setattr(LinePart, "force", lambda *given: (asked.append(1), force(*given))[1])
+    held = HeldState(system, state)
+    np.testing.assert_allclose(held.rows(np.linspace(0.0, 1.0, 50)), plain, rtol=1e-12, atol=1e-9)
+    assert len(asked) == 1
+    moving = system.at(0.0, state.q, state.v + 1.0).balance(state.a, state.lam)
+    assert len(asked) == 2
+    assert np.abs(moving - system.at(0.0, state.q, state.v).balance(state.a, state.lam)).max() > 1e-3

@@ -88,6 +88,9 @@ class Part(Protocol):
     rms: Array | None = None  # (n,) root mean square displacement by amplitudes of one, m; None: no amplitudes
     shortening: Shortening | None = None  # of ports that are of second order in u
     leaves_out: bool = False  # whether Newton's matrix lacks terms of its motion: gyroscopic and centrifugal ones
+    of_time: bool = (
+        True  # whether ``force`` may depend on time beside the motion: one that does not is asked once for each
+    )
 
     def remember(self, m: Any) -> None:
         """Write to a checkpoint what the part remembers beside its coordinates, or take it from there: nothing, unless it holds a

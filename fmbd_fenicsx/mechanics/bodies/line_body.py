@@ -148,6 +148,8 @@ class LinePart(Part):
     Ports: at each end in use x, y, the turn since the start, and three zeros (the size of any other surface).
     """
 
+    of_time = False
+
     def __init__(self, body: LineBody, frame: int, surfaces: list[str]) -> None:
         self.body, self.name, self.frame = body, body.name, frame
         self._forms()

@@ -34,8 +34,8 @@ class ToldMotion:
     def __init__(self, tables: TableLayout, n: int) -> None:
         d, twist, pose = tables.dim, tables.twist, tables.system.motions.n_pose
         sizes = (d * d, twist, twist, pose, d, n, n, n)
-        state, self.address = tables.store.array(np.zeros(sum(sizes)))
-        R, *self._frame, self._u, self._rate, self._second = np.split(state, np.cumsum(sizes)[:-1])
+        self.state, self.address = tables.store.array(np.zeros(sum(sizes)))
+        R, *self._frame, self._u, self._rate, self._second = np.split(self.state, np.cumsum(sizes)[:-1])
         self._R = R.reshape(d, d)
 
     def at(self, t: float) -> tuple[FrameMotion, Array, tuple[Array, Array, Array]]:
@@ -56,11 +56,19 @@ class ToldPart:
         made = tables.store.zeros({"rows": self.width, "block": (self.width, self.width)})
         self.rows, self.block = (x for x, _ in made.values())
         self.addresses = {name: address for name, (_, address) in made.items()}
+        self._last: tuple[Array, Array] | None = None  # motion and rows of forces, of a part that knows no time
 
     def forces(self, t: float) -> None:
         """Rows of the frame and of the coordinates."""
+        last = self._last
+        if last is not None and np.array_equal(last[0], self.motion.state):
+            self.rows[:] = last[1]
+            return
+
         motion, _, local = self.motion.at(t)
         self.rows[: self.tables.twist], self.rows[self.tables.twist :] = self.part.force(motion, local)
+        if not self.part.of_time:
+            self._last = self.motion.state.copy(), self.rows.copy()
 
     def energies(self, t: float) -> None:
         """Kinetic, elastic and weight energy."""
