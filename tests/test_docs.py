@@ -65,6 +65,18 @@ def test_tutorial_runs_and_shows_what_it_says(clone: Path) -> None:
     assert list((clone / "arm_fields").glob("*.pvd"))
 
 
+def test_stress_of_the_tutorial_is_the_tension_of_a_pulled_link() -> None:
+    from basix.ufl import element
+    from ufl import Mesh, SpatialCoordinate, as_vector
+
+    block = next(b for b in blocks((ROOT / "docs/tutorial.md").read_text()) if "def von_mises" in b)
+    known: dict[str, Any] = {"E": 2e9, "nu": 0.35}
+    exec(block.split("stress = ")[0], known)  # noqa: S102
+    x, y = SpatialCoordinate(Mesh(element("Lagrange", "triangle", 1, shape=(2,))))
+    pulled = as_vector((1e-3 * x, -0.35e-3 * y))
+    assert known["von_mises"](pulled)((0.2, 0.1)) == pytest.approx(2e6)
+
+
 def anchors(page: Path) -> set[str]:
     """Places of a page that links can name: those of its headings, as GitHub and the site form them."""
     text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)

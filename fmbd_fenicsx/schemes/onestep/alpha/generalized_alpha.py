@@ -39,10 +39,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GeneralizedAlpha:
-    """Scheme data: ``rho_inf`` in [0, 1), 1 is no damping at high frequencies, 0 the most; ``form``: Index3() or GGL().
+    """Generalized-alpha: implicit, of second order, with damping of high frequencies by choice.
 
-    rho_inf = 1 is refused: with index-3 constraints it is weakly unstable, roundoff in the multipliers grows until the run
-    fails (Cardona and Geradin, doi:10.1016/0045-7949(89)90050-9).
+    ``rho_inf``: in [0, 1]; 0 damps high frequencies most, 1 does not. With Index3() it must be below 1: at 1 roundoff in the
+    multipliers grows until the run fails (Cardona and Geradin, doi:10.1016/0045-7949(89)90050-9).
+
+    ``form``: Index3() or GGL().
 
     ``rtol``, ``atol``: error control, see :class:`.Radau`: the scheme chooses its steps (:mod:`.variable_alpha`); with
     rtol = None it takes steps of a given size.
