@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -370,6 +371,28 @@ def swung():
 def test_every_scheme_takes_rods(make, swung):
     assert swung[1] < -0.1
     np.testing.assert_allclose(swing(make(), 1e-3), swung, atol=1e-4)
+
+
+def test_a_first_step_that_hardly_moves_is_known_to_roundoff():
+    """Six hinged rods along the edges of a cube, at rest while weight sets in: increments stood at the roundoff of their forces,
+    1e-8 of the first one and 200 times what may move, and the step was made in parts, with 24 dense factors of all stages.
+    """
+    corners = [
+        np.array(x, dtype=float) for x in ((0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1), (0, 0, 1), (0, 0, 0))
+    ]
+    section = fmbd.RodSection.circle(youngs_modulus=2e8, poisson_ratio=0.3, density=1000, radius=0.0178)
+    scene = fmbd.Scene("cube", gravity=(0, 0, -9.81), gravity_ramp=0.2)
+    last, before = None, None
+    for i, (a, b) in enumerate(itertools.pairwise(corners)):
+        rod = scene.add(fmbd.Rod(f"rod {i}", [a, b], section, elements=2))
+        if last is None:
+            scene.add(fmbd.fixed("clamp", fmbd.ground, rod.surface("start"), center=a))
+        else:
+            axis = np.cross(a - before, b - a)
+            scene.add(fmbd.revolute(f"hinge {i}", last, rod.surface("start"), center=a, axis=axis))
+        last, before = rod.surface("end"), a
+    run = fmbd.solve(scene, t_end=0.02, dt=0.01, scheme=fmbd.BDF(2, rtol=None))
+    assert not run.counters["halved_steps"] and run.counters["core_factorisations"] <= 4
 
 
 def test_runs_with_rods_are_taken_up_to_the_last_bit(tmp_path):

@@ -17,7 +17,7 @@ from fmbd_fenicsx.errors import LinearSolveError
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.redundancy import null_space
 from fmbd_fenicsx.linear.residual import Judge
-from fmbd_fenicsx.schemes.control import ROUNDOFF, STAGNATION
+from fmbd_fenicsx.schemes.control import FALLEN, ROUNDOFF, STAGNATION
 from fmbd_fenicsx.schemes.dae import Points
 from fmbd_fenicsx.schemes.implicit.convergence import Rates, judge_increment
 from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
@@ -197,7 +197,7 @@ def test_iterations_end_where_python_says(rates: Rates, adaptive: bool) -> None:
         size, falls = 10.0 ** rng.uniform(-3, 4), rng.uniform(-2.5, 0.3)
         given = {name: getattr(rates, name) for name in vars(rates)}
         given |= {"most": int(rng.integers(2, 11)), "adaptive": adaptive, "tolerance": 0.03}
-        given |= {"calm": ROUNDOFF, "stagnation": STAGNATION}
+        given |= {"calm": ROUNDOFF, "stagnation": STAGNATION, "fallen": FALLEN}
         pair = [Convergence(**given, first=0.5, theta=0.3) for _ in range(2)]
         while pair[0].outcome == GOES_ON:
             still = bool(rng.uniform() < 0.1)

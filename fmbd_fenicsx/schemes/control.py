@@ -20,6 +20,7 @@ from .error_norm import ErrorNorm
 
 ROUNDOFF = 0.05  # Newton increments that stagnate below this share of the tolerance are accepted
 STAGNATION = 100.0  # the same with constant steps, where the tolerance may lie below the roundoff of stiff forces
+FALLEN = 1e-7  # or below this share of the greatest increment of the step: of a scene at rest nothing else tells what is small
 TURN = 2.5  # rad
 LEAST_ERROR = 1e-2  # of errors that are remembered
 NO_ERROR = 1e-10  # smaller ones are none

@@ -40,7 +40,8 @@ def share_left(o: Convergence, k: int) -> float:
 
 def is_roundoff(o: Convergence, ratio: float, size: float, *, still: bool) -> bool:
     """Whether increments that no longer fall, the newest of this ``size`` and ``ratio`` to the one before, are roundoff."""
-    stagnates = o.done > 2 and ratio > 0.3 and (size <= o.stagnation or still)
+    small = size <= max(o.stagnation, o.fallen * o.greatest)
+    stagnates = o.done > 2 and ratio > 0.3 and (small or still)
     if not o.adaptive:
         return stagnates
     calm = ratio > 0.5 and size <= o.calm and o.size <= o.before * o.calm
@@ -50,6 +51,7 @@ def is_roundoff(o: Convergence, ratio: float, size: float, *, still: bool) -> bo
 def judge_increment(o: Convergence, size: float, *, still: bool) -> None:
     """Take notice of one more increment; ``still``: it moved nothing beyond roundoff."""
     k = o.done
+    o.greatest = max(o.greatest, size)
     if not size < inf:
         o.done, o.size, o.outcome = k + 1, size, DIVERGED
         return

@@ -26,7 +26,7 @@ from ...system.system import System
 from ...system.tangents.foretold_efforts import foretold_efforts
 from ..consistent import MASS, project, worst_block
 from ..consistent_states import metrics_of, projected
-from ..control import ROUNDOFF, STAGNATION, Statistics, StepControl, first_step
+from ..control import FALLEN, ROUNDOFF, STAGNATION, Statistics, StepControl, first_step
 from ..dae import Points
 from ..declared import Declared
 from ..error_norm import EPS, ErrorNorm
@@ -263,7 +263,7 @@ class ImplicitStepper(ImplicitMarch):
             most=self.newton.max_iterations, adaptive=self.adaptive, h=h, allowed=self._allowed, still=self._roundoff,
             tolerance=self._newton_tolerance, limit=rates.limit, largest=rates.largest, before=rates.before,
             least=rates.least, averaged=rates.averaged, foresees=rates.foresees, calm=ROUNDOFF, stagnation=STAGNATION,
-            first=first, theta=self._theta,
+            fallen=FALLEN, first=first, theta=self._theta,
         )  # fmt: skip
 
     def _iterated(self, h: float, iteration: StageIteration, convergence: Convergence, until: int) -> str:

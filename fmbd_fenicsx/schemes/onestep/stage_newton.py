@@ -18,7 +18,7 @@ from ...linear.implicit.pencil import Pencil, cuts_of, stacked
 from ...rotations import Array
 from ...system.compiled.states.stages import StageRule
 from ...system.layout import State
-from ..control import ROUNDOFF, STAGNATION
+from ..control import FALLEN, ROUNDOFF, STAGNATION
 from ..dae import Points
 from .stage_march import LEAST_SHARE, LONGER, RATES, StageMarch
 
@@ -125,7 +125,7 @@ class StageNewton(StageMarch):
             floor = 1.0 + np.finfo(float).eps ** 0.5 / self.norm.rtol
             calm = 3
 
-        last, pencil = np.inf, None
+        last, greatest, pencil = np.inf, 0.0, None
         for k in range(2 * self.newton.max_iterations):  # at a singular position each halves the error
             points = self._stages(h, xi, v, mult)
             residual = self.eq.residual(self.state.t + h * self.tab.c, points)
@@ -138,9 +138,11 @@ class StageNewton(StageMarch):
 
             if not np.isfinite(size):
                 return "Newton diverged"
+            greatest = max(size, greatest)
+            small = size <= floor or (not self.adaptive and size <= FALLEN * greatest)
             calmed = k > calm and size > 0.3 * last
             fast = size <= KEPT * last
-            if (size <= enough and (fresh or fast)) or (calmed and (size <= floor or self._still)):
+            if (size <= enough and (fresh or fast)) or (calmed and (small or self._still)):
                 self._iterations, self._theta = k + 1, 1.0
                 return self._finished(h, self._stages(h, xi, v, mult))
             pencil = pencil if fast else None

@@ -18,7 +18,8 @@ class Convergence(ctypes.Structure):
     over increments or not, at most ``largest``, divergence from ``limit`` on; no ``share`` of an increment that is left is
     believed below ``least``, and that of the ``first`` is given. ``foresees``: it ends where those to come would not do.
     Increments that no longer fall are roundoff below ``calm``, the one before below ``before`` times that, and with constant
-    steps below ``stagnation``. Found: ``size`` of the newest increment, rate ``theta``, ``share``.
+    steps below ``stagnation`` or a share ``fallen`` of the greatest one. Found: ``size`` of the newest increment and of the
+    ``greatest``, rate ``theta``, ``share``.
     """
 
     _fields_ = fields_of("implicit/convergence.c", "Convergence")

@@ -3,8 +3,8 @@
 typedef struct {
     int most, adaptive, averaged, foresees, done, outcome;
     double h, allowed, still, tolerance, accurate;
-    double limit, largest, before, least, calm, stagnation, first;
-    double size, theta, share;
+    double limit, largest, before, least, calm, stagnation, fallen, first;
+    double size, greatest, theta, share;
 } Convergence;
 
 /* What is left of the error, over the size of increment k. */
@@ -16,7 +16,8 @@ static double share_left(const Convergence *o, int k)
 /* Whether increments that no longer fall are roundoff. */
 static int is_roundoff(const Convergence *o, int k, double ratio, double size, double last, int still)
 {
-    int stagnates = k > 2 && ratio > 0.3 && (size <= o->stagnation || still);
+    int small = size <= fmax(o->stagnation, o->fallen * o->greatest);
+    int stagnates = k > 2 && ratio > 0.3 && (small || still);
     if (!o->adaptive) return stagnates;
     return (ratio > 0.5 && size <= o->calm && last <= o->before * o->calm) || (stagnates && still);
 }
@@ -36,6 +37,7 @@ EXPORT void judge_increment(Convergence *o, double size, int still)
     const int k = o->done++;
     const double last = o->size;
     o->size = size;
+    o->greatest = fmax(size, o->greatest);
     if (!(size < INFINITY)) {
         o->outcome = DIVERGED;
         return;

@@ -123,7 +123,7 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
     c->allowed = fmax(o->rtol * h * h * typical, fmax(o->floor, unknown));
     c->theta = work[RATE];
     c->first = first;
-    c->size = 0.0;
+    c->size = c->greatest = 0.0;
     c->done = 0;
     c->outcome = GOES_ON;
 
