@@ -165,6 +165,62 @@ def test_what_is_refused(script):
         bar("heavy")
 
 
+def graded(x):
+    """A density of the place that a bar of 2 m has, kg/m^2."""
+    return 1000.0 * (1.0 + 3.0 * x[0] ** 2)
+
+
+@pytest.mark.parametrize("kind", [fmbd.FloatingBody, fmbd.AbsoluteBody])
+def test_a_density_of_the_place_weighs_what_its_integral_says(script, kind):
+    """int rho = 0.1 (2 + 8) 1000, int rho x = 0.1 (2 + 12) 1000; and a function that is constant is the number."""
+    reactions = []
+    for density in (graded, 1000.0, lambda x: 1000.0):
+        mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.2)
+        body = kind("bar", mesh, density=density, elastic=fmbd.materials.plane_stress(1e11, 0.3))
+        scene = fmbd.Scene("bar", gravity=(0.0, -9.81))
+        scene.add(body, fmbd.fixed("wall", fmbd.ground, body.surface("left"), center=(0, 0)))
+        scene.sensor("force", fmbd.reaction_force("wall"))
+        scene.sensor("moment", fmbd.reaction_torque("wall"))
+        found = fmbd.equilibrium(scene)
+        reactions.append((found["force"][1], found["moment"][0]))
+    assert reactions[0] == pytest.approx((-9.81 * 1000.0, -9.81 * 1400.0), rel=1e-5)
+    assert reactions[1] == pytest.approx(reactions[2], rel=1e-12)
+
+
+def test_frequencies_with_a_density_of_the_place(script):
+    """Those of the matrices that DOLFINx makes of the same forms."""
+    import scipy.sparse.linalg as sparse
+    import ufl
+    from dolfinx import fem
+
+    mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.2)
+    law = fmbd.materials.plane_stress(1e7, 0.3)
+    body = fmbd.FloatingBody("bar", mesh, density=graded, elastic=law)
+    V = fem.functionspace(mesh.dolfinx, ("Lagrange", 2, (2,)))
+    u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh.dolfinx)
+    forms = law(u, v, mesh.dx), graded(x) * inner(u, v) * mesh.dx
+    K, M = (fem.assemble_matrix(fem.form(a)).to_scipy().tocsc() for a in forms)
+    squares = np.sort(sparse.eigsh(K, 6, M, sigma=-1.0, return_eigenvectors=False))[3:]
+    assert body.frequencies(3) == pytest.approx(np.sqrt(squares) / 2 / np.pi, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("density", "words"),
+    [
+        (lambda: 1.0, "must be a function of 1 argument"),
+        (lambda x: x, "expected one number at each place"),
+        (lambda x: np.exp(x[0]), "It takes UFL's coordinates"),
+        (lambda x: x[0] - 0.5, "It must be positive everywhere"),
+    ],
+)
+def test_densities_of_the_place_that_are_none(script, density, words):
+    mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.5)
+    with pytest.raises(InputError, match=words):
+        scene = fmbd.Scene("bar")
+        scene.add(fmbd.FloatingBody("bar", mesh, density=density, elastic=fmbd.materials.plane_stress(1e7, 0.3)))
+        scene.build()
+
+
 def test_a_volume_without_material_is_refused(script):
     mesh = fmbd.read_gmsh(script, volume=BOTH)
     one = fmbd.materials.plane_stress(2e6, 0.3)

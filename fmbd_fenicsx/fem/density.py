@@ -1,24 +1,28 @@
-"""The density of a body: one number, or one for each of its named volumes."""
+"""The density of a body: one number, one for each of its named volumes, or a function of the place."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import number
+from .. import dolfinx_compat as compat
+from ..checks import function, number, shown
 from ..errors import InputError, near
 
 if TYPE_CHECKING:
     from .mesh.mesh import Mesh
 
-Density = float | Mapping[str, float]
+Density = float | Mapping[str, float] | Callable[[Any], Any]
 
 
 def check_density(what: str, density: Density, mesh: Mesh) -> None:
-    """Refuse numbers that are not positive, names of no volume, and volumes without a density."""
+    """Refuse numbers that are not positive, names of no volume, and volumes without a density; functions that take no place."""
     unit = "kg/m^3" if mesh.dim == 3 else "kg/m^2"
+    if callable(density):
+        function(what, density, "x", named="the place x, m")
+        return
     if not isinstance(density, Mapping):
         number(what, density, above=0.0, unit=unit)
         return
@@ -32,17 +36,50 @@ def check_density(what: str, density: Density, mesh: Mesh) -> None:
         raise InputError(f"{what}: none is given for the volumes {left} of {mesh.label}. Give one for each.")
 
 
-def density_on(mesh: Mesh, density: Density) -> Any:
-    """The density as a coefficient of forms: a constant, or a function that is constant in each cell."""
+def density_on(name: str, mesh: Mesh, density: Density) -> Any:
+    """The density of the body ``name`` as a coefficient of forms: a constant, a function that is constant in each cell, or an
+    expression of the place; collective.
+    """
     from dolfinx import fem
 
+    if callable(density):
+        return _of_place(f'Body "{name}": density', mesh, density)
     if not isinstance(density, Mapping):
         return fem.Constant(mesh.dolfinx, float(density))
 
     rho = fem.Function(fem.functionspace(mesh.dolfinx, ("DG", 0)))
-    for name, value in density.items():
-        rho.x.array[rho.function_space.dofmap.list[mesh.cell_tags.find(mesh.volume_tag(name)), 0]] = value
+    for volume, value in density.items():
+        rho.x.array[rho.function_space.dofmap.list[mesh.cell_tags.find(mesh.volume_tag(volume)), 0]] = value
     rho.x.scatter_forward()
+    return rho
+
+
+def _of_place(what: str, mesh: Mesh, density: Callable[[Any], Any]) -> Any:
+    """The UFL expression that a function of the place gives; no cell has a mass that is not positive. Collective."""
+    import ufl
+    from dolfinx import fem
+    from mpi4py import MPI
+
+    x = ufl.SpatialCoordinate(mesh.dolfinx)
+    try:
+        found = density(x)
+        rho = ufl.as_ufl(found)
+    except Exception as error:
+        why = f"{type(error).__name__}: {str(error).rstrip('.')}"
+        raise InputError(
+            f"{what}(x) failed: {why}. It takes UFL's coordinates: ufl.exp(x[0]), not np.exp(x[0])."
+        ) from error
+    if rho.ufl_shape:
+        raise InputError(f"{what}(x) gave {shown(found)} of shape {rho.ufl_shape}, expected one number at each place.")
+
+    cells = fem.functionspace(mesh.dolfinx, ("DG", 0))
+    masses = fem.assemble_vector(compat.form(rho * ufl.TestFunction(cells) * mesh.dx)).array
+    owned = cells.dofmap.index_map.size_local
+    least = mesh.dolfinx.comm.allreduce(float(masses[:owned].min(initial=np.inf)), op=MPI.MIN)
+    if not 0.0 < least < np.inf:
+        raise InputError(
+            f"{what}(x) gives a cell of {mesh.label} the mass {least:.3g} kg. It must be positive everywhere."
+        )
     return rho
 
 
@@ -52,7 +89,7 @@ def mean_density(field: Any) -> float:
     from dolfinx import fem
 
     given = field.forms.density
-    if not isinstance(given, Mapping):
+    if isinstance(given, float | int):
         return float(given)
 
     one = fem.form(fem.Constant(field.mesh.dolfinx, 1.0) * ufl.Measure("dx", domain=field.mesh.dolfinx))

@@ -59,7 +59,7 @@ class NodalField:
 
         # inertia: the same of every component
         p, q = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
-        self.rho = density_on(mesh, forms.density)
+        self.rho = density_on(name, mesh, forms.density)
         self.M = fp.assemble_matrix(compat.form(self.rho * p * q * mesh.dx))
         self.M.assemble()
         self.redistributed = False  # whether masses were moved between nodes, see replace_mass

@@ -196,7 +196,8 @@ class ElasticBody(Body):
         name: what messages and sensors call it.
         mesh: from :func:`fmbd_fenicsx.read_gmsh`, in world coordinates of the start, or of the stress-free state.
         degree: of the Lagrange displacements (2 by default: P1 is far too stiff in bending).
-        density: kg/m^3 (in the plane: kg/m^2 of the sheet); or one for each volume of the mesh, by its name.
+        density: kg/m^3 (in the plane: kg/m^2 of the sheet); or one for each volume of the mesh, by its name; or a function of
+            the place x (m), where the body lies at the start, that gives a UFL expression.
         elastic: the elastic form a(u, v, dx) in UFL, symmetric and bilinear; or
         energy: the elastic energy Pi(u, dx) in UFL, J, for instance from :mod:`fmbd_fenicsx.materials`. Either may be a
             :class:`~fmbd_fenicsx.MixedEnergy` of displacement and pressure, for nu up to 1/2.
