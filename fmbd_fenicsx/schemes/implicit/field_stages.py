@@ -70,14 +70,15 @@ class FieldTangent:
         count, wide = direction[0].size // system.n_v, direction.dtype.kind == "c"
         parts = direction.reshape(3, count, -1)
         parts = np.concatenate((parts.real, parts.imag), axis=1) if wide else parts
-        eps = np.array([[self._shift(*map(float, each))] for each in system.each_max_abs(parts).T])
+        sizes = system.each_max_abs(parts)
+        eps = np.array([[self._shift(*map(float, each))] for each in sizes.T])
 
         ev = system.batch(s.t, system.compose(s.q, eps * parts[0]), s.v + eps * parts[1])
         lam = np.array([s.lam] * len(eps))
         a = s.a + eps * parts[2]
         with self.pressures.held(self.pressures.start):
             change = (self.form.lower(ev.balance(a, lam), ev, a) - self.low) / eps
-        if self.pressures.fields:
+        if self.pressures.fields and sizes[0].any():
             change[:, : system.n_v] += self.pressures.stiffness(parts[0])
         change = change[:count] + 1j * change[count:] if wide else change
         return change if direction.ndim == 3 else change[0]
