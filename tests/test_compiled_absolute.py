@@ -11,7 +11,7 @@ from test_compiled import pair
 from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, saint_venant_kirchhoff
+from fmbd_fenicsx.materials import kelvin_voigt, linear_elastic, neo_hookean_mixed, saint_venant_kirchhoff
 from fmbd_fenicsx.schemes.onestep.alpha.field_stepper import FieldStepper
 from fmbd_fenicsx.system.compiled.choice import driver_states
 
@@ -192,15 +192,17 @@ def test_what_python_is_asked_for(rod_mesh: Callable[..., Any], monkeypatch: pyt
     monkeypatch.setattr(FieldStepper, "march", counted)
     mesh = rod_mesh(dim=2, h=0.5, height=0.2)
     once = {"t_end": 0.041, "dt": 1e-3, "output": fmbd.Output(every=1000, energy=False, progress=False)}
+    laws = BODIES | {"large strains, pressure": {"energy": neo_hookean_mixed(1e8, 0.4)}}
     for body, element, calls in (
         ("small strains", "", 0),
         ("small strains, viscous", "", 0),
         ("small strains", "motor", 41),
         ("large strains", "", 0),
         ("large strains, soft, viscous", "", 0),
+        ("large strains, pressure", "", 0),
     ):
         asked.clear()
-        fast = fmbd.solve(machine(mesh, BODIES[body], element), scheme=fmbd.GeneralizedAlpha(0.8), **once)
+        fast = fmbd.solve(machine(mesh, laws[body], element), scheme=fmbd.GeneralizedAlpha(0.8), **once)
         assert fast.counters["compiled_steps"] == 41
         assert list(asked.values()) == [calls], (body, element)
 

@@ -232,8 +232,8 @@ def swinging(mesh: Any, nu: float = 0.5) -> fmbd.Scene:
 
 
 def states(scene: fmbd.Scene, scheme: Any, n: int, until: int | None = None) -> list[tuple[Any, ...]]:
-    """q, v, lambda and pressures of n steps to 40 ms (of the first ``until``), in an order that does not depend on the ranks, on the
-    first of these; collective.
+    """q, v, lambda and pressures of n steps to 40 ms (of the first ``until``); fields on the first rank, in an order that does
+    not depend on how many there are; collective.
     """
     system, given, _ = scene.build()
     solver = StepSolver(system)

@@ -68,6 +68,11 @@ class Field(NodalField):
         return self._w
 
     @property
+    def pressure_argument(self) -> Any:
+        """The function of the pressure in them, None without one."""
+        return None
+
+    @property
     def nonlinear(self) -> bool:
         """Whether the internal forces come from an energy."""
         return self.forms.energy is not None

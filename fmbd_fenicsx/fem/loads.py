@@ -206,7 +206,11 @@ class AppliedLoads:
 
     def moving_form(self, u: Any, v: Any) -> Any:
         """UFL form of all loads on the deformed body, L(u; v) times the factors of :meth:`at`; 0 without such loads."""
-        return sum(factor * load.deformed(u, v, *self._measures) for load, factor in self.moving)  # type: ignore[misc]
+        return sum(factor * self.form_of(load)(u, v) for load, factor in self.moving)
+
+    def form_of(self, load: Load) -> Callable[[Any, Any], Any]:
+        """L(u; v) of a load on the deformed body, UFL."""
+        return lambda u, v: load.deformed(u, v, *self._measures)  # type: ignore[misc]
 
     @property
     def moving_forms(self) -> list[tuple[Load, Any]]:

@@ -15,6 +15,8 @@ Source: Gonzalez, doi:10.1016/S0045-7825(00)00189-4; Simo and Tarnow, doi:10.100
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from .. import dolfinx_compat as compat
@@ -33,7 +35,7 @@ class MeanForces:
     """Elastic and viscous forces, and those of loads on the deformed body, from displacements u_0 to u_1 in h (s)."""
 
     def __init__(self, field: Field) -> None:
-        """Compiles the form; collective."""
+        """Collective."""
         import ufl
         from dolfinx import fem
 
@@ -42,7 +44,11 @@ class MeanForces:
         self.u1 = fem.Function(field.space)
         self.h = fem.Constant(field.mesh.dolfinx, 1.0)
         self.form = self._forces(ufl.TestFunction(field.space))
-        self._vector = NodalVector(compat.form(self.form))
+
+    @cached_property
+    def _vector(self) -> NodalVector:
+        """Of all of them, compiled."""
+        return NodalVector(compat.form(self.form))
 
     def tangent(self) -> Any:
         """Compiled d/du_1 of the balance of a step, 2 M / h^2 + d f_dg / d u_1; collective."""
@@ -58,13 +64,10 @@ class MeanForces:
 
         field, forms = self.field, self.field.forms
         dx = field.elastic_measure
-        mean = 0.5 * (self.u0 + self.u1)
         rate = (self.u1 - self.u0) / self.h
 
-        force = self._elastic(mean, v)
-        if isinstance(forms.viscous, ViscousForm):
-            force += forms.viscous(mean, rate, v, dx)
-        elif forms.viscous is not None:
+        force = self._material(rate, v)
+        if forms.viscous is not None and not isinstance(forms.viscous, ViscousForm):
             force += forms.viscous(rate, v, dx)
 
         if forms.mass_damping:
@@ -72,11 +75,36 @@ class MeanForces:
         if forms.stiffness_damping:
             assert forms.elastic is not None  # an energy is refused by the scheme
             force += forms.stiffness_damping * forms.elastic(rate, v, dx)
-        # loads that follow the body: their mean over the way from u_0 to u_1
         if field.loads.moving:
-            for x in POINTS:
-                force -= 0.5 * field.loads.moving_form((1 - x) * self.u0 + x * self.u1, v)
+            force -= self._on_the_way(field.loads.moving_form, v)
         return force
+
+    def _material(self, rate: Any, v: Any) -> Any:
+        """Elasticity, and a viscous law at a rate."""
+        mean, viscous = 0.5 * (self.u0 + self.u1), self.field.forms.viscous
+        force = self._elastic(mean, v)
+        return force + viscous(mean, rate, v, self.field.elastic_measure) if isinstance(viscous, ViscousForm) else force
+
+    def _on_the_way(self, form: Callable[[Any, Any], Any], v: Any) -> Any:
+        """A load that follows the body, form(u, v): its mean over the way from u_0 to u_1."""
+        return sum(0.5 * form((1 - x) * self.u0 + x * self.u1, v) for x in POINTS)
+
+    @cached_property
+    def rate(self) -> Any:
+        """The function of (u_1 - u_0) / h in :meth:`parts`."""
+        from dolfinx import fem
+
+        return fem.Function(self.field.space)
+
+    def parts(self) -> list[tuple[Any, Any]]:
+        """Compiled forms of u_0, u_1 and their rate: of loads that follow the body, with these and without factors, and, with
+        None, of what is not linear beside them; collective.
+        """
+        import ufl
+
+        v, loads = ufl.TestFunction(self.field.space), self.field.loads
+        made = [(load, self._on_the_way(loads.form_of(load), v)) for load, _ in loads.moving]
+        return [(load, compat.form(form)) for load, form in [(None, self._material(self.rate, v)), *made]]
 
     def _elastic(self, mean: Any, v: Any) -> Any:
         """(1), or the linear form at the mean."""

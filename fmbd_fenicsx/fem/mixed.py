@@ -139,6 +139,16 @@ class MixedField(Field):
         self._p.x.array[: self.n_pressure] = self._px.array
         self._p.x.scatter_forward()
 
+    @property
+    def balance_form(self) -> Any:
+        """The compiled form of dPi/dp."""
+        return self._balance_form
+
+    @property
+    def pressure_argument(self) -> Any:
+        """The function of the pressure in the forms of an energy."""
+        return self._p
+
     # -- a pressure that is an unknown --------------------------------------------------------------------------
     def volume_gap(self, U: Array) -> Array:
         """r of (2) at displacements U (n d,), int q (J - 1) for a body that keeps its volume; collective."""

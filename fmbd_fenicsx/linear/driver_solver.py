@@ -255,14 +255,14 @@ class FieldDriverSolver(DriverSolver):
         return new + super().new_factors()
 
     def _renewed(self, states: FactoredFieldStates, ev: DriverEvaluation, weights: Weights) -> list[FactoredField]:
-        """Factors with new tangents of the fields where a step of the energy-momentum scheme begins, that was told last.
+        """Factors with new tangents of the fields where a step of the energy-momentum scheme begins.
 
         At the mean displacements of its middle a body that turns is pressed, and its end may be far off still.
         """
         for field in states.tables.fields:
             if field.part.renewable:
-                motion, _, local = field.motion.at(ev.t + 0.5 * states.tables.c.span)
-                field.part.part.relinearise(motion, local)
+                motion, *_ = field.motion.at(ev.t + 0.5 * states.tables.c.span)
+                field.part.part.relinearise(motion, ev.local(field.k))
         states.blocks = self.elastic.beside(ev.jacobian, weights)
         return states.blocks
 

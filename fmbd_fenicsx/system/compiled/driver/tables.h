@@ -101,28 +101,31 @@ typedef struct {
     double bias[TWIST];                /* rate of the twist at no accelerations of the body, see surface_bias() */
 } Surface;
 
-/* The pressure of a field, C p = B U: unknowns behind the displacements of its factor, E = [E, B^T; B, -C]; see pressure.c. */
-typedef struct {
-    long n;
-    int *B_start, *B_column, *C_start, *C_column; /* by rows of the pressure */
-    double *B, *C;
-    double *b, *p;                     /* n each: C p = b */
-    void **factor, *rhs, *solution;    /* of C; vectors on b and p */
-} Pressure;
-
 /* Integrals of a compiled form over cells or facets: forces on the nodes from values at them; see forms.c. */
-enum { PLACES_OF, RATES_OF, FROM }; /* what moves: U and U' */
+enum { PLACES_OF, RATES_OF, PRESSURES_OF, ENDS_OF, FROM }; /* what moves: U, U' and p, or U at the end of a step */
 typedef struct {
     void (*kernel)(void);              /* FFCx's */
     long count;                        /* of cells or facets */
-    int nodes, corners, width;         /* of a cell: nodes, points of its shape, coefficients */
+    int nodes, components, corners, width; /* of a cell: nodes with so many numbers, points of its shape, coefficients */
     int *node, *corner, *facet;        /* count x nodes, count x corners; of its cell, NULL over cells */
     double *points, *constants;        /* 3 each */
     double *coefficients;              /* count x width, of which these move: */
     int moving[FROM];
     int *place[FROM], *from_[FROM];    /* moving; count x moving */
-    double *factor, *room;             /* of the whole; work: width + nodes x D + 3 x corners */
+    double *factor, *room;             /* of the whole; work: width + nodes x components + 3 x corners */
 } Integral;
+
+/* The pressure of a field, C p = b with b = B U, or of integrals at p = 0: unknowns behind the displacements of its factor,
+   E = [E, B^T; B, -C]; see pressure.c. */
+typedef struct {
+    long n;
+    int *B_start, *B_column, *C_start, *C_column; /* by rows of the pressure */
+    double *B, *C;
+    double *b, *p;                     /* n each */
+    void **factor, *rhs, *solution;    /* of C; vectors on b and p */
+    int integrals;                     /* of the balance, where this is not linear */
+    Integral *integral;
+} Pressure;
 
 /* A matrix by rows of nodes, D x D blocks. */
 typedef struct {
@@ -147,6 +150,8 @@ typedef struct {
     NodeMatrix *drag;                  /* of a viscous form, NULL without */
     int integrals;                     /* of internal forces that are not linear, and of loads on the deformed body */
     Integral *integral;
+    int means;                         /* of the same over a step that keeps energy; 0: Python tells them */
+    Integral *mean;
     double *dead, *following, *internal; /* n each: loads at a time (s), NULL without; in world axes, in those of the frame, without */
     double loaded_at;                  /* a resultant */
     int own, whole;                    /* whether Python tells forces and energies, those of inertia and weight too, from: */

@@ -67,6 +67,11 @@ class RestingField(FieldPart):
         """Rows of the frame, zero, and forces on the nodes without inertia and weight."""
         return np.zeros(self.motions.n_twist), self.part.held_force(motion.t, *local[:2])
 
+    @property
+    def mean_forces(self) -> Any:
+        """As the field's own."""
+        return self.part.mean_forces
+
     def mean_force(self, motion: FrameMotion, local: tuple[Array, Array, Array], h: float) -> Array:
         """Forces on the nodes over a step of size h (s), as the field's own."""
         return self.part.mean_force(motion, local, h)

@@ -102,7 +102,7 @@ static int nodal_force(System *s, const Body *o, const double *R, const Motion *
     const double *U = m->U, *Ud = m->Ud, *Udd = m->Udd, *w = m->twist + D, *accel = m->accel;
     double W[D * D], L[D * D], alpha[D * D], free_[D], base[D], sum[D] = {0.0}, N[D * D] = {0.0}, local[ROT], square = 0.0;
     const double *rates[] = {U, Ud, Udd};
-    const int held = e->own || e->integrals;
+    const int means = s->from && e->means, held = !means && (e->own || e->integrals);
     int verdict = ask_loads(s, o->field, t);
     if (verdict || (held && (verdict = held_force(s, o, R, m, t)))) return verdict;
 
@@ -134,7 +134,8 @@ static int nodal_force(System *s, const Body *o, const double *R, const Motion *
         add(sum, 1.0, e->held_sums, D);
         add(local, 1.0, e->held_sums + D, ROT);
     }
-    if (held) add(e->force, 1.0, e->held_force, e->n);
+    if (means) mean_material_force(e, U, Ud, s->span, e->force);
+    else if (held) add(e->force, 1.0, e->held_force, e->n);
     else if ((verdict = material_force(e, U, Ud, e->force))) return verdict;
     if (e->dead) add_loads(e, R, U, sum, local);
     times(R, sum, f);
@@ -149,11 +150,13 @@ int field_force(System *s, int b, const double *q, const double *v, const double
     const Field *e = o->field;
     const double *R = s->frames + FRAME * b + TURN;
     Motion m = motion_of(o, b, q, v, a);
-    int verdict;
+    int verdict = DONE;
     const int means = s->from && (e->own || e->integrals); /* those of the middle follow for linear fields alone */
     if (means) m.U = s->from + o->at_q;
-    if (e->whole || means) {
+    if (e->whole || (means && !e->means))
         verdict = tell(s, s->from ? FIELD_MEANS : FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t);
+    if (verdict) return verdict;
+    if (e->whole || (means && !e->means)) { /* else Python has lent them */
         memcpy(f, e->sums, D * sizeof(double));
         to_world(R, e->sums + D, f + D);
     } else verdict = nodal_force(s, o, R, &m, s->gravity, f, t);

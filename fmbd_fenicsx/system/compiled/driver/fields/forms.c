@@ -6,15 +6,16 @@ typedef void Kernel(double *, const double *, const double *, const double *, co
 /* F += the vector of a form by nodes; ``moving``: values of what moves. */
 static void add_integral(const Integral *o, const double *const *moving, double *F)
 {
-    double *w = o->room, *A = w + o->width, *x = A + D * o->nodes;
+    const int each = o->components;
+    double *w = o->room, *A = w + o->width, *x = A + each * o->nodes;
     for (long i = 0; i < o->count; i++) {
         memcpy(w, o->coefficients + i * o->width, o->width * sizeof(double));
         for (int k = 0; k < FROM; k++)
             for (int j = 0; j < o->moving[k]; j++) w[o->place[k][j]] = moving[k][o->from_[k][i * o->moving[k] + j]];
         for (int j = 0; j < o->corners; j++) memcpy(x + 3 * j, o->points + 3 * (long)o->corner[i * o->corners + j], 3 * sizeof(double));
-        memset(A, 0, D * o->nodes * sizeof(double));
+        memset(A, 0, each * o->nodes * sizeof(double));
         ((Kernel *)o->kernel)(A, w, o->constants, x, o->facet ? o->facet + i : NULL, NULL, NULL);
-        for (int j = 0; j < o->nodes; j++) add(F + D * (long)o->node[i * o->nodes + j], *o->factor, A + D * j, D);
+        for (int j = 0; j < o->nodes; j++) add(F + each * (long)o->node[i * o->nodes + j], *o->factor, A + each * j, each);
     }
 }
 
@@ -68,15 +69,42 @@ static int add_rest_damping(const Field *e, const double *U, const double *Ud, d
     return DONE;
 }
 
-/* F += forces of elasticity and damping on the nodes, and of loads on the deformed body. */
-static int material_force(const Field *e, const double *U, const double *Ud, double *F)
+/* The pressure that the law gives for U; no numbers where it is not found. */
+static void take_pressure(const Field *e, const double *U)
 {
-    const double *moving[FROM] = {U, Ud};
+    const Pressure *o = e->pressure;
+    const double *moving[FROM] = {U, NULL, o->p};
+    memset(o->p, 0, o->n * sizeof(double));
+    memset(o->b, 0, o->n * sizeof(double));
+    for (int i = 0; i < o->integrals; i++) add_integral(o->integral + i, moving, o->b);
+    solve_pressure(e);
+}
+
+/* F += forces that are linear in rates, but for those of the stiffness. */
+static void drag_force(const Field *e, const double *Ud, double *F)
+{
     if (e->drag) blocks_times(e->nodes, e->drag, Ud, Ud, 0.0, F);
     if (e->alpha > 0.0) {
         mass_times(e, Ud, e->accel);
         add(F, e->alpha, e->accel, e->n);
     }
+}
+
+/* F += those below over a step of h from U at the mean rate U', as fem/mean_forces.py has them. */
+static void mean_material_force(const Field *e, const double *U, const double *Ud, double h, double *F)
+{
+    const double *moving[FROM] = {U, Ud, NULL, e->accel};
+    drag_force(e, Ud, F);
+    for (long i = 0; i < e->n; i++) e->accel[i] = U[i] + h * Ud[i];
+    for (int i = 0; i < e->means; i++) add_integral(e->mean + i, moving, F);
+}
+
+/* F += forces of elasticity and damping on the nodes, and of loads on the deformed body. */
+static int material_force(const Field *e, const double *U, const double *Ud, double *F)
+{
+    const double *moving[FROM] = {U, Ud, e->pressure ? e->pressure->p : NULL};
+    if (e->integrals && e->pressure) take_pressure(e, U);
+    drag_force(e, Ud, F);
     for (int i = 0; i < e->integrals; i++) add_integral(e->integral + i, moving, F);
     if (!e->integrals) stiffness_times(e, U, Ud, e->beta, F);
     return e->integrals && e->beta > 0.0 ? add_rest_damping(e, U, Ud, F) : DONE;

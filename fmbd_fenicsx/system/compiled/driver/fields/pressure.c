@@ -9,6 +9,14 @@ static void push_by_pressure(const Pressure *o, const double *p, double *y)
         for (int k = o->B_start[i]; k < o->B_start[i + 1]; k++) y[o->B_column[k]] += o->B[k] * p[i];
 }
 
+/* p = C^-1 b; no numbers where it is not found. */
+static void solve_pressure(const Field *e)
+{
+    const Pressure *o = e->pressure;
+    if (e->direct(*o->factor, o->rhs, o->solution))
+        for (long i = 0; i < o->n; i++) o->p[i] = NAN;
+}
+
 /* F += B^T p of the pressure that belongs to U + beta U'; no numbers where it is not found. */
 static void pressure_force(const Field *e, const double *U, const double *Ud, double beta, double *F)
 {
@@ -18,8 +26,7 @@ static void pressure_force(const Field *e, const double *U, const double *Ud, do
         for (int k = o->B_start[i]; k < o->B_start[i + 1]; k++) sum += o->B[k] * (U[o->B_column[k]] + beta * Ud[o->B_column[k]]);
         o->b[i] = sum;
     }
-    if (e->direct(*o->factor, o->rhs, o->solution))
-        for (long i = 0; i < o->n; i++) o->p[i] = NAN;
+    solve_pressure(e);
     push_by_pressure(o, o->p, F);
 }
 

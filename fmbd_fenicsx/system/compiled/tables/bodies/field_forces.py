@@ -46,12 +46,26 @@ class FieldForces:
             self.store.kept.append(drag)
             made["drag"] = self.store.structure(node_matrix(drag, self.dim))
 
-        integrals = [self._integral(one, load) for load, many in formed or () for one in many]
-        if integrals:
-            made_of: Any = array_of(structure("Integral", self.dim), len(integrals))(*integrals)
-            self.store.kept.append(made_of)
-            made |= {"integrals": len(integrals), "integral": ctypes.addressof(made_of)}
-        return made
+        return made | self._listed("integrals", "integral", formed or [])
+
+    def of_pressure(self) -> dict[str, int]:
+        """Members of the structure Pressure: those of its balance, of a body that is not linear."""
+        return self._listed("integrals", "integral", formed_balance(self._cache, self._key, self.part) or [])
+
+    def of_steps(self) -> dict[str, int]:
+        """Members of the structure Field: forces over steps that keep energy, compiled when they are first asked for."""
+        if not told_in_c(self._cache, self._key, self.part):
+            return {}
+        return self._listed("means", "mean", formed_means(self._cache, self._key, self.part) or [])
+
+    def _listed(self, count: str, first: str, formed: Formed) -> dict[str, int]:
+        """How many integrals there are, and where the first one is, by these names."""
+        integrals = [self._integral(one, load) for load, many in formed for one in many]
+        if not integrals:
+            return {}
+        made: Any = array_of(structure("Integral", self.dim), len(integrals))(*integrals)
+        self.store.kept.append(made)
+        return {count: len(integrals), first: ctypes.addressof(made)}
 
     def _integral(self, one: Integral, load: Any) -> Any:
         """The structure Integral."""
@@ -61,11 +75,11 @@ class FieldForces:
             self.factors.append((load, factor))
         (count, nodes), corners, width = one.node.shape, one.corner.shape[1], one.coefficients.shape[1]
         made = structure("Integral", self.dim)(
-            kernel=one.kernel, count=count, nodes=nodes, corners=corners, width=width,
+            kernel=one.kernel, count=count, nodes=nodes, components=one.components, corners=corners, width=width,
             node=store.shared(one.node), corner=store.shared(one.corner), points=store.shared(one.points),
             facet=None if one.facet is None else store.integers(one.facet), constants=store.shared(one.constants),
             coefficients=store.shared(one.coefficients), factor=at_factor,
-            room=store.address(np.zeros(width + nodes * self.dim + 3 * corners)),
+            room=store.address(np.zeros(width + nodes * one.components + 3 * corners)),
         )  # fmt: skip
         for i, (places, entries) in enumerate(one.moving):
             made.moving[i], made.place[i] = len(places), store.integers(places)
@@ -100,12 +114,35 @@ def _formed(part: Any) -> Formed | None:
     field = part.field
     if not field.nonlinear:
         return []
-    if field.mixed or (field.loads.moving and not isinstance(part, RestingField)):
+    if (field.mixed and field.forms.stiffness_damping) or (field.loads.moving and not isinstance(part, RestingField)):
         return None
     law = field.viscous.law is not None
     forms = [(None, field.residual_form)] + ([(None, field.viscous.residual_form)] if law else [])
     forms += [(load, form) for load, form in field.loads.moving_forms]
-    moving = [field.argument, field.viscous.rate] if law else [field.argument]
+    return _known(forms, [field.argument, field.viscous.rate if law else None, field.pressure_argument])
+
+
+def formed_balance(cache: dict[Any, Any], k: int, part: Any) -> Formed | None:
+    """Integrals of the balance of the pressure of part k, likewise; none where it is linear."""
+    key = "integrals of the pressure", k
+    if key not in cache:
+        field = part.field
+        forms = [(None, field.balance_form)] if field.nonlinear else []
+        cache[key] = _known(forms, [field.argument, None, field.pressure_argument])
+    return cache[key]  # type: ignore[no-any-return]
+
+
+def formed_means(cache: dict[Any, Any], k: int, part: Any) -> Formed | None:
+    """Integrals of the forces of part k over steps that keep energy, likewise."""
+    key = "integrals of means", k
+    if key not in cache:
+        means = part.mean_forces
+        cache[key] = _known(means.parts(), [means.u0, means.rate, None, means.u1])
+    return cache[key]  # type: ignore[no-any-return]
+
+
+def _known(forms: list[tuple[Any, Any]], moving: list[Any]) -> Formed | None:
+    """Integrals of forms with their loads, in which these functions move; None where C does not know one."""
     found = [(load, tabulated(form, moving)) for load, form in forms]
     known = [(load, made) for load, made in found if made is not None]
     return known if len(known) == len(found) else None
@@ -116,6 +153,6 @@ def told_in_c(cache: dict[Any, Any], k: int, part: Any) -> bool:
     field = part.field
     if part.stiffening is not None and (field.loads.loads or field.nonlinear):
         return False
-    if field.mixed and address_of_solve() is None:
+    if field.mixed and (address_of_solve() is None or formed_balance(cache, k, part) is None):
         return False
     return formed_forces(cache, k, part) is not None

@@ -164,9 +164,14 @@ class FieldTable:
         self.sums[:], self.force[: self.part.n] = told(motion, local)
 
     def mean_forces(self, t: float) -> None:
-        """Forces on the nodes over a step about t (s); its frame rests."""
-        motion, _, local = self.motion.at(t)
-        self.force[:] = self.part.mean_force(motion, local, self.tables.c.span)
+        """Forces on the nodes over a step about t (s), its frame at rest; or their integrals from now on, where C knows them."""
+        lent = self.forces_in_c.of_steps()
+        if not lent:
+            motion, _, local = self.motion.at(t)
+            self.force[:] = self.part.mean_force(motion, local, self.tables.c.span)
+        for name, value in lent.items():
+            setattr(self.c, name, value)
+        self.c.loaded_at = np.nan  # loads have further factors
 
     def energies(self, t: float) -> None:
         """Kinetic, elastic and weight energy."""
@@ -257,7 +262,14 @@ class FieldTable:
         rows = {name: store.shared(x) for name, x in self.matrices.of_pressure().items()}
         factor = store.array([field.compliance_factor.handle], np.uint64)[1]
         made = structure("Pressure", self.tables.dim)(
-            n=field.n_pressure, b=at_b, p=at_p, factor=factor, rhs=rhs, solution=solution, **rows
+            n=field.n_pressure,
+            b=at_b,
+            p=at_p,
+            factor=factor,
+            rhs=rhs,
+            solution=solution,
+            **rows,
+            **self.forces_in_c.of_pressure(),
         )
         return store.structure(made)
 
