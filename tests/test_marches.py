@@ -312,6 +312,56 @@ def test_laws_of_time_are_asked_once_a_point(scheme: Any, most: int) -> None:
     assert ahead < len(asked) < most * steps + ahead + 30
 
 
+@compiled
+@pytest.mark.parametrize(
+    "scheme",
+    [fmbd.GeneralizedAlpha(0.9), *SCHEMES, fmbd.BDF(), fmbd.Radau(), fmbd.HalfExplicit()],
+    ids=lambda s: f"{s.name} {getattr(s, 'rtol', None)}",
+)
+def test_functions_of_time_are_asked_once_for_each_time(scheme: Any) -> None:
+    """A step begins where the last one ended, and comes back to times within it; of motions place and rates are one answer."""
+
+    def asked(t_end: float) -> dict[str, list[float]]:
+        every: dict[str, list[float]] = {"force": [], "motion": [], "gravity": []}
+
+        def told(name: str, value: Any) -> Any:
+            return lambda t: (every[name].append(t), value(t))[1]
+
+        arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+        end = fmbd.RigidBody("end", 1.0, 0.1, (1.5, 0.0))
+        scene = fmbd.Scene("arms", gravity=told("gravity", lambda t: (0.0, -9.81 - np.sin(t))))
+        hinge = fmbd.revolute("hinge", fmbd.ground, arm, center=(0, 0))
+        scene.add(arm, end, hinge, fmbd.revolute("elbow", arm, end, center=(1, 0)))
+        scene.add(fmbd.force("force", end, told("force", lambda t: (np.sin(3 * t), 0.0))))
+        turning = told("motion", lambda t: (0.1 * np.sin(t), 0.1 * np.cos(t), -0.1 * np.sin(t)))
+        scene.add(fmbd.drive("motion", fmbd.angle(hinge), turning))
+        output = fmbd.Output(every=1000, progress=False)
+        fmbd.solve(scene, t_end=t_end, dt=5e-3, scheme=scheme, output=output)
+        return every
+
+    few, many = asked(0.5), asked(1.0)
+    for name in few:
+        times = len(set(many[name])) - len(set(few[name]))
+        assert times > 50
+        assert len(many[name]) - len(few[name]) < 1.15 * times + 10, name
+
+
+@compiled
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(0.9), *SCHEMES], ids=lambda s: s.name)
+def test_what_is_set_between_two_steps_acts_at_once(scheme: Any) -> None:
+    """The second step begins at the time at which the first one ended, with another force."""
+    scene = fmbd.Scene("mass")
+    push, mass = scene.input("push", 1.0), fmbd.RigidBody("mass", 1.0, 0.1)
+    scene.add(mass, fmbd.prismatic("way", fmbd.ground, mass, axis=(1, 0)))
+    scene.add(fmbd.force("push", mass, lambda t: (push(t), 0.0)))
+    scene.sensor("speed", fmbd.velocity(mass))
+    stepper = fmbd.stepper(scene, dt=0.01, scheme=scheme)
+    for force in (1.0, 1.0, 3.0, 3.0):
+        stepper.set("push", force)
+        stepper.step()
+    assert stepper["speed"][0] == pytest.approx(0.08, rel=1e-9)
+
+
 LOADS = {
     "kick": lambda s, rate, t: 0.1 * rate - 200.0 * np.exp(-(((t - 0.1) / 0.004) ** 2)),
     "stop": lambda s, rate, t: 0.1 * rate + 3e4 * min(s + 0.3, 0.0),

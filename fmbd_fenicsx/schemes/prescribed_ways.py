@@ -21,7 +21,7 @@ def openings(system: System, state: State, times: Array) -> Array:
 
 def time_for_way(system: System, state: State, span: float, way: float) -> float:
     """The time (s), of at most ``span``, until which drives have moved nothing by more than a way (m); collective."""
-    if not system.n_lam:
+    if not system.prescribes:
         return span
     gone = np.maximum.accumulate(openings(system, state, state.t + span * NEARER)[::-1])[::-1]
     passed = np.flatnonzero(gone <= way)

@@ -158,6 +158,11 @@ class Layout:
         return (*[f for f in self.forces if f.kept is not None], *[e for e in self.elements if e.kept is not None])
 
     @cached_property
+    def prescribes(self) -> bool:
+        """Whether what joints, ties or equations of the user's own prescribe may depend on time."""
+        return bool(any(batch.driven for batch, _ in self.batches) or self.traces or self.port_constraints)
+
+    @cached_property
     def fields(self) -> tuple[tuple[int, DistributedPart], ...]:
         """Distributed parts with their numbers."""
         return tuple((k, p) for k, p in enumerate(self.parts) if is_distributed(p))

@@ -25,6 +25,7 @@ from ...rotations import Array
 from ..joints.drives import JointCoordinate
 from ..joints.joints import ground, refuse_no_attachment
 from ..joints.sums import Coordinate
+from .effort_laws import EffortLaw
 from .force_elements import Loads, ScalarLoads, TimeLoads, TyreLoads
 from .own_loads import OwnLoads
 
@@ -101,15 +102,19 @@ class Constant:
 
 
 @dataclass(frozen=True, eq=False)
-class OfTime:
+class OfTime(EffortLaw):
     """A drive's effort that is ``given`` over time, as a law of a coordinate, which it pushes up."""
 
     given: TimeLaw | Constant
 
-    def __call__(self, s: float, rate: float, t: float) -> float | Array:
+    def __call__(self, s: float, rate: float, t: float) -> float:
         """The restoring effort."""
         found = self.given(t)
-        return -found if isinstance(found, float) else -np.asarray(found)
+        return -found if isinstance(found, float) else -np.asarray(found)  # type: ignore[return-value]
+
+    def slopes(self, s: float, rate: float, t: float) -> tuple[float, float]:
+        """None: it depends on time only."""
+        return 0.0, 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,15 +47,9 @@ class HeldState:
         q, v = (np.tile(x, (len(times), 1)) for x in (self.state.q, self.state.v))
         seen = system.batch(times, q, v)
         forces = seen.balance(np.zeros_like(v), np.zeros((len(times), system.n_lam))) / system.units
-        if not self._driven:  # to make rows of joints costs as much again
+        if not system.prescribes:  # to make rows of joints costs as much again
             return np.concatenate((forces, np.zeros((len(times), 2 * system.n_lam))), axis=1)
         return np.concatenate((forces, *(system.row_units * x for x in (seen.opening(), seen.gamma()))), axis=1)
-
-    @property
-    def _driven(self) -> bool:
-        """Whether what joints, ties or equations of the user's own prescribe may depend on time."""
-        system = self.system
-        return bool(any(batch.driven for batch, _ in system.batches) or system.traces or system.port_constraints)
 
     def scale(self, rows: Array) -> Array:
         """The largest force, speed and acceleration of all times and rows, for each of the rows; collective."""

@@ -45,8 +45,6 @@ class Calls:
     def __init__(self, tables: Tables) -> None:
         self.tables, self.system = tables, tables.system
         self.error: Exception | None = None
-        self.sampled, self.trusted = np.nan, False  # s, the time of what depends on time only; whether it is so still
-
         self.moving = _motions(self.system)
         self.of_rows = [np.zeros((len(motions), 3)) for _, motions, _ in self.moving]
         self.prescribed = self._prescribed()
@@ -104,7 +102,9 @@ class Calls:
         tables.c.timed_at = store.array([address_of(x) for x in written], np.uint64)[1]
         tables.c.timed_size = store.array([x.size for x in written], np.int64)[1]
         size = sum(x.size for x in written)
-        for end, (_, place) in enumerate(store.zeros({"first": size, "second": size}).values()):
+        kept = store.zeros({"first": size, "second": size, "recent": (len(tables.c.recent_at), size)})
+        *ends, tables.c.recent = (place for _, place in kept.values())
+        for end, place in enumerate(ends):
             tables.c.sampled[end] = place
         return size
 
@@ -163,14 +163,9 @@ class Calls:
 
     def sample(self, t: float, part: int = WHOLE_SAMPLE) -> None:
         """Everything that depends on time only, or a part of it as ``driver/tables.h`` has them."""
-        if self.trusted and t == self.sampled:
-            return
-        self.sampled = np.nan  # where a law fails
         if part != RATES:
             self._ask_laws_of_time(t)
         self._move(t, part)
-        if part == WHOLE_SAMPLE:
-            self.sampled = t
 
     def _move(self, t: float, part: int) -> None:
         """Motions at a time: (s, s', s''), or what a part of a sample has of these."""

@@ -50,7 +50,7 @@ class LookAhead:
     def farthest(self, s: State, h: float) -> float:
         """Largest step (s) of at most h that follows what drives prescribe, by (2); h where nothing depends on time."""
         system = self.system
-        if not system.n_lam:
+        if not system.prescribes:
             return h
         ways = h * np.sort(np.concatenate((FINER, LOOKS, (1.0,))))
         moved = self._driven(s, ways)
@@ -72,7 +72,7 @@ class LookAhead:
 
     def drives(self, s: State, h: float, steps: int) -> bool:
         """Whether what drives prescribe depends on time within so many steps of size h (s)."""
-        return bool(self.system.n_lam and self._driven(s, h * _shares(steps)).any())
+        return bool(self.system.prescribes and self._driven(s, h * _shares(steps)).any())
 
     def _driven(self, s: State, ways: Array) -> Array:
         """By how much constraints open in times (s) from now, the state held, (n, n_lam)."""

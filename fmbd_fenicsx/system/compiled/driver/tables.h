@@ -31,6 +31,8 @@ enum { DONE, NEWTON, SINGULAR, LOOK, FAILED, GAIN, SIZE, DOUBT }; /* verdicts; L
                                                           /* counts is to be looked at closely */
 enum { ON_ITS_OWN, FIRST, FOLLOWING, AGAIN };              /* evaluations: of a state; of the first iterate of a step, of one that */
                                                           /* follows another, of the same with laws as there; see bridges.c */
+enum { RECENT = 8 };                                       /* samples that are kept, and whether they hold; ANEW: from now on */
+enum { FORGETS, RECALLS, ANEW };
 enum { LINE = 5, MOST_POINTS = 8 };                                      /* s, s', N, dN/ds and dN/ds' where Newton's iteration was last */
 enum { GOES_ON, CONVERGED, DIVERGED, TOO_SLOW };           /* outcomes of Newton's iteration of an implicit step */
 enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF }; /* schemes that make many steps in one call, see march.c */
@@ -307,6 +309,8 @@ typedef struct {
     double **timed_at;
     long *timed_size;
     double *sampled[2];                /* as long as all of them: samples at the two times of a stage, see explicit.c */
+    int recalls, newest;               /* RECALLS: samples of late hold, of this call of C or since Python has taken a state; */
+    double *recent, recent_at[RECENT]; /* their numbers and times: one that is wanted again is not asked for again */
     int parts, imaginary;              /* 2 where the matrix is complex, see Field; whether its imaginary part is assembled */
     double *lossy;                     /* that part of the fronts */
 } System;

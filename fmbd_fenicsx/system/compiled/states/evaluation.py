@@ -19,6 +19,7 @@ from ....rotations import Array
 from ...evaluation import Evaluation
 from ...system import System
 from ..calls import Calls
+from ..declarations import enumeration
 from ..tables.tables import Tables
 from .driver_evaluation import DriverBatch, DriverEvaluation
 from .exchange import Room
@@ -27,6 +28,7 @@ from .geometry import CompiledGeometry
 from .glance import DriverGlance
 from .points import LocalPoints, Metric, PointsTold
 
+FORGETS, RECALLS, ANEW = enumeration("FORGETS").values()  # of what depends on time only
 FEW, ROOMS = 4, 16  # configurations for which arrays are made at least; up to which they are kept
 
 Configurations = tuple[Array, Array, Array]  # t (k,), q (k, n_q), v (k, n_v)
@@ -216,9 +218,10 @@ class DriverStates(CompiledGeometry):
         """One call of C for many configurations, with numbers and addresses; whether they have been evaluated."""
         if self.recalls:
             self.tables.recall()
-        self.calls.trusted = not self.anew
+        c = self.tables.c
+        c.recalls = ANEW if self.anew else RECALLS
         verdict = function(self.address, *given)
-        self.calls.trusted = self.anew = False
+        c.recalls, self.anew = FORGETS, c.recalls == ANEW
         if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()
         return not verdict

@@ -107,10 +107,9 @@ static int one_step(System *s, int scheme, double *p, double *room, double **rin
     return verdict;
 }
 
-/* Up to ``steps`` steps in a ring of four blocks: ring[0] is the newest, ring[3] free. Returns how many were made; the reason to
-   stop earlier is in ``verdict``, the state is then that of the last good step. ``tape``, ``control``, ``closed``: see Watch. */
-EXPORT long march(System *s, int scheme, double *p, double *room, long steps, double **ring, int *verdict, Tape *tape,
-                  Control *control, Closed *closed)
+/* Up to ``steps`` steps, as march() makes them. */
+static long march_on(System *s, int scheme, double *p, double *room, long steps, double **ring, int *verdict, Tape *tape,
+                     Control *control, Closed *closed)
 {
     const Watch watch = {tape, control, closed};
     *verdict = DONE;
@@ -130,4 +129,15 @@ EXPORT long march(System *s, int scheme, double *p, double *room, long steps, do
         if (full || (recorded && tape->crossed) || (closed && closed->speed > closed->most)) return made;
     }
     return steps;
+}
+
+/* Up to ``steps`` steps in a ring of four blocks: ring[0] is the newest, ring[3] free. Returns how many were made; the reason to
+   stop earlier is in ``verdict``, the state is then that of the last good step. ``tape``, ``control``, ``closed``: see Watch. */
+EXPORT long march(System *s, int scheme, double *p, double *room, long steps, double **ring, int *verdict, Tape *tape,
+                  Control *control, Closed *closed)
+{
+    s->recalls = ANEW;
+    const long made = march_on(s, scheme, p, room, steps, ring, verdict, tape, control, closed);
+    s->recalls = FORGETS;
+    return made;
 }

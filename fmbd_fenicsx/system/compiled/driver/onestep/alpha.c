@@ -290,13 +290,15 @@ static int iterate(System *s, double *p, AlphaStep *k)
 static int alpha_step(System *s, double *p, double *free_room, const Block *past, int known, Block out)
 {
     AlphaStep k;
+    double asked = NAN;
     int verdict;
     (void)free_room; /* it works in the tables' */
 
     begin(s, p, past[0], out, &k);
-    if (s->samples) {
+    if (!rates_wait(s, p) && (verdict = sample(s, k.t, &asked))) return verdict;
+    if (rates_wait(s, p)) {
         s->calls++;
-        if (s->python(SAMPLE, rates_wait(s, p) ? PLACES : WHOLE_SAMPLE, k.t)) return FAILED;
+        if (s->python(SAMPLE, PLACES, k.t)) return FAILED;
     }
     predict(s, p, past, known, &k);
     if ((verdict = iterate(s, p, &k))) return verdict;
