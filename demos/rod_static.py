@@ -40,12 +40,11 @@ for degree in (1, 2, 3):
     checks.append(Check(f"circle: order in the tip, degree {degree}", order, 2 * degree, 0.15 if degree > 1 else 0.4))
 checks.append(Check("circle closed, degree 3, m", error[-1], 0.0, 1e-5 if args.fast else 1e-10))
 
-n = 8 if args.fast else 32
 for name, C, F, phi, reference in (
     ("composite", COMPOSITE, (0, 0, 150.0), None, COMPOSITE_TIP),
     ("twisted", TWISTED, (0, 0, -4e6), lambda s: 0.05 * np.pi * s, TWISTED_TIP),
 ):
-    _, found = solved(fmbd.RodSection(C, 1.0, (1, 1, 1)), 10.0, n, force=F, twist=phi)
+    _, found = solved(fmbd.RodSection(C, 1.0, (1, 1, 1)), 10.0, 8 if args.fast else 32, force=F, twist=phi)
     error = np.abs(found["tip"] - (10, 0, 0) - reference).max() / 10
     checks.append(Check(f"{name} beam, tip over length, 1", error, 0.0, 1e-7 if args.fast else 1e-9))
 
