@@ -271,9 +271,9 @@ class Builder:
         center: Array = self.fields[self.part_of[side.body.name]].surface_center(side.name)
         return center
 
-    def _narrow(self, side: Any) -> float:
+    def _narrow(self, side: Surface) -> float:
         """Size (m) of a surface that is hardly anything of its elastic body: it turns there as on a hinge; 0 elsewhere."""
-        part = self.fields[self.part_of[side.body.name]] if isinstance(side, Surface) and side.body.meshed else None
+        part = self.fields[self.part_of[side.body.name]] if side.body.meshed else None
         width = part.field.moments(side.name).length if part is not None and part.distributed else np.inf
         return width if part is not None and width < NARROW * part.size else 0.0
 
@@ -397,7 +397,8 @@ class Builder:
             default = self._default_point(joint) if joint.joined and not somewhere else None
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
             b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
-            rows.add(joint, (a, b), min(filter(None, map(self._narrow, (joint.a, joint.b))), default=0.0))
+            narrow = [x for side in (joint.a, joint.b) if isinstance(side, Surface) and (x := self._narrow(side))]
+            rows.add(joint, (a, b), min(narrow, default=0.0))
             if origin is not None and origin.closes(joint):
                 self.closing.append((a, b))
         for body in self.scene.bodies.values():
