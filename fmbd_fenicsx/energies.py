@@ -2,12 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from .checks import check_fields
 from .errors import InputError
+
+Grade = Callable[[Any], Any] | None  # what moduli are multiplied by from place to place
+
+
+def of_place(what: str, given: Callable[[Any], Any], domain: Any) -> Any:
+    """What a function of the place x (m) gives, as a UFL expression of the mesh's coordinates.
+
+    Raises:
+        InputError: it fails, or gives no number at each place.
+    """
+    from ufl import SpatialCoordinate, as_ufl
+
+    try:
+        found = as_ufl(given(SpatialCoordinate(domain)))
+    except Exception as error:
+        why = f"{type(error).__name__}: {str(error).rstrip('.')}"
+        hint = "It takes UFL's coordinates: ufl.exp(x[0]), not np.exp(x[0])."
+        raise InputError(f"{what}(x) failed: {why}. {hint}") from error
+    if found.ufl_shape:
+        raise InputError(f"{what}(x) has the shape {found.ufl_shape}, expected one number at each place.")
+    return found
+
+
+def graded(domain: Any, moduli: Sequence[float], grade: Grade) -> list[Any]:
+    """Moduli as coefficients of forms: constants, times what the ``grade`` gives at a place."""
+    from dolfinx import fem
+
+    constants = [fem.Constant(domain, value) for value in moduli]
+    if grade is None:
+        return constants
+    factor = of_place("Young's modulus", grade, domain)
+    return [c * factor for c in constants]
 
 
 def _refuse_space(name: str, u: Any) -> None:
@@ -24,7 +56,7 @@ class Hooke:
     """Hooke's law a(u, v) = int (2 mu eps(u) + lambda tr eps(u) 1) : eps(v); mu, lambda in Pa, of sheets in N/m.
 
     ``name`` of the law in :mod:`fmbd_fenicsx.materials`, ``in_plane``: the state that it means in the plane, ``sheet``: it is a
-    law of the plane only.
+    law of the plane only, ``grade``: a function of the place that both moduli are multiplied by.
     """
 
     name: str
@@ -32,17 +64,15 @@ class Hooke:
     lmbda: float
     in_plane: str
     sheet: bool = False
+    grade: Grade = None
 
     def __call__(self, u: Any, v: Any, dx: Any) -> Any:
         """The form."""
-        from dolfinx import fem
         from ufl import Identity, grad, inner, sym, tr
 
         if self.sheet:
             _refuse_space(self.name, u)
-        domain = dx.ufl_domain()
-        m = fem.Constant(domain, self.mu)
-        k = fem.Constant(domain, self.lmbda)
+        m, k = graded(dx.ufl_domain(), (self.mu, self.lmbda), self.grade)
 
         def eps(w: Any) -> Any:
             return sym(grad(w))

@@ -1,12 +1,16 @@
-"""Ready-made elastic forms in UFL; each returns what a user could write out."""
+"""Ready-made elastic forms in UFL; each returns what a user could write out.
+
+Young's modulus of laws without a pressure of their own is a number (Pa), or a function of the place x (m), where the body lies at
+the start, that gives a UFL expression: ``lambda x: 1e9 * (1 + x[0])``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from .checks import number
-from .energies import Hooke, MixedEnergy, SheetEnergy, StoredEnergy, ViscousForm
+from .checks import function, number
+from .energies import Grade, Hooke, MixedEnergy, SheetEnergy, StoredEnergy, ViscousForm, graded
 from .errors import require
 
 __all__ = [
@@ -30,6 +34,7 @@ def __dir__() -> list[str]:
 
 
 Form = Callable[[Any, Any, Any], Any]
+Modulus = float | Callable[[Any], Any]
 
 
 def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
@@ -45,7 +50,15 @@ def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
     return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
 
 
-def linear_elastic(youngs_modulus: float, poisson_ratio: float) -> Hooke:
+def _lame_of(youngs_modulus: Modulus, poisson_ratio: float) -> tuple[float, float, Grade]:
+    """mu and lambda in Pa; where the modulus is a function of the place, those of 1 Pa, and the function."""
+    if not callable(youngs_modulus):
+        return *lame(youngs_modulus, poisson_ratio), None
+    function("Young's modulus", youngs_modulus, "x", named="the place x, m")
+    return *lame(1.0, poisson_ratio), youngs_modulus
+
+
+def linear_elastic(youngs_modulus: Modulus, poisson_ratio: float) -> Hooke:
     """Hooke's law, isotropic, small strains: a(u, v) = int sigma(u) : eps(v), sigma = 2 mu eps + lambda tr(eps) 1.
 
     In the plane this is plane strain, of a slice of 1 m; reports say so.
@@ -53,52 +66,53 @@ def linear_elastic(youngs_modulus: float, poisson_ratio: float) -> Hooke:
     Args:
         youngs_modulus: Pa. poisson_ratio: below 1/2; from 0.45 on linear displacements bend too stiffly.
     """
-    return Hooke("linear_elastic", *lame(youngs_modulus, poisson_ratio), in_plane="plane strain")
+    mu, lmbda, grade = _lame_of(youngs_modulus, poisson_ratio)
+    return Hooke("linear_elastic", mu, lmbda, in_plane="plane strain", grade=grade)
 
 
-def plane_stress(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Hooke:
+def plane_stress(youngs_modulus: Modulus, poisson_ratio: float, thickness: float = 1.0) -> Hooke:
     """Hooke's law of a plane sheet that may strain across: :func:`linear_elastic` with lambda* = 2 mu lambda / (lambda + 2 mu),
     times the thickness.
 
     Args:
         youngs_modulus: Pa. poisson_ratio: below 1/2. thickness: m; the body's density is then per area, kg/m^2.
     """
-    mu, lmbda = lame(youngs_modulus, poisson_ratio)
+    mu, lmbda, grade = _lame_of(youngs_modulus, poisson_ratio)
     number("Thickness", thickness, above=0.0, unit="m")
     reduced = 2 * mu * lmbda / (lmbda + 2 * mu)
-    return Hooke("plane_stress", thickness * mu, thickness * reduced, in_plane="plane stress", sheet=True)
+    return Hooke("plane_stress", thickness * mu, thickness * reduced, in_plane="plane stress", sheet=True, grade=grade)
 
 
-def plane_strain(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> Hooke:
+def plane_strain(youngs_modulus: Modulus, poisson_ratio: float, thickness: float = 1.0) -> Hooke:
     """Hooke's law of a plane sheet that cannot strain across: :func:`linear_elastic` times the thickness.
 
     Args:
         youngs_modulus: Pa. poisson_ratio: below 1/2. thickness: m; the body's density is then per area, kg/m^2.
     """
-    mu, lmbda = lame(youngs_modulus, poisson_ratio)
+    mu, lmbda, grade = _lame_of(youngs_modulus, poisson_ratio)
     number("Thickness", thickness, above=0.0, unit="m")
-    return Hooke("plane_strain", thickness * mu, thickness * lmbda, in_plane="plane strain", sheet=True)
+    return Hooke("plane_strain", thickness * mu, thickness * lmbda, in_plane="plane strain", sheet=True, grade=grade)
 
 
-def saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float) -> StoredEnergy:
+def saint_venant_kirchhoff(youngs_modulus: Modulus, poisson_ratio: float) -> StoredEnergy:
     """Pi(u) = int mu E : E + lambda/2 (tr E)^2 with E = (F^T F - 1) / 2, F = 1 + grad u: large rotations, small strains."""
-    return _energy(_of_green_strain, *lame(youngs_modulus, poisson_ratio))
+    return _energy(_of_green_strain, *_lame_of(youngs_modulus, poisson_ratio))
 
 
-def sheet_saint_venant_kirchhoff(youngs_modulus: float, poisson_ratio: float, thickness: float = 1.0) -> SheetEnergy:
+def sheet_saint_venant_kirchhoff(youngs_modulus: Modulus, poisson_ratio: float, thickness: float = 1.0) -> SheetEnergy:
     """The same for a sheet in plane stress: lambda* = 2 mu lambda / (lambda + 2 mu), times the thickness (m)."""
-    mu, lmbda = lame(youngs_modulus, poisson_ratio)
+    mu, lmbda, grade = _lame_of(youngs_modulus, poisson_ratio)
     number("Thickness", thickness, above=0.0, unit="m")
-    energy = _energy(_of_green_strain, thickness * mu, thickness * 2 * mu * lmbda / (lmbda + 2 * mu))
+    energy = _energy(_of_green_strain, thickness * mu, thickness * 2 * mu * lmbda / (lmbda + 2 * mu), grade)
     return SheetEnergy(energy.density, "sheet_saint_venant_kirchhoff")
 
 
-def neo_hookean(youngs_modulus: float, poisson_ratio: float) -> StoredEnergy:
+def neo_hookean(youngs_modulus: Modulus, poisson_ratio: float) -> StoredEnergy:
     """Pi(u) = int mu/2 (tr F^T F - d - 2 ln J) + lambda/2 (J - 1)^2, J = det F > 0; its linear limit is Hooke's law.
 
     In the plane: plane strain. The term in ln J keeps cells from turning inside out.
     """
-    mu, lmbda = lame(youngs_modulus, poisson_ratio)
+    mu, lmbda, grade = _lame_of(youngs_modulus, poisson_ratio)
 
     def density(C: Any, m: Any, k: Any) -> Any:
         from ufl import det, ln, sqrt, tr
@@ -106,7 +120,7 @@ def neo_hookean(youngs_modulus: float, poisson_ratio: float) -> StoredEnergy:
         J = sqrt(det(C))
         return 0.5 * m * (tr(C) - C.ufl_shape[0] - 2 * ln(J)) + 0.5 * k * (J - 1) ** 2
 
-    return _energy(density, mu, lmbda)
+    return _energy(density, mu, lmbda, grade)
 
 
 def kelvin_voigt(viscosity: float, volume_viscosity: float = 0.0) -> ViscousForm:
@@ -212,11 +226,9 @@ def _of_green_strain(C: Any, m: Any, k: Any) -> Any:
     return m * inner(E, E) + 0.5 * k * tr(E) ** 2
 
 
-def _energy(density: Callable[[Any, Any, Any], Any], mu: float, lmbda: float) -> StoredEnergy:
+def _energy(density: Callable[[Any, Any, Any], Any], mu: float, lmbda: float, grade: Grade) -> StoredEnergy:
     def of(domain: Any) -> Callable[[Any], Any]:
-        from dolfinx import fem
-
-        m, k = fem.Constant(domain, mu), fem.Constant(domain, lmbda)
+        m, k = graded(domain, (mu, lmbda), grade)
         return lambda C: density(C, m, k)
 
     return StoredEnergy(of)

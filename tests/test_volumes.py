@@ -187,18 +187,19 @@ def test_a_density_of_the_place_weighs_what_its_integral_says(script, kind):
     assert reactions[1] == pytest.approx(reactions[2], rel=1e-12)
 
 
-def test_frequencies_with_a_density_of_the_place(script):
+def test_frequencies_with_a_density_and_a_modulus_of_the_place(script):
     """Those of the matrices that DOLFINx makes of the same forms."""
     import scipy.sparse.linalg as sparse
     import ufl
     from dolfinx import fem
 
     mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.2)
-    law = fmbd.materials.plane_stress(1e7, 0.3)
-    body = fmbd.FloatingBody("bar", mesh, density=graded, elastic=law)
+    body = fmbd.FloatingBody("bar", mesh, density=graded, elastic=fmbd.materials.plane_stress(graded, 0.3))
     V = fem.functionspace(mesh.dolfinx, ("Lagrange", 2, (2,)))
     u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh.dolfinx)
-    forms = law(u, v, mesh.dx), graded(x) * inner(u, v) * mesh.dx
+    e, f, nu = sym(grad(u)), sym(grad(v)), 0.3
+    stress = graded(x) / (1.0 - nu**2) * ((1.0 - nu) * e + nu * ufl.tr(e) * ufl.Identity(2))
+    forms = inner(stress, f) * mesh.dx, graded(x) * inner(u, v) * mesh.dx
     K, M = (fem.assemble_matrix(fem.form(a)).to_scipy().tocsc() for a in forms)
     squares = np.sort(sparse.eigsh(K, 6, M, sigma=-1.0, return_eigenvectors=False))[3:]
     assert body.frequencies(3) == pytest.approx(np.sqrt(squares) / 2 / np.pi, rel=1e-7)
@@ -218,6 +219,27 @@ def test_densities_of_the_place_that_are_none(script, density, words):
     with pytest.raises(InputError, match=words):
         scene = fmbd.Scene("bar")
         scene.add(fmbd.FloatingBody("bar", mesh, density=density, elastic=fmbd.materials.plane_stress(1e7, 0.3)))
+        scene.build()
+
+
+@pytest.mark.parametrize("law", ["saint_venant_kirchhoff", "sheet_saint_venant_kirchhoff", "neo_hookean"])
+def test_energies_with_a_modulus_of_the_place(script, law):
+    """In its small strains a bar stretches by int F / (E A) dx, at nu = 0."""
+    mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.2)
+    energy = getattr(fmbd.materials, law)(lambda x: 1e6 / (1.0 + x[0]), 0.0)
+    body = fmbd.AbsoluteBody("bar", mesh, density=1.0, energy=energy, loads=[fmbd.traction("right", (1.0, 0.0))])
+    scene = fmbd.Scene("bar")
+    scene.add(body, fmbd.fixed("wall", fmbd.ground, body.surface("left")))
+    scene.sensor("end", fmbd.position(body.surface("right")))
+    assert fmbd.equilibrium(scene)["end"][0] - 2.0 == pytest.approx(4e-6, rel=1e-4)
+
+
+@pytest.mark.parametrize("modulus", [lambda: 1e7, lambda x: x, lambda x: np.exp(x[0])])
+def test_moduli_of_the_place_that_are_none(script, modulus):
+    with pytest.raises(InputError, match="Young's modulus"):
+        scene = fmbd.Scene("bar")
+        mesh = fmbd.read_gmsh(script, volume=BOTH, h=0.5)
+        scene.add(fmbd.FloatingBody("bar", mesh, density=1.0, elastic=fmbd.materials.plane_stress(modulus, 0.3)))
         scene.build()
 
 

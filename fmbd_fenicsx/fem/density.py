@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import dolfinx_compat as compat
-from ..checks import function, number, shown
+from ..checks import function, number
+from ..energies import of_place
 from ..errors import InputError, near
 
 if TYPE_CHECKING:
@@ -60,18 +61,7 @@ def _of_place(what: str, mesh: Mesh, density: Callable[[Any], Any]) -> Any:
     from dolfinx import fem
     from mpi4py import MPI
 
-    x = ufl.SpatialCoordinate(mesh.dolfinx)
-    try:
-        found = density(x)
-        rho = ufl.as_ufl(found)
-    except Exception as error:
-        why = f"{type(error).__name__}: {str(error).rstrip('.')}"
-        raise InputError(
-            f"{what}(x) failed: {why}. It takes UFL's coordinates: ufl.exp(x[0]), not np.exp(x[0])."
-        ) from error
-    if rho.ufl_shape:
-        raise InputError(f"{what}(x) gave {shown(found)} of shape {rho.ufl_shape}, expected one number at each place.")
-
+    rho = of_place(what, density, mesh.dolfinx)
     cells = fem.functionspace(mesh.dolfinx, ("DG", 0))
     masses = fem.assemble_vector(compat.form(rho * ufl.TestFunction(cells) * mesh.dx)).array
     owned = cells.dofmap.index_map.size_local

@@ -53,10 +53,10 @@ class GeneralizedAlpha:
     """
 
     rho_inf: float = 0.8
-    compiled: bool = True
     form: Form = field(default_factory=Index3)
     rtol: float | None = None
     atol: float | None = None
+    compiled: bool = True
 
     def __post_init__(self) -> None:
         check_controlled(self)
