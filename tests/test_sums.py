@@ -14,6 +14,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import kernel_cache
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import plane_stress
+from fmbd_fenicsx.post.drawing.draw import draw
 from fmbd_fenicsx.system.compiled.choice import driver_states
 
 K, START = 30.0, 0.2
@@ -239,8 +240,16 @@ def test_efforts_on_a_sum_are_stiff_across_as_those_on_its_terms(dim: int) -> No
             scene.add(fmbd.effort("law", sag, -200.0))
         system, state, _ = scene.build()
         states = driver_states(system)
-        assert states is not None and states.prepare(states.at(0.0, state.q, state.v), 0.0, 0.01)
-        return np.array([states.solve(b, np.zeros(system.n_lam))[0] for b in np.eye(system.n_v)])
+        assert states is not None and states.factor.prepare(states.at(0.0, state.q, state.v), 0.0, 0.01)
+        return np.array([states.factor.solve(b, np.zeros(system.n_lam))[0] for b in np.eye(system.n_v)])
 
     together = answers(apart=False)
     assert together == pytest.approx(answers(apart=True), abs=1e-10 * np.abs(together).max())
+
+
+@pytest.mark.parametrize("law", ["spring", "effort", "dry"])
+def test_scenes_with_sums_are_checked_and_drawn(law: str) -> None:
+    scene = pulley(2, law)
+    scene.check()
+    run = fmbd.solve(scene, t_end=0.02, dt=0.01, output=fmbd.Output(snapshots=2, progress=False))
+    assert draw(run).pieces

@@ -349,7 +349,7 @@ def _yielding_friction(scene: Any, length: float) -> list[str]:
     return [
         f'dry friction "{f.name}" is a spring for {f.limit / f.stiffness:.3g} {f.on.unit} (limit / stick) before it slides'
         for f in sliders
-        if f.limit / f.stiffness > YIELDING * (1.0 if f.on.kind.angular else length)
+        if f.limit / f.stiffness > YIELDING * (1.0 if f.on.unit == "rad" else length)
     ]
 
 

@@ -157,14 +157,15 @@ def _spring(force: Spring, at: Places, symbol: float, up: Array) -> list[Piece]:
 
 
 def _on_coordinate(force: CoordinateForce, at: Places, symbol: float) -> list[Piece]:
-    """A spiral at a hinge, a spring along a slider, an arrow for an effort."""
-    joint = force.on.joint
+    """A spiral at a hinge, a spring along a slider, an arrow for an effort; on a sum, at the joint of its first term."""
+    on = force.on.coordinates[0]
+    joint = on.joint
     if joint.name not in at.run.scene.joints:
         return []
     if force.law is not None and not force.stiffness and not force.damping:
-        return _effort_mark(force.name, force.on, at, symbol)
+        return _effort_mark(force.name, on, at, symbol)
     a, b = at.joint(joint.name)
-    if not force.on.kind.angular:
+    if not on.kind.angular:
         return [_coiled(force.name, at.markers[:, a], at.markers[:, b], (symbol, at.run.system.motions.dim))]
 
     angle = np.linspace(0, 5 * np.pi, 90)
