@@ -101,6 +101,18 @@ def test_steps_without_end_that_do_not_grow_end_the_run() -> None:
     assert ends_after(far_away(0.0), 1e-12, "", longer=1.0001) == 5000
 
 
+def test_a_steep_law_is_named() -> None:
+    """Friction of 200 N that is smooth over 1e-5 m/s, at rest."""
+    block = fmbd.RigidBody("block", 100.0, 1.0)
+    slide = fmbd.prismatic("slide", fmbd.ground, block, axis=(1, 0), center=(0.0, 0.0))
+    scene = fmbd.Scene("slide")
+    scene.add(block, slide, fmbd.joint_friction("rub", fmbd.displacement(slide), coulomb=200.0, speed=1e-5))
+    system, state, _ = scene.build()
+    solver = StepSolver(system)
+    assert 'the law of "rub" changes by 2.0e+07 N s/m' in reason(solver, state)
+    solver.destroy()
+
+
 def parallelogram(lift: float) -> fmbd.Scene:
     """Two legs and a bar of one length, the legs turned by ``lift`` (rad) out of the position in which all lie on one line."""
     turn = np.cos(lift), np.sin(lift)

@@ -24,6 +24,7 @@ from ...errors import ConvergenceError
 from ...linear.condensation import StepSolver
 from ...linear.configuration_warnings import CLOSE
 from ...log import log
+from ...mechanics.forces.force_elements import ScalarLoads
 from ...schemes.newton import LEFT_OF_PLACES
 from ...system.layout import State
 from ...system.lengths import farthest
@@ -173,11 +174,33 @@ def stiffest(solver: StepSolver, state: State) -> tuple[float, str]:
     return float(ratio[k]), s.frame_names[k // s.motions.n_twist]
 
 
+def steepest(solver: StepSolver, state: State) -> str:
+    """The law of an element that changes most with its rate, as sentences, or nothing where none does; collective."""
+    s = solver.system
+    ev = s.at(state.t, state.q, state.v)
+    most, name = 0.0, ""
+    for loads in s.forces:
+        if isinstance(loads, ScalarLoads) and len(loads.own):
+            elongations, rates, _ = loads.scalar(ev.kin, ev.t)
+            slopes = np.abs(loads.slopes(loads.own, elongations[loads.own], rates[loads.own], ev.t)[1])
+            k = int(np.argmax(slopes))
+            if slopes[k] > most:
+                most, name = float(slopes[k]), loads.forces[loads.own[k]].name
+    if not most > 0:
+        return ""
+    return (
+        f'No spring is there to blame; the law of "{name}" changes by {most:.1e} N s/m (N m s of a turn) with its rate: make it '
+        "less steep (smooth friction by a larger speed), or take fmbd.dry_friction."
+    )
+
+
 def fastest(solver: StepSolver, state: State) -> str:
     """The shortest period (1) and its body, as a sentence; collective."""
     ratio, body = stiffest(solver, state)
     if not ratio > 0:
-        return "No spring is there to blame: look for a stiff law, an elastic body with a fine mesh, or a singular position."
+        return steepest(solver, state) or (
+            "No spring is there to blame: look for a stiff law, an elastic body with a fine mesh, or a singular position."
+        )
     return (
         f'The fastest period is {2 * np.pi / np.sqrt(ratio):.2g} s, of body "{body}" on its springs: give it more mass or a '
         "softer spring, replace the spring by a joint, or take fmbd.EnergyMomentum()."
