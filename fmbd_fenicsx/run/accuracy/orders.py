@@ -38,7 +38,8 @@ def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]
     keep are constraints on positions alone.
     """
     keeps_volumes = any(part.field.keeps_volume for _, part in system.fields)
-    of_volumes = replace(scheme, form=Index3()) if keeps_volumes and isinstance(scheme, OfForm) else scheme
+    of_index_3 = keeps_volumes and isinstance(scheme, OfForm)
+    of_volumes = replace(scheme, form=Index3()) if of_index_3 else scheme
     orders = Declared.by(of_volumes).orders if system.blocks or keeps_volumes else None
     known = (scheme.order,) * 3 if orders is None else orders
     remembers = any(len(keeper.memory_values()) for keeper in system.keepers) or seen_by_ends(system)

@@ -227,7 +227,9 @@ class FieldEquations(Equations):
             ev = s.batch(t, q, p.v)
             rates = s.rate(p.xi, p.v)
             if self.pressures.fields:
-                balance, pushes = self.pressures.balances([s.at(*each) for each in zip(t, q, p.v, strict=True)], a, lam)
+                balance, pushes = self.pressures.balances(
+                    [s.at(float(t[i]), q[i], p.v[i]) for i in range(len(t))], a, lam
+                )
                 low = np.concatenate((self.form.lower(balance, ev, a), pushes), axis=1)
             else:
                 low = self.form.lower(ev.balance(a, lam), ev, a)

@@ -91,10 +91,10 @@ class StagePressures(Remembering):
         are those of the fields.
         """
         self._increments += 1
-        for stage, (x, gaps) in enumerate(zip(dxi, self._gaps, strict=True)):
+        for stage, gaps in enumerate(self._gaps):
             self.solver.pressures = self._of_stages[stage]
             for i, (_, part) in enumerate(self.fields):
-                part.field.move_pressure(self._turned_back(i, x), relax * gaps[i])
+                part.field.move_pressure(self._turned_back(i, dxi[stage]), relax * gaps[i])
             self._of_stages[stage] = self.solver.pressures
 
     def _push(self, gaps: Values) -> Array:
