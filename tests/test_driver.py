@@ -224,7 +224,7 @@ def test_stabilised_form(make: Any) -> None:
     """Both levels closed in compiled steps as in NumPy: the same motion, velocities and multipliers."""
     dim = 3
     runs = [
-        fmbd.solve(make(dim), t_end=0.05, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, c, fmbd.GGL()))
+        fmbd.solve(make(dim), t_end=0.05, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, fmbd.GGL(), compiled=c))
         for c in (True, False)
     ]
     fast, slow = runs
@@ -266,7 +266,11 @@ def test_stabilised_form_of_dependent_rows_and_of_rows_on_velocities(make: Any, 
     """The same motion and reactions as in NumPy; both levels are closed."""
     fast, slow = (
         fmbd.solve(
-            make(dim), t_end=0.2, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, c, fmbd.GGL()), newton=fmbd.Newton(1e-8)
+            make(dim),
+            t_end=0.2,
+            dt=1e-3,
+            scheme=fmbd.GeneralizedAlpha(0.8, fmbd.GGL(), compiled=c),
+            newton=fmbd.Newton(1e-8),
         )
         for c in (True, False)
     )
@@ -287,7 +291,7 @@ def test_dependent_rows_take_the_increments_that_they_take_in_numpy(form: Any, t
             hinged_twice(2),
             t_end=0.1,
             dt=1e-3,
-            scheme=fmbd.GeneralizedAlpha(0.8, c, form),
+            scheme=fmbd.GeneralizedAlpha(0.8, form, compiled=c),
             newton=fmbd.Newton(tolerance),
         )
         for c in (True, False)

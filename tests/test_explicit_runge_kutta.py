@@ -13,6 +13,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.system.compiled.states.evaluation import DriverStates
 from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
+from fmbd_fenicsx.system.compiled.states.factor import DriverFactor
 
 
 def bead() -> fmbd.Scene:
@@ -119,8 +120,8 @@ def test_a_step_enters_python_a_few_times(monkeypatch: pytest.MonkeyPatch) -> No
     """The stages in one call, the end in one, the accelerations there in one."""
     calls: Counter[str] = Counter()
 
-    def count(name: str) -> Any:
-        function = getattr(DriverStates, name)
+    def count(owner: type, name: str) -> Any:
+        function = getattr(owner, name)
 
         def counted(self: Any, *given: Any) -> Any:
             calls[name] += 1
@@ -128,8 +129,9 @@ def test_a_step_enters_python_a_few_times(monkeypatch: pytest.MonkeyPatch) -> No
 
         return counted
 
-    for name in ("at", "balances", "constraints", "rows", "prepare"):
-        monkeypatch.setattr(DriverStates, name, count(name))
+    for owner, names in ((DriverStates, ("at", "balances", "constraints", "rows")), (DriverFactor, ("prepare",))):
+        for name in names:
+            monkeypatch.setattr(owner, name, count(owner, name))
     quiet = fmbd.Output(every=10**9, energy=False, progress=False)
     fmbd.solve(chain(), t_end=0.1, scheme=fmbd.ExplicitRungeKutta(1e-8), output=quiet)
     few = sum(calls.values())

@@ -68,6 +68,17 @@ def test_iterations_do_not_grow_with_stiffness(rod_mesh: Any, kind: str, element
         assert not run.counters.get("halved_steps", 0)
 
 
+@pytest.mark.parametrize("kind", ["floating", "reduced", "absolute"])
+def test_springs_between_two_surfaces_of_one_body(rod_mesh: Any, kind: str) -> None:
+    """Both ends move with the same rates: a stiff tie along the rod keeps the iterations."""
+
+    def tie(rod: Any, pin: Any) -> Any:
+        return fmbd.Spring("tie", rod.surface("pin"), rod.surface("tip"), length=1.0, stiffness=1e9, damping=1e3)
+
+    run = moved(plane_rod(rod_mesh(), kind), tie, 1e-3)
+    assert run.counters["newton_iterations"] <= 4 * STEPS
+
+
 @pytest.mark.parametrize("kind", ["floating", "absolute"])
 def test_spring_beyond_all_others_holds_as_a_link(rod_mesh: Any, kind: str) -> None:
     """A spring of 1e18 N/m lets the tip move on a circle, as a rigid link of its length."""

@@ -207,7 +207,7 @@ def test_elastic_fields_beside_dependent_rows_are_compiled(make: Any, form: Any,
         return made
 
     fast, slow = (
-        fmbd.solve(scene(), t_end=0.05, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled, form))
+        fmbd.solve(scene(), t_end=0.05, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, form, compiled=compiled))
         for compiled in (True, False)
     )
     assert fast.counters["compiled_steps"] >= 49  # the start is NumPy's

@@ -69,6 +69,7 @@ void twist_row(const Batch *k, long i, double *y);
 void add_terms(const Batch *k, const double *shares);
 void values(const System *s, const Batch *k);
 void mapped_square(System *s, const Batch *k, long i, const double *C);
+double times_there(const int *on, int r, int c);
 int place(System *s, const double *q, const double *v);
 void turn_velocity(System *s, const double *v);
 int inertia(System *s, const double *q, const double *v, const double *a, double t);

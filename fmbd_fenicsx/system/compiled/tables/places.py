@@ -16,6 +16,7 @@ from ....mechanics.kinds.library import kernel_address
 from ....mechanics.kinds.sums import SumKind
 from .items.items import GIVEN, READ, ROW, TERM, Items
 from .layout import TableLayout
+from .squares import rates_of, square_places
 from .structures import structure
 
 
@@ -97,17 +98,10 @@ def _mapped_places(tables: TableLayout, one: Any, batch: tuple[Items, np.ndarray
     pattern = _pattern(items.kind)
     one.curved, one.curve, one.lower = len(pattern), store.integers(np.arange(len(pattern))), store.integers(pattern)
 
-    rates = [np.concatenate([tables.rates(int(f)) for f in pair]) for pair in frames]
-    counts = np.array([len(x) for x in rates])
-    starts = [np.concatenate(([0], np.cumsum(x))).astype(np.int64) for x in (counts, counts * (counts + 1) // 2)]
-    one.row_start, one.square_start = (store.array(x, np.int64)[1] for x in starts)
-    squares = [np.zeros(0, int)]
-    for x in rates if len(pattern) or items.role not in (ROW, TERM) else ():
-        c, r = np.tril_indices(len(x))
-        squares.append(fronts.place(x[c], x[r]))
-    one.square_to = store.integers(np.concatenate(squares))
-    if items.role == ROW or items.terms:
-        one.row_on = store.integers(np.concatenate(rates))
+    rates = rates_of(tables, frames)
+    needed = len(pattern) > 0 or items.role not in (ROW, TERM)
+    for name, address in square_places(tables, store, rates, needed).items():
+        setattr(one, name, address)
     if items.role == ROW:
         rows = tables.nu + np.asarray(items.row)
         to = [fronts.place(row, x) for row, x in zip(rows, rates, strict=True)]

@@ -61,6 +61,13 @@ static void plain_square(System *s, const Batch *k, long i, int first, int end, 
         for (int r = first; r <= c; r++, to++) s->L[*to] += C[2 * TWIST * c + r];
 }
 
+/* How often entry (r, c), r <= c, of a symmetric block counts where rates stand in several of its columns, as those of a body with
+   two frames do: (r, c) and (c, r) are one place of the diagonal then. */
+double times_there(const int *on, int r, int c)
+{
+    return r < c && on[r] == on[c] ? 2.0 : 1.0;
+}
+
 void mapped_square(System *s, const Batch *k, long i, const double *C)
 {
     const double *map[2];
@@ -80,7 +87,7 @@ void mapped_square(System *s, const Batch *k, long i, const double *C)
             row += width[side];
         }
     }
-    const int *to = k->square_to + k->square_start[i];
+    const int *to = k->square_to + k->square_start[i], *on = k->row_on + k->row_start[i];
     for (int c = 0; c < total; c++) {
         double y[2 * TWIST], *out = column;
         for (int j = 0; j < 2 * TWIST; j++) y[j] = CM[(long)j * total + c];
@@ -88,7 +95,7 @@ void mapped_square(System *s, const Batch *k, long i, const double *C)
             if (width[side]) through(map[side], width[side], y + TWIST * side, out);
             out += width[side];
         }
-        for (int r = 0; r <= c; r++, to++) s->L[*to] += column[r];
+        for (int r = 0; r <= c; r++, to++) s->L[*to] += column[r] * times_there(on, r, c);
     }
 }
 

@@ -38,8 +38,7 @@ static void row_of_side(const Batch *k, long i, int side, double *y)
     }
 }
 
-/* slope r r^T of items with frames on surfaces, r their rows on the rates of all bodies. A rate that moves several of the frames
-   stands several times among them. */
+/* slope r r^T of items with frames on surfaces, r their rows on the rates of all bodies. */
 static void mapped_squares(System *s, const Batch *k, const double *slope)
 {
     for (long i = 0; i < k->n; i++) {
@@ -54,6 +53,6 @@ static void mapped_squares(System *s, const Batch *k, const double *slope)
             total += width;
         }
         for (int c = 0; c < total; c++)
-            for (int d = 0; d <= c; d++, to++) s->L[*to] += slope[i] * r[c] * r[d] * (d < c && on[d] == on[c] ? 2.0 : 1.0);
+            for (int d = 0; d <= c; d++, to++) s->L[*to] += slope[i] * r[c] * r[d] * times_there(on, d, c);
     }
 }

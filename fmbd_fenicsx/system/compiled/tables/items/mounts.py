@@ -8,24 +8,13 @@ import numpy as np
 
 from .....mechanics.forces.force_elements import Loads
 from ...declarations import enumeration
+from ..squares import rates_of, square_places
 from ..structures import structure
 
 if TYPE_CHECKING:
     from ..layout import TableLayout
 
 MOUNT = enumeration("ROW")["MOUNT"]  # the role
-
-
-def squares(tables: TableLayout, frames: np.ndarray) -> tuple[int, int]:
-    """Addresses of where the places of each pair of frames (n, 2) begin, and of places of the lower halves of their blocks."""
-    rates = [np.concatenate([tables.rates(int(f)) for f in pair]) for pair in frames]
-    counts = np.array([len(x) * (len(x) + 1) // 2 for x in rates])
-    found = []
-    for x in rates:
-        c, r = np.tril_indices(len(x))
-        found.append(tables.fronts.place(x[c], x[r]))
-    first = np.concatenate(([0], np.cumsum(counts)))
-    return tables.store.array(first, np.int64)[1], tables.store.integers(np.concatenate(found))
 
 
 def mount_batch(tables: TableLayout, loads: Loads) -> Any:
@@ -44,10 +33,9 @@ def mount_batch(tables: TableLayout, loads: Loads) -> Any:
     sides = [x[:, side] for side in (0, 1) for x in (places, turns)]
     constants = np.concatenate([*sides, *(x.reshape(n, -1) for x in matrices)], axis=1)
 
-    square_start, square_to = squares(tables, frames)
     return structure("Batch", tables.dim)(
         role=MOUNT, n=n, width=constants.shape[1], mapped=1, P=store.address(constants), pair=store.integers(frames),
         at=store.integers(tables.twist_places(frames).reshape(n, -1)),
         known=store.address(np.zeros(n * (2 * size + d * d + rot * rot + 3 * d + rot))),
-        square_start=square_start, square_to=square_to,
+        **square_places(tables, store, rates_of(tables, frames)),
     )  # fmt: skip

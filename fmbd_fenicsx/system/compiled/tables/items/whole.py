@@ -10,8 +10,8 @@ import numpy as np
 from .....mechanics.forces.force_elements import Loads
 from .....mechanics.frames import Kinematics
 from ...declarations import enumeration
+from ..squares import rates_of, square_places
 from ..structures import structure
-from .mounts import squares
 
 if TYPE_CHECKING:
     from ..layout import TableLayout
@@ -44,12 +44,12 @@ class WholeLoads:
 
         frames = tables.frame[pairs]
         frames[pairs[:, 0] == pairs[:, 1], 1] = tables.nb
-        square_start, square_to = squares(tables, frames)
         self.batch = structure("Batch", d)(
             role=WHOLE, n=count, number=number, mapped=1, P=store.address(self._constants(tables, pairs)),
             pair=store.integers(frames), at=store.integers(tables.twist_places(frames).reshape(count, -1)),
             marker=store.integers(local), known=known,
-            sight=sight, push=push, K=K, B=B, astray=astray, square_start=square_start, square_to=square_to,
+            sight=sight, push=push, K=K, B=B, astray=astray,
+            **square_places(tables, store, rates_of(tables, frames)),
         )  # fmt: skip
         self._kin = self._kinematics()
 
