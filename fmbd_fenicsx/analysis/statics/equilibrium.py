@@ -165,12 +165,14 @@ def _tell_smooth_friction(system: System) -> None:
 def _tell_roundoff(newton: StaticNewton, point: StaticPoint, t: float, given: State) -> None:
     """Say how far displacements of elastic bodies are known, where forces of stiff parts have lost the digits of soft ones."""
     system = newton.residual.system
+    if not system.fields or system.contacts is not None:
+        return
     displaced = system.difference(given.q, point.q)
     for k, _ in system.fields:
         own = system.slices[1][k]
         displaced[own] = np.maximum(np.abs(displaced[own]), np.abs(system.local_q(point.q, k)))
     size = system.max_abs(displaced)
-    if not system.fields or system.contacts is not None or not size > 0.0:
+    if not size > 0.0:
         return
     lost = newton.roundoff(point, t, size)
     if lost > max(ROUGH * size, newton.tolerance * system.length):

@@ -73,9 +73,7 @@ class StaticNewton:
     tolerance: float = 1e-12  # of increments, over the model's length
     iterations: int = 0
     tangent_iterations: int = 0
-    slow: bool = field(
-        default=False, init=False
-    )  # whether the newest equilibrium was found with inertia beside the tangent
+    slow: bool = field(default=False, init=False)  # whether the newest one was found with inertia beside the tangent
     weights: Weights = field(init=False)
 
     def __post_init__(self) -> None:
