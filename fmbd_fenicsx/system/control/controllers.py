@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import zip_longest
 from typing import Any, ClassVar
 
 import numpy as np
@@ -172,9 +173,9 @@ class ControlLoads(Loads):
 
     def _rows(self, kin: Kinematics) -> tuple[Array, ...]:
         """Rows of the coordinates on these, (acts, n) each; zero where one has no such marker."""
-        each, none = [r.rows(kin) for r in self.acts], np.zeros((1, self.motions.n_twist))
-        count = max(map(len, each))
-        return tuple(np.concatenate([rows[k] if k < len(rows) else none for rows in each]) for k in range(count))
+        none = np.zeros((1, self.motions.n_twist))
+        each = zip_longest(*(r.rows(kin) for r in self.acts), fillvalue=none)
+        return tuple(np.concatenate(rows) for rows in each)
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, ...]:
         """u along each coordinate."""
