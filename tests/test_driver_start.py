@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -101,9 +102,15 @@ def test_dependent_rows_are_left_to_numpy(dim: int) -> None:
     assert solver.driver is not None and not solver.driver.ready and solver.core.redundant
 
 
-def at_once(scene: fmbd.Scene) -> tuple[Any, State]:
-    """a and lambda of the start in one call of the driver, once NumPy has seen that rows depend; and by NumPy."""
+def at_once(scene: fmbd.Scene, beside: float = 0.0) -> tuple[Any, State]:
+    """a and lambda of the start in one call of the driver, once NumPy has seen that rows depend; and by NumPy.
+
+    ``beside``: how far the state is moved from the constraints, m, and by how much its velocities are, m/s.
+    """
     system, start, _ = scene.build()
+    rng = np.random.default_rng(4)
+    moved, changed = beside * rng.standard_normal((2, system.n_v))
+    start = replace(start, q=system.compose(start.q, moved), v=start.v + changed)
     states, plain, solver = driver_states(system), StepSolver(system), StepSolver(system)
     wanted = accelerations(system, start, plain)
 
@@ -119,6 +126,29 @@ def test_accelerations_where_rows_depend(dim: int) -> None:
     found, wanted = at_once(redundant(dim))
     close(wanted.a, found[0], 1e-11)
     close(wanted.lam, found[1], 1e-6)
+
+
+def bennett(turn: float = 1.0, twists: tuple[float, float] = (0.5, 0.9)) -> fmbd.Scene:
+    """Four links that can turn, by their lengths 2 sin(twist), though hinges ask for more: 20 rows of rank 17."""
+    ratio = np.sin(sum(twists) / 2) / np.sin((twists[1] - twists[0]) / 2)
+    other = 2 * np.arctan(ratio / np.tan(turn / 2))
+    scene, last, R, x = fmbd.Scene("Bennett", gravity=(0, 0, -9.81)), fmbd.ground, np.eye(3), np.zeros(3)
+    for i, angle in enumerate((turn, other, -turn, -other)):
+        (c, s), (cos, sin) = ((np.cos(z), np.sin(z)) for z in (angle, twists[i % 2]))
+        to, axis = x + R @ (c * 2 * sin, s * 2 * sin, 0), R[:, 2]
+        link = fmbd.ground if i == 3 else fmbd.RigidBody(f"link {i}", 1.0, (0.05, 0.1, 0.12), (x + to) / 2)
+        scene.add(*[link][: i < 3], fmbd.revolute(f"hinge {i}", last, link, center=x, axis=axis))
+        last, R, x = link, R @ [[c, -s * cos, s * sin], [s, c * cos, -c * sin], [0, sin, cos]], to
+    return scene
+
+
+@compiled
+def test_accelerations_beside_constraints_that_depend_where_they_hold() -> None:
+    """Rows differ by as much as stages and means are beside them: accelerations and multipliers are those on them."""
+    (a, lam), _ = at_once(bennett())
+    found, _ = at_once(bennett(), beside=1e-6)
+    close(a, found[0], 1e-4)
+    close(lam, found[1], 1e-4)
 
 
 @compiled

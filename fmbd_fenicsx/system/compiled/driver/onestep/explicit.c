@@ -5,6 +5,7 @@ enum { REFINED = 12, CLOSED = 12, HALF = 50 }; /* iterations */
 static const double SAME_FORCES = 1e-8; /* share that the smallest multipliers may lack of the forces of others */
 static const double AT_REST = 1e-13; /* of the forces, that the balance may lack */
 static const double CONTRADICTS = 1e-8; /* of the accelerations, that rows may ask for otherwise than those they depend on */
+static const double BESIDE = 10.0; /* times as much as a state beside the constraints lets them ask for otherwise */
 
 /* The largest of forces like v, moments as forces at the model's length. */
 static double largest_force(const System *s, const double *f)
@@ -54,9 +55,13 @@ static int accelerate(System *s, double t, double length, const double *q, const
                       int factored)
 {
     double *x = room, *y = x + s->nv, *second = y + s->rows, *partial = second + s->rows, *world = partial + s->rows;
-    double fastest = largest_of(s->units, v, s->nv), forces = 0.0, typical = 0.0, last = INFINITY;
+    double fastest = largest_of(s->units, v, s->nv), forces = 0.0, gap = 0.0, slip = 0.0, allowed = 0.0, last = INFINITY;
     int verdict = place(s, q, v);
     if (verdict) return verdict;
+    if (s->redundant) {
+        drift(s);
+        gap = largest_of(s->row_units, s->gap, s->rows), slip = largest_of(s->row_units, s->slip, s->rows);
+    }
     derivatives_in_time(s, partial, second);
     memset(a, 0, s->nv * sizeof(double));
     memset(lam, 0, s->rows * sizeof(double));
@@ -76,8 +81,11 @@ static int accelerate(System *s, double t, double length, const double *q, const
         slips(s, 0);
         for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -(s->slip[i] + second[i]);
-        if (k == 0 && s->redundant) typical = fmax(alone(s), fastest * fastest / length);
-        if (k > 0 && s->redundant && !(largest_of(s->row_units, s->b + s->nu, s->rows) <= CONTRADICTS * typical)) return NEWTON;
+        if (k == 0 && s->redundant) {
+            double typical = fmax(alone(s), fastest * fastest / length);
+            allowed = CONTRADICTS * typical + BESIDE * (gap * typical + slip * fastest) / length;
+        }
+        if (k > 0 && s->redundant && !(largest_of(s->row_units, s->b + s->nu, s->rows) <= allowed)) return NEWTON;
         if (settled) return DONE;
         if ((verdict = with_all_rows(s, 1.0, x, y, t))) return verdict;
 
