@@ -315,3 +315,18 @@ def test_a_stiff_mount_does_not_hide_a_soft_balance(stiffness: float, place: tup
     )
     scene.sensor("lever", fmbd.position(lever))
     np.testing.assert_allclose(fmbd.equilibrium(scene)["lever"], (0.5, 0.0), atol=1e-8)
+
+
+@pytest.mark.parametrize("load", [0.9, 1.1])
+def test_a_column_beyond_its_load_is_told_of(load: float, rod_mesh: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """Pressed along its axis it stays straight: from Euler's load (pi / 2)^2 E I / L^2 on it would not."""
+    modulus, height = 1e8, 0.05
+    energy = fmbd.materials.sheet_saint_venant_kirchhoff(modulus, 0.0)
+    column = fmbd.AbsoluteBody("column", rod_mesh(height=height), density=1000.0, energy=energy, degree=2)
+    euler = (0.5 * np.pi) ** 2 * modulus * height**3 / 12.0
+    scene = fmbd.Scene("column")
+    scene.add(column, fmbd.fixed("clamp", fmbd.ground, column.surface("pin")))
+    scene.add(fmbd.force("press", column.surface("tip"), (-load * euler, 0.0)))
+    scene.sensor("tip", fmbd.position(column.surface("tip")))
+    assert abs(fmbd.equilibrium(scene)["tip"][1]) < 1e-6
+    assert ('unstable: body "column"' in caplog.text) == (load > 1.0)

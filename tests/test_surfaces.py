@@ -135,6 +135,7 @@ def build(gmsh, size, h=0.1):
     g.synchronize()
     gmsh.model.addPhysicalGroup(2, [bar], name="bar")
     gmsh.model.addPhysicalGroup(1, [lines[4]], name="piece")
+    gmsh.model.addPhysicalGroup(1, [lines[1]], name="tip")
     gmsh.model.mesh.generate(2)
 """
 
@@ -152,3 +153,17 @@ def test_surfaces_on_which_bodies_turn_are_named(size: float, narrow: bool, tmp_
     if narrow:
         with pytest.raises(ConvergenceError, match="turns as on a hinge of little stiffness: joint"):
             fmbd.equilibrium(scene)
+
+
+def test_a_bar_on_a_small_clamped_piece_hangs(tmp_path: Path) -> None:
+    """A clamp of 1e-4 m holds its bar as a hinge of little stiffness does: it hangs, and does not stand on its head."""
+    (tmp_path / "narrow.py").write_text(NARROW)
+    mesh = fmbd.read_gmsh(tmp_path / "narrow.py", size=1e-4)
+    body = fmbd.FloatingBody("bar", mesh, density=1000.0, elastic=fmbd.materials.plane_stress(1e9, 0.3))
+    scene = fmbd.Scene("clamped", gravity=(0.0, -9.81))
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("piece")))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    found = fmbd.equilibrium(scene)
+    assert found["tip"][1] < -0.99
+    # a bar on a hinge: sqrt(3 g / 2 L)
+    assert fmbd.modes(scene, 1, at=found).omega == pytest.approx(np.sqrt(1.5 * 9.81), rel=1e-2)

@@ -61,6 +61,17 @@ def test_hung_wires_are_in_equilibrium_at_the_wanted_sag() -> None:
         wires.hung(lambda x: 0.1 if x == 15.0 else 0.0)
 
 
+def test_modes_of_two_wires() -> None:
+    """Two wires side by side, one of them without bending: n pi / L sqrt((T + E I (n pi / L)^2) / mu)."""
+    L = 20.0
+    scene = fmbd.Scene("wires", gravity=(0, -9.81))
+    scene.add(fmbd.Wires("w", L, 40, (WIRE, fmbd.Wire(1.0, 1e4)), anchor=1e12))
+    found = fmbd.modes(scene, 6, at=fmbd.equilibrium(scene))
+    k = np.pi / L * np.arange(1, 5)
+    exact = np.concatenate((k * np.sqrt((20e3 + 195.0 * k**2) / 1.35), 100.0 * k))
+    assert found.omega == pytest.approx(np.sort(exact)[:6], rel=1e-5)
+
+
 def test_wave_speed() -> None:
     """A pulse on a string reaches a point after distance / sqrt(T / mu)."""
     wire = fmbd.Wire(1.0, 1e4)

@@ -205,7 +205,7 @@ def _krylov(
             if turning and (beyond := _beyond(about, damping, (mass, stiffness))) is not None:
                 waiting.append(inverse.solve(space.without(beyond, known)))
 
-        made = _new_part(about, basis, waiting.pop(0), inverse)
+        made = new_part(about, basis, waiting.pop(0), inverse.inverse)
         if made is not None:
             space.add(made)
     else:
@@ -219,8 +219,13 @@ def _krylov(
     return space.projected()
 
 
-def _new_part(about: Perturbation, basis: list[Array], x: Array, inverse: _Shifted) -> Array | None:
-    """What of x is new beside the basis, of unit length and without violation of the constraints; None where it is noise."""
+def new_part(
+    about: Perturbation, basis: list[Array], x: Array, solve: Callable[[Array, Array], tuple[Array, Array]]
+) -> Array | None:
+    """What of x is new beside the basis, of unit length and without violation of the constraints; None where it is noise.
+
+    ``solve`` answers (force, gaps) by a motion that closes the gaps. Collective.
+    """
     size = _norm(about, x)
     x = _beside(about, basis, x)
     left = _norm(about, x)
@@ -230,7 +235,7 @@ def _new_part(about: Perturbation, basis: list[Array], x: Array, inverse: _Shift
     if np.abs(about.rows(x)).max(initial=0.0) <= HELD:
         return x
     # what violates the constraints was enlarged with the rest, or is all there is
-    x = _beside(about, basis, inverse.held(x))
+    x = _beside(about, basis, x + solve(np.zeros_like(x), -about.rows(x))[0])
     left = _norm(about, x)
     return x / left if left > LEFT else None
 
@@ -306,10 +311,6 @@ class _Shifted:
         ev.take_tangents()
         solver.prepare(ev, Weights(shift, 0.0, 1.0))
         self.inverse = solver.solve if about.closed is None else about.closed.held(solver)
-
-    def held(self, x: Array) -> Array:
-        """x without what violates the constraints: differences of nearly equal vectors enlarge it."""
-        return x + self.inverse(np.zeros_like(x), -self.about.rows(x))[0]
 
     def solve(self, b: Array) -> Array:
         """x with (K + s M) x + G^T mu = b, G x = 0."""

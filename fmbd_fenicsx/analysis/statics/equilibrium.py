@@ -30,17 +30,17 @@ from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.spins import Spins
 from ...system.system import System
-from ..small_motions.basis import free_motions
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.steady import BodySpin, Residual, Spin, body_spin, steady_rates
 from .arc_length import ArcLength, Path
-from .descent import FLAT, descend, descends
+from .descent import descend, descends
 from .load_steps import LoadSteps
 from .rotors import check_steady
+from .stability import falling
 from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps, relax
 from .time_scales import long_step
 
-FEW = 120  # coordinates up to which stability is looked at
+FAR = 0.1  # displacement, over the model's length, from which on another equilibrium may be as near
 ASIDE = 0.1  # displacement along a motion that may be free, over the model's length
 ROUGH = 1e-5  # of the largest displacement, roundoff that is told
 SAME = 1e-3  # relative change of the force along a free motion there
@@ -312,29 +312,36 @@ def _downhill(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint
 
 
 def _stable(newton: StaticNewton, start: StaticPoint, found: StaticPoint, t: float) -> StaticPoint:
-    """The equilibrium found, or a stable one by descent where Newton went far and ended on an unstable one.
-
-    Looks at scenes of few replicated coordinates only: others rarely end there.
+    """The equilibrium found, or a stable one by descent where Newton went far and ended on an unstable one; what stays is
+    told.
     """
     system = newton.residual.system
-    moved = system.max_abs(system.difference(start.q, found.q))
-    if system.contacts is not None or system.fields or system.n_core > FEW or moved <= 0.1 * system.length:
+    motion = None if system.contacts is not None else _falls(newton, found, t)
+    if motion is None:
         return found
+    if system.max_abs(system.difference(start.q, found.q)) > FAR * system.length:
+        try:
+            there = _downhill(newton, start, t)
+            newton.take(there, t)
+            if _falls(newton, there, t) is None:
+                return there
+        except (ConvergenceError, LinearSolveError):
+            pass
+    # gyroscopic forces may hold what spins
+    if newton.residual.spin is None:
+        moved = _shares(system, motion)
+        log.warning(
+            'equilibrium: it is unstable: body "%s" moves away from it by itself. Another start may lead to a stable one',
+            max(moved, key=lambda name: moved[name]),
+        )
+    return found
 
-    # of few unknowns: the stiffness on all free motions tells
-    spin = newton.residual.spin
-    about = Perturbation(system, state_of(system, found, t, spin), spin if isinstance(spin, Spin) else None)
-    V = free_motions(about)
-    images = [about.stiffness(v) for v in V]
-    K = np.array([[v @ image for image in images] for v in V])
 
-    if not K.size or np.linalg.eigvalsh(0.5 * (K + K.T)).min() >= -FLAT * np.abs(K).max():
-        return found
-
-    try:
-        return _downhill(newton, start, t)
-    except (ConvergenceError, LinearSolveError):
-        return found
+def _falls(newton: StaticNewton, point: StaticPoint, t: float) -> Array | None:
+    """The motion by which an equilibrium is left, see :func:`.falling`."""
+    system, spin = newton.residual.system, newton.residual.spin
+    about = Perturbation(system, state_of(system, point, t, spin), spin if isinstance(spin, Spin) else None)
+    return falling(about, newton)
 
 
 def _slow(system: System, t: float) -> float:

@@ -91,6 +91,11 @@ class LineField:
         first = corners[order, 0]
         require(bool(np.allclose(first, self.h * np.arange(len(order)))), "DOLFINx turned cells of an interval around.")
         self.by_wire = local[:, :, None] * count + np.arange(count)  # (cells, 4, count)
+        # where the unknowns are, (n, 1): one wire behind the other
+        self.X: Array = np.zeros((self.n, 1))
+        self.X[self.by_wire, 0] = (first[:, None] + self.h * np.array([0.0, 0.0, 1.0, 1.0]))[:, :, None] + (
+            self.body.length * np.arange(count)
+        )
         self.dofs = self.by_wire.transpose(0, 2, 1).reshape(len(order), -1)
 
     def shape(self, wire: int, x: float, derivatives: int = 0) -> tuple[np.ndarray, Array]:

@@ -1,0 +1,73 @@
+"""Whether an equilibrium is stable: the softest motion that the constraints leave, of any scene.
+
+With K the exact stiffness on increments y of the configuration as lengths, G y = 0, the smallest Rayleigh quotient
+
+    mu = min  y^T K y / |y|^2                                                                                 (1)
+
+is found by Davidson's method: on a growing basis V the smallest eigenvalue mu of V^T K V and its vector y, and as one more vector
+w = P^-1 r, r = K y - mu y, with P the matrix of the equilibrium's own Newton iteration. A vector costs a product with K and a
+back-solve. A negative mu is proof where differences over ten times the way tell the same, which roundoff does not; a positive one
+counts where w lowers it no more, r^T w << mu |y|^2.
+
+Source: Morgan and Scott, Generalizations of Davidson's method, doi:10.1137/0907054.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...rotations import Array
+from ..small_motions.basis import new_part, random_motion
+from ..small_motions.perturbation import SHIFT, Perturbation
+from .static_newton import StaticNewton
+
+MOST = 24  # vectors
+SETTLED = 0.1  # of mu, what another vector may take away
+FLAT = 1e-13  # stiffness of a motion, over that of the stiffest seen, that is roundoff
+ROUGH = 10.0  # mu over what V^T K V lacks of symmetry, below which it is roundoff
+WAY = 10.0 * SHIFT  # of a difference that has to tell the same, over the model's length
+SLOW = 1e-12  # squared rate, over that of the preconditioner's step, with which roundoff of reactions may let it grow
+ALIKE = 0.5  # of mu, by which it may differ
+
+
+def falling(about: Perturbation, newton: StaticNewton) -> Array | None:
+    """A motion (largest displacement 1 m), like v, by which an equilibrium is left by itself; None where it is stable.
+
+    ``newton``: with its matrix near the state. Collective.
+    """
+    system = about.system
+    none = np.zeros(system.n_lam)
+    basis: list[Array] = []
+    images: list[Array] = []
+    new = newton.solver.solve(about.mass(random_motion(about, 0)), none)[0]
+
+    while len(basis) < MOST:
+        v = new_part(about, basis, new, newton.solver.solve)
+        if v is None:
+            break
+        basis.append(v)
+        images.append(about.stiffness(v))
+        K = np.array([[system.dot(x, image) for image in images] for x in basis])
+        values, vectors = np.linalg.eigh(0.5 * (K + K.T))
+
+        mu, y = float(values[0]), vectors[:, 0] @ np.array(basis)
+        slowest = SLOW * newton.weights.cm * system.dot(y, about.mass(y))
+        if mu < -max(FLAT * np.abs(values).max(), ROUGH * np.abs(K - K.T).max(), slowest):
+            size = system.max_abs(y)
+            along = _quotient(newton, about, y / size) * size**2
+            return np.asarray(y / size) if abs(along - mu) <= ALIKE * abs(mu) else None
+
+        rest = vectors[:, 0] @ np.array(images) - mu * system.units**2 * y
+        new = newton.solver.solve(rest, none)[0]
+        if mu > 0.0 and system.dot(rest, new) <= SETTLED * mu:
+            break
+    return None
+
+
+def _quotient(newton: StaticNewton, about: Perturbation, y: Array) -> float:
+    """y^T K y by a difference over a long way."""
+    system, s, way = about.system, about.state, WAY * about.system.length
+    after, before = (
+        newton.residual.values(newton.residual.at(system.compose(s.q, x * y), s.t), s.lam)[0] for x in (way, -way)
+    )
+    return system.dot(y, after - before) / (2.0 * way)
