@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from chains import chain
 from dae_problems import march, observed, pendulum, spinning_top, state_errors
+from tolerance_more import four_bar
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.schemes.consistent import arrived
@@ -89,6 +90,20 @@ def test_a_step_is_one_compiled_call(rtol: float | None, monkeypatch: pytest.Mon
     assert slow.counters["steps"] == run.counters["steps"]
     assert run.state.q == pytest.approx(slow.state.q, rel=1e-11, abs=1e-11)
     assert run.state.v == pytest.approx(slow.state.v, rel=1e-10, abs=1e-10)
+
+
+def test_a_step_too_long_for_its_stages_is_halved_in_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A four-bar linkage at rest, turned by a torque that rises: the step that is proposed there is far too long."""
+    run = lambda: fmbd.solve(four_bar(), t_end=1.5, scheme=fmbd.HalfExplicit(1e-3))  # noqa: E731
+    with monkeypatch.context() as patch:
+        patch.setattr(MarchingStepper, "_made", lambda *given: 0)
+        slow = run()
+    assert slow.counters["rejected: constraints not closed"] > 0
+    monkeypatch.setattr(explicit_stepper.ExplicitStepper, "_controlled", lambda *given: pytest.fail("made by Python"))
+    fast = run()
+    for name in ("steps", "rejections", "rejected: constraints not closed"):
+        assert fast.counters[name] == slow.counters[name]
+    assert fast.state.q == pytest.approx(slow.state.q, rel=1e-9, abs=1e-9)
 
 
 def test_laws_of_time_are_asked_once_at_each_end_of_a_stage() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from test_steps_one_by_one import driven_rod, named
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError
+from fmbd_fenicsx.run import single_run
 from fmbd_fenicsx.run.loads_ahead import LOOKED_AT
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.onestep import explicit_limit
@@ -450,6 +452,24 @@ def test_a_call_behind_a_load_that_came_knows_where_the_next_step_has_to_end(sch
     ]
     assert runs[0].counters["steps"] == runs[1].counters["steps"]
     assert runs[0].times == pytest.approx(runs[1].times, rel=1e-6)
+
+
+@compiled
+@pytest.mark.parametrize("scheme", [fmbd.BDF(), fmbd.Radau(), fmbd.HalfExplicit(), fmbd.ExplicitRungeKutta()], ids=told)
+def test_marks_are_hit_on_the_way_of_a_call(scheme: Any, marches: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps end at each, as those of Python do, and a call goes on past them."""
+    marks = tuple(np.linspace(0.013, 0.487, 80))
+    ending = lambda schedule, *given: replace(schedule, marks=marks)  # noqa: E731
+    monkeypatch.setattr(single_run, "seeing_loads", ending)
+    law = lambda s, rate, t: -5.0 * s  # noqa: E731
+    run = lambda: fmbd.solve(hanging(law), t_end=0.5, scheme=scheme)  # noqa: E731
+    once, calls = run(), len(marches)
+    assert np.abs(once.times[:, None] - marks).min(axis=0).max() < 1e-14
+    assert calls < 10
+    monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+    turn = run()
+    assert once.counters["steps"] == turn.counters["steps"]
+    assert once.state.q == pytest.approx(turn.state.q, rel=1e-8, abs=1e-9)
 
 
 def given_in_time() -> fmbd.Scene:

@@ -54,7 +54,7 @@ class CompiledCalls:
         if watched and not self.equal:
             return 0
         t = self.stepper.state.t
-        h = self.stepper.stride(self.schedule.next(t))
+        h = self.stepper.stride(self._limit(t))
         if not h:
             return 0
 
@@ -83,8 +83,16 @@ class CompiledCalls:
     def _bound(self) -> None:
         """Tell a stepper that chooses its steps how long these may be, and where the next one has to end."""
         if not self.equal:
-            t = self.stepper.state.t
-            self.stepper.unwrapped.bound(self.schedule.largest, self.schedule.stop(t))
+            self.stepper.unwrapped.bound(self.schedule.largest, self._ends(self.stepper.state.t))
+
+    def _ends(self, t: float) -> tuple[float, ...]:
+        """Where steps of the next march from a time on have to end, s."""
+        ends = self.schedule.ends(t)
+        return ends if self.stepper.unwrapped.passes_marks else ends[:1]
+
+    def _limit(self, t: float) -> float:
+        """Size of the steps of a march from a time on, or how far it may go, s."""
+        return self.schedule.next(t) if self.equal else min(self._ends(t)[-1] - t, self.schedule.largest)
 
     def next_look(self, done: int) -> int:
         """After how many steps states are looked at, behind those that are done."""
@@ -138,10 +146,10 @@ class CompiledCalls:
         """One call of at most so many steps of size h (s) behind those that are done: how many count, and whether more may
         follow.
         """
-        stepper, schedule = self.stepper, self.schedule
+        stepper = self.stepper
         self._bound()
         joints = self.closed if self.closed.judging else None
-        made = stepper.march(schedule.next(stepper.state.t), steps, Observers(joints=joints, tape=tape))
+        made = stepper.march(self._limit(stepper.state.t), steps, Observers(joints=joints, tape=tape))
         self.local_error = max(self.local_error, stepper.local_error)
 
         # where the scheme ended it, or by number; the clock and records end calls too
@@ -162,7 +170,7 @@ class CompiledCalls:
         t, schedule = self.stepper.state.t, self.schedule
         if t > self._last or schedule.broken(t) is not None or schedule.ended(t, 0):
             return True
-        return self.stepper.stride(schedule.next(t)) > h
+        return self.stepper.stride(self._limit(t)) > h
 
     def _take(self, tape: Tape, done: int, alone: bool) -> bool:
         """Record a call behind the steps that were done; whether more may follow, without an event."""

@@ -8,7 +8,7 @@ two break points, of a size that fits: as near to the one that is asked for as w
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
@@ -50,20 +50,15 @@ class StepSchedule:
         """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""
         if self.steps:
             return self._sizes[bisect_right(self.stops, t)] if self.stops else self.span / self.steps
-        return min(self.ahead(t), self.largest)
+        return min(self.ends(t)[0] - t, self.largest)
 
-    def ahead(self, t: float) -> float:
-        """How far it is to where steps that the scheme chooses have to end, s."""
-        return self.stop(t) - t
-
-    def stop(self, t: float) -> float:
-        """Where steps that the scheme chooses have to end: the near side of the next break point, s."""
-        stop = self.t_end
-        for places, reached in self._reached:
-            at = bisect_right(reached, t)
-            if at < len(places) and places[at] < self.t_end:
-                stop = min(stop, near_side(places[at]))
-        return stop
+    def ends(self, t: float) -> tuple[float, ...]:
+        """Where steps that the scheme chooses have to end from a time on, rising (s): marks, then the near side of the next break
+        point, or the end of the march.
+        """
+        stop, marks = (near[bisect_right(reached, t) :] for near, reached in self._reached)
+        last = stop[0] if stop else self.t_end
+        return (*marks[: bisect_left(marks, last)], last)
 
     def below(self, size: float) -> StepSchedule:
         """The schedule with steps of a scheme's choice that are none above a size, s."""
@@ -118,9 +113,10 @@ class StepSchedule:
         return tuple(zip(places[:-1], places[1:], strict=True))
 
     @cached_property
-    def _reached(self) -> list[tuple[tuple[float, ...], list[float]]]:
-        """Stops, then marks, each with the times (s) from which on a march has reached them."""
-        return [(x, (np.array(x) - 4 * SIDE * np.spacing(x)).tolist()) for x in (self.stops, self.marks)]
+    def _reached(self) -> list[tuple[list[float], list[float]]]:
+        """The near sides of stops, then of marks, each with the times from which on a march has reached them, s."""
+        inside = [np.array([t for t in x if t < self.t_end]) for x in (self.stops, self.marks)]
+        return [((x - SIDE * np.spacing(x)).tolist(), (x - 4 * SIDE * np.spacing(x)).tolist()) for x in inside]
 
     @cached_property
     def _ends(self) -> tuple[int, ...]:

@@ -22,6 +22,7 @@ from .stepping import Observers
 class OwnMarch(MarchingStepper):
     """A scheme with constant steps, or (``adaptive``) with steps of the sizes that its error control chooses."""
 
+    passes_marks = True
     adaptive: bool
     norm: ErrorNorm
     stats: Statistics
@@ -46,7 +47,7 @@ class OwnMarch(MarchingStepper):
     def _end(self, limit: float) -> float:
         """When steps of at most ``limit`` (s) have to end, s: where that is told it is no sum, which may be off by a rounding."""
         end = self.state.t + limit
-        return self.until if self.until >= end - 2 * np.spacing(end) else end
+        return self.ends[-1] if self.ends[-1] >= end - 2 * np.spacing(end) else end
 
     def step_back(self) -> None:
         """As :meth:`TimeStepper.step_back`."""
@@ -88,15 +89,17 @@ class OwnMarch(MarchingStepper):
         control, norm, t, (limit, count) = self.control, self.norm, self.state.t, self._ahead
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
+        own.pass_by(self.ends[:-1])
         own.c.until, own.c.longest, own.c.tiny = self._end(limit), min(self.longest, self.longest_stable), control.tiny
-        own.c.worst, own.c.refused = 0.0, 0.0
+        own.c.worst, own.c.refused, own.c.failed = 0.0, 0.0, 0.0
         own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
         self._used.parameters[CHOSEN] = True
 
     def _take_own(self, own: OwnRoom, made: int) -> None:
         """What it has seen in so many steps."""
-        norm, refused = self.norm, int(own.c.refused)
+        norm = self.norm
         norm.q_size, norm.v_size, norm.deflections = own.told()
         self.local_error = float(own.c.worst)
-        if refused:
-            self.stats.rejected["error estimate"] += refused
+        for cause, count in (("error estimate", own.c.refused), ("constraints not closed", own.c.failed)):
+            if count:
+                self.stats.rejected[cause] += int(count)

@@ -6,7 +6,7 @@ user's own derives from :class:`TimeStepper` and has to say how it advances; all
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Any, Protocol
@@ -64,7 +64,8 @@ class TimeStepper(Remembering):
         counters: work so far and statistics, name -> number, for the report.
         path: who makes the steps, for the report.
         compiled_whole: its steps are compiled from end to end, and ask for no evaluations.
-        longest, until: the most that a step of :meth:`march` may be, and when steps have to end (s), see :meth:`bound`.
+        longest, ends: the most that a step of :meth:`march` may be, and when steps have to end (s), see :meth:`bound`.
+        passes_marks: steps of one :meth:`march` hit all ends up to the last one.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
         gives_up: a step that compiled code does not find is found by nobody: it ends the run.
         keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
@@ -75,7 +76,8 @@ class TimeStepper(Remembering):
     path: str = "NumPy"
     compiled_whole: bool = False
     longest: float = inf
-    until: float = -inf
+    ends: Sequence[float] = (-inf,)
+    passes_marks: bool = False
     keeps_memories: bool = False
     gives_up: bool = False
 
@@ -112,9 +114,16 @@ class TimeStepper(Remembering):
         """
         return False
 
-    def bound(self, longest: float, until: float) -> None:
-        """Of steps under error control: none of the next march is to be longer than that, and they have to end then, s."""
-        self.longest, self.until = longest, until
+    def bound(self, longest: float, ends: Sequence[float]) -> None:
+        """Of steps under error control: none of the next march is to be longer than that, and some have to end then, s, rising;
+        the march ends with the last of these.
+        """
+        self.longest, self.ends = longest, ends
+
+    @property
+    def until(self) -> float:
+        """When the next step has to have ended, s."""
+        return self.ends[0]
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many steps in one call; how many were made. None here: they are made one by one."""

@@ -152,7 +152,7 @@ class ExplicitStepper(OwnMarch):
         self.stats.steps += made
         own, attempts = None if self._lent is None else self._lent.own, made
         if own is not None:
-            attempts += int(own.c.refused)
+            attempts += int(own.c.refused + own.c.failed)
             self._take_own(own, made)
             self.control.fault = ""
             self._take_control(march.ring.own())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ class OwnRoom:
         orders: ctypes.Structure | None = None,
     ) -> None:
         self._store, self.orders, self._twin = Store(), orders, twin
+        self._marks: Array = np.zeros(0)
         system, own = twin.system, twin.original
         self._fields = own.n_v - own.n_core  # coordinates
         self._deflections = deflections_of(system, deforming, self._store)
@@ -51,6 +52,11 @@ class OwnRoom:
             self._arrays[name][0][:] = self._twin.velocities(np.append(values, np.zeros(self._fields)))
         for one, size in zip(self._deflections, deflections, strict=True):
             one.size = size
+
+    def pass_by(self, marks: Sequence[float]) -> None:
+        """The next march hits these times (s), rising, and goes on."""
+        self._marks = np.array(marks, dtype=float)
+        self.c.mark, self.c.marks, self.c.passed = address_of(self._marks), len(marks), 0
 
     def told(self) -> tuple[Array, Array, Array]:
         """The largest sizes behind a march."""

@@ -266,7 +266,7 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
     OwnSteps *c = o->own;
     const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
     const double left = left_for(c, now);
-    Passing found = {last.control->next, 0.0, 0};
+    Passing found = {last.control->next, 0.0, 0, 0};
     int verdict;
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
     const Norm norm = norm_of(o->stages);

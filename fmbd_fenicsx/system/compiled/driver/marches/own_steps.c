@@ -12,7 +12,10 @@ typedef struct OwnSteps {
                                        /* a step may be longer than proposed */
     double until, longest, last, tiny; /* a time that is hit; the most a step may be; until when steps may begin; a size that is too */
                                        /* small; s */
-    double worst, refused;             /* of a march: the largest error, and how many were too large */
+    const double *mark;                /* times on the way there that are hit, too, rising (s); how many, and how many were passed */
+    int marks, passed;
+    double ahead;                      /* the next of all these, s */
+    double worst, refused, failed;     /* of a march: the largest error, how many were too large, and how many steps had no end */
     double order, shrink, grow, least; /* of the controller; least error that it remembers */
     double turning, most;              /* of Radau: steps are to turn by so much less; increments, twice */
     const double *error;               /* weights of slopes, or of Radau's stages, in the error */
@@ -20,20 +23,27 @@ typedef struct OwnSteps {
 } OwnSteps;
 
 /* A step on its way to one that passes: the size that is proposed, the error of the newest try over the tolerance, and how many such
-   errors have refused it so far. */
+   errors have refused it so far, how often it had no end. */
 typedef struct {
     double proposed, error;
-    int refused;
+    int refused, failed;
 } Passing;
 
-/* The most that the next step from a state on may be, s. */
-static double left_for(const OwnSteps *c, const Block *now) { return fmin(c->until - *now->t, c->longest); }
+static const double MISSED = 1e-14; /* share of a time by which a step may miss it */
+
+/* The most that the next step from a state on may be, s, up to the next time that is hit, which is known then. */
+static double left_for(OwnSteps *c, const Block *now)
+{
+    while (c->passed < c->marks && c->mark[c->passed] * (1.0 - MISSED) <= *now->t) c->passed++;
+    c->ahead = c->passed < c->marks ? c->mark[c->passed] : c->until;
+    return fmin(c->ahead - *now->t, c->longest);
+}
 
 /* The size of the next step from a state on, where so much is proposed and no more than ``most`` possible; 0: it is none. What is left
    to the time that is hit is no step of its own where it is roundoff. */
 static double own_size(const OwnSteps *c, const Block *now, double proposed, double most)
 {
-    const double left = c->until - *now->t;
+    const double left = c->ahead - *now->t;
     double h = fmin(proposed, most);
     if (c->first > 0.0) h = c->first * pow(10.0, floor(c->places_of_decade * log10(c->longer * h / c->first)) / c->places_of_decade);
     h = fmin(h, c->longest);
@@ -53,6 +63,14 @@ static int refused_size(const OwnSteps *c, const Block *now, double h, double or
     return ++found->refused <= c->patience && found->error < INFINITY && next >= c->tiny && *now->t + 0.01 * next != *now->t;
 }
 
+/* Propose a size after one of which the iteration finds no end, twice: as rejected() of schemes/control.py; 0: Python has to say what is
+   wrong. */
+static int failed_size(double h, Passing *found)
+{
+    found->proposed = 0.5 * h;
+    return ++found->failed <= 2;
+}
+
 /* What the controller of a step keeps with its end: the size that it proposes, its own size (0: there is none), the error that it
    remembers. */
 typedef struct {
@@ -70,7 +88,7 @@ static double accepted_size(const OwnSteps *c, const Controlled *last, Controlle
     if (last->before > 0.0) factor = fmin(factor, safety * (h / last->before) * pow(last->missed / (known * known), 1.0 / c->order));
     made->before = h;
     made->missed = fmax(known, c->least);
-    return h * fmin(fmax(factor, c->shrink), found->refused ? 1.0 : c->grow);
+    return h * fmin(fmax(factor, c->shrink), found->refused || found->failed ? 1.0 : c->grow);
 }
 
 /* Take note of a step that has passed. */
@@ -78,6 +96,7 @@ static void note_passing(OwnSteps *c, const Passing *found)
 {
     c->worst = fmax(c->worst, found->error);
     c->refused += found->refused;
+    c->failed += found->failed;
 }
 
 /* The largest step of which ``turning`` together turn none of so many frames in space by more than ``turn`` (rad), as it moves now. */
