@@ -234,6 +234,8 @@ def test_plan_tells_the_path() -> None:
     assert "steps: compiled" in str(fast.plan)
     assert fast.counters["compiled_steps"] == 5
     assert "steps: NumPy" in str(slow.plan)
+    for scheme in (fmbd.Radau(2), fmbd.BDF(2), fmbd.Rattle(), fmbd.HalfExplicit(), fmbd.EnergyMomentum()):
+        assert "steps: compiled" in str(fmbd.solve(rigid(), t_end=0.005, dt=1e-3, scheme=scheme).plan)
 
 
 def test_steps_may_alternate(rod_mesh: Callable[..., Any]) -> None:

@@ -118,7 +118,7 @@ class ConstantSteps(Around):
     @property
     def looks_at_each(self) -> bool:
         """Whether every state of :meth:`in_turn` is looked at."""
-        return self.watch is not None or self.stepper.path == "NumPy"
+        return self.watch is not None or not self.stepper.compiled_whole
 
     @property
     def earlier(self) -> State | None:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ..system.compiled.tape import Openness, Tape
     from .onestep.explicit_limit import StepLimit
 
+COMPILED = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"
 AGAIN = (slots.GAIN, slots.DOUBT)  # after these the same step is found once more, by itself
 
 
@@ -143,6 +144,11 @@ class MarchingStepper(CompiledSteps):
         """As :meth:`TimeStepper.tape`."""
         march = self._march_of()
         return None if march is None or not on_the_way(march.tables) else march.tape(judged)
+
+    @property
+    def path(self) -> str:  # type: ignore[override]
+        """As :attr:`TimeStepper.path`."""
+        return TimeStepper.path if self._march_of() is None else COMPILED
 
     @property
     def _twin(self) -> Twin:

@@ -14,7 +14,7 @@ from ....system.compiled import march as slots
 from ....system.compiled.tape import on_the_way
 from ....system.layout import State, States
 from ...dae import GGL
-from ...marching import CompiledSteps, lend_energies, lend_newton, take_energies
+from ...marching import COMPILED, CompiledSteps, lend_energies, lend_newton, take_energies
 from ...stepping import UNOBSERVED, Observers
 from .alpha_driver import AlphaDriver
 from .alpha_step import FAR, PATIENCE, AlphaStep, Rule, StepStart
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
     """Steps by the driver, one or many in a call. Those that fail are NumPy's."""
 
-    path = "compiled (all bodies, joints and forces in C; NumPy for the start and for steps it gives back)"
+    path = COMPILED
     compiled_whole = True
 
     def __init__(self, data: tuple[GeneralizedAlpha, Any, Any, Any, State], driver: AlphaDriver | None) -> None:
