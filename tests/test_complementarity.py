@@ -46,6 +46,15 @@ def test_cycle_is_broken_and_counted() -> None:
     pytest.fail("no matrix of the sample cycles")
 
 
+def test_forces_of_roundoff_beside_open_gaps_are_no_residual() -> None:
+    """A point that stays closed with a force of roundoff below zero, as one that just touches does."""
+    W = np.array([[14.0, 3.0, 0.0], [3.0, 14.0, 0.0], [0.0, 0.0, 14.0]])
+    counts = ContactCounts()
+    q = np.array([*(W[:2, :2] @ [-3e-15, 2e-16]), 1.0])
+    solve_normal(W, q, q < 0.5, counts)
+    assert counts.residual < 1e-14
+
+
 @pytest.mark.parametrize("seed", range(30))
 def test_normal_problem_of_contacts_that_depend_on_each_other(seed: int) -> None:
     """Many nodes on few modes, the last of them stiff: they cannot all close, and forces stay of the impact's size."""

@@ -99,6 +99,25 @@ def test_contact_alpha_damps_and_touches_alike() -> None:
     assert energy.max() <= energy[0] * (1 + 1e-8) and energy[-1] > 0.98 * energy[0]
 
 
+@pytest.mark.parametrize("rho", [0.4, 0.8])
+def test_impacts_that_steps_do_not_resolve_give_back_less_than_they_took(rho: float) -> None:
+    """A block of steel stops in a hundredth of a step, and all that it does after that is the scheme's."""
+    law = fmbd.materials.linear_elastic(2e11, 0.3)
+    mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.5), counts=(8, 4), quads=True, origin=(-0.5, 0.0))
+    body = fmbd.AbsoluteBody("block", mesh, degree=1, density=1e3, elastic=law, velocity=(0.3, -1.0))
+    for share, friction in ((0.1, 0.3), (0.1, 0.05), (0.6, 0.3)):  # of a step before the impact
+        plane = fmbd.HalfSpace((0, -share * 2.5e-4), (0, 1))
+        floor = fmbd.contact("floor", body.surface("bottom"), plane, friction=friction)
+        scene = fmbd.Scene("impact")
+        scene.add(body, floor)
+        scene.sensor("impulse", fmbd.contact_impulse(floor))
+        run = fmbd.solve(scene, t_end=8e-3, dt=2.5e-4, scheme=fmbd.ContactAlpha(rho))
+        energy, end = run.total_energy, run.system.at(run.state.t, run.state.q, run.state.v).momenta()[0]
+        assert energy.max() == energy[0] and energy[-1] > 0.1 * energy[0]
+        assert run["impulse"][-1] == pytest.approx(end - (150.0, -500.0), abs=1e-6)
+        assert any("three steps or less" in text for text in run.warnings)
+
+
 def test_ledger_balances() -> None:
     mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.5), cells=4)
     body = fmbd.AbsoluteBody("body", mesh, degree=1, density=2.0, elastic=fmbd.materials.linear_elastic(50.0, 0.2))

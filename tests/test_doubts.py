@@ -10,20 +10,29 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.notices import Gathered
+from fmbd_fenicsx.run import doubts
 
 
-def swing(dt: float, t_end: float = 2.0) -> fmbd.Run:
+def swing(dt: float, t_end: float = 2.0, *, floor: bool = False) -> fmbd.Run:
     mesh = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.1)
     rod = fmbd.FloatingBody("rod", mesh, degree=1, density=1e3, elastic=fmbd.materials.plane_stress(5e6, 0.3))
     scene = fmbd.Scene("swing", gravity=(0.0, -9.81))
     scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0.0, 0.0)))
-    return fmbd.solve(scene, t_end=t_end, dt=dt)
+    if floor:
+        scene.add(fmbd.contact("floor", rod.surface("tip"), fmbd.HalfSpace((0.0, -3.0), (0.0, 1.0))))
+    return fmbd.solve(scene, t_end=t_end, dt=dt, scheme=fmbd.ContactAlpha(0.8) if floor else None)
 
 
 def test_energy_that_grows_is_in_the_report() -> None:
     run = swing(0.5)
     assert any("energy grows by" in text for text in run.warnings)
     assert "look at this" in run.report() and '"rod" in plane stress' in run.report()
+
+
+def test_energy_that_grows_beside_a_floor_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doubts, "GROWTH", 0.005)
+    said = [text for text in swing(0.5, 1.0, floor=True).warnings if "energy grows by" in text]
+    assert said and "Radau" not in said[0]
 
 
 def test_an_overshoot_of_the_first_steps_is_told_from_growth() -> None:

@@ -23,7 +23,7 @@ from ..system.layout import State
 from ..system.mobility import tell_of_modes
 from ..system.scene.scene import Scene
 from ..system.system import System
-from .judges.energy_check import closed, roundoff_energy, strain_energy
+from .judges.energy_check import isolated, roundoff_energy, strain_energy
 from .recording.recorder import Recorder
 
 GROWTH = 0.02
@@ -41,7 +41,7 @@ def warn_of_doubts(
 ) -> None:
     """Say what is doubtful in a run; collective."""
     system = solver.system
-    if recorder.energies and closed(scene, system):
+    if recorder.energies and isolated(scene, system):
         _growth(system, recorder.energy, recorder.times, start)
     _halvings(counters)
     _impacts(counters)
@@ -75,8 +75,8 @@ def _growth(system: System, energy: dict[str, Array], times: Array, start: State
     else:
         log.warning(
             "the energy grows by %.3g J (from %.6g J to at most %.6g J) although nothing puts energy into the scene: the step "
-            "does not follow the motion. Take a smaller dt, fmbd.Radau() or fmbd.EnergyMomentum()",
-            growth, total[0], np.max(total),
+            "does not follow the motion. Take a smaller dt%s",
+            growth, total[0], np.max(total), ", fmbd.Radau() or fmbd.EnergyMomentum()" if system.contacts is None else "",
         )  # fmt: skip
 
 
