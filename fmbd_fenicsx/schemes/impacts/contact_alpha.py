@@ -9,11 +9,15 @@ velocity of closed contacts (lambda g' = 0, persistency), in the metric A of the
 Lambda is bounded and the recursion of accelerations stays smooth; rigid impacts belong to :mod:`.moreau`. Energy is
 damped at high frequencies and at impacts; see :mod:`.contact_midpoint` for the rule that conserves it.
 
-A body that is stiff for the step stops in no time, and a gap that is closed at the end of a step says nothing of the velocity there:
-the forces of (1) turn a velocity v, a share x of the step before the impact, into ((1 - x) (1 - alpha_m) / ((1 - alpha_f) beta) - 1) v,
-most of it in later steps by way of A; that is 2.9 v at rho_inf = 0.8. So (3) takes back a share of what the contacts of the step add
-to the velocity, dv, and of their accelerations: s in [0, 1] leaves the least energy of motion, seen from the obstacles. A stiff body
-is at rest then, and leaves with ((1 - alpha_m) / ((1 - alpha_f) gamma) - 1) v, less than v. Where steps resolve what contacts do s = 0.
+A body that is stiff for the step stops in no time, and a gap that is closed at the end of a step says nothing of the velocity
+there. The forces of (1) turn a velocity v, a share x of the step before the impact, into
+
+    ((1 - x) (1 - alpha_m) / ((1 - alpha_f) beta) - 1) v
+
+most of it in later steps by way of A; that is 2.9 v at rho_inf = 0.8. So (3) takes back a share of what the contacts of the step
+add to the velocity, dv, and of their accelerations: s in [0, 1] leaves the least energy of motion, seen from the obstacles. A
+stiff body is at rest then, and leaves with ((1 - alpha_m) / ((1 - alpha_f) gamma) - 1) v, less than v. Where steps resolve what
+contacts do s = 0.
 
 Source: Bruels, Acary and Cardona, doi:10.1016/j.cma.2014.07.025.
 """
@@ -185,8 +189,8 @@ class ContactAlphaStepper(ContactStepper):
 
 
 def _share(ev: Evaluation, v: Array, dv: Array, work: float) -> float:
-    """The share in [0, 1] of a change dv of the velocities v that leaves the least energy of motion; ``work`` (J): all of it gives
-    to the obstacles.
+    """The share in [0, 1] of a change dv of the velocities v that leaves the least energy of motion; ``work`` (J): what all of it
+    gives to the obstacles.
     """
 
     def kinetic(v: Array) -> float:
