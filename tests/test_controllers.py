@@ -10,6 +10,8 @@ import pytest
 from motion import Motion, first
 from profiled import calls_of
 from scipy.integrate import solve_ivp
+from test_compiled_evaluation import compiled, pair_of
+from test_stage_systems import equations, with_dense_matrices
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError, LawError
@@ -272,13 +274,13 @@ def test_slopes_of_efforts_have_the_memory_going_along() -> None:
     scene.add(link, hinge, fmbd.controller("own", reads=reads, acts=fmbd.angle(hinge), law=law, memory=(0.3, 0.4)))
     loads: Any = scene.build()[0].forces[0]
     loads.kept = replace(loads.kept, t=0.0, rate=np.array([0.1, -0.2]))
-    y = {"s": np.array([0.4]), "v": np.array([0.7])}
+    y = np.array([0.4, 0.7])
     calls = 0
-    found = loads.slopes(0.01, y, ["s", "v"])
+    found = loads.slopes(0.01, y)
     assert calls < 18
-    for name in y:
-        slope = first(lambda e, name=name: loads.with_memory(0.01, {**y, name: y[name] + e})[0])
-        assert abs(found[name][0, 0] - slope[0]) < 1e-7 * abs(slope[0])
+    for unit, slope in zip(np.eye(2), found[0], strict=True):
+        expected = first(lambda e, unit=unit: loads.with_memory(0.01, y + e * unit)[0])
+        assert abs(slope - expected[0]) < 1e-7 * abs(slope)
 
 
 def three_links(dim: int, law: Any, rod: Any = None) -> fmbd.Scene:
@@ -299,6 +301,7 @@ def three_links(dim: int, law: Any, rod: Any = None) -> fmbd.Scene:
     one, last = fmbd.angle(hinges[0]), fmbd.angle(hinges[2])
     reads: Any = {"a": one, "b": last, "a'": fmbd.joint_rate(one), "b'": fmbd.joint_rate(last)}
     reads |= {"tip": fmbd.position(before), "v": fmbd.velocity(before), "w": fmbd.angular_velocity(before)}
+    reads["turn"] = fmbd.sensors.rotation(before)
     scene.add(fmbd.controller("across", reads=reads, acts=(one, last), law=law))
     scene.sensor("tip", fmbd.position(before))
     return scene
@@ -316,16 +319,16 @@ def across(k: float, c: float) -> Any:
 
 def lifted(k: float, c: float) -> Any:
     """Efforts by the place, the velocity and the turning of the tip, which are no coordinate of theirs."""
-    return lambda t, y, z: (-k * y["tip"][1] - c * y["v"][1], -c * y["w"][-1])
+    return lambda t, y, z: (
+        -k * y["tip"][1] - c * y["v"][1],
+        -c * y["w"][-1] - 0.1 * k * y["turn"][min(3, len(y["turn"]) - 1)],
+    )
 
 
 @pytest.mark.parametrize("where", ["plane", "space", "reduced"])
 def test_newton_sees_what_efforts_answer_to_beside_their_coordinates(where: str, rod_mesh: Any) -> None:
     """Stiffness and damping between hinges, or of a marker: few iterations, no halves, one factor a step, the motion of NumPy."""
-    rod = None
-    if where == "reduced":
-        elastic = fmbd.materials.plane_stress(5e8, 0.3)
-        rod = fmbd.FloatingBody("rod", rod_mesh(2, 0.1), density=1000.0, elastic=elastic).reduced(modes=4)
+    rod = reduced_rod(rod_mesh) if where == "reduced" else None
     dim, n, dt = 3 if where == "space" else 2, 5, 1e-3
     for law in (
         across(1e3, 1.0),
@@ -350,6 +353,54 @@ def test_newton_sees_what_efforts_answer_to_beside_their_coordinates(where: str,
 def test_schemes_with_error_control_see_it_too(scheme: Any) -> None:
     run = fmbd.solve(three_links(2, across(1e7, 1e3)), t_end=0.02, scheme=scheme)
     assert run.counters["newton_iterations"] <= 4 * run.counters["steps"]
+
+
+def all_of_it(t: float, y: dict[str, Array], z: Array) -> tuple[float, float]:
+    """Efforts that answer to every number that is read, bent ones too."""
+    numbers = np.concatenate(list(y.values()))
+    return float(np.sin(numbers) @ (1.0 + np.arange(len(numbers)))), float(numbers @ numbers)
+
+
+def reduced_rod(rod_mesh: Any) -> Any:
+    elastic = fmbd.materials.plane_stress(5e8, 0.3)
+    return fmbd.FloatingBody("rod", rod_mesh(2, 0.1), density=1000.0, elastic=elastic).reduced(modes=4)
+
+
+@compiled
+@pytest.mark.parametrize("where", ["plane", "space", "reduced"])
+def test_stages_see_how_efforts_answer_to_all_that_is_read(where: str, rod_mesh: Any) -> None:
+    """Sparse tangents with the slopes of a law, asked for once, beside dense ones by differences of the law."""
+    rod, dim = reduced_rod(rod_mesh) if where == "reduced" else None, 3 if where == "space" else 2
+    _, system, at = pair_of(lambda: three_links(dim, all_of_it, rod))
+    eq, state, mult = equations(system, fmbd.GGL(), at)
+    found: Any = eq.tangents
+    made = found.filled(eq.refresh(state, mult))
+    eq.tangents = with_dense_matrices(eq)
+    wanted = eq.refresh(state, mult)
+    for name in ("by_q", "by_v"):
+        exact = getattr(wanted, name)
+        assert np.abs(getattr(made, name) - exact).max() < 1e-5 * np.abs(exact).max(), name
+
+
+@compiled
+def test_a_law_is_entered_once_for_each_stage_and_each_reading() -> None:
+    """Three stages of some two iterations each, and at times the slopes, for two efforts that answer to other bodies."""
+    most = {fmbd.Radau(rtol=None): 15, fmbd.BDF(rtol=None): 8, fmbd.EnergyMomentum(): 14, fmbd.Rattle(): 12}
+    for scheme, calls in most.items():
+        entered, counts = 0, []
+
+        def law(t: float, y: Any, z: Any) -> tuple[float, float]:
+            nonlocal entered
+            entered += 1
+            return across(1e2, 1.0)(t, y, z)
+
+        for n in (10, 20):
+            scene, entered = three_links(2, law), 0
+            python = calls_of(lambda s=scene, n=n, how=scheme: fmbd.solve(s, t_end=n * 2e-3, dt=2e-3, scheme=how))  # type: ignore[misc]
+            counts.append((entered, python))
+        (few, less), (many, more) = counts
+        assert many - few <= 10 * calls, scheme.name
+        assert more - less <= 10 * 16 * calls, scheme.name
 
 
 def test_controller_of_the_users_own_runs() -> None:

@@ -18,6 +18,7 @@ FILES = (
     "compiled_contact",
     "contact_candidates",
     "contact_heaps",
+    "controllers",
     "compiled_control",
     "compiled_evaluation",
     "compiled_means",

@@ -104,12 +104,16 @@ def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any
         size = np.abs(values).max(initial=1e-300)
         # rows of accelerations are summed up in another order: differences divide that roundoff by 1.5e-8
         roundoff = 1e-6 if 2 in form.levels and field in ("by_q", "by_v") else 1e-13
+        if any(
+            items.law for items in system.evaluator.tables.sources
+        ):  # whose slopes differences of stiff efforts know worse
+            roundoff = max(roundoff, 1e-5)
         assert getattr(found, field) == pytest.approx(values, rel=1e-13, abs=roundoff * size), field
 
     for s in (np.array([1.5 / H]), tableau(2).values / H, tableau(3).values / H):
         kin, low = right_hand_sides(eq, len(s))
         given = (kin, low) if np.iscomplexobj(s) else (kin.real, low.real)
-        pencil = eq.tangents.pencil(wanted, s, JUDGE, redundant=redundant)
+        pencil = eq.tangents.pencil(found, s, JUDGE, redundant=redundant)
         if redundant:
             given = given[0], without_contradictions(pencil, *given)
         expected, solved = pencil.solve(*given), sparse.pencil(made, s, JUDGE, redundant=redundant).solve(*given)

@@ -104,8 +104,8 @@ def remembering(system: System, point: Array, t: float) -> list[ControlLoads]:
         readings = loads.read(system.at(t, point, np.zeros(system.n_v)).kin)
         # a memory that moves no effort need not come to rest
         steps = np.diag(MOVED * np.maximum(1.0, np.abs(z)))
-        u = loads.ask_law(t, readings, z)[0]
-        if any(np.abs(loads.ask_law(t, readings, z + step)[0] - u).max() > 0.0 for step in steps):
+        u = loads.asked(t, readings, z)[0]
+        if any(np.abs(loads.asked(t, readings, z + step)[0] - u).max() > 0.0 for step in steps):
             found.append(loads)
     return found
 
@@ -140,16 +140,15 @@ def steady(newton: StaticNewton, start: StaticPoint, t: float, keeping: list[Con
 def _noise(loads: ControlLoads, kin: Kinematics, t: float) -> float:
     """How far roundoff of its readings moves the efforts of a controller over the long step, its memory going along."""
     readings = loads.read(kin)
-    slopes = loads.slopes(t, readings, list(readings))
-    length = loads.length
-    sizes = {r.name: 1.0 if r.sensor.unit in ("rad", "-") else length for r in loads.readings}
-    return ROUNDOFF * max(float(np.abs(x).max(initial=0.0)) * sizes[name] for name, x in slopes.items())
+    spans = [np.full(r.size, 1.0 if r.sensor.unit in ("rad", "-") else loads.length) for r in loads.readings]
+    slopes = np.abs(loads.slopes(t, readings)) * np.concatenate([np.zeros(0), *spans])
+    return ROUNDOFF * float(slopes.max(initial=0.0))
 
 
 def _advanced(loads: ControlLoads, kin: Kinematics, t: float) -> Array:
     """Efforts at the end of the long step, and what of them its change of the memory has made, (2, acts); it is kept."""
     readings = loads.read(kin)
     u, z, _ = loads.with_memory(t, readings)
-    before = loads.ask_law(t, readings, loads.kept.z)[0]
+    before = loads.asked(t, readings, loads.kept.z)[0]
     loads.kept = ControllerMemory(t, z, np.zeros_like(z), u, 0)
     return np.array([u, u - before])

@@ -308,7 +308,7 @@ class FieldEquations(Equations):
     def compiled(self) -> bool:
         """As :attr:`Equations.compiled`: where solutions need no iteration."""
         states = self.system.evaluator
-        same = isinstance(states, DriverStates) and not states.tables.listeners
+        same = isinstance(states, DriverStates) and not states.tables.listening.listeners
         return same and self.trusted and self._covered
 
     @property

@@ -127,8 +127,9 @@ class Calls:
             "EFFORT": lambda number, t: self._effort(tables.sources[number], t),
             "EFFORT_MEANS": lambda number, t: self._mean_effort(tables.sources[number], t),
             "SLOPES": lambda number, t: self._slopes(tables.sources[number], t),
-            "KEEP": lambda number, t: self._keep(t),
-            "LINKS": lambda number, t: self._link(t),
+            "KEEP": lambda number, t: tables.listening.keep(t),
+            "EFFORTS": lambda number, t: tables.listening.efforts(t),
+            "EFFORT_SLOPES": lambda number, t: tables.listening.slopes(t),
             "WRENCHES": lambda number, t: tables.whole[number].wrenches(t),
             "WHOLE_SLOPES": lambda number, t: tables.whole[number].slopes(t),
             "SECTIONS": lambda number, t: tables.rods[number].sections(),
@@ -215,18 +216,6 @@ class Calls:
         assert law is not None
         begun, rate = x["s"] - x["free"], x["rate"]
         x["effort"][:] = mean_effort(lambda s, rate: law(s, rate, t), begun, rate, self.tables.c.span)
-
-    def _keep(self, t: float) -> None:
-        """Controllers take up an accepted step."""
-        for one in self.tables.listeners:
-            one.keep(t)
-
-    def _link(self, t: float) -> None:
-        """What efforts of controllers answer to beside their own coordinates."""
-        count = 0
-        for one in self.tables.listeners:
-            count = one.link(t, count)
-        self.tables.c.links = count
 
     def _slopes(self, items: Items, t: float) -> None:
         """Derivatives of laws by the coordinate and by its rate."""

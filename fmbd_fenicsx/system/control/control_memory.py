@@ -5,7 +5,7 @@ z(t) = z_n + (t - t_n) / 2 (g_n + g(t, y, z(t)))                                
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from .control_laws import differences
 SLOW = 1e-2  # share of an error that may be left by inserting a memory in its own rule
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ControllerMemory:
     """What a controller keeps: time t_n (s), memory z and its rate g, efforts u, and the number of the next sample."""
 
@@ -26,26 +26,6 @@ class ControllerMemory:
     rate: Array
     u: Array
     next: int
-
-
-@dataclass(frozen=True)
-class ContinuousAnswer:
-    """What a continuous law answered with at time t (s) and readings y after a step was kept: u, z and g of (1)."""
-
-    kept: ControllerMemory
-    t: float
-    y: dict[str, Array]
-    u: Array
-    z: Array
-    rate: Array
-
-    def holds(self, kept: ControllerMemory, t: float, y: Mapping[str, Array]) -> bool:
-        """Whether it is asked for the same once more."""
-        return self.follows(kept, t) and all(np.array_equal(x, self.y[name]) for name, x in y.items())
-
-    def follows(self, kept: ControllerMemory, t: float) -> bool:
-        """Whether it is of the same step."""
-        return self.kept is kept and self.t == t
 
 
 def implicit(

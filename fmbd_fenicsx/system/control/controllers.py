@@ -15,14 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import zip_longest
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ...checks import function, instance, typed, vector
-from ...errors import CallbackError, InputError, LawError, named, near, require
+from ...errors import CallbackError, InputError, LawError, named, require
 from ...mechanics.forces.force_elements import Loads, MarkerTangent
 from ...mechanics.forces.forces import Force
 from ...mechanics.forces.formulas import Formula, SampledEffort, table
@@ -31,73 +31,22 @@ from ...mechanics.frames import Kinematics
 from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.relative import RelativeCoordinates
 from ...mechanics.joints.sums import Coordinate
-from ...rotations import Array, Motions, hat
+from ...rotations import Array, Motions
 from ..sensors.sensor import Sensor
-from ..sensors.sensors import AngularVelocity, JointReading, Position, Rotation, Velocity
+from ..sensors.sensors import JointReading
 from .control_laws import PidLaw, differences, numbers_of
-from .control_memory import ContinuousAnswer, ControllerMemory, implicit
+from .control_memory import ControllerMemory, implicit
+from .readings import KINEMATIC, Reading, Readings
 
-_KINEMATIC = (Position, Velocity, AngularVelocity, Rotation)
+RECENT = 32  # answers of a law in one step that are kept
 _AT = 1e-9  # share of the sampling period by which a step may end before its sample
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """What a sensor of motion reads from."""
-
-    kin: Kinematics
-
-
-@dataclass(frozen=True)
-class Reading:
-    """A quantity that a controller reads: a joint coordinate (``relative``, level 0) or its rate (1), or a sensor at a marker."""
-
-    name: str
-    sensor: Sensor
-    marker: int
-    relative: RelativeCoordinates | None
-    level: int
-
-    @property
-    def coordinate(self) -> Coordinate | None:
-        """The joint coordinate that it is, or is the rate of; None at a marker."""
-        return self.sensor.coordinate if isinstance(self.sensor, JointReading) else None
-
-    def size(self, length: float) -> float:
-        """What its numbers may be in a model of this length (m): that, or a radian; rates, in a second."""
-        if self.relative is not None:
-            return self.relative.size(length)
-        return length if isinstance(self.sensor, Position | Velocity) else 1.0
-
-    def at(self, kin: Kinematics) -> Array:
-        """The value in a configuration, (size,)."""
-        if self.relative is not None:
-            return self.relative.rates(kin) if self.level else self.relative.values(kin)
-        return self.sensor.read(_Seen(kin), None, self.marker)  # type: ignore[arg-type]
-
-    def rows(self, kin: Kinematics, size: int) -> list[tuple[int, Array, bool]]:
-        """(marker, rows (size, n), of velocities) by which it answers to markers."""
-        d, n = kin.x.shape[1], kin.jac_frame.shape[1]
-        if self.relative is not None:
-            each = zip(self.relative.markers, self.relative.rows(kin), strict=True)
-            return [(int(m[0]), r, bool(self.level)) for m, r in each]
-        if isinstance(self.sensor, Position | Velocity):
-            return [(self.marker, np.eye(d, n), isinstance(self.sensor, Velocity))]
-        turning = np.eye(n)[d:]
-        if isinstance(self.sensor, Rotation) and d == 3:  # of the columns r of R: theta x r
-            turning = (-hat(kin.R[self.marker].T)).swapaxes(0, 1).reshape(size, d) @ turning
-        return [(self.marker, turning, isinstance(self.sensor, AngularVelocity))]
-
-
-class Readings(dict[str, Array]):
-    """What a law reads, by name."""
-
-    def __missing__(self, name: str) -> Array:
-        raise LookupError(f'"{name}" is not among what it reads. {near(str(name), self)}')
-
-
 class ControlLoads(Loads):
-    """One controller: efforts on the coordinates ``acts``; ``kept`` as in :class:`ControllerMemory`."""
+    """One controller: efforts on the coordinates ``acts``; ``kept`` as in :class:`ControllerMemory`.
+
+    What a continuous law reads is one array y, (size,), ``parts`` of which are the readings.
+    """
 
     def __init__(
         self, motions: Motions, controller: Controller, acts: Sequence[RelativeCoordinates], readings: Sequence[Reading]
@@ -107,7 +56,30 @@ class ControlLoads(Loads):
         self.law = named("The law of controller", controller.name, controller.law, time=0)
         z = np.asarray(controller.memory, dtype=float)
         self.kept: ControllerMemory = ControllerMemory(0.0, z, np.zeros_like(z), np.zeros(len(acts)), 0)
-        self._found: ContinuousAnswer | None = None
+        self._answers: dict[tuple[float, bytes], tuple[Array, Array, Array]] = {}  # u, z and g of (3) at t and y
+        self._answered = self.kept  # what they follow from
+        self._slopes: tuple[Any, Array] | None = None
+
+        continuous = self.readings if controller.every is None else ()
+        ends = np.cumsum([0, *(r.size for r in continuous)]).tolist()
+        self.parts = {r.name: slice(*ends[i : i + 2]) for i, r in enumerate(continuous)}
+        self.size = int(ends[-1])
+
+    @cached_property
+    def levels(self) -> np.ndarray:
+        """Of each number of y: 1 of a rate of a joint coordinate, else 0; (size,)."""
+        return np.repeat([r.level for r in self.readings], [r.size for r in self.readings])
+
+    @cached_property
+    def owned(self) -> np.ndarray:
+        """Which numbers of y are of the coordinate that each effort acts on, (acts, size)."""
+        sizes = [r.size for r in self.readings]
+        return np.array([np.repeat([r.coordinate == on for r in self.readings], sizes) for on in self.controller.acts])
+
+    @cached_property
+    def spans(self) -> Array:
+        """What each number of y may be, (size,)."""
+        return np.repeat([r.span(self.length) for r in self.readings], [r.size for r in self.readings])
 
     @property
     def called(self) -> bool:
@@ -121,11 +93,10 @@ class ControlLoads(Loads):
 
     # -- the law ----------------------------------------------------------------------------------------------------
     def ask_law(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
-        """Efforts (acts,) and rate (or next value) of the memory, checked."""
+        """Efforts (acts,) and rate (or next value) of the memory, checked; the law may write on the arrays of y."""
         c = self.controller
-        own = Readings({name: x.copy() for name, x in y.items()})  # a law may write on what it reads
         try:
-            found = self.law(t, own, z.copy())
+            found = self.law(t, Readings(y), z.copy())
         except LawError as error:
             if not isinstance(error.__cause__, IndexError):
                 raise
@@ -146,18 +117,27 @@ class ControlLoads(Loads):
         efforts = numbers_of(c.name, "efforts", u, (size, t))
         return efforts, z if more is None else numbers_of(c.name, "numbers of the memory", more, (len(z), t))
 
-    def with_memory(self, t: float, y: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        """u of a continuous law at time t, with z and g of (3); asked for the same again, what was found."""
-        last = self._found
-        if last is None or not last.holds(self.kept, t, y):
-            start = last.z if last is not None and last.follows(self.kept, t) else None
-            found = implicit(self.controller.name, self.kept, t, partial(self.ask_law, t, y), start)
-            last = self._found = ContinuousAnswer(self.kept, t, {name: x.copy() for name, x in y.items()}, *found)
-        return last.u, last.z, last.rate
+    def asked(self, t: float, y: Array, z: Array) -> tuple[Array, Array]:
+        """What a continuous law answers at readings y, (size,)."""
+        own = y.copy()
+        return self.ask_law(t, {name: own[part] for name, part in self.parts.items()}, z)
 
-    def read(self, kin: Kinematics) -> dict[str, Array]:
-        """Values of what the law reads in a configuration, by name."""
-        return {r.name: r.at(kin) for r in self.readings}
+    def with_memory(self, t: float, y: Array) -> tuple[Array, Array, Array]:
+        """u of a continuous law at time t, with z and g of (3); asked for the same again, what was found."""
+        if self._answered is not self.kept or len(self._answers) > RECENT:
+            self._answers, self._answered = {}, self.kept
+        key = t, y.tobytes()
+        found = self._answers.get(key)
+        if found is None:
+            last = next(reversed(self._answers), None)  # of the same instant its memory is near
+            start = self._answers[last][1] if last is not None and last[0] == t else None
+            found = implicit(self.controller.name, self.kept, t, partial(self.asked, t, y), start)
+            self._answers[key] = found
+        return found
+
+    def read(self, kin: Kinematics) -> Array:
+        """y of a continuous law in a configuration, (size,)."""
+        return np.concatenate([np.zeros(0), *(r.at(kin) for r in self.readings)])
 
     def efforts(self, kin: Kinematics, t: float) -> Array:
         """u, (acts,): N or N m, positive where the coordinate grows."""
@@ -192,15 +172,16 @@ class ControlLoads(Loads):
         """How u answers to what is read, for each pair of an acting and a read marker; None when sampled."""
         if self.controller.every is not None:
             return None
-        y = self.read(kin)
         pushed = list(zip(self.markers, self._rows(kin), strict=True))
         entries: list[tuple[int, int, Array, bool]] = []
-        slopes = self.slopes(t, y, list(y))
+        slopes = self.slopes(t, self.read(kin))
         for reading in self.readings:
-            rows = reading.rows(kin, len(y[reading.name]))
+            rows = reading.rows(kin)
             for j in range(len(self.acts)):
                 for marker, row, fast in rows:
-                    push = slopes[reading.name][j] @ row  # du/d(displacement or velocity of the marker), (n,)
+                    push = (
+                        slopes[j, self.parts[reading.name]] @ row
+                    )  # du/d(displacement or velocity of the marker), (n,)
                     entries += [(int(m[j]), marker, -np.outer(r[j], push), fast) for m, r in pushed]
         if not entries:
             return None
@@ -212,29 +193,29 @@ class ControlLoads(Loads):
             (D if fast else K)[i, :n, n:] = block
         return MarkerTangent((np.array([e[0] for e in entries]), np.array([e[1] for e in entries])), K, D)
 
-    def slopes(self, t: float, y: dict[str, Array], names: Sequence[str], *, quick: bool = False) -> dict[str, Array]:
-        """du/dy of some readings, (acts, size) each, the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy.
+    def slopes(self, t: float, y: Array, *, quick: bool = False) -> Array:
+        """du/dy, (acts, size), the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy; asked for the same again,
+        what was found.
 
         ``quick``: by differences to one side, enough for a step's matrix, with half the calls of the law.
         """
+        key = self.kept, t, y.tobytes(), quick
+        if self._slopes is None or self._slopes[0] != key:
+            self._slopes = key, self._differences(t, y, quick=quick)
+        return self._slopes[1]
+
+    def _differences(self, t: float, y: Array, *, quick: bool) -> Array:
+        if not self.size:
+            return np.zeros((len(self.acts), 0))
         (u, z, rate), half = self.with_memory(t, y), 0.5 * (t - self.kept.t)
         known = (u, rate) if quick else None
         by_memory: Array = np.zeros((len(self.acts), len(z)))
         if len(z) and half:
-            effort, rate = differences(z, np.abs(half * rate), partial(self.ask_law, t, y), known)
+            effort, rate = differences(z, np.abs(half * rate), partial(self.asked, t, y), known)
             by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
 
-        out: dict[str, Array] = {}
-        sizes = {r.name: r.size(self.length) for r in self.readings}
-        for name in names:
-            size = np.full(len(y[name]), sizes[name])
-            effort, rate = differences(y[name], size, partial(self._with, t, y, z, name), known)
-            out[name] = effort + by_memory @ rate
-        return out
-
-    def _with(self, t: float, y: Mapping[str, Array], z: Array, name: str, value: Array) -> tuple[Array, Array]:
-        """What the law answers with another value of one reading."""
-        return self.ask_law(t, {**y, name: value}, z)
+        effort, rate = differences(y, self.spans, lambda y: self.asked(t, y, z), known)
+        return effort + by_memory @ rate
 
     def formulas(self) -> list[Formula]:
         """That of a continuous PID controller; none of other laws."""
@@ -286,12 +267,17 @@ class ControlLoads(Loads):
     def memory_rates(self, ev: Any, t: float) -> Array:
         """g of (1), (m,)."""
         z = self.memory_values()
-        return self.ask_law(t, self.read(ev.kin), z)[1] if len(z) else z
+        return self.asked(t, self.read(ev.kin), z)[1] if len(z) else z
 
-    def after(self, t: float, y: Mapping[str, Array]) -> ControllerMemory:
+    def after(self, t: float, y: Array) -> ControllerMemory:
         """What a continuous law keeps of a step that ended at t with these readings, by (3)."""
         u, z, rate = self.with_memory(t, y)
         return ControllerMemory(t, z, rate, u, 0)
+
+    def keep(self, t: float, y: Array) -> None:
+        """Keep it: where the step ends the law has answered already."""
+        self.kept = self._answered = self.after(t, y)
+        self._answers = {(t, y.tobytes()): (self.kept.u, self.kept.z, self.kept.rate)}
 
     def accepted(self, ev: Any, state: Any) -> ControllerMemory:
         """Memory after a step: of (3), or of the sample that is due."""
@@ -300,7 +286,8 @@ class ControlLoads(Loads):
             return self.after(state.t, self.read(ev.kin))
         if state.t < self.due:
             return kept
-        y = {r.name: r.at(ev.kin) if r.relative else r.sensor.read(ev, state, r.marker) for r in self.readings}
+        values = [r.at(ev.kin) if r.relative else r.sensor.read(ev, state, r.marker) for r in self.readings]
+        y = {r.name: x.copy() for r, x in zip(self.readings, values, strict=True)}
         u, z = self.ask_law(state.t, y, kept.z)
         return ControllerMemory(state.t, z, kept.rate, u, int(np.floor(state.t / every + _AT)) + 1)
 
@@ -344,12 +331,12 @@ class Controller(Force):
 
     def own_loads(self, place: Any) -> ControlLoads:
         """The controller in a system; ``place`` gives the coordinate and the marker of a sensor."""
-        readings = []
+        readings, dim = [], place.motions.dim
         for name, sensor in self.reads.items():
             if isinstance(sensor, JointReading):
-                readings.append(Reading(name, sensor, -1, place.relative(sensor.coordinate), sensor.derivative))
+                readings.append(Reading(name, sensor, -1, place.relative(sensor.coordinate), sensor.derivative, dim))
             else:
-                readings.append(Reading(name, sensor, place.marker(sensor), None, 0))
+                readings.append(Reading(name, sensor, place.marker(sensor), None, 0, dim))
         return ControlLoads(place.motions, self, [place.relative(s) for s in self.acts], readings)
 
 
@@ -394,7 +381,7 @@ def controller(
     for label, given in reads.items():
         sensor = JointReading(None, given.unit, coordinate=given) if isinstance(given, Coordinate) else given
         require(isinstance(sensor, Sensor), f'Controller "{name}" reads "{label}": expected a sensor, found {given!r}.')
-        if every is None and not isinstance(sensor, (*_KINEMATIC, JointReading)):
+        if every is None and not isinstance(sensor, (*KINEMATIC, JointReading)):
             raise InputError(
                 f'Controller "{name}" reads "{label}", {type(sensor).__name__}, which no continuous law can: it depends on '
                 "more than the motion. Sample it: every=..."

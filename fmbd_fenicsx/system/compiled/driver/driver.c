@@ -8,6 +8,7 @@
 #include "algebra/factor.c"
 #include "algebra/complex_factor.c"
 #include "bodies/bodies.c"
+#include "forces/control.c"
 #include "forces/formulas.c"
 #include "bodies/mapped.c"
 #include "forces/sums.c"

@@ -46,7 +46,9 @@ typedef struct {
     int role, outputs, live, products, curved, number; /* outputs: of the value kernel; number: for calls into Python */
     int flow;                          /* whether the kind is a speed; a ROW then holds velocities and has no s */
     int driven;                        /* whether a motion of time is among its constants; s' has a part of its own then */
-    int linked;                        /* LAW: whether it reads more than its coordinate; Python tells what its slopes foretell */
+    int linked, aside;                 /* LAW of a controller: whether it reads more than its coordinate; LAW: whether it is looked at */
+                                       /* beside the state, see bridges.c */
+    struct Act *act;                   /* LAW: of a controller, else NULL */
     int quotient;                      /* efforts: POINT .. of what they do over a step */
     int told;                          /* READ: whether its s and s' are told at every evaluation, to controllers */
     int terms, sides;                  /* sums: of how many; frames of an item, 2 where these are no sums */
@@ -62,7 +64,7 @@ typedef struct {
     int *dest;                         /* ROW: n x live places in the fronts */
     double *stiffness, *damping, *free; /* efforts: N = stiffness (s - free) + damping s' */
     double *s, *rate, *effort, *weight, *slope; /* n each */
-    double *foretold;                  /* LINEAR: n efforts where the last increment of a step leads; LAW, linked: what the slopes foretell */
+    double *foretold;                  /* LINEAR: n efforts where the last increment of a step leads */
     int formula;                       /* FORMULA: which; n x FORMULA_WIDTH constants, n x MEMORY memory of accepted steps */
     double *constants, *kept;
     double *line;                      /* FORMULA, LAW: MOST_POINTS x n x LINE, see bridges.c; NULL for others */
@@ -83,6 +85,29 @@ typedef struct {
     int *marker, *astray;              /* WHOLE: n x 2 rows of the sights; whether the slopes misled since they were taken */
     double *sight, *push, *K, *B;      /* markers: x, R, twist; n x 2 wrenches; slopes of each force, see whole.c */
 } Batch;
+
+/* What a controller reads: a joint coordinate or its rate, or of a marker the place, the velocity, the angular velocity, the rotation. */
+enum { COORDINATE, ITS_RATE, PLACE_OF, VELOCITY_OF, ANGULAR, TURNED_BY };
+typedef struct {
+    int what, batch, frame, first, count; /* batch: that tells the coordinate; frame: of the marker; its numbers among all readings */
+    double arm[D], turn[D * D];        /* the marker in its frame */
+} Reading;
+
+/* An effort of a controller. */
+enum { OTHERS, OWN_PLACE, OWN_RATE };
+typedef struct Act {
+    int number, first, count;          /* among all efforts; the numbers that its controller reads */
+    int *own;                          /* count: OTHERS ..: whether they are those of the coordinate that it acts on */
+    double *slopes;                    /* count: du/dy */
+} Act;
+
+/* All controllers whose law is asked at every evaluation, see control.c. */
+typedef struct {
+    int readings, fresh;               /* fresh: whether y and u are those of the frames as they are placed */
+    long sloped;                       /* the evaluation whose slopes these are */
+    Reading *reading;
+    double *y, *u, *known_y, *known_u; /* known: where the slopes of the matrix were taken */
+} Controllers;
 
 /* What moves with a body, as its coordinates say: a surface by its mean; the section of a line, whose ports are x, y and an angle; the
    places of a surface times a multiplier, integrated. */
@@ -294,8 +319,9 @@ typedef struct {
     int led;                           /* whether the matrix takes the efforts foretold: after an increment of a step */
     int renewable, foretells, renewals; /* whether Python takes new tangents of fields in a step, and where the last increment */
                                        /* led; how many the last step took */
-    int telling, linkable, links;      /* whether Python tells some of the efforts that answer to more than their coordinate; how */
-                                       /* many may do so, and do; see links.c */
+    Controllers *controllers;          /* NULL without any */
+    int straight;                      /* whether laws in Python count as their tangents at the last evaluation before */
+    int linkable, links;               /* how many efforts may answer to more than their coordinate, and do; see links.c */
     double *push, *pull, *answer, *mutual; /* linkable x (nu + TWIST surfaces + 1), twice; x (nu + rows); x linkable */
     int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
     int point, bent;                   /* which of a step is evaluated; whether the slopes of all laws are asked for at all points */
@@ -400,7 +426,7 @@ typedef struct {
 
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
-       FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, LINKS,
+       FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, EFFORTS, EFFORT_SLOPES,
        FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS };
 enum { OUTSIDE = 2 };
 

@@ -26,6 +26,7 @@ class Couplings:
         system = self.system = tables.system
         self.n, self.m = system.n_v, system.n_lam
         self.groups, self.pairs = tables.structure.shape.groups, tables.structure.shape.pairs
+        self.answering = tables.listening.pairs
         twist = system.motions.n_twist
 
         # the numbers in v of each body's coordinates
@@ -51,6 +52,8 @@ class Couplings:
         for group in self.groups:
             for body in group.bodies:
                 near[body].update(group.bodies)
+        for body, read in self.answering:
+            near[body].add(read)
         return near
 
     @cached_property
@@ -93,8 +96,12 @@ class Couplings:
     def together(self) -> np.ndarray:
         """For each coordinate the number of the difference that moves it, (n,)."""
         colours: list[int] = []
-        for near in self.near:
-            taken = {colours[c] for a in near for c in self.near[a] if c < len(colours)}
+        rows = [{b} for b in range(len(self.near))]  # the bodies whose balance depends on each
+        for a, near in enumerate(self.near):
+            for b in near:
+                rows[b].add(a)
+        for depending in rows:
+            taken = {colours[c] for a in depending for c in self.near[a] if c < len(colours)}
             colours.append(next(k for k in range(len(taken) + 1) if k not in taken))
 
         widths = np.zeros(max(colours, default=-1) + 1, int)
@@ -107,7 +114,7 @@ class Couplings:
 
 
 def couplings_of(states: DriverStates) -> Couplings | None:
-    """What couples with what; None where frames rest, or where efforts answer to more than their own coordinates."""
+    """What couples with what; None where frames rest."""
     tables = states.tables
-    known = tables.twin.system is states.system and not any(one.links for one in tables.listeners)
+    known = tables.twin.system is states.system
     return Couplings(tables) if known and not states.system.fields else None

@@ -82,7 +82,7 @@ class FieldStates(DriverStates):
     @property
     def takes_complex(self) -> bool:
         """Whether the driver makes matrices with complex weights: not where controllers tell what efforts answer to."""
-        return not self.tables.c.telling
+        return not self.tables.listening.links
 
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""

@@ -23,7 +23,7 @@ from .bodies.told import ToldPart, is_told
 from .items.angles import angles, free_markers
 from .items.item_batches import item_batch, of_one_sort
 from .items.items import READ, ROW, items_of, other_loads
-from .items.listening import listeners
+from .items.listening import Listening
 from .items.mounts import mount_batch
 from .items.whole import WholeLoads
 from .layout import TableLayout
@@ -67,18 +67,16 @@ class Tables(TableLayout):
         self.user: Any = None  # the stepper whose steps were made last
         self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
         self.floating = {field.part.frame: field for field in self.fields}
-        self.listeners = listeners(self)
-        control = [x for one in self.listeners for x in one.items]
-        self.items = self.tied.items + items_of(system, self.looks, control, coordinates)
+        self.listening = Listening(self)
+        self.items = self.tied.items + items_of(system, self.looks, self.listening.items, coordinates)
         self.loads = other_loads(system)
         self.mounts = [f for f in system.forces if f.mounts() is not None]
         self._lay_out()
         self._place_surfaces(self._acted_on())
         for items in self.items:
             items.frames = self._frames_of(items)
-        if sum(one.links for one in self.listeners) * self.nu > LINKS_LIMIT:
-            for one in self.listeners:
-                one.unlink()
+        if self.listening.links * self.nu > LINKS_LIMIT:
+            self.listening.unlink()
         self.structure = structure_of(self._connections(), self._shape)
         self.fronts = self.structure.fronts
 
@@ -100,7 +98,7 @@ class Tables(TableLayout):
         used += [x for f in (*self.loads, *self.mounts) for x in (f.a, f.b)]
         used.append(np.array(self.looks.markers, dtype=int))
         used += free_markers(self.system)
-        used += [np.array(one.markers, dtype=int) for one in self.listeners]
+        used.append(self.listening.markers)
         return np.concatenate(used)
 
     # -- order ---------------------------------------------------------------------------------------------------------------
@@ -165,11 +163,12 @@ class Tables(TableLayout):
         """The structure System."""
         s, looks = self.system, self.looks
         once = 4 * s.n_v + 3 * self.rows  # work of a step, and of a second solution where there are fields
-        counts, lists = self._lists()
         row_dest, sign = pivots_of(self)
+        controllers = self.listening.structure()  # before batches are copied
+        counts, lists = self._lists()
 
         parts = [field.part for field in self.fields]
-        known: list[Any] = [*self.items, *self.rods, *self.listeners]
+        known: list[Any] = [*self.items, *self.rods, *self.listening.listeners]
         self.c = structure("System", self.dim)(
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
             rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
@@ -180,7 +179,7 @@ class Tables(TableLayout):
             seen_angle=self.store.integers(np.isin(looks.markers, list(looks.angled))),
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
             foretells=int(any(part.foretells for part in parts)), indefinite=int(any(field.indefinite for field in self.fields)),
-            leaves_out=int(s.leaves_out), parts=self.parts_of_numbers, **self._links(),
+            leaves_out=int(s.leaves_out), parts=self.parts_of_numbers, controllers=controllers, **self._links(),
         )  # fmt: skip
 
     def _lists(self) -> tuple[dict[str, int], dict[str, int]]:
@@ -241,7 +240,7 @@ class Tables(TableLayout):
 
     def _links(self) -> dict[str, int]:
         """Room for efforts that answer to more than their own coordinate, see links.c."""
-        told = sum(one.links for one in self.listeners)
+        told = self.listening.links
         # what tangents lack of symmetry costs increments: dear ones of fields alone
         skew = sum(loads.push.size for loads in self.whole) if self.fields else 0
         count = told + skew if (told + skew) * self.nu <= LINKS_LIMIT else told
@@ -251,7 +250,7 @@ class Tables(TableLayout):
         sizes = {"push": wide, "pull": wide, "answer": (count, self.nu + self.rows), "mutual": (count, count)}
         made = self.store.zeros(sizes)
         self.arrays |= {name: x for name, (x, _) in made.items()}
-        return {"telling": int(told > 0), "linkable": count, **{name: address for name, (_, address) in made.items()}}
+        return {"linkable": count, **{name: address for name, (_, address) in made.items()}}
 
     def coordinate(self, number: int) -> int:
         """The address of the batch of one of the ``coordinates``."""
@@ -262,7 +261,7 @@ class Tables(TableLayout):
     def remembering(self) -> list[Any]:
         """Who has a memory, or may have: items, rods, controllers."""
         known: list[Any] = [*self.sources, *self.rods]
-        return [one for one in known if one.remembers] + self.listeners
+        return [one for one in known if one.remembers] + self.listening.listeners
 
     def recall(self) -> None:
         """Take the memory of elements that have one."""

@@ -4,6 +4,7 @@
 int place(System *s, const double *q, const double *v)
 {
     s->q = q;
+    if (s->controllers) s->controllers->fresh = 0;
     for (int b = 0; b < s->bodies; b++) {
         const double *pose = q + POSE * b, *twist = v + TWIST * b;
         const Body *o = s->body + b;
@@ -94,8 +95,33 @@ static int law_of_state(System *s, Batch *k, const void *none, double t)
     (void)none;
     for (long i = 0; k->role == FORMULA && i < k->n; i++) formula(k, i, t);
     if (k->role != LAW) return DONE;
+    if (k->act) return control_effort(s, k, t);
     s->calls++;
     return s->python(EFFORT, k->number, t) ? FAILED : DONE;
+}
+
+/* N of laws in Python by their slopes where these were taken. */
+static int along_tangents(System *s, Batch *k, double t)
+{
+    if (k->act) return control_effort(s, k, t);
+    for (long i = 0; i < k->n; i++) {
+        const double *known = k->known + 3 * i;
+        k->effort[i] = known[2] + k->stiffness[i] * (k->s[i] - known[0]) + k->damping[i] * (k->rate[i] - known[1]);
+    }
+    return DONE;
+}
+
+/* Slopes of laws in Python at the state evaluated last, and where they were taken. */
+int take_slopes(System *s, Batch *k, double t)
+{
+    if (k->role != LAW) return DONE;
+    if (k->sloped != s->evaluations && ask_slopes(s, k, t)) return FAILED;
+    if (k->act) keep_readings(s, k);
+    for (long i = 0; i < k->n; i++) {
+        double *known = k->known + 3 * i;
+        known[0] = k->s[i], known[1] = k->rate[i], known[2] = k->effort[i];
+    }
+    return DONE;
 }
 
 /* Coordinates s, rates s' and efforts of a batch; what a law in Python gives comes with one call for all items. */
@@ -110,6 +136,7 @@ int efforts(System *s, Batch *k, double t)
         k->rate[i] = rate;
         if (k->role == LINEAR || k->role == READ) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
     }
+    if (s->straight && k->role == LAW) return along_tangents(s, k, t);
     return k->role == FORMULA || k->role == LAW ? ask_iterate(s, k, law_of_state, NULL, t) : DONE;
 }
 

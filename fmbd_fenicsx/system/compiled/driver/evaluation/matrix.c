@@ -75,13 +75,7 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
         return DONE;
     }
     if (k->role == WHOLE) return whole_tangents(s, k, t);
-    if (k->role == LAW) {
-        if (k->sloped != s->evaluations && ask_slopes(s, k, t)) return FAILED;
-        for (long i = 0; i < k->n; i++) {
-            double *known = k->known + 3 * i;
-            known[0] = k->s[i], known[1] = k->rate[i], known[2] = k->effort[i];
-        }
-    }
+    if (take_slopes(s, k, t)) return FAILED;
     if (k->role == LINEAR || k->role == LAW || k->role == FORMULA) {
         slope = k->slope;
         for (long i = 0; i < k->n; i++) slope[i] = ck * k->stiffness[i] + cd * k->damping[i];
@@ -141,7 +135,7 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
 {
     int verdict = entries(s, q, cd, ck, geometric, lam, reactions, t), masses = cd == 0.0 && ck == 0.0;
     if (verdict || (verdict = factor(s)) || masses || !s->linkable) return verdict;
-    return link_efforts(s, t);
+    return link_efforts(s);
 }
 
 /* The same for complex weights, each by its two parts; LOOK where efforts answer to more than their own coordinates. */

@@ -117,7 +117,9 @@ int keep(System *s, double t)
         }
     }
     for (Rod *k = s->rod; k < s->rod + s->rods; k++) rod_keep(s, k, t);
-    return s->remembers > 1 && s->python(KEEP, 0, t) ? FAILED : DONE;
+    if (s->remembers < 2) return DONE;
+    read_all(s);
+    return s->python(KEEP, 0, t) ? FAILED : DONE;
 }
 
 /* Memories, and efforts between two samples, as other tables of the same system have them. */

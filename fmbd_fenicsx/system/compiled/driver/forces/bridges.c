@@ -40,6 +40,7 @@ int ask_slopes(System *s, Batch *k, double t)
 {
     if (k->role != LAW) return DONE;
     k->sloped = s->evaluations;
+    if (k->act) return control_slopes(s, k, t);
     s->calls++;
     return s->python(SLOPES, k->number, t) ? FAILED : DONE;
 }
@@ -51,6 +52,7 @@ static int touch(System *s, Batch *k, long i, Law *law, const void *how, double 
     const double change = k->effort[i] - line[2], began[2] = {line[0], line[1]};
     double from = 0.0, to = 1.0, missed = INFINITY;
     int verdict;
+    k->aside = 1;
     for (int tries = 0; tries < BISECTIONS && fabs(missed) > MIDDLE; tries++) {
         const double share = 0.5 * (from + to);
         k->s[i] = began[0] + share * (x - began[0]);
@@ -108,6 +110,7 @@ static int cross_hidden(System *s, Batch *k, Law *law, const void *how, double t
         if (!is_hidden(s, k, i, 1)) continue;
         const double x = k->s[i], rate = k->rate[i];
         verdict = touch(s, k, i, law, how, t);
+        k->aside = 0;
         k->s[i] = x;
         k->rate[i] = rate;
         if (verdict || (verdict = law(s, k, how, t))) return verdict;

@@ -113,11 +113,11 @@ static double stored(const Batch *k, long i)
 }
 
 /* Whether an effort of a law in Python is not what its slopes in the matrix foretell. */
-static int surprises(const Batch *k, long i)
+static int surprises(const System *s, const Batch *k, long i)
 {
     const double *known = k->known + 3 * i;
     double change = k->effort[i] - known[2], foretold = k->stiffness[i] * (k->s[i] - known[0]) + k->damping[i] * (k->rate[i] - known[1]);
-    if (k->linked) foretold = k->foretold[i] - known[2];
+    if (k->linked) foretold = foretold_effort(s, k) - known[2];
     return fabs(change - foretold) > 0.02 * fmax(fabs(change), fabs(foretold)) + 1e-12 * fabs(k->effort[i]);
 }
 
@@ -127,7 +127,7 @@ int other_slopes(const System *s, double cd, double ck)
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role == LAW && k->sloped == s->evaluations) return 1;
         for (long i = 0; k->role == LAW && i < k->n; i++)
-            if (surprises(k, i)) return 1;
+            if (surprises(s, k, i)) return 1;
     }
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
         for (long i = 0; k->role == FORMULA && i < k->n; i++) {

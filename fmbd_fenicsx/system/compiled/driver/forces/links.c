@@ -32,12 +32,12 @@ static int lacks_symmetry(System *s)
     return found > 0;
 }
 
-/* (2) for the factor in the fronts; Python tells L, W and how many rows they have. */
-static int link_efforts(System *s, double t)
+/* (2) for the factor in the fronts. */
+static int link_efforts(System *s)
 {
     const long wide = s->nu + TWIST * s->surfaces + 1, size = s->nu + s->rows;
-    s->calls += s->telling;
-    if (s->telling && s->python(LINKS, 0, t)) return FAILED;
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+        if (k->linked) s->links += control_link(s, k, s->push + s->links * wide, s->pull + s->links * wide);
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
         if (k->role == WHOLE) whole_links(s, k);
     int m = s->links;

@@ -188,7 +188,8 @@ static int modal_masses(System *s, const Patterns *o, const double *q, double *M
     return DONE;
 }
 
-/* Derivatives of the lower rows: central differences by coordinates, moved by hq, forward ones by velocities, moved by hv.
+/* Derivatives of the lower rows: central differences by coordinates, moved by hq, forward ones by velocities, moved by hv; laws in Python
+   tell their slopes, and count as their tangents then.
    ``room``: 2 n + nq + 3 size. */
 static int slopes(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
                   const double *hq, const double *hv, double *by_q, double *by_v, double *room)
@@ -196,6 +197,8 @@ static int slopes(System *s, const Patterns *o, double t, const double *q, const
     double *moved = room, *faster = moved + o->n, *there = faster + o->n, *rest = there + s->nq, *ahead = rest + o->size;
     double *back = ahead + o->size;
     int verdict = lower_rows(s, o, t, q, v, a, lam, rest);
+    for (Batch *k = s->batch; !verdict && k < s->batch + s->batches; k++) verdict = take_slopes(s, k, t);
+    s->straight = 1;
     for (int c = 0; !verdict && c < o->colours; c++) {
         for (int side = 1; side >= -1; side -= 2) {
             for (int i = 0; i < o->n; i++) moved[i] = o->colour[i] == c ? side * hq[i] : 0.0;
@@ -226,7 +229,9 @@ EXPORT int driver_stage_tangent(System *s, const Patterns *o, double length, dou
     double *G = data + o->G, *U = data + o->U, *by_q = data + o->by_q, *by_v = data + o->by_v, *by_a = data + o->by_a, last = NAN;
     int verdict = sample(s, t, &last);
     difference_steps(s, length, q, v, a, hq, hv);
-    if (verdict || (verdict = slopes(s, o, t, q, v, a, lam, hq, hv, by_q, by_v, rest))) return verdict;
+    if (!verdict) verdict = slopes(s, o, t, q, v, a, lam, hq, hv, by_q, by_v, rest);
+    s->straight = 0;
+    if (verdict) return verdict;
     if ((verdict = place(s, q, v)) || (verdict = modal_masses(s, o, q, M, W, rest))) return verdict;
     memset(room, 0, s->nv * sizeof(double));
     memset(room + s->nv, 0, s->nv * sizeof(double));

@@ -12,6 +12,7 @@ static int law_of_step(System *s, Batch *k, const void *how, double t)
 {
     const Mean *o = how;
     const long n = k->n;
+    if (k->act) return control_effort(s, k, t);
     double *middle = o->room, *sum = middle + n, *slope = sum + n, *drag = slope + n;
     memcpy(middle, k->s, n * sizeof(double));
     memset(sum, 0, 3 * n * sizeof(double));

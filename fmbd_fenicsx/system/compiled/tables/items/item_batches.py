@@ -116,7 +116,7 @@ def turning(tables: TableLayout, items: Items, name: str) -> Array | None:
 def item_batch(tables: TableLayout, items: Items, number: int) -> Any:
     """One structure Batch."""
     kind, n, store = items.kind, len(items), tables.store
-    one = batch_of(tables, items)
+    one = items.batch = batch_of(tables, items)
     one.number = number
     room = store.zeros({
         "P": (n, kind.width), "out": (n, one.outputs), "hessian": (n, 0 if items.role == READ else one.hessians),

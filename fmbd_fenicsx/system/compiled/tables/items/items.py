@@ -70,6 +70,7 @@ class Items:
     terms: list[Items] = field(default_factory=list)
     shift: Array | None = None
     frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))  # of both sides
+    batch: Any = None  # the structure
     arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
 
     def __len__(self) -> int:

@@ -1,56 +1,44 @@
-"""Controllers with a continuous law in the driver's tables: C tells the joint coordinates that they read, Python the efforts.
+"""Controllers with a continuous law in the driver's tables: C tells what they read, Python the efforts of all in one call.
 
-The coordinates are items that are told at every evaluation, before the efforts on the coordinates that are acted on are asked
-for; markers' motions are taken from the frames that C has placed. What efforts answer to beside
-their own coordinates goes into the matrix of steps by rows (driver/forces/links.c). The memory is taken up by accepted steps.
+The coordinates that are read are items that are told at every evaluation, before the efforts are asked for; markers' motions are
+taken from the frames that C has placed. Slopes of efforts go into the matrix of a step, or into the differences of an implicit
+one, see ``driver/forces/control.c``. The memory is taken up by accepted steps.
 """
 
 from __future__ import annotations
 
 from copy import copy
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .....mechanics.frames import Kinematics
+from .....mechanics.joints.sums import Coordinate
 from .....rotations import Array
-from ....control.controllers import ControlLoads, Reading
+from ....control.controllers import ControlLoads
+from ....control.readings import Reading
+from ....sensors.sensors import AngularVelocity, Position, Velocity
+from ...declarations import enumeration
+from ..structures import array_of, structure
 from .items import LAW, READ, Items, of_source
 
 if TYPE_CHECKING:
     from ..layout import TableLayout
 
+COORDINATE, ITS_RATE, PLACE_OF, VELOCITY_OF, ANGULAR, TURNED_BY = enumeration("COORDINATE").values()
+OTHERS, OWN_PLACE, OWN_RATE = enumeration("OTHERS").values()
+
 
 class Listener:
-    """One controller: ``items`` of what it reads, then of what it acts on; ``loads``: it, with the memory of steps in C."""
+    """One controller: ``loads``, it with the memory of steps in C; its parts of the arrays y and u, and slopes du/dy."""
 
-    def __init__(self, tables: TableLayout, loads: ControlLoads) -> None:
-        self.tables, self.origin, self.loads = tables, loads, copy(loads)
-        self.told: list[Items | None] = []  # of each reading; None of a marker's motion
-        known: dict[Any, Items] = {}
-        for reading in loads.readings:
-            if reading.relative is None:
-                self.told.append(None)
-                continue
-            if reading.coordinate not in known:
-                known[reading.coordinate] = of_source(reading.relative, READ)
-                known[reading.coordinate].told = True
-            self.told.append(known[reading.coordinate])
-
-        self.acting = [of_source(relative, LAW) for relative in loads.acts]
-        crossed = any(r.coordinate != on for r in loads.readings for on in loads.controller.acts)
-        for i, one in enumerate(self.acting):
-            one.law = lambda s, rate, t, i=i: -self._effort(i, t)
-            one.slopes = lambda s, rate, t, i=i: self.slopes(i, t)
-            one.linked = crossed
-        self.items = [*known.values(), *self.acting]
-        self.markers = sorted({r.marker for r in loads.readings if r.relative is None})
-        self.lever: dict[int, Array] = {}  # of markers, in world axes
-        self._read_of: Any = None  # what C told when it was read last
-        self._asked: tuple[Any, Array] | None = None
-        self._known: tuple[Any, dict[str, Array], Array, dict[str, Array]] | None = None  # see _slopes
-        self._places: dict[int, np.ndarray] = {}
+    def __init__(self, loads: ControlLoads) -> None:
+        self.origin, self.loads = loads, copy(loads)
+        acts = loads.controller.acts
+        # efforts that answer to more than their own coordinate
+        self.crossed = any(r.coordinate != on for r in loads.readings for on in acts)
+        self.y: Array = np.zeros(loads.size)
+        self.u: Array = np.zeros(len(acts))
+        self.slopes: Array = np.zeros((len(acts), loads.size))
 
     @property
     def remembers(self) -> int:
@@ -59,7 +47,7 @@ class Listener:
 
     def recall(self) -> None:
         """Take the memory of the controller."""
-        self.loads.kept, self._asked, self._known = self.origin.kept, None, None
+        self.loads.kept = self.origin.kept
 
     def memory(self) -> Any:
         """What steps have made of it."""
@@ -69,164 +57,111 @@ class Listener:
         """Give it back after accepted steps."""
         self.origin.kept = memory
 
-    def keep(self, t: float) -> None:
-        """Take up an accepted step that ends at t, whose coordinates C has told."""
-        self.loads.kept, self._asked, self._known = self.loads.after(t, self._read()), None, None
 
-    def _efforts(self, t: float, y: dict[str, Array]) -> Array:
-        """u, (acts,), at what C told last; the law is asked once for all that it acts on."""
-        key = t, self._read_of
-        if self._asked is None or self._asked[0] != key:
-            self._asked = key, self.loads.with_memory(t, y)[0]
-        return self._asked[1]
+class Listening:
+    """All controllers whose law is called at every evaluation: ``items`` of what they read, then of what they act on."""
 
-    def _effort(self, i: int, t: float) -> Array:
-        """What coordinate i is acted on with, (1,); C is told what the newest slopes foretell."""
-        y = self._read()
-        u = self._efforts(t, y)
-        if self.acting[i].linked:
-            foretold = u[i]
-            if self._known is not None:
-                _, was, effort, slopes = self._known
-                foretold = effort[i] + sum(float(slopes[name][i] @ (y[name] - was[name])) for name in y)
-            self.acting[i].arrays["foretold"][0] = -foretold
-        return u[i : i + 1]
+    def __init__(self, tables: TableLayout) -> None:
+        self.tables = tables
+        self.listeners = [Listener(f) for f in tables.system.forces if isinstance(f, ControlLoads) and f.called]
+        self.readings = [r for one in self.listeners for r in one.loads.readings]
+        self._told: dict[Coordinate, Items] = {}
+        for reading in self.readings:
+            if reading.coordinate is not None and reading.coordinate not in self._told:
+                assert reading.relative is not None
+                told = self._told[reading.coordinate] = of_source(reading.relative, READ)
+                told.told = True
 
-    def _slopes(self, t: float) -> dict[str, Array]:
-        """du/dy of each reading, (acts, size), found once for a state and kept with its readings and efforts."""
-        y = self._read()
-        key = t, self._read_of
-        if self._known is None or self._known[0] != key:
-            names = [name for name in y if self.links or self._own(name)]
-            slopes = self.loads.slopes(t, y, names, quick=True)
-            self._known = key, y, self._efforts(t, y), slopes
-        return self._known[3]
-
-    def _own(self, name: str) -> bool:
-        """Whether a reading is of a coordinate that is acted on."""
-        return any(r.name == name and r.coordinate in self.loads.controller.acts for r in self.loads.readings)
-
-    def slopes(self, i: int, t: float) -> tuple[Array, Array]:
-        """-du/ds and -du/ds' of what it acts on, as far as these are read themselves."""
-        known, out = self._slopes(t), np.zeros((2, 1))
-        on = self.loads.controller.acts[i]
-        for reading in self.loads.readings:
-            if reading.coordinate == on:
-                out[reading.level] -= known[reading.name][i, 0]
-        return out[0], out[1]
+        self._acting = [[of_source(on, LAW) for on in one.loads.acts] for one in self.listeners]
+        for one, acting in zip(self.listeners, self._acting, strict=True):
+            for items in acting:
+                items.linked = one.crossed
+        self.items = [*self._told.values(), *(items for acting in self._acting for items in acting)]
+        self.markers = np.array(sorted({r.marker for r in self.readings if r.relative is None}), dtype=int)
 
     @property
     def links(self) -> int:
         """Efforts that answer to more than their own coordinate."""
-        return sum(one.linked for one in self.acting)
+        return sum(items.linked for items in self.items)
 
     def unlink(self) -> None:
-        """Leave out what efforts answer to beside their own coordinates."""
-        for one in self.acting:
-            one.linked = False
+        """Leave out of a step's matrix what efforts answer to beside their own coordinates."""
+        for items in self.items:
+            items.linked = False
 
-    def link(self, t: float, first: int) -> int:
-        """Tell C the rows that efforts push on and those of all else that they answer to, from number ``first`` on.
+    @property
+    def pairs(self) -> set[tuple[int, int]]:
+        """Bodies whose forces answer to the motion of others: (body that is acted on, body that is read)."""
+        body_of, frame = self.tables.body_of, self.tables.frame
+        found = set()
+        for one, acting in zip(self.listeners, self._acting, strict=True):
+            frames = [
+                self._told[r.coordinate].frames if r.coordinate else frame[[r.marker]] for r in one.loads.readings
+            ]
+            read = {int(b) for f in frames for b in body_of(f).ravel()}
+            acted = {int(b) for items in acting for b in body_of(items.frames).ravel()}
+            found |= {(a, b) for a in acted for b in read if a != b and min(a, b) >= 0}
+        return found
 
-        Returns the next free number: efforts that answer to nothing else have no rows.
-        """
-        arrays, c = self.tables.arrays, self.tables.c
-        if not self.links:
-            return first
+    def structure(self) -> int | None:
+        """The address of the structure Controllers, whose efforts the batches on them are told of; None without controllers."""
+        if not self.listeners:
+            return None
+        store, tables = self.tables.store, self.tables
+        count, acts = sum(r.size for r in self.readings), sum(len(one.u) for one in self.listeners)
+        made = store.zeros({"y": count, "known_y": count, "u": acts, "known_u": acts})
+        y, u = made["y"][0], made["u"][0]
+        number = first = 0
+        for one, acting in zip(self.listeners, self._acting, strict=True):
+            n, own = len(one.y), one.loads.owned
+            one.y, one.u = y[first : first + n], u[number : number + len(one.u)]
+            one.slopes, slopes_at = store.array(one.slopes)
+            for k, items in enumerate(acting):
+                kinds = np.where(own[k], OWN_PLACE + one.loads.levels, OTHERS)
+                act = structure("Act", tables.dim)(
+                    number=number, first=first, count=n, own=store.integers(kinds), slopes=slopes_at + 8 * n * k
+                )
+                items.batch.act = store.structure(act)
+                number += 1
+            first += n
 
-        slopes, acts = self._slopes(t), self.loads.controller.acts
-        answers = [(r, self._answers(r, told)) for r, told in zip(self.loads.readings, self.told, strict=True)]
-        for i, one in enumerate(self.acting):
-            push, pull = arrays["push"][first], arrays["pull"][first]
-            pull[:] = 0.0
-            for reading, rows in answers:
-                for places, row, fast in () if reading.coordinate == acts[i] else rows:
-                    np.add.at(pull, places, -(c.cd if fast else c.ck) * (slopes[reading.name][i] @ row))
-            if not pull[:-1].any():
-                continue
-            push[:] = 0.0
-            np.add.at(push, self._places_of(one), one.arrays["out"][0, 1:])
-            first += 1
-        return first
+        readings = []
+        for reading in self.readings:
+            readings.append(self._reading(reading))
+            readings[-1].first, readings[-1].count = sum(r.count for r in readings[:-1]), reading.size
+        array = array_of(structure("Reading", tables.dim), max(len(readings), 1))(*readings)
+        addresses = {name: address for name, (_, address) in made.items()}
+        return store.structure(
+            structure("Controllers", tables.dim)(readings=len(readings), reading=store.structure(array), **addresses)
+        )
 
-    def _answers(self, reading: Reading, told: Items | None) -> list[tuple[np.ndarray, Array, bool]]:
-        """Places among velocities, rows (size, places) on these by which a reading changes, and whether it is a rate."""
-        if told is not None:
-            return [(self._places_of(told), told.arrays["out"][:, 1:], bool(reading.level))]
-        size, d = reading.at(self._seen).size, self.tables.dim
-        out = []
-        for marker, row, fast in reading.rows(self._seen, size):
-            # at the place of the frame that carries the marker
-            at_frame = row.copy()
-            at_frame[:, d:] += self.loads.motions.moment(np.broadcast_to(self.lever[marker], (size, d)), row[:, :d])
-            out.append((self.tables.twist_places(self.tables.frame[[marker]])[0], at_frame, fast))
-        return out
+    def _reading(self, reading: Reading) -> Any:
+        """The structure of what is read."""
+        tables, made = self.tables, structure("Reading", self.tables.dim)()
+        if reading.coordinate is not None:
+            made.what = ITS_RATE if reading.level else COORDINATE
+            made.batch = self._told[reading.coordinate].batch.number
+            return made
+        known = {Position: PLACE_OF, Velocity: VELOCITY_OF, AngularVelocity: ANGULAR}
+        made.what = next((what for kind, what in known.items() if isinstance(reading.sensor, kind)), TURNED_BY)
+        made.frame, markers = int(tables.frame[reading.marker]), tables.system.markers
+        if made.frame <= tables.nb:  # a marker on a surface lies where the surface is
+            made.arm[:] = markers.position[reading.marker].tolist()
+        made.turn[:] = markers.rotation[reading.marker].ravel().tolist()
+        return made
 
-    def _places_of(self, items: Items) -> np.ndarray:
-        """Places among velocities of the entries of a coordinate's row."""
-        if id(items) not in self._places:
-            places = self.tables.twist_places(items.frames).reshape(-1)
-            self._places[id(items)] = places[list(items.kind.entries)]
-        return self._places[id(items)]
+    # -- what C asks for ----------------------------------------------------------------------------------------------------
+    def efforts(self, t: float) -> None:
+        """u of all controllers at what C has read."""
+        for one in self.listeners:
+            one.u[:] = one.loads.with_memory(t, one.y)[0]
 
-    def _read(self) -> dict[str, Array]:
-        """What the law reads, by name: found once for what C has told."""
-        frames = self.tables.arrays["frames"][self._frames]
-        told = frames.tobytes(), *(x.tobytes() for x in self._coordinates)
-        if told != self._read_of:
-            if self.markers:
-                self._place(frames)
-            numbers = iter(self._coordinates)
-            self._readings = {
-                reading.name: reading.at(self._seen) if items is None else next(numbers).copy()
-                for reading, items in zip(self.loads.readings, self.told, strict=True)
-            }
-            self._read_of = told
-        return self._readings
+    def slopes(self, t: float) -> None:
+        """du/dy of all controllers there."""
+        for one in self.listeners:
+            one.slopes[:] = one.loads.slopes(t, one.y, quick=True)
 
-    @cached_property
-    def _coordinates(self) -> list[Array]:
-        """Where C tells the joint coordinates and rates that are read, in the order of these readings, (1,) each."""
-        both = zip(self.loads.readings, self.told, strict=True)
-        return [items.arrays["rate" if reading.level else "s"] for reading, items in both if items is not None]
-
-    @cached_property
-    def _frames(self) -> np.ndarray:
-        """Of the markers that are read, the rows of the frames that carry them."""
-        return self.tables.frame[self.markers]
-
-    @cached_property
-    def _arms(self) -> Array:
-        """From these frames to the markers, in axes of the frames, (markers, d); a surface is a frame of its own."""
-        on_surface = self._frames > self.tables.nb
-        return np.where(on_surface[:, None], 0.0, self.tables.system.markers.position[self.markers])
-
-    @cached_property
-    def _seen(self) -> Kinematics:
-        """The markers that are read, placed on their frames; all others are zero."""
-        d, count = self.tables.dim, len(self.tables.system.markers.frame)
-        n = self.tables.system.motions.n_twist
-        none = np.zeros((count, n, 0))
-        kin = Kinematics(np.zeros((count, d)), np.zeros((count, d, d)), none, none)
-        kin.twist = np.zeros((count, n))
-        return kin
-
-    def _place(self, frames: Array) -> None:
-        """Place the markers that are read by their frames: x, R, v, w of each, row by row."""
-        which, d, motions = self.markers, self.tables.dim, self.tables.system.motions
-        twists = d + d * d
-        x, R = frames[:, :d], frames[:, d:twists].reshape(-1, d, d)
-        twist = frames[:, twists : twists + motions.n_twist]
-        lever = (R @ self._arms[:, :, None])[:, :, 0]
-        self.lever = dict(zip(which, lever, strict=True))
-
-        kin = self._seen
-        assert kin.twist is not None
-        kin.x[which], kin.R[which] = x + lever, R @ self.tables.system.markers.rotation[which]
-        twist[:, :d] += motions.spin(twist[:, d:], lever)
-        kin.twist[which] = twist
-
-
-def listeners(tables: TableLayout) -> list[Listener]:
-    """Those of all controllers whose law is called at every evaluation."""
-    return [Listener(tables, f) for f in tables.system.forces if isinstance(f, ControlLoads) and f.called]
+    def keep(self, t: float) -> None:
+        """Take up an accepted step that ends at t."""
+        for one in self.listeners:
+            one.loads.keep(t, one.y)
