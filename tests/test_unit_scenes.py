@@ -186,6 +186,17 @@ def test_twelve_systems(name: str, scheme: str) -> None:
     agree(name, scheme, TWELVE[1:])
 
 
+@pytest.mark.parametrize("build", [scenes.carriage, partial(scenes.strip, kind="floating")])
+def test_modes_about_an_equilibrium(build: Build) -> None:
+    """Differences of velocities measure with a time of the scene, gaps of a given state with its length."""
+    found = []
+    for sizes in ((1.0, 1.0, 1.0), (1e6, 1e15, 1e6)):
+        u = Units(*sizes)
+        scene = build(u).scene
+        found.append(fmbd.modes(scene, 3, at=fmbd.equilibrium(scene)).eigenvalues * u.of(1.0, *scenes.TIME))
+    assert np.abs(found[1] - found[0]).max() <= 1e-7 * np.abs(found[0]).max()
+
+
 @pytest.mark.parametrize("build, sensor", [(scenes.carriage, "wheel"), (scenes.driven, "nut")])
 def test_a_run_with_a_tolerance(build: Build, sensor: str) -> None:
     """``tol`` finds the same numbers of steps, whichever unit it is given in."""

@@ -47,3 +47,19 @@ def test_figures_of_responses(tmp_path: Path) -> None:
         assert (tmp_path / name).stat().st_size > 10_000
         with pytest.raises(InputError, match="positive frequencies"):
             draw(model, tmp_path / name, [0.0, 1.0])
+
+
+@pytest.mark.parametrize("rate", [1e2, 1e8])
+def test_linear_model_of_a_fast_oscillator(rate: float) -> None:
+    """1 / (m (w^2 - omega^2) + i c omega), also where accelerations are 1e16 times the places they belong to."""
+    scene = fmbd.Scene("mass on spring")
+    mass = fmbd.RigidBody("mass", 2.0, 1.0, position=(0.3, 0.1))
+    guide = fmbd.prismatic("guide", fmbd.ground, mass, axis=(1.0, 0.0))
+    spring = fmbd.joint_spring("spring", fmbd.displacement(guide), stiffness=2.0 * rate**2, damping=0.2 * rate)
+    scene.add(mass, guide, spring, fmbd.force("push", mass, lambda t: (0.0, 0.0)))
+    scene.sensor("place", fmbd.position(mass))
+    scene.sensor("accel", fmbd.acceleration(mass))
+    model = fmbd.linearise(scene, inputs=["push x"], outputs=["place x", "accel x"])
+    place, accel = model.frequency_response([0.5 * rate])[0, :, 0]
+    exact = 1.0 / (2.0 * rate**2 * (0.75 + 0.05j))
+    assert [place / exact, -accel / (0.5 * rate) ** 2 / exact] == pytest.approx([1.0, 1.0], rel=1e-10)

@@ -20,13 +20,13 @@ def refuse_other_state(system: System, state: State, scene: str) -> None:
         (len(state.q), len(state.v), len(state.lam)) == (system.n_q, system.n_v, system.n_lam),
         f'The state belongs to another scene or number of ranks: {len(state.q)} coordinates, "{scene}" has {system.n_q}.',
     )
-    gaps = np.abs(system.at(state.t, state.q, state.v).constraint())
+    gaps = np.abs(system.row_units * system.at(state.t, state.q, state.v).constraint())
     if not gaps.size:
         return
     worst = int(np.argmax(gaps))
     if gaps[worst] > APART * system.length or not np.isfinite(gaps).all():
         joint = system.block_of(worst).name
         raise InputError(
-            f'The state belongs to another scene: in "{scene}" it leaves "{joint}" open by {gaps[worst]:.3g} m or rad. Give a '
+            f'The state belongs to another scene: in "{scene}" it leaves "{joint}" open by {gaps[worst]:.3g} m. Give a '
             "state of a run, an equilibrium or a stepper of this scene."
         )

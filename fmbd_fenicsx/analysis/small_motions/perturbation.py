@@ -44,12 +44,17 @@ SIDES = ((1.0, 8.0), (-1.0, -8.0), (2.0, -1.0), (-2.0, 1.0))  # weights over 12 
 
 @dataclass(frozen=True, eq=False)
 class Perturbation:
-    """The operators of (2) at a state; products are collective."""
+    """The operators of (2) at a state; products are collective.
+
+    ``time`` (s): a slow time of the scene, in which differences of velocities move it as far as those of places are; stiffness
+    and mass ask for none.
+    """
 
     system: System
     state: State
     spin: Spin | None = None
     closed: ClosedContacts | None = None
+    time: float = 1.0
 
     @property
     def row_count(self) -> int:
@@ -77,8 +82,8 @@ class Perturbation:
 
     def damping(self, rate: Array) -> Array:
         """C y', like v: dampers, gyroscopic terms."""
-        zero = np.zeros_like(rate)
-        return self._difference(rate, (None, rate, self.acceleration(zero, rate, zero)))
+        zero, v = np.zeros_like(rate), rate / self.time
+        return self.time * self._difference(rate, (None, v, self.acceleration(zero, v, zero)))
 
     def mass(self, accel: Array) -> Array:
         """M y'', like v; of accelerations so large that other forces, which may cancel each other, leave no roundoff in it."""

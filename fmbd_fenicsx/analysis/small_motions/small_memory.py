@@ -167,7 +167,7 @@ def _along(about: Perturbation, y: Array | None, rate: Array, which: Sequence[in
     size = system.max_abs(rate if y is None else y)
     if size == 0.0:
         return np.zeros(len(which))
-    h = SHIFT * system.length / size
+    h = SHIFT * system.length / (size if y is not None else size * about.time)
     total = np.zeros(len(which))
     for side, weight in SIDES:
         q = s.q if y is None else system.compose(s.q, side * h * y)

@@ -227,16 +227,21 @@ def _answer(
         G = np.array([about.rows(e) for e in np.eye(system.n_v)]).T
         reaction = np.linalg.lstsq(G.T, left, rcond=None)[0][: system.n_lam]
 
-    size = max(system.max_abs(y), system.max_abs(rate), system.max_abs(accel))
-    if size == 0.0 and not reaction.any() and not change.any():
-        return np.zeros(len(outputs))
-    # differences of fourth order, in steps that move the scene by a share of its length
-    h = STEP * system.length / size if size else 1.0
-
-    def read(e: float) -> Array:
-        state = State(s.t, system.compose(s.q, e * y), s.v + e * v, s.a + e * a, s.lam + e * reaction)
-        with changed(system, s.t, e * change):
+    def read(e: float, cause: int) -> Array:
+        y, v, a, reaction, change = (e * x if i == cause else 0.0 * x for i, x in enumerate(causes))
+        state = State(s.t, system.compose(s.q, y), s.v + v, s.a + a, s.lam + reaction)
+        with changed(system, s.t, change):
             values = _values(made, state, [name for _, name, _ in outputs])
         return np.array([x[c] for x, (_, _, c) in zip(values, outputs, strict=True)], dtype=float)
 
-    return np.asarray((8.0 * (read(h) - read(-h)) - read(2 * h) + read(-2 * h)) / (12.0 * h))
+    # each cause by itself, in differences of fourth order: in steps for fast accelerations places are lost in roundoff
+    causes = (y, v, a, reaction, change)
+    moved = [about.time**i * system.max_abs(x) / system.length for i, x in enumerate((y, v, a))]
+    forces = np.abs(s.lam).max(initial=0.0) or 1.0
+    sizes = [*moved, np.abs(reaction).max(initial=0.0) / forces, np.abs(change).max(initial=0.0)]
+    total = np.zeros(len(outputs))
+    for cause, size in enumerate(sizes):
+        if size > 0.0:
+            h = STEP / size
+            total += (8.0 * (read(h, cause) - read(-h, cause)) - read(2 * h, cause) + read(-2 * h, cause)) / (12.0 * h)
+    return total

@@ -210,6 +210,7 @@ def _linearised(scene: Scene, at: Any, linear: Any, built: tuple[System, State, 
         about = _about(scene, at, (system, given), solver)
         _refuse_rolling_fields(system, about.state)
         newton = static_newton(system, solver, about.state, about.spin, balanced=True)
+        about = replace(about, time=newton.tau)
         _refuse_moving(about, newton)
     except BaseException:
         solver.destroy()
