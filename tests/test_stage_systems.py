@@ -31,6 +31,7 @@ from fmbd_fenicsx.system.compiled.states.convergence import CONVERGED, DIVERGED,
 from fmbd_fenicsx.system.compiled.states.couplings import couplings_of
 from fmbd_fenicsx.system.compiled.states.stages import StageRule
 from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.tangents.step_tangent import StepTangent
 
 FORMS = [
     fmbd.GGL(),
@@ -63,6 +64,11 @@ def with_dense_matrices(eq: StepEquations) -> DenseTangents:
     if eq.form.frozen:
         made.U = eq.tangents.directions()
     return made
+
+
+def with_arrays(tangent: StepTangent) -> StepTangent:
+    """The same with arrays in place of sparse matrices."""
+    return StepTangent(**{name: matrix.toarray() for name, matrix in vars(tangent).items()})
 
 
 def right_hand_sides(eq: StepEquations, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +105,7 @@ def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any
     sparse, eq.tangents = eq.tangents, with_dense_matrices(eq)
     wanted = eq.tangents.at_increments(eq.refresh(state, mult), 0.1 * state.v, state.v)
 
-    found = sparse.filled(made)
+    found = with_arrays(sparse.matrices(made))
     for field, values in vars(wanted).items():
         size = np.abs(values).max(initial=1e-300)
         # rows of accelerations are summed up in another order: differences divide that roundoff by 1.5e-8
@@ -125,6 +131,28 @@ def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any
 
 
 @compiled
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+@pytest.mark.parametrize("name", MAKERS)
+def test_stages_with_the_same_tangent_each_are_those_with_one(name: str, form: Any) -> None:
+    _, system, at = pair_of(MAKERS[name])
+    eq, state, mult = equations(system, form, at)
+    made, tab, redundant = eq.refresh(state, mult), tableau(2), eq.solver.core.redundant
+    kin, low = right_hand_sides(eq, 2)
+    if redundant:
+        low[:, system.n_v :] = 0.0  # rows that contradict each other have no solution
+        kin = 0.0 * kin
+
+    one = eq.pencil(made, tab.values / H, JUDGE, 2)
+    wanted = [(tab.vectors @ x).real for x in one.solve(tab.inverse @ kin.real, tab.inverse @ low.real)]
+    found = list(eq.whole_pencil([made, made], tab.W / H, JUDGE).solve(kin.real, low.real))
+    if redundant:
+        found[1], wanted[1] = (smallest(eq, state, x) for x in (found[1], wanted[1]))
+    share = 1e-5 if redundant else 1e-7  # what is soft loses digits
+    for x, y in zip(found, wanted, strict=True):
+        assert x == pytest.approx(y, rel=1e-6, abs=share * np.abs(y).max(initial=1e-300))
+
+
+@compiled
 @pytest.mark.parametrize("name", ["plane", "reduced 3D", "rod"])
 def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
     """Derivatives of any numbers, half of them none, and no masses."""
@@ -138,7 +166,9 @@ def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
     s = tableau(3).values / H
     given = right_hand_sides(eq, len(s))
     found = eq.tangents.pencil(made, s, JUDGE, redundant=False).solve(*given)
-    wanted = with_dense_matrices(eq).pencil(eq.tangents.filled(made), s, JUDGE, redundant=False).solve(*given)
+    wanted = (
+        with_dense_matrices(eq).pencil(with_arrays(eq.tangents.matrices(made)), s, JUDGE, redundant=False).solve(*given)
+    )
     for x, y in zip(found, wanted, strict=True):
         assert x == pytest.approx(y, rel=1e-6, abs=1e-7 * np.abs(y).max())
 
@@ -229,8 +259,10 @@ def test_work_grows_with_the_length_of_a_chain() -> None:
         structure, size = pencil.room.structure, pencil.room.structure.size
         filled = sum(int(np.ctypeslib.as_array((np.ctypeslib.ctypes.c_long * (size + 1)).from_address(x))[-1])
                      for one in pencil.room.lower for x in (one.L_start, one.U_start))  # fmt: skip
-        found.append((structure.couplings.together.max() + 1, len(structure.row) / n, filled / n))
-    directions, entries, filled = np.array(found).T
+        (own,) = eq.whole_pencil([pencil.t] * 3, tableau(3).W / H, JUDGE).systems
+        found.append((structure.couplings.together.max() + 1, len(structure.row) / n, filled / n, own.lu.nnz / n))
+    directions, entries, filled, whole = np.array(found).T
     assert (directions == 9).all()
+    assert whole == pytest.approx(whole[-1], rel=0.2)
     assert entries == pytest.approx(entries[-1], rel=0.1)
     assert filled == pytest.approx(filled[-1], rel=0.1)

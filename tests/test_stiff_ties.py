@@ -14,7 +14,11 @@ from test_foretold_efforts import ANGLE, DIRECTION, END, G, chain, error
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.residual import Judge
+from fmbd_fenicsx.schemes.implicit import step_equations
+from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.schemes.newton import Newton
+from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.tangents.stiff_ties import stiff_ties
 
 sys.path[:0] = [str(Path(__file__).parents[1] / "demos"), str(Path(__file__).parent / "benchmarks")]
@@ -195,3 +199,32 @@ def test_andrews_mechanism_at_a_tight_tolerance() -> None:
     run = fmbd.solve(andrews(), t_end=0.03, scheme=fmbd.BDF(rtol=1e-8))
     found = andrews_coordinates(np.asarray(run.state.q))
     assert np.abs(found - REFERENCE).max() <= 2e-5
+
+
+@pytest.mark.parametrize("form", [fmbd.GGL(), fmbd.Index3(), fmbd.Index2(), fmbd.Index1()], ids=lambda form: form.name)
+def test_sparse_tangents_are_those_by_differences(form: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plate in space on springs, with a rigid link beside them."""
+    ends = []
+    for few in (0, step_equations.FEW):
+        monkeypatch.setattr(step_equations, "FEW", few)
+        scene = bifilar(1e9)
+        link = {"point_a": (0.3, 0.0, 1.0), "point_b": (0.2, 0.0, 0.0)}
+        scene.add(fmbd.distance("link", fmbd.ground, scene.bodies["plate"], **link))
+        run = fmbd.solve(scene, t_end=0.03, dt=1e-3, scheme=fmbd.Radau(form=form, rtol=None))
+        ends.append((run["place"][-1], run.counters["newton_iterations"]))
+    (sparse, increments), (dense, wanted) = ends
+    assert sparse == pytest.approx(dense, abs=1e-12) and increments == wanted
+
+
+@pytest.mark.parametrize("count", [40, 160])
+def test_work_grows_with_the_length_of_a_chain(count: int) -> None:
+    """Entries of factors beside springs as rows."""
+    scene = chain((1.0,) * count, 1e10)
+    system, state, _ = scene.build()
+    use_driver(system)
+    eq = StepEquations(system, fmbd.GGL(), StepSolver(system), G)
+    eq.weigh(state)
+    eq.begin(state)
+    tangent = eq.refresh(state, eq.multipliers(state))
+    (one,) = eq.pencil(tangent, np.array([1e3]), Judge("a test")).systems
+    assert len(eq.stiff) == count and one.lu.nnz < 45 * count

@@ -13,7 +13,11 @@ result does not depend on the system of units.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
 
 from ..matrices import dense
 from ..rotations import Array
@@ -22,6 +26,7 @@ from ..system.layout import State
 from .condensation import StepSolver
 
 DEPENDENT = 1e-8  # singular values of G, scaled, below this share of the largest belong to the null space
+SOFT, CORRECTED = 1e-9, (1.0, -2.0)  # share of a row's compliance; times it, of what is left open (factor.c)
 SINGULAR = 1e-14  # singular values of a scaled matrix below this share belong to rows that depend on each other
 
 
@@ -59,6 +64,20 @@ def least(solver: StepSolver, t: float, q: Array, lam: Array) -> Array:
     # what changes no force is taken out
     N, u = null_space(solver.system.at(t, q)), solver.system.multiplier_units
     return np.asarray(lam - u * ((lam / u) @ N @ N.T))
+
+
+def least_forces(S: Any, b: Array) -> Array:
+    """Multipliers y, (m,) or (m, k), with S y = b for a sparse compliance S of rows that may depend on each other.
+
+    Rows are softened, so that of all y one of small norm is found; what softness leaves open is closed twice.
+    """
+    size = np.sqrt(S.diagonal())
+    scale = sp.diags(1.0 / np.where(size > 0, size, 1.0))
+    lu = splu(sp.csc_matrix(scale @ S @ scale + SOFT * sp.identity(len(size))))
+    y = lu.solve(scale @ b)
+    for times in CORRECTED:
+        y = y + lu.solve(times * SOFT * y)
+    return np.asarray(scale @ y)
 
 
 def not_unique(solver: StepSolver, state: State) -> list[str]:

@@ -15,10 +15,7 @@ stiffly damped mode, a free body and an index-3 constraint all have the same con
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
-import scipy.linalg as sl
 
 from ...errors import LinearSolveError
 from ...rotations import Array
@@ -32,40 +29,8 @@ SINGULAR_MATRIX = (
 )
 
 
-def stacked(tangents: list[StepTangent]) -> StepTangent:
-    """The tangent of several stages together: variables and balances stage by stage, then each constraint level stage by
-    stage.
-    """
-    n = tangents[0].M.shape[0]
-    m = tangents[0].G.shape[0]
-    cuts = cuts_of(tangents[0].by_q.shape[0], n, m, tangents[0].R.shape[0])
-
-    def lower(blocks: list[Array]) -> Array:
-        return np.concatenate([sl.block_diag(*(b[i:j] for b in blocks)) for i, j in pairwise(cuts)])
-
-    def diagonal(blocks: list[Array]) -> Array:
-        return np.asarray(sl.block_diag(*blocks))
-
-    return StepTangent(
-        J=diagonal([t.J for t in tangents]),
-        M=diagonal([t.M for t in tangents]),
-        G=diagonal([t.G for t in tangents]),
-        U=diagonal([t.U for t in tangents]),
-        by_q=lower([t.by_q for t in tangents]),
-        by_v=lower([t.by_v for t in tangents]),
-        by_a=lower([t.by_a for t in tangents]),
-        R=diagonal([t.R for t in tangents]),
-    )
-
-
-def cuts_of(rows: int, n: int, m: int, ties: int) -> list[int]:
-    """Where the balance, each level of the constraints and the efforts begin among the lower rows of a point, and their end."""
-    ends = [0, *range(n, rows - ties + 1, m)] if m else [0, n]
-    return [*ends, rows] if ties else ends
-
-
 class Pencil:
-    """(1) inverted for frequencies s, (p,) real or complex, all in one array; or for a matrix s (n, n) of coupled stages, p = 1.
+    """(1) inverted for frequencies s, (p,) real or complex, all in one array.
 
     ``redundant``: dependent constraints are solved with multipliers of least norm. ``room``: None, increments are NumPy's.
     """
@@ -83,13 +48,8 @@ class Pencil:
         self.levels = (T.by_q.shape[0] - n - ties) // m if m else 0
         L = self.levels
 
-        # one rate for all, or one for each row of a batch
-        if s.ndim == 2:
-            self.D = (s - T.J)[None]
-            self.va = (T.by_v + T.by_a @ s)[None]  # lower rows by v, with a = s v
-        else:
-            self.D = s[:, None, None] * np.eye(n) - T.J
-            self.va = T.by_v + s[:, None, None] * T.by_a
+        self.D = s[:, None, None] * np.eye(n) - T.J
+        self.va = T.by_v + s[:, None, None] * T.by_a  # lower rows by v, with a = s v
 
         # rows of the balance; those of the constraints follow with their levels
         size = n + L * m + ties

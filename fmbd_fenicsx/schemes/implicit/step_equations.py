@@ -11,12 +11,14 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...linear.condensation import StepSolver
 from ...linear.implicit.pencil import Pencil
 from ...linear.implicit.sparse_pencil import SparsePencil
+from ...linear.implicit.whole_pencil import WholePencil, stacked
+from ...linear.redundancy import least_forces
 from ...linear.residual import Judge
-from ...matrices import dense
 from ...rotations import Array
 from ...system.compiled.choice import use_driver
 from ...system.compiled.states.couplings import couplings_of
@@ -34,21 +36,20 @@ from ..dae import Form, Points
 from .equations import Equations, Start
 from .step_tangents import DenseTangents, SparseTangents
 
+FEW = 60  # coordinates beside ties up to which dense matrices are faster
 CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
 
 
 class StepEquations(Equations):
     """Those of systems without elastic fields: tangents are matrices. Others have :class:`.field_stages.FieldEquations`."""
 
-    keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "rows", "origin"), plain()) | {"tangents": worker}
+    keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "last", "origin"), plain()) | {"tangents": worker}
     dense = True
 
     def __init__(self, system: System, form: Form, solver: StepSolver, acceleration: float = 0.0) -> None:
         """``acceleration``: of the start, see :func:`.stiff_ties`."""
         super().__init__(system, form, solver)
         self.stiff = stiff_ties(system, acceleration)
-        if "driver looked for" in system.cache:
-            use_driver(self.stiff.system)
         self.n_mult += len(self.stiff)
 
         self.tangents: DenseTangents | SparseTangents = DenseTangents(system, self.form, self.stiff)
@@ -56,7 +57,7 @@ class StepEquations(Equations):
         self._weighed: State | None = None  # whose masses are to be taken
 
         # of the last point
-        self.rows: Array = np.zeros((self.stiff.system.n_lam, system.n_v))  # of joints and ties
+        self.last: tuple[float, Array, Array] = (0.0, self.origin, self.origin)  # t, q, v
 
     def remember(self, m: Memory) -> None:
         """With the tangents of the kind that the system has."""
@@ -65,8 +66,10 @@ class StepEquations(Equations):
 
     def _structure(self) -> StageStructure | None:
         """Patterns of the equations where compiled code knows them, and solves sparse stage systems; else None."""
-        states, form = self.system.evaluator, self.form
-        if not isinstance(states, DriverStates) or len(self.stiff):
+        if "driver looked for" in self.system.cache:
+            use_driver(self.stiff.system)
+        states, form = self.stiff.system.evaluator, self.form
+        if not isinstance(states, DriverStates) or (len(self.stiff) and self.system.n_v <= FEW):
             return None
         couplings = couplings_of(states)
         if couplings is None:
@@ -78,7 +81,7 @@ class StepEquations(Equations):
         if not isinstance(self.tangents, SparseTangents) and self._chosen is not self.system.evaluator:
             structure = self._structure()
             if structure is not None:
-                self.tangents = SparseTangents(self.system, structure)
+                self.tangents = SparseTangents(self.system, structure, self.stiff)
             self._chosen = self.system.evaluator
         if self._weighed is not None:
             state, self._weighed = self._weighed, None
@@ -88,7 +91,7 @@ class StepEquations(Equations):
     def compiled(self) -> bool:
         """As :attr:`Equations.compiled`."""
         self._choose()
-        return isinstance(self.tangents, SparseTangents) and not self.tangents.told
+        return isinstance(self.tangents, SparseTangents) and not self.tangents.told and not len(self.stiff)
 
     def room(self, frequencies: int, points: int) -> StageRoom:
         """As :meth:`Equations.room`."""
@@ -114,15 +117,17 @@ class StepEquations(Equations):
         self._choose()
         self.origin = state.q
         if self.form.frozen:
-            self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
+            system = self.stiff.system if isinstance(self.tangents, SparseTangents) else self.system
+            self.tangents.direct(system.at(state.t, state.q, state.v).jacobian.core)
 
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin and r_low of (1), (2), with what ties leave behind the rows of the form."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
+        self.last = float(t[-1]), s.compose(self.origin, p.xi[-1]), p.v[-1]
         told = self._told(t, p)
         if told is not None:
-            low = self.form.lower(told.sums, told, p.vd)
+            low = self.lower(told, p.vd, p.mult)
             self.left = low[-1, s.n_v : s.n_v + m]
             return p.rate - told.rates, low
 
@@ -135,21 +140,20 @@ class StepEquations(Equations):
             if self.levels > 2:
                 a = a + _along(normal, p.mult[:, 2 * m : 3 * m])
 
-        if len(self.stiff):
-            self.rows = ev.jacobian.core[-1]
         low = self.lower(ev, a, p.mult)
         self.left = low[-1, s.n_v : s.n_v + m]
         return p.rate - s.rate(p.xi, v), low
 
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
-        m, states = self.system.n_lam, self.system.evaluator
-        if not isinstance(states, DriverStates) or len(self.stiff) or 2 in self.form.levels:
+        m, ties, states = self.system.n_lam, self.stiff, self.stiff.system.evaluator
+        if not isinstance(states, DriverStates) or 2 in self.form.levels:
             return None
-        mu, metric = (p.mult[:, m:], self.tangents.metric()) if self.levels > 1 else (None, None)
-        return states.points(t, self.origin, (p.xi, p.v, p.vd), (p.mult[:, :m], mu, metric))
+        lam, mu, efforts = np.split(p.mult, [m, self.levels * m], axis=1)
+        corrected = (ties.forces(mu, 0.0 * efforts), self.tangents.metric()) if self.levels > 1 else (None, None)
+        return states.points(t, self.origin, (p.xi, p.v, p.vd), (ties.forces(lam, efforts), *corrected))
 
-    def lower(self, ev: EvaluationBatch, a: Array, mult: Array) -> Array:
+    def lower(self, ev: EvaluationBatch | PointsTold, a: Array, mult: Array) -> Array:
         """The balance, the constraints of all levels, and the efforts of ties: (k, n_v + n_mult)."""
         m, ties = self.system.n_lam, self.stiff
         lam, efforts = mult[:, :m], mult[:, self.levels * m :]
@@ -201,8 +205,7 @@ class StepEquations(Equations):
         """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""
         if not len(self.stiff):
             return None
-        assert isinstance(self.tangents, DenseTangents)
-        return mult[:, self.n_mult - len(self.stiff) :] @ self.tangents.U_ties.T
+        return self.tangents.pulls(mult[:, self.n_mult - len(self.stiff) :])
 
     def close_ties(self, h: float, state: State, mult: Array) -> State:
         """The end of a step of h (s) with places and velocities that give ties the efforts among the multipliers (n_mult,).
@@ -218,9 +221,9 @@ class StepEquations(Equations):
             ev = ties.system.at(state.t, state.q, state.v)
             left = ties.residual(ev.constraint()[None], ev.opening()[None], mult[None, self.n_mult - len(ties) :])
             missing = ties.forces(np.zeros(self.system.n_lam), -left[0] / (ties.stiffness + ties.damping / h))
-            rows = dense(ev.jacobian.core)
-            across = self.tangents.matrix() @ rows.T
-            dq = across @ (np.linalg.pinv(rows @ across, hermitian=True) @ missing)
+            rows = sp.csr_matrix(ev.jacobian.core)
+            across = self.tangents.inverse() @ rows.T
+            dq = across @ least_forces(rows @ across, missing)
             state = replace(state, q=self.system.compose(state.q, dq), v=state.v + dq / h)
         return state
 
@@ -234,15 +237,11 @@ class StepEquations(Equations):
         ties = self.stiff
         if not len(ties):
             return np.zeros_like(v)
-        soft = np.zeros(len(self.rows))
+        rows, across = sp.csr_matrix(ties.system.at(*self.last).jacobian.core), self.tangents.across()
+        soft = np.zeros(len(ties.joints) + len(ties))
         soft[ties.ties] = 1.0 / (h * ties.damping + h * h * ties.stiffness)
-        across = np.zeros_like(self.rows.T)
-        assert isinstance(self.tangents, DenseTangents)
-        across[:, ties.joints], across[:, ties.ties] = self.tangents.U, self.tangents.U_ties  # those that push and pull
-        wanted = np.zeros((len(soft), *v.shape[:-1]))
-        wanted[ties.ties] = self.rows[ties.ties] @ v.T
-        found = np.linalg.lstsq(self.rows @ across + np.diag(soft), wanted, rcond=None)[0]
-        return np.asarray((across @ found).T)
+        wanted = ties.forces(np.zeros((*v.shape[:-1], len(ties.joints))), v @ rows[ties.ties].T)
+        return np.asarray((across @ least_forces(rows @ across + sp.diags(soft), wanted.T)).T)
 
     def _closed_start(self, state: State) -> Start:
         """With accelerations anew; beside ties, whose efforts places tell to roundoff times k only, those of the step's end."""
@@ -272,11 +271,17 @@ class StepEquations(Equations):
         at = State(t, self.system.compose(self.origin, xi), v, vd, mult[: self.system.n_lam])
         return self.tangents.at_increments(self.refresh(at, mult), xi, v)
 
+    def whole_pencil(self, tangents: list[Any], rates: Array, judge: Judge) -> WholePencil:
+        """Solver of stages with a tangent each; ``rates``: d rate / d xi, (k, k)."""
+        units = self.system.multiplier_units if self.solver.core.redundant else None
+        first = self.form.levels[0] if self.levels else 0
+        return WholePencil(stacked([self.tangents.matrices(x) for x in tangents]), [rates], judge, first, units)
+
     def inertia(self, tangent: Any, a: Array) -> Array:
         """M a at the tangent's motion."""
         return self.tangents.inertia(tangent, a)
 
-    def pencil(self, tangent: Any, s: Array, judge: Judge, points: int = 1) -> Pencil | SparsePencil:
+    def pencil(self, tangent: Any, s: Array, judge: Judge, points: int = 1) -> Pencil | SparsePencil | WholePencil:
         """Solver of so many stages for the frequencies s, (p,)."""
         self._choose()  # a checkpoint asks before any step
         return self.tangents.pencil(tangent, s, judge, redundant=self.solver.core.redundant, points=points)

@@ -10,11 +10,13 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from ...errors import LinearSolveError
 from ...linear.condensation import StepSolver
 from ...linear.implicit.pencil import Pencil
 from ...linear.implicit.sparse_pencil import SparsePencil
+from ...linear.implicit.whole_pencil import WholePencil
 from ...linear.residual import Judge
 from ...matrices import dense
 from ...rotations import Array
@@ -76,6 +78,14 @@ class DenseTangents(Remembering):
         """The inverse of the mass matrix as a matrix."""
         return self.inverse_mass
 
+    def inverse(self) -> sp.csr_matrix:
+        """The same, sparse."""
+        return sp.csr_matrix(self.inverse_mass)
+
+    def across(self) -> sp.csr_matrix:
+        """W G^T and W R^T, (n_v, rows of joints and ties)."""
+        return sp.csr_matrix(self.stiff.forces(self.U, self.U_ties))
+
     def take(self, state: State, mult: Array, solver: StepSolver, lower: Lower) -> StepTangent:
         """The tangent at a state with multipliers (n_mult,), whose lower rows are a function; ``solver``: tells masses."""
         form, n, m, v = self.form, self.system.n_v, self.system.n_lam, state.v
@@ -122,9 +132,13 @@ class DenseTangents(Remembering):
         J, T = self._turning(xi, v)
         return replace(made, J=J, by_q=made.by_q @ T)
 
-    def filled(self, tangent: StepTangent) -> StepTangent:
-        """A tangent with dense matrices."""
-        return tangent
+    def matrices(self, tangent: StepTangent) -> StepTangent:
+        """A tangent with sparse matrices."""
+        return StepTangent(**{name: sp.csr_matrix(data) for name, data in vars(tangent).items()})
+
+    def pulls(self, efforts: Array) -> Array:
+        """Accelerations that efforts of ties (k, p) cause, (k, n_v)."""
+        return efforts @ self.U_ties.T
 
     def inertia(self, tangent: StepTangent, a: Array) -> Array:
         """M a."""
@@ -140,8 +154,8 @@ class SparseTangents(Remembering):
 
     keeps: ClassVar = dict.fromkeys(("U", "weighed", "masses", "inverse_mass"), plain())
 
-    def __init__(self, system: System, structure: StageStructure) -> None:
-        self.system, self.structure = system, structure
+    def __init__(self, system: System, structure: StageStructure, stiff: StiffTies) -> None:
+        self.system, self.structure, self.stiff = system, structure, stiff
         self.U: Array = np.zeros(len(structure.normal.pattern))
         self.weighed = False
         self.told = any(map(is_told, system.parts))  # whether Python tells masses that change
@@ -182,7 +196,7 @@ class SparseTangents(Remembering):
 
     def directions(self) -> Array:
         """U as a matrix."""
-        return np.asarray(dense(self.structure.normal.pattern.matrix(self.U)))
+        return np.asarray(dense(self.structure.normal.pattern.matrix(self.U)))[:, self.stiff.joints]
 
     def weigh_once(self, solver: StepSolver, state: State) -> None:
         """Take the masses of a state, unless compiled code has them: those of rigid bodies stay, and it finds those of modes."""
@@ -191,7 +205,14 @@ class SparseTangents(Remembering):
 
     def normally(self, mult: Array) -> Array:
         """U times multipliers (k, n_lam), (k, n_v)."""
-        return self.structure.normal.pattern.times(self.U, mult)
+        return self._pushed(mult, np.zeros((len(mult), len(self.stiff))))
+
+    def pulls(self, efforts: Array) -> Array:
+        """Accelerations that efforts of ties (k, p) cause, (k, n_v)."""
+        return self._pushed(np.zeros((len(efforts), self.system.n_lam)), efforts)
+
+    def _pushed(self, mult: Array, efforts: Array) -> Array:
+        return self.structure.normal.pattern.times(self.U, self.stiff.forces(mult, efforts))
 
     def metric(self) -> Metric:
         """The inverse of the mass matrix by its pattern and data."""
@@ -199,14 +220,23 @@ class SparseTangents(Remembering):
 
     def matrix(self) -> Array:
         """The inverse of the mass matrix as a matrix."""
+        return dense(self.inverse())
+
+    def inverse(self) -> sp.csr_matrix:
+        """The same, sparse."""
         pattern, data = self.metric()
-        return dense(pattern.matrix(data))
+        return pattern.matrix(data)
+
+    def across(self) -> sp.csr_matrix:
+        """W G^T and W R^T, (n_v, rows of joints and ties)."""
+        return self.structure.normal.pattern.matrix(self.U)
 
     def take(self, state: State, mult: Array, solver: StepSolver, lower: Lower) -> StepTangent:
         """The tangent at a state with multipliers (n_mult,), in one call; ``solver``: tells masses."""
-        system = self.system
+        system, ties = self.stiff.system, self.stiff
         self.weigh_once(solver, state)
-        made = self.structure.tangent(state, mult[: system.n_lam])
+        efforts = mult[len(mult) - len(ties) :]
+        made = self.structure.tangent(state, ties.forces(mult[: self.system.n_lam], efforts))
         if made is None:
             lower(system.batch(*(np.array([x]) for x in (state.t, state.q, state.v))))  # which may say what is wrong
             raise LinearSolveError("the tangent of a step is not finite.")
@@ -215,21 +245,41 @@ class SparseTangents(Remembering):
 
     def at_increments(self, made: StepTangent, xi: Array, v: Array) -> StepTangent:
         """The tangent that was taken at q_0 o exp(xi), in the coordinates about q_0."""
-        J, T = self.structure.turning(xi, v)
-        return replace(made, J=J, by_q=self.structure.turned.data(made.by_q, T))
+        structure = self.structure
+        J, T = structure.turning(xi, v)
+        R = structure.turned_rows.data(made.G, T) if len(self.stiff) else made.R
+        return replace(made, J=J, by_q=structure.turned.data(made.by_q, T), R=R)
 
-    def filled(self, tangent: StepTangent) -> StepTangent:
-        """A tangent with dense matrices."""
-        patterns = self.structure.patterns
-        return StepTangent(**{name: dense(patterns[name].matrix(data)) for name, data in vars(tangent).items()})
+    def matrices(self, tangent: StepTangent) -> StepTangent:
+        """A tangent with sparse matrices, those of ties apart."""
+        ties, patterns, n = self.stiff, self.structure.patterns, self.structure.n
+        of = {name: patterns[name].matrix(data) for name, data in vars(tangent).items() if name != "R"}
+        if not len(ties):
+            return StepTangent(**of, R=sp.csr_matrix((0, n)))
+        R = of["G"][ties.ties]
+        turned = patterns["G"].matrix(tangent.R)[ties.ties] if len(tangent.R) else R  # by increments
+
+        # rows of each level are those of joints and ties
+        first = n + self.structure.m * np.arange(len(self.structure.levels))
+        kept = np.concatenate([np.arange(n), *(at + ties.joints for at in first)])
+        pulled = {"by_q": sp.diags(ties.stiffness) @ turned, "by_v": sp.diags(ties.damping) @ R, "by_a": 0.0 * R}
+        below = {name: sp.vstack((of[name][kept], rows), format="csr") for name, rows in pulled.items()}
+        return StepTangent(J=of["J"], M=of["M"], G=of["G"][ties.joints], U=of["U"][:, ties.joints], **below, R=R)
 
     def inertia(self, tangent: StepTangent, a: Array) -> Array:
         """M a."""
         return self.structure.couplings.masses.times(tangent.M, a[None])[0]
 
-    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: bool, points: int = 1) -> SparsePencil:
+    def pencil(
+        self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: bool, points: int = 1
+    ) -> SparsePencil | WholePencil:
         """Solver of so many stages for the frequencies s, (p,)."""
-        return SparsePencil.factored(tangent, s, judge, self.room(len(s), points), redundant=redundant)
+        if not len(self.stiff):
+            return SparsePencil.factored(tangent, s, judge, self.room(len(s), points), redundant=redundant)
+        units = self.system.multiplier_units if redundant else None
+        made = WholePencil(self.matrices(tangent), [*s[:, None, None]], judge, self.structure.first, units)
+        made.t, made.s = tangent, s
+        return made
 
     def room(self, frequencies: int, points: int) -> StageRoom:
         """Where so many points are solved for."""

@@ -9,12 +9,10 @@ Source: Hairer and Wanner, Solving ODEs II, section IV.8, doi:10.1007/978-3-642-
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from ...errors import CallbackError, ConvergenceError, LinearSolveError
-from ...linear.implicit.pencil import Pencil, cuts_of, stacked
+from ...linear.implicit.whole_pencil import WholePencil
 from ...rotations import Array
 from ...system.compiled.states.stages import StageRule
 from ...system.layout import State
@@ -131,9 +129,10 @@ class StageNewton(StageMarch):
             residual = self.eq.residual(self.state.t + h * self.tab.c, points)
             fresh = pencil is None
             pencil = pencil or self._own_pencil(h, points)
-            increment = self._solve_with_own_tangents(pencil, *residual)
-            xi, v, mult = xi + increment[0], v + increment[1], mult + increment[2]
-            size = self._size(h, *increment)
+            change, dmult = pencil.solve(*residual)
+            dxi, dv = np.split(change, 2, axis=1)
+            xi, v, mult = xi + dxi, v + dv, mult + dmult
+            size = self._size(h, dxi, dv, dmult)
             self._count(1)
 
             if not np.isfinite(size):
@@ -149,27 +148,13 @@ class StageNewton(StageMarch):
             last = size
         return "Newton too slow"
 
-    def _own_pencil(self, h: float, points: Points) -> Pencil:
+    def _own_pencil(self, h: float, points: Points) -> WholePencil:
         """One large matrix of all stages, with a tangent at each."""
         times = self.state.t + h * self.tab.c
         each = zip(times, points.xi, points.v, points.vd, points.mult, strict=True)
-        tangents = [self.eq.tangents.filled(self.eq.tangent_at(float(t), *values)) for t, *values in each]
+        tangents = [self.eq.tangent_at(float(t), *values) for t, *values in each]
         self.stats.factorisations += 1
-        coupling = np.kron(self.tab.W / h, np.eye(self.system.n_v))
-        return Pencil(stacked(tangents), coupling, self.judge, self.solver.core.redundant)
-
-    def _solve_with_own_tangents(self, pencil: Pencil, kin: Array, low: Array) -> tuple[Array, Array, Array]:
-        """Increments of xi, v and of the multipliers of all stages by that matrix."""
-        n, m = self.system.n_v, self.system.n_lam
-        stages, levels = len(self.tab.c), self.eq.levels
-
-        # rows of all stages: balance, then the constraints level by level, then efforts
-        cuts = cuts_of(low.shape[1], n, m, self.eq.n_mult - levels * m)
-        below = np.concatenate([low[:, i:j].ravel() for i, j in pairwise(cuts)])
-        change, by_level = pencil.solve(kin.reshape(1, -1), below[None])
-        dxi, dv = change.reshape(2, stages, n)
-        of_joints = by_level[0, : stages * levels * m].reshape(levels, stages, m).swapaxes(0, 1).reshape(stages, -1)
-        return dxi, dv, np.concatenate((of_joints, by_level[0, stages * levels * m :].reshape(stages, -1)), axis=1)
+        return self.eq.whole_pencil(tangents, self.tab.W / h, self.judge)
 
     def _stages(self, h: float, xi: Array, v: Array, mult: Array) -> Points:
         W = self.tab.W / h

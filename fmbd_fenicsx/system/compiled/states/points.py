@@ -33,6 +33,10 @@ class PointsTold(NamedTuple):
         """G v + g_t, likewise."""
         return self.slips
 
+    def balance(self, a: Array, lam: Array) -> Array:
+        """That of the accelerations and multipliers that were asked for."""
+        return self.sums
+
 
 class LocalPoints:
     """The answers for one system; ``states``: whose driver it is."""

@@ -59,6 +59,7 @@ class StageStructure:
         across, self._across = G.transposed()
         self.normal = Product(couplings.masses, across)
         self.turned = Product(self.low, couplings.turns, within=self.low)
+        self.turned_rows = Product(G, couplings.turns, within=G)
         self.crossed = Product(self.low, self.normal.pattern)
         # rows that depend on each other are softened on the diagonal, where those of mu have entries
         own = n + np.arange(m if count else 0)
@@ -126,6 +127,11 @@ class StageStructure:
     def _pairs(self, product: Product) -> ctypes.Structure:
         places = (self._address(x) for x in (product.a, product.b, product.to))
         return ProductPairs(len(product.to), *places)
+
+    @property
+    def first(self) -> int:
+        """The first of the levels."""
+        return self.levels[0] if self.levels else 0
 
     @property
     def frozen_at(self) -> int | None:

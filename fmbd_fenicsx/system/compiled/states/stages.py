@@ -102,7 +102,7 @@ class StageRoom(PointRoom):
         c = self.c = Stages(
             n=n, m=m, size=size, levels=len(structure.levels), frequencies=p, points=k, entries=entries,
             pulls=structure.pulls, frozen=structure.frozen_at,
-            first=structure.levels[0] if structure.levels else 0,
+            first=structure.first,
             start=address_of(structure.start), row=address_of(structure.row), order=address_of(structure.order), relax=1.0,
         )  # fmt: skip
 
