@@ -211,6 +211,10 @@ class MixedField(Field):
         """B where the field is linearised; the caller destroys it."""
         return self._B.copy()
 
+    def coupling_at_rest(self) -> Any:
+        """B of the body without stress, None where no damping asks for it; the caller destroys it."""
+        return None if self._unstressed_B is None else self._unstressed_B.copy()
+
     @property
     def compliance_factor(self) -> Any:
         """The factor of C as PETSc's matrix, which the field keeps."""
@@ -245,6 +249,11 @@ class MixedField(Field):
         self._p.x.array[: self.n_pressure] = p
         self._p.x.scatter_forward()
 
+    @property
+    def pressure_array(self) -> Array:
+        """The same where it stands, not a copy, with ghosts behind them: for compiled code."""
+        return self._p.x.array  # type: ignore[no-any-return]
+
     def stiffness(self, U: Array) -> Array:
         """A U + B^T C^-1 B U, (n d,); with a pressure of its own A U of the stress-free body: what stiffness_damping acts by."""
         return self._times(self._unstressed, U) if self.carried else self._with_volume(self.K, self._B, U)
@@ -263,6 +272,16 @@ class MixedField(Field):
         volume = np.array(self._bu.array)
         return self._times(A, U) + volume
 
+    def stiffness_at(self, U: Array, into: Any = None) -> Any:
+        """As :meth:`Field.stiffness_at`; with a pressure of its own A, of the body without pressure."""
+        held = self._p.x.array.copy()
+        if self.carried:
+            self._p.x.array[:] = 0.0
+        into = super().stiffness_at(U, into)
+        if self.carried:
+            self._p.x.array[:] = held
+        return into
+
     def stress_form(self, u: Any, v: Any) -> tuple[Any, Any]:
         """Work of the stress of u and of its pressure on grad v, and the pressure."""
         import ufl
@@ -280,10 +299,7 @@ class MixedField(Field):
         """[cm M + ck A, ck B^T; ck B, -ck C] as one PETSc matrix (aij); collective. The caller destroys it."""
         from petsc4py import PETSc
 
-        if self.carried:
-            E = super().combination(cm, ck + cd * self.forms.stiffness_damping, cd if self.D is not None else 0.0)
-        else:
-            E = super().combination(cm, ck, cd)
+        E = super().combination(cm, ck, cd)
         # bordered by displacement and pressure: [E, ck B^T; ck B, -ck C]
         B, C = self._B.copy(), self._C.copy()
         B.scale(ck)

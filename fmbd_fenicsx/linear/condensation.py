@@ -161,6 +161,7 @@ class StepSolver:
     def _driver_prepares(self, ev: Evaluation, weights: Weights, *, keep: bool, apart: bool) -> bool:
         """Whether the matrix is the driver's, which makes it where it is not there to be kept."""
         driver, contacts = self.driver, self.system.contacts is not None
+        turned = contacts or any(part.field.carried for _, part in self.system.fields)  # for whom turns solutions
         if driver is None:
             return False
         if keep and contacts and driver.ready:
@@ -170,7 +171,7 @@ class StepSolver:
         self.weights = weights
         self._look, self._held, self.blocks = False, None, driver.blocks
         self.core.factorisations += driver.new_factors()
-        self.corotations = self._turned(ev) if contacts else []
+        self.corotations = self._turned(ev) if turned else []
         return True
 
     def look_for_dependent_rows(self, ev: Evaluation) -> None:

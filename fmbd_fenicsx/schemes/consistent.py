@@ -149,14 +149,14 @@ def _does_not_fit(system: System, t: float, g: Array) -> ConstraintError:
 
 def accelerations(system: System, state: State, solver: StepSolver) -> State:
     """Accelerations and multipliers of a consistent (q, v), the third of (1); collective."""
-    driver = solver.driver
+    kept = [k for k, part in system.fields if part.field.keeps_volume]  # whose pressures belong to the accelerations
+    driver = None if kept else solver.driver
     found = None if driver is None else driver.accelerations(state.t, state.q, state.v)
     if found is not None:
         return State(state.t, state.q, state.v, *found)
 
     ev = system.at(state.t, state.q, state.v)
     h = ev.balance(np.zeros(system.n_v))
-    kept = [k for k, part in system.fields if part.field.keeps_volume]
     ev.take_tangents(kept)
     solver.prepare(ev, MASS)
     held = kept_volumes(solver)

@@ -52,7 +52,7 @@ class FieldMatrix:
         ck = w.ck
         damped = field.D is not None
 
-        if field.carried or field.rest_damping is not None:  # by a matrix of its own, see combination
+        if field.rest_damping is not None:  # by a matrix of its own, see combination
             damped |= forms.stiffness_damping > 0
         else:
             ck += w.cd * forms.stiffness_damping

@@ -29,6 +29,9 @@ PART void field_answers(System *s, const Body *o);
 PART int field_load(System *s, const Body *o, double scale, double t);
 PART void field_increment(System *s, const Body *o, double *x);
 PART void field_without_load(const Body *o);
+PART void close_volume(const Body *o);
+PART void move_pressure(const Body *o, const double *x);
+PART void keep_pressure(const Body *o, int back);
 PART void field_sway(System *s, const Body *o, const double *R, const double *x);
 PART void field_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out);
 

@@ -143,15 +143,16 @@ typedef struct {
 } Integral;
 
 /* The pressure of a field, C p = b with b = B U, or of integrals at p = 0: unknowns behind the displacements of its factor,
-   E = [E, B^T; B, -C]; see pressure.c. */
+   E = [E, B^T; B, -C]; or an unknown beside U, with a balance of its own; see pressure.c. */
 typedef struct {
     long n;
     int *B_start, *B_column, *C_start, *C_column; /* by rows of the pressure */
-    double *B, *C;
-    double *b, *p;                     /* n each */
-    void **factor, *rhs, *solution;    /* of C; vectors on b and p */
-    int integrals;                     /* of the balance, where this is not linear */
+    double *B, *C, *B_rest;            /* B_rest: of the body without stress, NULL where no damping asks for it */
+    double *b, *x, *p;                 /* n each: C x = b; p, which is x where it follows U */
+    void **factor, *rhs, *solution;    /* of C; vectors on b and x */
+    int integrals, keeps_volume;       /* of the balance, where this is not linear; whether that is to have no part in p */
     Integral *integral;
+    double *gap, *began;               /* n each, NULL where p follows U: its balance; p where a step began */
 } Pressure;
 
 /* A matrix by rows of nodes, D x D blocks. */
@@ -210,8 +211,9 @@ typedef struct {
     NodeMatrix *damping[DAMPINGS];     /* C of a viscous form, and of the stiffness without stress; NULL without */
     int parts;                         /* 2 where factor and columns are complex: all but the real parts stands behind these */
     long wide;                         /* unknowns of the factor: n, and those of the pressure */
-    double *tangent, *elastic;         /* K of the factor; wide: of_stiffness z, one part */
-    double *asked, asked_at;           /* U, U', R and the time (s) of the last forces that Python told without those of inertia: */
+    double *tangent, *elastic, *left, *more; /* K of the factor; wide, of one part: of_stiffness z, E z - b; the change of */
+    void *residual, *change;           /* z that it asks for, NULL but with an unknown pressure, and vectors on both */
+    double *asked, asked_at;           /* U, U', R, p and the time (s) of the last forces that were found without those of inertia: */
     double *held_force, *held_sums;    /* n; TWIST, rows of the frame in body axes */
     Pressure *pressure;                /* NULL without */
 } Field;

@@ -168,7 +168,7 @@ class Tables(TableLayout):
         counts, lists = self._lists()
 
         parts = [field.part for field in self.fields]
-        known: list[Any] = [*self.items, *self.rods, *self.listening.listeners]
+        known: list[Any] = [*self.items, *self.rods, *self.listening.listeners, *self.fields]
         self.c = structure("System", self.dim)(
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
             rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,

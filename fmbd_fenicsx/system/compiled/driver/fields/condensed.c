@@ -103,13 +103,14 @@ static void scaled(const Field *e, int part, const double *c, long count, double
     for (long i = 0; e->parts > 1 && i < count; i++) x[i] += across * other[i];
 }
 
-/* The square of one part of the residual E z - b, by nodes and by the rows of a pressure. */
-static double residual_of(const Field *e, int part)
+/* One part of the residual E z - b, by nodes and by the rows of a pressure. */
+static void take_residual(const Field *e, int part)
 {
     const NodeMatrix K = {e->K_start, e->K_column, e->tangent};
     const double *b = e->b + part * e->wide;
-    double *x = e->elastic, *r = e->accel, square = 0.0;
-    for (long i = 0; i < e->n; i++) r[i] = -b[i];
+    double *x = e->elastic, *r = e->left;
+    memset(r, 0, e->wide * sizeof(double));
+    add(r, -1.0, b, e->n);
     scaled(e, part, e->of_mass, e->n, x);
     for (long i = 0; i < e->nodes; i++)
         for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++) add(r + D * i, e->M[k], x + D * e->M_column[k], D);
@@ -121,10 +122,8 @@ static double residual_of(const Field *e, int part)
     if (!e->by_component) {
         scaled(e, part, e->of_stiffness, e->wide, x);
         blocks_times(e->nodes, &K, x, x, 0.0, r);
-        if (e->pressure) square = pressure_residual(e->pressure, x, x + e->n, r);
+        if (e->pressure) pressure_residual(e->pressure, x, x + e->n, r, r + e->n);
     }
-    for (long i = 0; i < e->n; i++) square += r[i] * r[i];
-    return square;
 }
 
 /* z = (of_mass M)^-1 b, one component after another; 1 where there is none. */
@@ -142,8 +141,15 @@ static int by_components(const Field *e)
 static int by_factor(const Field *e)
 {
     if (e->by_component) return by_components(e);
-    if (e->parts == 1) return e->direct(*e->factor, e->rhs, e->solution);
-    symmetric_solve(*e->factor, e->b, e->z);
+    if (e->parts > 1) {
+        symmetric_solve(*e->factor, e->b, e->z);
+        return 0;
+    }
+    if (e->direct(*e->factor, e->rhs, e->solution)) return 1;
+    if (!e->more) return 0;
+    take_residual(e, 0); /* once more: pressures answer to what is left of volumes with the bulk modulus */
+    if (e->direct(*e->factor, e->residual, e->change)) return 1;
+    add(e->z, -1.0, e->more, e->wide);
     return 0;
 }
 
@@ -154,7 +160,8 @@ static int solved_here(const Field *e)
     if (!e->factor || !*e->factor || by_factor(e)) return 0;
     for (int part = 0; part < e->parts; part++) {
         const double *b = e->b + part * e->wide;
-        residual += residual_of(e, part);
+        take_residual(e, part);
+        residual += long_dot(e->left, e->left, e->wide);
         scale += long_dot(b, b, e->n);
     }
     residual = sqrt(scale > 0.0 ? residual / scale : residual);

@@ -72,11 +72,12 @@ static void mass_times(const Field *e, const double *A, double *F)
 static int held_force(System *s, const Body *o, const double *R, const Motion *m, double t)
 {
     Field *e = o->field;
-    const double *known[] = {m->U, m->Ud, R};
-    const long sizes[] = {e->n, e->n, D * D};
+    const Pressure *unknown = e->pressure && e->pressure->gap ? e->pressure : NULL;
+    const double *known[] = {m->U, m->Ud, R, unknown ? unknown->p : NULL};
+    const long sizes[] = {e->n, e->n, D * D, unknown ? unknown->n : 0};
     double *asked = e->asked;
     int same = e->asked_at == t, verdict;
-    for (int i = 0; i < 3; asked += sizes[i++]) {
+    for (int i = 0; i < 3 + !!unknown; asked += sizes[i++]) {
         same = same && !memcmp(asked, known[i], sizes[i] * sizeof(double));
         if (!same) memcpy(asked, known[i], sizes[i] * sizeof(double));
     }
@@ -175,6 +176,8 @@ void frame_conditions(System *s, const Body *o, const double *lam)
 }
 
 #include "fields/condensed.c"
+
+#include "fields/volumes.c"
 
 /* Kinetic, elastic and potential energy of weight, added to out. */
 static void linear_energies(const Body *o, const double *R, const Motion *m, const double *gravity, double *out)

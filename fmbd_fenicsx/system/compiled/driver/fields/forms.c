@@ -39,7 +39,7 @@ static void stiffness_times(const Field *e, const double *U, const double *Ud, d
 {
     const NodeMatrix K = {e->K_start, e->K_column, e->K};
     blocks_times(e->nodes, &K, U, Ud, beta, F);
-    if (e->pressure) pressure_force(e, U, Ud, beta, F);
+    if (e->pressure) pressure_force(e, e->pressure->B, U, Ud, beta, F);
 }
 
 /* R^T of the mean rotation R of a body, by sum (M X) x^T, x = X + U. 1 where there is none. */
@@ -52,7 +52,8 @@ static int mean_turn(const Field *e, const double *U, double *turn)
     return polar(F, turn, Z);
 }
 
-/* F += beta R K R^T U' by the stiffness K without stress, R the mean rotation of the body. NEWTON where it has none. */
+/* F += beta R K R^T U' by the stiffness K without stress, with the pressure that follows it, R the mean rotation of the body. NEWTON
+   where it has none. */
 static int add_rest_damping(const Field *e, const double *U, const double *Ud, double *F)
 {
     const NodeMatrix K = {e->K_start, e->K_column, e->K};
@@ -62,6 +63,7 @@ static int add_rest_damping(const Field *e, const double *U, const double *Ud, d
     for (long i = 0; i < e->n; i += D) times(turn, Ud + i, rates + i);
     memset(force, 0, e->n * sizeof(double));
     blocks_times(e->nodes, &K, rates, rates, 0.0, force);
+    if (e->pressure && e->pressure->B_rest) pressure_force(e, e->pressure->B_rest, rates, rates, 0.0, force);
     for (long i = 0; i < e->n; i += D) {
         transposed(turn, force + i, world);
         add(F + i, e->beta, world, D);
@@ -69,15 +71,29 @@ static int add_rest_damping(const Field *e, const double *U, const double *Ud, d
     return DONE;
 }
 
+/* dPi/dp at U and p */
+static void pressure_balance(const Pressure *o, const double *U, double *balance)
+{
+    const double *moving[FROM] = {U, NULL, o->p};
+    memset(balance, 0, o->n * sizeof(double));
+    for (int i = 0; i < o->integrals; i++) add_integral(o->integral + i, moving, balance);
+}
+
 /* The pressure that the law gives for U; no numbers where it is not found. */
 static void take_pressure(const Field *e, const double *U)
 {
     const Pressure *o = e->pressure;
-    const double *moving[FROM] = {U, NULL, o->p};
     memset(o->p, 0, o->n * sizeof(double));
-    memset(o->b, 0, o->n * sizeof(double));
-    for (int i = 0; i < o->integrals; i++) add_integral(o->integral + i, moving, o->b);
+    pressure_balance(o, U, o->b);
     solve_pressure(e);
+}
+
+/* How far volumes are open at U, where the pressure is an unknown. */
+static void open_volume(const Pressure *o, const double *U)
+{
+    pressure_balance(o, U, o->gap);
+    for (long i = 0; o->keeps_volume && i < o->n; i++)
+        for (int k = o->C_start[i]; k < o->C_start[i + 1]; k++) o->gap[i] += o->C[k] * o->p[o->C_column[k]];
 }
 
 /* F += forces that are linear in rates, but for those of the stiffness. */
@@ -103,7 +119,8 @@ static void mean_material_force(const Field *e, const double *U, const double *U
 static int material_force(const Field *e, const double *U, const double *Ud, double *F)
 {
     const double *moving[FROM] = {U, Ud, e->pressure ? e->pressure->p : NULL};
-    if (e->integrals && e->pressure) take_pressure(e, U);
+    if (e->pressure && e->pressure->gap) open_volume(e->pressure, U);
+    else if (e->integrals && e->pressure) take_pressure(e, U);
     drag_force(e, Ud, F);
     for (int i = 0; i < e->integrals; i++) add_integral(e->integral + i, moving, F);
     if (!e->integrals) stiffness_times(e, U, Ud, e->beta, F);

@@ -107,6 +107,13 @@ static int one_step(System *s, int scheme, double *p, double *room, double **rin
     return verdict;
 }
 
+/* Keep pressures that are unknowns where a step begins, or take them ``back``. */
+static void keep_pressures(const System *s, int back)
+{
+    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
+        if (o->field) keep_pressure(o, back);
+}
+
 /* Up to ``steps`` steps, as march() makes them. */
 static long march_on(System *s, int scheme, double *p, double *room, long steps, double **ring, int *verdict, Tape *tape,
                      Control *control, Closed *closed)
@@ -115,7 +122,11 @@ static long march_on(System *s, int scheme, double *p, double *room, long steps,
     *verdict = DONE;
     for (long made = 0; made < steps;) {
         int due = tape && tape->left == 1, recorded = due || (tape && tape->crossings);
-        if ((*verdict = one_step(s, scheme, p, room, ring, &watch, recorded))) return made;
+        keep_pressures(s, 0);
+        if ((*verdict = one_step(s, scheme, p, room, ring, &watch, recorded))) {
+            keep_pressures(s, 1);
+            return made;
+        }
         if (tape) tape->left = due ? tape->every : tape->left - 1;
         turn_ring(ring, p);
         made++;

@@ -186,12 +186,17 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     return verdict;
 }
 
-/* The newest increment of the iteration. */
+/* The newest increment of the iteration; pressures that are unknowns move along. */
 static int solve(System *s, AlphaStep *k)
 {
+    const Body *const end = s->body + (s->fields ? s->bodies : 0);
+    for (const Body *o = s->body; o < end; o++)
+        if (o->field) close_volume(o);
     int verdict = k->stable ? stabilised(s, k->scale, k->damp, k->x, k->closing, k->y, k->none, k->t)
                             : increment(s, k->scale, k->x, k->y, k->t);
     if (verdict) return verdict;
+    for (const Body *o = s->body; o < end; o++)
+        if (o->field) move_pressure(o, k->x);
 
     /* the best tangent that there is comes first; multipliers found anew are no increments */
     if (s->redundant && k->done == 0) forget(&k->told);

@@ -114,7 +114,7 @@ def _formed(part: Any) -> Formed | None:
     field = part.field
     if not field.nonlinear:
         return []
-    if (field.mixed and field.forms.stiffness_damping) or (field.loads.moving and not isinstance(part, RestingField)):
+    if field.loads.moving and not isinstance(part, RestingField):
         return None
     law = field.viscous.law is not None
     forms = [(None, field.residual_form)] + ([(None, field.viscous.residual_form)] if law else [])

@@ -162,6 +162,8 @@ class FieldTable:
         motion, _, local = self.motion.at(t)
         told = self.part.force if self.whole else self.part.held_force
         self.sums[:], self.force[: self.part.n] = told(motion, local)
+        if self.part.field.carried:
+            self.gap[:] = self.part.field.volume_gap(local[0])
 
     def mean_forces(self, t: float) -> None:
         """Forces on the nodes over a step about t (s), its frame at rest; or their integrals from now on, where C knows them."""
@@ -214,7 +216,7 @@ class FieldTable:
         n = self.part.n
         arrays = {
             **self._columns_of_ports(), "X": field.X, "MX": field.mass(field.X), "T": np.eye(d),
-            "asked": np.zeros(2 * n + d * d), "held_force": np.zeros(n), "held_sums": np.zeros(tables.twist),
+            "asked": np.zeros(n + self.wide + d * d), "held_force": np.zeros(n), "held_sums": np.zeros(tables.twist),
             **{name: np.zeros(self.parts * self.count) for name in ("p", "rates", "pz", "rest", "f", "h")},
             **{name: np.zeros(n) for name in ("accel", "MU")},
         }  # fmt: skip
@@ -238,7 +240,7 @@ class FieldTable:
             **{name: address for name, (_, address) in of_tangent.items()},
             **{name: store.integers(x) if x.dtype == np.int32 else store.address(x) for name, x in arrays.items()},
             **{name: store.shared(x) for name, x in self.matrices.of_nodes().items()},
-            **self._stiffening(), **self.forces_in_c.members(),
+            **self._residual(), **self._stiffening(), **self.forces_in_c.members(),
         )  # fmt: skip
         self._lend()
         self.sway(True)
@@ -252,26 +254,46 @@ class FieldTable:
         self.vectors += made
         return [x.handle for x in made]
 
+    def _residual(self) -> dict[str, int]:
+        """Room for the residual of a solution, and for the change that it asks for where the pressure is an unknown."""
+        (left, at_left), (more, at_more) = (self.tables.store.array(np.zeros(self.wide)) for _ in range(2))
+        if not self.part.field.carried or self.parts > 1:
+            return {"left": at_left}
+        residual, change = self._vectors(left, more)
+        return {"left": at_left, "more": at_more, "residual": residual, "change": change}
+
     def _pressure(self) -> int | None:
         """The structure Pressure of a field that has one."""
         if not self.part.field.mixed:
             return None
         field, store = self.part.field, self.tables.store
-        (b, at_b), (p, at_p) = (store.array(np.zeros(field.n_pressure)) for _ in range(2))
-        rhs, solution = self._vectors(b, p)
+        (b, at_b), (x, at_x), (gap, at_gap) = (store.array(np.zeros(field.n_pressure)) for _ in range(3))
+        rhs, solution = self._vectors(b, x)
+        unknown = {}
+        if field.carried:  # C moves that of the field itself
+            self.gap = gap
+            unknown = {"gap": at_gap, "began": store.address(np.zeros(field.n_pressure))}
         rows = {name: store.shared(x) for name, x in self.matrices.of_pressure().items()}
         factor = store.array([field.compliance_factor.handle], np.uint64)[1]
         made = structure("Pressure", self.tables.dim)(
             n=field.n_pressure,
             b=at_b,
-            p=at_p,
+            x=at_x,
+            p=address_of(field.pressure_array) if field.carried else at_x,
             factor=factor,
             rhs=rhs,
             solution=solution,
+            keeps_volume=int(field.keeps_volume),
+            **unknown,
             **rows,
             **self.forces_in_c.of_pressure(),
         )
         return store.structure(made)
+
+    @property
+    def remembers(self) -> int:
+        """Whether forces depend on more than a state: on a pressure that is an unknown."""
+        return int(self.part.field.carried)
 
     def sway(self, corrected: bool) -> None:
         """Whether solutions correct moments on the frame that columns of inertia leave out, see ``driver/fields/condensed.c``."""
@@ -375,6 +397,6 @@ def _parts(c: complex) -> tuple[float, float]:
 
 def known_field(part: Any) -> bool:
     """Whether the driver takes a part with a field, floating or at rest: on one rank, of moderate size."""
-    if type(part) not in (FloatingField, RestingField):
+    if type(part) not in (FloatingField, RestingField) or (part.field.carried and address_of_solve() is None):
         return False
-    return part.comm.size == 1 and part.n <= FIELD_LIMIT and not part.field.carried  # type: ignore[no-any-return]
+    return part.comm.size == 1 and part.n <= FIELD_LIMIT  # type: ignore[no-any-return]
