@@ -128,8 +128,10 @@ class ContactStep:
         raise NotImplementedError
 
     def renew(self) -> bool:
-        """A new tangent where the last increment began; whether there is one."""
+        """A new tangent where the last increment began, without fields where the next one does; whether there is one."""
         renewed = self.p.solver.refresh(self.ev, apart=self._apart)
+        if not self.p.system.fields:
+            self._prepared, renewed = False, True
         if renewed:
             self.contact.renew()
         return renewed

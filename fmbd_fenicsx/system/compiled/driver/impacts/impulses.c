@@ -2,7 +2,7 @@
 
 static const double ADDED = 1e-9, CLOSE = 1e-10, NARROW = 1e-12; /* as in restitution.py */
 static const double SHARPLY = 1e-4; /* of the tolerance: what iterations leave of velocities */
-enum { TRIED = 40 };
+enum { TRIED = 40, NEW_MATRICES = 10 }; /* matrices anew: as many as schemes/newton.py takes tangents in a step */
 
 /* The turns of all bodies in the place of those that compliances were found at, and back. */
 static void swap_turns(System *s, Contacts *c)
@@ -142,7 +142,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
     c->all.m = m;
     c->rough = SHARPLY * p[TOL] * speed;
     double *vm = s->work, *xi = vm + s->nv, *x = xi + s->nv, *y = x + s->nv, sizes[MOST], left = 0.0;
-    int done = 0, verdict, converged = 0;
+    int done = 0, verdict, converged = 0, anew = 0, matrices = 0;
 
     memcpy(out.v, now.v, s->nv * sizeof(double));
     /* of dependent rows the smallest multipliers are found from none */
@@ -156,7 +156,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         }
         configuration(s, now.q, xi, out.q);
         if ((verdict = evaluate_iterate(s, done, out.q, vm, out.a, out.lam, middle))) return verdict;
-        if (!done || (s->stiff && (s->bridged || other_slopes(s, 0.5 * h, 0.25 * h * h)))) {
+        if (!done || anew || (s->stiff && (s->bridged || other_slopes(s, 0.5 * h, 0.25 * h * h)))) {
             if ((verdict = prepare(s, out.q, 0.5 * h, 0.25 * h * h, now.lam, 0, middle))) return verdict;
             if (m) own_compliance(s, c, m);
         }
@@ -191,6 +191,13 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         converged = judge(p, sizes, done, &left);
         if (s->bridged && sizes[done - 1] < INFINITY) converged = 0;
         if (s->redundant && done == 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
+        /* stresses of the first iterate, where the matrix is from, may be far from those of the middle */
+        anew = sizes[done - 1] < INFINITY && matrices < NEW_MATRICES && lingers(p, done, left);
+        if (anew) {
+            matrices++;
+            converged = 0;
+            p[THETA] = 0.1;
+        }
         if (converged < 0) return NEWTON;
     }
     p[ITERATIONS] += done;
