@@ -186,9 +186,11 @@ def test_twelve_systems(name: str, scheme: str) -> None:
     agree(name, scheme, TWELVE[1:])
 
 
-@pytest.mark.parametrize("build", [scenes.carriage, partial(scenes.strip, kind="floating")])
+@pytest.mark.parametrize("build", [scenes.controlled, scenes.carriage, partial(scenes.strip, kind="floating")])
 def test_modes_about_an_equilibrium(build: Build) -> None:
-    """Differences of velocities measure with a time of the scene, gaps of a given state with its length."""
+    """Differences of velocities measure with a time of the scene, gaps of a given state with its length, readings of
+    controllers with both.
+    """
     found = []
     for sizes in ((1.0, 1.0, 1.0), (1e6, 1e15, 1e6)):
         u = Units(*sizes)

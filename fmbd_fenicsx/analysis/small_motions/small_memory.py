@@ -23,8 +23,8 @@ from ...system.element_memory import memories, restore
 from ...system.system import System
 from .perturbation import SHIFT, SIDES, Perturbation
 
-STEP = 1e-6  # of a difference along a memory, over max(1, its size)
-STILL = 1e-6  # rate of a memory at rest, over max(1, its size) and the slowest time
+STEP = 1e-6  # of a difference along a memory, over its size
+STILL = 1e-6  # rate of a memory at rest, over its size and the slowest time
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def small_memory(about: Perturbation, V: Array) -> SmallMemory | None:
     system, s = about.system, about.state
     if not memory_size(system):
         return None
-    steps = STEP * np.maximum(1.0, np.abs(_values(system)))
+    steps = STEP * np.concatenate([_sizes(elements) for elements in system.keepers])
     forces = [_pushed(about, x) for x in np.diag(steps)]
 
     # numbers that move nothing are left out
@@ -110,7 +110,7 @@ def refuse_moving_memory(about: Perturbation, shift: float) -> None:
             continue
         rates = elements.memory_rates(system.at(s.t, s.q, s.v), s.t)
         # what changes much within a period, and moves something
-        fast = np.abs(rates) > STILL * np.maximum(1.0, np.abs(values)) * np.sqrt(shift)
+        fast = np.abs(rates) > STILL * _sizes(elements) * np.sqrt(shift)
         if fast.any() and any(system.max_abs(_pushed(about, x)) > 0.0 for x in _steps(system, elements)):
             raise InputError(
                 f'The scene is not in equilibrium at this state: the memory of "{_name(elements)}" changes with '
@@ -136,13 +136,15 @@ def _steps(system: System, of: Any) -> Iterator[Array]:
         values = elements.memory_values()
         for k in range(len(values) if elements is of else 0):
             step = np.zeros(size)
-            step[at + k] = STEP * max(1.0, abs(float(values[k])))
+            step[at + k] = STEP * _sizes(of)[k]
             yield step
         at += len(values)
 
 
-def _values(system: System) -> Array:
-    return np.concatenate([elements.memory_values() for elements in system.keepers])
+def _sizes(elements: Any) -> Array:
+    """What the numbers that some elements remember are measured by, (m,): the largest of them, 1 where all are zero."""
+    values = elements.memory_values()
+    return np.full(len(values), np.abs(values).max(initial=0.0) or 1.0)
 
 
 def _pushed(about: Perturbation, step: Array) -> Array:

@@ -38,7 +38,7 @@ from .load_steps import LoadSteps
 from .rotors import check_steady
 from .stability import falling
 from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps, relax
-from .time_scales import long_step
+from .time_scales import PENDULUM, long_step
 
 FAR = 0.1  # displacement, over the model's length, from which on another equilibrium may be as near
 ASIDE = 0.1  # displacement along a motion that may be free, over the model's length
@@ -126,7 +126,7 @@ def equilibrium(
             _check_drives(newton.residual, given.q, t)
             point = _with_controllers(newton, StaticPoint(given.q, np.zeros(system.n_lam)), t, path)
             made = None if path is None else path.trace(newton, point, t)
-            _check_given_speeds(newton.residual, point.q, t)
+            _check_given_speeds(newton, point.q, t)
             check_steady(newton, point if made is None else made.points[-1], t if made is None else made.parameter[-1])
             if made is None:
                 _tell_roundoff(newton, point, t, given)
@@ -202,14 +202,14 @@ def _check_drives(residual: Residual, q: Array, t: float) -> None:
         )
 
 
-def _check_given_speeds(residual: Residual, q: Array, t: float) -> None:
+def _check_given_speeds(newton: StaticNewton, q: Array, t: float) -> None:
     """Refuse constraints that give a speed to bodies at rest: rows on velocities take no part in an equilibrium."""
-    system = residual.system
+    system = newton.residual.system
     rows = speed_rows(system)
-    if not rows.size or isinstance(residual.spin, Spin):
+    if not rows.size or isinstance(newton.residual.spin, Spin):
         return
     given = np.abs(system.at(t, q, np.zeros(system.n_v)).constraint_rate()[rows])
-    if given.max() > 1e-9 * system.length:  # m/s
+    if given.max() > 1e-9 * system.length / newton.tau:
         row = rows[int(given.argmax())]
         name = system.block_of(row).name
         raise InputError(
@@ -302,7 +302,7 @@ def _found(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
 
 def _downhill(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint:
     """The equilibrium by descent; with contact, whose increments descend anyway, from the same start with a shorter step."""
-    slow = _slow(newton.residual.system, t)
+    slow = _slow(newton, t)
     if descends(newton):
         return descend(newton, start, t)
     if newton.residual.system.contacts is None:
@@ -344,10 +344,11 @@ def _falls(newton: StaticNewton, point: StaticPoint, t: float) -> Array | None:
     return falling(about, newton)
 
 
-def _slow(system: System, t: float) -> float:
-    """Half the time unit of a pendulum of the model's length, s."""
+def _slow(newton: StaticNewton, t: float) -> float:
+    """Half the time unit of a pendulum of the model's length, s; without weight that of what moves the scene."""
+    system = newton.residual.system
     pull = float(np.abs(system.gravity(t)).max(initial=0.0))
-    return 0.5 * float(np.sqrt(system.length / (pull or 1.0)))
+    return 0.5 * (float(np.sqrt(system.length / pull)) if pull else newton.tau / PENDULUM)
 
 
 def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriumError) -> str:

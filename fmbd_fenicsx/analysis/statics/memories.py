@@ -138,9 +138,15 @@ def steady(newton: StaticNewton, start: StaticPoint, t: float, keeping: list[Con
 
 
 def _noise(loads: ControlLoads, kin: Kinematics, t: float) -> float:
-    """How far roundoff of its readings moves the efforts of a controller over the long step, its memory going along."""
+    """How far roundoff of its readings moves the efforts of a controller over the long step, its memory going along.
+
+    Rates have none: they are zero.
+    """
     readings = loads.read(kin)
-    spans = [np.full(r.size, 1.0 if r.sensor.unit in ("rad", "-") else loads.length) for r in loads.readings]
+    of = {"rad": 1.0, "-": 1.0}
+    spans = [
+        np.full(r.size, 0.0 if "/s" in r.sensor.unit else of.get(r.sensor.unit, loads.length)) for r in loads.readings
+    ]
     slopes = np.abs(loads.slopes(t, readings)) * np.concatenate([np.zeros(0), *spans])
     return ROUNDOFF * float(slopes.max(initial=0.0))
 

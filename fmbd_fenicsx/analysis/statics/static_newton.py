@@ -44,7 +44,7 @@ GOLDEN = 0.6180339887498949
 NOTHING = 1e-14  # such increments, over the model's length, that are roundoff of places
 ASIDE = 1e-13  # of the model's length, by which residuals are compared
 UNSEEN = 1e-9  # of a displacement, by which P^-1 may answer to roundoff
-SHORTEST_STEP = 1e-4  # of the preconditioner, s, over the root of the model's length
+SHORTEST_STEP = 3e-5  # of the preconditioner, over the first one
 
 Pair = tuple[Array, Array]
 Found = TypeVar("Found")
@@ -75,8 +75,10 @@ class StaticNewton:
     tangent_iterations: int = 0
     slow: bool = field(default=False, init=False)  # whether the newest one was found with inertia beside the tangent
     weights: Weights = field(init=False)
+    least: float = field(init=False)
 
     def __post_init__(self) -> None:
+        self.least = SHORTEST_STEP * self.tau
         self.weights = Weights(1.0 / self.tau**2, 0.0, 1.0)
 
     def last_at_most(self, tau: float) -> None:
@@ -89,12 +91,11 @@ class StaticNewton:
 
         A thin body by itself is held by its inertia alone: more of it holds what no joint holds.
         """
-        least = SHORTEST_STEP * float(np.sqrt(self.residual.system.length))
         while True:
             try:
                 return make()
             except LinearSolveError:
-                if not self.tau >= least:  # what is no number is not above it either
+                if not self.tau >= self.least:  # what is no number is not above it either
                     raise
                 self.last_at_most(self.tau / 3.0)
 

@@ -87,7 +87,7 @@ class Modes:
     def damping(self) -> Array:
         """Damping ratios -Re l / |l|, (n,); 0 for l = 0."""
         size = np.abs(self.eigenvalues)
-        return np.where(size > 0, -self.eigenvalues.real / np.where(size > 0, size, 1.0), 0.0)
+        return np.where(size > 0, -self.eigenvalues.real / np.where(size > 0, size, 1.0), 0.0) + 0.0  # and no -0
 
     @property
     def growth(self) -> Array:
