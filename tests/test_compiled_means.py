@@ -125,3 +125,28 @@ def test_laws_are_asked_once_for_a_step_and_once_for_all_points() -> None:
     assert stepper.newton.iterations > 1
     assert sum(abs(t - 0.015) < 1e-12 for t in times) == 1 and len(times) <= 4
     assert (3, 4) in shapes
+
+
+@compiled
+def test_steps_that_turn_bodies_far_stay_in_compiled_code() -> None:
+    """Increments tell what the matrix of the middle leaves out of a turn of half a radian: a free top under a torque."""
+    asked: list[float] = []
+
+    def twist(t: float) -> tuple[float, float, float]:
+        asked.append(t)
+        return 0.0, 0.3 * np.cos(t), 0.1
+
+    scene = fmbd.Scene("top")
+    top = fmbd.RigidBody("top", 1.0, (0.1, 0.2, 0.25), angular_velocity=(2.0, 5.0, 1.0))
+    scene.add(top, fmbd.torque("twist", top, twist))
+    system, state, _ = scene.build()
+    use_driver(system)
+    stepper = stepper_of(system, state)
+    stepper.advance(0.1)
+    asked.clear()
+    stepper.newton.iterations = 0
+    for _ in range(20):
+        stepper.advance(0.1)
+    assert stepper._used is not None and stepper.age.apart is False
+    assert stepper.newton.iterations < 9 * 20
+    assert len(asked) < 5 * 20

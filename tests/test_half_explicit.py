@@ -121,6 +121,21 @@ def test_laws_of_time_are_asked_once_at_each_end_of_a_stage() -> None:
     assert len(asked) < 12 * 50
 
 
+def test_laws_of_the_state_are_asked_twice_a_stage() -> None:
+    """Increments of a balance that is linear in accelerations and multipliers leave nothing of it, up to the last one."""
+    asked: list[float] = []
+
+    def law(s: float, rate: float, t: float) -> float:
+        asked.append(t)
+        return 2.0 * s + 0.1 * rate
+
+    scene, _ = chain(2, "sprung")
+    scene.add(fmbd.joint_spring("spring", fmbd.angle(next(iter(scene.joints.values()))), law=law))
+    run = fmbd.solve(scene, t_end=0.5, dt=0.01, scheme=fmbd.HalfExplicit(None), output=fmbd.Output(every=50))
+    assert run.counters["solves"] > 5 * 4 * 50
+    assert len(asked) < 13 * 50
+
+
 @pytest.mark.parametrize("rtol", [None, 1e-6])
 def test_a_body_that_is_held_has_roundoff_for_accelerations(rtol: float | None) -> None:
     """Its springs and its weight are carried, with steps of any length."""

@@ -17,8 +17,9 @@ order in q, v and lambda: accelerations and multipliers of a state are solved fo
 step. No damping at high frequencies, so the multipliers of stiff systems oscillate.
 
 Usual steps are one call of C (driver/onestep/mean.c): Newton's iteration with the matrix M + h D / 2 + h^2 K / 4 of the
-middle, fields with the tangent of an earlier state, turned with the body. Where that does not serve, as where steps turn bodies
-far, one iteration solves for the core, the ports p = H^T u of the fields and lambda together. With the tangent J_f of a field,
+middle, fields with the tangent of an earlier state, turned with the body; increments tell what it leaves out, as the turn of
+bodies over a step (driver/onestep/secants.c). Where that does not serve, one iteration solves for the core, the ports
+p = H^T u of the fields and lambda together. With the tangent J_f of a field,
 its residual r_f, z = J_f^-1 r_f and W = H^T J_f^-1 H, and forces P(a, p, lambda) of joints and springs on the ports,
 
     [ dR_c  ]          [ R_c   ]

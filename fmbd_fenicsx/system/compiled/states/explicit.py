@@ -194,22 +194,18 @@ class ExplicitStates:
         One call takes the arrays as they are; of several each takes its own rows. ``factors``: a matrix of its own, in place of
         the one that is held.
         """
-        states, calls = self.states, self.states.calls
+        states = self.states
         if states.taken:
             return False
         if factors:
             states.factor.hold(None)
-        if states.recalls:
-            states.tables.recall()
 
         given = [None if x is None else np.ascontiguousarray(x) for x in arrays]  # alive until C is done
         at = iter(addresses_of([x for x in given if x is not None]))
         starts = [(None, 0) if x is None else (next(at), x.strides[0]) for x in given]
 
-        verdicts = []
+        answered = True
         for i, each in enumerate(numbers):
             places = [None if start is None else start + i * stride for start, stride in starts]
-            verdicts.append(function(states.address, *each, *places, self.place))
-        if calls.error is not None or calls.asked:
-            calls.raise_error()
-        return not any(verdicts)
+            answered &= states.ask(function, *each, *places, self.place)
+        return answered

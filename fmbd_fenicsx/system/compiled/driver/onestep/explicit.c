@@ -277,13 +277,14 @@ static int sample_both(System *s, const double *times)
 }
 
 /* a and lambda, which begin as a guess, by Newton's iteration with the matrix at q: to the tolerance by the parameters p of a
-   march, or (NULL) to roundoff. ``solves`` counts. ``room``: 2 nv + 2 rows + nq. */
+   march, or (NULL) to roundoff. Of a balance that is linear in both an increment leaves nothing: it is evaluated once more at the
+   end. ``solves`` counts. ``room``: 2 nv + 2 rows + nq. */
 static int solve_stage(System *s, const Stage *o, double *p, double *a, double *lam, long *solves, double *room)
 {
     double *x = room, *speeds = x + s->nv, *y = speeds + s->nv, *open = y + s->rows, *moved = open + s->rows;
     double last = INFINITY, left = 0.0, sizes[MOST];
     double nothing = fmax(o->nothing, SPEEDS * largest_of(s->units, o->known, s->nv) / o->c);
-    int verdict, most = p ? (int)fmin(p[MAXIT], MOST) : HALF;
+    int verdict, most = p ? (int)fmin(p[MAXIT], MOST) : HALF, linear = !p && !s->fields && o->b == 0.0;
 
     if (s->redundant) memset(lam, 0, s->rows * sizeof(double)); /* the smallest follow from none */
     if ((verdict = sample_both(s, o->times))) return verdict;
@@ -294,10 +295,12 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
         if (verdict) return verdict;
         memcpy(speeds, o->v, s->nv * sizeof(double));
         add(speeds, o->b, a, s->nv);
-        if ((verdict = evaluate(s, o->q, speeds, a, lam, o->times[0]))) return verdict;
+        const int balanced = k && linear;
+        verdict = balanced ? place(s, o->q, speeds) : evaluate(s, o->q, speeds, a, lam, o->times[0]);
+        if (verdict) return verdict;
         if (k == 0 && !o->factored && (verdict = prepare(s, o->q, o->damp, 0.0, lam, 0, o->times[0]))) return verdict;
 
-        for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
+        for (int i = 0; i < s->nu; i++) s->b[i] = balanced ? 0.0 : -s->residual[i];
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -open[i] / o->c;
         if ((verdict = with_all_rows(s, 1.0, x, y, o->times[0]))) return verdict;
         add(a, 1.0, x, s->nv);
@@ -312,11 +315,12 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
             if (s->fields && lingers(p, k + 1, left)) return NEWTON; /* new tangents are Python's */
         } else ended = at_roundoff(size, last, fmax(largest_of(s->units, a, s->nv), 1e-300), nothing);
         if (ended < 0) return NEWTON;
-        if (ended) {
+        if (ended && !balanced) {
             if (p) p[LEFT] += left;
             return DONE;
         }
-        last = size;
+        if (ended) linear = 0;
+        last = ended ? INFINITY : size;
     }
     return NEWTON;
 }

@@ -4,7 +4,7 @@
 
 static const double GAUSS[3] = {0.5 - 0.3872983346207417, 0.5, 0.5 + 0.3872983346207417}, SHARES[3] = {5.0 / 18, 4.0 / 9, 5.0 / 18};
 enum { MATRICES = 2 };                  /* of a step at most */
-enum { PATIENT = 8 };                   /* increments of a scene with fields that are cheaper than new tangents */
+enum { PATIENT = 8 };                   /* increments that are cheaper than new tangents */
 static const double ASTRAY = 10.0, FAR_AWAY = 0.2; /* accelerations, of their size, and ways, of the length, that lead to other solutions */
 static const double UNMOVED = 1e-6; /* as in mechanics/joints/relative.py */
 static const double KEPT = 1e-13;   /* of the length, that rows may leave of g_1 - g_0 */
@@ -42,7 +42,7 @@ static long mean_maps(const System *s)
 EXPORT long driver_mean_room(const System *s)
 {
     long frames = FRAME * (s->bodies + 1 + s->surfaces);
-    long pairs = s->fields ? (2 * PAIRS + 3) * (2 * s->nv + s->rows) : 0;
+    long pairs = (2 * PAIRS + 3) * (2 * s->nv + s->rows);
     return 2 * (frames + mean_maps(s) + sample_size(s)) + 8 * mean_coordinates(s) + 3 * s->nq + 7 * s->nv + 4 * s->rows + pairs;
 }
 
@@ -277,7 +277,7 @@ static int mean_over(const double *sizes, int done, double rate, const double *e
     return done > 1 && last <= e[ENOUGH] && rate <= e[SLOW_RATE] && fmax(rate, e[FASTEST]) * last <= e[NONE];
 }
 
-/* Whether a scene with fields would take more increments than new tangents are worth. */
+/* Whether it would take more increments than new tangents are worth. */
 static int mean_lingers(const Secants *told, const double *sizes, int done, const double *e)
 {
     if (done < 3) return 0;
@@ -321,7 +321,7 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
         }
         anew = slow = 0;
         if ((verdict = mean_increment(s, &o, factored, gap, x, y))) return verdict;
-        if (s->fields) improve(s, &told, x, NULL, y);
+        if (!k || sizes[k - 1] > e[NOISE]) improve(s, &told, x, NULL, y);
 
         sizes[k] = mean_size(s, x) / e[LARGEST];
         if (!(sizes[k] < INFINITY)) return NEWTON;
@@ -346,7 +346,7 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
             memcpy(v, o.v, s->nv * sizeof(double));
             return DONE;
         }
-        anew = slow = turned ? 0 : s->fields ? mean_lingers(&told, sizes + since, k + 1 - since, e) : rate > e[SLOW_RATE] && sizes[k] > e[NOISE];
+        anew = slow = !turned && mean_lingers(&told, sizes + since, k + 1 - since, e);
         if (anew) since = k + 1;
     }
     return NEWTON;
