@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from test_driver import compiled, joint_springs, suspended
 from test_steps_one_by_one import driven_rod, named
+from tolerance_scenes import swinging_rod
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import FmbdError
@@ -389,6 +390,16 @@ def test_steps_that_their_error_refuses_stay_in_compiled_code(
     failed = once.counters["rejections"] - once.counters["rejected: error estimate"]
     assert sum(marches) == once.counters["steps"] - 1 - failed
     assert once.state.q == pytest.approx(turn.state.q, rel=1e-9, abs=scheme.rtol if kinked else 1e-10)
+
+
+@compiled
+def test_steps_whose_iteration_fails_are_made_smaller_in_compiled_code(marches: list[int]) -> None:
+    """Those of a rod that swings were made by NumPy, each in the time of fifty."""
+    run = fmbd.solve(swinging_rod(2), t_end=0.6, scheme=fmbd.Radau(3, rtol=1e-4))
+    assert run.counters["rejections"] - run.counters["rejected: error estimate"] > 2
+    assert sum(marches) == run.counters["steps"] - 1  # the first
+    fine = fmbd.solve(swinging_rod(2), t_end=0.6, scheme=fmbd.Radau(3, rtol=1e-6))
+    assert run["tip"][-1] == pytest.approx(fine["tip"][-1], abs=1e-4)
 
 
 @compiled

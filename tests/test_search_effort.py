@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from dae_problems import pendulum
 from tolerance_more import MORE, copper_arm, springs_in_millimetres
+from tolerance_scenes import CASES
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, PartsError
@@ -119,3 +120,51 @@ def test_an_attempt_whose_error_nobody_told_tells_none(monkeypatch: pytest.Monke
     )
     assert not untold.errors
     assert told.orders["x"] == pytest.approx(2.0, abs=0.1)  # nan where 50 alone told it
+
+
+@pytest.mark.parametrize(("tol", "steps"), [(2e-2, [50]), (5e-3, [50])])
+def test_errors_in_space_come_first_where_bodies_touch(
+    tol: float, steps: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a bar on its way to a wall and back misses by its mesh leaves room for what it misses by its steps, or so little that
+    meshes are refined: no run with half the step was of use, which took longer than the rest.
+    """
+    made: list[int] = []
+    again = shared_runs.again
+
+    def noted(problem: Any, schedule: Any, count: int, *rest: Any) -> Any:
+        made.append(count)
+        return again(problem, schedule, count, *rest)
+
+    monkeypatch.setattr(shared_runs, "again", noted)
+    case = CASES["bar on the wall and back"]
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(tol), output=fmbd.Output(progress=False))
+    assert run.history[-1].then == "done" and made == steps
+
+
+def test_loads_are_asked_once_at_a_time() -> None:
+    """Ends of steps, between which jumps are looked for, are among the instants at which loads that come are."""
+    asked: list[float] = []
+    scene = springs_in_millimetres()
+    scene.add(fmbd.force("noted", scene.bodies["block 0"], lambda t: (asked.append(t), (np.sin(3.0 * t), 0.0))[1]))
+    plan = tolerance._first(scene, None, 2.0, None)
+    shared = shared_spaces.SharedSpaces(None, None, 25)
+    shared.ahead(scene)
+    asked.clear()
+    next_attempt.jumps_before(plan, shared)
+    assert 200 < len(asked) < 260 and len(asked) - len(set(asked)) < 5
+
+
+def test_spaces_are_compared_by_looser_runs_where_these_have_clearly_fewer_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """34 steps in place of 41 of a rod cost as much, and their own error was stated with that in space: ten times the truth."""
+    made: list[float] = []
+    like = shared_runs.SharedRuns.like
+    noted = lambda self, run, scene: (made.append(run.scheme.rtol), like(self, run, scene))[1]  # noqa: E731
+    monkeypatch.setattr(shared_runs.SharedRuns, "like", noted)
+    case = CASES["rod, Radau"]
+    run = fmbd.solve(
+        case.scene(), t_end=case.t_end, tol=case.tol(1e-2), output=fmbd.Output(progress=False), **case.settings
+    )
+    assert made == [1e-4] and run.certificate["tip"].space < 1.5e-5

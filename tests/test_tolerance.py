@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,10 +13,11 @@ import pytest
 from dae_problems import pendulum
 from tolerance_more import MORE
 from tolerance_scenes import CASES, MESHES, TIMES, check
+from ufl.domain import extract_unique_domain
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError, PartsError
-from fmbd_fenicsx.materials import neo_hookean
+from fmbd_fenicsx.materials import linear_elastic, neo_hookean
 from fmbd_fenicsx.run import single_run
 from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps
 from fmbd_fenicsx.run.accuracy.certificate import moving
@@ -532,6 +534,34 @@ def test_looks_end_where_finer_meshes_do_not_help() -> None:
     assert looked((0, 2.0 * first.over)) is not None
     assert looked((0, first.over)) is None
     assert not called
+
+
+@pytest.mark.parametrize(("most", "level"), [(10, 1), (40, 3)])
+def test_meshes_that_a_form_refuses_leave_the_best_run(most: int, level: int) -> None:
+    """Before the first run, whose spaces are finer than those given, and behind one; what refuses those given is wrong."""
+    run = fmbd.solve(few_cells(most), t_end=0.3, tol={"tip": 1e-5}, output=fmbd.Output(progress=False))
+    assert run.history[-1].meshes == level and run.certificate["tip"].sum < 2e-3
+    assert re.search(r"meshes of level \d are refused: .* cells are too many", run.history[-1].then)
+    with pytest.raises(InputError, match="cells are too many"):
+        fmbd.solve(few_cells(1), t_end=0.3, tol={"tip": 1e-5})
+
+
+def few_cells(most: int) -> fmbd.Scene:
+    """A soft rod on a pin, with a form on so many cells at most."""
+    law = linear_elastic(1e6, 0.3)
+
+    def elastic(u: Any, *given: Any) -> Any:
+        cells = extract_unique_domain(u).ufl_cargo().topology.index_map(2).size_local
+        if cells > most:
+            raise ValueError(f"{cells} cells are too many")
+        return law(u, *given)
+
+    mesh = fmbd.read_gmsh(MESHES / "rod.py", dim=2, h=0.5, height=0.1)
+    rod = fmbd.FloatingBody("rod", mesh, degree=1, density=1000.0, elastic=elastic)
+    scene = fmbd.Scene("few cells", gravity=(0.0, -9.81), gravity_ramp=0.4)
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+    return scene
 
 
 def test_advice_is_that_of_the_run_that_is_kept(caplog: pytest.LogCaptureFixture) -> None:

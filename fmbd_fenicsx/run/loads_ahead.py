@@ -90,7 +90,9 @@ def loads_ahead(
     jumps = () if system.fields else jumps_in_time(held, all_along(schedule))  # of fields it costs as much as steps
     found = set(jumps)
     if schedule.steps:
-        most, even = within * schedule.span / schedule.steps, max(2 * schedule.steps, LOOKED_AT)
+        most = within * schedule.span / schedule.steps
+        parts = max(round(LOOKED_AT / schedule.steps), 2)  # of steps, at whose ends jumps were looked for
+        even = parts * schedule.steps
         for x in _all_comings(scene, held, schedule, even, by_names=bool(system.fields)):
             if x.goes and x.end - x.begin < most and not any(x.begin <= t <= x.end for t in jumps):
                 found.update(jumps_in_time(held, [np.array(x.times)]) or x.times)

@@ -6,6 +6,7 @@ A step that fails in another way than by its error is made by Python from the sa
 from __future__ import annotations
 
 import ctypes
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,6 +24,8 @@ class OwnMarch(MarchingStepper):
     """A scheme with constant steps, or (``adaptive``) with steps of the sizes that its error control chooses."""
 
     passes_marks = True
+    # why compiled code makes a step smaller, beside its error (FAILING of own_steps.c)
+    failures: ClassVar[tuple[str, ...]] = ("Newton diverged", "Newton too slow", "turns too far")
     adaptive: bool
     norm: ErrorNorm
     stats: Statistics
@@ -91,7 +94,7 @@ class OwnMarch(MarchingStepper):
         own.lend(norm.q_size, norm.v_size, norm.deflections)
         own.pass_by(self.ends[:-1])
         own.c.until, own.c.longest, own.c.tiny = self._end(limit), min(self.longest, self.longest_stable), control.tiny
-        own.c.worst, own.c.refused, own.c.failed = 0.0, 0.0, 0.0
+        own.c.worst, own.c.refused, own.c.failed[:] = 0.0, 0.0, [0.0] * len(own.c.failed)
         own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for
         self._used.parameters[CHOSEN] = True
 
@@ -100,6 +103,6 @@ class OwnMarch(MarchingStepper):
         norm = self.norm
         norm.q_size, norm.v_size, norm.deflections = own.told()
         self.local_error = float(own.c.worst)
-        for cause, count in (("error estimate", own.c.refused), ("constraints not closed", own.c.failed)):
+        for cause, count in (("error estimate", own.c.refused), *zip(self.failures, own.c.failed, strict=False)):
             if count:
                 self.stats.rejected[cause] += int(count)

@@ -8,7 +8,7 @@ halves of an interval with a jump one holds nearly all of the change, however of
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,15 +32,21 @@ AT_ONCE = 2e6  # numbers of an evaluation at many instants
 
 @dataclass(frozen=True)
 class HeldState:
-    """Forces, and rates that drives prescribe, as functions of time alone: those of a system with a state held."""
+    """Forces, and rates that drives prescribe, as functions of time alone: those of a system with a state held, ``known`` at the
+    times (s) that were asked for.
+    """
 
     system: System
     state: State
+    known: dict[float, Array] = field(default_factory=dict)
 
     def rows(self, times: Array) -> Array:
         """All of them at given times (s) as forces, speeds and accelerations, (n,) -> (n, rows); collective."""
-        pieces = np.array_split(times, 1 + int(len(times) * len(self.state.v) / AT_ONCE))
-        return np.concatenate([self._rows(t) for t in pieces])
+        asked = np.array([t for t in times.tolist() if t not in self.known])
+        pieces = np.array_split(asked, 1 + int(len(asked) * len(self.state.v) / AT_ONCE))
+        for piece in pieces if len(asked) else ():
+            self.known.update(zip(piece.tolist(), self._rows(piece), strict=True))
+        return np.array([self.known[t] for t in times.tolist()])
 
     def _rows(self, times: Array) -> Array:
         system = self.system

@@ -56,6 +56,7 @@ class ExplicitStepper(OwnMarch):
     """Advances a consistent state. A method says how a step is made (:meth:`_step`), and how it amplifies vibrations."""
 
     what = "The scheme"  # in messages
+    failures = ("constraints not closed",)
     embedded: ClassVar[Array]  # weights of slopes in formulas of the error, (formulas, stages)
     _slopes: Array = np.zeros(0)  # what the last step has left for its polynomial
 
@@ -152,7 +153,7 @@ class ExplicitStepper(OwnMarch):
         self.stats.steps += made
         own, attempts = None if self._lent is None else self._lent.own, made
         if own is not None:
-            attempts += int(own.c.refused + own.c.failed)
+            attempts += int(own.c.refused + sum(own.c.failed))
             self._take_own(own, made)
             self.control.fault = ""
             self._take_control(march.ring.own())

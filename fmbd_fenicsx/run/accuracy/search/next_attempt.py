@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....errors import InputError
+from ....errors import InputError, require
 from ....log import log
 from ....schemes.declared import Declared
 from ....schemes.error_norm import FINEST
@@ -74,7 +74,8 @@ class AttemptPlan:
 
     ``steps``: their number, a multiple of ``grain``; 0 for schemes with error control. ``known``: errors that need no new
     estimate. ``orders``: of time, seen with other spaces. ``before``: level of the meshes and error in space over the
-    tolerance of the attempt before they were refined last. ``below``: the scene with the meshes of each level below.
+    tolerance of the attempt before they were refined last. ``below``: the scene with the meshes of each level below. ``finest``:
+    why there are none finer.
     """
 
     scene: Scene
@@ -87,6 +88,7 @@ class AttemptPlan:
     orders: Orders = field(default_factory=Orders)
     before: tuple[int, float] | None = None
     below: tuple[Scene, ...] = ()
+    finest: str = ""
 
     @property
     def steps(self) -> int:
@@ -119,6 +121,14 @@ def beginning(plan: AttemptPlan) -> AttemptPlan:
         except InputError:
             break
     return replace(plan, scene=scenes[-1], meshes=len(scenes) - 1, below=tuple(scenes[:-1]))
+
+
+def on_coarser_meshes(plan: AttemptPlan, error: InputError) -> AttemptPlan:
+    """The plan on the level below, where its own meshes are refused by an ``error``, as those that a form has no value on."""
+    scene, why = plan.below[-1], f"meshes of level {plan.meshes} are refused: {error}"
+    return replace(
+        plan, scene=scene, below=plan.below[:-1], meshes=plan.meshes - 1, known=Known(), before=None, finest=why
+    )
 
 
 def space_first(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, wanted: Output) -> Looked | None:
@@ -326,7 +336,8 @@ def _limits(over: Mapping[str, float]) -> dict[str, float]:
 
 
 def _finer_meshes(plan: AttemptPlan, over: float, limit: float, shared: SharedSpaces) -> AttemptPlan:
-    """The plan with meshes refined as often as the rate seen so far asks for."""
+    """The plan with meshes refined as often as the rate seen so far asks for; raises InputError where that cannot be."""
+    require(not plan.finest, plan.finest)
     rate = expected_rate(plan.scene)
     if plan.before is not None and np.isfinite(plan.before[1]):
         rate = float(np.clip((plan.before[1] / over) ** (1.0 / (plan.meshes - plan.before[0])), 2.0, 16.0))

@@ -56,6 +56,7 @@ MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
 # times the room up to which an error that is told by chance is asked again, as it may be a tenth; and ratio of two such
 DOUBTED = 3.0
 BY_CHANCE = 0.2  # what an order is beyond that of the scheme where kinks may have made it
+PAYS = 1.5  # ratio of steps from which on spaces are compared by looser runs, whose own errors are told with theirs
 HALF_MORE = 1.5  # ratio of steps of the run with a smaller tolerance that is to tell an error
 
 
@@ -70,13 +71,15 @@ class Orders:
 @dataclass(frozen=True)
 class Allowed:
     """The ``share`` of the tolerance that errors take, and the ``room`` that there is for those of time. ``rough``: what else
-    depends on the steps of a run whose error is too large is asked again later. ``sensors``: those with a tolerance.
+    depends on the steps of a run whose error is too large is asked again later. ``sensors``: those with a tolerance. ``last``:
+    whether the run may be the last one, which other errors may forbid: about how large that of time is tells the next steps then.
     """
 
     sensors: tuple[str, ...]
     share: Callable[[dict[str, Deviation]], float]
     room: float
     rough: bool
+    last: bool = True
 
     def lets(self, errors: dict[str, Deviation]) -> bool:
         """Whether errors of time have that room."""
@@ -200,12 +203,13 @@ class SharedRuns:
         found = self._compared(solved, known, allowed)
         kinks = kinked(solved.run) or self._meet_kinks(solved, found, allowed.sensors)
         by_chance = kinks or found.unseen or not found.by_chance.isdisjoint(allowed.sensors)
-        doubted = by_chance and not found.halved and found.errors
+        doubted = by_chance and allowed.last and not found.halved and found.errors
         if doubted and allowed.share(found.errors) <= DOUBTED * allowed.room:
             found = self._by_half(solved, found)
         if not found.errors:
             self._untold.add(solved.compared.schedule.steps)
-        self._seen.update(known_orders(found))
+        if allowed.last:
+            self._seen.update(known_orders(found))
         return found
 
     def _meet_kinks(self, solved: Solved, found: TimeError, sensors: Sequence[str]) -> bool:
@@ -302,6 +306,9 @@ class SharedRuns:
         """
         given, orders = solved.compared, _expected(solved.problem)
         whole = compare_steps(orders, given, [coarser])
+        if not allowed.last:
+            halves = {n: 0.5 * p for n, p in orders.items()}
+            return replace(whole, errors=of_order(orders, given, coarser, 0.5), orders=halves, with_others=given)
         if allowed.rough and not allowed.lets(whole.errors):
             return replace(whole, with_others=coarser)
         apart = between(given.recorder, coarser.recorder, orders)
@@ -389,10 +396,10 @@ class SharedRuns:
             ratio = loose.scheme.rtol / problem.scheme.rtol
             powers = LEAST_POWER, usual_power(order)
             least, likely = (of_tolerances(apart, ratio**power, seen) for power in powers)
-            enough = allowed.lets(least)
+            enough, pays = allowed.lets(least), grew >= PAYS
             if not allowed.lets(likely) or (enough and not steps_meet_kinks(solved.run) and not astray(given, apart)):
-                return TimeError(likely, {}, loose)
-            follows = loose if enough else given
+                return TimeError(likely, {}, loose if pays else given)
+            follows = loose if enough and pays else given
 
         finer_by = max(HALF_MORE ** -(order + 1.0), TENTH)
         errors = tolerance_error(problem, given.recorder, given.schedule, instants=LOOKED_AT, finer_by=finer_by)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ....checks import number
-from ....errors import ConvergenceError, LinearSolveError
+from ....errors import ConvergenceError, InputError, LinearSolveError
 from ....log import log
 from ....notices import Withheld
 from ....schemes.declared import Declared, checked_scheme
@@ -37,6 +37,7 @@ from ..equal_steps import FEWEST, TimeError
 from ..estimates import warn_of_uncertain, with_damped
 from .next_attempt import (
     AttemptPlan,
+    Known,
     Looked,
     beginning,
     ending_at,
@@ -44,6 +45,7 @@ from .next_attempt import (
     jumps_before,
     jumps_within,
     next_plan,
+    on_coarser_meshes,
     space_first,
     space_limit,
 )
@@ -139,6 +141,14 @@ def _attempt(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, *, wanted:
                 found.why = f"a run failed: {error}"
                 break
             plan_next = finer_steps(_anew(plan), 0.25)
+        except InputError as error:
+            # what was given is as wrong as it says; what was made of it may be too fine for a form
+            if not plan.below:
+                raise
+            plan_next = on_coarser_meshes(plan, error)
+            if plan_next.meshes in found.levels:
+                found.why = plan_next.finest
+                break
         if plan_next is None:
             break
         plan = plan_next
@@ -152,9 +162,11 @@ class Search:
     best: tuple[float, Run] | None = None
     why: str = f"{ATTEMPTS} attempts were not enough"
     failed: int = 0  # runs that did not come to their end
+    levels: set[int] = field(default_factory=set)  # of the meshes of those that did
 
     def take(self, run: Run, ratio: float, plan: AttemptPlan) -> None:
         """A run of an attempt: better than the best so far, or a finer one that shows how little that knew of its error."""
+        self.levels.add(plan.meshes)
         refuted = False
         if self.best is not None and 1.0 < self.best[0] < ratio < np.inf:
             last = self.history[-1]
@@ -299,11 +311,17 @@ def _default(scene: Scene, t_end: float) -> Any:
 
 def _state_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> Orders:
     """The errors of a run that are not known yet, and the orders that were seen; collective."""
-    run, ended = solved.run, clock.perf_counter()
+    run, touches = solved.run, bool(plan.scene.contacts)
+    if touches:  # what tells the others has the steps of the run anyway, and how much room they leave is known then
+        _other_errors(plan, tol, shared, solved, solved.compared)
+        kinds = {k: x for k, x in run.deviations.items() if k in ("space", "modes")}
+        plan = replace(plan, known=Known(kinds, run.space_unstated))
+    ended = clock.perf_counter()
     found = _time_error(plan, tol, shared, solved)
     run.seconds["error estimate"] = clock.perf_counter() - ended
 
-    _other_errors(plan, tol, shared, solved, found.with_others)
+    if not touches:
+        _other_errors(plan, tol, shared, solved, found.with_others)
     fewest = found.with_others.schedule.steps
     return Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()
 
@@ -318,7 +336,8 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
         return largest_share(errors, spans, tol)
 
     room = WHOLE - _reserved(plan, shared, share_of) if plan.steps and not alone else SAFE if alone else WHOLE
-    allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked)
+    too_coarse = any(share_of(x) > AIM for x in plan.known.errors.values() if x)
+    allowed = Allowed(tuple(tol), share_of, room, rough=alone or looked, last=not too_coarse)
     found = shared.time_error(solved, plan.orders, allowed) if plan.steps else shared.tolerance_error(solved, allowed)
     if plan.steps:
         errors, run.damped = with_damped(found.errors, damped_vibrations(solved.problem, solved.compared.schedule))

@@ -275,7 +275,7 @@ static int own_bdf_step(System *s, double *p, Implicit *o, const Block *now, Blo
     OwnSteps *c = o->own;
     const Memories m = memories_at(o->stages, now->own), made = memories_at(o->stages, out.own);
     const double left = left_for(c, now);
-    Passing found = {*m.next, 0.0, 0, 0};
+    Passing found = {.proposed = *m.next};
     int verdict;
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
     if (fmin(*m.order + 1.0, c->orders->highest) > STABLE && c->orders->uses >= c->orders->most) return SIZE;

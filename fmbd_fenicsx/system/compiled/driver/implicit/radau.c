@@ -240,7 +240,7 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
     const double most = farthest_turn(s->bodies, c->turn, c->turning, now);
     const double *mult = collocation_at(s, g, now->own).mult + (g->points - 1) * (g->size - g->n);
     double *work = out.own;
-    int verdict;
+    int verdict, cause;
     for (;;) {
         if (!(p[H] = own_size(c, now, found->proposed, most))) return NEWTON;
         g->span = p[H];
@@ -248,8 +248,16 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
         take_sizes(s, c, &norm, now);
         do {
             verdict = stages_of_step(s, p, o, now, out);
-            if (!verdict && turn_too_far(s, c, g->points, g->xi)) verdict = NEWTON;
+            cause = o->convergence->outcome == TOO_SLOW ? IS_SLOW : DIVERGES;
+            if (!verdict && turn_too_far(s, c, g->points, g->xi)) {
+                verdict = NEWTON;
+                cause = TURNS_FAR;
+            }
         } while (tried_anew(o, verdict, work));
+        if ((verdict == NEWTON || verdict == SINGULAR) && failed_size(p[H], cause, found)) {
+            work[KNOWN] = 1.0; /* of this state */
+            continue;
+        }
         if (verdict || (verdict = own_error(s, o, p[H], now, mult, work, &found->error))) return verdict;
         if (found->error <= 1.0) return DONE;
 
@@ -266,7 +274,7 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
     OwnSteps *c = o->own;
     const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
     const double left = left_for(c, now);
-    Passing found = {last.control->next, 0.0, 0, 0};
+    Passing found = {.proposed = last.control->next};
     int verdict;
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
     const Norm norm = norm_of(o->stages);

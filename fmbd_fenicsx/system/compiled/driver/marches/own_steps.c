@@ -1,6 +1,9 @@
 /* Steps whose sizes error control chooses: where they end, the sizes of the norm of schemes/error_norm.py, and what follows a step that is
    refused. A step that fails in another way than by its error is made once more by Python, from the same beginning. */
 
+/* Why a try at a step has no end: its iteration diverges, is too slow, frames turn too far. */
+enum { DIVERGES, IS_SLOW, TURNS_FAR, FAILING };
+
 typedef struct OwnSteps {
     int index, places, deforming, patience; /* of the form; whether it holds places; bodies that deform; errors that refuse one step */
                                        /* before Python makes it */
@@ -15,7 +18,8 @@ typedef struct OwnSteps {
     const double *mark;                /* times on the way there that are hit, too, rising (s); how many, and how many were passed */
     int marks, passed;
     double ahead;                      /* the next of all these, s */
-    double worst, refused, failed;     /* of a march: the largest error, how many were too large, and how many steps had no end */
+    double worst, refused;             /* of a march: the largest error, and how many were too large */
+    double failed[FAILING];            /* how many tries at a step had no end, by cause */
     double order, shrink, grow, least; /* of the controller; least error that it remembers */
     double turning, most;              /* of Radau: steps are to turn by so much less; increments, twice */
     const double *error;               /* weights of slopes, or of Radau's stages, in the error */
@@ -23,10 +27,10 @@ typedef struct OwnSteps {
 } OwnSteps;
 
 /* A step on its way to one that passes: the size that is proposed, the error of the newest try over the tolerance, and how many such
-   errors have refused it so far, how often it had no end. */
+   errors have refused it so far, how often it had no end, and by cause. */
 typedef struct {
     double proposed, error;
-    int refused, failed;
+    int refused, failures, failed[FAILING];
 } Passing;
 
 static const double MISSED = 1e-14; /* share of a time by which a step may miss it */
@@ -63,12 +67,14 @@ static int refused_size(const OwnSteps *c, const Block *now, double h, double or
     return ++found->refused <= c->patience && found->error < INFINITY && next >= c->tiny && *now->t + 0.01 * next != *now->t;
 }
 
-/* Propose a size after one of which the iteration finds no end, twice: as rejected() of schemes/control.py; 0: Python has to say what is
-   wrong. */
-static int failed_size(double h, Passing *found)
+enum { FAILURES = 4 }; /* of one step that the iteration finds no end of, before Python makes it, which says what is wrong */
+
+/* Propose a size after such a failure; 0: Python has to make this step. */
+static int failed_size(double h, int cause, Passing *found)
 {
     found->proposed = 0.5 * h;
-    return ++found->failed <= 2;
+    found->failed[cause]++;
+    return ++found->failures <= FAILURES;
 }
 
 /* What the controller of a step keeps with its end: the size that it proposes, its own size (0: there is none), the error that it
@@ -88,7 +94,7 @@ static double accepted_size(const OwnSteps *c, const Controlled *last, Controlle
     if (last->before > 0.0) factor = fmin(factor, safety * (h / last->before) * pow(last->missed / (known * known), 1.0 / c->order));
     made->before = h;
     made->missed = fmax(known, c->least);
-    return h * fmin(fmax(factor, c->shrink), found->refused || found->failed ? 1.0 : c->grow);
+    return h * fmin(fmax(factor, c->shrink), found->refused || found->failures ? 1.0 : c->grow);
 }
 
 /* Take note of a step that has passed. */
@@ -96,7 +102,7 @@ static void note_passing(OwnSteps *c, const Passing *found)
 {
     c->worst = fmax(c->worst, found->error);
     c->refused += found->refused;
-    c->failed += found->failed;
+    for (int i = 0; i < FAILING; i++) c->failed[i] += found->failed[i];
 }
 
 /* The largest step of which ``turning`` together turn none of so many frames in space by more than ``turn`` (rad), as it moves now. */

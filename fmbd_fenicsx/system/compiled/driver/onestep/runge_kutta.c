@@ -140,7 +140,7 @@ static int passing_slopes(System *s, double *p, Explicit *o, const Method *metho
         if (!(p[H] = own_size(c, now, found->proposed, most))) return NEWTON;
         o->norm.h = p[H];
         take_sizes(s, c, &o->norm, now);
-        if ((verdict = where_stages_lead(s, p, o, method, now, e, out)) == NEWTON && failed_size(p[H], found)) continue;
+        if ((verdict = where_stages_lead(s, p, o, method, now, e, out)) == NEWTON && failed_size(p[H], DIVERGES, found)) continue;
         if (verdict) return verdict;
         if (turn_too_far(s, c, 1, e->xi)) return NEWTON;
         if ((verdict = method->error(s, o, p[H], e, out, &found->error))) return verdict;
@@ -155,7 +155,7 @@ static int own_explicit_step(System *s, double *p, Explicit *o, const Method *me
     OwnSteps *c = o->own;
     const Controlled *last = (const Controlled *)now->own;
     Controlled *made = (Controlled *)out.own;
-    Passing found = {last->next, 0.0, 0, 0};
+    Passing found = {.proposed = last->next};
     if (!(left_for(c, now) > 0.0) || *now->t > c->last) return SIZE;
     int verdict = passing_slopes(s, p, o, method, now, e, out, &found);
     if (verdict || (verdict = end_step(s, p, out, e->rest))) return verdict;
