@@ -11,7 +11,10 @@ from test_ranks import launch
 from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.analysis.small_motions.perturbation import Perturbation
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.system.compiled.choice import use_driver
+from fmbd_fenicsx.system.layout import State
 
 GRAVITY = 9.81
 
@@ -36,6 +39,34 @@ def test_hung_chain(dim: int) -> None:
     exact = np.sqrt(GRAVITY * np.polynomial.laguerre.lagroots([0] * 5 + [1]))
     assert np.abs(found.omega / exact - 1.0).max() < (1e-9 if dim == 2 else 1e-7)
     assert np.abs(found.damping).max() < 1e-9
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_motions_are_asked_for_together(driven: bool, monkeypatch: Any) -> None:
+    """M, C and K of all of them at once are those of one after the other, about a spin with dampers; modes ask for no others."""
+    scene = chain(3, 3)
+    scene.add(
+        fmbd.Spring("stay", fmbd.ground, scene.bodies["mass 2"], (1, 0, 0), stiffness=50.0, damping=3.0, length=1.0)
+    )
+    system, given, _ = scene.build()
+    if driven:
+        use_driver(system)
+    rng, n = np.random.default_rng(1), system.n_v
+    q, v, a, lam = (
+        system.compose(given.q, 0.01 * rng.normal(size=n)),
+        *rng.normal(size=(2, n)),
+        rng.normal(size=system.n_lam),
+    )
+    about = Perturbation(system, State(0.0, q, v, a, lam), fmbd.Spin(2.0, (0.0, 1.0, 0.0)), time=0.3)
+    motions = rng.normal(size=(4, n))
+    for found, one in zip(about.images(motions), (about.mass, about.damping, about.stiffness), strict=True):
+        each = np.array([one(y) for y in motions])
+        np.testing.assert_allclose(found, each, rtol=0, atol=1e-11 * np.abs(each).max())
+
+    hung = fmbd.equilibrium(scene)
+    for name in ("mass", "damping", "stiffness"):
+        monkeypatch.setattr(Perturbation, name, None)
+    fmbd.modes(scene, 3, at=hung)
 
 
 def two_masses(damping: float) -> fmbd.Scene:

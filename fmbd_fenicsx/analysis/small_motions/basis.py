@@ -20,6 +20,7 @@ from ...log import log
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
 from ...schemes.newton import ExactTangent
+from ...system.compiled.choice import use_driver
 from ...system.speed_rows import speed_rows
 from .perturbation import Perturbation
 from .small_memory import SmallMemory, small_memory
@@ -73,11 +74,10 @@ def projected(
     """
     system = about.system
     if not system.fields and system.n_core <= DENSE_LIMIT:
-        space = _Space(about)
-        for v in free_motions(about):
-            space.add(v)
-        made = space.projected()
-        made = replace(made, speeds=_speeds(about, made.vectors))
+        use_driver(system)
+        V = free_motions(about)
+        M, C, K = (V @ image.T for image in about.images(V))
+        made = ProjectedSystem(V, M, C, K, _speeds(about, V))
     else:
         made = _with_enough_inertia(
             about, solver, shift, lambda inverse: _krylov(_Space(about), inverse, count, inputs, enough)
@@ -150,6 +150,8 @@ class _Space:
 def _speeds(about: Perturbation, V: Array) -> tuple[Array, Array]:
     """G_s and P of the rows on velocities on a basis, (rows, k) each; rows scaled to one."""
     rows = speed_rows(about.system)
+    if not len(rows):
+        return np.zeros((0, len(V))), np.zeros((0, len(V)))
     G = np.array([about.rows(v)[rows] for v in V]).reshape(len(V), len(rows)).T
     P = np.array([about.slip(v) for v in V]).reshape(len(V), len(rows)).T
     size = np.maximum(np.linalg.norm(G, axis=1), 1e-300)[:, None]

@@ -66,19 +66,25 @@ class Perturbation:
         zero = np.zeros_like(y)
         return self._difference(y, (y, self.velocity(y, zero), self.acceleration(y, zero, zero)))
 
-    def stiffness_matrix(self, columns: Array) -> Array:
-        """K Y for columns Y (n_v, m), all states in one call; about a state at rest without contact."""
-        s, m = self.state, columns.shape[1]
-        h = np.array([self._step(y) for y in columns.T])
-        sides, weights = (np.array(x) for x in zip(*SIDES, strict=True))
-        steps = (np.outer(sides, h)[..., None] * columns.T).reshape(len(sides) * m, -1)
+    def images(self, motions: Array) -> tuple[Array, Array, Array]:
+        """M, C and K times each of some motions (m, n_v), as :meth:`mass` and the others; replicated coordinates only. All states
+        of one are evaluated together.
+        """
+        s, zero, v = self.state, np.zeros_like(motions), motions / self.time
+        sizes = np.array([self._step(y) for y in motions])
+        moved = motions, self.velocity(motions, zero), self.acceleration(motions, zero, zero)
+        turned = self._differences(sizes, moved)
+        damped = self._differences(sizes, (None, v, self.acceleration(zero, v, zero)))
 
-        # each column at all of its places
-        count = len(steps)
-        v, a, lam = (np.broadcast_to(x, (count, len(x))) for x in (s.v, s.a, s.lam))
-        ev = self.system.batch(np.full(count, s.t), self.system.compose(s.q, steps), v)
-        forces = ev.balance(a, lam).reshape(len(sides), m, -1)
-        return np.asarray((np.einsum("i,ijk->jk", weights, forces) / (12.0 * h)[:, None]).T)
+        q, v, lam = (np.broadcast_to(x, (len(motions), len(x))) for x in (s.q, s.v, s.lam))
+        pushed = self.system.batch(np.full(len(motions), s.t), q, v).balance(s.a + FAST * motions, lam)
+        return (pushed - self._balance) / FAST, self.time * damped, turned
+
+    def stiffness_matrix(self, columns: Array) -> Array:
+        """K Y for columns Y (n_v, m); as :meth:`images`."""
+        y, zero = columns.T, np.zeros_like(columns.T)
+        sizes = np.array([self._step(x) for x in y])
+        return self._differences(sizes, (y, self.velocity(y, zero), self.acceleration(y, zero, zero))).T
 
     def damping(self, rate: Array) -> Array:
         """C y', like v: dampers, gyroscopic terms."""
@@ -138,6 +144,23 @@ class Perturbation:
             total += weight * (ev.balance(s.a + e * a, s.lam) - (self._pushed(q) if y is not None else 0.0))
         return total / (12.0 * h)
 
+    def _differences(self, sizes: Array, moved: tuple[Array | None, Array, Array]) -> Array:
+        """The same for many increments (m, n_v) by differences of sizes (m,), all states in one call."""
+        s, (y, v, a) = self.state, moved
+        sides, weights = (np.array(x) for x in zip(*SIDES, strict=True))
+
+        # each at all of its places
+        steps = (np.outer(sides, sizes).ravel(), np.tile(np.arange(len(sizes)), len(sides)))
+        v, a = (x + steps[0][:, None] * change[steps[1]] for x, change in ((s.v, v), (s.a, a)))
+        count = len(v)
+        still = np.broadcast_to(s.q, (count, len(s.q)))
+        q = still if y is None else self.system.compose(s.q, steps[0][:, None] * y[steps[1]])
+        forces = self.system.batch(np.full(count, s.t), q, v).balance(a, np.broadcast_to(s.lam, (count, len(s.lam))))
+        if y is not None and self.closed is not None:
+            forces = forces - np.array([self._pushed(x) for x in q])
+        summed = np.einsum("i,ijk->jk", weights, forces.reshape(len(sides), len(sizes), -1))
+        return np.asarray(summed / (12.0 * sizes)[:, None])
+
     def slip(self, y: Array) -> Array:
         """P y for the rows on velocities."""
         rows = speed_rows(self.system)
@@ -166,22 +189,21 @@ class Perturbation:
         return np.zeros_like(x) if self.spin is None else x @ self.spin.matrix(self.system.motions.dim).T
 
     def _along(self, y: Array, rotations: Callable[..., Array], translations: Callable[[Array], Array]) -> Array:
-        """An array like v from translations and rotations of another; ``rotations`` gets the products W x, w x (body axes)."""
+        """Arrays (.., n_v) like v from translations and rotations of others; ``rotations`` gets W x and w x (body axes)."""
         s = self.system
-        d = s.motions.dim
-        n = s.motions.n_twist
+        d, n = s.motions.dim, s.motions.n_twist
         out = np.zeros_like(y)
         k = s.n_frames * n
-        twists = y[:k].reshape(-1, n)
-        made = np.zeros((s.n_frames, n))
-        made[:, :d] = translations(twists[:, :d])
+        twists = y[..., :k].reshape(*y.shape[:-1], -1, n)
+        made = np.zeros_like(twists)
+        made[..., :d] = translations(twists[..., :d])
 
         # rotations stand in body axes: W and w too
         if d == 3:
             own = self.state.v[:k].reshape(-1, n)[:, 3:]
             carried = self._carried
-            made[:, 3:] = rotations(twists[:, 3:], lambda x: np.cross(carried, x), lambda x: np.cross(own, x))
-        out[:k] = made.ravel()
+            made[..., 3:] = rotations(twists[..., 3:], lambda x: np.cross(carried, x), lambda x: np.cross(own, x))
+        out[..., :k] = made.reshape(*y.shape[:-1], k)
 
         for i, p in s.fields:
             if p.frame == s.n_frames:
