@@ -196,6 +196,47 @@ def test_velocities_of_nodes_without_inertia(body: str) -> None:
 
 
 # -- two bodies ----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("kind", "scheme"), [("rigid", fmbd.ContactAlpha(0.8)), ("elastic", fmbd.ContactMidpoint())])
+def test_a_block_slides_on_a_body_that_it_drags_along(kind: str, scheme: Any) -> None:
+    """125 kg at 1 m/s on 1000 kg at rest that may slide: u = 1 - mu g t and w = mu g t / 8 by Coulomb, equal at 0.302 s."""
+    law, mu, g = fmbd.materials.linear_elastic(1e7, 0.3), 0.3, 9.81
+
+    def block(
+        name: str, size: tuple[float, float], counts: tuple[int, int], at: tuple[float, float], speed: float
+    ) -> Any:
+        mesh = fmbd.read_gmsh(BLOCK, size=size, counts=counts, quads=True, origin=at)
+        return fmbd.AbsoluteBody(name, mesh, degree=1, density=1e3, elastic=law, velocity=(speed, 0.0))
+
+    scene = fmbd.Scene("drag", gravity=(0, -g))
+    upper = block("upper", (0.5, 0.25), (6, 3), (-0.25, 0.0), 1.0)
+    if kind == "elastic":
+        lower = block("lower", (4.0, 0.25), (20, 2), (-1.0, -0.25), 0.0)
+        scene.add(lower, fmbd.contact("floor", lower.surface("bottom"), fmbd.HalfSpace((0, -0.25), (0, 1))))
+        master, back = lower.surface("top"), lower.surface("left")
+    else:
+        back = cart = fmbd.RigidBody("cart", 1e3, 100.0)
+        scene.add(cart, fmbd.prismatic("rail", fmbd.ground, cart, axis=(1, 0)))
+        master = fmbd.Obstacle("top", fmbd.HalfSpace((0, 0), (0, 1)), on=cart)
+    rub = fmbd.contact("rub", upper.surface("bottom"), master, friction=mu)
+    scene.add(upper, rub)
+    scene.sensor("impulse", fmbd.contact_impulse(rub))
+    for name, place in (("upper", upper.surface("top")), ("lower", back)):
+        scene.sensor(name, fmbd.position(place))
+    run = fmbd.solve(scene, t_end=0.36, dt=2e-3, scheme=scheme)
+
+    t, (along, up) = 1 / (mu * g * 1.125), run["impulse"].T
+    momentum = run.system.at(run.state.t, run.state.q, run.state.v).momenta()[0]
+    assert momentum[0] == pytest.approx(125.0, rel=1e-9)
+    assert along[-1] == pytest.approx(-125.0 * mu * g * t, rel=1e-2) and up[-1] == pytest.approx(
+        125.0 * g * 0.36, rel=1e-2
+    )
+    if kind == "rigid":  # the plane stays as it is
+        assert (np.abs(np.diff(along)) <= mu * np.diff(up) * (1 + 1e-9) + 1e-9).all()
+    slip = (run["upper"] - run["lower"])[:, 0]
+    assert slip[-1] - slip[0] == pytest.approx(0.5 * t, rel=4e-2)
+    assert run.total_energy[-1] - run.total_energy[0] == pytest.approx(-62.5 / 1.125, rel=2e-2)
+
+
 def patch(dim: int, cells: tuple[int, int], degree: int = 1) -> np.ndarray:
     """Pressure between two blocks with different meshes under a uniform pressure of 10."""
     size, lift = ((1.0, 0.5), (0.0, 0.5)) if dim == 2 else ((1.0, 1.0, 0.5), (0.0, 0.0, 0.5))

@@ -217,3 +217,21 @@ def test_a_shape_alone_rests_in_the_world() -> None:
 
     plane = fmbd.HalfSpace((0, 0), (0, 1))
     assert np.array_equal(fall(plane), fall(fmbd.Obstacle("ground", plane)))
+
+
+def test_an_impact_on_a_floor_in_motion_is_that_on_one_at_rest() -> None:
+    """Seen from the floor: what steps do not resolve of it is taken back by the energy of motion there."""
+    mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.5), counts=(8, 4), quads=True, origin=(-0.5, 0.0))
+    law = fmbd.materials.linear_elastic(2e11, 0.3)
+
+    def impulse(u: float, w: float) -> np.ndarray:
+        body = fmbd.AbsoluteBody("block", mesh, degree=1, density=1e3, elastic=law, velocity=(0.3 + u, w - 1.0))
+        plane = fmbd.HalfSpace((0, -2.5e-5), (0, 1))
+        moving = fmbd.Obstacle("floor", plane, motion=lambda t: ((u * t, w * t), 0.0))
+        floor = fmbd.contact("floor", body.surface("bottom"), moving, friction=0.05)
+        scene = fmbd.Scene("impact")
+        scene.add(body, floor)
+        scene.sensor("impulse", fmbd.contact_impulse(floor))
+        return np.asarray(fmbd.solve(scene, t_end=2e-3, dt=2.5e-4, scheme=fmbd.ContactAlpha(0.8))["impulse"][-1])
+
+    np.testing.assert_allclose(impulse(3.0, -2.0), impulse(0.0, 0.0), rtol=1e-8)
