@@ -78,18 +78,20 @@ def test_consistent_mass_oscillates(caplog: pytest.LogCaptureFixture) -> None:
     assert energy.max() <= energy[0] * (1 + 1e-8)
 
 
-def test_steps_in_contact_ask_python_for_little() -> None:
+@pytest.mark.parametrize(("scheme", "friction", "most"), [(None, 0.0, 450), (fmbd.ContactAlpha(0.8), 0.3, 560)])
+def test_steps_in_contact_ask_python_for_little(scheme: Any, friction: float, most: int) -> None:
     """Calls of Python's functions a step, that of the sensors left out."""
     bar = strip(10)
-    wall = fmbd.contact("wall", bar.surface("left"), fmbd.Obstacle("wall", fmbd.HalfSpace((0, 0), (1, 0))))
+    wall = fmbd.contact("wall", bar.surface("left"), fmbd.HalfSpace((0, 0), (1, 0)), friction=friction)
     scene = fmbd.Scene("bar impact")
     scene.add(bar, wall)
 
     def calls(steps: int) -> int:
-        return calls_of(lambda: fmbd.solve(scene, t_end=0.05 * steps, dt=0.05, output=fmbd.Output(every=steps)))
+        output = fmbd.Output(every=steps)
+        return calls_of(lambda: fmbd.solve(scene, t_end=0.05 * steps, dt=0.05, scheme=scheme, output=output))
 
     calls(20)
-    assert calls(20) - calls(10) < 10 * 450
+    assert calls(20) - calls(10) < 10 * most
 
 
 def test_contact_alpha_damps_and_touches_alike() -> None:

@@ -79,6 +79,4 @@ def test_rows_on_nodes_are_a_sparse_matrix(d: int, single: bool) -> None:
         assert one.take(rows).matrix(n).toarray() == pytest.approx(full[rows], abs=1e-14)
     assert (one + two).times(w) == pytest.approx((full + other) @ w.ravel(), abs=1e-14)
     assert NodalRows.stacked([one, two]).matrix(n).toarray() == pytest.approx(np.concatenate((full, other)))
-    in_turn = np.stack((full, other), axis=1).reshape(10, -1)
-    assert NodalRows.in_turn([one, two]).matrix(n).toarray() == pytest.approx(in_turn)
     assert not NodalRows.none(5, d).times(w).any()

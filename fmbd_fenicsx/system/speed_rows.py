@@ -21,6 +21,8 @@ def gaps(ev: Evaluation, share: float) -> Array:
     """What an iteration on increments of q has to close, (n_lam,): g, and for rows on velocities their speed times ``share`` (s),
     the change of q over that of v.
     """
+    if not ev.system.n_lam:
+        return np.zeros(0)
     g = ev.constraint()
     rows = speed_rows(ev.system)
     if rows.size:

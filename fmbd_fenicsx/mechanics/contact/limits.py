@@ -86,19 +86,16 @@ class LimitPair(Pair):
         touch = self._place(here)
         one = np.ones(self.count)
         core, fields = self._row(contacts, here.evaluation)
-        factor = self.lever(system) * self.signs
-        N = LinearRows(factor[:, None] * core, tuple(_alike(factor, f) for f in fields))
-
         # without friction any rows serve as tangents: their forces are zero
-        tangents = (N,) * (system.motions.dim - 1) if contacts.frictional else ()
+        across = system.motions.dim - 1 if contacts.frictional else 0
+        factor = (self.lever(system) * self.signs).repeat(1 + across)
         return Rows(
             gap=touch.gap,
-            N=N,
-            tangents=tangents,
+            L=LinearRows(factor[:, None] * core, tuple(_alike(factor, f) for f in fields)),
             friction=0.0 * one,
             restitution=self.restitution * one,
             normal=touch.normal,
-            drift=np.zeros((self.count, len(tangents))),
+            drift=np.zeros((self.count, across)),
             trace=np.full(self.count, -1),
         )
 

@@ -30,7 +30,7 @@ from ...rotations import Array, Motions, cross3
 from .contact_set import Here
 from .obstacles import Way
 from .pair import Side, SomeRows, bodies_overlap
-from .rows import LinearRows, Rows, Touch, tangents_of
+from .rows import LinearRows, Rows, Touch, directions_of, in_turn
 from .trace import ContactTrace
 
 COVERED = 0.05  # a multiplier with less than this share of its weight in the overlap is left out
@@ -229,24 +229,20 @@ class MortarPair:
         """Candidates of this pair; collective."""
         contacts, touch, pairing = here.contacts, self.touch(here), self._ready(here)
         S, Q = pairing.slave, pairing.master
-        entries = (S.row, S.node, S.weight), (Q.row, Q.node, -Q.weight)
-
-        def linear(direction: Array) -> LinearRows:
-            made = contacts.blank(self.count)
-            for side, W in zip((self.slave, self.master), entries, strict=True):
-                contacts.add_nodes(made, side.trace, (W, direction), here.nodes(side.trace))
-            return LinearRows(made[0], tuple(made[1]))
-
-        directions = tangents_of(touch.normal) if contacts.frictional else []
+        e = directions_of(touch.normal, frictional=contacts.frictional)
+        c = e.shape[1]
+        core, field = contacts.blank(self.count * c)
+        for side, means, sign in ((self.slave, S, 1.0), (self.master, Q, -1.0)):
+            entries = in_turn(means.row, c), means.node.repeat(c), (sign * means.weight).repeat(c)
+            contacts.add_nodes((core, field), side.trace, (entries, e.reshape(-1, e.shape[2])), here.nodes(side.trace))
         one = np.ones(self.count)
         return Rows(
             gap=touch.gap,
-            N=linear(touch.normal),
-            tangents=tuple(linear(e) for e in directions),
+            L=LinearRows(core, tuple(field)),
             friction=self.friction * one,
             restitution=0.0 * one,
             normal=touch.normal,
-            drift=np.zeros((self.count, len(directions))),
+            drift=np.zeros((self.count, c - 1)),
             trace=np.full(self.count, self.slave.trace if self.slave.trace in contacts.on_fields else -1),
         )
 

@@ -38,26 +38,6 @@ class NodalRows:
             np.concatenate([p.value for p in parts]),
         )
 
-    @classmethod
-    def in_turn(cls, parts: Sequence[NodalRows]) -> NodalRows:
-        """The first row of each part, then the second ones, and so on."""
-        first, number = parts[0], len(parts)
-        if all(p.alike(first) for p in parts[1:]):
-            value = np.concatenate([p.value for p in parts], axis=1).reshape(-1, first.value.shape[1])
-            row = first.row[:, None] * number + np.arange(number)
-            return cls(number * first.count, row.ravel(), np.repeat(first.node, number), value)
-        return cls(
-            number * first.count,
-            np.concatenate([p.row * number + k for k, p in enumerate(parts)]),
-            np.concatenate([p.node for p in parts]),
-            np.concatenate([p.value for p in parts]),
-        )
-
-    def alike(self, other: NodalRows) -> bool:
-        """Whether both see the same nodes."""
-        same = self.row is other.row and self.node is other.node
-        return same or (np.array_equal(self.row, other.row) and np.array_equal(self.node, other.node))
-
     def __add__(self, other: NodalRows) -> NodalRows:
         return NodalRows(
             self.count,
@@ -68,6 +48,9 @@ class NodalRows:
 
     def take(self, rows: np.ndarray) -> NodalRows:
         """Some of the rows, by their numbers or by a mask."""
+        if self._single:
+            node = self.node[rows]
+            return NodalRows(len(node), np.arange(len(node)), node, self.value[rows])
         number = np.full(self.count, -1)
         chosen = number[rows].size
         number[rows] = np.arange(chosen)

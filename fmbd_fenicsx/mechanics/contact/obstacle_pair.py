@@ -12,7 +12,7 @@ from ..shapes import distances
 from .contact_set import Here
 from .obstacles import Way
 from .pair import Pair
-from .rows import LinearRows, Rows, Touch, tangents_of
+from .rows import LinearRows, Rows, Touch, directions_of, in_turn
 from .trace import ContactTrace, FieldTrace
 
 TOLD = 8  # times at which poses of moving obstacles are kept: those of a step
@@ -160,31 +160,31 @@ class ObstacleSearch:
         """All candidates with their rows; collective."""
         contacts = here.contacts
         touch, (r, R, origin, turned) = self._place(here)
-        x = touch.x
-        on = self.pushed
+        e = directions_of(touch.normal, frictional=contacts.frictional)
+        c = e.shape[1]
+        core, field = contacts.blank(self.count * c)
+        for trace, (rows, nodes) in self.nodes.items():
+            entries = in_turn(rows, c), nodes.repeat(c), None
+            contacts.add_nodes((core, field), trace, (entries, e.reshape(-1, e.shape[2])), here.nodes(trace))
+        pushing: list[tuple[Any, ...]] = []
+        if len(self.rigid):
+            pushing.append((self.rigid, self.frames[self.on], 1.0, origin, turned))
+        if len(on := self.pushed):
+            assert R is not None
+            pushing.append((on, self.frame[self.of[on]], -1.0, r[on], R[on]))
+        for on, frames, sign, *at in pushing:
+            told = (sign * e[on]).reshape(-1, e.shape[2]), *(y.repeat(c, axis=0) for y in (touch.x[on], *at))
+            contacts.add_frames(core, in_turn(on, c), frames.repeat(c), told)
 
-        def linear(e: Array) -> LinearRows:
-            core, field = contacts.blank(self.count)
-            for trace, (rows, nodes) in self.nodes.items():
-                contacts.add_nodes((core, field), trace, ((rows, nodes, None), e), here.nodes(trace))
-            if len(self.rigid):
-                geometry = e[self.rigid], x[self.rigid], origin, turned
-                contacts.add_frames(core, self.rigid, self.frames[self.on], geometry)
-            if len(on):
-                contacts.add_frames(core, on, self.frame[self.of[on]], (-e[on], x[on], r[on], R[on]))
-            return LinearRows(core, tuple(field))
-
-        tangents = tangents_of(touch.normal) if contacts.frictional else []
-        drift = np.zeros((self.count, len(tangents)))
-        for time, weight in way if way is not None and tangents else ():
+        drift = np.zeros((self.count, c - 1))
+        for time, weight in way if way is not None and c > 1 else ():
             for (i, _), pose in zip(self.prescribed, self._told(time), strict=True):
                 rows = self.of == i
                 place = pose[: contacts.m.dim] + touch.relative[rows] @ contacts.m.matrix(pose).T
-                drift[rows] += weight * np.stack([(e[rows] * place).sum(1) for e in tangents], axis=1)
+                drift[rows] += weight * (e[rows, 1:] * place[:, None]).sum(2)
         return Rows(
             gap=touch.gap,
-            N=linear(touch.normal),
-            tangents=tuple(linear(e) for e in tangents),
+            L=LinearRows(core, tuple(field)),
             friction=self.friction,
             restitution=self.restitution,
             normal=touch.normal,

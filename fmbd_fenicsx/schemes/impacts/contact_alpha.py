@@ -47,10 +47,10 @@ from ...system.system import System
 from ..consistent import Correction
 from ..newton import Newton
 from ..onestep.alpha.generalized_alpha import GeneralizedAlpha
-from .contact_detection import candidates, components
+from .contact_detection import candidates
 from .contact_ledger import StepForces
 from .contact_midpoint import elastic_refusal, elastic_start
-from .contact_newton import ContactStep, normal_forces, openings
+from .contact_newton import ContactStep, openings, small_problem
 from .contact_stepper import ContactStepper
 
 
@@ -164,13 +164,13 @@ class ContactAlphaStepper(ContactStepper):
             return v, force
         rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near]
         stopped = force.copy()
-        on = rows.take(closed)
+        on = rows if closed.all() else rows.take(closed)
         P = self._stopping(on, v, rate[closed])
         if P.any():
             v = v + self._pushed(on.N, P)
             stopped[closed, 0] += P / step.h
         if (closed & (self.ledger.force[step.near][:, 0] <= 0)).any():
-            dv = self._pushed(components(rows), -step.gain * force.ravel())
+            dv = self._pushed(rows.L, -step.gain * force.ravel())
             obstacles = np.concatenate((rate[:, None], -rows.drift / step.h), axis=1)[:, : force.shape[1]]
             share = _share(step.ev, v, dv, -step.gain * float((force * obstacles).sum()))
             v = v + share * dv
@@ -181,7 +181,10 @@ class ContactAlphaStepper(ContactStepper):
     def _stopping(self, rows: Rows, v: Array, rate: Array) -> Array:
         """Impulses (m,) of (2) on closed contacts, whose gaps the motion of obstacles changes at a ``rate`` (m,), m/s."""
         u = self.contacts.times(self.system, rows.N, v) + rate
-        return normal_forces(self.compliance.of(rows.N, rows.trace, 1.0), u, np.zeros(len(u)), self.ledger.counts)
+        if not (u < 0).any():
+            return np.zeros(len(u))
+        W, none = self.compliance.of(rows.N, rows.trace, 1.0), np.zeros(len(u))
+        return small_problem(self.normal_problem, W, (u, none), none[:, None], self.ledger.counts)[:, 0]
 
     def _pushed(self, rows: LinearRows, P: Array) -> Array:
         """Change of velocities by impulses P on rows."""

@@ -9,8 +9,7 @@ import numpy as np
 from ...errors import ConvergenceError, InputError
 from ...log import log
 from ...mechanics.contact.contact_set import ContactSet
-from ...mechanics.contact.nodal_rows import NodalRows
-from ...mechanics.contact.rows import LinearRows, Rows, Touch, tangents_of
+from ...mechanics.contact.rows import Rows, Touch, tangents_of
 from ...rotations import Array
 from ...system.layout import State
 from ...system.system import System
@@ -35,14 +34,6 @@ def candidates(
     _refuse_tunnelling(system, contacts, state, (h, now, then))
     reach = contacts.search(now.gap, then.gap, system.length)
     return (now.gap < reach) | (then.gap < reach), ahead
-
-
-def components(rows: Rows) -> LinearRows:
-    """Normal and tangential rows of each point after each other, (m d, ...)."""
-    parts = [rows.N, *rows.tangents]
-    core = np.stack([p.core for p in parts], axis=1).reshape(len(parts) * len(rows.gap), -1)
-    n = len(rows.N.field)
-    return LinearRows(core, tuple(NodalRows.in_turn([p.field[i] for p in parts]) for i in range(n)))
 
 
 def in_world(rows: Rows, force: Array) -> Array:

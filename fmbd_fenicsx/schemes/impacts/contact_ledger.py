@@ -80,9 +80,8 @@ class ContactLedger(Remembering):
 
         works = np.zeros(len(WORKS))
         if forces.rows is not None:
-            works[0] = forces.force[:, 0] @ c.times(system, forces.rows.N, xi)
-            for k, tangent in enumerate(forces.rows.tangents):
-                works[1] += forces.force[:, 1 + k] @ c.times(system, tangent, xi)
+            done = forces.force * c.times(system, forces.rows.L, xi).reshape(forces.force.shape)
+            works[0], works[1] = done[:, 0].sum(), done[:, 1:].sum()
 
         # what is left of the change of energy is numerical
         energy, springs = self._energy(state)

@@ -24,7 +24,6 @@ from ...mechanics.contact.rows import Rows
 from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ..newton import ADVICE, not_converged
-from .contact_detection import components
 from .restitution import Impact
 
 if TYPE_CHECKING:
@@ -55,11 +54,10 @@ class UnilateralForces:
         contacts: ContactSet = self.contacts
         system = self.solver.system
         solver = self.solver
-        d = self.force.shape[1]
         self.rows = rows
 
         # the increment without a change of the contact forces
-        L = components(rows) if d > 1 else rows.N
+        L = rows.L
         r = residuals[0] - contacts.transposed(system, L, self.force.ravel())
         z, dl = solver.solve(-scale * r, -residuals[1])
 
@@ -69,15 +67,7 @@ class UnilateralForces:
         gap = u.ravel() + contacts.times(system, L, z)
 
         def solve(gap: Array) -> Array:
-            found = None
-            if self.problem is not None and isinstance(W, np.ndarray):
-                opening = gap.reshape(self.force.shape)
-                found = self.problem.forces(W, opening, rows.friction, self.force, self.counts)
-            if found is not None:
-                return found
-            if d > 1:
-                return frictional_forces(W, gap, rows.friction, self.force, self.counts)
-            return normal_forces(W, gap, self.force[:, 0], self.counts)[:, None]
+            return small_problem(self.problem, W, (gap, rows.friction), self.force, self.counts)
 
         force = solve(gap) if self.impact is None else self.impact.forces(W, gap, self.force, solve)
 
@@ -139,10 +129,10 @@ class ContactStep:
     def balance(self, at: tuple[float, Array, Array], a: Array, weights: Weights) -> Array:
         """Forces out of balance at (t, q, v) under accelerations a; with the first of a step its matrix is prepared there."""
         ev = self.ev = self.p.system.at(*at)
-        forces = ev.balance(a, self.lam)
+        ev.forces = a, self.lam
         self.p.solver.prepare(ev, weights, keep=self._prepared, apart=self._apart)
         self._prepared = True
-        return forces
+        return ev.balance(a, self.lam)
 
     def changes(
         self, touching: tuple[Rows, Array] | None, residuals: tuple[Array, Array], scale: float
@@ -151,6 +141,22 @@ class ContactStep:
         if touching is None:
             return self.p.solver.solve(-scale * residuals[0], -residuals[1])
         return self.contact.increment(*touching, residuals, scale)
+
+
+def small_problem(
+    problem: CompiledProblem | None, W: Any, given: tuple[Array, Array], force: Array, counts: ContactCounts
+) -> Array:
+    """Forces (m, 1 or d) of the law of contact, ``given`` what is open, (m d,), under ``force``, and the friction (m,): those of
+    compiled code where it finds them. Collective.
+    """
+    gap, mu = given
+    if problem is not None and isinstance(W, np.ndarray):
+        found = problem.forces(W, gap.reshape(force.shape), mu, force, counts)
+        if found is not None:
+            return found
+    if force.shape[1] > 1:
+        return frictional_forces(W, gap, mu, force, counts)
+    return normal_forces(W, gap, force[:, 0], counts)[:, None]
 
 
 def normal_forces(W: Any, gap: Array, force: Array, counts: ContactCounts) -> Array:
@@ -178,7 +184,7 @@ def frictional_forces(
 
 def openings(contacts: ContactSet, system: Any, rows: Rows, gap: Array, xi: Array) -> Array:
     """Gaps, and slips over a step with the increment xi where there is friction: (m, 1 or d); collective."""
-    if not rows.tangents:
+    if rows.components == 1:
         return gap[:, None]
-    slips = [contacts.times(system, t, xi) - rows.drift[:, k] for k, t in enumerate(rows.tangents)]
-    return np.stack([gap, *slips], axis=1)
+    slips = contacts.times(system, rows.L, xi).reshape(-1, rows.components)[:, 1:] - rows.drift
+    return np.concatenate((gap[:, None], slips), axis=1)

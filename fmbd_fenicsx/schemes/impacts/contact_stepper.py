@@ -35,7 +35,12 @@ class ContactStepper(TimeStepper):
     @cached_property
     def problem(self) -> CompiledProblem | None:
         """Who finds contact forces in compiled code; looked for at the first step, since starts are NumPy's."""
-        return compiled_problem(self.system)
+        return compiled_problem(self.system, self.ledger.components)
+
+    @cached_property
+    def normal_problem(self) -> CompiledProblem | None:
+        """The same without friction."""
+        return compiled_problem(self.system, 1)
 
     @property
     def counters(self) -> dict[str, float]:

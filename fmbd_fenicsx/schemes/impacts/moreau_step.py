@@ -68,7 +68,7 @@ class MoreauStep(ContactStep):
         way = way_at_start(s.t, h)
         rows = contacts.rows(system, s.t, s.q, way=way, near=closed)
         rates = openings(contacts, system, rows, h * contacts.times(system, rows.N, s.v), h * s.v) / h
-        if rows.tangents:
+        if rows.components > 1:
             slips = np.einsum("mk,kmd->md", rates[:, 1:], tangents_of(rows.normal))
             rates[:, 1:] = np.einsum("md,kmd->mk", slips, tangents_of(normal))
         if any(pair.moving for pair in contacts.pairs):

@@ -89,11 +89,13 @@ def _everyone(m: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     return row, near, {name: x.astype(np.int32) for name, x in pattern.items()}
 
 
-def compiled_problem(system: System) -> CompiledProblem | None:
-    """Of a system with elastic fields that compiled code evaluates; scenes of other bodies are compiled as a whole."""
+def compiled_problem(system: System, components: int) -> CompiledProblem | None:
+    """Of forces of so many components, where compiled code evaluates a system with elastic fields; other scenes are compiled as a
+    whole.
+    """
     if not system.fields or not isinstance(system.evaluator, DriverStates):
         return None
     library = driver_library(system.motions.dim, (CONTACT,))
     if library is None:
         return None
-    return CompiledProblem(library, system.motions.dim if system.contacts.frictional else 1)
+    return CompiledProblem(library, components)

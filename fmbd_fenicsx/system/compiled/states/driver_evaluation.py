@@ -48,6 +48,7 @@ class DriverEvaluation(_Constraints, Evaluation):
         self.states = states
         rest = np.zeros(self.system.n_v) if v is None else v
         self.alone = np.array([t]), q[None], rest[None]  # the configuration as one of many
+        self.balanced: tuple[Array, Array, Array] | None = None  # a and lambda that a balance is known for, with it
 
     def is_at(self, t: float, q: Array, v: Array | None) -> bool:
         """Whether this is the same state."""
@@ -59,7 +60,7 @@ class DriverEvaluation(_Constraints, Evaluation):
         """The same state for someone else, with all that is known of it but the forces."""
         other = DriverEvaluation.__new__(DriverEvaluation)
         other.__dict__.update(self.__dict__)
-        other.forces = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
+        other.forces, other.balanced = (np.zeros(self.system.n_v), np.zeros(self.system.n_lam)), None
         return other
 
     @cached_property
@@ -79,7 +80,11 @@ class DriverEvaluation(_Constraints, Evaluation):
     def balance(self, a: Array, lam: Array | None = None) -> Array:
         """M a + h + G^T lambda (lambda left out when None), like v."""
         lam = np.zeros(self.system.n_lam) if lam is None else lam
-        found = self.states.balances(self.alone, a[None], lam[None])
+        known, self.balanced = self.balanced, None
+        if known is not None and known[0] is a and known[1] is lam:
+            found = known[2]
+        else:
+            found = self.states.balances(self.alone, a[None], lam[None])
         if found is None or not np.logical_and.reduce(np.isfinite(found), axis=None):
             return super().balance(a, lam)  # which says what is wrong
         self.forces = a, lam

@@ -53,8 +53,10 @@ class DriverFactor:
             return True
         self.held = None
         a, lam = ev.forces
-        if states.balances(ev.alone, a[None], lam[None]) is None:
+        found = states.balances(ev.alone, a[None], lam[None])
+        if found is None:
             return False
+        ev.balanced = a, lam, found
         q, _, below = self._given.put(self._placed(ev.q), None, lam)
         if isinstance(ck, complex):
             weights = np.array((cd, ck)).view(float)
