@@ -197,6 +197,8 @@ def test_bad_input(rod_mesh: Callable[..., Any]) -> None:
         _ = body.reduced(modes=500).constants
     with pytest.raises(InputError, match="Give either"):
         body.reduced()
+    with pytest.raises(InputError, match=r'Body "rod": a basis is given by its name, reduced\(basis=CraigBampton'):
+        body.reduced(modes=fmbd.CraigBampton(("pin",), 2))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="not an energy"):
         _ = body.with_(elastic=None, energy=lambda u, dx: 0.5 * u[0] ** 2 * dx).reduced(modes=2).constants
     with pytest.raises(InputError, match="nose"):

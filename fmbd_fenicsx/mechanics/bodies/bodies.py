@@ -407,15 +407,19 @@ class FloatingBody(ElasticBody):
         return self.stiffening or None  # type: ignore[return-value]
 
     def reduced(self, *, modes: int | None = None, frequency: float | None = None, basis: Any = None) -> Any:
-        """This body by a few modes: by their number, up to a frequency (Hz), or with a basis of
-        ``mechanics.reduction.craig_bampton``.
+        """This body by a few modes: by their number, up to a frequency (Hz), or with a ``basis`` such as
+        ``fmbd.CraigBampton(("pin", "tip"), 10)``.
 
         ``modes=0`` gives the rigid body with the same mass, inertia and surfaces.
         """
         from ..reduction.craig_bampton import CraigBampton, FrameModes, ReducedBody, RefinedBasis
 
+        bases = (FrameModes, CraigBampton, RefinedBasis)
+        require(
+            not isinstance(modes, bases), f'Body "{self.name}": a basis is given by its name, reduced(basis={modes}).'
+        )
         if basis is not None:
-            instance(f'Body "{self.name}": basis', basis, (FrameModes, CraigBampton, RefinedBasis))
+            instance(f'Body "{self.name}": basis', basis, bases)
         return ReducedBody(self, FrameModes(modes, frequency) if basis is None else basis)
 
 

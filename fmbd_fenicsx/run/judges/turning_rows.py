@@ -44,7 +44,7 @@ def warn_of_turning_rows(solver: StepSolver, limit: float | None, states: Sequen
     log.warning(
         "joints turn by %.2g rad a step (fastest: %s), more than the %.2g rad that this scheme's memory of accelerations bears: "
         "reactions and accelerations may alternate from step to step and grow. Take form=fmbd.GGL(), dt below %.2g s, or a "
-        "smaller rho_inf", angle, _fastest(system, state), limit, h * limit / angle,
+        "smaller rho_inf", angle, _fastest(system, state), limit, 0.9 * h * limit / angle,
     )  # fmt: skip
 
 

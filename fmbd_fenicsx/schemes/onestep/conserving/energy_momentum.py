@@ -233,5 +233,5 @@ class EnergyMomentumStepper(StepsInParts):
         log.warning(
             't = %.6g s: "%s" turns by %.2g rad a step, of which energy-momentum leaves out %.1f %%. Take dt = %.2g s or less, '
             "or fmbd.GeneralizedAlpha()",
-            self.state.t, self.system.frame_names[fastest], x, 100 * (1 - 2 * np.arctan(0.5 * x) / x), LARGE * h / x,
+            self.state.t, self.system.frame_names[fastest], x, 100 * (1 - 2 * np.arctan(0.5 * x) / x), 0.9 * LARGE * h / x,
         )  # fmt: skip
