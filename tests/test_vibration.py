@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from test_modes import two_masses
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.post.plot import _of
+
+MESHES = Path(__file__).resolve().parents[1] / "meshes"
 
 
 def test_one_period_of_a_mode() -> None:
@@ -63,3 +66,39 @@ def test_linear_model_of_a_fast_oscillator(rate: float) -> None:
     place, accel = model.frequency_response([0.5 * rate])[0, :, 0]
     exact = 1.0 / (2.0 * rate**2 * (0.75 + 0.05j))
     assert [place / exact, -accel / (0.5 * rate) ** 2 / exact] == pytest.approx([1.0, 1.0], rel=1e-10)
+
+
+@pytest.mark.parametrize("kind", [pytest.param(fmbd.FloatingBody, marks=pytest.mark.mpi), fmbd.AbsoluteBody])
+def test_linear_model_of_reactions_beside_elastic_fields(kind: Any) -> None:
+    """What a clamp carries of a force on the tip of a slender bar: Euler's beam, k^4 = rho A omega^2 / E I."""
+    height, modulus = 0.02, 1e9
+    mesh = fmbd.read_gmsh(MESHES / "block.py", size=(1.0, height), counts=(8, 1), origin=(0.0, -0.5 * height))
+    bar = kind("bar", mesh, density=1000.0, elastic=fmbd.materials.plane_stress(modulus, 0.0), degree=2)
+    scene = fmbd.Scene("clamped bar")
+    clamp = fmbd.fixed("clamp", fmbd.ground, bar.surface("left"))
+    scene.add(bar, clamp, fmbd.force("push", bar.surface("right"), (0.0, 0.0)))
+    scene.sensor("clamp", fmbd.reaction(clamp))
+    scene.sensor("tip", fmbd.position(bar.surface("right")))
+    model = fmbd.linearise(scene, inputs=["push y"], outputs=["clamp", "tip y"], modes=6)
+
+    bending = modulus * height**3 / 12.0
+    for omega, close in ((0.0, 1e-3), (30.0, 2e-2)):  # of eight cells
+        k = max((1000.0 * height * omega**2 / bending) ** 0.25, 1e-2)
+        below = 1.0 + np.cos(k) * np.cosh(k)
+        force, moment = (np.cos(k) + np.cosh(k)) / below, (np.sin(k) + np.sinh(k)) / below / k
+        tip = (np.sin(k) * np.cosh(k) - np.cos(k) * np.sinh(k)) / below / (bending * k**3)
+        found = model.frequency_response([omega])[0, :, 0].real
+        assert np.sort(np.abs(found[:3])) == pytest.approx(np.sort(np.abs([0.0, force, moment])), rel=close, abs=1e-5)
+        assert found[3] / tip == pytest.approx(1.0, rel=max(close, 5e-3))
+
+
+def test_linear_model_of_few_modes_knows_reactions() -> None:
+    """What modes leave out is carried to the clamp at once: four of a rod held 0.7 of the push on its end."""
+    section = fmbd.RodSection.circle(youngs_modulus=1e9, poisson_ratio=0.3, density=1000.0, radius=0.01)
+    rod = fmbd.Rod("rod", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], section, elements=6)
+    scene = fmbd.Scene("clamped rod")
+    clamp = fmbd.fixed("clamp", fmbd.ground, rod.surface("start"))
+    scene.add(rod, clamp, fmbd.force("push", rod.surface("end"), (0.0, 0.0, 0.0)))
+    scene.sensor("clamp", fmbd.reaction_force(clamp))
+    model = fmbd.linearise(scene, inputs=["push y"], outputs=["clamp"], modes=4)
+    assert np.abs(model.frequency_response([0.0])[0, :, 0]) == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)

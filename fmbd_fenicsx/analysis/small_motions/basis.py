@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -35,6 +36,8 @@ BEYOND = 1e-6  # share of damping forces beside those of mass and stiffness that
 DENSE_LIMIT = 600  # replicated coordinates up to which all of them are taken
 TRIES, LARGER = 8, 9.0  # shifts beyond the one given, and each over the one before
 EXACT = ExactTangent(rtol=1e-7, max_iterations=60)
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +88,17 @@ def projected(
     return replace(made, memory=small_memory(about, made.vectors))
 
 
+def reactions(about: Perturbation, solver: StepSolver, shift: float, left: Sequence[Array]) -> list[Array]:
+    """The reactions (row_count,) to each of some forces, like v, that motions leave unbalanced; collective.
+
+    Beside motions that are left out these are internal forces as well: all that is slow against them carries these to the joints.
+    """
+    return _with_enough_inertia(about, solver, shift, lambda inverse: [inverse.both(b)[1] for b in left])
+
+
 def _with_enough_inertia(
-    about: Perturbation, solver: StepSolver, shift: float, make: Callable[[_Shifted], ProjectedSystem]
-) -> ProjectedSystem:
+    about: Perturbation, solver: StepSolver, shift: float, make: Callable[[_Shifted], Made]
+) -> Made:
     """What ``make`` finds by the inverse (K + s M)^-1 with the least s, from the given one on, that roundoff of K does not hide.
 
     A thin body by itself is held by its inertia alone, and its first frequency is low against its largest.
@@ -315,14 +326,18 @@ class _Shifted:
         self.inverse = solver.solve if about.closed is None else about.closed.held(solver)
 
     def solve(self, b: Array) -> Array:
-        """x with (K + s M) x + G^T mu = b, G x = 0."""
+        """x of :meth:`both`."""
+        return self.both(b)[0]
+
+    def both(self, b: Array) -> tuple[Array, Array]:
+        """x and mu with (K + s M) x + G^T mu = b, G x = 0."""
         about, system = self.about, self.about.system
         none = np.zeros(about.row_count)
 
         def moved(d: Array) -> tuple[Array, Array]:
             return about.stiffness(d) + self.shift * about.mass(d) - b, about.rows(d)
 
-        x, _, _ = exact_increment(EXACT, system, self.inverse, moved, (b, none))
+        x, mu, _ = exact_increment(EXACT, system, self.inverse, moved, (b, none))
         if not np.isfinite(system.max_abs(x)):
             raise InputError("The linearised scene is singular at this state: a body without mass is not held.")
-        return x
+        return x, mu

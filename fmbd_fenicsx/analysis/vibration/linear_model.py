@@ -27,13 +27,14 @@ from ...rotations import Array
 from ...system.layout import State
 from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
-from ..small_motions.basis import ProjectedSystem, projected
+from ..small_motions.basis import ProjectedSystem, projected, reactions
 from ..small_motions.small_memory import changed, memory_size, pushed_by
 from .first_order import first_order
 from .modes import Linearised, eigenpairs, prepared, readable
 
 STEP = 1e-4
 AXES = ("x", "y", "z")
+Motion = tuple[Array, Array, Array]  # y, y', y''
 NEAREST = 1e-9  # relative distance of a frequency to an undamped one that is refused
 
 
@@ -187,7 +188,7 @@ def _model(
     B = np.zeros((n_x, len(forces)))
     B[k : k + len(form.push)] = form.push @ F
 
-    rows = []
+    motions, causes = [], []
     for j in range(n_x + len(forces)):
         # the outputs of each unit state, then of each unit force
         x = np.zeros(n_x)
@@ -200,42 +201,48 @@ def _model(
         change = np.zeros(memory_size(system))
         if small.memory is not None:
             change[small.memory.which] = x[speeds.stop :]
-        rows.append(_answer(made, (z @ V, z_rate @ V, z_accel @ V), (force, change), outputs))
+        motions.append((z @ V, z_rate @ V, z_accel @ V))
+        causes.append((force, change))
 
-    CD = np.array(rows).reshape(n_x + len(forces), len(outputs)).T
+    held = _reactions(made, motions, causes)
+    answers = zip(motions, held, causes, strict=True)
+    CD = np.array([_answer(made, motion, reaction, change, outputs) for motion, reaction, (_, change) in answers])
+    CD = CD.reshape(n_x + len(forces), len(outputs)).T
     return LinearModel(
         form.A, B, CD[:, :n_x], CD[:, n_x:], tuple(name for name, _ in forces), tuple(label for label, _, _ in outputs)
     )
 
 
+def _reactions(made: Linearised, motions: list[Motion], causes: list[tuple[Array, Array]]) -> list[Array]:
+    """Multipliers (n_lam,) that hold each motion under its causes, a force and a change of the memory: of what it leaves."""
+    about, n = made.about, made.about.system.n_lam
+    if not about.row_count:
+        return [np.zeros(n) for _ in motions]
+    left = [
+        force - about.stiffness(y) - about.damping(rate) - about.mass(accel) - pushed_by(about, change)
+        for (y, rate, accel), (force, change) in zip(motions, causes, strict=True)
+    ]
+    return [x[:n] for x in reactions(about, made.solver, made.shift, left)]
+
+
 def _answer(
-    made: Linearised,
-    motion: tuple[Array, Array, Array],
-    causes: tuple[Array, Array],
-    outputs: list[tuple[str, str, int]],
+    made: Linearised, motion: Motion, reaction: Array, change: Array, outputs: list[tuple[str, str, int]]
 ) -> Array:
-    """Derivatives of the outputs for a motion (y, y', y'') under ``causes``: a force, like v, and a change of the memory."""
-    about, (y, rate, accel), (force, change) = made.about, motion, causes
+    """Derivatives of the outputs for a motion, its reactions (n_lam,) and a change of the memory."""
+    about, (y, rate, accel) = made.about, motion
     system, s = about.system, about.state
     v = about.velocity(y, rate)
     a = about.acceleration(y, rate, accel)
 
-    # reactions that hold the motion, from what it leaves of the balance
-    reaction = np.zeros(system.n_lam)
-    if about.row_count and not system.fields:
-        left = force - about.stiffness(y) - about.damping(rate) - about.mass(accel) - pushed_by(about, change)
-        G = np.array([about.rows(e) for e in np.eye(system.n_v)]).T
-        reaction = np.linalg.lstsq(G.T, left, rcond=None)[0][: system.n_lam]
-
     def read(e: float, cause: int) -> Array:
-        y, v, a, reaction, change = (e * x if i == cause else 0.0 * x for i, x in enumerate(causes))
+        y, v, a, reaction, change = (e * x if i == cause else 0.0 * x for i, x in enumerate(parts))
         state = State(s.t, system.compose(s.q, y), s.v + v, s.a + a, s.lam + reaction)
         with changed(system, s.t, change):
             values = _values(made, state, [name for _, name, _ in outputs])
         return np.array([x[c] for x, (_, _, c) in zip(values, outputs, strict=True)], dtype=float)
 
     # each cause by itself, in differences of fourth order: in steps for fast accelerations places are lost in roundoff
-    causes = (y, v, a, reaction, change)
+    parts = (y, v, a, reaction, change)
     moved = [about.time**i * system.max_abs(x) / system.length for i, x in enumerate((y, v, a))]
     forces = np.abs(s.lam).max(initial=0.0) or 1.0
     sizes = [*moved, np.abs(reaction).max(initial=0.0) / forces, np.abs(change).max(initial=0.0)]
