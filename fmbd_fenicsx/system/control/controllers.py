@@ -27,6 +27,7 @@ from ...mechanics.forces.force_elements import Loads, MarkerTangent
 from ...mechanics.forces.forces import Force
 from ...mechanics.forces.formulas import Formula, SampledEffort, table
 from ...mechanics.forces.joint_elements import motion_of
+from ...mechanics.forces.laws_together import LEAST
 from ...mechanics.frames import Kinematics
 from ...mechanics.joints.drives import JointCoordinate
 from ...mechanics.joints.relative import RelativeCoordinates
@@ -60,10 +61,10 @@ class ControlLoads(Loads):
         self._answered = self.kept  # what they follow from
         self._slopes: tuple[Any, Array] | None = None
 
-        continuous = self.readings if controller.every is None else ()
-        ends = np.cumsum([0, *(r.size for r in continuous)]).tolist()
-        self.parts = {r.name: slice(*ends[i : i + 2]) for i, r in enumerate(continuous)}
-        self.size = int(ends[-1])
+        self.size, self.parts = 0, dict[str, slice]()
+        for r in self.readings if controller.every is None else ():
+            self.parts[r.name] = slice(self.size, self.size + r.size)
+            self.size += r.size
 
     @cached_property
     def levels(self) -> np.ndarray:
@@ -78,8 +79,8 @@ class ControlLoads(Loads):
 
     @cached_property
     def spans(self) -> Array:
-        """What each number of y may be, (size,)."""
-        return np.repeat([r.span(self.length) for r in self.readings], [r.size for r in self.readings])
+        """What each number of y is at least for differences, as of laws on coordinates, (size,)."""
+        return LEAST * np.repeat([r.span(self.length) for r in self.readings], [r.size for r in self.readings])
 
     @property
     def called(self) -> bool:

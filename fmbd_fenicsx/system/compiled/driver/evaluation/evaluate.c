@@ -114,7 +114,7 @@ static int along_tangents(System *s, Batch *k, double t)
 /* Slopes of laws in Python at the state evaluated last, and where they were taken. */
 int take_slopes(System *s, Batch *k, double t)
 {
-    if (k->role != LAW) return DONE;
+    if (k->role != LAW || is_held(s, k)) return DONE;
     if (k->sloped != s->evaluations && ask_slopes(s, k, t)) return FAILED;
     if (k->act) keep_readings(s, k);
     for (long i = 0; i < k->n; i++) {
@@ -136,7 +136,7 @@ int efforts(System *s, Batch *k, double t)
         k->rate[i] = rate;
         if (k->role == LINEAR || k->role == READ) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
     }
-    if (s->straight && k->role == LAW) return along_tangents(s, k, t);
+    if (s->straight && k->role == LAW && !is_held(s, k)) return along_tangents(s, k, t);
     return k->role == FORMULA || k->role == LAW ? ask_iterate(s, k, law_of_state, NULL, t) : DONE;
 }
 

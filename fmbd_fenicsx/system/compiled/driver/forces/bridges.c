@@ -140,11 +140,14 @@ static void keep_lines(System *s, Batch *k)
     }
 }
 
+/* Whether a batch keeps the N of the last iterate: no tangent has its slopes then. */
+static int is_held(const System *s, const Batch *k) { return s->iterate == AGAIN && k->line && !k->linked; }
+
 /* N of a batch whose s and s' are told, where Newton's iteration has come to: lines in place of laws that it would not find across. */
 int ask_iterate(System *s, Batch *k, Law *law, const void *how, double t)
 {
     const int followed = s->iterate != ON_ITS_OWN && k->line && !k->linked;
-    if (followed && s->iterate == AGAIN) return ask_again(s, k, law, how, t);
+    if (is_held(s, k)) return ask_again(s, k, law, how, t);
     int verdict = law(s, k, how, t);
     if (verdict || !followed) return verdict;
 
