@@ -101,12 +101,15 @@ def test_steps_without_end_that_do_not_grow_end_the_run() -> None:
     assert ends_after(far_away(0.0), 1e-12, "", longer=1.0001) == 5000
 
 
-def test_a_steep_law_is_named() -> None:
-    """Friction of 200 N that is smooth over 1e-5 m/s, at rest."""
+@pytest.mark.parametrize("sprung", [False, True])
+def test_a_steep_law_is_named(sprung: bool) -> None:
+    """Friction of 200 N that is smooth over 1e-5 m/s, at rest, also beside a spring that is slower."""
     block = fmbd.RigidBody("block", 100.0, 1.0)
     slide = fmbd.prismatic("slide", fmbd.ground, block, axis=(1, 0), center=(0.0, 0.0))
     scene = fmbd.Scene("slide")
     scene.add(block, slide, fmbd.joint_friction("rub", fmbd.displacement(slide), coulomb=200.0, speed=1e-5))
+    if sprung:
+        scene.add(fmbd.Spring("spring", fmbd.ground, block, (-1.0, 0.0), (0.0, 0.0), stiffness=1e4))
     system, state, _ = scene.build()
     solver = StepSolver(system)
     assert 'the law of "rub" changes by 2.0e+07 N s/m' in reason(solver, state)

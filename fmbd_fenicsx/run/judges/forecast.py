@@ -158,11 +158,13 @@ def drowned(solver: StepSolver, state: State) -> str:
     )
 
 
-def stiffest(solver: StepSolver, state: State) -> tuple[float, str]:
-    """The largest K_ii / M_ii (1/s^2) of a coordinate of a frame and its body; 0 where no spring is there; collective."""
+def stiffest(solver: StepSolver, state: State, *, damping: bool = False) -> tuple[float, str]:
+    """The largest K_ii / M_ii (1/s^2) of a coordinate of a frame and its body, or C_ii / M_ii (1/s) of ``damping``; 0 where no
+    spring is there; collective.
+    """
     s = solver.system
     ev = s.at(state.t, state.q, state.v)
-    applied = force_tangent(ev, 0.0, 1.0) if s.forces else None
+    applied = force_tangent(ev, float(damping), float(not damping)) if s.forces else None
     if applied is None or applied.core is None or not s.n_frames:
         return 0.0, ""
 
@@ -189,16 +191,17 @@ def steepest(solver: StepSolver, state: State) -> str:
     if not most > 0:
         return ""
     return (
-        f'No spring is there to blame; the law of "{name}" changes by {most:.1e} N s/m (N m s of a turn) with its rate: make it '
+        f'No spring is to blame; the law of "{name}" changes by {most:.1e} N s/m (N m s of a turn) with its rate: make it '
         "less steep (smooth friction by a larger speed), or take fmbd.dry_friction."
     )
 
 
 def fastest(solver: StepSolver, state: State) -> str:
-    """The shortest period (1) and its body, as a sentence; collective."""
-    ratio, body = stiffest(solver, state)
-    if not ratio > 0:
-        return steepest(solver, state) or (
+    """The shortest period (1) and its body, or a law that answers sooner with its rate, as a sentence; collective."""
+    (ratio, body), (drag, _) = stiffest(solver, state), stiffest(solver, state, damping=True)
+    law = steepest(solver, state) if drag**2 > ratio else ""
+    if law or not ratio > 0:
+        return law or (
             "No spring is there to blame: look for a stiff law, an elastic body with a fine mesh, or a singular position."
         )
     return (

@@ -40,6 +40,7 @@ class ImplicitMarch(OwnMarch):
     _pencil: Any
     _fresh: bool
     _full: bool
+    _spell: int
     _theta: float
     _lent: ImplicitRoom | None = None
 
@@ -122,7 +123,7 @@ class ImplicitMarch(OwnMarch):
         # those of increments have been counted
         self.judge.check(float(work[slots.RESIDUAL]), float(work[slots.RESIDUAL_SCALE]), solves=0)
 
-        self._fresh, self.control.fault = False, ""
+        self._fresh, self.control.fault, self._spell = False, "", max(self._spell - made, 0)
         self._take_kept(own)
         if self._lent is not None and self._lent.own is not None:
             self._take_own(self._lent.own, made)

@@ -39,6 +39,7 @@ from .step_equations import step_equations
 
 OPEN = 1e-6  # of the model's length
 FIRST_WAY = 0.5  # of what rtol lets a first step move, as first_step has it
+SPELL = 63  # steps with tangents of their own, until one tangent is tried again
 STILL = 16.0  # roundings of the model's length
 
 
@@ -54,7 +55,7 @@ class ImplicitStepper(ImplicitMarch):
     control: StepControl
     keeps: ClassVar = {
         "state": Memory.state,
-        **dict.fromkeys(("_fresh", "_full", "proposed", "local_error", "_theta"), plain()),
+        **dict.fromkeys(("_fresh", "_full", "_spell", "_rest", "proposed", "local_error", "_theta"), plain()),
         "control": plain(StepControl),
         "stats": plain(Statistics),
         "norm": worker,
@@ -78,6 +79,7 @@ class ImplicitStepper(ImplicitMarch):
         self._pencil: Any = None  # its factor
         self._fresh = False  # whether the tangent is that of this step
         self._full = False  # whether each iteration takes its own
+        self._spell = self._rest = 0  # for how many constant steps, after the last failure and from now on
         self._theta = 1e-3  # rate of convergence
         self._unweighted = np.ones((3, system.n_v))
         self._roundoff = STILL * EPS * system.length  # m
@@ -161,6 +163,13 @@ class ImplicitStepper(ImplicitMarch):
             found = find()
         return found
 
+    def _begin_spell(self) -> None:
+        """Tangents of their own for this constant step, and more if it was not long ago: stiff springs that turn ask for them in
+        every step, friction that sticks in one.
+        """
+        self._full, self._tangent = True, None
+        self._spell = self._rest = min(2 * self._spell + 1, SPELL)
+
     def _note_open(self) -> None:
         """Where an iteration has failed: the joint that it left open by more than a rounding of steps, for messages."""
         gaps = self.system.row_units * self.eq.left
@@ -202,6 +211,11 @@ class ImplicitStepper(ImplicitMarch):
         self.stats.steps += 1
         self.control.fault = ""
         self._fresh = False
+        if not self._full:
+            self._spell = max(self._spell - 1, 0)
+        elif self._rest:
+            self._rest -= 1
+            self._full = self._rest > 0
         end = self.eq.close_ties(h, end, mult)
         return project(self.system, end, self.solver) if self.scheme.form.projected else end
 

@@ -128,13 +128,15 @@ class RadauStepper(StageNewton):
 
     # -- one accepted step --------------------------------------------------------------------------------------
     def _constant(self, h: float) -> State:
-        """A step of size h; where the tangent of the step fails, and ever after, with one for each stage."""
+        """A step of size h; where the tangent of the step fails, with one for each stage."""
         self.eq.begin(self.state)
         point = "full" if self._full else self._with_new_tangent(lambda: self._newton(h))
         if isinstance(point, str):
-            self._tangent, self._full = None, True
+            if not self._full:
+                self._begin_spell()
             point = self._full_newton(h)
         if isinstance(point, str):
+            self._full = False  # parts of the step begin like others
             raise self._failure(h, point)
         return self._accept(h, point)
 

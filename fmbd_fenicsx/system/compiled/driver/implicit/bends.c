@@ -5,7 +5,8 @@
 
    a small system for dN by the answers of all points to efforts of one. */
 
-enum { MOST_BENT = 48 };               /* laws times points */
+enum { MOST_BENT = 240 };               /* laws times points */
+static const double FORETOLD = 1e-4;   /* share of N by which it may be foretold wrong */
 enum { BENT = 100 };                   /* a verdict: the tangent at hand has slopes of such laws */
 
 typedef struct {
@@ -15,8 +16,8 @@ typedef struct {
     double stiffness, damping, effort;
 } Bend;
 
-/* All laws at all points that have slopes; -1: there may be too many. */
-static int bends_of(const System *s, int points, Bend *bends)
+/* All laws at all points that have slopes, or formulas with slopes ``beyond`` those that the tangent has; -1: there may be too many. */
+static int bends_of(const System *s, int points, int beyond, Bend *bends)
 {
     int count = 0, laws = 0;
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) laws += k->line && !k->linked ? k->n : 0;
@@ -24,8 +25,10 @@ static int bends_of(const System *s, int points, Bend *bends)
     for (int j = 0; j < points; j++)
         for (Batch *k = s->batch; k < s->batch + s->batches; k++)
             for (long i = 0; k->line && !k->linked && i < k->n; i++) {
-                const double *line = line_of(k, j, i);
-                if (line[3] != 0.0 || line[4] != 0.0) bends[count++] = (Bend){k, i, j, line[3], line[4], line[2]};
+                const double *line = line_of(k, j, i), *had = line_of(k, OF_TANGENT, i);
+                const double stiffness = line[3] - (beyond ? had[3] : 0.0), damping = line[4] - (beyond ? had[4] : 0.0);
+                if (beyond && k->role != FORMULA) continue;
+                if (stiffness != 0.0 || damping != 0.0) bends[count++] = (Bend){k, i, j, stiffness, damping, line[2]};
             }
     return count;
 }
@@ -60,11 +63,11 @@ static int changes_of(System *s, const Stages *o, int count, const Bend *bends, 
     return DONE;
 }
 
-/* Whether they change by more than a bent law is known along a line. */
-static int swings(int count, const Bend *bends, const double *changes)
+/* Whether they change by more than such a share. */
+static int swings(int count, const Bend *bends, const double *changes, double share)
 {
     for (int i = 0; i < count; i++)
-        if (fabs(changes[i]) > OF_THE_LAW * fmax(fabs(bends[i].effort), largest(bends[i].k->effort, (int)bends[i].k->n))) return 1;
+        if (fabs(changes[i]) > share * fmax(fabs(bends[i].effort), largest(bends[i].k->effort, (int)bends[i].k->n))) return 1;
     return 0;
 }
 
@@ -75,12 +78,23 @@ static int hesitates(System *s, Stages *o)
     double changes[MOST_BENT];
     if (o->iterate == ON_ITS_OWN || o->hesitations >= HESITATIONS) return 0;
     if (!s->bent) {
-        const int count = bends_of(s, o->points, bends);
+        const int count = bends_of(s, o->points, 0, bends);
         if (count <= 0 || changes_of(s, o, count, bends, changes)) return 0;
-        o->swings = swings(count, bends, changes);
+        o->swings = swings(count, bends, changes, OF_THE_LAW);
     }
     o->hesitations += o->swings;
     return o->swings;
+}
+
+/* Whether an increment foretold forces by slopes of the tangent that formulas do not have at the points: with those of a law that sticks
+   what has come loose creeps, by increments that move hardly anything. */
+static int creeps(System *s, const Stages *o)
+{
+    Bend bends[MOST_BENT];
+    double changes[MOST_BENT];
+    if (o->iterate == ON_ITS_OWN || s->bent) return 0;
+    const int count = bends_of(s, o->points, 1, bends);
+    return count > 0 && !changes_of(s, o, count, bends, changes) && swings(count, bends, changes, FORETOLD);
 }
 
 /* (1), where the increment of the tangent alone is known. */
@@ -89,7 +103,7 @@ static int across_bends(System *s, Stages *o)
     Bend bends[MOST_BENT];
     double A[MOST_BENT * MOST_BENT], change[MOST_BENT];
     const long kin = (long)o->points * o->n, low = (long)o->points * o->size;
-    const int count = bends_of(s, o->points, bends);
+    const int count = bends_of(s, o->points, 0, bends);
     double *given = o->given, *row = given + kin + low;
     int verdict;
     o->swings = 0;
@@ -114,6 +128,6 @@ static int across_bends(System *s, Stages *o)
         if ((verdict = bend_row(s, o, bends + j, j ? bends + j - 1 : NULL, row))) return verdict;
         add(o->low + (long)bends[j].point * o->size, change[j], row, o->n);
     }
-    o->swings = swings(count, bends, change);
+    o->swings = swings(count, bends, change, OF_THE_LAW);
     return solve_points(s, o);
 }

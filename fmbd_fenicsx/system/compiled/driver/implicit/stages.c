@@ -387,7 +387,10 @@ EXPORT int driver_stage_iterate(System *s, Stages *o, Convergence *c, int until)
         if (s->bridged) pass_increment(c, size_moved(o, c));
         else judge_increment(c, size_moved(o, c), fmax(o->moved[0], c->h * o->moved[1]) <= c->still);
         if (o->iterate != ON_ITS_OWN) o->iterate = FOLLOWING;
-        if (c->outcome == CONVERGED && c->done < c->most && hesitates(s, o)) c->outcome = GOES_ON;
+        if (c->outcome != CONVERGED || c->done >= c->most) continue;
+        const int crept = creeps(s, o);
+        if (crept || hesitates(s, o)) c->outcome = GOES_ON;
+        if (crept) return BENT;
     }
     return DONE;
 }

@@ -188,6 +188,17 @@ static int modal_masses(System *s, const Patterns *o, const double *q, double *M
     return DONE;
 }
 
+/* Slopes of formulas where the tangent is taken. */
+static void note_slopes(System *s)
+{
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++)
+        for (long i = 0; k->role == FORMULA && k->line && i < k->n; i++) {
+            double *line = line_of(k, OF_TANGENT, i);
+            line[3] = k->stiffness[i];
+            line[4] = k->damping[i];
+        }
+}
+
 /* Derivatives of the lower rows: central differences by coordinates, moved by hq, forward ones by velocities, moved by hv; laws in Python
    tell their slopes, and count as their tangents then.
    ``room``: 2 n + nq + 3 size. */
