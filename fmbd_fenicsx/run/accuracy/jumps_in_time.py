@@ -42,11 +42,12 @@ class HeldState:
 
     def rows(self, times: Array) -> Array:
         """All of them at given times (s) as forces, speeds and accelerations, (n,) -> (n, rows); collective."""
-        asked = np.array([t for t in times.tolist() if t not in self.known])
+        at = [float(t) for t in times]
+        asked = np.array([t for t in at if t not in self.known])
         pieces = np.array_split(asked, 1 + int(len(asked) * len(self.state.v) / AT_ONCE))
         for piece in pieces if len(asked) else ():
-            self.known.update(zip(piece.tolist(), self._rows(piece), strict=True))
-        return np.array([self.known[t] for t in times.tolist()])
+            self.known.update(zip(map(float, piece), self._rows(piece), strict=True))
+        return np.array([self.known[t] for t in at])
 
     def _rows(self, times: Array) -> Array:
         system = self.system
