@@ -34,6 +34,7 @@ class ComplexFactor(FieldFactor):
 
     def __init__(self, field: Field, cm: complex, ck: complex, cd: complex = 0.0) -> None:
         self.judge = Judge(f'the elastic block of body "{field.name}" for motions of complex frequency')
+        self.refines = field.carried  # such pressures answer to what is left of volumes with the bulk modulus
         # mass, stiffness, own damping
         self.weights = complex(cm), complex(ck), complex(cd)
         real, imaginary = (_matrix(field, cm.real, ck.real, cd.real), _matrix(field, cm.imag, ck.imag, cd.imag))
@@ -51,6 +52,8 @@ class ComplexFactor(FieldFactor):
         whole = np.zeros((self.matrix.shape[0], *b.shape[1:]), complex)
         whole[: len(b)] = b
         x = self.factor.solve(whole)
+        if self.refines:
+            x -= self.factor.solve(self.matrix @ x - whole)
         r = self.matrix @ x - whole
         rr, bb, xx = map(_sizes, (r, b, x))
         for left, given, found in zip(np.atleast_1d(rr), np.atleast_1d(bb), np.atleast_1d(xx), strict=True):

@@ -174,7 +174,7 @@ class FieldEquations(Equations):
     # -- residuals ----------------------------------------------------------------------------------------------
     def begin(self, state: State, *, closed: bool = True) -> None:
         """Local coordinates about the state; ``closed``: with :meth:`consistent_start`, where that is asked for."""
-        self.pressures.begin(again=self._begun is state)
+        self.pressures.begin(known=self._begun is state, in_parts=closed)
         if self._begun is not state:
             self._begun, self._basis = state, None
             self._last_metric = self.metric
@@ -239,7 +239,7 @@ class FieldEquations(Equations):
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
         states = self.system.evaluator
-        if not isinstance(states, DriverStates) or not self._known:
+        if not isinstance(states, DriverStates) or not self._known or self.pressures.fields:
             return None
         return states.points(t, self.origin, (p.xi, p.v, p.vd), (p.mult[:, : self.system.n_lam], None, None))
 
@@ -318,8 +318,8 @@ class FieldEquations(Equations):
 
     @property
     def _known(self) -> bool:
-        """Whether compiled code evaluates points of these forms: pressures are not among them."""
-        return 2 not in self.form.levels and not self.pressures.fields
+        """Whether compiled code evaluates points of these forms."""
+        return 2 not in self.form.levels
 
     def whole_steps(self, state: State) -> DriverStates | None:
         """As :meth:`Equations.whole_steps`: matrices have tables of their own."""
@@ -353,7 +353,13 @@ class FieldEquations(Equations):
     def lend(self, room: FieldStageRoom, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
         """As :meth:`Equations.lend`: steps take derivatives of their own, and ask for the matrices of their frequencies."""
         self.begin(state, closed=False)
+        room.fields.outworn = int(self.pressures.renews)
         room.begin(matrices, self.consistent_start(state) if self._estimates else None)
+
+    def kept(self, room: FieldStageRoom, judge: Judge, *, known: bool) -> tuple[Any, Any]:
+        """As :meth:`Equations.kept`: nothing, but whether new tangents are due."""
+        self.pressures.renew_next(due=bool(room.fields.outworn))
+        return super().kept(room, judge, known=known)
 
     def lend_matrices(self, room: FieldStageRoom, state: State, s: Array) -> None:
         """As :meth:`Equations.lend_matrices`. Solutions are not iterated on there: an increment more is cheaper."""
@@ -362,6 +368,8 @@ class FieldEquations(Equations):
         evaluator = self.system.evaluator
         if isinstance(evaluator, DriverStates):  # elements remember the steps of the march, not where it began
             evaluator.tables.remember()
+        if (at := room.take_outworn()) is not None:
+            self.system.at(*at).take_tangents([k for k, _ in self.pressures.fields])
         ev = self.system.at(state.t, state.q, state.v)
         ev.balance(state.a, state.lam)
         for by in reversed(self._lent):  # complex ones look at rows with the tables of real ones

@@ -26,6 +26,7 @@ of complex symmetric systems: Axelsson and Kucherov, doi:10.1002/1099-1506(20000
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -177,7 +178,10 @@ class FieldStages:
             return
         room.take_frequencies(np.array(self.s))
         room.solve_by(solvers, self.before, SLOW)
-        self.judge.solves += room.iterate(convergence, until)
+        done = convergence.done
+        with self.eq.pressures.lent(room) if self.eq.pressures.fields else nullcontext():
+            self.judge.solves += room.iterate(convergence, until)
+        self.eq.pressures.count(convergence.done - done)
         self.before = room.known["before"].copy()
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:

@@ -29,7 +29,7 @@ PART void field_answers(System *s, const Body *o);
 PART int field_load(System *s, const Body *o, double scale, double t);
 PART void field_increment(System *s, const Body *o, double *x);
 PART void field_without_load(const Body *o);
-PART void close_volume(const Body *o);
+PART void close_volume(const Body *o, double *force);
 PART void move_pressure(const Body *o, const double *x);
 PART void keep_pressure(const Body *o, int back);
 PART void field_sway(System *s, const Body *o, const double *R, const double *x);

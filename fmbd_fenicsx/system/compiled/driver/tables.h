@@ -211,7 +211,7 @@ typedef struct {
     NodeMatrix *damping[DAMPINGS];     /* C of a viscous form, and of the stiffness without stress; NULL without */
     int parts;                         /* 2 where factor and columns are complex: all but the real parts stands behind these */
     long wide;                         /* unknowns of the factor: n, and those of the pressure */
-    double *tangent, *elastic, *left, *more; /* K of the factor; wide, of one part: of_stiffness z, E z - b; the change of */
+    double *tangent, *elastic, *left, *more; /* K of the factor; wide: of_stiffness z, one part; E z - b, and the change of */
     void *residual, *change;           /* z that it asks for, NULL but with an unknown pressure, and vectors on both */
     double *asked, asked_at;           /* U, U', R, p and the time (s) of the last forces that were found without those of inertia: */
     double *held_force, *held_sums;    /* n; TWIST, rows of the frame in body axes */

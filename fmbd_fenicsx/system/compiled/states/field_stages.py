@@ -46,7 +46,7 @@ class FieldStageRoom(PointRoom):
             "columns": states.tables.c.nu * m, "units": m * (n + m), "reactions": (m, m), "square": n, "before": p, "sizes": p,
             "kin": p * 2 * n, "low": p * 2 * size, "rate": p * 2 * n, "push": p * 2 * n, "x": p * 4 * n, "y": p * 2 * width,
             "b": 2 * n, "c": 2 * (n + m), "given": 2 * m, "found": 2 * m, "room": 3 * n + size,
-            "closed": (3, n), "sampled": states.calls.written,
+            "closed": (3, n), "sampled": states.calls.written, **self._pressures(k),
         }  # fmt: skip
         more = zeros_of(of_fields)
         self.known = {name: x for name, (x, _) in more.items()}
@@ -55,13 +55,37 @@ class FieldStageRoom(PointRoom):
         (self._span, self._counted), self._by = self.twin.kinds, np.zeros(p, np.uint64)
         self.fields = FieldStages(
             by=address_of(self._by), kinds=len(self._span), span=address_of(self._span), counted=address_of(self._counted),
-            length=system.length, **{name: address for name, (_, address) in more.items()},
+            length=system.length, pressures=sum(self._counts), **{name: address for name, (_, address) in more.items()},
         )  # fmt: skip
         self.c = Stages(
             n=n, m=m, size=size, levels=len(levels), frequencies=p, points=k, first=levels[0] if levels else 0, relax=1.0,
             s=made["s"][1], fields=ctypes.addressof(self.fields), **{name: made[name][1] for name in POINTS},
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
+
+    def _pressures(self, points: int) -> dict[str, int | tuple[int, ...]]:
+        """Sizes of what is there for pressures that are unknowns."""
+        carried = [one.part.field for one in self.states.tables.fields if one.part.field.carried]
+        self._counts = [field.n_pressure for field in carried]
+        count = sum(self._counts)
+        return {"pressure": (points, count), "opened": (points, count), "began": count}
+
+    def put_pressures(self, began: list[Array], points: list[list[Array]]) -> None:
+        """Take pressures that are unknowns where a step begins, of each field (n_pressure,), and those of its points."""
+        self.known["began"][:] = np.concatenate(began)
+        self.known["pressure"][:] = [np.concatenate(values) for values in points]
+
+    def pressures(self) -> list[list[Array]]:
+        """Those of the points."""
+        cuts = np.cumsum(self._counts)[:-1]
+        return [np.split(values, cuts) for values in self.known["pressure"].copy()]
+
+    def take_outworn(self) -> tuple[float, Array, Array] | None:
+        """Time (s), q and v where new tangents of bodies with such pressures are asked for, once; else None."""
+        if not self.fields.outworn:
+            return None
+        self.fields.outworn = 0
+        return float(self.fields.t), self.twin.places(self.known["q"]), self.twin.forces(self.known["v"])
 
     def put(self, t: Array, q0: Array, points: Any, rule: StageRule, weights: Array) -> None:
         """As of all points, with the frames at rest."""

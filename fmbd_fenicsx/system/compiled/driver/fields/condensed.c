@@ -108,7 +108,7 @@ static void take_residual(const Field *e, int part)
 {
     const NodeMatrix K = {e->K_start, e->K_column, e->tangent};
     const double *b = e->b + part * e->wide;
-    double *x = e->elastic, *r = e->left;
+    double *x = e->elastic, *r = e->left + part * e->wide;
     memset(r, 0, e->wide * sizeof(double));
     add(r, -1.0, b, e->n);
     scaled(e, part, e->of_mass, e->n, x);
@@ -137,19 +137,23 @@ static int by_components(const Field *e)
     return 0;
 }
 
-/* z = E^-1 b by the factor; 1 where there is none. */
-static int by_factor(const Field *e)
+/* z = E^-1 b by the factor, unrefined; 1 where there is none. ``b``, ``z`` and the vectors on them: those of the field, or of a residual. */
+static int by_factor(const Field *e, const double *b, double *z, void *rhs, void *solution)
+{
+    if (e->parts == 1) return e->direct(*e->factor, rhs, solution);
+    symmetric_solve(*e->factor, b, z);
+    return 0;
+}
+
+/* The same, once more for what is left of volumes: pressures that are unknowns answer to it with the bulk modulus. */
+static int refined(const Field *e)
 {
     if (e->by_component) return by_components(e);
-    if (e->parts > 1) {
-        symmetric_solve(*e->factor, e->b, e->z);
-        return 0;
-    }
-    if (e->direct(*e->factor, e->rhs, e->solution)) return 1;
+    if (by_factor(e, e->b, e->z, e->rhs, e->solution)) return 1;
     if (!e->more) return 0;
-    take_residual(e, 0); /* once more: pressures answer to what is left of volumes with the bulk modulus */
-    if (e->direct(*e->factor, e->residual, e->change)) return 1;
-    add(e->z, -1.0, e->more, e->wide);
+    for (int part = 0; part < e->parts; part++) take_residual(e, part);
+    if (by_factor(e, e->left, e->more, e->residual, e->change)) return 1;
+    add(e->z, -1.0, e->more, e->parts * e->wide);
     return 0;
 }
 
@@ -157,11 +161,11 @@ static int by_factor(const Field *e)
 static int solved_here(const Field *e)
 {
     double residual = 0.0, scale = 0.0;
-    if (!e->factor || !*e->factor || by_factor(e)) return 0;
+    if (!e->factor || !*e->factor || refined(e)) return 0;
     for (int part = 0; part < e->parts; part++) {
         const double *b = e->b + part * e->wide;
         take_residual(e, part);
-        residual += long_dot(e->left, e->left, e->wide);
+        residual += long_dot(e->left + part * e->wide, e->left + part * e->wide, e->wide);
         scale += long_dot(b, b, e->n);
     }
     residual = sqrt(scale > 0.0 ? residual / scale : residual);

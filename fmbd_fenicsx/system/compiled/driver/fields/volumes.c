@@ -1,7 +1,7 @@
 /* Pressures that are unknowns, in Newton's iteration: (2) of fem/mixed.py, with r the balance of the pressure. */
 
 /* Forces on the nodes take what closes volumes, B^T C^-1 r in the axes of the factor, for the increment that comes. */
-void close_volume(const Body *o)
+void close_volume(const Body *o, double *force)
 {
     const Field *e = o->field;
     const Pressure *k = e->pressure;
@@ -11,7 +11,7 @@ void close_volume(const Body *o)
     memset(e->accel, 0, e->n * sizeof(double));
     push_by_pressure(k, k->B, k->x, e->accel);
     turn_nodes(e, e->accel, e->n, 0);
-    add(e->force, 1.0, e->accel, e->n);
+    add(force, 1.0, e->accel, e->n);
 }
 
 /* The pressure after that increment x, like v: p + C^-1 (B dU + r). */

@@ -22,6 +22,8 @@ typedef struct FieldStages {
     double *kin, *low, *rate, *push;   /* frequencies x 2 n, x 2 size, x 2 n, x 2 n */
     double *x, *y;                     /* frequencies x 4 n, x 2 (size - n): solutions */
     double *b, *c, *given, *found, *room; /* 2 n, 2 n + 2 m; 2 m each; 3 n + size */
+    int pressures, outworn;            /* unknown ones of all fields, side by side; whether these ask for new tangents: */
+    double *pressure, *opened, *began; /* points x pressures: of the points, and their balances; where the step began */
     double solves, slow;               /* share of the increment before from which on Python iterates on solutions */
 } FieldStages;
 
@@ -43,6 +45,70 @@ static void add_closing(const Stages *o, const double *c, double *y)
 {
     for (int r = 0; r < o->m; r++)
         if (c[r] != 0.0) add(y, c[r], o->fields->N + (long)r * o->n, o->n);
+}
+
+/* ---- pressures that are unknowns: schemes/implicit/stage_pressures.py ---- */
+
+enum { MANY = 4 };                     /* increments of a step, behind which the next one takes new tangents */
+
+/* Those of the fields in the tables of ``s``, or their balances, as they stand side by side in x: into x, or out of it. */
+enum { INTO, OUT_OF };
+static void exchange_pressures(const System *s, int way, int balances, double *x)
+{
+    for (const Body *o = s->body; o < s->body + s->bodies; o++) {
+        const Pressure *k = o->field ? o->field->pressure : NULL;
+        if (!k || !k->gap) continue;
+        double *own = balances ? k->gap : k->p;
+        memcpy(way == INTO ? x : own, way == INTO ? own : x, k->n * sizeof(double));
+        x += k->n;
+    }
+}
+
+/* The balance of point j takes what closes volumes that are open there; fields have the pressures of the step's start again. The matrix of
+   any frequency tells how the axes are turned. */
+static void close_point(const System *s, const Stages *o, int j, double *low)
+{
+    const FieldStages *e = o->fields;
+    double *opened = e->opened + (long)j * e->pressures;
+    exchange_pressures(s, INTO, 1, opened);
+    exchange_pressures(s, OUT_OF, 0, e->began);
+    exchange_pressures(e->by[0], OUT_OF, 1, opened);
+    for (const Body *b = e->by[0]->body; b < e->by[0]->body + s->bodies; b++)
+        if (b->field) close_volume(b, low + b->at_v);
+}
+
+/* Pressures of all points move along with their increments. */
+static void move_points(const Stages *o)
+{
+    const FieldStages *e = o->fields;
+    const System *by = e->by[0];
+    for (int j = 0; j < o->points && e->pressures; j++) {
+        double *opened = e->opened + (long)j * e->pressures, *pressure = e->pressure + (long)j * e->pressures;
+        for (int i = 0; i < e->pressures; i++) opened[i] *= o->relax;
+        exchange_pressures(by, OUT_OF, 0, pressure);
+        exchange_pressures(by, OUT_OF, 1, opened);
+        for (const Body *b = by->body; b < by->body + by->bodies; b++)
+            if (b->field) move_pressure(b, o->dxi + (long)j * o->n);
+        exchange_pressures(by, INTO, 0, pressure);
+    }
+    if (e->pressures) exchange_pressures(by, OUT_OF, 0, e->began);
+}
+
+/* Points begin with the pressures of the step. */
+static void begin_points(const System *s, const Stages *o)
+{
+    const FieldStages *e = o->fields;
+    exchange_pressures(s, INTO, 0, e->began);
+    for (int j = 0; j < o->points; j++) memcpy(e->pressure + (long)j * e->pressures, e->began, e->pressures * sizeof(double));
+}
+
+/* Steps of many increments ask for new tangents of bodies with such pressures, and for matrices with these. */
+static void wear_tangents(const Stages *o, int increments)
+{
+    FieldStages *e = o->fields;
+    if (!e->pressures || increments <= MANY) return;
+    e->outworn = 1;
+    e->lent = 0.0;
 }
 
 /* The size of a motion. */

@@ -126,6 +126,7 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
     c->size = c->greatest = 0.0;
     c->done = 0;
     c->outcome = GOES_ON;
+    if (o->stages->fields) begin_points(s, o->stages);
 
     int verdict = iterate_points(s, o, p[LENGTH], work);
     const double *judged = o->stages->judged;
@@ -133,6 +134,7 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
     work[INCREMENTS_MADE] += c->done;
     p[ITERATIONS] += c->done;
     if (!verdict && (c->outcome != CONVERGED || !(judged[0] <= c->accurate * judged[1]))) verdict = NEWTON;
+    if (o->stages->fields) wear_tangents(o->stages, c->done);
     if (verdict) {
         o->failed += c->done;
         return verdict;
@@ -182,8 +184,10 @@ static int end_motion(System *s, const Implicit *o, const double *p, const Block
 /* The end of a step with its multipliers. */
 static int end_implicit(System *s, const Implicit *o, const double *p, const double *mult, Block out)
 {
+    const Stages *g = o->stages;
     int verdict;
     memcpy(out.lam, mult, s->rows * sizeof(double));
+    if (g->fields) exchange_pressures(s, OUT_OF, 0, g->fields->pressure + (long)(g->points - 1) * g->fields->pressures);
     if (o->projects && (verdict = driver_close(s, 1, *out.t, p[LENGTH], 0.0, 0.0, out.q, out.v, o->mixed))) return verdict;
     if (!turns_freely(s)) return DONE;
     if (!(verdict = place(s, out.q, out.v))) settle_angles(s, out.q);

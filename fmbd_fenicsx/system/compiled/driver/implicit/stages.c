@@ -254,9 +254,12 @@ static int stage_residuals(System *s, const Stages *o, int increments)
         double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
         if ((verdict = sample_point(s, o, j, known))) return verdict;
         const Normal along = normal_at(o, &frozen, j);
+        const int carried = o->fields ? o->fields->pressures : 0;
         s->point = j;
         s->iterate = o->iterate;
+        if (carried) exchange_pressures(s, OUT_OF, 0, o->fields->pressure + (long)j * carried);
         verdict = local_point(s, &along, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult, kin, low, o->local);
+        if (carried) close_point(s, o, j, low);
         s->iterate = ON_ITS_OWN;
         s->point = 0;
         if (verdict) return verdict;
@@ -353,6 +356,7 @@ static int stage_increment(System *s, Stages *o, int increments)
         o->moved[3 + i] = largest_square(s, o, count, i, moved[i]);
     }
 
+    if (o->fields) move_points(o);
     add(o->xi, 1.0, o->dxi, k * n);
     add(o->v, 1.0, o->dv, k * n);
     add(o->mult, 1.0, o->dmult, k * multipliers);

@@ -191,7 +191,7 @@ static int solve(System *s, AlphaStep *k)
 {
     const Body *const end = s->body + (s->fields ? s->bodies : 0);
     for (const Body *o = s->body; o < end; o++)
-        if (o->field) close_volume(o);
+        if (o->field) close_volume(o, o->field->force);
     int verdict = k->stable ? stabilised(s, k->scale, k->damp, k->x, k->closing, k->y, k->none, k->t)
                             : increment(s, k->scale, k->x, k->y, k->t);
     if (verdict) return verdict;

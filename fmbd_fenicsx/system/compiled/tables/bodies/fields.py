@@ -256,8 +256,9 @@ class FieldTable:
 
     def _residual(self) -> dict[str, int]:
         """Room for the residual of a solution, and for the change that it asks for where the pressure is an unknown."""
-        (left, at_left), (more, at_more) = (self.tables.store.array(np.zeros(self.wide)) for _ in range(2))
-        if not self.part.field.carried or self.parts > 1:
+        size = self.parts * self.wide
+        (left, at_left), (more, at_more) = (self.tables.store.array(np.zeros(size)) for _ in range(2))
+        if not self.part.field.carried:
             return {"left": at_left}
         residual, change = self._vectors(left, more)
         return {"left": at_left, "more": at_more, "residual": residual, "change": change}
