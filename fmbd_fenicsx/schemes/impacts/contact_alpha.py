@@ -38,7 +38,6 @@ from ...linear.redundancy import least
 from ...mechanics.contact.obstacles import way_over
 from ...mechanics.contact.rows import LinearRows, Rows
 from ...rotations import Array
-from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
@@ -172,7 +171,7 @@ class ContactAlphaStepper(ContactStepper):
         if (closed & (self.ledger.force[step.near][:, 0] <= 0)).any():
             dv = self._pushed(rows.L, -step.gain * force.ravel())
             obstacles = np.concatenate((rate[:, None], -rows.drift / step.h), axis=1)[:, : force.shape[1]]
-            share = _share(step.ev, v, dv, -step.gain * float((force * obstacles).sum()))
+            share = self._share(step, v, dv, -step.gain * float((force * obstacles).sum()))
             v = v + share * dv
             stopped -= share * force
             step.accelerate(share * dv)
@@ -190,18 +189,17 @@ class ContactAlphaStepper(ContactStepper):
         """Change of velocities by impulses P on rows."""
         return self.solver.solve(self.contacts.transposed(self.system, rows, P), np.zeros(self.system.n_lam))[0]
 
+    def _share(self, step: _Step, v: Array, dv: Array, work: float) -> float:
+        """The share in [0, 1] of a change dv of the velocities v that leaves the least energy of motion; ``work`` (J): what all
+        of it gives to the obstacles.
+        """
 
-def _share(ev: Evaluation, v: Array, dv: Array, work: float) -> float:
-    """The share in [0, 1] of a change dv of the velocities v that leaves the least energy of motion; ``work`` (J): what all of it
-    gives to the obstacles.
-    """
+        def kinetic(v: Array) -> float:
+            return float(self.system.at(step.ev.t, step.ev.q, v).energies()["kinetic"])
 
-    def kinetic(v: Array) -> float:
-        return float(ev.system.at(ev.t, ev.q, v).energies()["kinetic"])
-
-    new = kinetic(dv)
-    slope = kinetic(v + dv) - kinetic(v) - new + work
-    return min(max(-slope / (2 * new), 0.0), 1.0) if new > 0 else 0.0
+        new = kinetic(dv)
+        slope = kinetic(v + dv) - kinetic(v) - new + work
+        return min(max(-slope / (2 * new), 0.0), 1.0) if new > 0 else 0.0
 
 
 class _Step(ContactStep):

@@ -19,6 +19,9 @@ these would add up in v_1, with a changing sign. Their velocity at the end is le
 
     a_1 = (v_m - (v_0 - (1 - theta) h a_0)) / h,   v_1 = v_m + (1 - theta) h a_1                             (4)
 
+Their places at the ends of steps alternate about those that the balance holds in the middle, with theta = 1/2 without end
+behind a release; a larger theta damps that.
+
 Source: Khenous, Laborde, Renard, doi:10.1016/j.euromechsol.2008.01.001; Deuflhard, Krause, Ertel,
 doi:10.1002/nme.2119.
 """
