@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import ConvergenceError, LinearSolveError
+from fmbd_fenicsx.errors import BalanceError, ConvergenceError, LinearSolveError
 from fmbd_fenicsx.run.judges.energy_check import Watch
 from fmbd_fenicsx.run.step_bisection import ConstantSteps
 from fmbd_fenicsx.schemes import TimeStepper
@@ -113,6 +113,20 @@ def test_without_renewal_the_worker_goes_on() -> None:
     worker = Brittle(state, 0.3)
     stepper = ConstantSteps(worker, system, None, None)
     assert stepper.advance(1.0).t == 1.0 and stepper.stepper is worker and worker.made == 4
+
+
+def test_forces_beyond_all_numbers_are_those_of_a_step_that_diverged() -> None:
+    """An iterate that ran away has no forces: parts of its step may have."""
+
+    class Wild(Brittle):
+        def advance(self, h: float) -> State:
+            if h > self.longest:
+                raise BalanceError(f"h = {h}")
+            return super().advance(h)
+
+    system, state = body()
+    stepper = ConstantSteps(Wild(state, 0.3), system, lambda s: Wild(s, 0.3), None)
+    assert stepper.advance(1.0).t == 1.0 and stepper.counters["halved_steps"] == 3
 
 
 def test_the_error_is_that_of_the_whole_step() -> None:

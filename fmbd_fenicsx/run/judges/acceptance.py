@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...errors import ConvergenceError
+from ...errors import BalanceError, ConvergenceError
 from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...schemes.declared import Declared
@@ -58,7 +58,8 @@ def accept_step(system: System, stepper: Any) -> bool:
 def finite_step(system: System, stepper: Any, h: float) -> State:
     """One step of a scheme of at most h (s); collective.
 
-    Numbers beyond the range of the machine, or that NumPy gives up on, are those of an iteration that diverged.
+    Numbers beyond the range of the machine, forces that are not finite among them, or that NumPy gives up on are those of an
+    iteration that diverged.
 
     Raises:
         ConvergenceError: so they are here, also where the scheme takes them for a state.
@@ -66,7 +67,7 @@ def finite_step(system: System, stepper: Any, h: float) -> State:
     t = stepper.state.t
     try:
         made: State = stepper.advance(h)
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, BalanceError) as error:
         raise diverged(t, h, error) from error
     if not system.finite(made.v, made.a, made.lam):
         raise diverged(t, h, "the state is not finite")
