@@ -121,6 +121,18 @@ def test_rates_of_real_eigenvalues_are_printed() -> None:
     assert float(row.split()[-1]) == pytest.approx(found.growth[0], rel=1e-5)
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_states_in_a_motion_that_is_not_steady_are_told_of(held: bool, caplog: pytest.LogCaptureFixture) -> None:
+    """A pendulum on its way down has no modes; a body that goes on as it is has."""
+    scene = fmbd.Scene("swing", gravity=(0.0, -9.81) if held else None)
+    body = fmbd.RigidBody("body", 1.0, 0.1, position=(1.0, 0.0), velocity=(0.0, 0.0 if held else 2.0))
+    scene.add(body)
+    if held:
+        scene.add(fmbd.revolute("pin", fmbd.ground, body, center=(0.0, 0.0)))
+    fmbd.modes(scene, 1, at=fmbd.solve(scene, t_end=0.2, dt=0.01))
+    assert ("the motion at this state is not steady" in caplog.text) == held
+
+
 def test_damping_ratio_of_one_mass() -> None:
     """zeta = c / 2 sqrt(k m)."""
     scene = fmbd.Scene("one")

@@ -19,6 +19,7 @@ from ...agreement import OneAnswer
 from ...checks import typed
 from ...errors import InputError, require
 from ...linear.condensation import StepSolver
+from ...log import log
 from ...mechanics.elastic.modes import squares_of_frequencies
 from ...ranks import rank_sum
 from ...rotations import Array
@@ -46,6 +47,7 @@ STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
 RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
 ROUGH = 5e-6  # relative change by roundoff of the stiffness that they may have
 ROUNDOFF = 1e2 * np.finfo(float).eps  # of products with the stiffness, which are differences of forces, over its size
+UNSTEADY = 1e-2  # way by which accelerations would move a scene in a long time, over the model's length
 NOTHING = 1e-6  # motion in a long time that counts as rest, over the model's length
 
 
@@ -257,7 +259,7 @@ def _refuse_rolling_fields(system: System, state: State) -> None:
 
 
 def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
-    """A state at rest that accelerates is no equilibrium: frequencies about it would mean nothing.
+    """A state at rest that accelerates is no equilibrium: frequencies about it would mean nothing. Of one in motion it is told.
 
     The time step of ``newton`` is long against all vibrations; what moves nothing in it, or until it is balanced, is roundoff.
     """
@@ -273,15 +275,22 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
 
     if speed == 0.0 and system.keepers:
         refuse_moving_memory(about, shift)
-    if speed != 0.0 or accel <= max(FAR * pull, NOTHING * system.length * shift):
+    if accel <= max(FAR * pull, NOTHING * system.length * shift):
         return
 
-    # where would a long step bring it?
+    # where would a long step bring it? In motion, by the forces that accelerate it
     def step() -> Array:
         r = newton.take(StaticPoint(state.q, state.lam), state.t)
-        return newton.solver.solve(-r[0], -r[1])[0]
+        return newton.solver.solve(*((-r[0], -r[1]) if speed == 0.0 else (about.mass(state.a), 0.0 * r[1])))[0]
 
     away = system.max_abs(newton.solvable(step))
+    if speed != 0.0:
+        if away > UNSTEADY * system.length:
+            log.warning(
+                "modes: the motion at this state is not steady: bodies move with %.3g m/s and accelerate with %.3g m/s^2. "
+                "Modes and linear models hold about equilibria and steady motions: at=fmbd.equilibrium(scene)", speed, accel,
+            )  # fmt: skip
+        return
     if away > NOTHING * system.length:
         raise InputError(
             f"The scene is not in equilibrium at this state: bodies accelerate with {accel:.3g} m/s^2 at rest and are "
