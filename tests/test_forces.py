@@ -211,3 +211,19 @@ def test_a_road_is_asked_once_for_a_force_and_may_take_numbers_only() -> None:
         found.append((run["wheel"], len(asked) / run.counters["newton_iterations"]))
     assert np.abs(found[1][0] - found[0][0]).max() < 1e-9
     assert found[0][1] < 2.5 < found[1][1]
+
+
+def test_a_road_is_asked_for_its_rate_by_dampers_only() -> None:
+    """Of a tyre without damping for numbers alone, in all schemes."""
+    asked: set[type] = set()
+
+    def road(x: Any, t: Any) -> Any:
+        asked.add(type(t))
+        return 0.1 * np.sin(3 * x[0] + t)
+
+    wheel = fmbd.RigidBody("wheel", 1.0, 0.1, position=(0.2, 0.35), velocity=(1, 0.5))
+    scene = fmbd.Scene("road", gravity=(0, -9.81))
+    scene.add(wheel, fmbd.Tyre("tyre", wheel, road=road, stiffness=2e3))
+    for scheme in (fmbd.GeneralizedAlpha(), fmbd.Radau(2, rtol=None), fmbd.HalfExplicit()):
+        fmbd.solve(scene, t_end=0.02, dt=1e-3, scheme=scheme)
+    assert asked == {float}

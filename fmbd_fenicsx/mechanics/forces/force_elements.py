@@ -270,14 +270,16 @@ class ScalarLoads(Loads):
 class TyreLoads(Loads):
     """Radial springs between a wheel centre and a road: N = k c + d c' while c = radius - height over the road > 0, N >= 0.
 
-    The rate of the road along the way of the wheel is one call with numbers that carry their rates where the road takes them, as
-    those of NumPy's functions do.
+    The rate of the road along the way of the wheel, which dampers ask for, is one call with numbers that carry their rates where
+    the road takes them, as those of NumPy's functions do.
     """
 
     def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
         super().__init__(motions, forces, markers)
         self.up: Array = np.array([f.up[: motions.dim] for f in forces], dtype=float)
         self.radius: Array = np.array([f.radius for f in forces], dtype=float)
+        self.stiffness: Array = np.array([f.stiffness for f in forces])
+        self.damping: Array = np.array([f.damping for f in forces])
         self.by_jets: dict[int, bool] = {}  # which roads take numbers with rates, seen where a wheel first moves
 
     @staticmethod
@@ -307,7 +309,7 @@ class TyreLoads(Loads):
     def _height_by_differences(self, i: int, x: Array, v: Array, t: float) -> tuple[float, float]:
         """The same by numbers alone."""
         f, road = self.forces[i], self.laws[i]
-        height = float(checked(f.name, road(x, t), 1, t, ROAD)[0])
+        height = self._height_alone(i, x, t)
         rate = rates(partial(road, x), t)[0]
         speed = float(np.abs(v).max())
         if speed:
@@ -315,15 +317,21 @@ class TyreLoads(Loads):
             rate += (float(road(x + step, t)) - float(road(x - step, t))) * speed / (2e-5 * f.radius)
         return height, rate
 
-    def _compression(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
-        """c and c'."""
-        assert kin.twist is not None
-        d = self.motions.dim
-        places, speeds = kin.x[self.a], kin.twist[self.a, :d]
-        numbers = range(len(self.forces))
-        heights = np.array([self._height(i, places[i], speeds[i], t) for i in numbers])
-        c = heights[:, 0] + self.radius - (self.up * places).sum(1)
-        return c, heights[:, 1] - (self.up * speeds).sum(1)
+    def _height_alone(self, i: int, x: Array, t: float) -> float:
+        """The road under tyre i at a place x, m."""
+        return float(checked(self.forces[i].name, self.laws[i](x, t), 1, t, ROAD)[0])
+
+    def _compression(self, kin: Kinematics, t: float, *, rates: bool = True) -> tuple[Array, Array]:
+        """c and c', where dampers ask for ``rates``; else c' is zero."""
+        places, numbers = kin.x[self.a], range(len(self.forces))
+        if rates and self.damping.any():
+            assert kin.twist is not None
+            speeds = kin.twist[self.a, : self.motions.dim]
+            found = np.array([self._height(i, places[i], speeds[i], t) for i in numbers])
+            heights, rate = found[:, 0], found[:, 1] - (self.up * speeds).sum(1)
+        else:
+            heights, rate = np.array([self._height_alone(i, places[i], t) for i in numbers]), np.zeros(len(numbers))
+        return heights + self.radius - (self.up * places).sum(1), rate
 
     def _slopes(self, kin: Kinematics, t: float) -> Array:
         """-dc/dx: up minus the slope of the road."""
@@ -334,33 +342,30 @@ class TyreLoads(Loads):
                 row[i, k] -= (float(road(x + e, t)) - float(road(x - e, t))) / (2e-5 * f.radius)
         return row
 
-    def _constants(self) -> tuple[Array, Array]:
-        return np.array([f.stiffness for f in self.forces]), np.array([f.damping for f in self.forces])
-
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Force of the compressed tyres; none while lifted."""
         c, rate = self._compression(kin, t)
-        k, damping = self._constants()
         out = self._zero()
         # a tyre pushes only, also where its damper would pull
-        push = np.where(c > 0, np.maximum(k * c + damping * rate, 0.0), 0.0)
+        push = np.where(c > 0, np.maximum(self.stiffness * c + self.damping * rate, 0.0), 0.0)
         out[:, : self.motions.dim] = push[:, None] * self.up
         return out, self._zero()
 
     def energy(self, kin: Kinematics, t: float) -> float:
         """k c^2 / 2 of the compressed ones, J."""
-        c = np.maximum(self._compression(kin, t)[0], 0.0)
-        return 0.5 * float((self._constants()[0] * c**2).sum())
+        c = np.maximum(self._compression(kin, t, rates=False)[0], 0.0)
+        return 0.5 * float((self.stiffness * c**2).sum())
 
     def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """k and c along the direction of compression, of those in contact."""
         c, rate = self._compression(kin, t)
         up, row = self.up, self._slopes(kin, t)
-        k, damping = self._constants()
         # those that push
-        on = (c > 0) & (k * c + damping * rate > 0)
+        on = (c > 0) & (self.stiffness * c + self.damping * rate > 0)
         d = self.motions.dim
         n = self.motions.dim + self.motions.n_rot
         outer = np.zeros((len(c), 2 * n, 2 * n))
         outer[:, :d, :d] = up[:, :, None] * row[:, None, :]
-        return MarkerTangent(self.markers, (on * k)[:, None, None] * outer, (on * damping)[:, None, None] * outer)
+        return MarkerTangent(
+            self.markers, (on * self.stiffness)[:, None, None] * outer, (on * self.damping)[:, None, None] * outer
+        )
