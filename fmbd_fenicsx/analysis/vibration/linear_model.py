@@ -213,7 +213,7 @@ def _model(
     )
 
 
-def _reactions(made: Linearised, motions: list[Motion], causes: list[tuple[Array, Array]]) -> list[Array]:
+def _reactions(made: Linearised, motions: Sequence[Motion], causes: Sequence[tuple[Array, Array]]) -> list[Array]:
     """Multipliers (n_lam,) that hold each motion under its causes, a force and a change of the memory: of what it leaves."""
     about, n = made.about, made.about.system.n_lam
     if not about.row_count:
