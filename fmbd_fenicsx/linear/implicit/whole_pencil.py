@@ -97,10 +97,12 @@ class _Whole:
 
     def _softness(self, S: Array, first: int, units: Array) -> list[Any]:
         """What rows that depend on each other have on their multipliers, level by level, by the masses."""
-        T, every = self.pencil.matrices, np.tile(units, len(S))
-        masses = T.M.diagonal()
+        every = np.tile(units, len(S))
+        M: Any = self.pencil.matrices.M
+        G: Any = self.pencil.matrices.G
+        masses = M.diagonal()
         light = np.where(masses > 0, 1.0 / np.where(masses > 0, masses, 1.0), 0.0)
-        soft = SOFT * (every**2 * (T.G.power(2) @ light)).max(initial=0.0) / every**2
+        soft = SOFT * (every**2 * (G.power(2) @ light)).max(initial=0.0) / every**2
         compliance = -np.linalg.matrix_power(np.linalg.inv(S), 2 - first)
         pulled = sp.kron(compliance, sp.identity(len(units))) @ sp.diags(soft)
         return [pulled, *[sp.diags(soft)] * (self.pencil.levels - 1)]

@@ -1,4 +1,4 @@
-"""The tangent of the equations of an implicit step: as dense matrices, or as data of sparse patterns."""
+"""The tangent of the equations of an implicit step: as dense or sparse matrices, or as data of sparse patterns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from ...rotations import Array
 @dataclass(frozen=True)
 class StepTangent:
     """Coefficients of (1) in :mod:`~fmbd_fenicsx.linear.implicit.pencil`, with m rows of joints, k levels, p ties: J, M (n, n);
-    G (m, n); U (n, m); derivatives of the lower rows by xi, v, a, (n + k m + p, n) each; R (p, n). Or the data of their patterns.
+    G (m, n); U (n, m); derivatives of the lower rows by xi, v, a, (n + k m + p, n) each; R (p, n). Or sparse ones, or
+    data of patterns.
     """
 
     J: Array
