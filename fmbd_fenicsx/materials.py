@@ -1,6 +1,6 @@
 """Ready-made elastic forms in UFL; each returns what a user could write out.
 
-Young's modulus of laws without a pressure of their own is a number (Pa), or a function of the place x (m), where the body lies at
+Young's modulus is a number (Pa), or a function of the place x (m), where the body lies at
 the start, that gives a UFL expression: ``lambda x: 1e9 * (1 + x[0])``.
 """
 
@@ -52,10 +52,16 @@ def lame(youngs_modulus: float, poisson_ratio: float) -> tuple[float, float]:
 
 def _lame_of(youngs_modulus: Modulus, poisson_ratio: float) -> tuple[float, float, Grade]:
     """mu and lambda in Pa; where the modulus is a function of the place, those of 1 Pa, and the function."""
+    E, grade = _graded_modulus(youngs_modulus)
+    return *lame(E, poisson_ratio), grade
+
+
+def _graded_modulus(youngs_modulus: Modulus) -> tuple[float, Grade]:
+    """A number in Pa, and the function of the place that it is multiplied by."""
     if not callable(youngs_modulus):
-        return *lame(youngs_modulus, poisson_ratio), None
+        return youngs_modulus, None
     function("Young's modulus", youngs_modulus, "x", named="the place x, m")
-    return *lame(1.0, poisson_ratio), youngs_modulus
+    return 1.0, youngs_modulus
 
 
 def linear_elastic(youngs_modulus: Modulus, poisson_ratio: float) -> Hooke:
@@ -150,36 +156,35 @@ STIFFEST = 1e8  # lambda over mu of a linear body that counts as incompressible
 STIFFEST_LARGE = 1e3  # of a body with large strains: its pressure follows every iterate of Newton's method
 
 
-def _moduli(youngs_modulus: float, poisson_ratio: float, limit: float = STIFFEST) -> tuple[float, float]:
-    """mu and lambda (at most ``limit`` mu) for nu up to and including 1/2."""
-    E, nu = youngs_modulus, poisson_ratio
+def _moduli(youngs_modulus: Modulus, nu: float, limit: float = STIFFEST) -> tuple[float, float, Grade]:
+    """As :func:`_lame_of`, for nu up to and including 1/2: lambda is at most ``limit`` mu."""
+    E, grade = _graded_modulus(youngs_modulus)
     number("Young's modulus", E, above=0.0, unit="Pa")
     number("Poisson's ratio", nu)
     require(-1.0 < nu <= 0.5, f"Poisson's ratio {nu} must lie in (-1, 0.5].")
+    require(nu != 0.0, "At Poisson's ratio 0 there is no pressure of its own: take linear_elastic or neo_hookean.")
     mu = E / (2 * (1 + nu))
-    return mu, mu * min(2 * nu / max(1 - 2 * nu, 1e-300), limit)
+    return mu, mu * min(2 * nu / max(1 - 2 * nu, 1e-300), limit), grade
 
 
-def nearly_incompressible(youngs_modulus: float, poisson_ratio: float) -> MixedEnergy:
+def nearly_incompressible(youngs_modulus: Modulus, poisson_ratio: float) -> MixedEnergy:
     """Hooke's law with a pressure of its own: int mu eps : eps + p div u - p^2 / (2 lambda); any nu up to 1/2.
 
     To be given as ``elastic``. In the plane: plane strain.
     """
-    mu, lmbda = _moduli(youngs_modulus, poisson_ratio)
+    mu, lmbda, grade = _moduli(youngs_modulus, poisson_ratio)
 
     def density(u: Any, p: Any, dx: Any) -> Any:
-        from dolfinx import fem
         from ufl import div, grad, inner, sym
 
-        m = fem.Constant(dx.ufl_domain(), mu)
-        k = fem.Constant(dx.ufl_domain(), 0.5 / lmbda)
+        m, k = graded(dx.ufl_domain(), (mu, lmbda), grade)
         e = sym(grad(u))
-        return (m * inner(e, e) + p * div(u) - k * p * p) * dx
+        return (m * inner(e, e) + p * div(u) - p * p / (2 * k)) * dx
 
     return MixedEnergy(density, linear=True)
 
 
-def neo_hookean_mixed(youngs_modulus: float, poisson_ratio: float) -> MixedEnergy:
+def neo_hookean_mixed(youngs_modulus: Modulus, poisson_ratio: float) -> MixedEnergy:
     """Neo-Hookean with a pressure of its own: int mu/2 (tr F^T F - d - 2 ln J) + p (J - 1) - p^2 / (2 lambda); nu up to 1/2.
 
     To be given as ``energy``. In the plane: plane strain. lambda is limited to 1e3 mu (nu = 0.4995):
@@ -188,7 +193,7 @@ def neo_hookean_mixed(youngs_modulus: float, poisson_ratio: float) -> MixedEnerg
     return MixedEnergy(_neo_hookean_of_pressure(*_moduli(youngs_modulus, poisson_ratio, STIFFEST_LARGE)))
 
 
-def neo_hookean_incompressible(youngs_modulus: float, poisson_ratio: float = 0.5) -> MixedEnergy:
+def neo_hookean_incompressible(youngs_modulus: Modulus, poisson_ratio: float = 0.5) -> MixedEnergy:
     """The energy of :func:`neo_hookean_mixed` with the pressure as one more unknown; any nu in (0, 1/2], large strains.
 
     At nu = 1/2 the volume is kept, J = 1 in the mean over each function of the pressure's space. p in Pa is positive in
@@ -198,22 +203,21 @@ def neo_hookean_incompressible(youngs_modulus: float, poisson_ratio: float = 0.5
     require(
         0.0 < poisson_ratio <= 0.5, f"Poisson's ratio {poisson_ratio} must lie in (0, 0.5] for a pressure of its own."
     )
-    mu, lmbda = _moduli(youngs_modulus, poisson_ratio)
-    return MixedEnergy(_neo_hookean_of_pressure(mu, lmbda), carried=True, incompressible=lmbda >= STIFFEST * mu)
+    mu, lmbda, grade = _moduli(youngs_modulus, poisson_ratio)
+    density = _neo_hookean_of_pressure(mu, lmbda, grade)
+    return MixedEnergy(density, carried=True, incompressible=lmbda >= STIFFEST * mu)
 
 
-def _neo_hookean_of_pressure(mu: float, lmbda: float) -> Form:
+def _neo_hookean_of_pressure(mu: float, lmbda: float, grade: Grade) -> Form:
     """mu/2 (tr F^T F - d - 2 ln J) + p (J - 1) - p^2 / (2 lambda)."""
 
     def density(u: Any, p: Any, dx: Any) -> Any:
-        from dolfinx import fem
         from ufl import Identity, det, grad, inner, ln
 
-        m = fem.Constant(dx.ufl_domain(), mu)
-        k = fem.Constant(dx.ufl_domain(), 0.5 / lmbda)
+        m, k = graded(dx.ufl_domain(), (mu, lmbda), grade)
         F = Identity(u.ufl_shape[0]) + grad(u)
         J = det(F)
-        return (0.5 * m * (inner(F, F) - F.ufl_shape[0] - 2 * ln(J)) + p * (J - 1) - k * p * p) * dx
+        return (0.5 * m * (inner(F, F) - F.ufl_shape[0] - 2 * ln(J)) + p * (J - 1) - p * p / (2 * k)) * dx
 
     return density
 
