@@ -73,7 +73,7 @@ class FieldTable:
         self.port_matrix = np.zeros((self.part.n_port, self.count))
         self.port_matrix[self.ports, inertial + np.arange(len(self.ports))] = 1.0
         nothing: Array = np.zeros(0)
-        self.b = self.z = self.force = self.sums = nothing  # those of the structure
+        self.b = self.z = self.force = self.sums = self.gap = nothing  # those of the structure
         self.wide = self.part.n + (self.part.field.n_pressure if self.part.field.mixed else 0)  # unknowns of the factor
         self.motion = ToldMotion(tables, self.part.n)
         self.c: Any = None  # the structure
