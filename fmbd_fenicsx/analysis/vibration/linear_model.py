@@ -188,7 +188,8 @@ def _model(
     B = np.zeros((n_x, len(forces)))
     B[k : k + len(form.push)] = form.push @ F
 
-    motions, causes = [], []
+    motions: list[Motion] = []
+    causes: list[tuple[Array, Array]] = []
     for j in range(n_x + len(forces)):
         # the outputs of each unit state, then of each unit force
         x = np.zeros(n_x)

@@ -62,7 +62,7 @@ class Calls:
         ]
 
         # functions of the user's own, and how often C asks
-        self.asked = [items.kind.function for items in tables.items if isinstance(items.kind, AskedKind)]
+        self.asked: list[Any] = [items.kind.function for items in tables.items if isinstance(items.kind, AskedKind)]
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
         timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
         slower = any(_differentiated(motion) for motion, _ in self.prescribed)

@@ -81,6 +81,7 @@ class DriverEvaluation(_Constraints, Evaluation):
         """M a + h + G^T lambda (lambda left out when None), like v."""
         lam = np.zeros(self.system.n_lam) if lam is None else lam
         known, self.balanced = self.balanced, None
+        found: Array | None
         if known is not None and known[0] is a and known[1] is lam:
             found = known[2]
         else:
