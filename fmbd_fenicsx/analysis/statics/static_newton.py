@@ -44,7 +44,7 @@ GOLDEN = 0.6180339887498949
 NOTHING = 1e-14  # such increments, over the model's length, that are roundoff of places
 ASIDE = 1e-13  # of the model's length, by which residuals are compared
 UNSEEN = 1e-9  # of a displacement, by which P^-1 may answer to roundoff
-SHORTEST_STEP = 3e-5  # of the preconditioner, over the first one
+SHORTEST_STEP = 1e-7  # of the preconditioner, over the first one: roundoff of stiff parts may hide soft ones
 
 Pair = tuple[Array, Array]
 Found = TypeVar("Found")
