@@ -106,13 +106,12 @@ def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any
     wanted = eq.tangents.at_increments(eq.refresh(state, mult), 0.1 * state.v, state.v)
 
     found = with_arrays(sparse.matrices(made))
+    by_laws = any(items.law for items in system.evaluator.tables.sources)
     for field, values in vars(wanted).items():
         size = np.abs(values).max(initial=1e-300)
         # rows of accelerations are summed up in another order: differences divide that roundoff by 1.5e-8
         roundoff = 1e-6 if 2 in form.levels and field in ("by_q", "by_v") else 1e-13
-        if any(
-            items.law for items in system.evaluator.tables.sources
-        ):  # whose slopes differences of stiff efforts know worse
+        if by_laws:  # whose slopes differences of stiff efforts know worse
             roundoff = max(roundoff, 1e-5)
         assert getattr(found, field) == pytest.approx(values, rel=1e-13, abs=roundoff * size), field
 

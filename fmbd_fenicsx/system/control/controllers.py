@@ -180,9 +180,8 @@ class ControlLoads(Loads):
             rows = reading.rows(kin)
             for j in range(len(self.acts)):
                 for marker, row, fast in rows:
-                    push = (
-                        slopes[j, self.parts[reading.name]] @ row
-                    )  # du/d(displacement or velocity of the marker), (n,)
+                    # du/d(displacement or velocity of the marker), (n,)
+                    push = slopes[j, self.parts[reading.name]] @ row
                     entries += [(int(m[j]), marker, -np.outer(r[j], push), fast) for m, r in pushed]
         if not entries:
             return None
