@@ -176,22 +176,47 @@ def test_which_springs_are_ties() -> None:
     assert sum(len(loads.forces) for loads in found.system.forces) == 1
 
 
-def thrown(speed: float) -> fmbd.Scene:
+def thrown(speed: float, k: float) -> fmbd.Scene:
     """Two bodies on a spring without gravity."""
     scene = fmbd.Scene("thrown")
     one = fmbd.RigidBody("one", 1.0, 0.1, position=(0.0, 0.0), velocity=(0.0, speed))
     other = fmbd.RigidBody("other", 1.0, 0.1, position=(1.0, 0.0))
     ends = {"point_a": (0.0, 0.0), "point_b": (1.0, 0.0)}
-    scene.add(one, other, fmbd.Spring("spring", one, other, **ends, stiffness=1e3))
+    scene.add(one, other, fmbd.Spring("spring", one, other, **ends, stiffness=k, length=1.0))
     return scene
 
 
-@pytest.mark.parametrize(("speed", "ties"), [(0.0, 1), (1e-3, 1), (1.0, 0)])
-def test_without_gravity_the_start_tells_which_springs_are_ties(speed: float, ties: int) -> None:
-    """Where accelerations ask as much of a spring as gravity would it stays a force, and so for all steppers of the system."""
-    system, start, _ = thrown(speed).build()
+RUNS_OFF = [(0.0, 1e3, 0), (1e-3, 1e3, 0), (0.0, 1e12, 1), (1.0, 1e12, 1), (1e4, 1e12, 0)]
+
+
+@pytest.mark.parametrize(("speed", "k", "ties"), RUNS_OFF)
+def test_without_gravity_weight_on_earth_tells_which_springs_are_ties(speed: float, k: float, ties: int) -> None:
+    """A start at rest does not; where its accelerations ask for more than weight they do, and for all steppers of the system."""
+    system, start, _ = thrown(speed, k).build()
     steps = fmbd.Radau(rtol=None).stepper(system, StepSolver(system), Newton(), start)
     assert len(steps.eq.stiff) == ties and stiff_ties(system, 0.0) is steps.eq.stiff
+
+
+def pulled(k: float | None, scheme: Any) -> Any:
+    """A run of two bodies in a row on springs, or on rigid links, without gravity, under a force that begins at nothing."""
+    scene, above = fmbd.Scene("pulled"), fmbd.ground
+    for i in range(2):
+        body = fmbd.RigidBody(f"body {i}", 1.0, 0.1, position=(i + 1) * DIRECTION)
+        ends = {"point_a": i * DIRECTION, "point_b": (i + 1) * DIRECTION}
+        tie = fmbd.distance(f"tie {i}", above, body, **ends)
+        scene.add(body, tie if k is None else fmbd.Spring(f"tie {i}", above, body, **ends, stiffness=k, length=1.0))
+        above = body
+    scene.add(fmbd.force("pull", above, lambda t: (20.0 * np.sin(3.0 * t), 0.0)))
+    scene.sensor("place", fmbd.position(above))
+    return fmbd.solve(scene, t_end=0.5, scheme=scheme)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=name_of)
+@pytest.mark.parametrize("k", [1e12, 1e18])
+def test_from_rest_without_gravity(k: float, scheme: Any) -> None:
+    rigid, run = pulled(None, scheme), pulled(k, scheme)
+    assert run["place"][-1] == pytest.approx(rigid["place"][-1], abs=ERRORS[name_of(scheme)])
+    assert run.counters["newton_iterations"] <= 1.6 * rigid.counters["newton_iterations"] and not run.warnings
 
 
 def test_andrews_mechanism_at_a_tight_tolerance() -> None:

@@ -25,6 +25,7 @@ from ..evaluation import Evaluation
 from ..system import System
 
 STIFF = 1e6  # a spring is a tie where the lightest body's weight stretches it by a smaller share of the model's length
+LIGHT = 9.81  # m/s^2: springs are measured by weights on earth at least, for a start at rest tells nothing of forces to come
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class StiffTies:
 
 def stiff_ties(system: System, acceleration: float) -> StiffTies:
     """Those of a system, chosen once; the system itself where it has none. ``acceleration`` (m/s^2): of its start, for scenes
-    without gravity.
+    without gravity; less than on earth counts as much.
     """
     if "stiff ties" not in system.cache:
         system.cache["stiff ties"] = _stiff_ties(system, acceleration)
@@ -72,7 +73,7 @@ def stiff_ties(system: System, acceleration: float) -> StiffTies:
 
 
 def _stiff_ties(system: System, acceleration: float) -> StiffTies:
-    weight = _lightest(system) * (system.gravity.size or acceleration)
+    weight = _lightest(system) * max(system.gravity.size or acceleration, LIGHT)
     linear = (loads for loads in system.forces if type(loads) is ScalarLoads)
     springs = tuple((loads, which) for loads in linear if len(which := _stiff(system, loads, weight)))
     if not springs:
