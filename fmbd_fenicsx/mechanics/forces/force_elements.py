@@ -13,22 +13,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ...errors import AGREEMENTS, InputError, named
+from ...errors import InputError
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from ..joints.relative import RelativeCoordinates, Separation
-from ..kinds.time_derivatives import along, rates
 from .effort_laws import EffortLaw
 from .formulas import Formula, SampledEffort, formulas_of
 from .laws_together import LawsTogether
-from .user_laws import Repeatable, checked, checked_numbers
-
-ROAD = "road(x, t), which is asked for one height at x, all coordinates of the wheel's centre,"
+from .roads import Roads
+from .user_laws import Repeatable, checked_numbers
 
 
 @dataclass(frozen=True)
@@ -268,79 +265,31 @@ class ScalarLoads(Loads):
 
 
 class TyreLoads(Loads):
-    """Radial springs between a wheel centre and a road: N = k c + d c' while c = radius - height over the road > 0, N >= 0.
-
-    The rate of the road along the way of the wheel, which dampers ask for, is one call with numbers that carry their rates where
-    the road takes them, as those of NumPy's functions do.
-    """
+    """Radial springs between a wheel centre and a road: N = k c + d c' while c = radius - height over the road > 0, N >= 0."""
 
     def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
         super().__init__(motions, forces, markers)
         self.up: Array = np.array([f.up[: motions.dim] for f in forces], dtype=float)
-        self.radius: Array = np.array([f.radius for f in forces], dtype=float)
         self.stiffness: Array = np.array([f.stiffness for f in forces])
         self.damping: Array = np.array([f.damping for f in forces])
-        self.by_jets: dict[int, bool] = {}  # which roads take numbers with rates, seen where a wheel first moves
+        self.roads = Roads(forces)
 
     @staticmethod
     def law_of(f: Any) -> Any:
         """The road."""
-        return named("The road of tyre", f.name, f.road)
-
-    def _height(self, i: int, x: Array, v: Array, t: float) -> tuple[float, float]:
-        """The road under tyre i at a place x, and its rate along the way of the wheel, in time too: m, m/s."""
-        f = self.forces[i]
-        if self.by_jets.get(i) and not AGREEMENTS:
-            found = along(f.road, x, v, t)
-            if found is not None:
-                return found
-
-        height, rate = self._height_by_differences(i, x, v, t)
-        speed = float(np.abs(v).max())
-        if i in self.by_jets or not speed:
-            return height, rate
-
-        # the wheel moves for the first time
-        found = along(f.road, x, v, t)
-        off = np.inf if found is None else max(abs(found[0] - height), abs(found[1] - rate) * f.radius / speed)
-        self.by_jets[i] = bool(off <= 1e-6 * f.radius)
-        return found if found is not None and self.by_jets[i] else (height, rate)
-
-    def _height_by_differences(self, i: int, x: Array, v: Array, t: float) -> tuple[float, float]:
-        """The same by numbers alone."""
-        f, road = self.forces[i], self.laws[i]
-        height = self._height_alone(i, x, t)
-        rate = rates(partial(road, x), t)[0]
-        speed = float(np.abs(v).max())
-        if speed:
-            step = 1e-5 * f.radius * v / speed
-            rate += (float(road(x + step, t)) - float(road(x - step, t))) * speed / (2e-5 * f.radius)
-        return height, rate
-
-    def _height_alone(self, i: int, x: Array, t: float) -> float:
-        """The road under tyre i at a place x, m."""
-        return float(checked(self.forces[i].name, self.laws[i](x, t), 1, t, ROAD)[0])
+        return f.road
 
     def _compression(self, kin: Kinematics, t: float, *, rates: bool = True) -> tuple[Array, Array]:
         """c and c', where dampers ask for ``rates``; else c' is zero."""
-        places, numbers = kin.x[self.a], range(len(self.forces))
+        places = kin.x[self.a]
         if rates and self.damping.any():
             assert kin.twist is not None
             speeds = kin.twist[self.a, : self.motions.dim]
-            found = np.array([self._height(i, places[i], speeds[i], t) for i in numbers])
-            heights, rate = found[:, 0], found[:, 1] - (self.up * speeds).sum(1)
+            heights, rate = self.roads.moving(places, speeds, t).T
+            rate = rate - (self.up * speeds).sum(1)
         else:
-            heights, rate = np.array([self._height_alone(i, places[i], t) for i in numbers]), np.zeros(len(numbers))
-        return heights + self.radius - (self.up * places).sum(1), rate
-
-    def _slopes(self, kin: Kinematics, t: float) -> Array:
-        """-dc/dx: up minus the slope of the road."""
-        row = self.up.copy()
-        for i, (f, road) in enumerate(zip(self.forces, self.laws, strict=True)):
-            x = kin.x[self.a[i]]
-            for k, e in enumerate(1e-5 * f.radius * np.eye(self.motions.dim)):
-                row[i, k] -= (float(road(x + e, t)) - float(road(x - e, t))) / (2e-5 * f.radius)
-        return row
+            heights, rate = self.roads.heights(places, t), np.zeros(len(places))
+        return heights + self.roads.radius - (self.up * places).sum(1), rate
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Force of the compressed tyres; none while lifted."""
@@ -359,9 +308,11 @@ class TyreLoads(Loads):
     def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """k and c along the direction of compression, of those in contact."""
         c, rate = self._compression(kin, t)
-        up, row = self.up, self._slopes(kin, t)
         # those that push
         on = (c > 0) & (self.stiffness * c + self.damping * rate > 0)
+        up, row = self.up, self.up.copy()  # -dc/dx
+        for i in np.flatnonzero(on):
+            row[i] -= self.roads.slope(i, kin.x[self.a[i]], t)
         d = self.motions.dim
         n = self.motions.dim + self.motions.n_rot
         outer = np.zeros((len(c), 2 * n, 2 * n))

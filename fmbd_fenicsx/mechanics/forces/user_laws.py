@@ -27,11 +27,11 @@ def checked(name: str, value: Any, size: int, t: float, what: str = "the law") -
 
 def checked_number(name: str, value: Any, t: float) -> float:
     """:func:`checked` for a single number."""
-    found = _plain(value)
+    found = plain(value)
     return float(checked(name, value, 1, t)[0]) if found is None else found
 
 
-def _plain(value: Any) -> float | None:
+def plain(value: Any) -> float | None:
     """A finite number as it is, or alone in an array; None for anything else."""
     if isinstance(value, np.ndarray) and value.size == 1 and value.ndim < 2 and value.dtype.kind == "f":
         value = value.item()
@@ -75,7 +75,7 @@ class Repeatable:
         """What it returns as a number, checked. What is no plain number, or fails, is asked again with all that belongs to it."""
         if self._asked and not AGREEMENTS:
             try:
-                found = _plain(self.function(*args))
+                found = plain(self.function(*args))
             except Exception:
                 found = None  # with a name below
             if found is not None:

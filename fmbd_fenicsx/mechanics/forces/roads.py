@@ -1,0 +1,136 @@
+"""Roads under tyres, heights z = road(x, t), with their rates along the ways of wheels that move with v, and their slopes.
+
+A rate is one call with complex numbers where the road takes them, else one with numbers that carry their rates, ``Jet``:
+
+    z' = Im z(i h) / h,    z(s) = road(x + s v, t + s),    h = 1e-30 s                                              (1)
+
+both exact to roundoff, else by differences. What a road takes is seen where a wheel first moves. ``abs`` and others drop
+imaginary parts without a word: (1) counts where it agrees with (z(s) - z(0)) / s of a short s, one call more.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+
+from ...errors import AGREEMENTS, named
+from ...rotations import Array
+from ..kinds.time_derivatives import along, rates
+from .user_laws import checked, plain
+
+ROAD = "road(x, t), which is asked for one height at x, all coordinates of the wheel's centre,"
+TINY = 1e-30  # s, of complex steps
+IMAGINARY = complex(0.0, TINY)
+STEP, SHORT = 1e-5, 1e-7  # of differences on both sides and of (z(s) - z(0)) / s: shares of the radius
+WRONG, DROPPED = 1e-6, 1e-5  # of radius and speed: what heights and rates may differ by, at first and later
+KEPT = 4  # answers
+
+Moving = tuple[float, float]  # height (m) and rate (m/s)
+Way = Callable[[int, Array, Array, float], Moving | None]
+
+
+class Roads:
+    """The roads of n tyres. Answers are kept for equal arguments: records, tangents and stages ask for the last again."""
+
+    def __init__(self, tyres: Sequence[Any]) -> None:
+        self.tyres = tyres
+        self.roads = [named("The road of tyre", f.name, f.road) for f in tyres]
+        self.radius: Array = np.array([f.radius for f in tyres], dtype=float)
+        self.ways: dict[int, list[Way]] = {}  # that a road takes, the quickest first
+        self.kept: dict[Hashable, Array] = {}
+
+    def heights(self, x: Array, t: float) -> Array:
+        """Heights (n,) at places (n, d), m."""
+        return self._known((x.tobytes(), t), lambda: [self.height(i, x[i], t) for i in range(len(x))])
+
+    def moving(self, x: Array, v: Array, t: float) -> Array:
+        """Heights (m) and rates (m/s), (n, 2), under wheels at places (n, d) that move with v (n, d)."""
+        key = x.tobytes(), v.tobytes(), t
+        return self._known(key, lambda: [self._one(i, x[i], v[i], t) for i in range(len(x))])
+
+    def slope(self, i: int, x: Array, t: float) -> Array:
+        """dz/dx (d,) under tyre i at a place x, by differences."""
+        step = STEP * self.radius[i]
+        found = [self.height(i, x + e, t) - self.height(i, x - e, t) for e in step * np.eye(len(x))]
+        return np.array(found) / (2.0 * step)
+
+    def height(self, i: int, x: Array, t: float) -> float:
+        """The road under tyre i at a place x, m."""
+        if not AGREEMENTS:
+            try:
+                found = plain(self.tyres[i].road(x, t))
+            except Exception:
+                found = None  # with a name below
+            if found is not None:
+                return found
+        return float(checked(self.tyres[i].name, self.roads[i](x, t), 1, t, ROAD)[0])
+
+    def _known(self, key: Hashable, ask: Callable[[], list[Any]]) -> Array:
+        """What was asked for before, or the answer; always asked for where ranks have to agree on it."""
+        if AGREEMENTS:
+            return np.array(ask())
+        found = self.kept.get(key)
+        if found is None:
+            found = np.array(ask())
+            if len(self.kept) == KEPT:
+                self.kept.clear()
+            self.kept[key] = found
+        return found
+
+    def _one(self, i: int, x: Array, v: Array, t: float) -> Moving:
+        """Of one tyre, in the first way that gives an answer."""
+        for way in () if AGREEMENTS else self.ways.get(i, ()):
+            found = way(i, x, v, t)
+            if found is not None:
+                return found
+
+        plainly = self._by_differences(i, x, v, t)
+        if AGREEMENTS or i in self.ways or not v.any():
+            return plainly
+
+        # the wheel moves for the first time
+        self.ways[i] = [way for way in (self._by_complex_step, self._by_jets) if self._agrees(way, plainly, i, x, v, t)]
+        return self._one(i, x, v, t)
+
+    def _agrees(self, way: Way, plainly: Moving, i: int, x: Array, v: Array, t: float) -> bool:
+        """Whether a way gives what differences give, and drops nothing with a warning."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)
+            found = way(i, x, v, t)
+        radius, speed = self.radius[i], np.abs(v).max()
+        if found is None:
+            return False
+        off = max(abs(found[0] - plainly[0]), abs(found[1] - plainly[1]) * radius / speed)
+        return bool(off <= WRONG * radius)
+
+    # -- ways -------------------------------------------------------------------------------------------------------
+    def _by_complex_step(self, i: int, x: Array, v: Array, t: float) -> Moving | None:
+        """(1); None where the road takes no complex numbers, or drops parts of them."""
+        radius, components = float(self.radius[i]), cast("list[float]", v.tolist())
+        speed = max(radius, *map(abs, components))  # of a radius in a second at least
+        s = SHORT * radius / speed
+        try:
+            z = self.tyres[i].road(x + IMAGINARY * v, np.complex128(complex(t, TINY)))
+            z = complex(z.item() if isinstance(z, np.ndarray) else z)
+            height, rate = z.real, z.imag / TINY
+            plainly = (self.height(i, x + s * v, t + s) - height) / s
+        except Exception:
+            return None
+        return (height, rate) if abs(plainly - rate) <= DROPPED * max(abs(rate), speed) else None
+
+    def _by_jets(self, i: int, x: Array, v: Array, t: float) -> Moving | None:
+        return along(self.tyres[i].road, x, v, t)
+
+    def _by_differences(self, i: int, x: Array, v: Array, t: float) -> Moving:
+        height = self.height(i, x, t)
+        rate = rates(partial(self.roads[i], x), t)[0]
+        speed = float(np.abs(v).max())
+        if speed:
+            step = STEP * self.radius[i] * v / speed
+            ahead, behind = self.height(i, x + step, t), self.height(i, x - step, t)
+            rate += (ahead - behind) * speed / (2 * STEP * self.radius[i])
+        return height, rate
