@@ -6,7 +6,8 @@
    a small system for dN by the answers of all points to efforts of one. */
 
 enum { MOST_BENT = 240 };               /* laws times points */
-static const double FORETOLD = 1e-4;   /* share of N by which it may be foretold wrong */
+static const double SETTLED = 1e-4;    /* share of N that the last increment may change it by */
+static const double BENDS = 0.03;      /* share by which slopes of a law differ that bends */
 enum { BENT = 100 };                   /* a verdict: the tangent at hand has slopes of such laws */
 
 typedef struct {
@@ -16,8 +17,16 @@ typedef struct {
     double stiffness, damping, effort;
 } Bend;
 
-/* All laws at all points that have slopes, or formulas with slopes ``beyond`` those that the tangent has; -1: there may be too many. */
-static int bends_of(const System *s, int points, int beyond, Bend *bends)
+/* The steeper of two slopes that differ, else 0. */
+static double steeper(double one, double other)
+{
+    const double steepest = fabs(other) > fabs(one) ? other : one;
+    return fabs(one - other) > BENDS * fabs(steepest) ? steepest : 0.0;
+}
+
+/* All laws at all points that have slopes, or formulas alone whose slopes there and in the tangent ``differ``, with the steeper ones;
+   -1: there may be too many. */
+static int bends_of(const System *s, int points, int differ, Bend *bends)
 {
     int count = 0, laws = 0;
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) laws += k->line && !k->linked ? k->n : 0;
@@ -26,8 +35,9 @@ static int bends_of(const System *s, int points, int beyond, Bend *bends)
         for (Batch *k = s->batch; k < s->batch + s->batches; k++)
             for (long i = 0; k->line && !k->linked && i < k->n; i++) {
                 const double *line = line_of(k, j, i), *had = line_of(k, OF_TANGENT, i);
-                const double stiffness = line[3] - (beyond ? had[3] : 0.0), damping = line[4] - (beyond ? had[4] : 0.0);
-                if (beyond && k->role != FORMULA) continue;
+                const double stiffness = differ ? steeper(line[3], had[3]) : line[3];
+                const double damping = differ ? steeper(line[4], had[4]) : line[4];
+                if (differ && k->role != FORMULA) continue;
                 if (stiffness != 0.0 || damping != 0.0) bends[count++] = (Bend){k, i, j, stiffness, damping, line[2]};
             }
     return count;
@@ -86,15 +96,15 @@ static int hesitates(System *s, Stages *o)
     return o->swings;
 }
 
-/* Whether an increment foretold forces by slopes of the tangent that formulas do not have at the points: with those of a law that sticks
-   what has come loose creeps, by increments that move hardly anything. */
+/* Whether an increment still changed efforts of formulas by slopes that the tangent does not have, or by those of the tangent: with those
+   of a law that sticks what has come loose creeps, by increments that move hardly anything. */
 static int creeps(System *s, const Stages *o)
 {
     Bend bends[MOST_BENT];
     double changes[MOST_BENT];
     if (o->iterate == ON_ITS_OWN || s->bent) return 0;
     const int count = bends_of(s, o->points, 1, bends);
-    return count > 0 && !changes_of(s, o, count, bends, changes) && swings(count, bends, changes, FORETOLD);
+    return count > 0 && !changes_of(s, o, count, bends, changes) && swings(count, bends, changes, SETTLED);
 }
 
 /* (1), where the increment of the tangent alone is known. */

@@ -209,6 +209,7 @@ static int slopes(System *s, const Patterns *o, double t, const double *q, const
     double *back = ahead + o->size;
     int verdict = lower_rows(s, o, t, q, v, a, lam, rest);
     for (Batch *k = s->batch; !verdict && k < s->batch + s->batches; k++) verdict = take_slopes(s, k, t);
+    note_slopes(s);
     s->straight = 1;
     for (int c = 0; !verdict && c < o->colours; c++) {
         for (int side = 1; side >= -1; side -= 2) {
