@@ -15,7 +15,10 @@ from test_stage_systems import equations, with_arrays, with_dense_matrices
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CallbackError, InputError, LawError
+from fmbd_fenicsx.linear.blocks.field_blocks import Weights
+from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.rotations import Array
+from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.tangents.force_tangent import force_tangent
 
 GAINS, G = ((60.0, 80.0, 9.0), (25.0, 40.0, 3.0)), 9.81
@@ -380,6 +383,26 @@ def test_stages_see_how_efforts_answer_to_all_that_is_read(where: str, rod_mesh:
     for name in ("by_q", "by_v"):
         exact = getattr(wanted, name)
         assert np.abs(getattr(made, name) - exact).max() < 1e-5 * np.abs(exact).max(), name
+
+
+@compiled
+@pytest.mark.parametrize("dim", [2, 3])
+def test_complex_matrices_have_what_efforts_answer_to(dim: int, rod_mesh: Any) -> None:
+    """As stages of bodies with fields ask for them: motions are those of NumPy, whose efforts do not turn."""
+    elastic = fmbd.materials.linear_elastic(5e8, 0.3) if dim == 3 else fmbd.materials.plane_stress(5e8, 0.3)
+    rod = fmbd.FloatingBody("rod", rod_mesh(dim, 0.5), density=1000.0, elastic=elastic)
+    law = lambda t, y, z: tuple(1e6 * x for x in all_of_it(t, y, z))  # noqa: E731
+    system, start, _ = three_links(dim, law, rod).build()
+    rng, s, found = np.random.default_rng(3), 300.0 + 400.0j, []
+    v, b = rng.normal(size=system.n_v), rng.normal(size=(2, system.n_v))
+    for states in (None, driver_states(system)):
+        if states is not None:
+            system.evaluate_by(states)
+        solver = StepSolver(system)
+        solver.prepare(system.at(0.3, start.q, v), Weights(1.0, 1.0 / s, 1.0 / s**2))
+        assert (solver.driver is not None and solver.driver.ready) == (states is not None)
+        found.append(solver.solve(b[0] + 1j * b[1], np.zeros(system.n_lam, complex))[0])
+    assert found[1] == pytest.approx(found[0], rel=0, abs=1e-6 * np.abs(found[0]).max())
 
 
 @compiled

@@ -211,7 +211,7 @@ class FieldDriverSolver(DriverSolver):
         return same and self._versions == self.elastic.versions(ev.t)
 
     def _takes(self, weights: Weights) -> bool:
-        return weights.real or self.told.takes_complex
+        return True
 
     def _evaluated(self, ev: Evaluation) -> TypeGuard[DriverEvaluation]:
         return self.told.evaluated(ev)

@@ -307,9 +307,7 @@ class FieldEquations(Equations):
     @property
     def compiled(self) -> bool:
         """As :attr:`Equations.compiled`: where solutions need no iteration."""
-        states = self.system.evaluator
-        same = isinstance(states, DriverStates) and not states.tables.listening.listeners
-        return same and self.trusted and self._covered
+        return isinstance(self.system.evaluator, DriverStates) and self.trusted and self._covered
 
     @property
     def _covered(self) -> bool:

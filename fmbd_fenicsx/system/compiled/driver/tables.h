@@ -324,7 +324,8 @@ typedef struct {
     Controllers *controllers;          /* NULL without any */
     int straight;                      /* whether laws in Python count as their tangents at the last evaluation before */
     int linkable, links;               /* how many efforts may answer to more than their coordinate, and do; see links.c */
-    double *push, *pull, *answer, *mutual; /* linkable x (nu + TWIST surfaces + 1), twice; x (nu + rows); x linkable */
+    double *push, *pull;               /* linkable x (nu + TWIST surfaces + 1); parts linkable x parts (nu + TWIST surfaces + 1) */
+    double *answer, *mutual;           /* parts linkable x parts (nu + rows); x parts linkable */
     int indefinite;                    /* whether the tangent of a field may be so: of bodies that buckle */
     int point, bent;                   /* which of a step is evaluated; whether the slopes of all laws are asked for at all points */
     long begun;                        /* the evaluation of its first iterate */

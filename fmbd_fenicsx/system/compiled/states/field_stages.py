@@ -119,6 +119,8 @@ class FieldStageRoom(PointRoom):
         """
         self.fields.slow, self.fields.lent = slow, 0.0
         self._solvers = solvers
+        for states in solvers:
+            self.states.tables.listening.share(states.tables.listening)
         self._by[:] = [states.address for states in solvers]
         self.known["before"][:] = before
 

@@ -79,11 +79,6 @@ class FieldStates(DriverStates):
         """Whether the tables have these factors now."""
         return any(made.blocks is blocks for made in self._factored.values())
 
-    @property
-    def takes_complex(self) -> bool:
-        """Whether the driver makes matrices with complex weights: not where controllers tell what efforts answer to."""
-        return not self.tables.listening.links
-
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""
         return Tables(self.system, redundant=False, blocks=[unsolved(part) for _, part in self.system.fields])

@@ -246,8 +246,12 @@ class Tables(TableLayout):
         count = told + skew if (told + skew) * self.nu <= LINKS_LIMIT else told
         if not count:
             return {}
-        wide = count, self.nothing + 1
-        sizes = {"push": wide, "pull": wide, "answer": (count, self.nu + self.rows), "mutual": (count, count)}
+        wide, parts = self.nothing + 1, self.parts_of_numbers
+        rows = parts * count
+        sizes = {
+            "push": (count, wide), "pull": (rows, parts * wide),
+            "answer": (rows, parts * (self.nu + self.rows)), "mutual": (rows, rows),
+        }  # fmt: skip
         made = self.store.zeros(sizes)
         self.arrays |= {name: x for name, (x, _) in made.items()}
         return {"linkable": count, **{name: address for name, (_, address) in made.items()}}

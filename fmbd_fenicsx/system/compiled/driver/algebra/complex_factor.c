@@ -80,3 +80,10 @@ static void back_solve_complex(System *s, double *b)
         }
     }
 }
+
+/* b <- solution by the factor that is there, real or complex. */
+static void solve_fronts(System *s, double *b)
+{
+    if (s->parts > 1) back_solve_complex(s, b);
+    else back_solve(s, b);
+}

@@ -135,10 +135,10 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
 {
     int verdict = entries(s, q, cd, ck, geometric, lam, reactions, t), masses = cd == 0.0 && ck == 0.0;
     if (verdict || (verdict = factor(s)) || masses || !s->linkable) return verdict;
-    return link_efforts(s);
+    return link_efforts(s, &cd, &ck);
 }
 
-/* The same for complex weights, each by its two parts; LOOK where efforts answer to more than their own coordinates. */
+/* The same for complex weights, each by its two parts; LOOK where forces that Python gives as a whole lack symmetry. */
 int prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)
 {
     s->imaginary = 1;
@@ -147,7 +147,9 @@ int prepare_complex(System *s, const double *q, const double *cd, const double *
     memcpy(s->lossy, s->L, s->storage * sizeof(double));
     if (verdict || lacks_symmetry(s)) return verdict ? verdict : LOOK;
     if ((verdict = entries(s, q, cd[0], ck[0], ck[0], lam, 0, t))) return verdict;
-    return lacks_symmetry(s) ? LOOK : factor_complex(s);
+    if (lacks_symmetry(s)) return LOOK;
+    if ((verdict = factor_complex(s)) || !s->linkable) return verdict;
+    return link_efforts(s, cd, ck);
 }
 
 /* The factor at the state evaluated last; without geometric stiffness where that makes the bodies' part indefinite (a large pull
@@ -188,8 +190,7 @@ static void take_body(System *s, int k, double *x)
 /* The solution for the right-hand side in b, in its place, world axes. */
 static void solve_core(System *s)
 {
-    if (s->parts > 1) back_solve_complex(s, s->b);
-    else back_solve(s, s->b);
+    solve_fronts(s, s->b);
     if (s->links) add_links(s, s->b);
 }
 

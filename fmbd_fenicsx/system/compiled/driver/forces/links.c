@@ -32,34 +32,58 @@ static int lacks_symmetry(System *s)
     return found > 0;
 }
 
-/* (2) for the factor in the fronts. */
-static int link_efforts(System *s)
+/* w^T z of a row w as they stand in s->pull. */
+static double pulled(const System *s, const double *w, const double *z)
 {
     const long wide = s->nu + TWIST * s->surfaces + 1, size = s->nu + s->rows;
-    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
-        if (k->linked) s->links += control_link(s, k, s->push + s->links * wide, s->pull + s->links * wide);
+    double sum = 0.0;
+    for (int part = 0; part < s->parts; part++) sum += dot(w + part * wide, z + part * size, s->nu);
+    return sum;
+}
+
+/* (2) for the factor in the fronts, with weights by their parts; a complex w = w' + i w'' is two real rows, [w', -w''] and [w'', w']. */
+static int link_efforts(System *s, const double *cd, const double *ck)
+{
+    const int parts = s->parts;
+    const long wide = s->nu + TWIST * s->surfaces + 1, size = parts * (s->nu + s->rows), row = parts * wide;
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        int answers = 0;
+        for (int part = parts - 1; k->linked && part >= 0; part--) {
+            s->cd = cd[part];
+            s->ck = ck[part];
+            answers |= control_link(s, k, s->push + s->links * wide, s->pull + (s->links * parts + part) * row);
+        }
+        s->links += answers;
+    }
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
         if (k->role == WHOLE) whole_links(s, k);
-    int m = s->links;
+    const int count = s->links, m = parts * count;
     s->links = 0; /* until they are known */
-    for (int k = 0; k < m; k++) {
-        double *push = s->push + k * wide, *answer = s->answer + k * size;
+    for (int k = 0; k < count; k++) {
+        double *push = s->push + k * wide, *first = s->pull + k * parts * row, *second = first + row;
         fold(s, push);
-        fold(s, s->pull + k * wide);
-        memcpy(answer, push, s->nu * sizeof(double));
-        memset(answer + s->nu, 0, s->rows * sizeof(double));
-        back_solve(s, answer);
+        for (int part = 0; part < parts; part++) fold(s, first + part * row);
+        for (long i = 0; parts > 1 && i < wide; i++) {
+            first[wide + i] = -second[i];
+            second[wide + i] = first[i];
+        }
+        for (int part = 0; part < parts; part++) {
+            double *answer = s->answer + (k * parts + part) * size;
+            memset(answer, 0, size * sizeof(double));
+            memcpy(answer + part * (s->nu + s->rows), push, s->nu * sizeof(double));
+            solve_fronts(s, answer);
+        }
     }
     for (int i = 0; i < m; i++)
-        for (int k = 0; k < m; k++) s->mutual[i * m + k] = (i == k) + dot(s->pull + i * wide, s->answer + k * size, s->nu);
-    if (!solve_dense(s->mutual, m, s->pull, wide, s->nu, MUTUAL)) s->links = m;
+        for (int k = 0; k < m; k++) s->mutual[i * m + k] = (i == k) + pulled(s, s->pull + i * row, s->answer + k * size);
+    if (!solve_dense(s->mutual, m, s->pull, row, row, MUTUAL)) s->links = m;
     return DONE;
 }
 
 /* b <- solution of the whole matrix, from that of the fronts. */
 static void add_links(System *s, double *b)
 {
-    const long wide = s->nu + TWIST * s->surfaces + 1, size = s->nu + s->rows;
-    for (int k = 0; k < s->links; k++) s->mutual[k] = dot(s->pull + k * wide, b, s->nu);
+    const long wide = s->nu + TWIST * s->surfaces + 1, size = s->parts * (s->nu + s->rows);
+    for (int k = 0; k < s->links; k++) s->mutual[k] = pulled(s, s->pull + k * s->parts * wide, b);
     for (int k = 0; k < s->links; k++) add(b, -s->mutual[k], s->answer + k * size, size);
 }

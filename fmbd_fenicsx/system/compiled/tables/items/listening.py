@@ -150,6 +150,11 @@ class Listening:
         made.turn[:] = markers.rotation[reading.marker].ravel().tolist()
         return made
 
+    def share(self, others: Listening) -> None:
+        """Others' controllers, of the same system, have the memory of these from here on."""
+        for one, other in zip(self.listeners, others.listeners, strict=True):
+            other.loads = one.loads
+
     # -- what C asks for ----------------------------------------------------------------------------------------------------
     def efforts(self, t: float) -> None:
         """u of all controllers at what C has read."""
