@@ -312,7 +312,7 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
         if (turned) anew = 1;
         if (anew) {
             forget(&told);
-            told.poor = 1; /* each increment is worth more than what the pairs cost */
+            told.poor = s->fields > 0; /* each of their increments is worth more than what the pairs cost */
             if (slow && (old || taken > 1) && s->renewable) {
                 if ((verdict = take_tangents(s, x, t + 0.5 * h))) return verdict;
                 done[1]++;
