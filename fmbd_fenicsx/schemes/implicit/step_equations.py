@@ -50,6 +50,7 @@ class StepEquations(Equations):
         """``acceleration``: of the start, see :func:`.stiff_ties`."""
         super().__init__(system, form, solver)
         self.stiff = stiff_ties(system, acceleration)
+        self.tied = len(self.stiff) > 0
         self.n_mult += len(self.stiff)
 
         self.tangents: DenseTangents | SparseTangents = DenseTangents(system, self.form, self.stiff)
@@ -57,7 +58,7 @@ class StepEquations(Equations):
         self._weighed: State | None = None  # whose masses are to be taken
 
         # of the last point
-        self.last: tuple[float, Array, Array] = (0.0, self.origin, self.origin)  # t, q, v
+        self.last: tuple[float, Array, Array, Array] = (0.0, self.origin, self.origin, self.origin)  # t, q_0, xi, v
 
     def remember(self, m: Memory) -> None:
         """With the tangents of the kind that the system has."""
@@ -69,7 +70,7 @@ class StepEquations(Equations):
         if "driver looked for" in self.system.cache:
             use_driver(self.stiff.system)
         states, form = self.stiff.system.evaluator, self.form
-        if not isinstance(states, DriverStates) or (len(self.stiff) and self.system.n_v <= FEW):
+        if not isinstance(states, DriverStates) or (self.tied and self.system.n_v <= FEW):
             return None
         couplings = couplings_of(states)
         if couplings is None:
@@ -91,7 +92,7 @@ class StepEquations(Equations):
     def compiled(self) -> bool:
         """As :attr:`Equations.compiled`."""
         self._choose()
-        return isinstance(self.tangents, SparseTangents) and not self.tangents.told and not len(self.stiff)
+        return isinstance(self.tangents, SparseTangents) and not self.tangents.told and not self.tied
 
     def room(self, frequencies: int, points: int) -> StageRoom:
         """As :meth:`Equations.room`."""
@@ -124,7 +125,7 @@ class StepEquations(Equations):
         """r_kin and r_low of (1), (2), with what ties leave behind the rows of the form."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
-        self.last = float(t[-1]), s.compose(self.origin, p.xi[-1]), p.v[-1]
+        self.last = t[-1], self.origin, p.xi[-1], p.v[-1]
         told = self._told(t, p)
         if told is not None:
             low = self.lower(told, p.vd, p.mult)
@@ -149,15 +150,19 @@ class StepEquations(Equations):
         m, ties, states = self.system.n_lam, self.stiff, self.stiff.system.evaluator
         if not isinstance(states, DriverStates) or 2 in self.form.levels:
             return None
-        lam, mu, efforts = np.split(p.mult, [m, self.levels * m], axis=1)
-        corrected = (ties.forces(mu, 0.0 * efforts), self.tangents.metric()) if self.levels > 1 else (None, None)
-        return states.points(t, self.origin, (p.xi, p.v, p.vd), (ties.forces(lam, efforts), *corrected))
+        lam, mu = p.mult[:, :m], p.mult[:, m:]
+        if self.tied:
+            efforts = p.mult[:, self.levels * m :]
+            lam = ties.forces(lam, efforts)
+            mu = ties.forces(p.mult[:, m : 2 * m], 0.0 * efforts) if self.levels > 1 else mu
+        corrected = (mu, self.tangents.metric()) if self.levels > 1 else (None, None)
+        return states.points(t, self.origin, (p.xi, p.v, p.vd), (lam, *corrected))
 
     def lower(self, ev: EvaluationBatch | PointsTold, a: Array, mult: Array) -> Array:
         """The balance, the constraints of all levels, and the efforts of ties: (k, n_v + n_mult)."""
         m, ties = self.system.n_lam, self.stiff
         lam, efforts = mult[:, :m], mult[:, self.levels * m :]
-        if not len(ties):
+        if not self.tied:
             return self.form.lower(ev.balance(a, lam), ev, a)
 
         balance = ev.balance(a, ties.forces(lam, efforts))
@@ -167,7 +172,7 @@ class StepEquations(Equations):
     def multipliers(self, state: State) -> Array:
         """With the efforts of ties behind them."""
         mult = super().multipliers(state)
-        if len(self.stiff):
+        if self.tied:
             mult[-len(self.stiff) :] = self.stiff.efforts(self.system.at(state.t, state.q, state.v))
         return mult
 
@@ -203,7 +208,7 @@ class StepEquations(Equations):
 
     def pulls(self, mult: Array) -> Array | None:
         """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""
-        if not len(self.stiff):
+        if not self.tied:
             return None
         return self.tangents.pulls(mult[:, self.n_mult - len(self.stiff) :])
 
@@ -215,7 +220,7 @@ class StepEquations(Equations):
             R dq = (N - k (s - free) - c s') / (k + c / h),        G dq = 0,        dv = dq / h
         """
         ties = self.stiff
-        if not len(ties):
+        if not self.tied:
             return state
         for _ in range(CLOSINGS):
             ev = ties.system.at(state.t, state.q, state.v)
@@ -235,9 +240,11 @@ class StepEquations(Equations):
         all of R v where h does not resolve the periods of ties.
         """
         ties = self.stiff
-        if not len(ties):
+        if not self.tied:
             return np.zeros_like(v)
-        rows, across = sp.csr_matrix(ties.system.at(*self.last).jacobian.core), self.tangents.across()
+        t, origin, xi, at_last = self.last
+        ev = ties.system.at(float(t), ties.system.compose(origin, xi), at_last)
+        rows, across = sp.csr_matrix(ev.jacobian.core), self.tangents.across()
         soft = np.zeros(len(ties.joints) + len(ties))
         soft[ties.ties] = 1.0 / (h * ties.damping + h * h * ties.stiffness)
         wanted = ties.forces(np.zeros((*v.shape[:-1], len(ties.joints))), v @ rows[ties.ties].T)
@@ -245,7 +252,7 @@ class StepEquations(Equations):
 
     def _closed_start(self, state: State) -> Start:
         """With accelerations anew; beside ties, whose efforts places tell to roundoff times k only, those of the step's end."""
-        if len(self.stiff):
+        if self.tied:
             return super()._closed_start(state)
         s, places = self.system, 0 in self.form.levels
         made = arrived(s, state, self.solver, places=places)
