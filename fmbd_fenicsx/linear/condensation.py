@@ -161,7 +161,7 @@ class StepSolver:
     def _driver_prepares(self, ev: Evaluation, weights: Weights, *, keep: bool, apart: bool) -> bool:
         """Whether the matrix is the driver's, which makes it where it is not there to be kept."""
         driver, contacts = self.driver, self.system.contacts is not None
-        turned = contacts or any(part.field.carried for _, part in self.system.fields)  # for whom turns solutions
+        turned = contacts or any([part.field.carried for _, part in self.system.fields])  # for whom turns solutions
         if driver is None:
             return False
         if keep and contacts and driver.ready:

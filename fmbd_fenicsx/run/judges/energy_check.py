@@ -46,9 +46,9 @@ def closed(scene: Scene, system: System) -> bool:
 
 def isolated(scene: Scene, system: System) -> bool:
     """Whether nothing can put energy into a scene: obstacles that move as prescribed do, others do not."""
-    pushed = scene.unilateral and any(p.moving for p in system.contacts.pairs)
-    worked = any(b.may_do_work for b in scene.bodies.values())
-    driven = any(batch.driven for batch, _ in system.batches)
+    pushed = system.contacts is not None and any(p.moving for p in system.contacts.pairs)
+    worked = any([b.may_do_work for b in scene.bodies.values()])
+    driven = any([batch.driven for batch, _ in system.batches])
     moved = any(tie.motion is not None for tie in scene.ties.values())
     forced = any(not isinstance(f, ScalarLoads) or _gives(f) for f in system.forces)
     return not (worked or driven or moved or forced or pushed or scene.gravity_changes or scene.sliders)

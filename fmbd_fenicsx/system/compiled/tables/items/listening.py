@@ -76,13 +76,13 @@ class Listening:
         for one, acting in zip(self.listeners, self._acting, strict=True):
             for items in acting:
                 items.linked = one.crossed
-        self.items = [*self._told.values(), *(items for acting in self._acting for items in acting)]
+        self.items = list(self._told.values()) + [items for acting in self._acting for items in acting]
         self.markers = np.array(sorted({r.marker for r in self.readings if r.relative is None}), dtype=int)
 
     @property
     def links(self) -> int:
         """Efforts that answer to more than their own coordinate."""
-        return sum(items.linked for items in self.items)
+        return sum([items.linked for items in self.items])
 
     def unlink(self) -> None:
         """Leave out of a step's matrix what efforts answer to beside their own coordinates."""
