@@ -22,6 +22,20 @@ from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.system.evaluation import Evaluation
 
 
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of steps of the runs that were made beside attempts, to tell their errors."""
+    found: list[int] = []
+    again = shared_runs.again
+
+    def noted(problem: Any, schedule: Any, steps: int, *rest: Any) -> Any:
+        found.append(steps)
+        return again(problem, schedule, steps, *rest)
+
+    monkeypatch.setattr(shared_runs, "again", noted)
+    return found
+
+
 def test_steps_that_only_tell_an_error_are_not_tried_again_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twelve steps are too few for this arm: a look ends where compiled code finds none, which a run goes on behind."""
     asked: list[float] = []
@@ -82,18 +96,10 @@ def test_orders_seen_by_chance_do_not_matter_where_half_of_the_schemes_is_enough
     assert slow.errors["x"].size == pytest.approx(1 / 3) and slow.errors["y"] is small["y"] and not slow.by_chance
 
 
-def test_kinks_of_larger_steps_than_those_that_tell_an_error_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kinks_of_larger_steps_than_those_that_tell_an_error_do_not_matter(made: list[int]) -> None:
     """The force of a bearing looks like a kink in 100 steps of RATTLE, not in 200: these tell the error of 300, and no 600 are
     made.
     """
-    made: list[int] = []
-    again = shared_runs.again
-
-    def noted(problem: Any, schedule: Any, steps: int, *rest: Any) -> Any:
-        made.append(steps)
-        return again(problem, schedule, steps, *rest)
-
-    monkeypatch.setattr(shared_runs, "again", noted)
     case = MORE["four bar, Rattle"]
     run = fmbd.solve(
         case.scene(), t_end=case.t_end, tol=case.tol(1e-3), scheme=fmbd.Rattle(), output=fmbd.Output(every=3)
@@ -123,20 +129,10 @@ def test_an_attempt_whose_error_nobody_told_tells_none(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(("tol", "steps"), [(2e-2, [50]), (5e-3, [50])])
-def test_errors_in_space_come_first_where_bodies_touch(
-    tol: float, steps: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_errors_in_space_come_first_where_bodies_touch(tol: float, steps: list[int], made: list[int]) -> None:
     """What a bar on its way to a wall and back misses by its mesh leaves room for what it misses by its steps, or so little that
     meshes are refined: no run with half the step was of use, which took longer than the rest.
     """
-    made: list[int] = []
-    again = shared_runs.again
-
-    def noted(problem: Any, schedule: Any, count: int, *rest: Any) -> Any:
-        made.append(count)
-        return again(problem, schedule, count, *rest)
-
-    monkeypatch.setattr(shared_runs, "again", noted)
     case = CASES["bar on the wall and back"]
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(tol), output=fmbd.Output(progress=False))
     assert run.history[-1].then == "done" and made == steps

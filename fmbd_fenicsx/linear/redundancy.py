@@ -21,12 +21,14 @@ from scipy.sparse.linalg import splu
 
 from ..matrices import dense
 from ..rotations import Array
+from ..system.compiled.declarations import constants
 from ..system.evaluation import Evaluation
 from ..system.layout import State
 from .condensation import StepSolver
 
 DEPENDENT = 1e-8  # singular values of G, scaled, below this share of the largest belong to the null space
-SOFT, CORRECTED = 1e-9, (1.0, -2.0)  # share of a row's compliance; times it, of what is left open (factor.c)
+(SOFT,) = constants("parts.h", "SOFT")  # share of a row's compliance
+CORRECTED = 1.0, -2.0  # times it, of what is left open, as in parts.h
 SINGULAR = 1e-14  # singular values of a scaled matrix below this share belong to rows that depend on each other
 
 

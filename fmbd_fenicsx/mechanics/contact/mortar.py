@@ -229,6 +229,8 @@ class MortarPair:
         """Candidates of this pair; collective."""
         contacts, touch, pairing = here.contacts, self.touch(here), self._ready(here)
         S, Q = pairing.slave, pairing.master
+
+        # each candidate's directions in turn
         e = directions_of(touch.normal, frictional=contacts.frictional)
         c = e.shape[1]
         core, field = contacts.blank(self.count * c)

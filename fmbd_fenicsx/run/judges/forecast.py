@@ -188,6 +188,7 @@ def steepest(solver: StepSolver, state: State) -> str:
             k = int(np.argmax(slopes))
             if slopes[k] > most:
                 most, name = float(slopes[k]), loads.forces[loads.own[k]].name
+
     if not most > 0:
         return ""
     return (

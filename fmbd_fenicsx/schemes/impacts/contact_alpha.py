@@ -161,6 +161,7 @@ class ContactAlphaStepper(ContactStepper):
         closed = force[:, 0] > 0
         if rows is None or not closed.any():
             return v, force
+
         rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near]
         stopped = force.copy()
         on = rows if closed.all() else rows.take(closed)
@@ -168,6 +169,8 @@ class ContactAlphaStepper(ContactStepper):
         if P.any():
             v = v + self._pushed(on.N, P)
             stopped[closed, 0] += P / step.h
+
+        # where contacts have closed in this step
         if (closed & (self.ledger.force[step.near][:, 0] <= 0)).any():
             dv = self._pushed(rows.L, -step.gain * force.ravel())
             obstacles = np.concatenate((rate[:, None], -rows.drift / step.h), axis=1)[:, : force.shape[1]]
