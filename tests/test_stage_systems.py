@@ -108,6 +108,8 @@ def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any
     found = with_arrays(sparse.matrices(made))
     by_laws = any(items.law for items in system.evaluator.tables.sources)
     for field, values in vars(wanted).items():
+        if field == "slopes":
+            continue  # formulas have none in NumPy
         size = np.abs(values).max(initial=1e-300)
         # rows of accelerations are summed up in another order: differences divide that roundoff by 1.5e-8
         roundoff = 1e-6 if 2 in form.levels and field in ("by_q", "by_v") else 1e-13

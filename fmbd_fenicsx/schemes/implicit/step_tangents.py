@@ -115,7 +115,7 @@ class DenseTangents(Remembering):
             R = dense(self.stiff.system.at(ev.t, ev.q, v).jacobian.core)[self.stiff.ties]
             self.U_ties = self.inverse_mass @ R.T
             by_q[-ties:], by_v[-ties:] = self.stiff.stiffness[:, None] * R, self.stiff.damping[:, None] * R
-        return StepTangent(self._turning(np.zeros(n), v)[0], dense(M), G, self.U, by_q, by_v, by_a, R)
+        return StepTangent(self._turning(np.zeros(n), v)[0], dense(M), G, self.U, by_q, by_v, by_a, R, np.zeros((0, 2)))
 
     def _turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
         """d rate(xi, v) / d xi by differences, and the matrix T with v = T rate(xi, v)."""
@@ -264,7 +264,9 @@ class SparseTangents(Remembering):
         kept = np.concatenate([np.arange(n), *(at + ties.joints for at in first)])
         pulled = {"by_q": sp.diags(ties.stiffness) @ turned, "by_v": sp.diags(ties.damping) @ R, "by_a": 0.0 * R}
         below = {name: sp.vstack((of[name][kept], rows), format="csr") for name, rows in pulled.items()}
-        return StepTangent(J=of["J"], M=of["M"], G=of["G"][ties.joints], U=of["U"][:, ties.joints], **below, R=R)
+        return StepTangent(
+            J=of["J"], M=of["M"], G=of["G"][ties.joints], U=of["U"][:, ties.joints], **below, R=R, slopes=of["slopes"]
+        )
 
     def inertia(self, tangent: StepTangent, a: Array) -> Array:
         """M a."""

@@ -10,8 +10,8 @@ from ...rotations import Array
 @dataclass(frozen=True)
 class StepTangent:
     """Coefficients of (1) in :mod:`~fmbd_fenicsx.linear.implicit.pencil`, with m rows of joints, k levels, p ties: J, M (n, n);
-    G (m, n); U (n, m); derivatives of the lower rows by xi, v, a, (n + k m + p, n) each; R (p, n). Or sparse ones, or
-    data of patterns.
+    G (m, n); U (n, m); derivatives of the lower rows by xi, v, a, (n + k m + p, n) each; R (p, n). Of laws that compiled
+    code has formulas of, dN/ds and dN/ds' where it was taken, (laws, 2). Or sparse ones, or data of patterns.
     """
 
     J: Array
@@ -22,3 +22,4 @@ class StepTangent:
     by_v: Array
     by_a: Array
     R: Array
+    slopes: Array

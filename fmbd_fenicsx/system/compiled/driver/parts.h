@@ -163,7 +163,6 @@ int take_slopes(System *s, Batch *k, double t);
 int control_effort(System *s, Batch *k, double t);
 static const double OF_THE_LAW = 0.1; /* share of N that a change worth looking at is of */
 /* The line of item i at a point of a step. */
-enum { OF_TANGENT = MOST_POINTS - 1 }; /* the point at which slopes stand that the tangent of an implicit step has */
 static inline double *line_of(const Batch *k, int point, long i) { return k->line + LINE * (point * k->n + i); }
 int undecided(System *s, double unit, const double *x);
 enum { HESITATIONS = 3 }; /* increments of a step at most that are made for what it tells */

@@ -33,7 +33,7 @@ enum { ON_ITS_OWN, FIRST, FOLLOWING, AGAIN };              /* evaluations: of a 
                                                           /* follows another, of the same with laws as there; see bridges.c */
 enum { RECENT = 8 };                                       /* samples that are kept, and whether they hold; ANEW: from now on */
 enum { FORGETS, RECALLS, ANEW };
-enum { LINE = 5, MOST_POINTS = 8 };                                      /* s, s', N, dN/ds and dN/ds' where Newton's iteration was last */
+enum { LINE = 5, MOST_POINTS = 7 };                                      /* s, s', N, dN/ds and dN/ds' where Newton's iteration was last */
 enum { GOES_ON, CONVERGED, DIVERGED, TOO_SLOW };           /* outcomes of Newton's iteration of an implicit step */
 enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF }; /* schemes that make many steps in one call, see march.c */
 

@@ -17,6 +17,7 @@ from ....rotations import Array
 from ...sparsity import Pattern, Product
 from ...tangents.step_tangent import StepTangent
 from ..declarations import structure_of
+from ..tables.items.items import FORMULA
 from .couplings import Couplings
 from .exchange import Exchange
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from ...layout import State
     from .evaluation import DriverStates
 
-DATA = "J M G U by_q by_v by_a".split()  # of a tangent, one behind the other
+DATA = "J M G U by_q by_v by_a slopes".split()  # of a tangent, one behind the other
 
 
 ProductPairs = structure_of("implicit/tangent.c", "Product")
@@ -66,6 +67,8 @@ class StageStructure:
         diagonal = Pattern.of((self.size, m), own, own - n)
         blocks = [self.low, across, self.crossed.pattern, self.crossed.pattern][: 1 + count]
         self._lay_out([*blocks, diagonal], [0, n, n + m, n + 2 * m][: 1 + count] + [n])
+        formulas = sum([len(x) for x in states.tables.sources if x.role == FORMULA])
+        self.laws = Pattern.of((formulas, 2), *np.indices((formulas, 2)).reshape(2, -1))
         self.frozen = np.zeros(len(self.normal.pattern))  # data of U where a step began
 
         unknowns = [np.arange(n)[:, None], n + np.arange(m)[:, None] + m * np.arange(count)]
@@ -148,7 +151,7 @@ class StageStructure:
         c, low = self.couplings, self.low
         return {
             "J": c.turns, "M": c.masses, "G": c.rows, "U": self.normal.pattern, "by_q": low, "by_v": low, "by_a": low,
-            "R": Pattern.of((0, self.n), *np.zeros((2, 0), int)),
+            "slopes": self.laws, "R": Pattern.of((0, self.n), *np.zeros((2, 0), int)),
         }  # fmt: skip
 
     def tangent(self, state: State, lam: Array) -> StepTangent | None:
@@ -167,8 +170,7 @@ class StageStructure:
 
     def data(self, tangent: StepTangent, out: Array) -> None:
         """Those of a tangent, in the order that C expects."""
-        T = tangent
-        np.concatenate((T.J, T.M, T.G, T.U, T.by_q, T.by_v, T.by_a), out=out)
+        np.concatenate([getattr(tangent, name) for name in DATA], out=out)
 
     def turning(self, xi: Array, v: Array) -> tuple[Array, Array]:
         """d rate(xi, v) / d xi, and T with v = T rate(xi, v): data of their pattern."""

@@ -128,6 +128,7 @@ class StageRoom(PointRoom):
         for name in MATRICES:
             first = structure.parts[name].start
             setattr(c, name, _by_rows(structure.patterns[name], self._data_at + 8 * first))
+        c.slopes = self._data_at + 8 * structure.parts["slopes"].start
 
         self.tangent = structure.parted(self.data)  # of the factors
         self.judged = self.arrays["judged"]

@@ -26,20 +26,22 @@ static double steeper(double one, double other)
 
 /* All laws at all points that have slopes, or formulas alone whose slopes there and in the tangent ``differ``, with the steeper ones;
    -1: there may be too many. */
-static int bends_of(const System *s, int points, int differ, Bend *bends)
+static int bends_of(const System *s, const Stages *o, int differ, Bend *bends)
 {
     int count = 0, laws = 0;
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) laws += k->line && !k->linked ? k->n : 0;
-    if (laws * points > MOST_BENT) return -1;
-    for (int j = 0; j < points; j++)
+    if (laws * o->points > MOST_BENT) return -1;
+    for (int j = 0; j < o->points; j++) {
+        const double *had = o->slopes; /* by the tangent */
         for (Batch *k = s->batch; k < s->batch + s->batches; k++)
             for (long i = 0; k->line && !k->linked && i < k->n; i++) {
-                const double *line = line_of(k, j, i), *had = line_of(k, OF_TANGENT, i);
-                const double stiffness = differ ? steeper(line[3], had[3]) : line[3];
-                const double damping = differ ? steeper(line[4], had[4]) : line[4];
+                const double *line = line_of(k, j, i);
                 if (differ && k->role != FORMULA) continue;
+                const double stiffness = differ ? steeper(line[3], *had++) : line[3];
+                const double damping = differ ? steeper(line[4], *had++) : line[4];
                 if (stiffness != 0.0 || damping != 0.0) bends[count++] = (Bend){k, i, j, stiffness, damping, line[2]};
             }
+    }
     return count;
 }
 
@@ -88,7 +90,7 @@ static int hesitates(System *s, Stages *o)
     double changes[MOST_BENT];
     if (o->iterate == ON_ITS_OWN || o->hesitations >= HESITATIONS) return 0;
     if (!s->bent) {
-        const int count = bends_of(s, o->points, 0, bends);
+        const int count = bends_of(s, o, 0, bends);
         if (count <= 0 || changes_of(s, o, count, bends, changes)) return 0;
         o->swings = swings(count, bends, changes, OF_THE_LAW);
     }
@@ -103,7 +105,7 @@ static int creeps(System *s, const Stages *o)
     Bend bends[MOST_BENT];
     double changes[MOST_BENT];
     if (o->iterate == ON_ITS_OWN || s->bent) return 0;
-    const int count = bends_of(s, o->points, 1, bends);
+    const int count = bends_of(s, o, 1, bends);
     return count > 0 && !changes_of(s, o, count, bends, changes) && swings(count, bends, changes, SETTLED);
 }
 
@@ -113,7 +115,7 @@ static int across_bends(System *s, Stages *o)
     Bend bends[MOST_BENT];
     double A[MOST_BENT * MOST_BENT], change[MOST_BENT];
     const long kin = (long)o->points * o->n, low = (long)o->points * o->size;
-    const int count = bends_of(s, o->points, 0, bends);
+    const int count = bends_of(s, o, 0, bends);
     double *given = o->given, *row = given + kin + low;
     int verdict;
     o->swings = 0;

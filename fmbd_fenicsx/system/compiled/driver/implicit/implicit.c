@@ -100,7 +100,7 @@ static int iterate_points(System *s, Implicit *o, double length, double *work)
     Bend none[MOST_BENT];
     s->bent = 0;
     g->hesitations = 0;
-    g->iterate = g->fields || bends_of(s, g->points, 0, none) < 0 ? ON_ITS_OWN : FIRST;
+    g->iterate = g->fields || bends_of(s, g, 0, none) < 0 ? ON_ITS_OWN : FIRST;
     int verdict = driver_stage_iterate(s, g, c, c->most);
     if (verdict == BENT && !(verdict = take_straight(s, o, length, work))) {
         s->bent = 1;

@@ -30,6 +30,7 @@ typedef struct {
     int *stack, *mark, *found;
     long *next;
     Sparse by_v, by_a, J, U, W;
+    double *slopes;                 /* of the tangent, laws x 2, see note_slopes() */
     double *frozen;                 /* data of U where a step keeps that of its start, else NULL */
     /* the points */
     double *t, *q0, *xi, *rate, *v, *vd, *mult, *couple, *inverse, *vectors;  /* couple: points x points, d rate / d xi */

@@ -21,7 +21,7 @@ typedef struct {
     long *row, *column, masses, *of_masses, *of_level;
     long *taken;                      /* entries of K among those of its blocks side by side */
     Product normal, turned, crossed;
-    long J, M, G, U, by_q, by_v, by_a; /* where each matrix begins among the data of a tangent */
+    long J, M, G, U, by_q, by_v, by_a, slopes; /* where each matrix begins among the data of a tangent */
     const double *frozen;             /* data of U where steps keep it, else NULL */
 } Patterns;
 
@@ -188,14 +188,13 @@ static int modal_masses(System *s, const Patterns *o, const double *q, double *M
     return DONE;
 }
 
-/* Slopes of formulas where the tangent is taken. */
-static void note_slopes(System *s)
+/* Slopes of formulas where the tangent is taken, dN/ds and dN/ds' of each. */
+static void note_slopes(const System *s, double *noted)
 {
-    for (Batch *k = s->batch; k < s->batch + s->batches; k++)
-        for (long i = 0; k->role == FORMULA && k->line && i < k->n; i++) {
-            double *line = line_of(k, OF_TANGENT, i);
-            line[3] = k->stiffness[i];
-            line[4] = k->damping[i];
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+        for (long i = 0; k->role == FORMULA && i < k->n; i++) {
+            *noted++ = k->stiffness[i];
+            *noted++ = k->damping[i];
         }
 }
 
@@ -203,13 +202,13 @@ static void note_slopes(System *s)
    tell their slopes, and count as their tangents then.
    ``room``: 2 n + nq + 3 size. */
 static int slopes(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
-                  const double *hq, const double *hv, double *by_q, double *by_v, double *room)
+                  const double *hq, const double *hv, double *by_q, double *by_v, double *noted, double *room)
 {
     double *moved = room, *faster = moved + o->n, *there = faster + o->n, *rest = there + s->nq, *ahead = rest + o->size;
     double *back = ahead + o->size;
     int verdict = lower_rows(s, o, t, q, v, a, lam, rest);
     for (Batch *k = s->batch; !verdict && k < s->batch + s->batches; k++) verdict = take_slopes(s, k, t);
-    note_slopes(s);
+    note_slopes(s, noted);
     s->straight = 1;
     for (int c = 0; !verdict && c < o->colours; c++) {
         for (int side = 1; side >= -1; side -= 2) {
@@ -241,7 +240,7 @@ EXPORT int driver_stage_tangent(System *s, const Patterns *o, double length, dou
     double *G = data + o->G, *U = data + o->U, *by_q = data + o->by_q, *by_v = data + o->by_v, *by_a = data + o->by_a, last = NAN;
     int verdict = sample(s, t, &last);
     difference_steps(s, length, q, v, a, hq, hv);
-    if (!verdict) verdict = slopes(s, o, t, q, v, a, lam, hq, hv, by_q, by_v, rest);
+    if (!verdict) verdict = slopes(s, o, t, q, v, a, lam, hq, hv, by_q, by_v, data + o->slopes, rest);
     s->straight = 0;
     if (verdict) return verdict;
     if ((verdict = place(s, q, v)) || (verdict = modal_masses(s, o, q, M, W, rest))) return verdict;
