@@ -139,6 +139,22 @@ def loaded_rod(load: float) -> fmbd.Scene:
     return scene
 
 
+def test_the_first_step_of_another_size_is_compiled(
+    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python makes the first step of a run; sizes change in calls of compiled code, which know new factors."""
+    alone, advance = [], VariableAlpha.advance
+
+    def noted(self: VariableAlpha, h: float) -> Any:
+        alone.append(self.state.t)
+        return advance(self, h)
+
+    monkeypatch.setattr(VariableAlpha, "advance", noted)
+    scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.1), E=2e9)
+    run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-3), output=fmbd.Output(energy=False))
+    assert run.counters["factorisations"] >= 4 and alone == [0.0]
+
+
 def test_small_ways_of_a_rod_are_judged_as_large_ones() -> None:
     """A rod that moves by five hundredths of its length and one that moves by five millionths take the same steps."""
     output = fmbd.Output(times=tuple(np.linspace(0.0, 0.4, 21)), energy=False)

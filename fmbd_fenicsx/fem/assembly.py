@@ -1,9 +1,10 @@
 """Vectors of compiled forms, assembled into room that is kept: making it costs more than the forms of small bodies; matrices on
-components.
+components, and on many columns at once.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -50,3 +51,26 @@ def on_components(M: Any, d: int) -> Any:
     component = np.repeat(np.tile(np.arange(d), len(start) - 1), counts)
     csr = first.astype(PETSc.IntType), (d * columns[at] + component).astype(PETSc.IntType), values[at]
     return PETSc.Mat().createAIJ(sizes, bsize=d, csr=csr, comm=M.getComm())
+
+
+def on_columns(act: Callable[[Any, Any], None], comm: Any, B: Array) -> Array:
+    """What ``act(B, out)`` writes into a dense PETSc matrix like B, for columns (n, k) of this rank's rows; collective."""
+    from petsc4py import PETSc
+
+    n, k = B.shape
+    given, out = (PETSc.Mat().createDense(((n, None), (None, k)), comm=comm) for _ in range(2))
+    for matrix in (given, out):
+        matrix.setUp()
+    given.getDenseArray()[:] = B
+    for matrix in (given, out):
+        matrix.assemble()
+    act(given, out)
+    found = np.array(out.getDenseArray())
+    for matrix in (given, out):
+        matrix.destroy()
+    return found
+
+
+def times_columns(A: Any, B: Array) -> Array:
+    """A B for columns (n, k) of this rank's rows; collective."""
+    return on_columns(lambda given, out: A.matMult(given, out), A.getComm(), B)

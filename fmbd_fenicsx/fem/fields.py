@@ -15,7 +15,7 @@ import numpy as np
 from .. import dolfinx_compat as compat
 from ..errors import InputError
 from ..rotations import Array
-from .assembly import NodalVector
+from .assembly import NodalVector, times_columns
 from .elastic_forms import ElasticForms
 from .energy_quadrature import integrated
 from .field_checks import check_field
@@ -185,7 +185,7 @@ class Field(NodalField):
         return own if rest is None else [*own, (rest.beta, rest.matrix)]
 
     def damping_in_tangent(self, U: Array) -> Array:
-        """The matrix at cd of :meth:`combination` times U, (n d,) -> (n d,)."""
+        """The matrix at cd of :meth:`combination` times U, (n d,) or columns (n d, k)."""
         return sum((c * self._times(A, U) for c, A in self.dampings()), np.zeros_like(U))
 
     @property
@@ -194,7 +194,7 @@ class Field(NodalField):
         return bool(self.nonlinear or self._extra)
 
     def tangent(self, U: Array) -> Array:
-        """K U with the extra form of :meth:`linearise`: the matrix that :meth:`combination` holds."""
+        """K U with the extra form of :meth:`linearise`: the matrix that :meth:`combination` holds, (n d,) or (n d, k)."""
         return self._times(self.stiffness_matrix, U)
 
     @property
@@ -208,6 +208,8 @@ class Field(NodalField):
         return self.K if self._unstressed is None else self._unstressed
 
     def _times(self, A: Any, U: Array) -> Array:
+        if U.ndim == 2:
+            return times_columns(A, U)
         x, y = self._work
         x.array[:] = U
         A.mult(x, y)
@@ -247,9 +249,7 @@ class Field(NodalField):
             held = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
         E = self.stiffness_matrix.convert("aij", PETSc.Mat())
         E.scale(ck)
-        M = self.mass_matrix()
-        E.axpy(cm, M, structure=held)
-        M.destroy()
+        E.axpy(cm, self.mass_matrix(), structure=held)
         for c, A in self.dampings() if cd else ():
             D = A.convert("aij", PETSc.Mat())
             E.axpy(c * cd, D, structure=held)

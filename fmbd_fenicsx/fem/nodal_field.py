@@ -19,7 +19,7 @@ import numpy as np
 from .. import dolfinx_compat as compat
 from ..ranks import rank_sum, together
 from ..rotations import Array, motions
-from .assembly import on_components
+from .assembly import on_components, times_columns
 from .density import density_on, mean_density
 from .rigid_constants import RigidConstants
 from .surfaces import Moments
@@ -62,6 +62,7 @@ class NodalField:
         self.rho = density_on(name, mesh, forms.density)
         self.M = fp.assemble_matrix(compat.form(self.rho * p * q * mesh.dx))
         self.M.assemble()
+        self._mass_matrix: Any = None
         self.redistributed = False  # whether masses were moved between nodes, see replace_mass
         self._of_component = [self.M.createVecRight(), self.M.createVecLeft()]
         self.known_moments: dict[str, Moments] = {}  # by surface; another field of the same body may take them
@@ -69,7 +70,9 @@ class NodalField:
 
     # -- inertia ------------------------------------------------------------------------------------------------
     def mass(self, A: Array) -> Array:
-        """M A for nodal vectors, (n, d) -> (n, d)."""
+        """M A for nodal vectors, (n, d) -> (n, d), or for many of them side by side; collective."""
+        if A.shape[1] > self.dim:
+            return times_columns(self.M, A)
         x, y = self._of_component
         out = np.empty_like(A)
         for k in range(self.dim):
@@ -79,8 +82,10 @@ class NodalField:
         return out
 
     def mass_matrix(self) -> Any:
-        """The scalar mass matrix on each component of vectors (aij); collective. The caller destroys it."""
-        return on_components(self.M, self.dim)
+        """The scalar mass matrix on each component of vectors (aij), which the field keeps; collective."""
+        if self._mass_matrix is None:
+            self._mass_matrix = on_components(self.M, self.dim)
+        return self._mass_matrix
 
     @cached_property
     def mass_form(self) -> Any:
@@ -97,8 +102,10 @@ class NodalField:
 
     def replace_mass(self, M: Any) -> None:
         """Use another scalar mass matrix with the same layout from now on (see ``mechanics.contact.mass``); collective."""
-        self.M.destroy()
-        self.M, self.redistributed = M, True
+        for x in (self.M, self._mass_matrix):
+            if x is not None:
+                x.destroy()
+        self.M, self._mass_matrix, self.redistributed = M, None, True
         self._rigid_properties()
 
     def _rigid_properties(self) -> None:
@@ -133,5 +140,6 @@ class NodalField:
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
-        for x in (self.M, *self._of_component):
-            x.destroy()
+        for x in (self.M, self._mass_matrix, *self._of_component):
+            if x is not None:
+                x.destroy()

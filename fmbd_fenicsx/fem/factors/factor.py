@@ -17,6 +17,7 @@ import numpy as np
 
 from ...errors import LinearSolveError
 from ...rotations import Array
+from ..assembly import on_columns, times_columns
 from .partial_factor import IndefiniteError
 from .substructures import substructured
 
@@ -96,27 +97,31 @@ class Factor:
         return x[: self._n], self._residual(x, b)
 
     def _residual(self, x: Array, b: Array) -> Array:
+        """E x - b, of one solution or of columns."""
         f = self.field
         if self._E is None:
-            r: Array = f.mass(x.reshape(-1, f.dim)).ravel()
+            r: Array = f.mass(x.reshape(len(x) // f.dim, -1)).reshape(x.shape)
             r *= self.cm
             r += self.ck * f.tangent(x)
             if self.cd:
                 r += self.cd * f.damping_in_tangent(x)
             r -= b
             return r
-        self._x.array[:] = x
-        self._E.mult(self._x, self._b)
-        r = np.array(self._b.array)
+        if x.ndim == 2:
+            r = times_columns(self._E, x)
+        else:
+            self._x.array[:] = x
+            self._E.mult(self._x, self._b)
+            r = np.array(self._b.array)
         r[: self._n] -= b
         return r
 
-    def solve_columns(self, B: Array) -> tuple[Array, list[Array]]:
-        """E^-1 B for dense columns (n d, k), all at once, and the residual of each column."""
+    def solve_columns(self, B: Array) -> tuple[Array, Array]:
+        """E^-1 B for dense columns (n d, k), all at once, and their residuals, with the rows of a pressure."""
         if not B.shape[1]:
-            return B.copy(), []
+            return B.copy(), B.copy()
         X = self.factor.solve(self._with_pressure(B))
-        return X[: self._n], [self._residual(X[:, j], B[:, j]) for j in range(B.shape[1])]
+        return X[: self._n], self._residual(X, B)
 
     def in_c(self) -> InC | None:
         """How C solves, on one rank; None where it cannot."""
@@ -178,26 +183,10 @@ class PetscFactor:
     def solve(self, B: Array) -> Array:
         """E^-1 B on this rank's rows, (n,) or (n, k)."""
         if B.ndim == 2:
-            return self._solve_columns(B)
+            return on_columns(self.matrix.matSolve, self.matrix.getComm(), B)
         self._b.array[:] = B
         self.matrix.solve(self._b, self._x)
         return np.array(self._x.array)
-
-    def _solve_columns(self, B: Array) -> Array:
-        from petsc4py import PETSc
-
-        n, k = B.shape
-        rhs, out = (PETSc.Mat().createDense(((n, None), (None, k)), comm=self.matrix.getComm()) for _ in range(2))
-        for matrix in (rhs, out):
-            matrix.setUp()
-        rhs.getDenseArray()[:] = B
-        for matrix in (rhs, out):
-            matrix.assemble()
-        self.matrix.matSolve(rhs, out)
-        X = np.array(out.getDenseArray())
-        for matrix in (rhs, out):
-            matrix.destroy()
-        return X
 
     def destroy(self) -> None:
         """Free the factor; collective."""

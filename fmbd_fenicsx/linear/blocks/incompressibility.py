@@ -28,7 +28,7 @@ class VolumeMass(FieldFactor):
 
         self.field, self.cm = field, cm
         self.judge = Judge(f'the mass matrix of body "{field.name}" at constant volume')
-        M, B = field.mass_matrix(), field.coupling_matrix()
+        M, B = field.mass_matrix().copy(), field.coupling_matrix()
         M.scale(cm)
         # rows of volumes as large as those of masses: pivots of one size
         self.scale = float(M.norm(PETSc.NormType.INFINITY) / B.norm(PETSc.NormType.INFINITY))

@@ -115,15 +115,15 @@ class CholeskyFactor(FieldFactor):
 
     def solve_columns(self, B: Array) -> Array:
         """E^-1 B for dense columns (n, k), all at once; every column is judged."""
-        X, residuals = self.factor.solve_columns(B)
-        for j, r in enumerate(residuals):
-            self._judge(r, B[:, j], X[:, j])
+        X, R = self.factor.solve_columns(B)
+        self._judge(R, B, X)
         return X
 
     def _judge(self, r: Array, b: Array, x: Array) -> None:
-        """|E| by its largest row sum, an upper bound of its 2-norm (E is symmetric)."""
-        rr, bb, xx = np.sqrt(rank_sum(self.field.comm, np.array([r @ r, b @ b, x @ x])))
-        self.judge.check(float(rr), float(bb), grown=self.factor.norm * float(xx))
+        """Of one solution or of columns: |E| by its largest row sum, an upper bound of its 2-norm (E is symmetric)."""
+        squares = np.array([np.einsum("i...,i...", z, z) for z in (r, b, x)]).reshape(3, -1)
+        for rr, bb, xx in np.sqrt(rank_sum(self.field.comm, squares)).T.tolist():
+            self.judge.check(rr, bb, grown=self.factor.norm * xx)
 
     def destroy(self) -> None:
         """Free the factor; collective."""

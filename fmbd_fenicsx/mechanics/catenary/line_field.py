@@ -9,6 +9,7 @@ import numpy as np
 
 from ... import dolfinx_compat as compat
 from ...errors import require
+from ...fem.assembly import times_columns
 from ...rotations import Array
 
 
@@ -151,17 +152,19 @@ class LineField:
         return sp.csr_matrix((values, cols, start), shape=self.K.size)
 
     def _product(self, A: Any, u: Array) -> Array:
+        if u.ndim == 2:
+            return times_columns(A, u)
         x, y = self._work
         x.array[:] = u
         A.mult(x, y)
         return np.asarray(y.array.copy())
 
     def mass(self, A: Array) -> Array:
-        """M A, (n, 1) -> (n, 1)."""
-        return self._product(self.M, A[:, 0])[:, None]
+        """M A, (n, 1) -> (n, 1), or for many vectors side by side."""
+        return self._product(self.M, A[:, 0])[:, None] if A.shape[1] == 1 else self._product(self.M, A)
 
     def tangent(self, u: Array) -> Array:
-        """K u with all droppers taut."""
+        """K u with all droppers taut, (n,) or columns (n, k)."""
         return self._product(self.K, u)
 
     def damping(self, v: Array) -> Array:

@@ -230,7 +230,7 @@ class ConditionedBody:
         for k in range(min(found, count)):
             values.append(eps.getEigenpair(k, start).real)
             modes.append(start.array.copy())
-        for obj in (eps, start, K, M):
+        for obj in (eps, start, K):
             obj.destroy()
         if found < count:
             raise FmbdError(f'Body "{f.name}": SLEPc found {found} of {count} modes.')

@@ -180,6 +180,11 @@ class AlphaStepper(TimeStepper):
         self.counters["damped_steps"] = self.counters.get("damped_steps", 0.0) + 1.0
         return self.state
 
+    @property
+    def is_driven(self) -> bool:
+        """Whether compiled code may make the next step by :meth:`controlled`."""
+        return False
+
     def controlled(self, h: float, steps: int, control: Any, observers: Observers) -> int:
         """Up to so many steps under error control in one call of compiled code; none here."""
         return 0

@@ -195,6 +195,11 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
             self.driver.tables.remember()
         return made
 
+    @property
+    def is_driven(self) -> bool:
+        """As :meth:`AlphaStepper.is_driven`."""
+        return not self.fresh
+
     def controlled(self, h: float, steps: int, control: CompiledControl, observers: Observers) -> int:
         """:meth:`march` under error control, up to where the size may change, or a step is refused."""
         if self.fresh or not self._ready(h) or self._is_refused(h):

@@ -41,6 +41,11 @@ class FieldStepper(CompiledAlphaStepper):
         """Room for records, as soon as there are factors of a step."""
         return super().tape(judged) if not self.fresh and self._bound() else None
 
+    @property
+    def is_driven(self) -> bool:
+        """As :meth:`AlphaStepper.is_driven`."""
+        return not self.fresh and self._bound()
+
     def _ready(self, h: float) -> bool:
         """Whether the driver has the solver's factors, and these are those of a step of size h (s)."""
         return bool(self.solver.blocks) and self.solver.weights.ck == self.scheme.rule(h).weights.ck and self._bound()

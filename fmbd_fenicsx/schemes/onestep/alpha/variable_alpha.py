@@ -172,32 +172,50 @@ class VariableAlpha(TimeStepper):
             self.norm.update(s, h)
             self.proposed = first_step(self.norm, s, 3.0, h)
 
-        farthest = turn_limit(self.system, s)
         while True:
-            level = self.stretch.coarsest(min(self.proposed, farthest), s.t)
+            level = self._chosen(self.proposed)
             h = self.stretch.size(level)
-            moves(s.t, h)
-            if not self._is_looked_at(h):
-                farthest = min(farthest, self.look.farthest(s, h))
-                if farthest < h:
-                    continue
-            self.solver.near_singular.begin_trial()
-            try:
-                error, cause = self._ahead(h), "a load within the step"
-            except LinearSolveError as failure:
-                error, cause = np.inf, self._losing(h, failure)
-            if error <= 1.0:
-                error, cause = self._attempt(h, level)
+            error, cause = self._attempt(h, level)
             if error <= 1.0:
                 self.solver.near_singular.accept_trial()
                 break
-            self.stats.rejected[cause] += 1
-            self.proposed = min(self.control.rejected(s.t, h, error, cause), 0.9 * h)
+            self.proposed = self._refused(h, error, cause)
 
         self.local_error, self.peak = error, max(error, FADING * self.peak)
         self._count(h, error)
         self.stretch.go_on(1, level)
         return self.state
+
+    def _chosen(self, proposed: float) -> int:
+        """The level of the next step, of at most a proposed size (s): what drives and loads do within it lets it be tried;
+        collective.
+        """
+        s = self.state
+        while True:
+            self.proposed = proposed
+            level = self.stretch.coarsest(min(proposed, turn_limit(self.system, s)), s.t)
+            h = self.stretch.size(level)
+            moves(s.t, h)
+            self.solver.near_singular.begin_trial()
+            if self._is_looked_at(h):
+                return level
+
+            farthest = self.look.farthest(s, h)
+            if farthest < h:
+                proposed = farthest
+                continue
+            try:
+                error, cause = self._ahead(h), "a load within the step"
+            except LinearSolveError as failure:
+                error, cause = np.inf, self._losing(h, failure)
+            if error <= 1.0:
+                return level
+            proposed = self._refused(h, error, cause)
+
+    def _refused(self, h: float, error: float, cause: str) -> float:
+        """The size (s) that is proposed behind a step of size h that is refused."""
+        self.stats.rejected[cause] += 1
+        return min(self.control.rejected(self.state.t, h, error, cause), 0.9 * h)
 
     def _count(self, h: float, error: float, steps: int = 1) -> None:
         """So many accepted steps of size h (s); the error of the newest."""
@@ -228,11 +246,7 @@ class VariableAlpha(TimeStepper):
         self.inner.state, self.inner.A, self.inner._past = state, kept, past
 
     def _ahead(self, h: float) -> float:
-        """What a load within a step moves, in the norm of errors; 0 without a look, where much happens and no step was as large
-        before.
-        """
-        if self._is_looked_at(h):
-            return 0.0
+        """What a load within a step moves, in the norm of errors; 0 where nothing comes within several steps."""
         error = 0.0 if self._look_far(h) else self.look.loads(self.state, h)
         if error <= 1.0:
             self.largest = max(self.largest, h)
@@ -268,11 +282,10 @@ class VariableAlpha(TimeStepper):
         """The parts of the stretch that these steps are; None where there are none."""
         s = self.state
         self.stretch.follow(s.t, h)
-        if self.proposed is None or self.size is None or not self._marches:
+        if self.proposed is None or self.size is None or not (self._marches and self.inner.is_driven):
             return None
         level = self.stretch.coarsest(min(self.proposed, turn_limit(self.system, s)), s.t)
-        size = self.stretch.size(level)
-        return level if size == self.size and self._is_looked_at(size) else None
+        return level if whole_steps(self.system, s.t, self.stretch.size(level)) > 0 else None
 
     @property
     def _marches(self) -> bool:
@@ -282,26 +295,48 @@ class VariableAlpha(TimeStepper):
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many accepted steps of one size, at most h (s), in one call of compiled code, as :meth:`advance` makes one;
-        fewer where the size may change or a step is refused.
+        fewer where the size may change or a step is refused: one, of a new size.
         """
-        level = self._next_level(h)
-        if level is None:
+        if self._next_level(h) is None:
             return 0
+        assert self.proposed is not None
+        level = self._chosen(self.proposed)
         size, left = self.stretch.size(level), self.stretch.left(level, self.until)
         steps = int(min(steps, left, whole_steps(self.system, self.state.t, size)))
         if steps <= 0:
             return 0
 
-        control = self._control()
+        made = self._compiled_steps(level, steps, observers) if size == self.size else self._changed(level, observers)
+        if made:
+            self.solver.near_singular.accept_trial()
+            self.stretch.go_on(made, level)
+            self._arrive(self.stretch.done)
+        return made
+
+    def _changed(self, level: int, observers: Observers) -> int:
+        """The first step of another size; 0, and all as before, where it is refused."""
+        inner, kept = self.inner, (self.inner.state, self.inner.A, list(self.inner._past))
+        try:
+            self._resize(self.stretch.size(level))
+            made = self._compiled_steps(level, 1, observers)
+        except LinearSolveError:
+            made = 0
+        if not made:
+            inner.state, inner.A, inner._past = kept
+            self.newton.theta = 0.5
+        return made
+
+    def _compiled_steps(self, level: int, steps: int, observers: Observers) -> int:
+        """Up to so many accepted steps of a level in one call of compiled code."""
+        size, control = self.stretch.size(level), self._control()
         control.lend(self._stay(level))
         made: int = self.inner.controlled(size, steps, control, observers)
         if made:
+            self.size = size
             control.take()
             self.peak = control.c.peak
             self.local_error = max(self.local_error, control.c.largest)
             self._count(size, control.c.error, made)
-            self.stretch.go_on(made, level)
-            self._arrive(self.stretch.done)
         return made
 
     def _control(self) -> CompiledControl:
