@@ -486,7 +486,7 @@ def test_complex_directions_and_right_hand_sides_are_two_real_ones(rod_mesh: Cal
     solver = StepSolver(system)
     equations = FieldEquations(system, fmbd.GGL(), solver)
     tangent = equations.refresh(start, np.zeros(equations.n_mult))
-    equations.prepare(tangent.ev, Weights(1.0, 1e-3, 1e-6))
+    solver.prepare(tangent.ev, Weights(1.0, 1e-3, 1e-6))
     assert solver.driver is not None and solver.driver.ready
 
     real, imaginary = rng.normal(size=(2, 3, system.n_v))

@@ -158,6 +158,11 @@ class StepSolver:
         if s.n_lam and (self.core.ratio < 1e-5 or self.near_singular.now):
             self.near_singular.look(ev, self.core.rank)
 
+    def prepare_once(self, ev: Evaluation, weights: Weights) -> None:
+        """As :meth:`prepare`, unless the matrix is there."""
+        if not self.holds(ev, weights):
+            self.prepare(ev, weights)
+
     def _driver_prepares(self, ev: Evaluation, weights: Weights, *, keep: bool, apart: bool) -> bool:
         """Whether the matrix is the driver's, which makes it where it is not there to be kept."""
         driver, contacts = self.driver, self.system.contacts is not None

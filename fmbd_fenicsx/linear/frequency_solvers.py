@@ -55,8 +55,7 @@ class FrequencySolver:
 
     def prepare(self, ev: Evaluation) -> None:
         """The matrix of a configuration, unless it is there; collective."""
-        if not self.solver.holds(ev, self.weights):
-            self.solver.prepare(ev, self.weights)
+        self.solver.prepare_once(ev, self.weights)
 
 
 class FrequencySolvers(Remembering):

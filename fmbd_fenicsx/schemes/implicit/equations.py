@@ -13,7 +13,6 @@ from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import PointRoom, StageRule
-from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.serialisation import Remembering
 from ...system.system import System
@@ -136,7 +135,7 @@ class Equations(Remembering):
         """Moved across the constraints alone, accelerations too: the balance that a step has ended with is not asked again."""
         s, zero = self.system, np.zeros(self.system.n_v)
         ev = s.at(state.t, state.q, state.v)
-        self.prepare(ev, self._last_metric)
+        self.solver.prepare_once(ev, self._last_metric)
 
         def closed(gap: Array) -> Array:
             return self.solver.solve(zero, -gap)[0]
@@ -147,11 +146,6 @@ class Equations(Remembering):
         ev = s.at(state.t, q, v)
         a = state.a + closed(ev.jacobian.times(state.a) + ev.gamma())
         return dq, v, a
-
-    def prepare(self, ev: Evaluation, weights: Weights) -> None:
-        """The matrix of a step, unless it is there."""
-        if not self.solver.holds(ev, weights):
-            self.solver.prepare(ev, weights)
 
     # -- whole steps in compiled code -----------------------------------------------------------------------------
     @property

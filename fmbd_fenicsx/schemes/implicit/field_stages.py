@@ -18,8 +18,7 @@ Source of the forms: :mod:`..dae`. Newton-Krylov methods: Knoll and Keyes, doi:1
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -34,85 +33,18 @@ from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stages import StageRule
-from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
-from ..consistent import MASS
 from ..dae import Form, Points
+from .closing_motions import COLUMNS, ClosingMotions
 from .equations import Equations, Start
+from .field_tangent import FieldTangent
 from .stage_krylov import FieldStages, shares
 from .stage_pressures import StagePressures
 
-SHIFT = float(np.sqrt(np.finfo(float).eps))  # of a difference quotient, over the model's length
 ROUNDED_UP = 1.1  # what a step may be longer than the one proposed, whose safety allows it
 ROUNDOFF = 1e-14  # of rates, over their largest
-COLUMNS = 64  # multipliers for which N is kept as a matrix
-
-
-@dataclass(frozen=True, eq=False)
-class FieldTangent:
-    """The motion at which derivatives are taken, and the balance and rows there, (n_v + levels n_lam,)."""
-
-    system: System
-    form: Form
-    state: State
-    ev: Evaluation
-    low: Array
-    pressures: StagePressures
-
-    def along(self, dq: Array, dv: Array, da: Array) -> Array:
-        """Derivative of balance and rows along (dq, dv, da), one direction or many in one evaluation, complex ones by their two
-        parts; collective.
-        """
-        system, s = self.system, self.state
-        direction = np.array((dq, dv, da))
-        count, wide = direction[0].size // system.n_v, direction.dtype.kind == "c"
-        parts = direction.reshape(3, count, -1)
-        parts = np.concatenate((parts.real, parts.imag), axis=1) if wide else parts
-        sizes = system.each_max_abs(parts)
-        eps = np.array([[self._shift(*map(float, each))] for each in sizes.T])
-
-        ev = system.batch(s.t, system.compose(s.q, eps * parts[0]), s.v + eps * parts[1])
-        lam = np.array([s.lam] * len(eps))
-        a = s.a + eps * parts[2]
-        with self.pressures.held(self.pressures.start):
-            change = (self.form.lower(ev.balance(a, lam), ev, a) - self.low) / eps
-        if self.pressures.fields and sizes[0].any():
-            change[:, : system.n_v] += self.pressures.stiffness(parts[0])
-        change = change[:count] + 1j * change[count:] if wide else change
-        return change if direction.ndim == 3 else change[0]
-
-    def _shift(self, place: float, speed: float, push: float) -> float:
-        """The length of a difference along a direction with parts of these sizes; collective."""
-        system, s = self.system, self.state
-        if place == speed == 0.0:  # linear: as large as the accelerations that they are added to
-            return (system.max_abs(s.a) or 1.0) / (push or 1.0)
-        # lengths: positions, and what velocities move within the time in which they change
-        return SHIFT * system.length / max(place, speed**2 / max(push, 1e-300))
-
-    @cached_property
-    def turnings(self) -> Array:
-        """Derivatives of rate(xi, v) by xi at xi = 0, frame by frame: (frames, n_twist, n_twist)."""
-        system, count = self.system, self.system.motions.n_twist
-        frames, k = system.n_frames, system.n_frames * count
-        if system.motions.dim == 2 or not frames:
-            return np.zeros((frames, count, count))
-        one = np.zeros((count, system.n_v))
-        one[:, :k] = np.tile(1e-6 * np.eye(count), frames)
-
-        slopes = (system.rate(one, self.state.v) - system.rate(-one, self.state.v)) / 2e-6
-        return np.asarray(slopes[:, :k].reshape(count, frames, count).transpose(1, 2, 0))
-
-    def turning(self, d: Array) -> Array | float:
-        """Derivative of rate(xi, v) along d (.., n_v) at xi = 0; not collective."""
-        system, k = self.system, self.system.n_frames * self.system.motions.n_twist
-        if system.motions.dim == 2 or not k:
-            return 0.0
-        found = np.zeros_like(d)
-        turned = self.turnings @ d[..., :k].reshape(*d.shape[:-1], system.n_frames, -1, 1)
-        found[..., :k] = turned.reshape(*d.shape[:-1], k)
-        return found
 
 
 class FieldEquations(Equations):
@@ -126,8 +58,8 @@ class FieldEquations(Equations):
             ("residuals", "jacobians", "krylov", "trusted", "size_anchor", "_equal", "_estimates"), plain()
         ),
         "solvers": worker,
-        **dict.fromkeys(("metric", "_last_metric"), plain(Weights)),
-        "pressures": worker,
+        "_last_metric": plain(Weights),
+        **dict.fromkeys(("closing", "pressures"), worker),
     }
     dense = False
 
@@ -139,10 +71,8 @@ class FieldEquations(Equations):
         self.size_anchor: float | None = None  # first step of the grid, s
         self._equal = False  # whether all steps, of which none was made so far, are to have one size
         self._estimates = False  # whether steps end with :meth:`consistent_start`
-        self.metric = MASS  # of the corrections N c: the matrix P of the step
+        self.closing = ClosingMotions(solver)
         self._begun: State | None = None
-        self._basis: Evaluation | None = None  # where N is taken
-        self._motions: tuple[Evaluation, Weights, Array] | None = None  # N, and what it is taken for
         self._room: FieldStageRoom | None = None
         self.pressures = StagePressures(solver)
         self.left_motions: Array = np.zeros((1, 0))  # of frequencies, what iterations have left, as pressures see it
@@ -176,8 +106,9 @@ class FieldEquations(Equations):
         """Local coordinates about the state; ``closed``: with :meth:`consistent_start`, where that is asked for."""
         self.pressures.begin(known=self._begun is state, in_parts=closed)
         if self._begun is not state:
-            self._begun, self._basis = state, None
-            self._last_metric = self.metric
+            self._begun = state
+            self.closing.begin(state)
+            self._last_metric = self.closing.metric
             if self._estimates and closed:  # while the matrix is at hand
                 self.consistent_start(state)
         self.origin = state.q
@@ -211,7 +142,7 @@ class FieldEquations(Equations):
     def metric_of(self, h: float, s: Array) -> Weights:
         """The real one of those that the step was solved with; one at hand may be of another step of the same march."""
         real = s.real[s.imag == 0]
-        return self.solvers.at_hand(float(real[0])) if len(real) else self.metric
+        return self.solvers.at_hand(float(real[0])) if len(real) else self.closing.metric
 
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + levels n_lam) at the times t (k,); behind it, where bodies carry pressures, the
@@ -250,14 +181,14 @@ class FieldEquations(Equations):
             m = self.system.n_lam
             ev = self.system.batch(t, self.system.compose(self.origin, p.xi), v)
             slips = W @ ev.constraint() - ev.opening()
-            v, mult = v + self.closing(slips), mult.copy()
+            v, mult = v + self.closing.times(slips), mult.copy()
             mult[:, m : 2 * m] += slips
         return replace(p, v=v, vd=p.vd + W @ (v - p.v), mult=mult)
 
     def _lacking(self, p: Points, rates: Array) -> Array:
         """What velocities (k, n_v), whose rates of xi are given, lack to be those of the places: r_kin, without roundoff."""
         slips = self._slips(p.mult, 1)
-        left = p.rate - rates if slips is None else p.rate - rates + self.system.rate(p.xi, self.closing(slips))
+        left = p.rate - rates if slips is None else p.rate - rates + self.system.rate(p.xi, self.closing.times(slips))
         return np.where(np.abs(left) > ROUNDOFF * np.abs(p.rate).max(initial=0.0), left, 0.0)
 
     def _slips(self, mult: Array, level: int) -> Array | None:
@@ -269,30 +200,7 @@ class FieldEquations(Equations):
     def corrections(self, mult: Array, level: int) -> Array:
         """N c of the multipliers (k, levels n_lam) of one level, (k, n_v); zero where the form has no such level."""
         slips = self._slips(mult, level)
-        return np.zeros((len(mult), self.system.n_v)) if slips is None else self.closing(slips)
-
-    def closing(self, slips: Array) -> Array:
-        """N c of slips (k, n_lam), (k, n_v); complex ones by their parts."""
-        if self._basis is None:
-            assert self._begun is not None
-            self._basis = self.system.at(self._begun.t, self._begun.q)
-        if slips.shape[1] <= COLUMNS:
-            return slips @ self.closing_motions().T
-
-        self.prepare(self._basis, self.metric)
-        closing = self.solver.closing
-        if np.iscomplexobj(slips):
-            return np.asarray(closing(slips.real.T).T + 1j * closing(slips.imag.T).T)
-        return closing(slips.T).T
-
-    def closing_motions(self) -> Array:
-        """N of (1), (n_v, n_lam), solved for once where derivatives are taken."""
-        basis, known = self._basis, self._motions
-        assert basis is not None
-        if known is None or known[0] is not basis or known[1] != self.metric:
-            self.prepare(basis, self.metric)
-            self._motions = known = basis, self.metric, self.solver.closing(np.eye(self.system.n_lam))
-        return known[2]
+        return np.zeros((len(mult), self.system.n_v)) if slips is None else self.closing.times(slips)
 
     def stage_room(self, frequencies: int, points: int, square: Array) -> FieldStageRoom | None:
         """Room of compiled code for increments of so many points, their lengths squared by these weights; None without any."""
@@ -373,7 +281,7 @@ class FieldEquations(Equations):
         for by in reversed(self._lent):  # complex ones look at rows with the tables of real ones
             by.prepare(ev)
             if by.weights.real:
-                self.metric = by.weights
+                self.closing.metric = by.weights
         ready = [tables for by in self._lent if (tables := by.tables) is not None]
         if len(ready) < len(s):
             raise LinearSolveError("the matrix of a frequency is NumPy's.")
@@ -389,7 +297,7 @@ class FieldEquations(Equations):
     def accelerations(self, p: Points) -> Array:
         """a = v' + N e, (k, n_v)."""
         slips = self._slips(p.mult, 2)
-        return p.vd if slips is None else p.vd + self.closing(slips)
+        return p.vd if slips is None else p.vd + self.closing.times(slips)
 
     def end_acceleration(self, t: float, p: Points) -> Array:
         """As :meth:`Equations.end_acceleration`."""
@@ -404,7 +312,8 @@ class FieldEquations(Equations):
     def refresh(self, state: State, mult: Array) -> FieldTangent:
         """Derivatives at a state with multipliers (n_mult,) from now on."""
         self.jacobians += 1
-        ev = self._basis = self.system.at(state.t, state.q, state.v)
+        ev = self.system.at(state.t, state.q, state.v)
+        self.closing.take(ev)
         state = replace(state, lam=mult[: self.system.n_lam])
         self.pressures.take_tangents(ev)
         with self.pressures.held(self.pressures.start):

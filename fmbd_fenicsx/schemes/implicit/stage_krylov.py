@@ -41,7 +41,8 @@ from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.system import System
 
 if TYPE_CHECKING:
-    from .field_stages import FieldEquations, FieldTangent
+    from .field_stages import FieldEquations
+    from .field_tangent import FieldTangent
 
 ACCURATE = 1e-2  # share of the residual that an inner iteration leaves
 LIMIT = 40  # inner iterations
@@ -147,7 +148,8 @@ class FieldStages:
         self.eq, self.t, self.judge, self.points = equations, tangent, judge, points
         self.s = [x.real if x.imag == 0 else x for x in s]
         self.by = solvers
-        equations.metric = next((by.weights for by in self.by if by.weights.real), equations.metric)
+        closing = equations.closing
+        closing.metric = next((by.weights for by in solvers if by.weights.real), closing.metric)
         self.square = shares(equations.system) ** 2
         self.known = [Directions(self._dot, judge.what) for _ in self.s]
         self.before: Array = np.zeros(len(s))  # sizes of the last increments
@@ -164,7 +166,7 @@ class FieldStages:
         if self._room is None and self._trusted.all():
             self._room = eq.stage_room(len(self.s), self.points, self.square)
             if self._room is not None:
-                self._room.derive_at(t.state, t.low, eq.closing_motions(), t.turnings)
+                self._room.derive_at(t.state, t.low, eq.closing.columns, t.turnings)
         return self._room
 
     def iterate(self, convergence: Convergence, until: int) -> None:
@@ -202,11 +204,11 @@ class FieldStages:
         if L > 1:
             slip = s * at[0] - at[1]
             slip = slip - self._rows(kin) if self._sizes(kin).any() else slip
-            rate = kin + eq.closing(slip)
+            rate = kin + eq.closing.times(slip)
         push = s * rate
         if L > 2:
             pull = s * at[1] - at[2]
-            push = push + eq.closing(pull)
+            push = push + eq.closing.times(pull)
 
         closing = self._closing_volumes(volumes)
         if closing is not None:
@@ -217,7 +219,7 @@ class FieldStages:
         mult = [dlam] if L else []
         if L > 1:  # what the motion itself adds
             mult.append(slip + left[:, :m])
-            dv = dv + eq.closing(left[:, :m]) if left.any() else dv
+            dv = dv + eq.closing.times(left[:, :m]) if left.any() else dv
         if L > 2:
             mult.append(pull + left[:, m:] - s * left[:, :m])
         return np.concatenate((dxi, dv), axis=1), np.concatenate(mult, axis=1) if L else np.zeros((len(s), 0))

@@ -91,8 +91,7 @@ def fastest_vibration(system: System, state: State, solver: StepSolver) -> Faste
     The solver is left prepared for the mass matrix in this state.
     """
     ev = system.at(state.t, state.q, state.v)
-    if not solver.holds(ev, MASS):
-        solver.prepare(ev, MASS)
+    solver.prepare_once(ev, MASS)
     found = _lanczos(_Operator(system, state, solver))
     system.at(state.t, state.q, state.v).balance(state.a, state.lam)  # bodies remember what they were asked last
     return found

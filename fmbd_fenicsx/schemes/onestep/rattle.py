@@ -89,11 +89,6 @@ class RattleStepper(MarchingStepper):
         self.parameters = np.zeros(PARAMETERS)  # of Newton's iteration of a stage in compiled code
         self.limit: StepLimit = StepLimit("RATTLE", system, solver, amplification)
 
-    def _prepare(self, ev: Evaluation, weights: Weights = MASS) -> None:
-        """The matrix at ev.q: that of the masses serves the end of a step, its accelerations, and the beginning of the next."""
-        if not self.solver.holds(ev, weights):
-            self.solver.prepare(ev, weights)
-
     def begin_anew(self, start: Callable[[], State]) -> bool:
         """Go on with the accelerations behind a jump: records within the next step lie between these and those of its end."""
         self.state = consistent(self.system, start(), self.solver)[0]
@@ -153,7 +148,7 @@ class RattleStepper(MarchingStepper):
             self.state = State(t, q, v, *end)
             return self.state
         ev = system.at(t, q, v)
-        self._prepare(ev)
+        self.solver.prepare_once(ev, MASS)  # which is that of the half step before, and of the next one
         self.half = least(self.solver, t, q, self.half)
         a, lam = self._refine(ev, a, self.half, lambda a: ev.jacobian.times(a) + ev.gamma())
         self.state = State(t, q, v, a, least(self.solver, t, q, lam))
@@ -218,7 +213,7 @@ class RattleStepper(MarchingStepper):
             v = s.v + 0.5 * h * a
             ev = system.at(s.t, s.q, v)
             if begun is None:
-                self._prepare(ev, weights)
+                self.solver.prepare_once(ev, weights)
             begun = ev
 
             r = ev.balance(a, lam)
@@ -248,7 +243,7 @@ class RattleStepper(MarchingStepper):
             return found[:2]
         ev = self.system.at(t, q, v)
         slip = ev.opening() if self.system.n_lam else np.zeros(0)
-        self._prepare(ev)
+        self.solver.prepare_once(ev, MASS)
         return self._refine(ev, self.state.a, self.half, lambda a: ev.jacobian.times(a) + 2.0 / h * slip)
 
     def _refine(self, ev: Evaluation, a: Array, lam: Array, rows: Callable[[Array], Array]) -> tuple[Array, Array]:
