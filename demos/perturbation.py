@@ -53,8 +53,8 @@ def response(index, omega, M, K, B, d):
     scene.sensor("u", fmbd.coordinates(body))
     scene.sensor("v", fmbd.coordinates(body, level=1))
     form = type(f"Perturbed{index}", (Perturbed, FORMS[index]), {"omega": omega, "shape": d})()
-    end = (3.5 if index == 2 else 3.25) * period  # at an extreme of the clamp force, sin or cos
-    run = fmbd.solve(scene, t_end=end, dt=period / 40, scheme=fmbd.Radau(3, form, rtol=None))
+    periods = 3.5 if index == 2 else 3.25  # to an extreme of the clamp force, sin or cos
+    run = fmbd.solve(scene, t_end=periods * period, dt=period / 40, scheme=fmbd.Radau(3, form, rtol=None))
     late, m = run.times > 1.5 * period, M.sum() / 2
     rms = lambda x: np.sqrt(np.einsum("ti,ij,tj->t", x, M, x) / m)[late].max()
     return rms(run["u"]), rms(run["v"]), abs(d @ run.state.lam)
@@ -71,16 +71,13 @@ def harmonic(omega, M, K, B, d):
 args = demo.arguments(__doc__)
 model = M, K, B, d = block()
 weight = {"below": M.sum() / 2, "above": d @ np.linalg.solve(B @ np.linalg.solve(M, B.T), d)}
-checks, found = [], []
-for where, all_omegas in RANGES.items():
-    omegas = all_omegas[-2:] if args.fast else all_omegas
-    for index in FORMS:
-        table = np.array([response(index, w, *model) for w in omegas])
-        found.append((index, omegas, table))
-        for k, power in enumerate(np.polyfit(np.log(omegas), np.log(table), 1)[0]):
-            checks.append(Check(f"index {index}, {where}: power of omega, {NAMES[k]}", power, k + index - 3, 0.05))
-        force = table[-1, 2] / (weight[where] * DELTA * omegas[-1] ** (index - 1))
-        checks.append(Check(f"index {index}, {where}: clamp force over inertia", force, 1.0, 0.05))
+checks, runs = [], {where: omegas[-2:] if args.fast else omegas for where, omegas in RANGES.items()}
+tables = {(x, index): np.array([response(index, w, *model) for w in runs[x]]) for x in runs for index in FORMS}
+for (where, index), table in tables.items():
+    for k, power in enumerate(np.polyfit(np.log(runs[where]), np.log(table), 1)[0]):
+        checks.append(Check(f"index {index}, {where}: power of omega, {NAMES[k]}", power, k + index - 3, 0.05))
+    force = table[-1, 2] / (weight[where] * DELTA * runs[where][-1] ** (index - 1))
+    checks.append(Check(f"index {index}, {where}: clamp force over inertia", force, 1.0, 0.05))
 if args.picture:
     w = np.geomspace(RANGES["below"][0] / 2, RANGES["above"][-1] * 2, 400)
     curves = np.array([harmonic(x, *model) for x in w])
@@ -88,7 +85,7 @@ if args.picture:
         for k, axes in enumerate(panels):
             for index in FORMS:
                 axes.loglog(w, curves[:, k] * w ** (index - 3.0), f"C{index}-", lw=0.8, label=f"index {index}")
-            for index, omegas, table in found:
-                axes.loglog(omegas, table[:, k], f"C{index}o", ms=4)
+            for (where, index), table in tables.items():
+                axes.loglog(runs[where], table[:, k], f"C{index}o", ms=4)
             axes.set(xlabel="omega (rad/s); dots: runs", ylabel=f"{NAMES[k]} ({('m', 'm/s', 'N')[k]})")
 demo.finish(checks, None, args)

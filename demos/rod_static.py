@@ -57,9 +57,8 @@ checks.append(Check("Princeton beam, all angles and loads, m", worst, 0.0, 1e-8)
 
 rows = [row for row in HELIX if row[0] <= (0.1 if args.fast else 1.0)]
 stops = tuple(row[0] for row in rows)
-spring, helix = solved(
-    plain, 10.0, 24 if args.fast else 80, force=(0, 0, 50.0), torque=(0, 0, 200 * np.pi), stops=stops, first=2e-3
-)
+ends = {"force": (0, 0, 50.0), "torque": (0, 0, 200 * np.pi)}
+spring, helix = solved(plain, 10.0, 24 if args.fast else 80, **ends, stops=stops, first=2e-3)
 error = np.linalg.norm(helix.path.series["tip"][1:] - [row[1:] for row in rows], axis=1).max()
 checks.append(Check(f"helix to {stops[-1] * 10:g} turns, m", error, 0.0, 1e-6 if args.fast else 1e-5))
 

@@ -63,6 +63,7 @@ def test_enumerations_count_on_from_what_is_given(tmp_path: Path, monkeypatch: p
         "#if DIM == 3\nenum { D = 3 };\n#else\nenum { D = 2 };\n#endif\n"
         "enum { FIRST, SECOND = D + 2 * D, THIRD /* not 1 */ };\n"
         "static const double SMALL = 1e-3, TINY = 0.5; /* each */\n"
+        "static const double BOTH[] = {1.0, -2.0};\n"
         "typedef struct {\n    const double *x, y[D]; /* z; */\n    int (*python)(int what);\n} Both;\n"
     )
     monkeypatch.setattr(declarations, "DRIVER", tmp_path)
@@ -74,6 +75,7 @@ def test_enumerations_count_on_from_what_is_given(tmp_path: Path, monkeypatch: p
     try:
         assert declarations.enumeration("FIRST") == {"FIRST": 0, "SECOND": 9, "THIRD": 10}
         assert declarations.constants("tables.h", "TINY", "SMALL") == (0.5, 1e-3)
+        assert declarations.array_of("tables.h", "BOTH") == (1.0, -2.0)
         assert declarations.fields_of("tables.h", "Both", 2) == [
             ("x", ctypes.c_void_p), ("y", ctypes.c_double * 2), ("python", declarations.PYTHON)
         ]  # fmt: skip

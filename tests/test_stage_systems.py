@@ -31,6 +31,7 @@ from fmbd_fenicsx.system.compiled.states.convergence import CONVERGED, DIVERGED,
 from fmbd_fenicsx.system.compiled.states.couplings import couplings_of
 from fmbd_fenicsx.system.compiled.states.stages import StageRule
 from fmbd_fenicsx.system.layout import State
+from fmbd_fenicsx.system.system import System
 from fmbd_fenicsx.system.tangents.step_tangent import StepTangent
 
 FORMS = [
@@ -56,6 +57,12 @@ def equations(system: Any, form: Any, at: tuple[Any, ...]) -> tuple[StepEquation
     eq.begin(state)
     mult = np.concatenate([lam, 1e-2 * lam, 2e-2 * lam])[: eq.n_mult]
     return eq, state, mult
+
+
+def case(name: str, form: Any) -> tuple[System, StepEquations, State, np.ndarray]:
+    """A system, and the equations of a step from the first of its configurations."""
+    _, system, at = pair_of(MAKERS[name])
+    return system, *equations(system, form, at)
 
 
 def with_dense_matrices(eq: StepEquations) -> DenseTangents:
@@ -95,8 +102,7 @@ def smallest(eq: StepEquations, state: State, mult: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
 @pytest.mark.parametrize("name", MAKERS)
 def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any) -> None:
-    _, system, at = pair_of(MAKERS[name])
-    eq, state, mult = equations(system, form, at)
+    system, eq, state, mult = case(name, form)
     if not isinstance(eq.tangents, SparseTangents):
         assert system.n_lam and couplings_of(system.evaluator) is None
         return
@@ -135,8 +141,7 @@ def test_tangents_and_solutions_are_those_of_dense_matrices(name: str, form: Any
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
 @pytest.mark.parametrize("name", MAKERS)
 def test_stages_with_the_same_tangent_each_are_those_with_one(name: str, form: Any) -> None:
-    _, system, at = pair_of(MAKERS[name])
-    eq, state, mult = equations(system, form, at)
+    system, eq, state, mult = case(name, form)
     made, tab, redundant = eq.refresh(state, mult), tableau(2), eq.solver.core.redundant
     kin, low = right_hand_sides(eq, 2)
     if redundant:
@@ -157,8 +162,7 @@ def test_stages_with_the_same_tangent_each_are_those_with_one(name: str, form: A
 @pytest.mark.parametrize("name", ["plane", "reduced 3D", "rod"])
 def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
     """Derivatives of any numbers, half of them none, and no masses."""
-    _, system, at = pair_of(MAKERS[name])
-    eq, state, mult = equations(system, fmbd.GGL(), at)
+    system, eq, state, mult = case(name, fmbd.GGL())
     made, rng = eq.refresh(state, mult), np.random.default_rng(5)
     assert isinstance(eq.tangents, SparseTangents)
     any_numbers = {x: rng.normal(size=made.by_q.shape) * rng.integers(0, 2, made.by_q.shape) for x in ("by_q", "by_v")}

@@ -45,10 +45,12 @@ def tabulated(form: Any, functions: Sequence[Any]) -> list[Integral] | None:
     found = None if space.element.needs_dof_transformations else compat.integrals_of(form)
     if found is None:
         return None
+
     marks = [_marked(form, function) for function in functions]
     msh, constants = functions[0].function_space.mesh, compat.constants_of(form)
     corners, points = compat.geometry_dofmap(msh), np.asarray(msh.geometry.x)
     nodes = np.asarray(space.dofmap.map())
+
     made = []
     for i, (kernel, cells, facet, coefficients) in enumerate(found):
         moving = tuple((places, entries[:, places]) for places, entries in (of[i] for of in marks))

@@ -21,14 +21,14 @@ from scipy.sparse.linalg import splu
 
 from ..matrices import dense
 from ..rotations import Array
-from ..system.compiled.declarations import constants
+from ..system.compiled.declarations import array_of, constants
 from ..system.evaluation import Evaluation
 from ..system.layout import State
 from .condensation import StepSolver
 
 DEPENDENT = 1e-8  # singular values of G, scaled, below this share of the largest belong to the null space
 (SOFT,) = constants("parts.h", "SOFT")  # share of a row's compliance
-CORRECTED = 1.0, -2.0  # times it, of what is left open, as in parts.h
+CORRECTED = array_of("parts.h", "CORRECTED")  # times it, of what is left open
 SINGULAR = 1e-14  # singular values of a scaled matrix below this share belong to rows that depend on each other
 
 

@@ -154,10 +154,12 @@ class Moving:
         w = (f.jac[:, d:] @ self.rate[..., None])[..., 0]
         arms_rate = m.spin(w[:, None], f.arms)
         torque = m.moment(arms_rate, bd[:, 1:]).sum(1)
+
         Sd = np.einsum("nka,nkc->nac", bd[:, 1:], f.arms) + np.einsum("nka,nkc->nac", f.b[:, 1:], arms_rate)
         Dd = np.trace(Sd, axis1=1, axis2=2)[:, None, None] * np.eye(m.n_rot)
         if d == 3:
             Dd = Dd - 0.5 * (Sd + np.swapaxes(Sd, 1, 2))
+
         wd = (f.Z @ (torque[..., None] - Dd @ w[..., None]))[..., 0]
         if self.markers.section is not None:
             wd[self.markers.section] = 0.0
@@ -291,6 +293,7 @@ def polar(F: Array) -> tuple[Array, Array]:
         trace = np.hypot(s, c)
         s, c = s / trace, c / trace
         return np.stack((np.stack((c, -s), -1), np.stack((s, c), -1)), -2), 1.0 / trace[:, None, None]
+
     U, stretch, Vt = np.linalg.svd(F)  # S = U stretch U^T
     R: Array = U @ Vt
     improper = np.linalg.det(R) < 0

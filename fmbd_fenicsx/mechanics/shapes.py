@@ -301,6 +301,7 @@ class SignedDistance(Shape):
             raise CallbackError(
                 f"SignedDistance: the function returned {shown(told)}, expected ({len(y)},) finite numbers."
             ) from None
+
         if found.shape != (len(y),) or not np.isfinite(found).all():
             raise CallbackError(
                 f"SignedDistance: the function returned shape {found.shape}"

@@ -100,8 +100,10 @@ def _inside(x: Any) -> Iterable[Any]:
             return x
         case dict():
             return x.values()
+
     if type(x).__module__.startswith(HOME) and not callable(x):
         return ()  # a body, a scene
+
     slots = [name for kind in type(x).__mro__ for name in vars(kind).get("__slots__", ())]
     own = vars(x).values() if hasattr(x, "__dict__") else ()
     return *own, *(getattr(x, name, None) for name in slots)

@@ -230,10 +230,7 @@ def _keeper(
 
 
 def _counters(march: Marched, newton: Newton, solver: StepSolver) -> dict[str, float]:
-    """Counts of a run; back-solves per step without those of the first step, which also solves the constant
-    columns.
-    """
-    # the first step also solves the constant columns: it is left out of the mean
+    """Counts of a run; back-solves per step without those of the first one, which also solves the constant columns."""
     later = solver.back_solves - march.first
     return {
         **march.counters,

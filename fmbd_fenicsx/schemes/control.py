@@ -110,6 +110,7 @@ class StepControl:
             factor = min(max(growth_factor(error, self.order, self.safety), least), most)
         else:
             factor = 0.5 if len(self.rejections) < 3 else 0.1
+
         new = h * factor
         if t + 0.01 * new == t or new < self.tiny or len(self.rejections) > PATIENCE:
             tail = "; ".join(f"h = {x:.1e} s: {why}" for _, x, why in self.rejections[-5:])

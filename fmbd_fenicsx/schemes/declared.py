@@ -56,6 +56,7 @@ class Declared:
                 f'{name} has no impacts, and the scene has the joint limit "{held.limits[0]}". Use fmbd.Moreau(), '
                 "or fmbd.elastic_stop in its place."
             )
+
         if held.contacts and self.start is None:
             elastic = () if held.bouncing else ("ContactMidpoint()", "ContactAlpha()")
             bouncing = () if held.massless and elastic else ("Moreau()",)
@@ -63,11 +64,13 @@ class Declared:
                 f'{name} does not treat contact, and the scene has "{held.contacts[0]}". '
                 f"Use fmbd.{' or fmbd.'.join((*elastic, *bouncing))}."
             )
+
         if held.pressures and not self.carries_pressure:
             return (
                 f'Body "{held.pressures[0]}" has a pressure that is an unknown; {name} does not solve for it. Use '
                 "GeneralizedAlpha() with form=Index3(), Radau() or BDF(), or energy=neo_hookean_mixed(...)."
             )
+
         return "" if self.refusal is None else self.refusal(held)
 
     @property

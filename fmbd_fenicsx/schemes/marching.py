@@ -181,12 +181,14 @@ class MarchingStepper(CompiledSteps):
                 free, most = self._free(h)
             except StabilityError:  # whoever makes that step says so
                 break
+
             now = self._made(h, int(min(steps - made, free)), most, observers)
             made += now
             if self.limit is not None:
                 self.limit.count(now)
             if now and self._used is not None:
                 self._used.tables.remember()
+
             if not now or self._stopped or (observers.tape is not None and observers.tape.ended):
                 break
         return made

@@ -55,11 +55,13 @@ class Spins:
                 self._slow[k] = _slowest(part)
             if spin <= self._slow[k]:
                 continue
+
             ev = self.system.at(state.t, state.q, state.v)
             first = held_frequency(ev, k, part)
             share = (spin / first) ** 2
             if share <= SHARE:
                 continue
+
             self.bodies.remove((k, part))
             log.warning(
                 'body "%s" spins at %.3g rad/s, its first bending frequency between its joints is %.3g rad/s: without the '

@@ -167,6 +167,7 @@ def _tell_roundoff(newton: StaticNewton, point: StaticPoint, t: float, given: St
     system = newton.residual.system
     if not system.fields or system.contacts is not None:
         return
+
     displaced = system.difference(given.q, point.q)
     for k, _ in system.fields:
         own = system.slices[1][k]
@@ -174,6 +175,7 @@ def _tell_roundoff(newton: StaticNewton, point: StaticPoint, t: float, given: St
     size = system.max_abs(displaced)
     if not size > 0.0:
         return
+
     lost = newton.roundoff(point, t, size)
     if lost > max(ROUGH * size, newton.tolerance * system.length):
         log.warning(

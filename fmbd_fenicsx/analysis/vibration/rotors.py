@@ -23,11 +23,13 @@ def check_round(about: Perturbation, spin: BodySpin) -> None:
     system, s = about.system, about.state
     if any(p.frame in spin.frames for _, p in system.fields):
         return
+
     none = np.zeros(system.n_lam)
     before = Perturbation(system, State(s.t, s.q, s.v, s.a, none))
     after = Perturbation(system, State(s.t, spin.turned(system, s.q, ANGLE), s.v, s.a, none))
     y = random_motion(about, 0)
     turned = spin.carried(system, y, ANGLE)
+
     for name in ("mass", "damping", "stiffness"):
         force = spin.carried(system, _product(before, name, y), ANGLE)
         change = system.max_abs(_product(after, name, turned) - force)

@@ -245,6 +245,7 @@ def _sides(model: Any, cells: list[Cells], label: str, name: str) -> np.ndarray:
             f'{label}: volume "{name}" has cells of several kinds: {listing}. A body has one kind: '
             "let gmsh recombine all of its surfaces or none, or give each kind its own volume and tie the bodies."
         )
+
     _, dim, _, _, _, corners = kinds[cells[0].kind]
     if (dim, corners) not in FACETS:
         raise MeshError(

@@ -54,6 +54,7 @@ def check_force(body: Any, slopes: Slopes, tangent: Callable[..., Any]) -> None:
         found = _known(slopes, z)
         if found is None:
             continue
+
         none = ROUNDOFF * float(np.abs(slopes.function(z)).max(initial=0.0))
         sizes = np.abs(places[-1][0]).max(), np.abs(v).max()
         for k, (given, by) in enumerate(zip(tangent(q, v, 0.0), ("q", "q'"), strict=True)):

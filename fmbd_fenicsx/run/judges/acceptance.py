@@ -112,6 +112,7 @@ def _judged(system: System, stepper: Any, h: float, closed: Closed, balanced: Ba
     if not closed.judging and weighed is None:
         return known  # type: ignore[no-any-return]
     seen: Evaluation = known or system.at(state.t, state.q, state.v)
+
     judge: Closed | Balanced = closed
     try:
         closed.check(seen)

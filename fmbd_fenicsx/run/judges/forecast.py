@@ -147,6 +147,7 @@ def drowned(solver: StepSolver, state: State) -> str:
     if not ratio > 0:
         return ""
     known = LEFT_OF_PLACES * farthest(s, state.q)
+
     pushed = ratio * known
     moves = float(np.linalg.norm(s.gravity(state.t))) + s.max_abs(state.v) ** 2 / s.length
     if not pushed > DROWNED * moves:

@@ -172,12 +172,14 @@ class Follower:
             quarter = 0.25 * (b - a)
             if quarter < 1e3 * EPS * max(abs(a), abs(b)):
                 break
+
             begin, middle, end = known or [place(a), place(a + 2 * quarter), place(b)]
             v = [begin, place(a + quarter), middle, place(a + 3 * quarter), end]
             steepest = max(steepest, *(abs(x - y) / quarter for x, y in pairwise(v)))
             bends = [abs(x - 2 * y + z) for x, y, z in zip(v, v[1:], v[2:], strict=False)]
             if halving >= SMOOTH and sum(bends) <= 0.05 * SHARP * quarter * max(self.fastest, steepest):
                 return None
+
             k = bends.index(max(bends))
             a, b, known = a + k * quarter, a + (k + 2) * quarter, v[k : k + 3]
         return a, b, steepest

@@ -99,11 +99,13 @@ class Recorder:
         """Records that a march of compiled steps made after step ``first``."""
         if not len(seen) or self.instants is not None:
             return
+
         begin = clock.perf_counter()
         every = self.output.every
         start = (first // every + 1) * every
         self.newest = start + every * (len(seen) - 1)
         self.steps.append(np.arange(start, self.newest + 1, every))
+
         there = self.straight.shapes if seen.straight else {}
         if there:
             self.straight.take(len(seen))
@@ -111,6 +113,7 @@ class Recorder:
             self.moments.append(seen.t)
         self.drift.judge_tape(seen, float(self.times[-1]))
         self._take_values(seen, there)
+
         self.seconds += clock.perf_counter() - begin
 
     def take_kept(self, tape: Tape, stepper: TimeStepper, first: int) -> None:

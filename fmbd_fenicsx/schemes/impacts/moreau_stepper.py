@@ -228,8 +228,10 @@ class MoreauStepper(ContactStepper):
         s = self.state
         length = self.system.length
         deepest = (0.5 * TOUCH if self._joints else DRIFT) * length
+
         near = self._gap_along(step, (1 - 1e-3) * share)[which]
         slope = (self._gap_along(step, share)[which] - near) / (1e-3 * share)
+
         for _ in range(LOCATING):
             step = self._solved(share * whole, step.closed, step.bouncing)
             q = self._closed_joints(self.system.compose(s.q, 0.5 * step.h * (s.v + step.v)), s.t + step.h)

@@ -68,14 +68,17 @@ class FieldEquations(Equations):
         self.krylov = 0
         self.solvers = FrequencySolvers(system, solver)
         self.trusted = True  # whether exact factors of a frequency need no iteration
+
         self.size_anchor: float | None = None  # first step of the grid, s
         self._equal = False  # whether all steps, of which none was made so far, are to have one size
         self._estimates = False  # whether steps end with :meth:`consistent_start`
+
         self.closing = ClosingMotions(solver)
         self._begun: State | None = None
         self._room: FieldStageRoom | None = None
         self.pressures = StagePressures(solver)
         self.left_motions: Array = np.zeros((1, 0))  # of frequencies, what iterations have left, as pressures see it
+
         self._lent: list[FrequencySolver] = []  # who solves in whole steps, and for which frequencies
 
     @property
@@ -164,6 +167,7 @@ class FieldEquations(Equations):
                 low = np.concatenate((self.form.lower(balance, ev, a), pushes), axis=1)
             else:
                 low = self.form.lower(ev.balance(a, lam), ev, a)
+
         self.left = low[-1, s.n_v : s.n_v + m]
         return self._lacking(p, rates), low
 
@@ -271,17 +275,20 @@ class FieldEquations(Equations):
         """As :meth:`Equations.lend_matrices`. Solutions are not iterated on there: an increment more is cheaper."""
         if not (all(self.solvers.settled(complex(x)) for x in s) and self.solves_for(s)):
             raise LinearSolveError("frequencies that come once have no factors.")
+
         evaluator = self.system.evaluator
         if isinstance(evaluator, DriverStates):  # elements remember the steps of the march, not where it began
             evaluator.tables.remember()
         if (at := room.take_outworn()) is not None:
             self.system.at(*at).take_tangents([k for k, _ in self.pressures.fields])
+
         ev = self.system.at(state.t, state.q, state.v)
         ev.balance(state.a, state.lam)
         for by in reversed(self._lent):  # complex ones look at rows with the tables of real ones
             by.prepare(ev)
             if by.weights.real:
                 self.closing.metric = by.weights
+
         ready = [tables for by in self._lent if (tables := by.tables) is not None]
         if len(ready) < len(s):
             raise LinearSolveError("the matrix of a frequency is NumPy's.")

@@ -100,14 +100,17 @@ class ImplicitMarch(OwnMarch):
         assert lent is not None
         stages, pencil = lent.stages, self._pencil
         factored = isinstance(pencil, SparsePencil) and pencil.room is stages
+
         lent.c.projects = self.scheme.form.projected
         lent.c.factored = self._factored_for() if factored else 0.0
         self.eq.lend(stages, self.state, self._tangent, self._lend_matrices)
+
         convergence, rule = self._settings()
         convergence.accurate = self.judge.tolerance
         stages.lend(rule, np.ones((3, 1)))
         floor = 64 * EPS * self.system.length
         lent.settle(convergence, {"rtol": self.norm.rtol, "floor": floor, "slow": self.slow})
+
         room.view(np.uintp)[0] = lent.address
         if lent.own is not None:
             self._lend_own(lent.own)

@@ -173,11 +173,13 @@ class FieldStages:
         """Increments of the points in the room, up to number ``until``, or to one whose solution has to be iterated on."""
         room = self._room
         assert room is not None
+
         for by in reversed(self.by):  # complex ones look at rows with the tables of real ones
             by.prepare(self.t.ev)
         solvers = [tables for by in self.by if (tables := by.tables) is not None]
         if len(set(map(id, solvers))) < len(self.by):  # matrices of some are NumPy's, or share their tables
             return
+
         room.take_frequencies(np.array(self.s))
         room.solve_by(solvers, self.before, SLOW)
         done = convergence.done

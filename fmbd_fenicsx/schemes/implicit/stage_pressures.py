@@ -27,9 +27,8 @@ from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.evaluation import Evaluation
 from ...system.serialisation import Remembering, plain
 
-MANY = enumeration("MANY", "implicit/field_stages.c")[
-    "MANY"
-]  # increments of a step behind which tangents are taken anew
+# increments of a step behind which tangents are taken anew
+MANY = enumeration("MANY", "implicit/field_stages.c")["MANY"]
 
 Values = list[Array]  # of each field (n_pressure,)
 

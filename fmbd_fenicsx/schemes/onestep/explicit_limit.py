@@ -259,9 +259,11 @@ class StepLimit(Remembering):
             return np.inf
         if self.left > 0:
             return self.left
+
         found = fastest_vibration(self.system, state, self.solver)
         self.held = np.inf if found is None else HELD * largest_step(found, self.matrix)
         self.left = 1 + int(EVERY_OWN * min(max(self.held / h, 1.0), AT_MOST))
+
         if found is not None and h >= self.held and span > MANY * self.held and not self.told:
             self.told = True
             log.warning(

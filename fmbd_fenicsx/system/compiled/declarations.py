@@ -22,6 +22,7 @@ _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _BY_DIMENSION = re.compile(r"#if DIM == 3\n(.*?)#else\n(.*?)#endif", re.DOTALL)
 _ENUMERATION = re.compile(r"\benum \{([^}]*)\}")
 _REAL = re.compile(r"static const double ([^;{]*);")
+_ARRAY = re.compile(r"static const double (\w+)\[\] = \{([^}]*)\};")
 _STRUCTURE = re.compile(r"typedef struct\b[^{}]*\{([^{}]*)\} (\w+);")
 _FUNCTION = re.compile(r"\(\*(\w+)\)\(")
 _DECLARATION = re.compile(r"(?:(?:const|struct|signed|unsigned)\s+)*(\w+)\s*(.*)", re.DOTALL)
@@ -88,6 +89,11 @@ def constants(file: str, *names: str) -> tuple[float, ...]:
     return tuple(float(_reals(file)[name]) for name in names)
 
 
+def array_of(file: str, name: str) -> tuple[float, ...]:
+    """The same of an array of them."""
+    return tuple(map(float, dict(_ARRAY.findall(_text(file, 3)))[name].split(",")))
+
+
 def fields_of(file: str, name: str, dim: int = 3, **parts: Any) -> list[tuple[str, Any]]:
     """Names and types of the fields of a structure; ``parts``: the types of structures within it, by their names in C."""
     known = {**_constants(TABLES, dim), **_constants(file, dim)}
@@ -100,6 +106,7 @@ def fields_of(file: str, name: str, dim: int = 3, **parts: Any) -> list[tuple[st
         declared = _DECLARATION.match(declaration.strip())
         if declared is None:  # behind the last one
             continue
+
         for one in declared[2].split(","):
             pointer, field, size = _NAME.match(one).groups()  # type: ignore[union-attr]
             kind: Any = ctypes.c_void_p if pointer else _NUMBERS.get(declared[1]) or parts[declared[1]]

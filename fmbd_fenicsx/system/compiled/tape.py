@@ -129,6 +129,7 @@ class Tape:
         self.c.crossings = 0
         if self._watched is None:
             return
+
         crossings, read = self._watched
         every = self._records(slice(None))
         for one, (sensor, marker, component) in zip(crossings, read, strict=True):
@@ -139,6 +140,7 @@ class Tape:
             if not self.told(found):
                 return
             one["at"], one["stride"] = found.ctypes.data, found.strides[0] // found.itemsize
+
         self.c.crossing, self.c.crossings = address_of(crossings), len(crossings)
 
     @property

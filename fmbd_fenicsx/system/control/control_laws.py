@@ -20,10 +20,12 @@ def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> A
         value = value[0]
     if size == 1 and isinstance(value, float) and isfinite(value):
         return np.array([value])  # the usual answer: laws are asked many times a step
+
     try:
         found = np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise CallbackError(f'Controller "{name}" returned {value!r} at t = {t:g} s, expected {size} {what}.') from None
+
     found = found if found.ndim else found.reshape(1)
     if found.shape != (size,) or not (isfinite(found.dot(found)) or np.isfinite(found).all()):
         raise CallbackError(

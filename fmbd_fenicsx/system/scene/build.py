@@ -242,6 +242,7 @@ class Builder:
         there: dict[str, Mapping[str, Any]] = {
             "joint": joints, "body": scene.bodies, "force": scene.forces, "contact": scene.contacts, "joint limit": scene.limits,
         }  # fmt: skip
+
         for name, sensor in scene.sensors.items():
             for what, wanted in sensor.wanted:
                 known = there[what]

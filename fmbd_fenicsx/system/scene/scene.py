@@ -123,6 +123,7 @@ class Scene:
             empty = type(value) is dict and not value  # as all are in a new scene
             value = Parts(value if empty else self._fitting(name, value))
             value.scene, value.what = self, PLACES[name][1]
+
         what = f'Scene "{self.__dict__.get("name", "")}": {name}'
         if name == "gravity":
             check_gravity(what, value)
@@ -131,6 +132,7 @@ class Scene:
             require(times.ndim == 1, f"{what} {shown(value)} must be a list of times (s).")
         if name == "gravity_ramp":
             number(what, value, least=0.0, unit="s")
+
         object.__setattr__(self, name, value)
 
     def _fitting(self, place: str, given: Any) -> dict[str, Any]:

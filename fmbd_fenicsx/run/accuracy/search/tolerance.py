@@ -195,6 +195,7 @@ class Search:
         """
         if self.best is None:
             raise ConvergenceError(f'Scene "{scene.name}": no run with tol came to its end: {self.why}')
+
         over, run = self.best
         for said in run.warnings:
             log.warning(said)
@@ -205,6 +206,7 @@ class Search:
                 over,
                 self.why.rstrip("."),
             )
+
         warn_of_uncertain(run, tol)
         warn_of_still(run, tol)
         run.history = tuple(self.history)

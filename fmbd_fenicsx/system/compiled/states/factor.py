@@ -52,11 +52,13 @@ class DriverFactor:
         if self.held is not None and self.holds(ev, cd, ck):
             return True
         self.held = None
+
         a, lam = ev.forces
         found = states.balances(ev.alone, a[None], lam[None])
         if found is None:
             return False
         ev.balanced = a, lam, found
+
         q, _, below = self._given.put(self._placed(ev.q), None, lam)
         if isinstance(ck, complex):
             weights = np.array((cd, ck)).view(float)
@@ -65,6 +67,7 @@ class DriverFactor:
             verdict = states.library.driver_prepare_complex(states.address, q, at, ck_at, below, ev.t)
         else:
             verdict = states.library.driver_prepare(states.address, q, cd, ck, below, ev.t)
+
         states.calls.raise_error()
         if verdict:
             return False

@@ -49,16 +49,9 @@ class LocalPoints:
         if count not in self._rooms:
             s = self.states.system
             n, m = (count, s.n_v), (count, s.n_lam)
-            sizes: dict[str, int | tuple[int, ...]] = {
-                "t": count,
-                "q0": s.n_q,
-                "xi": n,
-                "v": n,
-                "a": n,
-                "lam": m,
-                "mu": m,
-            }
-            sizes |= {"rates": n, "sums": n, "gaps": m, "slips": m, "room": s.n_q + 2 * s.n_v}
+            given = {"t": count, "q0": s.n_q, "xi": n, "v": n, "a": n, "lam": m, "mu": m}
+            told = {"rates": n, "sums": n, "gaps": m, "slips": m}
+            sizes: dict[str, int | tuple[int, ...]] = {**given, **told, "room": s.n_q + 2 * s.n_v}
             self._rooms[count] = Exchange(sizes)
         return self._rooms[count]
 

@@ -73,6 +73,7 @@ class FieldForces:
         factor, at_factor = store.array([1.0])
         if load is not None:
             self.factors.append((load, factor))
+
         (count, nodes), corners, width = one.node.shape, one.corner.shape[1], one.coefficients.shape[1]
         made = structure("Integral", self.dim)(
             kernel=one.kernel, count=count, nodes=nodes, components=one.components, corners=corners, width=width,
@@ -81,6 +82,7 @@ class FieldForces:
             coefficients=store.shared(one.coefficients), factor=at_factor,
             room=store.address(np.zeros(width + nodes * one.components + 3 * corners)),
         )  # fmt: skip
+
         for i, (places, entries) in enumerate(one.moving):
             made.moving[i], made.place[i] = len(places), store.integers(places)
             made.from_[i] = store.shared(np.ascontiguousarray(entries))
