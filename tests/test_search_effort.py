@@ -138,6 +138,17 @@ def test_errors_in_space_come_first_where_bodies_touch(tol: float, steps: list[i
     assert run.history[-1].then == "done" and made == steps
 
 
+def test_spaces_of_slender_bodies_come_first(made: list[int]) -> None:
+    """24 steps show that the elements of a rod are too few, and no whole run is made with them; those of a beam are enough, and
+    its 24 steps tell the order with 48, not with 12.
+    """
+    rod, beam = CASES["rod"], CASES["clamped beam"]
+    run = fmbd.solve(rod.scene(), t_end=rod.t_end, tol=rod.tol(1e-2), output=fmbd.Output(progress=False))
+    assert [round(rod.t_end / x.step) for x in run.history] == [24, 96] and not made
+    run = fmbd.solve(beam.scene(), t_end=beam.t_end, tol=beam.tol(1e-3), output=fmbd.Output(progress=False))
+    assert len(run.history) == 1 and made == [48] and run.observed_order["tip"] == pytest.approx(2.0, abs=0.1)
+
+
 def test_loads_are_asked_once_at_a_time() -> None:
     """Ends of steps, between which jumps are looked for, are among the instants at which loads that come are."""
     asked: list[float] = []

@@ -263,7 +263,11 @@ class SharedRuns:
                 found = self._unseen(solved, coarser[0], allowed)
                 if found is not None:
                     return found
-                coarser.append(self._with(solved, max(first // 2, 1)))
+                half = steps // 2
+                if first <= half / NEAREST:  # those of a look at spaces: larger ones would tell less of an order
+                    coarser.insert(0, self._with(solved, half))
+                else:
+                    coarser.append(self._with(solved, max(first // 2, 1)))
         except UNFIT as error:
             if not coarser:
                 log.info("the run with larger steps did not end: %s", error)

@@ -33,7 +33,7 @@ from ..certificate import FLOOR, Certificate, moving, stated_of
 from ..companion_runs import UNFIT, Compared
 from ..damped import damped_vibrations
 from ..deviation import Deviation
-from ..equal_steps import FEWEST, TimeError
+from ..equal_steps import TimeError
 from ..estimates import warn_of_uncertain, with_damped
 from .next_attempt import (
     AttemptPlan,
@@ -66,7 +66,8 @@ from .shares import (
 ATTEMPTS = 12
 START = 100  # steps of the first attempt where no dt is given
 # the same where spaces or modes have to be found first, whose errors are seen with few steps, and nothing touches: of bodies on
-# meshes, whose steps cost, and of slender ones, of which a run takes most of its time before its first step
+# meshes, whose steps cost, and of slender ones, of which a run takes most of its time before its first step; a look at spaces
+# takes a quarter of them
 SCOUT, SCOUT_SLENDER = 48, 96
 FEW = 24  # steps of which every second end is one of the next attempts
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
@@ -293,8 +294,8 @@ def _first(scene: Scene, scheme: Any, t_end: float, dt: float | None) -> Attempt
         return beginning(AttemptPlan(scene, scheme, step_schedule(scene, scheme, t_end, dt), 1))
     number("End time t_end =", t_end, above=0.0, unit="s")
     spaces = bool(meshed_bodies(scene) or modal_bodies(scene)) and not scene.contacts
-    look = FEWEST if spaces and dt is None and not modal_bodies(scene) and not slender(scene) else 0
     scout = SCOUT_SLENDER if slender(scene) else SCOUT
+    look = scout // 4 if spaces and dt is None and not modal_bodies(scene) else 0
     dt = t_end / (scout if spaces else START) if dt is None else dt
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4, at_samples=True)
     # few steps share half of their ends with those of the next attempts, so that there are enough to be compared
@@ -332,7 +333,8 @@ def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved:
     """The error by the steps, or by the scheme's tolerance; collective."""
     run, alone = solved.run, not meshed_bodies(plan.scene) and not modal_bodies(plan.scene)
     spans = moving(run.series, run.scene.sensors, FLOOR)
-    looked = bool(plan.orders.follow) and not plan.orders.seen  # at spaces, with few steps
+    # at spaces, with few steps: of slender bodies twice as many cost little, and tell the next ones
+    looked = bool(plan.orders.follow) and not plan.orders.seen and not slender(plan.scene)
 
     def share_of(errors: dict[str, Deviation]) -> float:
         return largest_share(errors, spans, tol)
