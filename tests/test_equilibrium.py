@@ -160,6 +160,24 @@ def test_large_deflection_of_an_absolute_rod(rod_mesh: Any) -> None:
     assert np.abs(ends[0] - ends[1]).max() < 1e-9
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["absolute", "floating"])
+def test_a_stiff_bar_falls_from_a_hinge(kind: str) -> None:
+    """From level to hanging, a quarter of a turn of what hardly deforms: a linear increment would stretch it by its length."""
+    steel: Any = {"degree": 2, "density": 7800.0}
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.01), origin=(0.0, -0.005), counts=(20, 1), quads=True)
+    bar: Any = (
+        fmbd.AbsoluteBody("bar", mesh, energy=fmbd.materials.sheet_saint_venant_kirchhoff(2e11, 0.3), **steel)
+        if kind == "absolute"
+        else fmbd.FloatingBody("bar", mesh, elastic=fmbd.materials.plane_stress(2e11, 0.3), **steel)
+    )
+    scene = fmbd.Scene("bar", gravity=(0.0, -9.81))
+    scene.add(bar, fmbd.revolute("hinge", fmbd.ground, bar.surface("left")))
+    scene.sensor("tip", fmbd.position(bar.surface("right")))
+    stretch = 7800.0 * 9.81 / (2.0 * 2e11)
+    assert fmbd.equilibrium(scene)["tip"] == pytest.approx((0.0, -1.0 - stretch), abs=2e-9)
+
+
 @pytest.mark.parametrize("strain", [0.0002, 0.02, 0.2])
 def test_a_body_whose_initial_strain_would_buckle_it_takes_its_length(rod_mesh: Any, strain: float) -> None:
     """Where it starts the strip is compressed so much that it buckles: the stiffness there is not positive, nor a time unit."""

@@ -12,7 +12,7 @@ from motion import elastic_rod, elastic_scene
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import dolfinx_compat
-from fmbd_fenicsx.errors import ConvergenceError, InputError, MeshError
+from fmbd_fenicsx.errors import InputError, MeshError
 from fmbd_fenicsx.fem.fields import Field
 
 pytestmark = pytest.mark.mpi
@@ -142,23 +142,21 @@ def build(gmsh, size, h=0.1):
 
 @pytest.mark.parametrize(("size", "narrow"), [(1e-2, False), (1e-5, True)])
 def test_surfaces_on_which_bodies_turn_are_named(size: float, narrow: bool, tmp_path: Path) -> None:
-    """A clamped piece that is too small to carry the weight: what is open there, and why nothing rests."""
+    """A clamped piece that is too small to carry the weight: messages on the joint tell its size."""
     (tmp_path / "narrow.py").write_text(NARROW)
     mesh = fmbd.read_gmsh(tmp_path / "narrow.py", size=size)
     body = fmbd.FloatingBody("bar", mesh, density=1000.0, elastic=fmbd.materials.plane_stress(1e9, 0.3))
-    scene = fmbd.Scene("clamped", gravity=(0.0, -9.81))
+    scene = fmbd.Scene("clamped")
     scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("piece")))
     system, _, _ = scene.build()
     assert system.block_of(system.n_rows - 1).told == f'joint "clamp" (fixed{", on a surface of 2.9e-06 m" * narrow})'
-    if narrow:
-        with pytest.raises(ConvergenceError, match="turns as on a hinge of little stiffness: joint"):
-            fmbd.equilibrium(scene)
 
 
-def test_a_bar_on_a_small_clamped_piece_hangs(tmp_path: Path) -> None:
-    """A clamp of 1e-4 m holds its bar as a hinge of little stiffness does: it hangs, and does not stand on its head."""
+@pytest.mark.parametrize("size", [1e-4, 1e-6])
+def test_a_bar_on_a_small_clamped_piece_hangs(size: float, tmp_path: Path) -> None:
+    """Such a clamp holds its bar as a hinge of little stiffness does: it hangs, and does not stand on its head."""
     (tmp_path / "narrow.py").write_text(NARROW)
-    mesh = fmbd.read_gmsh(tmp_path / "narrow.py", size=1e-4)
+    mesh = fmbd.read_gmsh(tmp_path / "narrow.py", size=size)
     body = fmbd.FloatingBody("bar", mesh, density=1000.0, elastic=fmbd.materials.plane_stress(1e9, 0.3))
     scene = fmbd.Scene("clamped", gravity=(0.0, -9.81))
     scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("piece")))

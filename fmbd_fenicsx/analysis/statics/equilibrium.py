@@ -35,9 +35,10 @@ from ..small_motions.steady import BodySpin, Residual, Spin, body_spin, steady_r
 from .arc_length import ArcLength, Path
 from .descent import descend, descends
 from .load_steps import LoadSteps
+from .relaxation import relax
 from .rotors import check_steady
 from .stability import falling
-from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps, relax
+from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps
 from .time_scales import PENDULUM, long_step
 
 FAR = 0.1  # displacement, over the model's length, from which on another equilibrium may be as near

@@ -32,7 +32,6 @@ from ...schemes.newton import ExactTangent
 from ...system.speed_rows import speed_rows
 from ..small_motions.steady import Residual
 
-RELAXED = 150  # iterations of descent from a poor start
 SHORTEST = 1 / 256  # load step, and share of an increment in the line search
 EXACT = ExactTangent(rtol=1e-6, max_iterations=60)
 
@@ -290,34 +289,6 @@ def by_load_steps(newton: StaticNewton, start: StaticPoint, t: float) -> StaticP
 
         reached, step = goal, 2.0 * step
     return point
-
-
-def relax(newton: StaticNewton, start: StaticPoint, t: float, tau: float) -> StaticPoint:
-    """A point near a stable equilibrium, by descent in the metric M / tau^2 + K: for starts where J is not definite; collective.
-
-    Raises ConvergenceError where increments do not become small.
-    """
-    system, point, last = newton.residual.system, start, np.inf
-    for _ in range(RELAXED):
-        ev = newton.residual.at(point.q, t)
-        r = newton.residual.values(ev, np.zeros(system.n_lam))
-        newton.solver.prepare(ev, Weights(1.0 / tau**2, 0.0, 1.0))
-
-        d, lam = newton.solver.step(ev, -r[0], -r[1])
-        size = system.max_abs(d)
-
-        if not size < np.inf:
-            break
-        # growing increments: the metric has too little inertia
-        if size > 1.2 * last:
-            tau *= 0.6
-
-        share = min(1.0, 0.2 * system.length / max(size, 1e-300))
-        last = size
-        point = StaticPoint(system.compose(point.q, share * d), lam)
-        if size <= 1e-4 * system.length:
-            return point
-    raise ConvergenceError(f"increments of {last:.1e} m after {RELAXED} iterations of descent")
 
 
 class LostStiffnessError(ConvergenceError):
