@@ -384,3 +384,37 @@ def test_a_mass_far_heavier_than_its_beam(heavier: float, damping: float) -> Non
         scene.add(beam, tip, fmbd.fixed("clamp", fmbd.ground, beam.surface("left"), center=(0.0, 0.0)))
         scene.add(fmbd.fixed("weld", beam.surface("right"), tip, center=(1.0, 0.0)))
         assert fmbd.modes(scene, 2).omega[0] == pytest.approx(expected, rel=2e-4)
+
+
+def slender(load: Any) -> fmbd.Scene:
+    """A clamped rod of bending stiffness, mass and length 1 that hardly stretches, with what ``load`` gives of its end."""
+    rod = fmbd.Rod(
+        "rod",
+        [(0, 0, 0), (1, 0, 0)],
+        fmbd.RodSection((1e8, 1e8, 1e8, 1.0, 1.0, 1.0), 1.0, (2e-8, 1e-8, 1e-8)),
+        elements=4,
+    )
+    scene = fmbd.Scene("column")
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")), load(rod.surface("end")))
+    return scene
+
+
+@pytest.mark.parametrize(("force", "flutters"), [(10.0, False), (19.9, False), (20.2, True)])
+def test_a_column_under_a_force_that_follows_it_flutters(force: float, flutters: bool) -> None:
+    """Beck's load 20.05 EI / L^2: what the stiffness lacks of symmetry is 1e-9 of the stretch and shear beside it."""
+    scene = slender(lambda end: fmbd.force("push", end, (-force, 0.0, 0.0), follower=True))
+    found = fmbd.modes(scene, 4, at=fmbd.equilibrium(scene)).eigenvalues
+    assert found.imag.min() > 5.0
+    assert bool(found.real.max() > 0.5) is flutters
+    assert flutters or np.abs(found.real).max() < 1e-5
+
+
+def test_dampers_are_seen_beside_stiff_parts() -> None:
+    """l^2 + 0.05 l + 1 = 0 of a cart, whatever the spring of another one."""
+    scene = fmbd.Scene("carts")
+    for name, mass, stiffness, damping in (("soft", 1.0, 1.0, 0.05), ("stiff", 1e3, 1e12, 0.0)):
+        cart = fmbd.RigidBody(name, mass, 1.0)
+        rail = fmbd.prismatic(f"rail of {name}", fmbd.ground, cart, axis=(1, 0), center=(0.0, 0.0))
+        spring = fmbd.joint_spring(f"spring of {name}", fmbd.displacement(rail), stiffness=stiffness, damping=damping)
+        scene.add(cart, rail, spring)
+    assert fmbd.modes(scene, 1).eigenvalues[0] == pytest.approx(-0.025 + 1j * np.sqrt(1.0 - 0.025**2), abs=1e-9)

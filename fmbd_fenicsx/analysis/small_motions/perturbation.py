@@ -47,7 +47,7 @@ class Perturbation:
     """The operators of (2) at a state; products are collective.
 
     ``time`` (s): a slow time of the scene, in which differences of velocities move it as far as those of places are; stiffness
-    and mass ask for none.
+    and mass ask for none. ``way``: of differences, over the usual one.
     """
 
     system: System
@@ -55,6 +55,7 @@ class Perturbation:
     spin: Spin | None = None
     closed: ClosedContacts | None = None
     time: float = 1.0
+    way: float = 1.0
 
     @property
     def row_count(self) -> int:
@@ -128,7 +129,7 @@ class Perturbation:
         system, s = self.system, self.state
         twists = system.at(s.t, s.q, along).kin.twist
         turn = 0.0 if twists is None else float(np.abs(twists[:, system.motions.dim :]).max(initial=0.0))
-        return 1.0 / max(system.max_abs(along) / (SHIFT * system.length), turn / TURN, 1e-300)
+        return self.way / max(system.max_abs(along) / (SHIFT * system.length), turn / TURN, 1e-300)
 
     def _difference(self, along: Array, moved: tuple[Array | None, Array, Array]) -> Array:
         """Derivative of the balance for increments (q, v, a)."""

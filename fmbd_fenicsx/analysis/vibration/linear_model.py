@@ -28,6 +28,7 @@ from ...system.layout import State
 from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
 from ..small_motions.basis import ProjectedSystem, projected, reactions
+from ..small_motions.perturbation import Perturbation
 from ..small_motions.small_memory import changed, memory_size, pushed_by
 from .first_order import first_order
 from .modes import Linearised, eigenpairs, prepared, readable
@@ -96,7 +97,7 @@ def linearise(
         forces = _inputs(made, inputs)
         small = projected(made.about, made.solver, modes or 20, shift=made.shift, inputs=[f for _, f in forces])
         if modes is not None:
-            small = _first_modes(small, modes)
+            small = _first_modes(small, modes, made.about)
         return _model(made, small, forces, _outputs(made, outputs))
 
 
@@ -110,9 +111,9 @@ def frequency_response(
     return linearise(scene, inputs, outputs, at=at).frequency_response(omega)
 
 
-def _first_modes(small: ProjectedSystem, n: int) -> ProjectedSystem:
+def _first_modes(small: ProjectedSystem, n: int, about: Perturbation) -> ProjectedSystem:
     """The model on real and imaginary parts of its first modes."""
-    _, Y = eigenpairs(small, n)
+    _, Y = eigenpairs(small, n, about)
     Q = sl.orth(np.concatenate((Y.real, Y.imag), axis=1), rcond=1e-9)
     return small.on(Q)
 

@@ -39,8 +39,8 @@ from ..statics.equilibrium import Equilibrium, static_newton
 from ..statics.static_newton import StaticNewton, StaticPoint
 from .first_order import first_order, slowest
 from .rotors import check_round
+from .symmetry import is_symmetric
 
-SYMMETRIC = 1e-7  # relative size of what a symmetric matrix may lack of symmetry, differences included
 PLANE = 1e-6  # share of circling motion below which a mode is plane
 FAR = 1e-3  # accelerations of a state "in equilibrium", over weights
 STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
@@ -172,8 +172,8 @@ def modes_of(scene: Scene, n: int, *, at: Any, linear: Any = None, held: bool = 
     """:func:`modes`; ``held``: without motions that nothing holds, of eigenvalue zero."""
     require(isinstance(n, int) and n >= 1, f"modes: n must be a whole number of at least 1, found {n!r}.")
     with prepared(scene, at, linear) as made:
-        small = projected(made.about, made.solver, n, shift=made.shift, enough=Settled(n))
-        values, vectors = eigenpairs(small, n, relaxing=relaxes(made.about.system), held=held)
+        small = projected(made.about, made.solver, n, shift=made.shift, enough=Settled(n, made.about))
+        values, vectors = eigenpairs(small, n, made.about, relaxing=relaxes(made.about.system), held=held)
     system = made.about.system
     shapes = vectors.T @ small.vectors
     sizes = [max(system.max_abs(x.real), system.max_abs(x.imag), 1e-300) for x in shapes]
@@ -298,28 +298,24 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
         )
 
 
-def eigenpairs(small: ProjectedSystem, n: int, *, relaxing: bool = False, held: bool = False) -> tuple[Array, Array]:
-    """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair.
+def eigenpairs(
+    small: ProjectedSystem, n: int, about: Perturbation, *, relaxing: bool = False, held: bool = False
+) -> tuple[Array, Array]:
+    """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair; collective.
 
-    ``relaxing``: as for :func:`.first_order.slowest`; ``held``: without those that are zero but for roundoff.
+    ``about``: the operators; ``relaxing``: as for :func:`.first_order.slowest`; ``held``: without zeros, but for roundoff.
     """
-    M, C, K = small.M, small.C, small.K
-
-    size_M = np.abs(M).max(initial=1e-300)
-    size_K = np.abs(K).max(initial=1e-300)
-    quiet = np.abs(C).max(initial=0.0) <= SYMMETRIC * float(np.sqrt(size_M * size_K))
-    symmetric = np.abs(K - K.T).max(initial=0.0) <= SYMMETRIC * size_K
-
+    M, K = small.M, small.K
     if len(small.speeds[0]) or small.memory is not None:
         values, vectors = _double_zeros(small, *slowest(first_order(small), relaxing=relaxing))
     else:
         # real squares omega^2 of a symmetric pencil
         squares, Y = squares_of_frequencies(0.5 * (K + K.T), 0.5 * (M + M.T))
-        if quiet and symmetric:
-            order = np.argsort(np.abs(squares))
-            rates = np.sqrt(np.abs(squares[order]))
-            values = np.where(squares[order] >= 0, 1j * rates, rates)
-            vectors = Y[:, order].astype(complex)
+        order = np.argsort(np.abs(squares))
+        squares, Y = squares[order], Y[:, order]
+        if is_symmetric(small, squares, Y, about):
+            rates = np.sqrt(np.abs(squares))
+            values, vectors = np.where(squares >= 0, 1j * rates, rates), Y.astype(complex)
         else:
             # in their coordinates, where roundoff of a fast one stays with it
             values, combined = slowest(first_order(small.on(Y)), relaxing=relaxing)
@@ -359,6 +355,7 @@ class Settled:
     """Whether the first n eigenvalues stay as a space of motions grows: called with each larger one."""
 
     n: int
+    about: Perturbation
     last: Array | None = None
     stays: int = 0
 
@@ -367,7 +364,7 @@ class Settled:
         if len(small.M) <= 2 * self.n:
             return False
         last = self.last
-        values, vectors = eigenpairs(small, self.n)
+        values, vectors = eigenpairs(small, self.n, self.about)
         self.last = values**2
         if last is None:
             return False
