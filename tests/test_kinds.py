@@ -17,6 +17,7 @@ from fmbd_fenicsx.mechanics.kinds.expressions import (
     gradient,
     log,
     nearest_turn,
+    passing,
     sin,
     sqrt,
     symbol,
@@ -150,10 +151,12 @@ def test_c_and_numpy_agree(dim: int) -> None:
             )
 
 
-def test_gradient_of_every_operation() -> None:
+@pytest.mark.parametrize("numbers", [False, True])
+def test_gradient_of_every_operation(numbers: bool) -> None:
     x, y = symbol("x"), symbol("y")
     made = sin(x * y) / sqrt(x + 2) - exp(-y) * log(x) + tanh(x - y) * atan2(y, x) ** 2 + 3 - nearest_turn(x, y)
-    value, slope = Program([made]), Program(gradient(made, [x, y]))
+    made = made + np.arctan(x * y)
+    value, slope = (Program(z, numbers=numbers) for z in ([made], gradient(made, [x, y])))
     at, h = {"x": 1.3, "y": 0.4}, 1e-6
     for name, found in zip("xy", slope(at), strict=True):
         ends = [value(at | {name: at[name] + s * h})[0] for s in (1, -1)]
@@ -166,6 +169,28 @@ def test_any_power_of_a_positive_number(power: float) -> None:
     value, slope = Program([x**power, *gradient(x**power, [x])])({"x": np.array(1.7)})
     assert value == pytest.approx(1.7**power, rel=1e-14)
     assert slope == pytest.approx(power * 1.7 ** (power - 1), rel=1e-14, abs=1e-14)
+
+
+def test_arrays_take_expressions_entry_by_entry() -> None:
+    x, y = symbol("x"), symbol("y")
+    z = np.array([y, 2.0], dtype=object)
+    for made, wanted in (
+        (x * z, x * y),
+        (x + z, x + y),
+        (x - z, x - y),
+        (z - x, y - x),
+        (x / z, x / y),
+        (z / x, y / x),
+    ):
+        assert made[0] is wanted
+
+
+def test_what_is_made_in_passing_is_forgotten() -> None:
+    with passing():
+        made = symbol("only here") * 3.0
+        program = Program([made], numbers=True)
+    assert symbol("only here") is not made.arguments[1]
+    assert program({"only here": 2.0}) == [6.0]
 
 
 def test_equal_subexpressions_are_one_node() -> None:

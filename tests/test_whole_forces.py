@@ -284,14 +284,77 @@ def test_differences_are_scaled_with_the_model(scale: float, dim: int) -> None:
 
 
 def test_only_what_a_law_reads_is_differenced() -> None:
-    """A law of places and speeds along x: one call, and one for each component that is read of both markers."""
-    law = Counted(lambda t, a, b: (-(b.x - a.x), 0.0))
+    """A law of places that is no formula: one call, and one for each component that is read of both markers."""
+    law = Counted(lambda t, a, b: (-(b.x - a.x) if t < 9.0 else 0.0, 0.0))
     one, two = (fmbd.RigidBody(name, 1.0, 1.0, (x, 0.0)) for name, x in (("one", 0.0), ("two", 1.0)))
     scene = fmbd.Scene("two")
     scene.add(one, two, fmbd.own_force("own", one, two, law))
     system, state, _ = scene.build()
     kin = system.at(0.0, state.q, np.ones(6)).kin
-    system.forces[0].wrenches(kin, 0.0)
+    system.forces[0].tangent(kin, 0.0)  # asks it for formulas
     law.calls = 0
     system.forces[0].tangent(kin, 0.0)
     assert law.calls == 1 + 4
+
+
+def sliding(law: Callable[..., Any]) -> fmbd.Scene:
+    """A spinning ball whose lowest point slides on a plane: a force that turns about in each step."""
+    ball = fmbd.RigidBody(
+        "ball", 0.06, (8e-6, 8e-6, 9.5e-6), (0, 0, 0.02), velocity=(0.1, 0, 0), angular_velocity=(30, 5, 150)
+    )
+    scene = fmbd.Scene("sliding", gravity=(0, 0, -9.81))
+    scene.add(ball, fmbd.own_force("friction", ball, None, law))
+    scene.add(fmbd.constraint("floor", fmbd.ground, ball, lambda a, b, t: b.x[2] - 0.02))
+    return scene
+
+
+def rubbing(t: float, a: Any) -> Any:
+    """Coulomb's friction, smooth below 1 cm/s, at a point that lies off the axis of the body."""
+    arm = 0.005 * a.R[:, 0] - np.array([0.0, 0.0, 0.02])
+    slip = a.v + np.cross(a.w, arm)
+    force = -0.2 * np.array([slip[0], slip[1], 0.0]) / np.sqrt(slip @ slip + 1e-4)
+    return force, np.cross(arm, force)
+
+
+@compiled
+def test_slopes_of_a_law_that_writes_formulas_are_exact() -> None:
+    """One call of it for a tangent, as many iterations as by differences; its kind of cases is called for each component."""
+    steps = {}
+    for name, law in (
+        ("formula", Counted(rubbing)),
+        ("cases", Counted(lambda t, a: rubbing(t, a) if a.x[0] < 9 else 0)),
+    ):
+        run = fmbd.solve(sliding(law), t_end=0.1, dt=1e-3)
+        steps[name] = law.calls, run.counters["newton_iterations"], run.state.q
+    assert steps["formula"][1] == steps["cases"][1]
+    assert steps["formula"][0] <= 1.7 * steps["formula"][1] + 5 < 0.4 * steps["cases"][0]
+    assert np.abs(steps["formula"][2] - steps["cases"][2]).max() < 1e-9
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_slopes_by_formulas_are_those_of_differences(dim: int) -> None:
+    def law(t: float, a: Any, b: Any) -> Any:
+        d = b.R @ a.R.T @ (b.x - a.x) + 0.1 * (b.v - a.v)
+        return -np.sqrt(1.0 + d @ d) * d, -0.3 * (b.w - a.w) + d[0] * np.exp(a.w[0] - t)
+
+    system, state, _ = between_links(dim, law).build()
+    v = np.random.default_rng(1).normal(size=state.v.shape)
+    kin = system.at(0.1, system.compose(state.q, 0.2 * v), v).kin
+    (loads,) = (f for f in system.forces if isinstance(f, OwnLoads))
+    exact = loads.tangent(kin, 0.1)
+    assert all(loads.written.values())
+
+    loads.written = dict.fromkeys(loads.written)
+    rough = loads.tangent(kin, 0.1)
+    for one, other in ((exact.K, rough.K), (exact.D, rough.D)):
+        assert np.abs(one - other).max() < 1e-5 * np.abs(other).max()
+
+
+def test_a_law_whose_numbers_change_from_outside_keeps_its_own_slopes() -> None:
+    wind = {"speed": 1.0}
+    system, state, _ = sliding(lambda t, a: (wind["speed"] * (np.ones(3) - a.v), np.zeros(3))).build()
+    (loads,) = (f for f in system.forces if isinstance(f, OwnLoads))
+    kin = system.at(0.0, state.q, state.v).kin
+    for speed in (1.0, 3.0):
+        wind["speed"] = speed
+        assert loads.tangent(kin, 0.0).D[0, :3, :3] == pytest.approx(speed * np.eye(3), abs=1e-6)

@@ -331,8 +331,9 @@ def own_force(
     a and b are :class:`~fmbd_fenicsx.mechanics.forces.force_elements.MarkerMotion` (x, R, v, w) of the two points;
     force (d,) N and torque
     N m in world axes. ``jacobian``(t, a, b) -> (K, D), each (2 n, 2 n): minus the derivatives of the wrenches on (a, b)
-    with respect to displacements and velocities of the markers, n = d + n_rot. Where it is missing, the law is called once more
-    for each component of what it reads (of x, R, v, w), where the last slopes do not foretell the force.
+    with respect to displacements and velocities of the markers, n = d + n_rot. Where it is missing, and the last slopes do not
+    foretell the force, those of a law that writes formulas, as for :func:`fmbd_fenicsx.constraint`, are exact: it is called once
+    with symbols. Another law (``if``, tables, ``math``) is called once more for each component of x, R, v, w that it reads.
     """
     if len(points) != 2:
         raise InputError(f'Force "{name}": points must be two, of a and of b, found {points!r}.')

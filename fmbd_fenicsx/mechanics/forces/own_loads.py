@@ -1,4 +1,4 @@
-"""Forces by a law of the user's own of the motions of one or two markers, with slopes by differences where none are given."""
+"""Forces by a law of the user's own of the motions of one or two markers, its slopes given, written or differences."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from ...errors import CallbackError, named
 from ...rotations import Array, Motions
 from ..frames import Kinematics
 from .force_elements import Loads, MarkerMotion, MarkerTangent
+from .own_slopes import SEEN, WrenchFormula, wrench_formula
 from .user_laws import Repeatable, checked
 
 SMALL = 1e-7  # steps of differences as shares of a length, a turn, a speed: about the root of roundoff
 SLOWEST = 1e-2  # 1/s: lengths of the model a second; speeds below are differenced as this one
-SEEN = ("x", "R", "v", "w")
+SAME = 1e-9  # of all that roundoff may change, by which a formula may differ from its law
 
 
 class _Watched(MarkerMotion):
@@ -38,12 +39,13 @@ def _what_was_read(motion: MarkerMotion) -> set[str]:
 
 
 class OwnLoads(Loads):
-    """Forces law(t, a, b) of the user's own; K and D of the tangent by differences where no Jacobian is given."""
+    """Forces law(t, a, b) of the user's own; K and D of the tangent by formulas or differences where no Jacobian is given."""
 
     def __init__(self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]]) -> None:
         super().__init__(motions, forces, markers)
         # (m, 1): those without a second marker
         self.single: np.ndarray = np.array([f.b is None for f in forces])[:, None]
+        self.written: dict[int, WrenchFormula | None] = {}  # of laws that slopes were asked of
 
     @staticmethod
     def law_of(f: Any) -> Any:
@@ -95,11 +97,11 @@ class OwnLoads(Loads):
         return self._both(kin, self._answers(kin, t))
 
     def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
-        """By the Jacobians of the user, or by forward differences of the law by what it reads of its markers."""
+        """By the Jacobians of the user, by formulas of the law, or by its forward differences by what it reads of its markers."""
         n = self.motions.dim + self.motions.n_rot
         K, D = np.zeros((2, len(self.forces), 2 * n, 2 * n))
         for k in range(len(self.forces)):
-            K[k], D[k] = self._given(k, kin, t) if self.laws[k][1] is not None else self._differenced(k, kin, t)
+            K[k], D[k] = self._given(k, kin, t) if self.laws[k][1] is not None else self._own(k, kin, t)
         return MarkerTangent(self.markers, K, D)
 
     def _given(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array]:
@@ -122,34 +124,20 @@ class OwnLoads(Loads):
             ) from None
         return made[0], made[1]
 
-    def _differenced(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array]:
-        """K and D of one force: the law once, and once more for each component of x, R, v, w that this call has read.
+    def _own(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """K and D of one force, from the slopes of its law.
 
         The reaction on a, -f and -tau - (x_b - x_a) x f, is differentiated by the rule of products.
         """
         m = self.motions
         d = m.dim
         n = m.dim + m.n_rot
-        watched = self._motions(k, kin, _Watched)
-        base = self._answer(k, t, watched)
-        read = [_what_was_read(x) for x in watched]
-        # only what the law has read can change its answer
+        base, slopes = self._by_formula(k, kin, t) or self._differenced(k, kin, t)
         plain = self._motions(k, kin)
-        steps = self._steps(plain)
-
-        slopes = np.zeros((2, n, 2 * n))  # of force and torque, by displacements and by velocities
-        for side, motion in enumerate(plain):
-            for name in SEEN:
-                if name not in read[side]:
-                    continue
-                for c, near in enumerate(self._near(motion, name, steps[name])):
-                    others = [near if i == side else x for i, x in enumerate(plain)]
-                    column = side * n + c + (d if name in "Rw" else 0)
-                    slopes[SEEN.index(name) // 2, :, column] = (self._answer(k, t, others) - base) / steps[name]
 
         out = np.zeros((2, 2 * n, 2 * n))
         if len(plain) == 1:
-            out[:, :n] = -slopes
+            out[:, :n, :n] = -slopes
             return out[0], out[1]
         out[:, n:], out[:, :n] = -slopes, slopes
         arm = plain[1].x - plain[0].x
@@ -160,6 +148,50 @@ class OwnLoads(Loads):
         out[0, d:n, n : n + d] += lever
         out[0, d:n, :d] -= lever
         return out[0], out[1]
+
+    def _by_formula(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array] | None:
+        """Force and torque of a law that is a formula, (n,), and their slopes; None for others, and where it answers else."""
+        if k not in self.written:
+            force = self.forces[k]
+            self.written[k] = wrench_formula(force.law, 1 if force.b is None else 2, self.motions.dim)
+        formula, motions = self.written[k], self._motions(k, kin)
+        found = None if formula is None else formula(t, motions)
+        if found is None:
+            return None
+        base, (values, slopes) = self._answer(k, t, motions), found
+
+        # what roundoff of all that is seen may do to it
+        sizes = {name: step / SMALL for name, step in self._steps(motions).items()}
+        sizes["x"] = max(sizes["x"], *(float(np.abs(x.x).max()) for x in motions))
+        d, turns = self.motions.dim, self.motions.n_rot
+        seen = np.tile([[sizes[x]] * d + [sizes[y]] * turns for x, y in ("xR", "vw")], len(motions))
+        rough = np.abs(base) + np.einsum("kij,kj->i", np.abs(slopes), seen)
+        if (np.abs(values - base) > SAME * rough).any():
+            self.written[k] = None
+            return None
+        return base, slopes
+
+    def _differenced(self, k: int, kin: Kinematics, t: float) -> tuple[Array, Array]:
+        """The same by the law once, and once more for each component of x, R, v, w that this call has read."""
+        d = self.motions.dim
+        n = self.motions.dim + self.motions.n_rot
+        watched = self._motions(k, kin, _Watched)
+        base = self._answer(k, t, watched)
+        read = [_what_was_read(x) for x in watched]
+        # only what the law has read can change its answer
+        plain = self._motions(k, kin)
+        steps = self._steps(plain)
+
+        slopes = np.zeros((2, n, len(plain) * n))  # of force and torque, by displacements and by velocities
+        for side, motion in enumerate(plain):
+            for name in SEEN:
+                if name not in read[side]:
+                    continue
+                for c, near in enumerate(self._near(motion, name, steps[name])):
+                    others = [near if i == side else x for i, x in enumerate(plain)]
+                    column = side * n + c + (d if name in "Rw" else 0)
+                    slopes[SEEN.index(name) // 2, :, column] = (self._answer(k, t, others) - base) / steps[name]
+        return base, slopes
 
     def _steps(self, motions: list[MarkerMotion]) -> dict[str, float]:
         """Steps of differences, from the model's length and the speeds of the markers."""

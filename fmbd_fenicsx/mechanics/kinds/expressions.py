@@ -11,13 +11,24 @@ The same graph is printed as C (:func:`c_lines`) and evaluated on NumPy arrays (
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 _NODES: dict[tuple[Any, ...], Expression] = {}
+
+
+def _of_scalars(operator: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """An operator of two expressions; with an array NumPy takes it entry by entry."""
+
+    def asked(x: Any, y: Any) -> Any:
+        return NotImplemented if isinstance(y, np.ndarray) and y.ndim else operator(x, y)
+
+    return asked
 
 
 class Expression:
@@ -28,24 +39,30 @@ class Expression:
     def __init__(self, operation: str, arguments: tuple[Any, ...], number: int) -> None:
         self.operation, self.arguments, self.number = operation, arguments, number
 
+    @_of_scalars
     def __add__(self, other: Any) -> Expression:
         return _sum(self, as_expression(other))
 
+    @_of_scalars
     def __mul__(self, other: Any) -> Expression:
         return _product(self, as_expression(other))
 
+    @_of_scalars
     def __truediv__(self, other: Any) -> Expression:
         return _quotient(self, as_expression(other))
 
     def __neg__(self) -> Expression:
         return _negative(self)
 
+    @_of_scalars
     def __sub__(self, other: Any) -> Expression:
         return _sum(self, _negative(as_expression(other)))
 
+    @_of_scalars
     def __rsub__(self, other: Any) -> Expression:
         return _sum(as_expression(other), _negative(self))
 
+    @_of_scalars
     def __rtruediv__(self, other: Any) -> Expression:
         return _quotient(as_expression(other), self)
 
@@ -106,6 +123,10 @@ class Expression:
         """Angle of the point (x, self), rad, in (-pi, pi]."""
         return atan2(self, x)
 
+    def arctan(self) -> Expression:
+        """Angle with this tangent, rad."""
+        return atan2(self, ONE)
+
     def __repr__(self) -> str:
         if self.operation in ("symbol", "constant"):
             return str(self.arguments[0])
@@ -118,6 +139,17 @@ def _node(operation: str, *arguments: Any) -> Expression:
     if key not in _NODES:
         _NODES[key] = Expression(operation, arguments, len(_NODES))
     return _NODES[key]
+
+
+@contextmanager
+def passing() -> Iterator[None]:
+    """Expressions made within are forgotten with those who hold them; none of them may be combined with later ones."""
+    before = len(_NODES)
+    try:
+        yield
+    finally:
+        while len(_NODES) > before:
+            _NODES.popitem()
 
 
 def symbol(name: str) -> Expression:
@@ -339,26 +371,38 @@ _NUMPY: dict[str, Callable[..., Any]] = {
 }
 
 
-class Program:
-    """Expressions ready for NumPy: the steps of their graph in order."""
+# the same of plain numbers, some ten times sooner; what is not finite may be an error
+_PLAIN: dict[str, Callable[..., Any]] = {
+    "+": operator.add,
+    "minus": operator.neg,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "nearest_turn": _nearest_turn,
+    **{name: getattr(math, name) for name in ("sqrt", "sin", "cos", "exp", "log", "tanh", "atan2")},
+}
 
-    def __init__(self, results: Sequence[Expression]) -> None:
+
+class Program:
+    """Expressions ready for NumPy, or for plain ``numbers`` alone: the steps of their graph in order."""
+
+    def __init__(self, results: Sequence[Expression], *, numbers: bool = False) -> None:
         nodes = _ordered(results)
         at = {node: i for i, node in enumerate(nodes)}
+        known = _PLAIN if numbers else _NUMPY
+        self.given = [x.arguments[0] if x.operation == "constant" else None for x in nodes]
+        self.symbols = [(at[x], x.arguments[0]) for x in nodes if x.operation == "symbol"]
         self.steps = [
-            (_NUMPY[x.operation], tuple(at[y] for y in x.arguments)) if x.operation in _NUMPY else (None, x.arguments)
-            for x in nodes
+            (at[x], known[x.operation], tuple(at[y] for y in x.arguments)) for x in nodes if x.operation in known
         ]
         self.results = [at[y] for y in results]
 
     def __call__(self, values: Mapping[str, Any]) -> list[Any]:
         """Numbers or arrays of all results; ``values``: symbol -> number or array."""
-        found: list[Any] = []
-        for function, arguments in self.steps:
-            if function is None:
-                found.append(values[arguments[0]] if isinstance(arguments[0], str) else arguments[0])
-            else:
-                found.append(function(*(found[i] for i in arguments)))
+        found: list[Any] = self.given.copy()
+        for i, name in self.symbols:
+            found[i] = values[name]
+        for i, function, (first, *more) in self.steps:
+            found[i] = function(found[first], found[more[0]]) if more else function(found[first])
         return [found[i] for i in self.results]
 
 
