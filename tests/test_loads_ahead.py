@@ -228,3 +228,19 @@ def test_searches_see_knocks_on_finite_elements() -> None:
     run = fmbd.solve(scene, t_end=1.0, tol={"tip": fmbd.relative(3e-2)}, output=fmbd.Output(times=TIMES[:10]))
     # 3 N s at the tip of a rod of 100 kg that turns about its pin
     assert run.history[-1].then == "done" and run["tip"][-1, 1] == pytest.approx(0.09 * (0.9 - 0.5042), rel=0.05)
+
+
+@pytest.mark.parametrize(("name", "k", "surface"), [("rod", 0, "end"), ("elastic pendulum", 1, "tip")])
+def test_knocks_are_looked_for_behind_looks_at_spaces(name: str, k: int, surface: str) -> None:
+    """Loads are asked at the first whole run, which a look at meshes that are too coarse comes before."""
+    pytest.importorskip("dolfinx")
+    from tolerance_scenes import CASES
+
+    case = CASES[name]
+    scene, knock = case.scene(), bump(0.3037, LASTS)
+    (body,) = scene.bodies.values()
+    up = np.eye(body.dim)[-1]
+    scene.add(fmbd.force("knock", body.surface(surface), lambda t: tuple(knock(t)[0] * up)))
+    run = fmbd.solve(scene, t_end=case.t_end, tol={case.sensor: case.tolerances[k]}, output=fmbd.Output(progress=False))
+    assert run.history[0].then == "finer meshes"
+    assert any("where loads jump: 0.30" in x.then for x in run.history)

@@ -53,7 +53,7 @@ class HeldState:
         system = self.system
         q, v = (np.tile(x, (len(times), 1)) for x in (self.state.q, self.state.v))
         seen = system.batch(times, q, v)
-        forces = seen.balance(np.zeros_like(v), np.zeros((len(times), system.n_lam))) / system.units
+        forces = seen.balance(np.zeros_like(v)) / system.units
         if not system.prescribes:  # to make rows of joints costs as much again
             return np.concatenate((forces, np.zeros((len(times), 2 * system.n_lam))), axis=1)
         return np.concatenate((forces, *(system.row_units * x for x in (seen.opening(), seen.gamma()))), axis=1)

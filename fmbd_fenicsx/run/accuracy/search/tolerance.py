@@ -230,7 +230,7 @@ def _one_more(
     output = replace(wanted, every=_often(wanted, plan.schedule), estimate_error=False)
     solved = shared.solve(plan.scene, plan.scheme, plan.schedule, output)
     run = solved.run
-    jumps = jumps_within(plan, run, tol, first=not found.history)
+    jumps = jumps_within(plan, run, tol, first=found.best is None)
     if not jumps:  # errors that others tell say nothing of these
         orders = _state_errors(plan, tol, shared, solved)
     if output.every != wanted.every and wanted.times is None:
