@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dae_problems import pendulum
+from random_mechanisms import case as mechanism
 from tolerance_more import MORE
 from tolerance_scenes import CASES, MESHES, TIMES, check
 from ufl.domain import extract_unique_domain
@@ -87,30 +88,33 @@ def test_an_order_that_is_not_needed_is_not_seen(monkeypatch: pytest.MonkeyPatch
     assert fine.observed_order["centre"] == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("tol", "tenth"), [(1e-3, False), (1e-4, True)])
-def test_a_looser_run_tells_errors_of_controlled_steps(
-    tol: float, tenth: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("times", [None, tuple(np.linspace(0.0, CASES["pendulum, Radau"].t_end, 501))])
+def test_a_tenth_of_the_tolerance_tells_errors_of_controlled_steps(
+    times: tuple[float, ...] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ten times the tolerance, at a hundred instants at most; a tenth of it only where that leaves it open."""
+    """At a hundred instants at most: of the ends of steps, which are of a higher order, or of times that were asked for."""
     case, made = CASES["pendulum, Radau"], marches(monkeypatch)
-    times = tuple(np.linspace(0.0, case.t_end, 501))
     output = fmbd.Output(times=times, energy=False, progress=False)
-    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"x": tol}, output=output, **case.settings)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"x": 1e-5}, output=output, **case.settings)
     rtols = [x.scheme.rtol for x in made]
-    np.testing.assert_allclose(rtols, [1e-4, 1e-3, 1e-5] if tenth else [1e-4, 1e-3])
-    assert len(run.times) == 501 and all(len(x.output.times) <= 100 for x in made[1:])
-    true = float(np.abs(run["x"] - case.reference(case, np.array(times))).max())
-    assert true <= tol and 0.5 < run.certificate["x"].total / true < 3.0
-
-
-def test_an_attempt_tells_the_error_of_the_next_one_with_controlled_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its records are those of a run with a looser tolerance: no other one is made."""
-    case, made = CASES["pendulum, Radau"], marches(monkeypatch)
-    output = fmbd.Output(energy=False, progress=False)
-    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"x": 3e-5}, output=output, **case.settings)
-    assert [x.scheme.rtol for x in made] == [1e-4, 1e-3, run.scheme.rtol] and len(run.history) == 2
+    np.testing.assert_allclose(rtols, [1e-4, 1e-5, run.scheme.rtol, 0.1 * run.scheme.rtol])
+    assert all(len(x.output.times) <= 100 for x in made[1::2]) and len(run.history) == 2
     true = float(np.abs(run["x"] - case.reference(case, run.times)).max())
-    assert true <= 3e-5 and 0.5 < run.certificate["x"].total / true < 3.0
+    assert true <= 1e-5 and 0.5 < run.certificate["x"].total / true < 3.0
+
+
+def test_steps_that_begin_alike_hide_no_error() -> None:
+    """11 steps of BDF from order one are 2.4 times the tolerance off, nearly as far as 8 with ten times its own: what is between
+    these states 0.17 of the error.
+    """
+    case, tol = mechanism(300267), 8.4e-4
+    output = fmbd.Output(times=tuple(np.linspace(0.0, case.steps * case.dt, 41)), energy=False, progress=False)
+    asked = {"t_end": case.steps * case.dt, "output": output}
+    run = fmbd.solve(case.scene, tol={"x2": tol, "x3": tol}, scheme=case.scheme, **asked)
+    exact = fmbd.solve(case.scene, scheme=fmbd.Radau(3, rtol=1e-10), **asked)
+    for name in ("x2", "x3"):
+        true = float(np.abs(run[name] - exact[name]).max())
+        assert true <= tol and 0.5 < run.certificate[name].total / true < 3.0
 
 
 def test_records_at_many_times_tell_the_error_of_the_next_attempt() -> None:

@@ -41,18 +41,15 @@ CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and rea
 TENTH = 0.1  # of a tolerance
 # power of tolerances that errors are thought to fall with at most, and the most that a finer run is thought to have left of one
 FALLS, LEFT = 0.7, 0.6
-TELLING = 1.5  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
-FEW = 4  # steps that are refused on the way to a first size
-REFUSED = 0.1  # share of others beyond which motion is not smooth
+TELLING = 2.0  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
 SHORT = 0.25  # of the mean step, where the tolerance does not choose them
-LOW_ORDER = 2  # of schemes that pass kinks without being stopped by them
 DECADES = 3  # of tolerances that are tried for it
 SHOWN = 4  # jumps in a message
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
 
 
 def tolerance_error(
-    problem: Problem, coarse: Recorder, schedule: StepSchedule, *, instants: int = CERTIFIED_AT, finer_by: float = TENTH
+    problem: Problem, coarse: Recorder, schedule: StepSchedule, *, instants: int = CERTIFIED_AT
 ) -> dict[str, Deviation]:
     """Error of each sensor by the tolerance of an error-controlled scheme, both runs at the recorded times; collective.
 
@@ -60,7 +57,7 @@ def tolerance_error(
 
         |x_r - x| <= |x_r - x_s| + |x_s - x| <= 1 / (1 - k) |x_r - x_s|,     s = f r,     k = (n_r / n_s)^p           (1)
 
-    with f = ``finer_by``, n_r, n_s the steps that the runs took and p the order of the scheme in the sensor: multipliers, and
+    with f = 1/10, n_r, n_s the steps that the runs took and p the order of the scheme in the sensor: multipliers, and
     all where memories go by the trapezoidal rule, have lower ones than the steps are chosen by. k counts as f^0.7 at least:
     errors like r^(2/3) fall to 0.22 of their size with f = 1/10. Where steps come in a few sizes only, two tolerances may share
     one, and agree: s falls on then.
@@ -68,7 +65,7 @@ def tolerance_error(
     given, rtol = Compared(coarse, schedule, problem.scheme), problem.scheme.rtol
     orders = expected_orders(problem.scheme, problem.scene, problem.system)
     for _ in range(DECADES):
-        rtol = max(finer_by * rtol, FINEST)
+        rtol = max(TENTH * rtol, FINEST)
         try:
             apart, finer = _from_tolerance(problem, given, rtol, instants)
         except UNFIT as error:
@@ -76,7 +73,7 @@ def tolerance_error(
             return {}
         if grown(given, finer) ** max(orders.values(), default=1) >= TELLING or rtol == FINEST:
             break
-    left = {n: min(max(grown(given, finer) ** -p, finer_by**FALLS), LEFT) for n, p in orders.items()}
+    left = {n: min(max(grown(given, finer) ** -p, TENTH**FALLS), LEFT) for n, p in orders.items()}
     return {n: scaled(x, 1.0 / (1.0 - left[n])) for n, x in apart.items()}
 
 
@@ -132,32 +129,21 @@ def usual_power(order: int) -> float:
     return min(order / (order + 1.0), STEEPEST)
 
 
-def steps_meet_kinks(run: Run) -> bool:
-    """Whether steps of own choice may have met forces that jump, or whose slopes do, by chance well or badly.
-
-    Schemes of high order refuse their steps there again and again, of smooth motion a few; those of order two see little of it,
-    and none what elements moved by the ends of steps alone miss between these.
-    """
-    refused = run.counters.get("rejected: error estimate", 0.0)
-    often = refused > FEW + REFUSED * run.counters["steps"]
-    return often or run.scheme.order <= LOW_ORDER or seen_by_ends(run.system)
-
-
 def _from_tolerance(
     problem: Problem, given: Compared, rtol: float, most: int = LOOKED_AT
 ) -> tuple[dict[str, Deviation], Compared]:
     """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective.
 
-    Steps of a finer run end there where values between ends of steps are of a lower order: their errors would be taken for the
-    given run's.
+    Steps of a finer run end at those of the given one where values between ends of steps are of a lower order: their errors would
+    be taken for the given run's.
     """
     recorder, schedule = given.recorder, given.schedule
+    other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
     rows = looked_at(recorder, most)
     instants = tuple(recorder.times[rows])
     wanted = Output(energy=False, progress=False, times=instants)
-    other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
-    marks = tuple(sorted({*schedule.marks, *instants}))
-    landing = replace(schedule, marks=marks) if finer and problem.said.ends_ahead else schedule
+    lands = finer and problem.said.ends_ahead and recorder.output.times is None
+    landing = replace(schedule, marks=tuple(sorted({*schedule.marks, *instants}))) if lands else schedule
     if finer and seen_by_ends(problem.system):
         landing = landing.below(SHORT * schedule.span / int(recorder.indices[-1]))
     made = Compared(companion(other, landing, wanted).recorder, schedule, other.scheme)

@@ -39,7 +39,7 @@ from ..equal_steps import FEWEST
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, loads_vary, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
-from .shared_runs import Orders, doubt
+from .shared_runs import Orders
 from .shared_spaces import SharedSpaces
 from .shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .space_levels import UNENDED
@@ -378,7 +378,6 @@ def _factor(
     # errors of controlled runs follow the tolerance with a slope of their own
     same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
     slope = usual_power(run.scheme.order)
-    wanted *= doubt(run.scheme.order)
     if same and same[-1].worst > now:
         slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
     return float(np.clip(0.7 * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))

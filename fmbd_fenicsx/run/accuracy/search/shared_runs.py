@@ -31,14 +31,12 @@ from ..equal_steps import FEWEST, FURTHER, MATTERS, TimeError, between, by_half,
 from ..estimates import (
     LOOKED_AT,
     TELLING,
-    TENTH,
     beyond,
     grown,
     looked_at,
     looser_run,
     of_tolerances,
     run_like,
-    steps_meet_kinks,
     tolerance_error,
     usual_power,
 )
@@ -49,7 +47,6 @@ BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
 ASTRAY = 0.1  # share of the range of a sensor by which runs differ from where on the one with larger steps follows another motion
 LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
-LEAST_POWER = 0.5  # of a scheme's tolerance, which errors go with at least
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
@@ -57,7 +54,6 @@ MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
 DOUBTED = 3.0
 BY_CHANCE = 0.2  # what an order is beyond that of the scheme where kinks may have made it
 PAYS = 1.5  # ratio of steps from which on spaces are compared by looser runs, whose own errors are told with theirs
-HALF_MORE = 1.5  # ratio of steps of the run with a smaller tolerance that is to tell an error
 
 
 @dataclass(frozen=True)
@@ -374,39 +370,36 @@ class SharedRuns:
     def tolerance_error(self, solved: Solved, allowed: Allowed) -> TimeError:
         """The error by the tolerance of a scheme with error control; collective.
 
-        A run with a looser one, the attempt before or one with ten times the tolerance, tells it where it is too large anyway,
-        and where it is not even if errors fell with the least power of tolerances only; in between one of half as many steps
-        more, and so where :func:`steps_meet_kinks`: what these leave need not fall with the tolerance.
+        A run with a tenth of it tells it, but where the attempt before shows that it is far too large. What a run has beyond a
+        looser one is mostly the error of that one: its own may be a tenth of what is thought, or six times as much where both
+        begin with the same few steps. One with ten times the tolerance is made where spaces are to be compared as well, which
+        costs less with its steps.
         """
         problem, given = solved.problem, solved.compared
+        follows = given
         before = self._before(problem.scene, problem.scheme, given.schedule)
         self._chosen[id(problem.scene)] = given
         looser: tuple[dict[str, Deviation], Compared] | None = None
         if before is not None:
             looser = beyond(given.recorder, before), before
-        elif problem.scheme.rtol <= LOOSE:
+        elif problem.scheme.rtol <= LOOSE and not allowed.rough:
             try:
                 looser = looser_run(problem, given)
             except UNFIT:
                 pass
 
-        order = problem.scheme.order
         grew = 0.0 if looser is None else grown(looser[1], given)
         seen = {n: grew**p for n, p in _expected(problem).items()}
         likely: dict[str, Deviation] = {}
-        follows = given
         if looser is not None and min(seen[n] for n in allowed.sensors) >= TELLING:
             apart, loose = looser
-            ratio = loose.scheme.rtol / problem.scheme.rtol
-            powers = LEAST_POWER, usual_power(order)
-            least, likely = (of_tolerances(apart, ratio**power, seen) for power in powers)
-            enough, pays = allowed.lets(least), grew >= PAYS
-            if not allowed.lets(likely) or (enough and not steps_meet_kinks(solved.run) and not astray(given, apart)):
-                return TimeError(likely, {}, loose if pays else given)
-            follows = loose if enough and pays else given
+            falls = (loose.scheme.rtol / problem.scheme.rtol) ** usual_power(problem.scheme.order)
+            likely = of_tolerances(apart, falls, seen)
+            follows = loose if grew >= PAYS else given
+            if allowed.share(likely) > DOUBTED * allowed.room:
+                return TimeError(likely, {}, follows)
 
-        finer_by = max(HALF_MORE ** -(order + 1.0), TENTH)
-        errors = tolerance_error(problem, given.recorder, given.schedule, instants=LOOKED_AT, finer_by=finer_by)
+        errors = tolerance_error(problem, given.recorder, given.schedule, instants=LOOKED_AT)
         return TimeError({n: at_least(x, likely.get(n, x), FURTHER) for n, x in errors.items()}, {}, follows)
 
     def _before(self, scene: Scene, scheme: Any, schedule: StepSchedule) -> Compared | None:
@@ -428,11 +421,6 @@ def astray(given: Compared, apart: Mapping[str, Deviation], share: float = ASTRA
     """
     spans = moving(given.recorder.series, given.recorder.scene.sensors)
     return [name for name, span in spans.items() if name in apart and apart[name].size > share * span]
-
-
-def doubt(order: int) -> float:
-    """By how much less errors of a tolerance are likely to be than a run with a looser one excludes."""
-    return (10.0**LEAST_POWER - 1.0) / (10.0 ** usual_power(order) - 1.0)
 
 
 def known_orders(found: TimeError) -> dict[str, float]:
