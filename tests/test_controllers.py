@@ -279,10 +279,10 @@ def test_slopes_of_efforts_have_the_memory_going_along() -> None:
     loads.kept = replace(loads.kept, t=0.0, rate=np.array([0.1, -0.2]))
     y = np.array([0.4, 0.7])
     calls = 0
-    found = loads.slopes(0.01, y)
+    found = loads.law.slopes(0.01, y, loads.spans)
     assert calls < 18
     for unit, slope in zip(np.eye(2), found[0], strict=True):
-        expected = first(lambda e, unit=unit: loads.with_memory(0.01, y + e * unit)[0])
+        expected = first(lambda e, unit=unit: loads.law.with_memory(0.01, y + e * unit)[0])
         assert abs(slope - expected[0]) < 1e-7 * abs(slope)
 
 

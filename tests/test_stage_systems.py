@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -59,9 +60,15 @@ def equations(system: Any, form: Any, at: tuple[Any, ...]) -> tuple[StepEquation
     return eq, state, mult
 
 
+@lru_cache(maxsize=1)
+def driven(name: str) -> tuple[System, tuple[Any, ...]]:
+    """A system, and some configurations: once for all forms."""
+    return pair_of(MAKERS[name])[1:]
+
+
 def case(name: str, form: Any) -> tuple[System, StepEquations, State, np.ndarray]:
     """A system, and the equations of a step from the first of its configurations."""
-    _, system, at = pair_of(MAKERS[name])
+    system, at = driven(name)
     return system, *equations(system, form, at)
 
 
@@ -188,9 +195,8 @@ def test_rows_are_exchanged_where_pivots_are_small(name: str) -> None:
 @pytest.mark.parametrize("name", ["plane", "reduced 2D", "reduced 3D", "rod"])
 def test_increments_of_compiled_code(name: str, form: Any, stages: int) -> None:
     """One call evaluates, solves and adds; points, sizes and counts like those that NumPy finds."""
-    _, system, at = pair_of(MAKERS[name])
-    t, _, v, a, _ = at
-    eq, state, mult = equations(system, form, at)
+    system, eq, state, mult = case(name, form)
+    t, _, v, a, _ = driven(name)[1]
     tangent, tab = eq.refresh(state, mult), tableau(3)
     rule, s = StageRule(np.array([[1.5 / H]]), np.eye(1), np.eye(1), 0.9), np.array([1.5 / H])
     if stages > 1:

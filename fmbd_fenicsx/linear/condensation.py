@@ -99,29 +99,19 @@ class StepSolver:
 
     # -- counts -------------------------------------------------------------------------------------------------
     @property
-    def factorisations(self) -> int:
-        """Factorisations of elastic blocks so far."""
-        return self.elastic.factorisations
-
-    @property
-    def back_solves(self) -> int:
-        """Right-hand sides solved with elastic factors so far."""
-        return self.elastic.back_solves
-
-    @property
-    def elastic_iterations(self) -> int:
-        """Iterations of conjugate gradients inside all of them; 0 for factors."""
-        return self.elastic.iterations
-
-    @property
-    def tie_iterations(self) -> int:
-        """Iterations on the multipliers of surface ties; 0 where these are solved directly."""
-        return 0 if self.iterated is None else int(self.iterated.iterations)
-
-    @property
-    def saddle_iterations(self) -> int:
-        """Iterations on the whole matrix of a step, see :mod:`.fieldsplit.solver`; 0 where it is eliminated instead."""
-        return 0 if self.split is None else int(self.split.iterations)
+    def counters(self) -> dict[str, float]:
+        """Work so far: factors of elastic blocks and right-hand sides solved with these, iterations of conjugate gradients inside
+        of them, on multipliers of surface ties and on whole matrices (:mod:`.fieldsplit.solver`), 0 where it is solved directly.
+        """
+        return {
+            "factorisations": self.elastic.factorisations,
+            "back_solves": self.elastic.back_solves,
+            "elastic_iterations": self.elastic.iterations,
+            "tie_iterations": 0 if self.iterated is None else int(self.iterated.iterations),
+            "saddle_iterations": 0 if self.split is None else int(self.split.iterations),
+            "core_factorisations": self.core.factorisations,
+            "worst_linear_residual": self.worst_residual,
+        }
 
     @property
     def worst_residual(self) -> float:

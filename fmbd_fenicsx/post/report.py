@@ -23,6 +23,7 @@ WIDTH = 112
 LABEL = 18
 APART = ("error estimate", "reduction estimate", "space estimate")  # phases behind the run itself
 SHOWN = 4  # sensors or phases listed by name
+BLOCKS = 8  # blocks of unknowns listed by name
 
 
 def run_report(run: Run) -> str:
@@ -247,10 +248,10 @@ def _in_plane(scene: Scene) -> str:
     return ", ".join(f'"{name}" in {law.in_plane} ({law.name})' for name, law in laws if isinstance(law, Hooke))
 
 
-def _shortened(unknowns: Sequence[tuple[str, int]], most: int = 8) -> str:
+def _shortened(unknowns: Sequence[tuple[str, int]]) -> str:
     # the largest blocks, in the order of the scene
     ordered = sorted(unknowns, key=lambda x: -x[1])
-    kept = [u for u in unknowns if u in ordered[:most]]
+    kept = [u for u in unknowns if u in ordered[:BLOCKS]]
     rest = sum(n for _, n in unknowns) - sum(n for _, n in kept)
     text = ", ".join(f"{name} {n}" for name, n in kept)
     return text + (f", {len(unknowns) - len(kept)} more blocks with {rest}" if len(kept) < len(unknowns) else "")

@@ -231,19 +231,13 @@ def _keeper(
 
 def _counters(march: Marched, newton: Newton, solver: StepSolver) -> dict[str, float]:
     """Counts of a run; back-solves per step without those of the first one, which also solves the constant columns."""
-    later = solver.back_solves - march.first
+    later = solver.elastic.back_solves - march.first
     return {
         **march.counters,
         "steps": march.done,
         "newton_iterations": newton.iterations,
-        "factorisations": solver.factorisations,
-        "back_solves": solver.back_solves,
+        **solver.counters,
         "back_solves_per_step": later / (march.done - 1) if march.done > 1 else 0.0,
-        "elastic_iterations": solver.elastic_iterations,
-        "tie_iterations": solver.tie_iterations,
-        "saddle_iterations": solver.saddle_iterations,
-        "core_factorisations": solver.core.factorisations,
-        "worst_linear_residual": solver.worst_residual,
     }
 
 

@@ -296,7 +296,7 @@ class Loop:
             self.output.on_step(Moment(problem.scene, problem.system, problem.markers, self.state, done, told))
         self.bar.update(made)
         if not self.progress.first and self.solver.system.fields:
-            self.progress.first = self.solver.back_solves
+            self.progress.first = self.solver.elastic.back_solves
 
     def _pass_kink(self) -> None:
         """Begin anew behind a break point, or under own steps behind a sample, where that has not been done."""

@@ -89,7 +89,7 @@ def whole(unknowns: int, ramp: float = 0.5) -> dict[str, float]:
     state, _ = consistent(system, state, solver)
     stepper = fmbd.GeneralizedAlpha(RHO).stepper(system, solver, newton, state)
     stepper.advance(STEP)
-    solves, iterations = solver.back_solves, newton.iterations
+    solves, iterations = solver.elastic.back_solves, newton.iterations
     steps, backs = [], []
     factor = solver.blocks[0].factor.factor.factor.matrix
     x, b = factor.createVecs()
@@ -107,7 +107,7 @@ def whole(unknowns: int, ramp: float = 0.5) -> dict[str, float]:
         "step": statistics.median(steps),
         "back_solve": statistics.median(backs),
         "iterations": (newton.iterations - iterations) / 30,
-        "back_solves": (solver.back_solves - solves) / 30,
+        "back_solves": (solver.elastic.back_solves - solves) / 30,
     }
 
 

@@ -141,7 +141,7 @@ def equilibrium(
         counters = {
             "newton_iterations": newton.iterations,
             "tangent_iterations": newton.tangent_iterations,
-            "factorisations": solver.factorisations,
+            "factorisations": solver.elastic.factorisations,
         }
 
         found = Equilibrium(scene, system, state_of(system, point, t, turning), markers, turning, made, counters)

@@ -104,8 +104,8 @@ def remembering(system: System, point: Array, t: float) -> list[ControlLoads]:
         readings = loads.read(system.at(t, point, np.zeros(system.n_v)).kin)
         # a memory that moves no effort need not come to rest
         steps = np.diag(MOVED * np.maximum(1.0, np.abs(z)))
-        u = loads.asked(t, readings, z)[0]
-        if any(np.abs(loads.asked(t, readings, z + step)[0] - u).max() > 0.0 for step in steps):
+        u = loads.law.asked(t, readings, z)[0]
+        if any(np.abs(loads.law.asked(t, readings, z + step)[0] - u).max() > 0.0 for step in steps):
             found.append(loads)
     return found
 
@@ -147,14 +147,14 @@ def _noise(loads: ControlLoads, kin: Kinematics, t: float) -> float:
     spans = [
         np.full(r.size, 0.0 if "/s" in r.sensor.unit else of.get(r.sensor.unit, loads.length)) for r in loads.readings
     ]
-    slopes = np.abs(loads.slopes(t, readings)) * np.concatenate([np.zeros(0), *spans])
+    slopes = np.abs(loads.law.slopes(t, readings, loads.spans)) * np.concatenate([np.zeros(0), *spans])
     return ROUNDOFF * float(slopes.max(initial=0.0))
 
 
 def _advanced(loads: ControlLoads, kin: Kinematics, t: float) -> Array:
     """Efforts at the end of the long step, and what of them its change of the memory has made, (2, acts); it is kept."""
     readings = loads.read(kin)
-    u, z, _ = loads.with_memory(t, readings)
-    before = loads.asked(t, readings, loads.kept.z)[0]
+    u, z, _ = loads.law.with_memory(t, readings)
+    before = loads.law.asked(t, readings, loads.kept.z)[0]
     loads.kept = ControllerMemory(t, z, np.zeros_like(z), u, 0)
     return np.array([u, u - before])

@@ -30,7 +30,7 @@ def remember_solver(solver: StepSolver, m: Memory, state: State) -> None:
             x = m.nodal(f"pressure {k}", field.pressure_values, field.pressure_numbering)  # type: ignore[attr-defined]
             field.pressure_values = x  # type: ignore[attr-defined]
 
-    counts = (elastic.factorisations, solver.core.factorisations, solver.back_solves, solver.worst_residual)
+    counts = (elastic.factorisations, solver.core.factorisations, elastic.back_solves, solver.worst_residual)
     elastic.factorisations, solver.core.factorisations, solves, worst = m("counts", counts)
-    elastic.retired_solves.append(solves - solver.back_solves)
+    elastic.retired_solves.append(solves - elastic.back_solves)
     solver.core.judge.worst = max(solver.core.judge.worst, worst)

@@ -31,7 +31,7 @@ from ...system.system import System
 from ..consistent import accelerations
 from ..consistent_states import accelerated
 from ..newton import Newton
-from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
+from .explicit_stepper import ExplicitScheme, ExplicitStepper
 
 STAGES = 12
 # weight of the square of the error of order three beside that of order five
@@ -42,11 +42,6 @@ STAGES = 12
 def coefficients() -> tuple[Array, Array]:
     """Nodes c (12,), and rows a (13, 12) with the weights last."""
     return np.ascontiguousarray(DOP853.C[:STAGES]), np.vstack((DOP853.A[:STAGES, :STAGES], DOP853.B))
-
-
-def amplification(z: float, damping: float) -> Array:
-    """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""
-    return amplified(coefficients()[1], z, damping)
 
 
 @dataclass(frozen=True)
@@ -68,7 +63,6 @@ class RungeKuttaStepper(ExplicitStepper):
     what = "The explicit Runge-Kutta scheme"
     maker = "RUNGE_KUTTA"
     embedded = np.vstack((DOP853.E5[:STAGES], DOP853.E3[:STAGES]))
-    amplification = staticmethod(amplification)
 
     def _tableau(self) -> tuple[Tableau, float]:
         return coefficients(), 0.0

@@ -8,6 +8,7 @@ tolerance is made again, smaller. Source of the control: :mod:`..control`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -53,7 +54,7 @@ class ExplicitScheme:
 
 
 class ExplicitStepper(OwnMarch):
-    """Advances a consistent state. A method says how a step is made (:meth:`_step`), and how it amplifies vibrations."""
+    """Advances a consistent state. A method says how a step is made (:meth:`_step`), and by which tableau."""
 
     what = "The scheme"  # in messages
     failures = ("constraints not closed",)
@@ -78,7 +79,7 @@ class ExplicitStepper(OwnMarch):
         self.local_error = 0.0
         self.before: State | None = None  # at the start of the last step
         self.adaptive = scheme.rtol is not None
-        self.limit: StepLimit = StepLimit(self.what, system, solver, self.amplification)
+        self.limit: StepLimit = StepLimit(self.what, system, solver, partial(amplified, self._tableau()[0][1]))
         self._lent: ExplicitRoom | None = None
 
     @property
@@ -230,11 +231,6 @@ class ExplicitStepper(OwnMarch):
         """Nodes c and rows A (stages + 1, stages), and the way (m) that counts as none."""
         raise NotImplementedError
 
-    @staticmethod
-    def amplification(z: float, damping: float) -> Array:
-        """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""
-        raise NotImplementedError
-
     def _count(self, attempts: int) -> None:
         """So many attempts at a step more."""
         raise NotImplementedError
@@ -257,7 +253,9 @@ class ExplicitStepper(OwnMarch):
 
 
 def amplified(A: Array, z: float, damping: float) -> Array:
-    """The matrix of :meth:`.ExplicitStepper.amplification` for a method with the rows A, (stages + 1, stages)."""
+    """The matrix of one step of a method with the rows A, (stages + 1, stages), for x'' + c x' + w^2 x = 0, z = h w and
+    damping = h c, over (x, h x'), (2, 2).
+    """
     x, v = np.eye(2)
     places, speeds, pushes = [x], [v], []
     for row in A[1:]:

@@ -32,7 +32,7 @@ from ...system.speed_rows import speed_rows
 from ...system.system import System
 from ..consistent_states import accelerated
 from ..newton import Newton
-from .explicit_stepper import ExplicitScheme, ExplicitStepper, amplified
+from .explicit_stepper import ExplicitScheme, ExplicitStepper
 
 MASS = Weights(1.0, 0.0, 0.0)
 STAGES = 5
@@ -55,11 +55,6 @@ def coefficients() -> tuple[Array, Array, Array]:
     return c, a, 0.1 * free / np.abs(free).max()
 
 
-def amplification(z: float, damping: float) -> Array:
-    """The matrix of one step for x'' + c x' + w^2 x = 0, z = h w and damping = h c, over (x, h x'), (2, 2)."""
-    return amplified(coefficients()[1], z, damping)
-
-
 @dataclass(frozen=True)
 class HalfExplicit(ExplicitScheme):
     """Scheme data, order four; settings of :class:`.ExplicitScheme`."""
@@ -77,10 +72,8 @@ class HalfExplicitStepper(ExplicitStepper):
     """Advances a consistent state."""
 
     what = "The half-explicit scheme"
-
     maker = "HALF_EXPLICIT"
     embedded = coefficients()[2]
-    amplification = staticmethod(amplification)
 
     def _polynomial(self, before: States, after: States, t: Array, slopes: Array) -> States:
         """States of the order of the scheme.

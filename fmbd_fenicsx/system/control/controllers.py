@@ -15,14 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import zip_longest
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ...checks import function, instance, typed, vector
-from ...errors import CallbackError, InputError, LawError, named, require
+from ...errors import InputError, require
 from ...mechanics.forces.force_elements import Loads, MarkerTangent
 from ...mechanics.forces.forces import Force
 from ...mechanics.forces.formulas import Formula, SampledEffort, table
@@ -35,36 +35,36 @@ from ...mechanics.joints.sums import Coordinate
 from ...rotations import Array, Motions
 from ..sensors.sensor import Sensor
 from ..sensors.sensors import JointReading
-from .control_laws import PidLaw, differences, numbers_of
-from .control_memory import ControllerMemory, implicit
-from .readings import KINEMATIC, Reading, Readings
+from .control_laws import PidLaw
+from .control_memory import ControllerMemory
+from .law_with_memory import LawWithMemory
+from .readings import KINEMATIC, Reading
 
-RECENT = 32  # answers of a law in one step that are kept
 _AT = 1e-9  # share of the sampling period by which a step may end before its sample
 
 
 class ControlLoads(Loads):
-    """One controller: efforts on the coordinates ``acts``; ``kept`` as in :class:`ControllerMemory`.
-
-    What a continuous law reads is one array y, (size,), ``parts`` of which are the readings.
-    """
+    """One controller: the efforts of its ``law`` on the coordinates ``acts``, and what it reads as one array y, (size,)."""
 
     def __init__(
         self, motions: Motions, controller: Controller, acts: Sequence[RelativeCoordinates], readings: Sequence[Reading]
     ) -> None:
         super().__init__(motions, [controller] * len(acts), [(int(r.a[0]), int(r.b[0])) for r in acts])
         self.controller, self.acts, self.readings = controller, tuple(acts), tuple(readings)
-        self.law = named("The law of controller", controller.name, controller.law, time=0)
-        z = np.asarray(controller.memory, dtype=float)
-        self.kept: ControllerMemory = ControllerMemory(0.0, z, np.zeros_like(z), np.zeros(len(acts)), 0)
-        self._answers: dict[tuple[float, bytes], tuple[Array, Array, Array]] = {}  # u, z and g of (3) at t and y
-        self._answered = self.kept  # what they follow from
-        self._slopes: tuple[Any, Array] | None = None
-
         self.size, self.parts = 0, dict[str, slice]()
         for r in self.readings if controller.every is None else ():
             self.parts[r.name] = slice(self.size, self.size + r.size)
             self.size += r.size
+        self.law = LawWithMemory(controller, self.parts)
+
+    @property
+    def kept(self) -> ControllerMemory:
+        """What the law keeps."""
+        return self.law.kept
+
+    @kept.setter
+    def kept(self, memory: ControllerMemory) -> None:
+        self.law.kept = memory
 
     @cached_property
     def levels(self) -> np.ndarray:
@@ -93,56 +93,13 @@ class ControlLoads(Loads):
         return None
 
     # -- the law ----------------------------------------------------------------------------------------------------
-    def ask_law(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
-        """Efforts (acts,) and rate (or next value) of the memory, checked; the law may write on the arrays of y."""
-        c = self.controller
-        try:
-            found = self.law(t, Readings(y), z.copy())
-        except LawError as error:
-            if not isinstance(error.__cause__, IndexError):
-                raise
-            sizes = ", ".join(f'"{name}" {len(x)}' for name, x in y.items())
-            raise LawError(
-                f"{error}. What it reads holds so many numbers: {sizes}; a memory, {len(z)}. The rate of a joint coordinate is a "
-                'reading of its own: reads={"rate": fmbd.joint_rate(...)}.'
-            ) from error.__cause__
-        if not len(z) and isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], tuple) and not found[1]:
-            found = found[0]  # an empty memory, returned as it was given
-        # with a memory a law returns two things
-        u, more = found if len(z) and isinstance(found, tuple) and len(found) == 2 else (found, None)
-        if (more is None) != (not len(z)):
-            wanted = "(efforts, rate of the memory)" if c.every is None else "(efforts, memory)"
-            raise CallbackError(f'Controller "{c.name}" keeps {len(z)} numbers: its law must return {wanted}.')
-
-        size = len(self.acts)
-        efforts = numbers_of(c.name, "efforts", u, (size, t))
-        return efforts, z if more is None else numbers_of(c.name, "numbers of the memory", more, (len(z), t))
-
-    def asked(self, t: float, y: Array, z: Array) -> tuple[Array, Array]:
-        """What a continuous law answers at readings y, (size,)."""
-        own = y.copy()
-        return self.ask_law(t, {name: own[part] for name, part in self.parts.items()}, z)
-
-    def with_memory(self, t: float, y: Array) -> tuple[Array, Array, Array]:
-        """u of a continuous law at time t, with z and g of (3); asked for the same again, what was found."""
-        if self._answered is not self.kept or len(self._answers) > RECENT:
-            self._answers, self._answered = {}, self.kept
-        key = t, y.tobytes()
-        found = self._answers.get(key)
-        if found is None:
-            last = next(reversed(self._answers), None)  # of the same instant its memory is near
-            start = self._answers[last][1] if last is not None and last[0] == t else None
-            found = implicit(self.controller.name, self.kept, t, partial(self.asked, t, y), start)
-            self._answers[key] = found
-        return found
-
     def read(self, kin: Kinematics) -> Array:
         """y of a continuous law in a configuration, (size,)."""
         return np.concatenate([np.zeros(0), *(r.at(kin) for r in self.readings)])
 
     def efforts(self, kin: Kinematics, t: float) -> Array:
         """u, (acts,): N or N m, positive where the coordinate grows."""
-        return self.kept.u if self.controller.every is not None else self.with_memory(t, self.read(kin))[0]
+        return self.kept.u if self.controller.every is not None else self.law.with_memory(t, self.read(kin))[0]
 
     # -- forces -----------------------------------------------------------------------------------------------------
     @property
@@ -175,7 +132,7 @@ class ControlLoads(Loads):
             return None
         pushed = list(zip(self.markers, self._rows(kin), strict=True))
         entries: list[tuple[int, int, Array, bool]] = []
-        slopes = self.slopes(t, self.read(kin))
+        slopes = self.law.slopes(t, self.read(kin), self.spans)
         for reading in self.readings:
             rows = reading.rows(kin)
             for j in range(len(self.acts)):
@@ -192,30 +149,6 @@ class ControlLoads(Loads):
         for i, (_, _, block, fast) in enumerate(entries):
             (D if fast else K)[i, :n, n:] = block
         return MarkerTangent((np.array([e[0] for e in entries]), np.array([e[1] for e in entries])), K, D)
-
-    def slopes(self, t: float, y: Array, *, quick: bool = False) -> Array:
-        """du/dy, (acts, size), the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy; asked for the same again,
-        what was found.
-
-        ``quick``: by differences to one side, enough for a step's matrix, with half the calls of the law.
-        """
-        key = self.kept, t, y.tobytes(), quick
-        if self._slopes is None or self._slopes[0] != key:
-            self._slopes = key, self._differences(t, y, quick=quick)
-        return self._slopes[1]
-
-    def _differences(self, t: float, y: Array, *, quick: bool) -> Array:
-        if not self.size:
-            return np.zeros((len(self.acts), 0))
-        (u, z, rate), half = self.with_memory(t, y), 0.5 * (t - self.kept.t)
-        known = (u, rate) if quick else None
-        by_memory: Array = np.zeros((len(self.acts), len(z)))
-        if len(z) and half:
-            effort, rate = differences(z, np.abs(half * rate), partial(self.asked, t, y), known)
-            by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
-
-        effort, rate = differences(y, self.spans, lambda y: self.asked(t, y, z), known)
-        return effort + by_memory @ rate
 
     def formulas(self) -> list[Formula]:
         """That of a continuous PID controller; none of other laws."""
@@ -237,8 +170,7 @@ class ControlLoads(Loads):
     # -- memory -----------------------------------------------------------------------------------------------------
     def first(self, ev: Any, state: Any) -> ControllerMemory:
         """Memory at the start, with the first sample taken."""
-        z = np.asarray(self.controller.memory, dtype=float)
-        self.kept = ControllerMemory(state.t, z, np.zeros_like(z), np.zeros(len(self.acts)), 0)
+        self.kept = self.law.begun(state.t)
         return self.accepted(ev, state)
 
     @property
@@ -267,28 +199,18 @@ class ControlLoads(Loads):
     def memory_rates(self, ev: Any, t: float) -> Array:
         """g of (1), (m,)."""
         z = self.memory_values()
-        return self.asked(t, self.read(ev.kin), z)[1] if len(z) else z
-
-    def after(self, t: float, y: Array) -> ControllerMemory:
-        """What a continuous law keeps of a step that ended at t with these readings, by (3)."""
-        u, z, rate = self.with_memory(t, y)
-        return ControllerMemory(t, z, rate, u, 0)
-
-    def keep(self, t: float, y: Array) -> None:
-        """Keep it: where the step ends the law has answered already."""
-        self.kept = self._answered = self.after(t, y)
-        self._answers = {(t, y.tobytes()): (self.kept.u, self.kept.z, self.kept.rate)}
+        return self.law.asked(t, self.read(ev.kin), z)[1] if len(z) else z
 
     def accepted(self, ev: Any, state: Any) -> ControllerMemory:
         """Memory after a step: of (3), or of the sample that is due."""
         every, kept = self.controller.every, self.kept
         if every is None:
-            return self.after(state.t, self.read(ev.kin))
+            return self.law.after(state.t, self.read(ev.kin))
         if state.t < self.due:
             return kept
         values = [r.at(ev.kin) if r.relative else r.sensor.read(ev, state, r.marker) for r in self.readings]
         y = {r.name: x.copy() for r, x in zip(self.readings, values, strict=True)}
-        u, z = self.ask_law(state.t, y, kept.z)
+        u, z = self.law.ask(state.t, y, kept.z)
         return ControllerMemory(state.t, z, kept.rate, u, int(np.floor(state.t / every + _AT)) + 1)
 
 

@@ -29,10 +29,10 @@ OTHERS, OWN_PLACE, OWN_RATE = enumeration("OTHERS").values()
 
 
 class Listener:
-    """One controller: ``loads``, it with the memory of steps in C; its parts of the arrays y and u, and slopes du/dy."""
+    """One controller: its ``law`` with the memory of steps in C, its parts of the arrays y and u, and slopes du/dy."""
 
     def __init__(self, loads: ControlLoads) -> None:
-        self.origin, self.loads = loads, copy(loads)
+        self.loads, self.law = loads, copy(loads.law)
         acts = loads.controller.acts
         # efforts that answer to more than their own coordinate
         self.crossed = any(r.coordinate != on for r in loads.readings for on in acts)
@@ -47,15 +47,15 @@ class Listener:
 
     def recall(self) -> None:
         """Take the memory of the controller."""
-        self.loads.kept = self.origin.kept
+        self.law.kept = self.loads.kept
 
     def memory(self) -> Any:
         """What steps have made of it."""
-        return self.loads.kept
+        return self.law.kept
 
     def remember(self, memory: Any) -> None:
         """Give it back after accepted steps."""
-        self.origin.kept = memory
+        self.loads.kept = memory
 
 
 class Listening:
@@ -153,20 +153,20 @@ class Listening:
     def share(self, others: Listening) -> None:
         """Others' controllers, of the same system, have the memory of these from here on."""
         for one, other in zip(self.listeners, others.listeners, strict=True):
-            other.loads = one.loads
+            other.law = one.law
 
     # -- what C asks for ----------------------------------------------------------------------------------------------------
     def efforts(self, t: float) -> None:
         """u of all controllers at what C has read."""
         for one in self.listeners:
-            one.u[:] = one.loads.with_memory(t, one.y)[0]
+            one.u[:] = one.law.with_memory(t, one.y)[0]
 
     def slopes(self, t: float) -> None:
         """du/dy of all controllers there."""
         for one in self.listeners:
-            one.slopes[:] = one.loads.slopes(t, one.y, quick=True)
+            one.slopes[:] = one.law.slopes(t, one.y, one.loads.spans, quick=True)
 
     def keep(self, t: float) -> None:
         """Take up an accepted step that ends at t."""
         for one in self.listeners:
-            one.loads.keep(t, one.y)
+            one.law.keep(t, one.y)

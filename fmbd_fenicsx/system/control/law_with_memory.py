@@ -1,0 +1,119 @@
+"""The law of a controller with its memory: what it answers to readings, asked once for each, and by what slopes.
+
+Equations are those of :mod:`.controllers`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import CallbackError, LawError, named
+from ...rotations import Array
+from .control_laws import differences, numbers_of
+from .control_memory import ControllerMemory, implicit
+from .readings import Readings
+
+if TYPE_CHECKING:
+    from .controllers import Controller
+
+RECENT = 32  # answers of a law in one step that are kept
+
+
+class LawWithMemory:
+    """The law of a controller; ``kept`` as in :class:`.ControllerMemory`.
+
+    What a continuous law reads is one array y, (size,), ``parts`` of which are the readings; a sampled one has none.
+    """
+
+    def __init__(self, controller: Controller, parts: Mapping[str, slice]) -> None:
+        self.controller, self.name, self.acts, self.parts = controller, controller.name, len(controller.acts), parts
+        self.law = named("The law of controller", self.name, controller.law, time=0)
+        self.kept = self.begun(0.0)
+        self._answers: dict[tuple[float, bytes], tuple[Array, Array, Array]] = {}  # u, z and g of (3) at t and y
+        self._answered = self.kept  # what they follow from
+        self._slopes: tuple[Any, Array] | None = None
+
+    def begun(self, t: float) -> ControllerMemory:
+        """The memory that it begins with, at a time (s)."""
+        z = np.asarray(self.controller.memory, dtype=float)
+        return ControllerMemory(t, z, np.zeros_like(z), np.zeros(self.acts), 0)
+
+    def ask(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[Array, Array]:
+        """Efforts (acts,) and rate (or next value) of the memory, checked; the law may write on the arrays of y."""
+        try:
+            found = self.law(t, Readings(y), z.copy())
+        except LawError as error:
+            if not isinstance(error.__cause__, IndexError):
+                raise
+            sizes = ", ".join(f'"{name}" {len(x)}' for name, x in y.items())
+            raise LawError(
+                f"{error}. What it reads holds so many numbers: {sizes}; a memory, {len(z)}. The rate of a joint coordinate is a "
+                'reading of its own: reads={"rate": fmbd.joint_rate(...)}.'
+            ) from error.__cause__
+        if not len(z) and isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], tuple) and not found[1]:
+            found = found[0]  # an empty memory, returned as it was given
+        # with a memory a law returns two things
+        u, more = found if len(z) and isinstance(found, tuple) and len(found) == 2 else (found, None)
+        if (more is None) != (not len(z)):
+            wanted = "(efforts, rate of the memory)" if self.controller.every is None else "(efforts, memory)"
+            raise CallbackError(f'Controller "{self.name}" keeps {len(z)} numbers: its law must return {wanted}.')
+
+        efforts = numbers_of(self.name, "efforts", u, (self.acts, t))
+        return efforts, z if more is None else numbers_of(self.name, "numbers of the memory", more, (len(z), t))
+
+    def asked(self, t: float, y: Array, z: Array) -> tuple[Array, Array]:
+        """What a continuous law answers at readings y, (size,)."""
+        own = y.copy()
+        return self.ask(t, {name: own[part] for name, part in self.parts.items()}, z)
+
+    def with_memory(self, t: float, y: Array) -> tuple[Array, Array, Array]:
+        """u of a continuous law at time t, with z and g of (3); asked for the same again, what was found."""
+        if self._answered is not self.kept or len(self._answers) > RECENT:
+            self._answers, self._answered = {}, self.kept
+        key = t, y.tobytes()
+        found = self._answers.get(key)
+        if found is None:
+            last = next(reversed(self._answers), None)  # of the same instant its memory is near
+            start = self._answers[last][1] if last is not None and last[0] == t else None
+            found = implicit(self.name, self.kept, t, partial(self.asked, t, y), start)
+            self._answers[key] = found
+        return found
+
+    def slopes(self, t: float, y: Array, spans: Array, *, quick: bool = False) -> Array:
+        """du/dy, (acts, size), the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy; asked for the same again,
+        what was found.
+
+        ``spans``: what each number of y is at least for differences; ``quick``: these go to one side, enough for a step's
+        matrix, with half the calls of the law.
+        """
+        key = self.kept, t, y.tobytes(), quick
+        if self._slopes is None or self._slopes[0] != key:
+            self._slopes = key, self._differences(t, y, spans, quick=quick)
+        return self._slopes[1]
+
+    def _differences(self, t: float, y: Array, spans: Array, *, quick: bool) -> Array:
+        if not len(y):
+            return np.zeros((self.acts, 0))
+        (u, z, rate), half = self.with_memory(t, y), 0.5 * (t - self.kept.t)
+        known = (u, rate) if quick else None
+        by_memory: Array = np.zeros((self.acts, len(z)))
+        if len(z) and half:
+            effort, rate = differences(z, np.abs(half * rate), partial(self.asked, t, y), known)
+            by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
+
+        effort, rate = differences(y, spans, lambda y: self.asked(t, y, z), known)
+        return effort + by_memory @ rate
+
+    def after(self, t: float, y: Array) -> ControllerMemory:
+        """What a continuous law keeps of a step that ended at t with these readings, by (3)."""
+        u, z, rate = self.with_memory(t, y)
+        return ControllerMemory(t, z, rate, u, 0)
+
+    def keep(self, t: float, y: Array) -> None:
+        """Keep it: where the step ends the law has answered already."""
+        self.kept = self._answered = self.after(t, y)
+        self._answers = {(t, y.tobytes()): (self.kept.u, self.kept.z, self.kept.rate)}
