@@ -30,6 +30,7 @@ FILES = (
     "field_means",
     "field_stages",
     "field_states",
+    "free_flight",
     "kept_steps",
     "rods_relaxation",
     "marches",

@@ -164,7 +164,8 @@ class ConstantSteps(Around):
     def in_turn(
         self, h: float, most: int = 1, *, until: float = np.inf, ahead: Callable[[float], None] | None = None
     ) -> int:
-        """Up to so many steps as :meth:`advance` makes them, one by one, ``until`` so late by the clock; how many. Collective.
+        """Up to so many steps as :meth:`advance` makes them, one by one, ``until`` so late by the clock, or up to where many may
+        be made in one call; how many. Collective.
 
         ``ahead``: looks at the end of each step, s, before it is made.
         """
@@ -189,7 +190,7 @@ class ConstantSteps(Around):
 
                 self._newest = began, self.stepper.state
                 self.made += 1
-                if clock.perf_counter() > until:
+                if clock.perf_counter() > until or (self.made < most and self.stepper.stride(h)):
                     break
         return self.made
 

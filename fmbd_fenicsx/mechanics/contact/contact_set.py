@@ -21,6 +21,9 @@ Nodes = tuple[Array, Array, Array | None]
 """World positions (n, d) of nodes, positions in the axes of their body, and its rotation (None: these are the world's)."""
 
 
+NEAREST = 1e-6  # of the model's length: points with smaller gaps are near at any rate
+
+
 class Here:
     """One configuration, looked at once for all pairs."""
 
@@ -151,7 +154,7 @@ class ContactSet:
         both = np.isfinite(now) & np.isfinite(then)
         approach = np.zeros(len(self.pairs))
         np.maximum.at(approach, self.pair[both], np.abs(then[both] - now[both]))
-        return np.where(np.isnan(self._chosen), np.maximum(2.0 * approach, 1e-6 * length), self._chosen)[self.pair]
+        return np.where(np.isnan(self._chosen), np.maximum(2.0 * approach, NEAREST * length), self._chosen)[self.pair]
 
     def fastest(self, system: Any, v: Array) -> float:
         """A bound of the speed of any contact node, m/s; collective."""

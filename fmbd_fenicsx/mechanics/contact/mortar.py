@@ -159,6 +159,11 @@ class MortarPair:
         """Pressures (N/m^(d-1)) of normal forces on the candidates, (m,) N."""
         return force / self.weight
 
+    @property
+    def sight(self) -> float:
+        """How far facets of the slave look for the master at least, m: with a bound of how they grow."""
+        return float(diameters(self.facets[0]).max()) if self.search is None else float(self.search)
+
     @cached_property
     def trace_nodes(self) -> np.ndarray:
         """Numbers in the slave's trace of the candidates' nodes."""

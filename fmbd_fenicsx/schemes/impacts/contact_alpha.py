@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from ...linear.redundancy import least
 from ...mechanics.contact.obstacles import way_over
 from ...mechanics.contact.rows import LinearRows, Rows
 from ...rotations import Array
+from ...system.compiled import march as slots
 from ...system.layout import State
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain
@@ -45,12 +46,18 @@ from ...system.speed_rows import gaps
 from ...system.system import System
 from ..consistent import Correction
 from ..newton import Newton
+from ..onestep.alpha.alpha_step import FAR, PATIENCE
 from ..onestep.alpha.generalized_alpha import GeneralizedAlpha
 from .contact_detection import candidates
 from .contact_ledger import StepForces
 from .contact_midpoint import elastic_refusal, elastic_start
 from .contact_newton import ContactStep, openings, small_problem
-from .contact_stepper import ContactStepper
+from .flying_stepper import FlyingStepper
+
+if TYPE_CHECKING:
+    from .compiled.free_flight import FreeMarch
+
+FINER = 1e-2  # of Newton's tolerance, where increments count by accelerations
 
 
 @dataclass(frozen=True)
@@ -96,16 +103,31 @@ class ContactAlpha(GeneralizedAlpha):
         return ContactAlphaStepper(self, system, solver, newton, state)
 
 
-class ContactAlphaStepper(ContactStepper):
+class ContactAlphaStepper(FlyingStepper):
     """Advances a state; holds the algorithmic acceleration A."""
 
-    keeps: ClassVar = {**ContactStepper.keeps, "A": Memory.like_v, "size": plain()}
+    maker, share = "ALPHA", 1.0
+    keeps: ClassVar = {**FlyingStepper.keeps, "A": Memory.like_v, "size": plain()}
 
     def __init__(self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(system, solver, newton, state)
         self.scheme = scheme
         self.A = state.a.copy()
         self.size = 0.0  # of the last step, s
+
+    def _weights(self, h: float) -> Weights:
+        return self.scheme.rule(h).weights
+
+    def _lend(self, march: FreeMarch, h: float) -> None:
+        march.parameters[slots.AM : slots.BETA + 1] = self.scheme.parameters
+        march.parameters[slots.FAR], march.parameters[slots.PATIENCE] = FAR * self.system.length, PATIENCE
+        march.parameters[slots.TOL] *= FINER
+
+    def _algorithmic(self) -> Array:
+        return self.A
+
+    def _take_flight(self, march: FreeMarch, made: int, h: float) -> None:
+        self.A, self.size = march.block(0)[4], h
 
     def begin_anew(self, start: Callable[[], State]) -> bool:
         """Go on in the same place behind a jump of forces F: a and A jump by da, (M + h^2 K / 4) da + G^T dlambda = dF."""
@@ -153,6 +175,7 @@ class ContactAlphaStepper(ContactStepper):
         lam = least(self.solver, s.t + h, q, step.lam)
         self.state = self.ledger.write(State(s.t + h, q, v, step.a, lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(iterations)
+        self.close = bool(near.any())
         return self.state
 
     def _persist(self, step: _Step) -> tuple[Array, Array]:
@@ -248,7 +271,7 @@ class _Step(ContactStep):
         s = p.state
         system, solver = p.system, p.solver
         q = system.compose(s.q, self.xi)
-        weights = Weights(1.0, h * self.gamma * (1 - self.af) / (1 - self.am), self.scale)
+        weights = p._weights(h)
         balance = self.balance((s.t + h, q, self.v), self.a, weights)
         volumes = volume_gaps(self.ev)
         if volumes:

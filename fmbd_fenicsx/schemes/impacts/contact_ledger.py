@@ -97,6 +97,21 @@ class ContactLedger(Remembering):
         found = self._carry(state, forces, c.touch(system, state.t, state.q), h)
         return found
 
+    def fly(self, state: State, books: Array, time: float) -> ContactState:
+        """Steps without contact have led to a state; ``books``: works since the start, energy, that of springs; forces act at a
+        ``time`` (s).
+        """
+        self.work, self.energy, self.springs = books[:-2].copy(), float(books[-2]), float(books[-1])
+        self.force = np.zeros_like(self.force)
+        self.count(0)
+        nothing = StepForces(np.zeros(len(self.force), dtype=bool), None, np.zeros((0, self.components)), time)
+        return self._carry(state, nothing, self.contacts.touch(self.system, state.t, state.q))
+
+    @property
+    def books(self) -> Array:
+        """Works since the start, energy, that of springs, (7,)."""
+        return np.append(self.work, (self.energy, self.springs))
+
     def averaged(self, state: ContactState, time: float, mean: tuple[Array, Array]) -> ContactState:
         """The state at ``time`` with the mean contact forces of a step of several parts: (m, d) in world axes, normal (m,)."""
         found = forces_of(state)

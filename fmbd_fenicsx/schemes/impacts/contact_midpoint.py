@@ -29,6 +29,8 @@ doi:10.1002/nme.2119.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -50,7 +52,10 @@ from ..newton import Newton
 from .contact_detection import candidates, refuse_penetration
 from .contact_ledger import StepForces
 from .contact_newton import ContactStep, openings
-from .contact_stepper import ContactStepper
+from .flying_stepper import FlyingStepper
+
+if TYPE_CHECKING:
+    from .compiled.free_flight import FreeMarch
 
 
 @dataclass(frozen=True)
@@ -122,6 +127,11 @@ def elastic_start(system: System, state: State, solver: StepSolver, tau: float) 
     return start, correction
 
 
+def roundoff(system: System) -> float:
+    """Size (m) of increments that are none."""
+    return 100 * float(np.finfo(float).eps) * system.length
+
+
 def weightless(system: System) -> np.ndarray:
     """Entries of v that belong to nodes without inertia, (n_v,) bool."""
     out = np.zeros(system.n_v, dtype=bool)
@@ -130,16 +140,32 @@ def weightless(system: System) -> np.ndarray:
     return out
 
 
-class ContactMidpointStepper(ContactStepper):
+class ContactMidpointStepper(FlyingStepper):
     """Advances a state through contact."""
+
+    maker = "THETA_RULE"
 
     def __init__(self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(system, solver, newton, state)
-        self.theta = theta
+        self.theta = self.share = theta
         self._projects = any(b.kind != "frame" for b in system.blocks)
         self._weightless = weightless(system)
         self._begun: State | None = None  # what the last step began with
         self._means: list[Array] = []  # velocities of the last two steps
+
+    def _weights(self, h: float) -> Weights:
+        return Weights(1.0, self.theta * h, (self.theta * h) ** 2)
+
+    def _room(self) -> Array:
+        driver = self.solver.driver
+        assert driver is not None
+        massless = driver.states.twin.velocities(self._weightless.astype(float))
+        return np.concatenate(((self.theta, roundoff(self.system), self._projects), massless))
+
+    def _take_flight(self, march: FreeMarch, made: int, h: float) -> None:
+        places = [march.state(i) for i in range(1 + min(made, 2))]
+        means = [self.system.difference(b.q, a.q, near=h * b.v) / h for a, b in pairwise(places)]
+        self._begun, self._means = places[1], [*self._means[-1:], *means[::-1]][-2:]
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then
@@ -170,6 +196,7 @@ class ContactMidpointStepper(ContactStepper):
         lam = least(self.solver, s.t + h, step.q, step.lam)
         self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.ev, step.xi, step.lam), h)
         self.ledger.count(iterations)
+        self.close = bool(near.any())
         return self.state
 
     def between(self, t: float) -> State | None:
@@ -213,7 +240,7 @@ class _Step(ContactStep):
         self.scale = self.theta * h * h
         self.q = ahead
         self.g: Array = np.zeros(0)
-        self.floor = 100 * np.finfo(float).eps * system.length
+        self.floor = roundoff(system)
 
     @property
     def advice(self) -> str:
@@ -232,7 +259,7 @@ class _Step(ContactStep):
         # balance in the middle, constraints at the end
         middle = system.compose(s.q, self.theta * self.xi)
         vm = self.xi / h
-        weights = Weights(1.0, self.theta * h, (self.theta * h) ** 2)
+        weights = p._weights(h)
         r = self.balance((s.t + self.theta * h, middle, vm), (vm - s.v) / (self.theta * h), weights)
 
         self.g = system.at(s.t + h, self.q).constraint() if system.n_lam else np.zeros(0)

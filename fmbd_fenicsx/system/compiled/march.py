@@ -89,10 +89,17 @@ class March:
         c.fastest, c.speed, c.most = limits.fastest, 0.0, most
 
     def steps(
-        self, count: int, tape: Tape | None = None, control: int | None = None, *, judged: bool = False
+        self,
+        count: int,
+        tape: Tape | None = None,
+        control: int | None = None,
+        *,
+        judged: bool = False,
+        flight: int | None = None,
     ) -> tuple[int, int]:
         """Make up to so many steps; the number made, and the verdict of the one that stopped them. ``control``: address of
-        the one that judges errors, ``judged``: whether :meth:`judge` has said how joints are.
+        the one that judges errors, ``judged``: whether :meth:`judge` has said how joints are, ``flight``: address of what tells
+        whether nothing touches.
         """
         self.parameters[COUNTED] = 0.0
         made = self.library.march(
@@ -106,5 +113,6 @@ class March:
             None if tape is None else tape.address,
             control,
             ctypes.addressof(self.closed) if judged else None,
+            flight,
         )
         return int(made), int(self._verdict.value)

@@ -99,8 +99,8 @@ class ContactSensor(Sensor):
         return self._told(forces_of(state))
 
     def looks_at(self, system: Layout, marker: int) -> Look:
-        """Nothing beside what is told of contacts."""
-        return Look()
+        """Nothing beside what is told of contacts; gaps of elastic surfaces, where nothing touches, are found from states."""
+        return Look(states=self.quantity == "gap" and bool(system.fields))
 
     def series(self, seen: Recorded, marker: int) -> Array:
         """The quantity of all records."""

@@ -19,13 +19,11 @@ from ....mechanics.contact.contact_set import ContactSet
 from ....mechanics.contact.limits import LimitPair
 from ....mechanics.contact.obstacle_pair import ObstaclePair
 from ....mechanics.joints.relative import ExpressedCoordinate
-from ....mechanics.shapes import KNOWN, Shape
 from ....rotations import Array
 from ....system.compiled import march as slots
 from ....system.compiled.blocks import Ring, block_size, state_of
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import driver_of
-from ....system.compiled.declarations import PYTHON, enumeration
 from ....system.compiled.kept import Kept
 from ....system.compiled.library import CONTACT
 from ....system.compiled.tables.tables import Tables
@@ -35,8 +33,9 @@ from ....system.system import System
 from ...marching import lend_newton
 from ..contact_detection import tell_rest
 from ..contact_newton import frictional_forces, normal_forces
+from .pairs import COMPLEMENTARITY, RESTED, PairTables
 from .spheres import Spheres
-from .structures import SOURCE, Blocks, Contacts, Graph, Problem, Touch, Tree, structure
+from .structures import Blocks, Contacts, Graph, Problem, Tree, structure
 from .tape import ContactTape
 from .trees import trees_of
 
@@ -44,17 +43,8 @@ if TYPE_CHECKING:
     from ....system.compiled.tape import Openness, Tape
     from ...newton import Newton
 
-POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = enumeration("POSE_OF", SOURCE).values()
-*_, LIMIT, OWN = enumeration("HALF_SPACE", SOURCE).values()  # behind the shapes that the driver knows
 BOUNDED = slots.AM
 MOST = 1024  # contacts closed at once: a step with more is NumPy's
-
-
-def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
-    """Kind and numbers of a shape as ``driver/contact/contact.c`` reads them."""
-    if type(shape) not in KNOWN:
-        return OWN, []
-    return KNOWN.index(type(shape)), [float(x) for part in shape.numbers(dim) for x in np.ravel(part)]
 
 
 def known(contacts: ContactSet, pair: Any) -> bool:
@@ -74,37 +64,25 @@ def whole_numbers(address: int, size: int) -> np.ndarray:
     return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_int)), (size,))
 
 
-class ContactDriver:
+class ContactDriver(PairTables):
     """The driver for one system with contact: tables, calls into Python, and three states in turn."""
 
     def __init__(self, system: System, plain: System, library: Any, impacts: int, *, redundant: bool) -> None:
         self.impacts, self.accumulations = impacts, 0
         self.unsolved: ConvergenceError | None = None  # why forces of the last step were not found
-        self.system, self.library, self.contacts = system, library, system.contacts
-        self.stops = [pair for pair in self.contacts.pairs if isinstance(pair, LimitPair)]
-        self.tables = Tables(plain, redundant=redundant, coordinates=[pair.relative for pair in self.stops])
+        self.library, pairs = library, system.contacts.pairs
+        stops = [pair.relative for pair in pairs if isinstance(pair, LimitPair)]
+        super().__init__(Tables(plain, redundant=redundant, coordinates=stops), system, pairs)
         self.calls = Calls(self.tables)
         self.n, self.nq, self.m = system.n_v, system.n_q, system.n_lam
         self.ring = Ring(system, 3)
         self.parameters = np.zeros(slots.PARAMETERS)
         self.parameters[BOUNDED] = float(np.isfinite(self.contacts.thickness).any())
 
-        self.arrays: dict[str, np.ndarray] = {}
         self.c = self._contacts()
-        self.failed = PYTHON(self.answer)
-        self.c.python = self.failed
+        self.c.python = self.function
         self._verdict = ctypes.c_int(0)
         self._tape: ContactTape | None = None
-
-    def _array(self, name: str, values: Any, dtype: Any = np.float64) -> int:
-        """The address of an array that is kept under its name."""
-        self.arrays[name] = np.array(values, dtype=dtype, order="C")
-        return int(self.arrays[name].ctypes.data)
-
-    def _zeros(self, name: str, size: int, dtype: Any = np.float64) -> int:
-        """The address of so many zeros, which take memory where they are written first."""
-        self.arrays[name] = np.zeros(size, dtype)
-        return int(self.arrays[name].ctypes.data)
 
     def _contacts(self) -> ctypes.Structure:
         """The structure, with all of its arrays."""
@@ -185,111 +163,22 @@ class ContactDriver:
         addresses = {name: self._array(name, x, np.int32) for name, x in tables.items()}
         return {"movers": len(made), "singles": len(found.single), "mover": ctypes.addressof(self.movers), **addresses}
 
-    def _touch(self, name: str, m: int, d: int) -> ctypes.Structure:
-        """Room for where all points stand."""
-        sizes = {"gap": m, "x": m * d, "normal": m * d, "relative": m * d}
-        return Touch(**{k: self._array(f"{name} {k}", np.zeros(size)) for k, size in sizes.items()})
-
-    def _points(self) -> tuple[np.ndarray, Array]:
-        """Bodies that the candidates act on, (m, 2), -1 for none, and places of points in the axes of the first, (m, d)."""
-        first, second, places = [], [], []
-        for one, pair in zip(self.pairs, self.contacts.pairs, strict=True):
-            frames, points, other = pair.slave.frames, pair.slave.points, one.carrier
-            if isinstance(pair, LimitPair):
-                # stops act on the two bodies of their joint
-                a, other = self.tables.body_of(self.tables.frame[[pair.relative.a[0], pair.relative.b[0]]])
-                frames, points = np.full(pair.count, a), np.zeros((pair.count, self.tables.dim))
-            elif pair.slave.surface is not None:
-                trace = self.contacts.traces[pair.slave.trace]
-                frames, points = np.full(pair.count, trace.frame), trace.X[pair.slave.surface.nodes]
-
-            first.append(frames)
-            second.append(other)
-            places.append(points)
-        others = np.array(second)[self.contacts.pair]
-        return np.stack((np.concatenate(first), others), axis=1), np.concatenate(places)
-
-    def _pairs(self) -> None:
-        """The pairs' structures."""
-        first = 0
-        kind = structure("Pair", self.tables.dim)
-        made = []
-
-        for pair in self.contacts.pairs:
-            one = kind(
-                first=first, count=pair.count, moving=int(pair.moving), radius=pair.slave.radius, carrier=-1,
-                friction=pair.friction, restitution=pair.restitution, thickness=pair.thickness,
-            )  # fmt: skip
-            one.asked[:] = [np.nan] * len(one.asked)
-            if isinstance(pair, LimitPair):
-                self._stop(one, pair)
-            else:
-                self._obstacle(one, pair)
-            first += pair.count
-            made.append(one)
-
-        self.pairs = (kind * len(made))(*made)
-
-    def _obstacle(self, one: Any, pair: ObstaclePair) -> None:
-        """Shape and carrier of an obstacle, and the modes of the nodes that may touch it."""
-        found = shape_data(pair.shape, self.tables.dim)
-        one.shape, one.data[: len(found[1])] = found
-        if not pair.moving and 0 <= pair.carrier.frame < self.system.n_frames:
-            one.carrier = pair.carrier.frame
-        elif not pair.moving:
-            one.pose[:] = list(pair.carrier.offset)
-        if pair.slave.surface is not None:
-            trace: Any = self.contacts.traces[pair.slave.trace]
-            modes = trace.modes.reshape(trace.n, self.tables.dim, -1)
-            one.modes = self._array(f"modes {one.first}", modes[pair.slave.surface.nodes])
-
-    def _stop(self, one: Any, pair: LimitPair) -> None:
-        """The coordinate of stops, and where they are."""
-        marker = int(pair.relative.b[0])
-        tables = self.tables
-        one.shape = LIMIT
-
-        # the coordinate; moments of angles push no point
-        one.batch = tables.coordinate(self.stops.index(pair))
-        one.pushes = int(not pair.relative.angular)
-        one.lever = pair.lever(self.system)
-
-        # the point on b
-        on_surface = marker in tables.surfaces
-        one.marked = int(tables.frame[marker])
-        one.mark[:] = [0.0] * tables.dim if on_surface else list(self.system.markers.position[marker])
-
-        # its stops
-        one.bound[: pair.count] = list(pair.bounds)
-        one.side[: pair.count] = list(pair.signs)
-
     # -- calls of C ----------------------------------------------------------------------------------------------------------
     def answer(self, what: int, number: int, t: float) -> int:
         """0, or 1 where Python raised: the step is then made in NumPy, which says why, but for forces that are not found."""
         try:
-            if what == POSE_OF:
-                self.pairs[number].pose[:] = list(self.contacts.pairs[number].carrier.motion(t))
-            elif what == DISTANCES:
-                self._distances(number)
-            elif what == RESTED:
+            if what == RESTED:
                 self.accumulations += 1
                 tell_rest(self.contacts, number, t)
-            else:
+            elif what == COMPLEMENTARITY:
                 self._forces(number)
+            else:
+                self._answer(what, number, t)
         except Exception as error:
             if what == COMPLEMENTARITY and isinstance(error, ConvergenceError):
                 self.unsolved = error
             return 1
         return 0
-
-    def _distances(self, number: int) -> None:
-        """Signed distances and gradients of a pair's points by its own shape."""
-        m, d = self.c.points, self.tables.dim
-        places, distances, gradients = np.split(self.arrays["own"], [m * d, m * (d + 1)])
-        mine = slice(self.pairs[number].first, self.pairs[number].first + self.pairs[number].count)
-
-        shape = self.contacts.pairs[number].shape
-        distances[mine], gradients.reshape(m, d)[mine] = shape.evaluate(places.reshape(m, d)[mine].copy())
 
     def _forces(self, m: int) -> None:
         """Forces of a group of m contacts with the matrix W and the openings q without force."""

@@ -15,6 +15,8 @@ Tree, Block = (structure_of(PARTS, name) for name in ("Tree", "Block"))
 Contacts = structure_of(
     SOURCE, "Contacts", Touch=Touch, Block=Block, Problem=Problem, Graph=Graph, Blocks=Blocks, Tally=Tally
 )
+FLIGHT = "contact/free_flight.c"
+FACING, FREE_FLIGHT = structure_of(FLIGHT, "Facing"), structure_of(FLIGHT, "FreeFlight")
 
 
 def structure(name: str, dim: int) -> type[ctypes.Structure]:

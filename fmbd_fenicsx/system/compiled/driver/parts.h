@@ -127,6 +127,12 @@ static inline Block block_at(const System *s, double *x)
 int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 
+/* free_flight.c: whether nothing touches in a step of size h, then its books are written; LOOK where something may. The step counts. */
+typedef struct FreeFlight FreeFlight;
+PART int fly(System *s, FreeFlight *o, double h, const Block *now, const Block *out);
+PART void land(FreeFlight *o);
+enum { WORKS = 5 }; /* of contacts since the start, see sensors/contact.py: in records of such steps */
+
 /* schemes.c */
 void predictor(const Block *past, int known, double t, double *w);
 EXPORT int driver_arrive(System *s, int places, double t, double length, double *q, double *v, double *a, double *lam, double *room);
@@ -147,6 +153,14 @@ int side_row(System *s, const Batch *k, long i, int side, int *body);
 void item_row(System *s, const Batch *k, long i, double factor, double *row);
 void all_rows(System *s, const double *mu, double *G);
 EXPORT int driver_solve(System *s, long count, const double *q, const double *b, const double *c, double *x, double *y);
+EXPORT int driver_balances(System *s, long count, const double *t, const double *q, const double *v, const double *a,
+                           const double *lam, double *out);
+EXPORT int driver_constraints(System *s, long count, const double *t, const double *q, const double *v, double *gap, double *slip,
+                              double *partial, double *second);
+EXPORT int driver_energies(System *s, long count, const double *t, const double *q, const double *v, double *out);
+EXPORT int driver_work(System *s, double t, const double *q, const double *v, const double *xi, double *work);
+EXPORT int driver_compose(System *s, long count, const double *q0, long step, const double *xi, long xi_step, double *q);
+EXPORT void driver_rate(const System *s, long count, const double *xi, long step, const double *v, long v_step, double *rates);
 EXPORT void driver_difference(const System *s, long count, const double *q0, long step, const double *q1, long end_step,
                               const double *near, long near_step, double *xi);
 int acting(System *s, const double *lam, double t);

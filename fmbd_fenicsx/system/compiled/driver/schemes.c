@@ -1,4 +1,4 @@
-/* Steps of generalized-alpha, of energy-momentum and explicit schemes, of RATTLE; marches of all schemes. */
+/* Steps of generalized-alpha, of energy-momentum and explicit schemes, of RATTLE, of the theta rule; marches of all schemes. */
 
 #include "tables.h"
 #include "algebra/rotations.c"
@@ -12,5 +12,6 @@
 #include "marches/own_steps.c"
 #include "onestep/runge_kutta.c"
 #include "onestep/mean_steps.c"
+#include "onestep/theta.c"
 #include "marches/control.c"
 #include "marches/march.c"

@@ -35,7 +35,7 @@ enum { RECENT = 8 };                                       /* samples that are k
 enum { FORGETS, RECALLS, ANEW };
 enum { LINE = 5, MOST_POINTS = 7 };                                      /* s, s', N, dN/ds and dN/ds' where Newton's iteration was last */
 enum { GOES_ON, CONVERGED, DIVERGED, TOO_SLOW };           /* outcomes of Newton's iteration of an implicit step */
-enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF }; /* schemes that make many steps in one call, see march.c */
+enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF, THETA_RULE }; /* schemes that make many steps in one call, see march.c */
 
 typedef void kernel(long n, const int *pair, const double *frames, const double *P, const double *W, double *out);
 

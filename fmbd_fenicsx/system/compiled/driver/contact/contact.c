@@ -1,10 +1,11 @@
 /* Contact of points with obstacles, and stops of joint coordinates: gaps, normals and rows, as mechanics/contact/rows.py, shapes.py
    and limits.py define them.
 
-   Points are fixed in a body, or nodes of a reduced one. An obstacle is at rest, moves as prescribed (Python gives its pose), or is
-   carried by a body. A stop is a pair of its own, whose one or two candidates are the lower and the upper one. */
+   Points are fixed in a body, or nodes of a reduced one or of a field. An obstacle is at rest, moves as prescribed (Python gives its
+   pose), or is carried by a body. A stop is a pair of its own, whose one or two candidates are the lower and the upper one. The nodes of
+   a surface that touches no obstacle but another surface are a pair of their own, too. */
 
-enum { HALF_SPACE, SPHERE, CYLINDER, BOX, LIMIT, OWN }; /* OWN: Python tells the distances */
+enum { HALF_SPACE, SPHERE, CYLINDER, BOX, SURFACE, LIMIT, OWN }; /* OWN: Python tells the distances */
 enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED };   /* what Python is asked for, or told, by contact */
 enum { TOLD = 8 };                                     /* poses of a moving obstacle that are kept: those of the times of a step */
 
@@ -16,6 +17,7 @@ typedef struct {
     double told[TOLD * POSE], asked[TOLD];    /* of one that moves those told last, and their times; */
     long oldest;                              /* which of them is the oldest */
     double *modes;                            /* count x D x modes: of nodes of a reduced body, NULL for points fixed in a body */
+    int *node;                                /* count: of nodes of a field, where in q their displacements are; else NULL */
     Batch *batch;                             /* LIMIT: of the coordinate, which is its item; */
     long item;
     int mover;                                /* the sphere of its points; -1: may be anywhere */
@@ -233,6 +235,7 @@ static void local_place(const Contacts *c, const Pair *o, int i, const double *q
 {
     const Body *body = c->system->body + c->on[2 * i];
     memcpy(P, c->place + D * i, D * sizeof(double));
+    if (o->node) add(P, 1.0, q + o->node[i - o->first], D);
     if (!o->modes) return;
     const double *modes = o->modes + (long)D * body->modes * (i - o->first);
     for (int j = 0; j < D; j++) P[j] += dot(modes + j * body->modes, q + body->at_q, body->modes);
@@ -272,6 +275,7 @@ static int touch_pair(const Contacts *c, Pair *o, const double *q, double t, Tou
         for (int j = 0; j < D; j++) x[j] += pose[j], way[j] = x[j] - r[j];
         transposed(R, way, out->relative + D * i);
     }
+    if (o->shape == SURFACE) return 0;
     if (o->shape == OWN && own_distances(c, o, out, t)) return 1;
 
     for (int i = o->first; i < o->first + o->count; i++) {

@@ -22,7 +22,7 @@ EXPORT int driver_shut(System *s, double cd, double ck, double t, double allowed
    of past as it was; behind one that does not, what depends on time only is sampled at its end. In order of the schemes: */
 typedef int Maker(System *s, double *p, double *room, const Block *past, int known, Block out);
 static Maker *const MAKERS[] = {alpha_step, rattle_step, runge_kutta_step, half_explicit_step, mean_march_step, radau_step,
-                               bdf_step};
+                               bdf_step,   theta_step};
 
 /* Whether the joints of a new state after a step of size h are closed, and all its numbers finite; frames are placed. */
 static int passes(System *s, Closed *o, const Block *now, double h)
@@ -39,11 +39,12 @@ static int passes(System *s, Closed *o, const Block *now, double h)
     return 1;
 }
 
-/* Who looks at the steps of a march, each may be NULL: takes records, judges errors, judges every state. */
+/* Who looks at the steps of a march, each may be NULL: takes records, judges errors, judges every state, sees whether nothing touches. */
 typedef struct {
     Tape *tape;
     Control *control;
     Closed *closed;
+    FreeFlight *flight;
 } Watch;
 
 /* Keep the newest step of a ring where an instant lies in it; whether there is room for no more. */
@@ -72,6 +73,7 @@ static int judge_state(System *s, const Watch *w, double *p, const Block *past, 
     if (guarded && placed && gained(s, p, out, e)) return GAIN;
     if ((s->remembers || recorded || waits) && !placed) return LOOK;
     if (p[CHOSEN] != 0.0 && s->remembers && friction_overran(s, *out->t, *out->t - *past->t)) return LOOK;
+    if (recorded && w->flight) memcpy(w->tape->contact + WORKS * place_on(w->tape), out->own, WORKS * sizeof(double));
     if (recorded) verdict = record(s, w->tape, out, guarded ? e : 0, w->tape->left == 1 || waits);
     else if (waits) judge_drift(s, w->tape, out);
     if (!verdict && s->remembers) verdict = keep(s, *out->t);
@@ -91,12 +93,13 @@ static void turn_ring(double **ring, double *p)
 static int one_step(System *s, int scheme, double *p, double *room, double **ring, const Watch *w, int recorded)
 {
     Block past[3], out = block_at(s, ring[3]);
-    const int known = (int)p[HISTORY];
+    const int known = w->flight ? 0 : (int)p[HISTORY]; /* others make some of its steps, from the state alone */
     double before[PARAMETERS], fastest = w->closed ? w->closed->fastest : 0.0;
     memcpy(before, p, sizeof(before));
     for (int i = 0; i <= known; i++) past[i] = block_at(s, ring[i]);
 
     int verdict = MAKERS[scheme](s, p, room, past, known, out), made = !verdict;
+    if (made && w->flight) made = !(verdict = fly(s, w->flight, p[H], past, &out));
     int rates = scheme == ALPHA && (w->control || recorded || (w->tape && awaited(w->tape, *out.t))) && rates_wait(s, p);
     if (made && rates && s->python(SAMPLE, RATES, *out.t)) return FAILED;
     if (made) verdict = judge_state(s, w, p, past, &out, recorded);
@@ -116,9 +119,9 @@ static void keep_pressures(const System *s, int back)
 
 /* Up to ``steps`` steps, as march() makes them. */
 static long march_on(System *s, int scheme, double *p, double *room, long steps, double **ring, int *verdict, Tape *tape,
-                     Control *control, Closed *closed)
+                     Control *control, Closed *closed, FreeFlight *flight)
 {
-    const Watch watch = {tape, control, closed};
+    const Watch watch = {tape, control, closed, flight};
     *verdict = DONE;
     for (long made = 0; made < steps;) {
         int due = tape && tape->left == 1, recorded = due || (tape && tape->crossings);
@@ -129,6 +132,7 @@ static long march_on(System *s, int scheme, double *p, double *room, long steps,
         }
         if (tape) tape->left = due ? tape->every : tape->left - 1;
         turn_ring(ring, p);
+        if (flight) land(flight);
         made++;
 
         const Block now = block_at(s, ring[0]);
@@ -143,12 +147,13 @@ static long march_on(System *s, int scheme, double *p, double *room, long steps,
 }
 
 /* Up to ``steps`` steps in a ring of four blocks: ring[0] is the newest, ring[3] free. Returns how many were made; the reason to
-   stop earlier is in ``verdict``, the state is then that of the last good step. ``tape``, ``control``, ``closed``: see Watch. */
+   stop earlier is in ``verdict``, the state is then that of the last good step. ``tape``, ``control``, ``closed``, ``flight``: see
+   Watch. */
 EXPORT long march(System *s, int scheme, double *p, double *room, long steps, double **ring, int *verdict, Tape *tape,
-                  Control *control, Closed *closed)
+                  Control *control, Closed *closed, FreeFlight *flight)
 {
     s->recalls = ANEW;
-    const long made = march_on(s, scheme, p, room, steps, ring, verdict, tape, control, closed);
+    const long made = march_on(s, scheme, p, room, steps, ring, verdict, tape, control, closed, flight);
     s->recalls = FORGETS;
     return made;
 }

@@ -1,0 +1,159 @@
+"""Steps of elastic bodies in which nothing touches, many in one call (``driver/contact/free_flight.c``)."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ....mechanics.contact.contact_set import NEAREST, ContactSet
+from ....mechanics.contact.mortar import MortarPair
+from ....mechanics.contact.obstacle_pair import ObstaclePair
+from ....rotations import Array
+from ....system.compiled.blocks import state_of
+from ....system.compiled.choice import driver_of
+from ....system.compiled.library import CONTACT
+from ....system.compiled.march import March
+from ....system.compiled.recording import Recorded
+from ....system.compiled.states.evaluation import DriverStates
+from ....system.compiled.tape import Openness, Tape
+from ....system.layout import State
+from ....system.sensors.contact import WORKS, ContactForces, ContactState
+from ....system.system import System
+from .pairs import PairTables, SurfacePoints
+from .structures import FACING, FREE_FLIGHT, Contacts
+
+
+def looked_at(contacts: ContactSet) -> bool:
+    """Whether compiled code sees where all that may touch stands: nodes of fields before obstacles, or before each other."""
+
+    def on_field(side: Any) -> bool:
+        return side.surface is not None and side.trace in contacts.on_fields
+
+    return all(
+        on_field(p.slave) and (type(p) is ObstaclePair or (type(p) is MortarPair and on_field(p.master)))
+        for p in contacts.pairs
+    )
+
+
+class Surroundings(PairTables):
+    """What bodies may touch, for the march of their steps; ``share`` of a step at which its forces act."""
+
+    def __init__(self, march: March, system: System, share: float) -> None:
+        listed: list[Any] = []
+        facing: list[tuple[int, int, float]] = []
+        for pair in system.contacts.pairs:
+            if type(pair) is MortarPair:
+                facing.append((len(listed), len(listed) + 1, pair.sight))
+                listed += [SurfacePoints(pair.slave), SurfacePoints(pair.master)]
+            else:
+                listed.append(pair)
+        super().__init__(march.tables, system, listed)
+
+        searched = [np.nan if pair.search is None else pair.search for pair in listed]
+        self._pairs()
+        on, place = self._points()
+        m, s = len(on), march.system
+        d = self.tables.dim
+        self.c = Contacts(
+            pairs=len(listed), points=m, pair=ctypes.addressof(self.pairs), on=self._array("on", on, np.int32),
+            place=self._array("place", place), own=self._zeros("own", m * (1 + 2 * d)),
+            now=self._touch("now", m, d), end=self._touch("end", m, d), python=self.function,
+            system=march.address,
+        )  # fmt: skip
+        self._facing = (FACING * len(facing))(*facing)
+        self._flight = FREE_FLIGHT(
+            contacts=ctypes.addressof(self.c), facings=len(facing), facing=ctypes.addressof(self._facing), share=share,
+            least=NEAREST * system.length, search=self._array("search", searched), loaded=int(bool(system.forces)),
+            room=self._zeros("room", 3 * s.n_v + s.n_q + 4 * s.n_lam),
+        )  # fmt: skip
+
+    def begin(self) -> int:
+        """The address for a march from another state."""
+        self.c.known = 0
+        return ctypes.addressof(self._flight)
+
+
+class FreeMarch(March):
+    """The march of such steps of a ``system``, whose twin the tables of the states are about."""
+
+    def __init__(self, states: DriverStates, system: System, scheme: str, *, share: float, room: int) -> None:
+        library = driver_of(states.twin.system, CONTACT)
+        super().__init__(library, states.tables, states.calls, scheme, own=len(WORKS) + 2, room=room)
+        self.around = Surroundings(self, system, share)
+        self.whole = system
+
+    def tape(self, judged: Openness) -> Tape:
+        """Room for records, not for instants within steps. Made once."""
+        if self._tape is None:
+            self._tape = FlightTape(self, judged)
+        return self._tape
+
+
+class FlightTape(Tape):
+    """Room for the records of one march, with the works of contact; ``impulse`` (pairs, d): since the start."""
+
+    def __init__(self, march: FreeMarch, judged: Openness) -> None:
+        self.whole, self.impulse = march.whole, np.zeros(0)
+        super().__init__(march.tables, judged, contact=len(WORKS))
+
+    def _records(self, which: slice) -> Recorded:
+        return FlightRecorded(super()._records(which), self)
+
+
+class FlightRecorded(Recorded):
+    """Records of steps in which nothing touches."""
+
+    def __init__(self, found: Recorded, tape: FlightTape) -> None:
+        super().__init__(found.twin, found.looks, found.arrays, found.doubt)
+        self.whole, self.impulse = tape.whole, tape.impulse
+        del self.contact  # made where somebody asks
+
+    @cached_property
+    def contact(self) -> Untouched:  # type: ignore[override]
+        """What sensors read of contacts."""
+        return Untouched(self)
+
+    def copied(self) -> Recorded:
+        """As :meth:`Recorded.copied`."""
+        out = super().copied()
+        out.__dict__.pop("contact", None)
+        return out
+
+    def state(self, i: int) -> State:
+        """One of the states, with where its contacts are."""
+        s = super().state(i)
+        return ContactState(s.t, s.q, s.v, s.a, s.lam, self.contact.record(i, s))
+
+
+class Untouched:
+    """As :class:`ContactForces` of many records, where nothing touches."""
+
+    def __init__(self, seen: FlightRecorded) -> None:
+        self.seen, self.contacts = seen, seen.whole.contacts
+        self.names, self.pair = self.contacts.names, self.contacts.pair
+        self.work: Array = seen.arrays["contact"]
+        k, m, d = len(self.work), len(self.pair), seen.dim
+        self.force: Array = np.zeros((k, m, d))
+        self.normal_force = self.pressure = self.force[..., 0]
+        self.impulse: Array = np.broadcast_to(seen.impulse, (k, *seen.impulse.shape))
+
+    of = ContactForces.of
+
+    @cached_property
+    def gap(self) -> Array:
+        """(k, m) m."""
+        system, states = self.seen.whole, self.seen.arrays["block"]
+        found = [self.seen.twin.state(state_of(self.seen.looks.system, x)) for x in states]
+        return np.array([self.contacts.touch(system, s.t, s.q).geometric for s in found]).reshape(self.force.shape[:2])
+
+    def record(self, i: int, s: State) -> ContactForces:
+        """Those of one record, in a state."""
+        at = self.contacts.touch(self.seen.whole, s.t, s.q)
+        none = self.normal_force[i].copy()
+        return ContactForces(
+            self.names, s.t, self.pair, at.x, at.normal, at.geometric, none, self.force[i].copy(), none,
+            self.impulse[i].copy(), self.work[i].copy(),
+        )  # fmt: skip

@@ -1,0 +1,192 @@
+"""Pairs that may touch as the compiled driver reads them (``driver/contact/contact.c``), and what it asks Python about them."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ....mechanics.contact.contact_set import ContactSet
+from ....mechanics.contact.limits import LimitPair
+from ....mechanics.contact.obstacle_pair import ObstaclePair
+from ....mechanics.contact.pair import Side
+from ....mechanics.contact.trace import FieldTrace
+from ....mechanics.shapes import KNOWN, Shape
+from ....rotations import Array
+from ....system.compiled.declarations import PYTHON, enumeration
+from ....system.compiled.tables.tables import Tables
+from ....system.system import System
+from .structures import SOURCE, Touch, structure
+
+POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = enumeration("POSE_OF", SOURCE).values()
+*_, SURFACE, LIMIT, OWN = enumeration("HALF_SPACE", SOURCE).values()  # behind the shapes that the driver knows
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """The nodes of a surface that touches no obstacle but another surface, as a pair of their own."""
+
+    slave: Side
+    friction: float = 0.0
+    restitution: float = 0.0
+    thickness: float = np.inf
+    search: float | None = None
+    moving: bool = False
+
+    @property
+    def count(self) -> int:
+        """Nodes."""
+        assert self.slave.surface is not None
+        return len(self.slave.surface.nodes)
+
+
+def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
+    """Kind and numbers of a shape as ``driver/contact/contact.c`` reads them."""
+    if type(shape) not in KNOWN:
+        return OWN, []
+    return KNOWN.index(type(shape)), [float(x) for part in shape.numbers(dim) for x in np.ravel(part)]
+
+
+class PairTables:
+    """Pairs of contacts of a system, with the bodies of some tables; ``arrays``: what C reads and writes."""
+
+    c: Any  # the structure Contacts
+    pairs: Any  # and those of the pairs
+
+    def __init__(self, tables: Tables, system: System, listed: Sequence[Any]) -> None:
+        self.tables, self.system, self.listed = tables, system, list(listed)
+        self.contacts: ContactSet = system.contacts
+        self.stops = [pair for pair in listed if isinstance(pair, LimitPair)]
+        self.arrays: dict[str, np.ndarray] = {}
+        self.function = PYTHON(self.answer)
+
+    def _array(self, name: str, values: Any, dtype: Any = np.float64) -> int:
+        """The address of an array that is kept under its name."""
+        self.arrays[name] = np.array(values, dtype=dtype, order="C")
+        return int(self.arrays[name].ctypes.data)
+
+    def _zeros(self, name: str, size: int, dtype: Any = np.float64) -> int:
+        """The address of so many zeros, which take memory where they are written first."""
+        self.arrays[name] = np.zeros(size, dtype)
+        return int(self.arrays[name].ctypes.data)
+
+    def _touch(self, name: str, m: int, d: int) -> ctypes.Structure:
+        """Room for where all points stand."""
+        sizes = {"gap": m, "x": m * d, "normal": m * d, "relative": m * d}
+        return Touch(**{k: self._array(f"{name} {k}", np.zeros(size)) for k, size in sizes.items()})
+
+    def _points(self) -> tuple[np.ndarray, Array]:
+        """Bodies that the candidates act on, (m, 2), -1 for none, and places of points in the axes of the first, (m, d)."""
+        first, second, places = [], [], []
+        for one, pair in zip(self.pairs, self.listed, strict=True):
+            frames, points, other = pair.slave.frames, pair.slave.points, one.carrier
+            if isinstance(pair, LimitPair):
+                # stops act on the two bodies of their joint
+                a, other = self.tables.body_of(self.tables.frame[[pair.relative.a[0], pair.relative.b[0]]])
+                frames, points = np.full(pair.count, a), np.zeros((pair.count, self.tables.dim))
+            elif pair.slave.surface is not None:
+                frames, points = self._nodes(pair)
+
+            first.append(frames)
+            second.append(other)
+            places.append(points)
+        others = np.array(second)[np.repeat(np.arange(len(self.listed)), [pair.count for pair in self.listed])]
+        return np.stack((np.concatenate(first), others), axis=1), np.concatenate(places)
+
+    def _nodes(self, pair: Any) -> tuple[np.ndarray, Array]:
+        """Bodies of the nodes of a surface, and their places in the axes of these."""
+        trace = self.contacts.traces[pair.slave.trace]
+        part: Any = self.tables.system.parts[trace.part]
+        places = trace.X[pair.slave.surface.nodes]
+        return np.full(pair.count, part.frame), places if trace.moving else places - part.origin
+
+    def _moved(self, one: Any, pair: Any) -> None:
+        """What moves the nodes of a surface in their body: modes, or coordinates of their own."""
+        trace: Any = self.contacts.traces[pair.slave.trace]
+        nodes, d = pair.slave.surface.nodes, self.tables.dim
+        if isinstance(trace, FieldTrace):
+            first = self.tables.system.slices[0][trace.part].start
+            one.node = self._array(f"nodes {one.first}", first + d * trace.own[nodes], np.int32)
+        else:
+            one.modes = self._array(f"modes {one.first}", trace.modes.reshape(trace.n, d, -1)[nodes])
+
+    def _pairs(self) -> None:
+        """The pairs' structures."""
+        first = 0
+        kind = structure("Pair", self.tables.dim)
+        made = []
+
+        for pair in self.listed:
+            one = kind(
+                first=first, count=pair.count, moving=int(pair.moving), radius=pair.slave.radius, carrier=-1,
+                friction=pair.friction, restitution=pair.restitution, thickness=pair.thickness,
+            )  # fmt: skip
+            one.asked[:] = [np.nan] * len(one.asked)
+            if isinstance(pair, LimitPair):
+                self._stop(one, pair)
+            elif isinstance(pair, SurfacePoints):
+                one.shape = SURFACE
+            else:
+                self._obstacle(one, pair)
+            if pair.slave.surface is not None:
+                self._moved(one, pair)
+            first += pair.count
+            made.append(one)
+
+        self.pairs = (kind * len(made))(*made)
+
+    def _obstacle(self, one: Any, pair: ObstaclePair) -> None:
+        """Shape and carrier of an obstacle."""
+        found = shape_data(pair.shape, self.tables.dim)
+        one.shape, one.data[: len(found[1])] = found
+        if not pair.moving and 0 <= pair.carrier.frame < self.system.n_frames:
+            one.carrier = pair.carrier.frame
+        elif not pair.moving:
+            one.pose[:] = list(pair.carrier.offset)
+
+    def _stop(self, one: Any, pair: LimitPair) -> None:
+        """The coordinate of stops, and where they are."""
+        marker = int(pair.relative.b[0])
+        tables = self.tables
+        one.shape = LIMIT
+
+        # the coordinate; moments of angles push no point
+        one.batch = tables.coordinate(self.stops.index(pair))
+        one.pushes = int(not pair.relative.angular)
+        one.lever = pair.lever(self.system)
+
+        # the point on b
+        on_surface = marker in tables.surfaces
+        one.marked = int(tables.frame[marker])
+        one.mark[:] = [0.0] * tables.dim if on_surface else list(self.system.markers.position[marker])
+
+        # its stops
+        one.bound[: pair.count] = list(pair.bounds)
+        one.side[: pair.count] = list(pair.signs)
+
+    def answer(self, what: int, number: int, t: float) -> int:
+        """0, or 1 where Python raised: the step is then made in NumPy, which says why."""
+        try:
+            self._answer(what, number, t)
+        except Exception:
+            return 1
+        return 0
+
+    def _answer(self, what: int, number: int, t: float) -> None:
+        """The pose of an obstacle, or distances to a shape of the user's own."""
+        if what == POSE_OF:
+            self.pairs[number].pose[:] = list(self.listed[number].carrier.motion(t))
+        else:
+            self._distances(number)
+
+    def _distances(self, number: int) -> None:
+        """Signed distances and gradients of a pair's points by its own shape."""
+        m, d = self.c.points, self.tables.dim
+        places, distances, gradients = np.split(self.arrays["own"], [m * d, m * (d + 1)])
+        mine = slice(self.pairs[number].first, self.pairs[number].first + self.pairs[number].count)
+
+        shape = self.listed[number].shape
+        distances[mine], gradients.reshape(m, d)[mine] = shape.evaluate(places.reshape(m, d)[mine].copy())

@@ -1,0 +1,161 @@
+"""Steppers of elastic contact, whose steps are many in one call of compiled code where nothing touches.
+
+Compiled code makes a step of the scheme without contact, and looks where it has led to; a step in which something may touch is
+made in Python, with contact. Who makes a step depends on the state alone, and no result on how many were asked for at once.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from ...linear.blocks.field_blocks import Weights
+from ...linear.driver_solver import FieldDriverSolver
+from ...rotations import Array
+from ...system.compiled import march as slots
+from ...system.layout import State
+from ...system.serialisation import plain
+from ..marching import lend_energies, lend_newton, take_energies
+from ..stepping import UNOBSERVED, Observers
+from .contact_stepper import ContactStepper
+
+if TYPE_CHECKING:
+    from ...system.compiled.tape import Openness, Tape
+    from .compiled.free_flight import FreeMarch
+
+
+FLYING = "compiled where nothing is near what it may touch; NumPy for steps in contact"
+
+
+class FlyingStepper(ContactStepper):
+    """A scheme says how its steps without contact are called (``maker``), and what they are made by."""
+
+    maker: ClassVar[str]
+
+    share: float  # of a step, at which its forces act
+    keeps: ClassVar = {**ContactStepper.keeps, "close": plain()}
+    close: bool = False  # whether something was near in the last step
+    flown: int = 0  # steps
+    _size: float  # s, of the steps that are asked for
+    _march: FreeMarch | None = None
+    _refused: State | None = None  # from where on something may touch, or no step was found
+
+    # -- what a scheme says -------------------------------------------------------------------------------------------------
+    def _weights(self, h: float) -> Weights:
+        """Of the matrix of a step of size h (s)."""
+        raise NotImplementedError
+
+    def _room(self) -> Array:
+        """What its steps are made by, in front of the room to work in."""
+        return np.zeros(0)
+
+    def _lend(self, march: FreeMarch, h: float) -> None:
+        """Write into the march what steps of size h (s) are made by."""
+
+    def _algorithmic(self) -> Array:
+        """Algorithmic accelerations of the state."""
+        return np.zeros_like(self.state.v)
+
+    def _take_flight(self, march: FreeMarch, made: int, h: float) -> None:
+        """Take from the newest states what it keeps, after so many steps of size h (s)."""
+
+    # -- steps --------------------------------------------------------------------------------------------------------------
+    @cached_property
+    def flies(self) -> bool:
+        """Whether compiled code makes steps in which nothing touches."""
+        from .compiled.free_flight import looked_at
+
+        driver = self.solver.driver
+        if not isinstance(driver, FieldDriverSolver) or self.solver.core.redundant:
+            return False
+        looks = driver.told.tables.looks
+        return looks.energies_known and not looks.stores and looked_at(self.contacts)
+
+    def stride(self, h: float) -> float:
+        """As :meth:`TimeStepper.stride`."""
+        self._size = h
+        return h if self._may_fly else 0.0
+
+    def _march_for(self, h: float) -> FreeMarch | None:
+        """The march with the factors of steps of size h (s)."""
+        driver = self.solver.driver
+        assert isinstance(driver, FieldDriverSolver)
+        states = driver.of_steps(self.state, self._weights(h))
+        if states is None:
+            return None
+        if self._march is None or self._march.tables is not states.tables:
+            from .compiled.free_flight import FreeMarch
+
+            twin, head = states.tables.system, self._room()
+            room = len(head) + 6 * twin.n_v + 2 * twin.n_q + 6 * twin.n_lam
+            self._march = FreeMarch(states, self.system, self.maker, share=self.share, room=room)
+            self._march.room[: len(head)] = head
+        return self._march
+
+    def tape(self, judged: Openness) -> Tape | None:
+        """As :meth:`TimeStepper.tape`, where a flight may begin."""
+        march = self._march_for(self._size) if self._may_fly else None
+        return None if march is None else march.tape(judged)
+
+    @property
+    def _may_fly(self) -> bool:
+        """Whether nothing was near in the last step, and the next one has not been found out to be no flight."""
+        return self.flies and not self.close and self._refused is not self.state
+
+    def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
+        """As :meth:`TimeStepper.march`, up to one in which something may touch."""
+        s = self.state
+        march = self._march_for(h) if self._may_fly else None
+        if march is None:
+            self._refused = s
+            return 0
+
+        p, joints, driver = march.parameters, observers.joints, self.solver.driver
+        lend_newton(p, self.system, self.newton)
+        self._lend(march, h)
+        p[slots.H], p[slots.THETA] = h, self.newton.theta
+        lend_energies(p, observers.energy)
+        if joints is not None:
+            march.judge(joints.limits(h), np.inf)
+        if observers.tape is not None:
+            observers.tape.impulse = self.ledger.impulse
+        assert driver is not None
+        driver.begin_steps(s)
+        march.load([(s.t, s.q, s.v, s.a, self._algorithmic(), s.lam)])
+        march.ring.own()[:] = self.ledger.books
+        made, verdict = march.steps(steps, observers.tape, judged=joints is not None, flight=march.around.begin())
+        driver.end_steps(None)
+        march.calls.forget_error()  # a step in Python meets it again
+
+        if made:
+            self._take(march, made, h)
+            take_energies(p, observers.energy)
+            if joints is not None:
+                joints.passed(self.state.t, float(march.closed.fastest))
+        if verdict:
+            self._refused = self.state
+        return made
+
+    def _take(self, march: FreeMarch, made: int, h: float) -> None:
+        """The newest state, the books and what was counted."""
+        p, newton, s = march.parameters, self.newton, march.state()
+        self._take_flight(march, made, h)
+        newton.iterations += int(p[slots.ITERATIONS])
+        newton.note(float(p[slots.LEFT]), made)
+        newton.theta = float(p[slots.THETA])
+        self.local_error, self.flown = float(p[slots.LOCAL]), self.flown + made
+        if self.contacts.searching:
+            self.contacts.update(self.system, s.q, 2 * h * self.contacts.fastest(self.system, s.v))
+        self.state = self.ledger.fly(s, march.ring.own(), s.t - (1.0 - self.share) * h)
+
+    @property
+    def path(self) -> str:  # type: ignore[override]
+        """As :attr:`TimeStepper.path`."""
+        return FLYING if self.flies else ContactStepper.path
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """With the number of compiled steps."""
+        return {**super().counters, "compiled_steps": float(self.flown)}

@@ -1,0 +1,96 @@
+"""Steps of elastic bodies in which nothing is near what it may touch: compiled, many in a call, and as those of Python."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from profiled import calls_of
+from test_contact import BLOCK
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.schemes.impacts.flying_stepper import FlyingStepper
+
+SCHEMES = [fmbd.ContactMidpoint(), fmbd.ContactMidpoint(theta=0.6), fmbd.ContactAlpha(0.8)]
+
+
+def block(kind: str, name: str, y: float, **more: Any) -> Any:
+    mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.4), counts=(5, 2), quads=True, origin=(-0.5, y))
+    return getattr(fmbd, kind)(
+        name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(50.0, 0.2), **more
+    )
+
+
+def falling(kind: str, *, all_sorts: bool) -> Any:
+    """A block that falls on a floor, beside obstacles of every sort far below; a joint, a spring and a push act on bodies."""
+    body = block(kind, "block", 0.1)
+    floor = fmbd.contact("floor", body.surface("bottom"), fmbd.HalfSpace((0, 0), (0, 1)), friction=0.2)
+    scene = fmbd.Scene("fall", gravity=(0, -9.81))
+    scene.add(body, floor)
+    if all_sorts:
+        ball, other = fmbd.RigidBody("ball", 1.0, 0.1, position=(0.1, -2.0)), block("AbsoluteBody", "other", -3.0)
+        scene.add(ball, other, fmbd.fixed("held", fmbd.ground, other.surface("bottom")))
+        scene.add(fmbd.revolute("pin", fmbd.ground, ball, center=(0.0, -2.5)))
+        scene.add(fmbd.Spring("spring", fmbd.ground, ball, stiffness=20.0, point_a=(1.0, -2.0)))
+        scene.add(fmbd.force("push", body.surface("top"), lambda t: (0.2, -0.1)))
+        obstacles = {
+            "ball": fmbd.Obstacle("ball", fmbd.Sphere(0.2), on=ball),
+            "plane": fmbd.SignedDistance(lambda x: x[1] + 1.0),
+            "ram": fmbd.Obstacle("ram", fmbd.Box((1.0, 0.2)), motion=lambda t: ((t, -1.5), 0.3 * t)),
+            "other": other.surface("top"),
+        }
+        scene.add(*(fmbd.contact(name, body.surface("bottom"), x) for name, x in obstacles.items()))
+        scene.sensor("ram", fmbd.contact_gap("ram"))
+    scene.sensor("gap", fmbd.contact_gap(floor))
+    scene.sensor("impulse", fmbd.contact_impulse(floor))
+    scene.sensor("work", fmbd.contact_work())
+    return scene
+
+
+def solved(scene: Any, scheme: Any, **more: Any) -> Any:
+    return fmbd.solve(scene, t_end=0.2, dt=2e-3, scheme=scheme, **more)
+
+
+KINDS = ["AbsoluteBody", "FloatingBody", "FloatingBody"]
+
+
+@pytest.mark.parametrize(("kind", "scheme"), zip(KINDS, SCHEMES, strict=True), ids=lambda x: getattr(x, "name", x))
+def test_flights_are_the_steps_of_python(kind: str, scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the same records, however many of them are asked for."""
+    found, some = (solved(falling(kind, all_sorts=True), scheme, output=fmbd.Output(every=n)) for n in (1, 10))
+    monkeypatch.setattr(FlyingStepper, "flies", False)
+    alone = solved(falling(kind, all_sorts=True), scheme)
+    assert 50 < found.counters["compiled_steps"] < 95 and alone.counters["contact_steps"] > 5
+
+    rounding = 1e-10 if isinstance(scheme, fmbd.ContactMidpoint) else 1e-8
+    assert (found.state.q == some.state.q).all()
+    np.testing.assert_allclose(found.state.q, alone.state.q, rtol=rounding, atol=rounding)
+    for name in ("ram", "gap", "impulse", "work"):
+        assert (found[name][::10] == some[name]).all()
+        np.testing.assert_allclose(found[name], alone[name], rtol=rounding, atol=rounding)
+    np.testing.assert_allclose(found.total_energy, alone.total_energy, rtol=rounding)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES[::2], ids=lambda s: s.name)
+def test_flights_cost_no_calls(scheme: Any) -> None:
+    """A call of Python a step at most, where those of steps in contact are hundreds."""
+    scene = falling("FloatingBody", all_sorts=False)
+
+    def calls(steps: int) -> int:
+        output = fmbd.Output(every=steps)
+        run = lambda: fmbd.solve(scene, t_end=1e-4 * steps, dt=1e-4, scheme=scheme, output=output)  # noqa: E731
+        return calls_of(run, "fmbd_fenicsx")
+
+    calls(128)
+    assert calls(1024) - calls(512) < 512
+
+
+def test_flights_end_before_what_is_thin(caplog: pytest.LogCaptureFixture) -> None:
+    """A block that would pass through a plate, from as far before it as it is behind it then."""
+    body = block("FloatingBody", "block", 0.98, velocity=(0.0, -20.0))
+    scene = fmbd.Scene("plate")
+    scene.add(body, fmbd.contact("plate", body.surface("bottom"), fmbd.Box((2.0, 0.01), center=(0.0, -0.1))))
+    with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
+        run = fmbd.solve(scene, t_end=0.06, dt=4e-3, scheme=fmbd.ContactMidpoint())
+    assert "could pass through" in caplog.text and run.counters["compiled_steps"] > 8
