@@ -100,6 +100,15 @@ def redundant() -> fmbd.Scene:
     return scene
 
 
+def wheeled() -> fmbd.Scene:
+    """A wheel that stays on a road which Python gives."""
+    scene = fmbd.Scene("wheel", gravity=(0.0, -9.81))
+    wheel = fmbd.RigidBody("wheel", 2.0, 0.1, (0.0, 0.29), velocity=(1.0, 0.0))
+    road = lambda x, t: 2e-3 * np.sin(5.0 * x[0])  # noqa: E731
+    scene.add(wheel, fmbd.Tyre("tyre", wheel, road=road, radius=0.3, stiffness=2e3, damping=20.0, up=(0.0, 1.0)))
+    return scene
+
+
 @pytest.fixture
 def marches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many steps each march has made."""
@@ -118,6 +127,7 @@ MAKERS = {
     "law": lambda: hanging(lambda s, rate, t: 3.0 * s**3 + 0.1 * rate + np.sin(t)),
     "damped": lambda: hanging(lambda s, rate, t: 40.0 * rate, mass=0.2),
     "redundant": redundant,
+    "tyre": wheeled,
     **{name: lambda element=element: remembering(element) for name, element in REMEMBERING.items()},
 }
 

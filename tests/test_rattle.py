@@ -16,6 +16,7 @@ from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.newton import Newton
+from fmbd_fenicsx.schemes.onestep.rattle import RattleStepper
 from fmbd_fenicsx.system.compiled.states.explicit import ExplicitStates
 
 
@@ -52,6 +53,31 @@ def test_going_back_returns_to_the_start() -> None:
         state = stepper.advance(1.0 / 50)
     assert np.abs(state.q - there[0].q).max() < 1e-12
     assert np.abs(state.v + there[0].v).max() < 1e-11
+
+
+def test_the_end_of_a_step_takes_its_matrix_behind_the_smallest_multipliers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a door on two hinges, where compiled code finds no accelerations: these multipliers are the driver's, and take the
+    matrix that it has.
+    """
+    scene = fmbd.Scene("door", gravity=(0, -9.81, 1.0))
+    scene.add(door := fmbd.RigidBody("door", 2.0, (0.1, 0.2, 0.3), (0.4, 0.0, 1.0)))
+    for k in (0.0, 2.0):
+        scene.add(fmbd.revolute(f"hinge {k:g}", fmbd.ground, door, center=(0, 0, k), axis=(0, 0, 1)))
+
+    ready, refine = [], RattleStepper._refine
+
+    def noted(self: RattleStepper, *given: Any) -> Any:
+        driver = self.solver.driver
+        ready.append(driver is None or driver.ready)
+        return refine(self, *given)
+
+    monkeypatch.setattr(RattleStepper, "_refine", noted)
+    monkeypatch.setattr(MarchingStepper, "stride", lambda self, h: 0.0)
+    monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+    monkeypatch.setattr(ExplicitStates, "accelerations", lambda *given: None)
+    fmbd.solve(scene, t_end=0.005, dt=1e-3, scheme=fmbd.Rattle())
+    assert all(ready)
+    assert len(ready) == 5
 
 
 def test_matrices_that_others_made_are_not_taken_for_its_own() -> None:

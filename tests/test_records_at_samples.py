@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from chains import chain
+from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.system.compiled.states.stage_patterns import StageStructure
+from fmbd_fenicsx.system.compiled.states.stages import StageRoom
 
 NEAR = 1e-5  # s
 SCHEMES = [
@@ -101,3 +104,20 @@ def test_ends_of_steps_are_not_recorded_where_samples_jump() -> None:
     """Kinks are looked for in records of every step but where forces are sampled: these were made one by one for nothing."""
     run = solved(fmbd.GeneralizedAlpha(), times=(0.0, 0.25, 0.5), estimate_error=True)
     assert run.at_steps is None and run.error_estimate
+
+
+@compiled
+@pytest.mark.parametrize("scheme", [fmbd.Radau(3, rtol=None), fmbd.BDF(2, rtol=None)], ids=lambda s: s.name)
+def test_steps_behind_a_sample_begin_with_the_room_that_is_there(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Patterns of their equations and room for their stages are made as often for five samples as for two."""
+    made: list[Any] = []
+    for kind in (StageStructure, StageRoom):
+        begin = kind.__init__
+        noted = lambda self, *given, begin=begin, **more: (made.append(self), begin(self, *given, **more))[1]  # noqa: E731
+        monkeypatch.setattr(kind, "__init__", noted)
+    counts = []
+    for t_end in (0.25, 0.55):
+        made.clear()
+        fmbd.solve(held_arm(), t_end=t_end, dt=0.01, scheme=scheme)
+        counts.append(len(made))
+    assert counts[0] == counts[1] > 0

@@ -24,7 +24,7 @@ from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ...system.tangents.foretold_efforts import foretold_efforts
-from ..consistent import MASS, project, worst_block
+from ..consistent import MASS, accelerations, project, worst_block
 from ..consistent_states import metrics_of, projected
 from ..control import FALLEN, ROUNDOFF, STAGNATION, Statistics, StepControl, first_step
 from ..dae import Points
@@ -100,6 +100,21 @@ class ImplicitStepper(ImplicitMarch):
                 "of %.1e N: %s may lose the motion. Take fmbd.GeneralizedAlpha(), or fmbd.distance(...) in place of the spring",
                 name, lost, weight, self.scheme.name,
             )  # fmt: skip
+
+    def _begin_from(self, state: State) -> None:
+        """A consistent state, without a past; equations, room and counts stay."""
+        self.state, self.proposed, self._tangent = state, None, None
+        self._full, self._spell, self._rest = False, 0, 0
+        self.eq.weigh(state)
+
+    def restart(self, t: float) -> None:
+        """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
+        self._begin_from(accelerations(self.system, replace(self.state, t=t), self.solver))
+
+    def begin_anew(self, start: Callable[[], State]) -> bool:
+        """As :meth:`TimeStepper.begin_anew`."""
+        self._begin_from(start())
+        return True
 
     @property
     def counters(self) -> dict[str, float]:

@@ -18,7 +18,7 @@ ODEs II, sections III.5 and VII.3, doi:10.1007/978-3-642-05221-7; Gear, Gupta an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,7 +33,6 @@ from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ...system.tangents.step_tangent import StepTangent
-from ..consistent import accelerations
 from ..control import StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_tolerance
@@ -119,27 +118,20 @@ class BDFStepper(Corrector):
         if not self.adaptive:  # with variable ones frequencies hardly come back
             self.eq.keep_sizes(equal=True)
 
-        # the order, and for how many steps it was held with one size
         self.highest = min(scheme.order, STABLE) if system.fields else scheme.order
-        self.k, self.held = (1, 0) if self.adaptive else (scheme.order, 0)
         self._starter: Any = None
-        self._begin()
+        if not self.adaptive and scheme.order > 1:  # a Radau method makes the first steps
+            self._starter = Radau(stages=3, form=scheme.form, rtol=None).stepper(system, solver, newton, state)
+        self._begin_from(state)
 
-    def _begin(self) -> None:
-        """The past at the start: one value, and with constant steps those of a Radau run to come."""
-        s = self.state
-        self.past = [Past(s.t, s.q, s.v, self.eq.multipliers(s))]
-        self.eq.weigh(s)
-        if not self.adaptive and self.scheme.order > 1:
-            scheme = Radau(stages=3, form=self.scheme.form, rtol=None)
-            self._starter = scheme.stepper(self.system, self.solver, self.newton, s)
-
-    def restart(self, t: float) -> None:
-        """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
-        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
-        self.proposed, self.k, self.held, self._tangent = None, 1, 0, None
+    def _begin_from(self, state: State) -> None:
+        super()._begin_from(state)
+        self.past = [Past(state.t, state.q, state.v, self.eq.multipliers(state))]
+        # the order, and for how many steps it was held with one size
+        self.k, self.held = (1, 0) if self.adaptive else (self.scheme.order, 0)
         self.amplification.forget()
-        self._begin()
+        if self._starter is not None:
+            self._starter.begin_anew(lambda: state)
 
     def remember(self, m: Memory) -> None:
         """With the tangent, whose factor is made again; of elastic fields every step takes its own."""

@@ -32,7 +32,6 @@ from ...system.layout import State
 from ...system.serialisation import Memory, plain
 from ...system.system import System
 from ...system.tangents.step_tangent import StepTangent
-from ..consistent import accelerations
 from ..control import StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_controlled
@@ -212,11 +211,9 @@ class RadauStepper(StageNewton):
         x = 1.0 - (self.state.t - t) / h
         return self._held(h, State(t, *self._polynomial(np.array(x), np.array(h), (q, v), points)))
 
-    def restart(self, t: float) -> None:
-        """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
-        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
-        self.mult = self.eq.multipliers(self.state)
-        self._last, self._tangent, self.proposed, self.control.h_old = None, None, None, 0.0
+    def _begin_from(self, state: State) -> None:
+        super()._begin_from(state)
+        self.mult, self._last, self.control.h_old = self.eq.multipliers(state), None, 0.0
 
     def _accept(self, h: float, points: Points) -> State:
         s, m = self.state, self.system.n_lam

@@ -147,9 +147,9 @@ class RattleStepper(MarchingStepper):
         if end is not None:
             self.state = State(t, q, v, *end)
             return self.state
+        self.half = least(self.solver, t, q, self.half)  # which may take the matrix
         ev = system.at(t, q, v)
         self.solver.prepare_once(ev, MASS)  # which is that of the half step before, and of the next one
-        self.half = least(self.solver, t, q, self.half)
         a, lam = self._refine(ev, a, self.half, lambda a: ev.jacobian.times(a) + ev.gamma())
         self.state = State(t, q, v, a, least(self.solver, t, q, lam))
         return self.state
