@@ -348,3 +348,22 @@ def test_a_column_beyond_its_load_is_told_of(load: float, rod_mesh: Any, caplog:
     scene.sensor("tip", fmbd.position(column.surface("tip")))
     assert abs(fmbd.equilibrium(scene)["tip"][1]) < 1e-6
     assert ('unstable: body "column"' in caplog.text) == (load > 1.0)
+
+
+@pytest.mark.parametrize("path", [fmbd.ArcLength(1.0), fmbd.LoadSteps(tuple(np.linspace(0.05, 1.0, 20)))])
+def test_a_path_stays_on_its_branch(path: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """A column pushed with 1.5 of its buckling load and 1e-4 of that across it: the elastica, or it is said that it stands on."""
+    rod = fmbd.Rod(
+        "rod", [(0, 0, 0), (1, 0, 0)], fmbd.RodSection((1e6, 1e6, 1e6, 1, 1, 1), 1.0, (1e-4,) * 3), elements=4
+    )
+    push = 1.5 * np.pi**2 / 4.0
+    scene = fmbd.Scene("column")
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("start")))
+    scene.add(fmbd.force("push", rod.surface("end"), lambda t: (-push * t, 1e-4 * push * t, 0.0)))
+    scene.sensor("tip", fmbd.position(rod.surface("end")))
+    found = fmbd.equilibrium(scene, path=path)
+
+    # 2 k / a and 2 E(k) / a - L with K(k) = a L, a^2 = P / EI
+    bent = np.abs(found["tip"][:2] - (0.36358, 0.78858)).max() < 1e-3
+    assert bent or 'unstable: body "rod' in caplog.text
+    assert bent or isinstance(path, fmbd.LoadSteps)

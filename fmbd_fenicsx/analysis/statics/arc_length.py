@@ -21,7 +21,12 @@ from ...rotations import Array
 from .static_newton import StaticNewton, StaticPoint
 
 SHARP = 0.5  # way aside of the tangent, over that along it, beyond which another branch was met
+JUMP = 0.5  # way beside the mean of the tangents at both ends of a step, over its length, beyond which it has jumped to one
+NOTHING = 1e-6  # of a step: motion that is none
 SHORT = 1e-2  # share of the largest step below which it is a corner of the path
+
+
+Direction = tuple[Array, float]  # of (1): an increment of q and one of the load parameter over the span
 
 
 @dataclass(eq=False)
@@ -81,19 +86,19 @@ class ArcLength:
         """The path from an equilibrium at t on; collective. Raises ConvergenceError where steps become too short."""
         span = self.t_end - t
         path = Path([t], [start])
-        tangent: tuple[Array, float] | None = None
+        tangent = newton.solvable(partial(_tangent, newton, start, t, span, None))
         length = self.step
 
         while len(path.points) < self.most and (path.parameter[-1] - self.t_end) * np.sign(span) < 0:
             point, now = path.points[-1], path.parameter[-1]
-            tangent = newton.solvable(partial(_tangent, newton, point, now, span, tangent))
             # halve the step until its corrector converges
             while True:
                 try:
-                    made, then, count, bend = newton.solvable(
+                    made, then, count, way = newton.solvable(
                         partial(_step, newton, (point, now), tangent, span, length)
                     )
-                    if bend > SHARP and length > SHORT * self.step:
+                    after = newton.solvable(partial(_tangent, newton, made, then, span, tangent))
+                    if length > SHORT * self.step and _astray(newton, way, (tangent, after), length):
                         raise ConvergenceError("a step along the path met another branch")
                     break
                 except (ConvergenceError, LinearSolveError) as error:
@@ -102,6 +107,7 @@ class ArcLength:
                         raise ConvergenceError(f"The path of equilibria ends at t = {now:g} s: {error}") from error
 
             path.add(then, made, length)
+            tangent = after
             # few iterations: the path is nearly straight here
             length = min(self.step, length * (1.5 if count <= 4 else 0.7 if count > 7 else 1.0))
 
@@ -118,9 +124,7 @@ def _product(newton: StaticNewton, x: Array, y: Array) -> float:
     return s.dot(s.units * x, s.units * y) / s.length**2 / max(int(components), 1)
 
 
-def _tangent(
-    newton: StaticNewton, point: StaticPoint, t: float, span: float, last: tuple[Array, float] | None
-) -> tuple[Array, float]:
+def _tangent(newton: StaticNewton, point: StaticPoint, t: float, span: float, last: Direction | None) -> Direction:
     """(d, e) of (1) with unit length, e over the span, in the sense of the last one."""
     r = newton.take(point, t)
     by_t = newton.residual.by_time(point.q, point.lam, t, 1e-6 * abs(span))
@@ -133,9 +137,9 @@ def _tangent(
 
 
 def _step(
-    newton: StaticNewton, start: tuple[StaticPoint, float], tangent: tuple[Array, float], span: float, length: float
-) -> tuple[StaticPoint, float, int, float]:
-    """One step of (1): point, parameter, number of iterations, and how far aside of the tangent it led, over its length."""
+    newton: StaticNewton, start: tuple[StaticPoint, float], tangent: Direction, span: float, length: float
+) -> tuple[StaticPoint, float, int, Direction]:
+    """One step of (1): point, parameter, number of iterations, and the way to it, its second part over the span."""
     system, (first, t0), (d, e) = newton.residual.system, start, tangent
 
     # predictor: along the tangent
@@ -164,10 +168,23 @@ def _step(
         if not size < 0.5 * system.length:
             break
         if size <= 1e-9 * system.length and abs(ds) < 1e-9:
-            aside = xi - length * d
-            bend = np.hypot(np.sqrt(_product(newton, aside, aside)), s - length * e) / length
-            return StaticPoint(system.compose(first.q, xi), lam), t0 + span * s, count + 1, float(bend)
+            return StaticPoint(system.compose(first.q, xi), lam), t0 + span * s, count + 1, (xi, s)
     raise ConvergenceError("a step along the path did not converge")
+
+
+def _astray(newton: StaticNewton, way: Direction, tangents: tuple[Direction, Direction], length: float) -> bool:
+    """Whether a step led aside of the tangent it began with, or moves the bodies otherwise than both of its tangents say.
+
+    The branches beside a bifurcation that an imperfection parts run alike, across a gap that is small against a step.
+    """
+
+    def size(x: Array) -> float:
+        return float(np.sqrt(_product(newton, x, x)))
+
+    (xi, s), ((d, e), (d_after, _)) = way, tangents
+    bend = np.hypot(size(xi - length * d), s - length * e)
+    aside = size(xi - 0.5 * length * (d + d_after))
+    return bool(bend > SHARP * length or aside > length * (0.5 * JUMP * (size(d) + size(d_after)) + NOTHING))
 
 
 def _finish(newton: StaticNewton, path: Path, t_end: float) -> None:

@@ -131,6 +131,9 @@ def equilibrium(
             check_steady(newton, point if made is None else made.points[-1], t if made is None else made.parameter[-1])
             if made is None:
                 _tell_roundoff(newton, point, t, given)
+            else:
+                newton.take(made.points[-1], made.parameter[-1])
+                _tell(newton, _falls(newton, made.points[-1], made.parameter[-1]), "Shorter steps may lead elsewhere")
         finally:
             solver.destroy()
 
@@ -315,11 +318,9 @@ def _downhill(newton: StaticNewton, start: StaticPoint, t: float) -> StaticPoint
 
 
 def _stable(newton: StaticNewton, start: StaticPoint, found: StaticPoint, t: float) -> StaticPoint:
-    """The equilibrium found, or a stable one by descent where Newton went far and ended on an unstable one; what stays is
-    told.
-    """
+    """The equilibrium found, or a stable one by descent where Newton went far to an unstable one; what stays is told."""
     system = newton.residual.system
-    motion = None if system.contacts is not None else _falls(newton, found, t)
+    motion = _falls(newton, found, t)
     if motion is None:
         return found
     if system.max_abs(system.difference(start.q, found.q)) > FAR * system.length:
@@ -330,19 +331,23 @@ def _stable(newton: StaticNewton, start: StaticPoint, found: StaticPoint, t: flo
                 return there
         except (ConvergenceError, LinearSolveError):
             pass
-    # gyroscopic forces may hold what spins
-    if newton.residual.spin is None:
-        moved = _shares(system, motion)
-        log.warning(
-            'equilibrium: it is unstable: body "%s" moves away from it by itself. Another start may lead to a stable one',
-            max(moved, key=lambda name: moved[name]),
-        )
+    _tell(newton, motion, "Another start may lead to a stable one")
     return found
 
 
+def _tell(newton: StaticNewton, motion: Array | None, remedy: str) -> None:
+    """A warning of the motion by which an equilibrium is left; gyroscopic forces may hold what spins."""
+    if motion is not None and newton.residual.spin is None:
+        moved = _shares(newton.residual.system, motion)
+        name = max(moved, key=lambda name: moved[name])
+        log.warning('equilibrium: it is unstable: body "%s" moves away from it by itself. %s', name, remedy)
+
+
 def _falls(newton: StaticNewton, point: StaticPoint, t: float) -> Array | None:
-    """The motion by which an equilibrium is left, see :func:`.falling`."""
+    """The motion by which an equilibrium without contact is left, see :func:`.falling`."""
     system, spin = newton.residual.system, newton.residual.spin
+    if system.contacts is not None:
+        return None
     about = Perturbation(system, state_of(system, point, t, spin), spin if isinstance(spin, Spin) else None)
     return falling(about, newton)
 
