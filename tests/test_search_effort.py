@@ -128,6 +128,23 @@ def test_an_attempt_whose_error_nobody_told_tells_none(monkeypatch: pytest.Monke
     assert told.orders["x"] == pytest.approx(2.0, abs=0.1)  # nan where 50 alone told it
 
 
+def test_steps_that_failed_are_not_tried_in_finer_spaces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They would fail there as well; with other break points they may pass."""
+    tried: list[int] = []
+
+    def fails(problem: Any, schedule: Any, *given: Any, **more: Any) -> Any:
+        tried.append(schedule.steps)
+        raise ConvergenceError("steps are too large")
+
+    monkeypatch.setattr(shared_runs, "companion", fails)
+    shared, output = shared_runs.SharedRuns(None, None, 12), fmbd.Output(energy=False, progress=False)
+    scenes = pendulum(), pendulum(), replace(pendulum(), breakpoints=(0.5,))
+    for scene in scenes:
+        with pytest.raises(ConvergenceError):
+            shared.look(scene, fmbd.GeneralizedAlpha(), StepSchedule(1.0, 12), output)
+    assert tried == [12, 12]
+
+
 @pytest.mark.parametrize(("tol", "steps"), [(2e-2, [50]), (5e-3, [50])])
 def test_errors_in_space_come_first_where_bodies_touch(tol: float, steps: list[int], made: list[int]) -> None:
     """What a bar on its way to a wall and back misses by its mesh leaves room for what it misses by its steps, or so little that

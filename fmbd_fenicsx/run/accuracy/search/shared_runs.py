@@ -92,7 +92,8 @@ class SharedRuns:
         self._unspent: dict[int, float] = {}  # seconds of systems that no run has counted yet
         self._runs: dict[int, dict[int, Compared]] = {}
         self._chosen: dict[int, Compared] = {}  # the last attempt of each scene with steps of its own choice
-        self._parted: dict[int, int] = {}  # the most steps with which a run of a scene failed, or only went on in parts
+        # by break points the most steps with which a run failed, or only went on in parts: so it would in finer spaces
+        self._parted: dict[tuple[float, ...], int] = {}
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         self._untold: set[int] = set()  # steps of attempts whose errors no run has told
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
@@ -157,13 +158,13 @@ class SharedRuns:
         try:
             marched = companion(problem, schedule, output, of=built)
         except UNFIT:
-            self._parted[id(scene)] = schedule.steps
+            self._parted[tuple(scene.breakpoints)] = schedule.steps
             raise
         return self._noted(scene, Compared(marched.recorder, schedule, scheme))
 
     def _refuse_parted(self, scene: Scene, steps: int) -> None:
         """Steps as large as some that failed before are not tried again."""
-        if steps <= self._parted.get(id(scene), 0):
+        if steps <= self._parted.get(tuple(scene.breakpoints), 0):
             raise ConvergenceError(f"{steps} steps had to be made in parts")
 
     def kept(self, scene: Scene, steps: int) -> Compared | None:
@@ -363,7 +364,7 @@ class SharedRuns:
                 have[steps] = again(solved.problem, schedule, steps, solved.compared.recorder.output.times)
             except UNFIT:
                 if steps < schedule.steps:
-                    self._parted[id(scene)] = steps
+                    self._parted[tuple(scene.breakpoints)] = steps
                 raise
         return have[steps]
 
