@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import InputError
 
 G = 9.81
 FINE = fmbd.Radau(3, rtol=1e-9)
@@ -194,3 +195,60 @@ def test_what_a_scene_that_goes_on_refuses() -> None:
         fmbd.solve(scene, t_end=0.05, dt=1e-2)
     told = fmbd.solve(scene, t_end=0.5, dt=1e-2, output=fmbd.Output(estimate_error=True))
     assert 0.0 < told.error_estimate["a"] < 1e-3
+
+
+@pytest.mark.parametrize("center", [True, False])
+def test_a_walker_steps_from_foot_to_foot(center: bool) -> None:
+    """Velocities after heel strike: those of three masses on two stiff legs, the foot that lands at rest."""
+    s = fmbd.Scene("walker", gravity=(0.088, -9.81))
+    hip = fmbd.PointMass("hip", 10.0, (0.2, 0.98), velocity=(0.6, -0.12))
+    feet = [fmbd.PointMass("one", 0.1, (0.0, 0.0)), fmbd.PointMass("other", 0.1, (0.6, 0.05), velocity=(0.2, -0.3))]
+    s.add(hip, *feet, fmbd.revolute("pin", fmbd.ground, feet[0]))
+    s.add(*(fmbd.distance(f"leg {i}", foot, hip) for i, foot in enumerate(feet)))
+    for body in (hip, *feet):
+        s.sensor(f"x of {body.name}", fmbd.position(body))
+        s.sensor(f"v of {body.name}", fmbd.velocity(body))
+    names = ["one", "hip", "other"]
+    lands = fmbd.Event("x of other y", 0.0, direction=-1)
+    run = fmbd.solve(s, t_end=3.0, scheme=fmbd.Radau(3, rtol=1e-8), output=fmbd.Output(events=[lands]))
+    assert run.times[-1] < 1.0
+
+    later = run.next_scene()
+    del later.joints["pin"]
+    there = run["x of other"][-1]
+    later.add(fmbd.revolute("other pin", fmbd.ground, feet[1], center=there if center else None))
+    after = fmbd.solve(later, t_end=run.times[-1] + 0.01, dt=1e-3)
+
+    x, v = (np.array([run[f"{what} of {name}"][-1] for name in names]) for what in "xv")
+    one, two = x[1] - x[0], x[1] - x[2]
+    G = np.zeros((4, 6))
+    G[0, :4], G[1, 2:], G[2, 4], G[3, 5] = (*-one, *one), (*two, *-two), 1.0, 1.0
+    light = np.diag(1.0 / np.repeat([0.1, 10.0, 0.1], 2))
+    expected = v.ravel() - light @ G.T @ np.linalg.solve(G @ light @ G.T, G @ v.ravel())
+    assert np.ravel([after[f"v of {name}"][0] for name in names]) == pytest.approx(expected, abs=1e-8)
+    assert np.abs(after["x of other"] - there).max() < 1e-9
+
+
+def test_a_link_catches_a_mass_that_turns_with_it() -> None:
+    """The mass stays where it was met, and has the way of that point of the link; a center elsewhere is refused."""
+    link = fmbd.RigidBody("link", 1.0, 0.1, (0.5, 0.0), angular_velocity=1.0, velocity=(0.0, 0.5))
+    stone = fmbd.PointMass("stone", 0.5, (1.0, 0.5), velocity=(-0.2, 0.3))
+    s = fmbd.Scene("catch")
+    pin = fmbd.revolute("pin", fmbd.ground, link, center=(0.0, 0.0))
+    s.add(link, stone, pin)
+    s.sensor("stone", fmbd.position(stone))
+    s.sensor("turn", fmbd.angle(pin))
+    run = fmbd.solve(s, t_end=1.0, dt=1e-2)
+
+    later = run.next_scene()
+    later.add(fmbd.spherical("grip", link, stone))
+    after = fmbd.solve(later, t_end=3.0, dt=1e-3)
+    turn = after["turn"] - run["turn"][-1]
+    c, s_ = np.cos(turn).ravel(), np.sin(turn).ravel()
+    x, y = run["stone"][-1]
+    assert after["stone"] == pytest.approx(np.stack((c * x - s_ * y, s_ * x + c * y), axis=1), abs=1e-6)
+
+    wrong = run.next_scene()
+    wrong.add(fmbd.spherical("grip", link, stone, center=(0.9, 0.0)))
+    with pytest.raises(InputError, match=r'Joint "grip" catches mass "stone" .* away from where the mass is'):
+        fmbd.solve(wrong, t_end=2.0, dt=1e-2)

@@ -133,8 +133,8 @@ class Run(Uncopied):
 
         Its runs begin at the last time of this one, at an event where one has ended it; what elements remember is kept where
         all of their kind are still there. A new joint takes its first body's point and axes, as that body was placed at first,
-        and its second body where it is; velocities against it go as in an impact without rebound. Errors of time and algebra
-        are stated as of any run, those of modes and meshes are not.
+        and its second body where it is (a mass at its place); velocities against it go as in an impact without rebound. Errors
+        of time and algebra are stated as of any run, those of modes and meshes are not.
         """
         return replace(self.scene, settle=False, origin=Origin(self.scene, self.system, self.state, self.kept))
 

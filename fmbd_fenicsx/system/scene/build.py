@@ -26,7 +26,7 @@ from ..sensors.sensor import Sensor
 from ..system import System
 from .break_points import tell_break_points
 from .force_batches import build_loads
-from .going_on import go_on
+from .going_on import Closing, go_on
 from .joints import JointRows, counted_angles
 from .model_length import model_length
 from .point_masses import at_its_place, attitude_of, refuse_angles, refuse_turning
@@ -72,7 +72,7 @@ class Builder:
         self.part_of: dict[str, int] = {}
         self.fields: list[Any] = []
         self.joint_markers: dict[str, tuple[int, int]] = {}
-        self.closing: list[tuple[int, int]] = []  # markers of joints that close on what they find
+        self.closing: list[Closing] = []  # joints that close on what they find
         self.starts: list[tuple[Array, Array]] = []
         self.nodes = RodNodes()
         self.places: list[MarkerPlace] = []
@@ -397,11 +397,13 @@ class Builder:
             somewhere = joint.center_a is not None and joint.center_b is not None
             default = self._default_point(joint) if joint.joined and not somewhere else None
             a = self._marker(joint.a, default if joint.center_a is None else joint.center_a)
-            b = self._marker(joint.b, default if joint.center_b is None else joint.center_b)
+            new = Closing(joint, a, len(self.places)) if origin is not None and origin.closes(joint) else None
+            point = default if joint.center_b is None else joint.center_b
+            b = self._marker(joint.b, None if new is not None and new.caught else point)
             narrow = [x for side in (joint.a, joint.b) if isinstance(side, Surface) and (x := self._narrow(side))]
             rows.add(joint, (a, b), min(narrow, default=0.0))
-            if origin is not None and origin.closes(joint):
-                self.closing.append((a, b))
+            if new is not None:
+                self.closing.append(new)
         for body in self.scene.bodies.values():
             if not (body.turns or body.locked):
                 rows.add(attitude_of(body), (self._marker(ground, None), self._marker(body, None)))

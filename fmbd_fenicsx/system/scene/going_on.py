@@ -5,6 +5,8 @@ closes on what it finds: its point and its axes are those of its first body, its
 
     x_b = x_a,   R_b = R_a        of the markers of the joint in the state that the scene goes on from.             (1)
 
+A mass at a point has one place: caught by a joint it takes hold of the first body where it is.
+
 Velocities that contradict it go as in an impact without rebound: those nearest in the metric of the masses.
 """
 
@@ -18,6 +20,7 @@ import numpy as np
 
 from ...errors import require
 from ...log import log
+from ...mechanics.bodies.bodies import RigidBody
 from ...mechanics.forces.force_elements import Loads
 from ...mechanics.joints.drives import Coupling
 from ...mechanics.joints.joints import Joint
@@ -25,6 +28,7 @@ from ...rotations import Array
 from ..configurations import count
 from ..layout import State
 from ..system import System
+from .point_masses import NEAR
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -45,8 +49,23 @@ class Origin:
         return not known and joint.joined and not isinstance(joint, Coupling)
 
 
-def go_on(origin: Origin, system: System, given: State, closing: Sequence[tuple[int, int]]) -> tuple[System, State]:
-    """A system as its scene gives it, and its state, in that of the origin; ``closing``: markers of new joints. Collective."""
+@dataclass(frozen=True, eq=False)
+class Closing:
+    """A new joint with its markers: the second one is seated where the first is, of a caught mass the first where that is."""
+
+    joint: Joint
+    a: int
+    b: int
+
+    @property
+    def caught(self) -> bool:
+        """Whether its second body is a mass at a point, which takes hold of the first one where it is."""
+        side = self.joint.b
+        return isinstance(side, RigidBody) and not side.turns
+
+
+def go_on(origin: Origin, system: System, given: State, closing: Sequence[Closing]) -> tuple[System, State]:
+    """A system as its scene gives it, and its state, in that of the origin; ``closing``: new joints. Collective."""
     q, v = given.q.copy(), given.v.copy()
     _take_bodies(origin, system, q, v)
     count(system, q)
@@ -99,16 +118,19 @@ def _counted(system: System) -> dict[str, int]:
     return {x.name: pairs[x.a, x.b] for x in system.blocks if (x.a, x.b) in pairs}
 
 
-def _seated(system: System, state: State, closing: Sequence[tuple[int, int]]) -> System:
-    """The system with the second markers of new joints where (1) wants them; collective."""
+def _seated(system: System, state: State, closing: Sequence[Closing]) -> System:
+    """The system with the second markers of new joints where (1) wants them, of caught masses the first ones; collective."""
     if not closing:
         return system
     kin, markers = system.at(state.t, state.q, state.v).kin, system.markers
-    a, b = np.array(closing).T
-    back = markers.rotation[b] @ kin.R[b].swapaxes(1, 2)  # to the axes of what carries b
+    a, b = np.array([(x.a, x.b) for x in closing]).T
+    caught: np.ndarray = np.array([x.caught for x in closing])
+    _refuse_away(system, closing, kin.x[a] - kin.x[b])
     rotation, position = markers.rotation.copy(), markers.position.copy()
-    rotation[b] = back @ kin.R[a]
-    position[b] += (back @ (kin.x[a] - kin.x[b])[..., None])[..., 0]
+    back = markers.rotation @ kin.R.swapaxes(1, 2)  # to the axes of what carries a marker
+    rotation[b] = back[b] @ kin.R[a]
+    moved, other = np.where(caught, a, b), np.where(caught, b, a)
+    position[moved] += (back[moved] @ (kin.x[other] - kin.x[moved])[..., None])[..., 0]
     markers = replace(markers, rotation=rotation, position=position)
 
     counted = system.counted
@@ -118,6 +140,17 @@ def _seated(system: System, state: State, closing: Sequence[tuple[int, int]]) ->
             start[b] += kin.turned[b] - kin.turned[a]
         counted = replace(counted, markers=markers, start=start)
     return replace(system, markers=markers, counted=counted, cache={})
+
+
+def _refuse_away(system: System, closing: Sequence[Closing], gaps: Array) -> None:
+    """Refuse a joint whose point was given for its first body, and is not where the mass that it catches is."""
+    for new, gap in zip(closing, gaps, strict=True):
+        off = float(np.linalg.norm(gap))
+        require(
+            not new.caught or new.joint.center_a is None or off <= NEAR * system.length,
+            f'Joint "{new.joint.name}" catches mass "{new.joint.b.name}" {off:.3g} m away from where the mass is. Give its '
+            "place at the end of the run as center, or none.",
+        )
 
 
 def _memory(origin: Origin, keeper: Any) -> Any:
