@@ -93,10 +93,12 @@ class Newton:
         *,
         ahead: bool = False,
         misfit: Callable[[], float] = lambda: 0.0,
+        foretold: Callable[[float], float] = lambda size: math.inf,
     ) -> tuple[bool, list[float]]:
         """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error
         is below 1. ``renew`` takes a new tangent and tells whether there was one to take: where the last increment began, or
         ``ahead``, where it led. ``misfit``: share of the last increment that its tangent may have got wrong.
+        ``foretold``: the error that a first increment of this size leaves, where earlier steps tell.
 
         Returns whether it converged, and the history of norms.
         """
@@ -128,6 +130,7 @@ class Newton:
             else:
                 # the first: the rate of the step before, no better than 0.02
                 left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size
+                left = min(left, foretold(size))
                 if at_once and size > FAR and renew():
                     refreshed, self.theta = 1, 0.1
                     continue

@@ -51,7 +51,8 @@ from ..onestep.alpha.generalized_alpha import GeneralizedAlpha
 from .contact_detection import candidates
 from .contact_ledger import StepForces
 from .contact_midpoint import elastic_refusal, elastic_start
-from .contact_newton import ContactStep, openings, small_problem
+from .contact_newton import openings, small_problem
+from .elastic_step import ElasticStep
 from .flying_stepper import FlyingStepper
 
 if TYPE_CHECKING:
@@ -173,7 +174,7 @@ class ContactAlphaStepper(FlyingStepper):
 
         forces = StepForces(near, step.contact.rows, force, s.t + h)
         lam = least(self.solver, s.t + h, q, step.lam)
-        self.state = self.ledger.write(State(s.t + h, q, v, step.a, lam), forces, (step.ev, step.xi, step.lam), h)
+        self.state = self.ledger.write(State(s.t + h, q, v, step.a, lam), forces, (step.end, step.xi, step.lam), h)
         self.ledger.count(iterations)
         self.close = bool(near.any())
         return self.state
@@ -185,7 +186,7 @@ class ContactAlphaStepper(FlyingStepper):
         if rows is None or not closed.any():
             return v, force
 
-        rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.ev.q, step.h)[step.near]
+        rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.end.q, step.h)[step.near]
         stopped = force.copy()
         on = rows if closed.all() else rows.take(closed)
         P = self._stopping(on, v, rate[closed])
@@ -221,21 +222,20 @@ class ContactAlphaStepper(FlyingStepper):
         """
 
         def kinetic(v: Array) -> float:
-            return float(self.system.at(step.ev.t, step.ev.q, v).energies()["kinetic"])
+            return float(self.system.at(step.end.t, step.end.q, v).energies()["kinetic"])
 
         new = kinetic(dv)
         slope = kinetic(v + dv) - kinetic(v) - new + work
         return min(max(-slope / (2 * new), 0.0), 1.0) if new > 0 else 0.0
 
 
-class _Step(ContactStep):
+class _Step(ElasticStep):
     """The Newton iteration of one step."""
 
     p: ContactAlphaStepper
 
     def __init__(self, stepper: ContactAlphaStepper, h: float, near: np.ndarray) -> None:
-        super().__init__(stepper, h, stepper.ledger.force[near])
-        self.near = near
+        super().__init__(stepper, h, near)
         s = stepper.state
         self.am, self.af, self.gamma, self.beta = stepper.scheme.parameters
         self.a = s.a.copy()
@@ -257,6 +257,11 @@ class _Step(ContactStep):
     def gain(self) -> float:
         """Velocity at the end by a force, over A^-1 times the force, s."""
         return self.scale * self.gamma / (self.beta * self.h)
+
+    def where(self) -> tuple[float, Array, Array]:
+        """As :meth:`ElasticStep.where`."""
+        s = self.p.state
+        return s.t + self.h, self.p.system.compose(s.q, self.xi), self.v
 
     def accelerate(self, dv: Array) -> None:
         """Accelerations that change the velocity at the end by dv."""

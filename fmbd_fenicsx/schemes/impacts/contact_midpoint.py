@@ -51,7 +51,8 @@ from ..dense_output import state_within
 from ..newton import Newton
 from .contact_detection import candidates, refuse_penetration
 from .contact_ledger import StepForces
-from .contact_newton import ContactStep, openings
+from .contact_newton import openings
+from .elastic_step import ElasticStep
 from .flying_stepper import FlyingStepper
 
 if TYPE_CHECKING:
@@ -194,7 +195,7 @@ class ContactMidpointStepper(FlyingStepper):
 
         forces = StepForces(near, step.contact.rows, step.contact.force, s.t + self.theta * h)
         lam = least(self.solver, s.t + h, step.q, step.lam)
-        self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.ev, step.xi, step.lam), h)
+        self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.end, step.xi, step.lam), h)
         self.ledger.count(iterations)
         self.close = bool(near.any())
         return self.state
@@ -227,13 +228,12 @@ class ContactMidpointStepper(FlyingStepper):
         return v + dv
 
 
-class _Step(ContactStep):
+class _Step(ElasticStep):
     """The Newton iteration of one step."""
 
     def __init__(self, stepper: ContactMidpointStepper, h: float, near: np.ndarray, ahead: Array) -> None:
         """``ahead``: where the velocity at the start leads, from which the iteration goes on."""
-        super().__init__(stepper, h, stepper.ledger.force[near])
-        self.near = near
+        super().__init__(stepper, h, near)
         system, s = stepper.system, stepper.state
         self.xi = h * s.v
         self.theta = stepper.theta
@@ -241,6 +241,11 @@ class _Step(ContactStep):
         self.q = ahead
         self.g: Array = np.zeros(0)
         self.floor = roundoff(system)
+
+    def where(self) -> tuple[float, Array, Array]:
+        """As :meth:`ElasticStep.where`."""
+        s, h = self.p.state, self.h
+        return s.t + self.theta * h, self.p.system.compose(s.q, self.theta * self.xi), self.xi / h
 
     @property
     def advice(self) -> str:

@@ -11,6 +11,8 @@ step.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -98,10 +100,14 @@ class ContactStep:
 
     def solve(self) -> int:
         """Iterate; how many increments that took. Raises ConvergenceError; collective."""
-        converged, history = self.p.newton.solve(self.increment, self.renew)
+        return len(self.iterate())
+
+    def iterate(self, foretold: Callable[[float], float] = lambda size: math.inf) -> list[float]:
+        """The increments of the iteration, over the tolerance; ``foretold``: see :meth:`.Newton.solve`."""
+        converged, history = self.p.newton.solve(self.increment, self.renew, foretold=foretold)
         if not converged:
             raise not_converged(self.p.state.t + self.h, self.h, history, self.advice)
-        return len(history)
+        return history
 
     @property
     def advice(self) -> str:

@@ -20,6 +20,7 @@ from ...system.serialisation import plain
 from ..marching import lend_energies, lend_newton, take_energies
 from ..stepping import UNOBSERVED, Observers
 from .contact_stepper import ContactStepper
+from .elastic_step import Confirmed, is_smooth
 
 if TYPE_CHECKING:
     from ...system.compiled.tape import Openness, Tape
@@ -35,7 +36,8 @@ class FlyingStepper(ContactStepper):
     maker: ClassVar[str]
 
     share: float  # of a step, at which its forces act
-    keeps: ClassVar = {**ContactStepper.keeps, "close": plain()}
+    keeps: ClassVar = {**ContactStepper.keeps, "close": plain(), "confirmed": plain(Confirmed)}
+    confirmed: Confirmed | None = None  # what the last step tells of later ones
     close: bool = False  # whether something was near in the last step
     flown: int = 0  # steps
     _size: float  # s, of the steps that are asked for
@@ -60,6 +62,11 @@ class FlyingStepper(ContactStepper):
 
     def _take_flight(self, march: FreeMarch, made: int, h: float) -> None:
         """Take from the newest states what it keeps, after so many steps of size h (s)."""
+
+    @cached_property
+    def smooth(self) -> bool:
+        """As :func:`.is_smooth` of the system."""
+        return is_smooth(self.system)
 
     # -- steps --------------------------------------------------------------------------------------------------------------
     @cached_property

@@ -1,0 +1,97 @@
+"""Steps of elastic contact: Newton's iteration with the contacts that are near, and without an increment that would only confirm.
+
+Where nothing but smooth functions makes a step with given contacts nonlinear, a second increment is roundoff, or grows with the
+square of the first: a step in which both are known foretells that of later ones with the same contacts, whose normals stay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...mechanics.contact.rows import Rows
+from ...mechanics.elastic.absolute import AbsoluteField
+from ...mechanics.forces.force_elements import TimeLoads
+from ...rotations import Array
+from ...system.evaluation import Evaluation
+from ...system.system import System
+from .contact_newton import ContactStep
+
+if TYPE_CHECKING:
+    from .flying_stepper import FlyingStepper
+
+MARGIN = 10.0  # of what is foretold
+RELIED = 15  # steps that may rely on one
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """The increments of a step of size h (s), over the tolerance, in which a second one confirmed the first: with the candidates
+    ``near``; how many steps have ``relied`` on it since then.
+    """
+
+    h: float
+    near: str
+    first: float
+    second: float
+    relied: int = 0
+
+    def left(self, size: float) -> float:
+        """The error that a first increment of a size leaves in a step alike."""
+        return MARGIN * self.second * max(1.0, (size / self.first) ** 2) if self.relied < RELIED else math.inf
+
+
+def is_smooth(system: System) -> bool:
+    """Whether laws and turning bodies are none of what makes steps with given contacts nonlinear."""
+    linear = all(isinstance(part, AbsoluteField) and not part.field.nonlinear for _, part in system.fields)
+    return linear and not system.n_frames and all(type(loads) is TimeLoads for loads in system.forces)
+
+
+class ElasticStep(ContactStep):
+    """One step with the candidates ``near``, (m,) bool, which begin with the forces of the last step."""
+
+    p: FlyingStepper  # type: ignore[assignment]
+
+    def __init__(self, stepper: FlyingStepper, h: float, near: np.ndarray) -> None:
+        super().__init__(stepper, h, stepper.ledger.force[near])
+        self.near = near
+        self._unconfirmed = self._turned = False  # _turned: whether normals have changed in the iteration
+
+    def solve(self) -> int:
+        """As :meth:`ContactStep.solve`."""
+        p, near = self.p, self.near.tobytes().hex()
+        known = p.confirmed
+        if known is not None and (known.h, known.near) != (self.h, near):
+            known = None
+        history = self.iterate(lambda size: math.inf if known is None else known.left(size))
+
+        self._unconfirmed = len(history) == 1 and known is not None
+        if self._unconfirmed and known is not None:
+            p.confirmed = replace(known, relied=known.relied + 1)
+        else:
+            told = p.smooth and len(history) == 2 and not self._turned
+            p.confirmed = Confirmed(self.h, near, *history) if told else None
+        return len(history)
+
+    def changes(
+        self, touching: tuple[Rows, Array] | None, residuals: tuple[Array, Array], scale: float
+    ) -> tuple[Array, Array]:
+        """As :meth:`ContactStep.changes`."""
+        before = self.contact.rows
+        if touching is not None and before is not None and not self._turned:
+            self._turned = bool((before.normal != touching[0].normal).any())
+        return super().changes(touching, residuals, scale)
+
+    @property
+    def end(self) -> Evaluation:
+        """The system where the forces of the step act, as it was found."""
+        if self._unconfirmed:
+            self.ev, self._unconfirmed = self.p.system.at(*self.where()), False
+        return self.ev
+
+    def where(self) -> tuple[float, Array, Array]:
+        """t, q and v there."""
+        raise NotImplementedError
