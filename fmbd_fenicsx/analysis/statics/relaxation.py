@@ -29,7 +29,8 @@ def relax(newton: StaticNewton, start: StaticPoint, t: float, slow: float) -> St
 
     Raises ConvergenceError where no rest is found.
     """
-    system, still = newton.residual.system, np.zeros(newton.residual.system.n_v)
+    system = newton.residual.system
+    still: Array = np.zeros(system.n_v)
     tau = longest = slow
     turn = point = StaticPoint(start.q, np.zeros(system.n_lam))
     v, swung = still, np.inf

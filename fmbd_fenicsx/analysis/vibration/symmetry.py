@@ -47,7 +47,9 @@ def is_symmetric(small: ProjectedSystem, squares: Array, Y: Array, about: Pertur
         return True
 
     other, pair = replace(about, way=OTHER * about.way), Y[:, [i, j]].T @ small.vectors
-    again = _lacks(np.array([[about.system.dot(x, image) for image in map(other.stiffness, pair)] for x in pair]))
+    again = _lacks(
+        np.array([[about.system.dot(x, image) for image in (other.stiffness(z) for z in pair)] for x in pair])
+    )
     return bool(abs(again[0, 1] - lacks[i, j]) > ALIKE * abs(lacks[i, j]))
 
 

@@ -164,7 +164,7 @@ class OwnLoads(Loads):
         sizes = {name: step / SMALL for name, step in self._steps(motions).items()}
         sizes["x"] = max(sizes["x"], *(float(np.abs(x.x).max()) for x in motions))
         d, turns = self.motions.dim, self.motions.n_rot
-        seen = np.tile([[sizes[x]] * d + [sizes[y]] * turns for x, y in ("xR", "vw")], len(motions))
+        seen = np.tile([[sizes[x]] * d + [sizes[y]] * turns for x, y in (("x", "R"), ("v", "w"))], len(motions))
         rough = np.abs(base) + np.einsum("kij,kj->i", np.abs(slopes), seen)
         if (np.abs(values - base) > SAME * rough).any():
             self.written[k] = None

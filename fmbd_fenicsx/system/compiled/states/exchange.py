@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from ....rotations import Array
 from ...system import System
-from ..tables.structures import zeros_of
+from ..tables.structures import Sizes, zeros_of
 
 
 class Exchange:
     """Arrays of the given sizes that C knows by their addresses ``at``."""
 
-    def __init__(self, sizes: Mapping[str, int | tuple[int, ...]]) -> None:
+    def __init__(self, sizes: Sizes) -> None:
         made = zeros_of(sizes).values()
         self.arrays = [x for x, _ in made]
         self.at = [address for _, address in made]

@@ -13,7 +13,7 @@ from ....kernel_cache import address_of
 from ....rotations import Array
 from ...layout import State
 from ..declarations import structure_of
-from ..tables.structures import zeros_of
+from ..tables.structures import Sizes, zeros_of
 from .evaluation import DriverStates
 from .field_states import FactoredFieldStates
 from .stages import POINTS, PointRoom, StageRule, Stages
@@ -30,7 +30,7 @@ class FieldStageRoom(PointRoom):
         self.states, self.shape, self.twin = states, shape, states.twin
         n, m, frames = system.n_v, system.n_lam, system.n_frames
         size, width = n + len(levels) * m, len(levels) * m
-        sizes: dict[str, int | tuple[int, ...]] = {
+        sizes: Sizes = {
             "s": (p, 2), "t": k, "q0": system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n), "mult": (k, width),
             "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n), "low": (k, size), "dxi": (k, n),
             "dv": (k, n), "dmult": (k, width), "push": (2 * k, n), "weigh": (3, n),
@@ -41,7 +41,7 @@ class FieldStageRoom(PointRoom):
         self.arrays = {name: x for name, (x, _) in made.items()}
 
         twist = system.motions.n_twist
-        of_fields: dict[str, int | tuple[int, ...]] = {
+        of_fields: Sizes = {
             "q": system.n_q, "v": n, "a": n, "lam": m, "balance": size, "N": (m, n), "turnings": frames * twist**2 + n,
             "columns": states.tables.c.nu * m, "units": m * (n + m), "reactions": (m, m), "square": n, "before": p, "sizes": p,
             "kin": p * 2 * n, "low": p * 2 * size, "rate": p * 2 * n, "push": p * 2 * n, "x": p * 4 * n, "y": p * 2 * width,
@@ -63,7 +63,7 @@ class FieldStageRoom(PointRoom):
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
 
-    def _pressures(self, points: int) -> dict[str, int | tuple[int, ...]]:
+    def _pressures(self, points: int) -> Sizes:
         """Sizes of what is there for pressures that are unknowns."""
         carried = [one.part.field for one in self.states.tables.fields if one.part.field.carried]
         self._counts = [field.n_pressure for field in carried]

@@ -9,6 +9,7 @@ import numpy as np
 from ....kernel_cache import address_of
 from ....rotations import Array
 from ...sparsity import Pattern
+from ..tables.structures import Sizes
 from .exchange import Exchange
 
 if TYPE_CHECKING:
@@ -49,10 +50,9 @@ class LocalPoints:
         if count not in self._rooms:
             s = self.states.system
             n, m = (count, s.n_v), (count, s.n_lam)
-            given = {"t": count, "q0": s.n_q, "xi": n, "v": n, "a": n, "lam": m, "mu": m}
-            told = {"rates": n, "sums": n, "gaps": m, "slips": m}
-            sizes: dict[str, int | tuple[int, ...]] = {**given, **told, "room": s.n_q + 2 * s.n_v}
-            self._rooms[count] = Exchange(sizes)
+            given: Sizes = {"t": count, "q0": s.n_q, "xi": n, "v": n, "a": n, "lam": m, "mu": m}
+            told: Sizes = {"rates": n, "sums": n, "gaps": m, "slips": m}
+            self._rooms[count] = Exchange({**given, **told, "room": s.n_q + 2 * s.n_v})
         return self._rooms[count]
 
     def told(

@@ -13,7 +13,7 @@ from ....rotations import Array
 from ...sparsity import Pattern
 from ...tangents.step_tangent import StepTangent
 from ..declarations import enumeration, structure_of
-from ..tables.structures import zeros_of
+from ..tables.structures import Sizes, zeros_of
 from .evaluation import DriverStates
 from .stage_patterns import StageStructure
 
@@ -106,7 +106,7 @@ class StageRoom(PointRoom):
             start=address_of(structure.start), row=address_of(structure.row), order=address_of(structure.order), relax=1.0,
         )  # fmt: skip
 
-        sizes: dict[str, int | tuple[int, ...]] = {
+        sizes: Sizes = {
             "K0": entries, "K1": entries, "K2": entries, "s": (p, 2), "A": (p, 2 * entries), "scales": (p, 2, size),
             "sizes": entries, "blocks": entries, "data": structure.count,
             "softness": m, "soft": (p, 2 * size), "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,

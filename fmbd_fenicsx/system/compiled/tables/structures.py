@@ -26,12 +26,13 @@ def array_of(kind: type[ctypes.Structure], count: int) -> Any:
     return kind * count
 
 
+Sizes = Mapping[str, int | tuple[int, ...]]  # of arrays by name
 LANES = 8  # numbers in a line of the cache
 # vectors of ``driver/onestep/secants.c``: of pairs, and three more
 SECANTS = 2 * enumeration("PAIRS", "onestep/secants.c")["PAIRS"] + 3
 
 
-def zeros_of(sizes: Mapping[str, int | tuple[int, ...]]) -> dict[str, tuple[Array, int]]:
+def zeros_of(sizes: Sizes) -> dict[str, tuple[Array, int]]:
     """Arrays of zeros by name, one behind the other in one piece of memory, and their addresses; none is empty there."""
     spans, count = [], 0
     for name, shape in sizes.items():
