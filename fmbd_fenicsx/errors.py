@@ -81,7 +81,7 @@ class CallbackError(InputError):
 
 
 class BalanceError(CallbackError):
-    """The sum of all forces is not finite: of a load, or of a motion that has run away."""
+    """Forces are beyond the range of numbers: of a load, or of a motion that has run away."""
 
 
 class LawError(InputError):
@@ -146,6 +146,9 @@ def named(
 ) -> Callable[..., Any]:
     """A user's function whose exceptions become a :class:`LawError`: 'What "name" failed at t = 0.1 s: KeyError: ...'.
 
+    Numbers that become too large, as in ``math.exp`` of where a trial step has led, are forces that are not finite: a
+    :class:`BalanceError`.
+
     Args:
         what: whose function it is, for example "The law of spring".
         time: which argument is the time (s; of complex steps the real part is shown), None for none.
@@ -169,7 +172,8 @@ def named(
             if found is not error:
                 return found
             when = "" if time is None else f" at t = {_times(args[time])} s"
-            raise LawError(f'{what} "{name}" failed{when}: {type(error).__name__}: {error}') from error
+            kind = BalanceError if isinstance(error, OverflowError) else LawError
+            raise kind(f'{what} "{name}" failed{when}: {type(error).__name__}: {error}') from error
 
     return call
 

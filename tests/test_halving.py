@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -113,6 +115,33 @@ def test_without_renewal_the_worker_goes_on() -> None:
     worker = Brittle(state, 0.3)
     stepper = ConstantSteps(worker, system, None, None)
     assert stepper.advance(1.0).t == 1.0 and stepper.stepper is worker and worker.made == 4
+
+
+EXPONENTIAL = [
+    (fmbd.GeneralizedAlpha(0.8), math.exp, 1e-4, 0.02),  # it bounces
+    (fmbd.Radau(2, rtol=None), math.exp, 6e-4, 1e-6),
+    (fmbd.Radau(2, rtol=None), np.exp, 6e-4, 1e-6),
+    (fmbd.EnergyMomentum(), np.exp, 6e-4, 2e-4),
+]
+
+
+@pytest.mark.parametrize(("scheme", "exp", "scale", "near"), EXPONENTIAL)
+def test_a_law_beyond_the_range_of_numbers(
+    scheme: Any, exp: Callable[[float], float], scale: float, near: float
+) -> None:
+    """A stop whose force grows by e in each ``scale`` rad has none where iterates of a whole step lead: parts of it have."""
+
+    def stop(s: float, rate: float, t: float) -> float:
+        return 10.0 * rate + 1e-3 * (1.0 - float(exp(max(-s, 0.0) / scale)))
+
+    scene, _ = rod(1.0, 1.0, 0.0)
+    del scene.forces["stop"]
+    scene.add(fmbd.joint_spring("stop", fmbd.angle(scene.joints["pin"]), free=TOUCH, law=stop))
+    with np.errstate(over="ignore"):
+        run = fmbd.solve(scene, t_end=2.0, dt=0.05, scheme=scheme)
+    assert 0 < run.counters["halved_steps"] < 40
+    rest = TOUCH - scale * np.log(1.0 + 1e3 * 9.81 * 0.5 * np.cos(TOUCH))
+    assert abs(run["phi"][-1, 0] - rest) < near + 0.01 * scale
 
 
 def test_forces_beyond_all_numbers_are_those_of_a_step_that_diverged() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import AGREEMENTS, CallbackError, named
+from ...errors import AGREEMENTS, BalanceError, CallbackError, named
 from ...rotations import Array
 
 
@@ -21,7 +21,8 @@ def checked(name: str, value: Any, size: int, t: float, what: str = "the law") -
     if found.shape != (size,):
         raise CallbackError(f'Force "{name}": {what} returned shape {found.shape} at t = {t:g} s, expected ({size},).')
     if not np.isfinite(found).all():
-        raise CallbackError(f'Force "{name}": {what} returned {found} at t = {t:g} s.')
+        kind = CallbackError if np.isnan(found).any() else BalanceError
+        raise kind(f'Force "{name}": {what} returned {found} at t = {t:g} s.')
     return found
 
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...errors import CallbackError, ConvergenceError, LinearSolveError
+from ...errors import BalanceError, CallbackError, ConvergenceError, LinearSolveError
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
@@ -165,7 +165,8 @@ class ImplicitStepper(ImplicitMarch):
         except (LinearSolveError, np.linalg.LinAlgError):
             return "linear solve failed"
         except (CallbackError, ConvergenceError) as error:
-            if not self.adaptive:
+            ran_away = isinstance(error, (BalanceError, ConvergenceError))
+            if not (self.adaptive or ran_away):
                 raise
             self.control.fault = str(error)
             return "forces not finite, or a motion out of range"

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....errors import BalanceError
 from ....kernel_cache import address_of
 from ....rotations import Array
+from ....system.compiled import march as slots
 from ....system.compiled.calls import Calls
 from ....system.compiled.choice import STORAGE_LIMIT, driver_of, solves
 from ....system.compiled.march import JointLimits, March
@@ -71,13 +73,18 @@ class AlphaDriver(March):
         control: CompiledControl | None = None,
         joints: JointLimits | None = None,
     ) -> tuple[int, int]:
-        """As :meth:`steps`; raises what a call into Python has raised."""
+        """As :meth:`steps`; raises what a call into Python has raised. Forces beyond the range of numbers are those of an
+        iterate: the step counts as one that was not found.
+        """
         if joints is not None:
             self.judge(joints, np.inf)
         address = None if control is None else control.address
-        found = self.steps(steps, tape, address, judged=joints is not None)
+        made, verdict = self.steps(steps, tape, address, judged=joints is not None)
+        if isinstance(self.calls.error, BalanceError):
+            self.calls.forget_error()  # who makes the step by itself meets it again
+            return made, slots.NEWTON
         self.calls.raise_error()
-        return found
+        return made, verdict
 
     def error(self, scale: float, span: float, arrays: Sequence[Array], t: float, missed: Array) -> Array | None:
         """``driver_error`` of alpha.c for q, v, a and lambda; None where NumPy has to do."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....errors import BalanceError
 from ....rotations import Array
 from ....system.compiled import march as slots
 from ....system.compiled.tape import on_the_way
@@ -173,7 +174,10 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         s, rule = self.state, self.scheme.rule(h)
         if self.damps and self._damped(rule) is not None:
             return 0
-        start = self._predicted(rule)  # which factors the fields
+        try:
+            start = self._predicted(rule)  # which factors the fields
+        except BalanceError:  # who makes the step by itself meets it again
+            return 0
         if not self._ready(h):
             return 0
 
