@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 from scipy.integrate import solve_bvp
 from test_driver import compiled
 
@@ -15,6 +16,7 @@ from fmbd_fenicsx.mechanics.bodies.line_body import LinePart
 from fmbd_fenicsx.run.accuracy.jumps_in_time import HeldState
 from fmbd_fenicsx.system.compiled.choice import use_driver
 
+MOST_CALLS = 80  # of Python a step
 L, EA, GA, EI, RHO_A, RHO_I = 2.0, 1e6, 4e5, 50.0, 1.0, 1e-3
 
 
@@ -192,3 +194,18 @@ def test_a_line_whose_motion_is_held_is_assembled_once(monkeypatch: pytest.Monke
     moving = system.at(0.0, state.q, state.v + 1.0).balance(state.a, state.lam)
     assert len(asked) == 2
     assert np.abs(moving - system.at(0.0, state.q, state.v).balance(state.a, state.lam)).max() > 1e-3
+
+
+def test_forces_of_a_line_take_few_calls_of_python() -> None:
+    """Assembled by DOLFINx's own function, without its wrappers: each state of a step asks for them once."""
+    beam = line()
+    scene = fmbd.Scene("swing", gravity=(0, -9.81))
+    scene.add(beam, fmbd.revolute("pin", fmbd.ground, beam.surface("start")))
+
+    def swing(steps: int) -> None:
+        end = 1e-3 * steps
+        fmbd.solve(scene, t_end=end, dt=1e-3, output=fmbd.Output(energy=False, times=(0.0, end)))
+
+    swing(20)
+    calls = [calls_of(lambda n=n: swing(n)) for n in (20, 60)]
+    assert calls[1] - calls[0] < 40 * MOST_CALLS

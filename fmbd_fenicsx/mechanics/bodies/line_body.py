@@ -206,6 +206,7 @@ class LinePart(Part):
                 f"{type(error).__name__}: {error}"
             ) from error
 
+        self._add_force, self._values = compat.assembly_of(self._force), self._z.x.array
         self._K = fem.create_matrix(self._stiffness)
         if np.abs(self.M - self.M.T).max() > 1e-10 * np.abs(self.M).max():
             raise InputError(f'Line "{b.name}": its mass form is not symmetric.')
@@ -238,7 +239,7 @@ class LinePart(Part):
         return found.T.ravel().copy()
 
     def _place(self, z: Array) -> None:
-        self._z.x.array[:] = z
+        self._values[:] = z
 
     @staticmethod
     def _scalar(form: Any) -> float:
@@ -264,13 +265,11 @@ class LinePart(Part):
     # -- mechanics ----------------------------------------------------------------------------------------------
     def force(self, motion: FrameMotion, local: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         """Rows of (1): inertia, energy and weight."""
-        from dolfinx import fem
-
         z, v, a = local
         self._place(z)
-        inner = fem.assemble_vector(self._force).array
         alpha = self.body.mass_damping
-        rows = self.M @ (a + alpha * v if alpha else a) + inner - motion.gravity @ self._weight
+        rows = self.M @ (a + alpha * v if alpha else a) - motion.gravity @ self._weight
+        self._add_force(rows)
         return np.zeros_like(motion.twist), rows
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
