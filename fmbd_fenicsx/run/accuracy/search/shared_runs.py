@@ -374,16 +374,16 @@ class SharedRuns:
         A run with a tenth of it tells it, but where the attempt before shows that it is far too large. What a run has beyond a
         looser one is mostly the error of that one: its own may be a tenth of what is thought, or six times as much where both
         begin with the same few steps. One with ten times the tolerance is made where spaces are to be compared as well, which
-        costs less with its steps.
+        costs less with its steps, where these are clearly fewer by the order of the scheme.
         """
         problem, given = solved.problem, solved.compared
-        follows = given
+        follows, order = given, problem.scheme.order
         before = self._before(problem.scene, problem.scheme, given.schedule)
         self._chosen[id(problem.scene)] = given
         looser: tuple[dict[str, Deviation], Compared] | None = None
         if before is not None:
             looser = beyond(given.recorder, before), before
-        elif problem.scheme.rtol <= LOOSE and not allowed.rough:
+        elif problem.scheme.rtol <= LOOSE and not allowed.rough and 10.0 ** (1.0 / (order + 1.0)) >= PAYS:
             try:
                 looser = looser_run(problem, given)
             except UNFIT:
@@ -394,7 +394,7 @@ class SharedRuns:
         likely: dict[str, Deviation] = {}
         if looser is not None and min(seen[n] for n in allowed.sensors) >= TELLING:
             apart, loose = looser
-            falls = (loose.scheme.rtol / problem.scheme.rtol) ** usual_power(problem.scheme.order)
+            falls = (loose.scheme.rtol / problem.scheme.rtol) ** usual_power(order)
             likely = of_tolerances(apart, falls, seen)
             follows = loose if grew >= PAYS else given
             if allowed.share(likely) > DOUBTED * allowed.room:
