@@ -19,6 +19,7 @@ from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.system.compiled.choice import driver_states
+from fmbd_fenicsx.system.control.control_memory import ControllerMemory, StepMemory
 from fmbd_fenicsx.system.tangents.force_tangent import force_tangent
 
 GAINS, G = ((60.0, 80.0, 9.0), (25.0, 40.0, 3.0)), 9.81
@@ -578,3 +579,23 @@ def test_a_law_may_return_its_empty_memory(every: float | None) -> None:
         scene.sensor("phi", fmbd.angle(pin))
         ends.append(fmbd.solve(scene, t_end=0.2, dt=0.01)["phi"][-1, 0])
     assert ends[0] == ends[1] != 0.0
+
+
+def test_slopes_of_a_memory_serve_the_step() -> None:
+    """Two numbers that answer to each other, asked at three instants of a step: their slopes are looked for once."""
+    A, asked = np.array([[-3.0, 40.0], [-40.0, -5.0]]), []
+
+    def law(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        asked.append(z)
+        return z[:1], A @ z + 1.0
+
+    kept = ControllerMemory(0.0, np.array([0.1, -0.2]), A @ [0.1, -0.2] + 1.0, np.zeros(1), 0)
+    within = StepMemory("law", kept)
+    counts = []
+    for t in (0.01, 0.02, 0.03):
+        _, z, _ = within.at(t, law, None)
+        assert z == pytest.approx(np.linalg.solve(np.eye(2) - t / 2 * A, kept.z + t / 2 * (kept.rate + 1.0)), rel=1e-13)
+        counts.append(len(asked))
+        asked.clear()
+    assert max(counts[1:]) <= 4
+    assert counts[0] <= 8

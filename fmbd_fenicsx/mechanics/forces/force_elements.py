@@ -281,24 +281,24 @@ class TyreLoads(Loads):
 
     def _compression(self, kin: Kinematics, t: float, *, rates: bool = True) -> tuple[Array, Array]:
         """c and c', where dampers ask for ``rates``; else c' is zero."""
-        places = kin.x[self.a]
-        if rates and self.damping.any():
+        places, along = kin.x[self.a], np.add.reduce
+        if rates and np.logical_or.reduce(self.damping):
             assert kin.twist is not None
             speeds = kin.twist[self.a, : self.motions.dim]
             heights, rate = self.roads.moving(places, speeds, t).T
-            rate = rate - (self.up * speeds).sum(1)
+            rate = rate - along(self.up * speeds, axis=1)
         else:
             heights, rate = self.roads.heights(places, t), np.zeros(len(places))
-        return heights + self.roads.radius - (self.up * places).sum(1), rate
+        return heights + self.roads.radius - along(self.up * places, axis=1), rate
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Force of the compressed tyres; none while lifted."""
         c, rate = self._compression(kin, t)
-        out = self._zero()
+        out, none = np.zeros((2, len(c), self.motions.n_twist))
         # a tyre pushes only, also where its damper would pull
-        push = np.where(c > 0, np.maximum(self.stiffness * c + self.damping * rate, 0.0), 0.0)
+        push = np.maximum(self.stiffness * c + self.damping * rate, 0.0) * (c > 0)
         out[:, : self.motions.dim] = push[:, None] * self.up
-        return out, self._zero()
+        return out, none
 
     def energy(self, kin: Kinematics, t: float) -> float:
         """k c^2 / 2 of the compressed ones, J."""

@@ -28,32 +28,53 @@ class ControllerMemory:
     next: int
 
 
-def implicit(
-    name: str, kept: ControllerMemory, t: float, law: Callable[[Array], tuple[Array, Array]], start: Array | None
-) -> tuple[Array, Array, Array]:
-    """u, z and g of (1) at time t: by inserting, enough for memories that are slow; else by Newton's method.
+class StepMemory:
+    """The memory within the step from what was ``kept`` on: (1) by inserting, enough for memories that are slow, else by
+    Newton's method.
 
-    ``law``: z -> (u, g). ``start``: a memory of the same step, nearer than what the rate that was kept foretells; None for that.
+    ``slopes``: dg/dz, which serve all of the step from when they were asked for; None before.
     """
-    half = 0.5 * (t - kept.t)
-    z = kept.z + 2 * half * kept.rate if start is None else start
-    u, rate = law(z)
-    if not len(z) or half == 0.0:
-        return u, z, rate
 
-    slopes, before, left, past = None, np.inf, 1.0, z
-    for count in range(20):
-        miss = z - kept.z - half * (kept.rate + rate)
-        size = _largest(miss)
-        if size <= 1e-14 * (_largest(z) + _largest(half * rate)):
-            return u, z, rate
-        if size > SLOW * before:
-            slopes = np.eye(len(z)) - half * differences(z, np.abs(half * rate), law)[1]
-        elif count == 1:
-            left = 1.0 - float(miss @ past) / float(past @ past)  # of a miss once z has moved by it
-        z, before, past = z - (miss / left if slopes is None else np.linalg.solve(slopes, miss)), size, miss
+    def __init__(self, name: str, kept: ControllerMemory) -> None:
+        self.name, self.kept = name, kept
+        self.slopes: Array | None = None
+
+    def at(
+        self, t: float, law: Callable[[Array], tuple[Array, Array]], start: Array | None
+    ) -> tuple[Array, Array, Array]:
+        """u, z and g of (1) at time t.
+
+        ``law``: z -> (u, g). ``start``: a memory of the same step, nearer than what the rate that was kept foretells; None for
+        that.
+        """
+        kept = self.kept
+        half = 0.5 * (t - kept.t)
+        z = kept.z + 2 * half * kept.rate if start is None else start
         u, rate = law(z)
-    raise CallbackError(f'Controller "{name}": its memory has no value at t = {t:g} s. Is the law smooth in it?')
+        if not len(z) or half == 0.0:
+            return u, z, rate
+
+        before, left, past = np.inf, 1.0, z
+        for count in range(20):
+            miss = z - kept.z - half * (kept.rate + rate)
+            size = _largest(miss)
+            if size <= 1e-14 * (_largest(z) + _largest(half * rate)):
+                return u, z, rate
+            if size > SLOW * before:
+                self.slopes = differences(z, np.abs(half * rate), law, (u, rate))[1]
+            elif count == 1:
+                left = 1.0 - float(miss @ past) / float(past @ past)  # of a miss once z has moved by it
+            z, before, past = z - self._moved(half, miss, left), size, miss
+            u, rate = law(z)
+        raise CallbackError(
+            f'Controller "{self.name}": its memory has no value at t = {t:g} s. Is the law smooth in it?'
+        )
+
+    def _moved(self, half: float, miss: Array, left: float) -> Array:
+        """By how much the memory is off where (1) is off by ``miss``; ``left``: what would be left of it by inserting."""
+        if self.slopes is None:
+            return miss / left
+        return np.linalg.solve(np.eye(len(miss)) - half * self.slopes, miss)
 
 
 def _largest(x: Array) -> float:

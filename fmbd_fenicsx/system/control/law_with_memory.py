@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import CallbackError, LawError, named
 from ...rotations import Array
 from .control_laws import differences, numbers_of
-from .control_memory import ControllerMemory, implicit
+from .control_memory import ControllerMemory, StepMemory
 from .readings import Readings
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class LawWithMemory:
         self.law = named("The law of controller", self.name, controller.law, time=0)
         self.kept = self.begun(0.0)
         self._answers: dict[tuple[float, bytes], tuple[Array, Array, Array]] = {}  # u, z and g of (3) at t and y
-        self._answered = self.kept  # what they follow from
+        self._within = StepMemory(self.name, self.kept)  # of the step that they are of
         self._slopes: tuple[Any, Array] | None = None
 
     def begun(self, t: float) -> ControllerMemory:
@@ -72,15 +72,14 @@ class LawWithMemory:
 
     def with_memory(self, t: float, y: Array) -> tuple[Array, Array, Array]:
         """u of a continuous law at time t, with z and g of (3); asked for the same again, what was found."""
-        if self._answered is not self.kept or len(self._answers) > RECENT:
-            self._answers, self._answered = {}, self.kept
+        if self._within.kept is not self.kept or len(self._answers) > RECENT:
+            self._answers, self._within = {}, StepMemory(self.name, self.kept)
         key = t, y.tobytes()
         found = self._answers.get(key)
         if found is None:
             last = next(reversed(self._answers), None)  # of the same instant its memory is near
             start = self._answers[last][1] if last is not None and last[0] == t else None
-            found = implicit(self.name, self.kept, t, partial(self.asked, t, y), start)
-            self._answers[key] = found
+            found = self._answers[key] = self._within.at(t, partial(self.asked, t, y), start)
         return found
 
     def slopes(self, t: float, y: Array, spans: Array, *, quick: bool = False) -> Array:
@@ -115,5 +114,6 @@ class LawWithMemory:
 
     def keep(self, t: float, y: Array) -> None:
         """Keep it: where the step ends the law has answered already."""
-        self.kept = self._answered = self.after(t, y)
+        self.kept = self.after(t, y)
+        self._within = StepMemory(self.name, self.kept)
         self._answers = {(t, y.tobytes()): (self.kept.u, self.kept.z, self.kept.rate)}

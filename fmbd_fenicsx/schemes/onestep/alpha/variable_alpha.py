@@ -140,8 +140,8 @@ class VariableAlpha(TimeStepper):
 
     def restart(self, t: float) -> None:
         """Go on behind a jump of forces: consistent accelerations and multipliers, a new stretch, small steps at first."""
-        start, _ = consistent(self.system, replace(self.state, t=t), self.solver, h=self.size or 0.0)
-        self.inner = self._steps(start)
+        here, h = replace(self.state, t=t), self.size or 0.0
+        self.inner.begin_anew(lambda: consistent(self.system, here, self.solver, h=h)[0])
         self.size = self.proposed = None
         self.stretch.forget()
         self.control.h_old = self.peak = 0.0
