@@ -44,6 +44,10 @@ def test_a_drive_that_rests_at_first_allows_large_steps() -> None:
     assert 0.9 < look.farthest(start, 2.0) <= 1.05
     assert look.farthest(start, 0.9) == 0.9
 
+    # steps that nothing moves in, of those that are looked at together: one that ends where it begins is none
+    assert [look.still(start, 0.25, n) for n in (2, 4, 7)] == [2, 4, 4]
+    assert look.still(start, 0.27, 7) == 3
+
     free = stepper_of(point_pendulum(), fmbd.Index3())
     assert free.look.farthest(free.state, 100.0) == 100.0
 
@@ -78,6 +82,29 @@ def test_loads_that_stay_as_they_are_are_not_solved_for(monkeypatch: pytest.Monk
     for scene in (point_pendulum(), driven_crank()):
         stepper = stepper_of(scene, fmbd.Index3())
         assert stepper.look.loads(stepper.state, 0.1, 8) == 0.0
+
+
+def test_only_what_may_push_in_time_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A state that is held has the same forces at all times, unless a load, a law, gravity or a row that turns says otherwise."""
+
+    def scene(*parts: Any, **given: Any) -> Any:
+        made = fmbd.Scene("pushed", **given)
+        made.add(arm, axle, *parts)
+        return made.build()[0]
+
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+    axle = fmbd.revolute("axle", fmbd.ground, arm, center=(0, 0))
+    steady, turns = fmbd.drive("drive", fmbd.angle(axle), lambda t: (t**4, 4 * t**3, 12 * t**2)), (0.0, -9.81)
+    rows = fmbd.constraint("in time", fmbd.ground, arm, lambda a, b, t: np.cos(t) * b.x[0] - np.sin(t) * b.x[1])
+    assert not scene(steady).pushes_in_time and not scene(gravity=turns).pushes_in_time
+    for system in (
+        scene(gravity=turns, gravity_ramp=0.1), scene(rows), scene(fmbd.force("push", arm, lambda t: (0.0, t)))
+    ):  # fmt: skip
+        assert system.pushes_in_time
+
+    monkeypatch.setattr(LookAhead, "_at_most", lambda *_: pytest.fail("a look for nothing"))
+    stepper = stepper_of(driven_crank(), fmbd.Index3())
+    assert not stepper.system.pushes_in_time and stepper.look.loads(stepper.state, 0.1) == 0.0
 
 
 def _knock(stepper: Any, h: float) -> np.ndarray:

@@ -163,6 +163,12 @@ class Layout:
         return bool(any(batch.driven for batch, _ in self.batches) or self.traces or self.port_constraints)
 
     @cached_property
+    def pushes_in_time(self) -> bool:
+        """Whether the balance of a state that is held may depend on time: by loads, laws, gravity, or rows that turn."""
+        told = self.forces or self.elements or self.traces or self.port_constraints or not self.gravity.steady
+        return bool(told) or any(x.of_time for x in (*self.parts, *(batch for batch, _ in self.batches)))
+
+    @cached_property
     def fields(self) -> tuple[tuple[int, DistributedPart], ...]:
         """Distributed parts with their numbers."""
         return tuple((k, p) for k, p in enumerate(self.parts) if is_distributed(p))

@@ -159,6 +159,18 @@ class MassInverse(FieldFactor):
         self.judge.check(float(np.sqrt(rr)), float(np.sqrt(bb)))
         return X.ravel() / self.cm
 
+    def solve_columns(self, B: Array) -> Array:
+        """(cm M)^-1 B for columns (n d, k), all at once by a factor; every column is judged."""
+        if not (B.shape[1] and isinstance(self.component, PetscFactor)):
+            return super().solve_columns(B)
+        k = B.shape[1]
+        rows = B.reshape(-1, self.field.dim * k)
+        X = self.component.solve(rows)
+        R = (self.field.mass(X) - rows).reshape(B.shape)
+        for rr, bb in np.sqrt(self.field.total(np.stack(((R * R).sum(axis=0), (B * B).sum(axis=0))))).T.tolist():
+            self.judge.check(rr, bb)
+        return X.reshape(B.shape) / self.cm
+
     def in_c(self) -> InC | None:
         """As above, with a factor; it judges likewise."""
         if address_of_solve() is None or not isinstance(self.component, PetscFactor):

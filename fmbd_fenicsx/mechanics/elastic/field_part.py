@@ -49,6 +49,7 @@ class FieldPart(DistributedPart):
         self.surfaces = [field.moments(s) for s in surfaces]
         self.conditions = conditions
         self.mass_total, self.size = field.mass_total, field.size
+        self.of_time = bool(field.loads.loads)
         self.n_frame_rows = conditions.shape[1]
         self.inertia_columns: Array = np.zeros((self.n, 0))
         self.n_port = self.n_frame_rows + field.dim * (1 + field.dim) * len(self.surfaces)

@@ -64,10 +64,12 @@ class Batch:
     """All constraints of one kind: g, the rows of dg/d(twist of a), dg/d(twist of b), and gamma.
 
     ``on_speeds``: the rows hold between velocities and are no rates of a g, which is then 0 everywhere (nonholonomic).
+    ``of_time``: rows of a state that is held depend on time, and with them what multipliers push.
     """
 
     kind: ClassVar[str]
     on_speeds: ClassVar[bool] = False
+    of_time: ClassVar[bool] = False
 
     def __init__(self, motions: Motions, pairs: list[ElementaryConstraint]) -> None:
         self.motions = motions
@@ -170,6 +172,8 @@ class Perpendicular(Batch):
 
 class DrivenKinds(Batch):
     """Constraints whose kind itself depends on a motion of time, as one of its constants."""
+
+    of_time = True
 
     def _drive(self, t: float) -> None:
         """The motions and their rates at time t into the constants of the items."""

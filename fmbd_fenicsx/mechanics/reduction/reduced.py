@@ -113,6 +113,7 @@ class ReducedPart(Part):
         self.motions = motions(d)
         self.n = constants.n_modes
         self.mass_total, self.size = constants.mass, constants.size
+        self.of_time = bool(constants.loads)
 
         # ports of the surfaces in use, one after the other
         used = [constants.surfaces[s] for s in surfaces]

@@ -70,9 +70,11 @@ class LookAhead:
         foretold = float((ways * np.maximum(errors, 1.0) ** (-1.0 / 3.0)).min())
         return max(SAFETY * foretold, float(ways[followed - 1]) if followed else 0.0)
 
-    def drives(self, s: State, h: float, steps: int) -> bool:
-        """Whether what drives prescribe depends on time within so many steps of size h (s)."""
-        return bool(self.system.prescribes and self._driven(s, h * _shares(steps)).any())
+    def still(self, s: State, h: float, steps: int) -> int:
+        """In how many of so many steps of size h (s), from the first on, nothing that drives prescribe depends on time."""
+        shares = _shares(steps)
+        moved = self._driven(s, h * shares).any(axis=1) if self.system.prescribes else np.zeros(len(shares), dtype=bool)
+        return int(np.ceil(shares[moved.argmax()])) - 1 if moved.any() else steps
 
     def _driven(self, s: State, ways: Array) -> Array:
         """By how much constraints open in times (s) from now, the state held, (n, n_lam)."""
@@ -84,6 +86,8 @@ class LookAhead:
         """The norm of (1) for the worst of so many steps of size h (s), or the way of (3) over the length of the model where that
         is above one.
         """
+        if not self.system.pushes_in_time:
+            return 0.0
         # all at once, with the state held
         shares = _shares(steps)
         q, v, a, lam = (np.tile(x, (len(shares), 1)) for x in (s.q, s.v, s.a, s.lam))

@@ -263,10 +263,14 @@ class VariableAlpha(TimeStepper):
         return end if h == size else -np.inf
 
     def _look_far(self, h: float) -> bool:
-        """Whether nothing comes within several steps of size h (s), twice as many as the last time."""
+        """Whether nothing comes within several steps of size h (s), twice as many as the last time; up to those in which drives
+        begin to move.
+        """
         s, left = self.state, max(self.until - self.state.t, 0.0)
         steps = int(min(self.far, left / h))
-        if steps < 2 or self.look.drives(s, h, steps) or not self.look.loads(s, h, steps) <= 1.0:
+        if steps > 1:
+            steps = self.look.still(s, h, steps)
+        if steps < 2 or not self.look.loads(s, h, steps) <= 1.0:
             self.far = 1 if self.far > 1 else 2  # the step behind one that failed is looked at alone
             return False
         self.quiet, self.far = (h, s.t + steps * h * (1 + SAME)), min(2 * self.far, FARTHEST)
