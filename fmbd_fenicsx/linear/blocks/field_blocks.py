@@ -17,6 +17,7 @@ from ...rotations import Array
 from ...system.system import System
 from ..border import loaded_ports
 from ..options import check_options
+from ..residual import LARGEST_GROWTH
 from .incompressibility import VolumeMass
 from .spd import CholeskyFactor, FieldFactor, MassInverse
 
@@ -94,6 +95,7 @@ class FieldBlocks:
         self.retired_solves: list[int] = []  # of factors that have been freed
         self.methods: dict[str, str] = {}  # by what the block of a body was solved last, in words
         self._columns: dict[int, tuple[Any, Array]] = {}  # of each part, and what they are made for
+        self._growths: dict[int, tuple[int, float]] = {}  # of each part with its tangent, of :meth:`hides_masses`
         self._sets: dict[tuple[Any, ...], list[FactoredField]] = {}
 
     # -- counts -------------------------------------------------------------------------------------------------
@@ -120,6 +122,31 @@ class FieldBlocks:
     def versions(self, t: float) -> list[tuple[Any, Any]]:
         """Tangents and columns of all fields at a time (s): new ones where a matrix made of them is no longer that of a state."""
         return [(f.tangent_version, f.column_version(t)) for _, f in self.system.fields]
+
+    def hides_masses(self, w: Weights) -> bool:
+        """Whether stiffness in the matrix of a field in a moving frame hides the inertia of its rigid motions, so that a factor
+        would be refused; it takes none. Collective.
+
+        A rigid motion x has E x = M x with |E| |x| / |M x| = c_k |K| |x| / |M x|, which the judge of solutions limits.
+        """
+        if self.linear is not None:
+            return False
+        moved = [(k, part) for k, part in self.system.fields if part.inertia_columns.shape[1]]
+        return any(abs(FieldMatrix.of(part, w).ck) * self._growth(k, part) > LARGEST_GROWTH for k, part in moved)
+
+    def _growth(self, k: int, part: DistributedPart) -> float:
+        """|K| |x| / |M x|, the largest of all rigid motions x of part k."""
+        known = self._growths.get(k)
+        if known is None or known[0] != part.tangent_version:
+            from petsc4py import PETSc
+
+            f, d = part.field, part.field.dim
+            far, pushed = f.total((f.X * f.X).sum(axis=0)), f.total((f.Q * f.Q).sum(axis=0))
+            turned = far.sum() - far if d == 3 else far.sum(keepdims=True)
+            moved = np.concatenate((np.full(d, f.n_global / d), turned))
+            norm = f.stiffness_matrix.norm(PETSc.NormType.NORM_INFINITY)
+            self._growths[k] = known = part.tangent_version, float(norm * np.sqrt((moved / pushed).max()))
+        return known[1]
 
     # -- set-up -------------------------------------------------------------------------------------------------
     def used_last(self, blocks: list[FactoredField]) -> bool:

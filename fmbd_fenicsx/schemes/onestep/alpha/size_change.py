@@ -54,7 +54,7 @@ class SizeChange:
         """dv of (1) with S of the whole stretch, or of the largest part of it in which M is not lost; None where that is h."""
         for level in range(DEEPEST):
             span = self.stretch.size(level)
-            if self.stretch.loses(span, ev.t):
+            if self.stretch.loses(span, ev.t) or self.solver.elastic.hides_masses(self.weights(span)):
                 continue
             if span <= h:
                 break

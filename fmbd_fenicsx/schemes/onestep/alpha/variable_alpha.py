@@ -196,6 +196,9 @@ class VariableAlpha(TimeStepper):
             level = self.stretch.coarsest(min(proposed, turn_limit(self.system, s)), s.t)
             h = self.stretch.size(level)
             moves(s.t, h)
+            if self.solver.elastic.hides_masses(self._weights(h)):
+                self.stretch.lose(h, s.t)
+                continue
             self.solver.near_singular.begin_trial()
             if self._is_looked_at(h):
                 return level
