@@ -166,7 +166,7 @@ class Layout:
     def pushes_in_time(self) -> bool:
         """Whether the balance of a state that is held may depend on time: by loads, laws, gravity, or rows that turn."""
         told = self.forces or self.elements or self.traces or self.port_constraints or not self.gravity.steady
-        return bool(told) or any(x.of_time for x in (*self.parts, *(batch for batch, _ in self.batches)))
+        return bool(told) or any(x.of_time for x in self.parts) or any(batch.of_time for batch, _ in self.batches)
 
     @cached_property
     def fields(self) -> tuple[tuple[int, DistributedPart], ...]:
