@@ -103,6 +103,16 @@ def test_a_tenth_of_the_tolerance_tells_errors_of_controlled_steps(
     assert true <= 1e-5 and 0.5 < run.certificate["x"].total / true < 3.0
 
 
+def test_values_within_one_step_hide_no_error() -> None:
+    """A pendulum that one step takes to its end, with either tolerance: what its polynomial is off is told by smaller steps."""
+    case = CASES["pendulum, Radau"]
+    times = tuple(np.linspace(0.0, 0.005, 21))
+    output = fmbd.Output(times=times, energy=False, progress=False, estimate_error=True)
+    run = fmbd.solve(case.scene(), t_end=0.005, scheme=fmbd.Radau(3, rtol=1e-3), output=output)
+    true = float(np.abs(run["x"] - case.reference(case, np.array(times))).max())
+    assert run.counters["steps"] == 1 and 0.5 < run.certificate["x"].total / true < 3.0
+
+
 def test_steps_that_begin_alike_hide_no_error() -> None:
     """11 steps of BDF from order one are 2.4 times the tolerance off, nearly as far as 8 with ten times its own: what is between
     these states 0.17 of the error.

@@ -43,6 +43,7 @@ TENTH = 0.1  # of a tolerance
 FALLS, LEFT = 0.7, 0.6
 TELLING = 2.0  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
 SHORT = 0.25  # of the mean step, where the tolerance does not choose them
+HALF = 0.5  # the same where it does not choose values within them
 DECADES = 3  # of tolerances that are tried for it
 SHOWN = 4  # jumps in a message
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
@@ -134,18 +135,22 @@ def _from_tolerance(
 ) -> tuple[dict[str, Deviation], Compared]:
     """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective.
 
-    Steps of a finer run end at those of the given one where values between ends of steps are of a lower order: their errors would
-    be taken for the given run's.
+    Where values between ends of steps are of a lower order, steps of a finer run end where the given one is recorded at its own,
+    or its errors would be taken for that one's; at other times it has half of its mean step at most, as both would share theirs.
     """
     recorder, schedule = given.recorder, given.schedule
     other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
     rows = looked_at(recorder, most)
     instants = tuple(recorder.times[rows])
     wanted = Output(energy=False, progress=False, times=instants)
-    lands = finer and problem.said.ends_ahead and recorder.output.times is None
-    landing = replace(schedule, marks=tuple(sorted({*schedule.marks, *instants}))) if lands else schedule
+    landing, mean = schedule, schedule.span / max(int(recorder.indices[-1]), 1)
     if finer and seen_by_ends(problem.system):
-        landing = landing.below(SHORT * schedule.span / int(recorder.indices[-1]))
+        landing = landing.below(SHORT * mean)
+    if finer and problem.said.ends_ahead:
+        ends = recorder.output.times is None
+        landing = (
+            replace(landing, marks=tuple(sorted({*schedule.marks, *instants}))) if ends else landing.below(HALF * mean)
+        )
     made = Compared(companion(other, landing, wanted).recorder, schedule, other.scheme)
     apart = {n: Deviation(made.recorder.times, x - recorder.series[n][rows]) for n, x in made.recorder.series.items()}
     return apart, made
