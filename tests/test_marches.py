@@ -269,12 +269,14 @@ def test_own_steps_that_march_are_those_of_python(
 ) -> None:
     """Sizes, errors, rejections, increments, tangents, factors; states to roundoff, at the end and where they are recorded."""
 
+    end = 0.12 if name == "rod" else 0.25  # whose steps are short
+
     def run(times: Any) -> fmbd.Run:
         scene = OWN_MAKERS[name]()
         scene.sensor("speed", fmbd.sensors.velocity(list(scene.bodies.values())[-1]))
-        return fmbd.solve(scene, t_end=0.25, scheme=scheme, output=fmbd.Output(times=times, progress=False))
+        return fmbd.solve(scene, t_end=end, scheme=scheme, output=fmbd.Output(times=times, progress=False))
 
-    asked = None, np.linspace(0.0, 0.25, 12)
+    asked = None, np.linspace(0.0, end, 12)
     once = [run(times) for times in asked]
     assert sum(marches) > 0.4 * sum(x.counters["steps"] for x in once)
     monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)

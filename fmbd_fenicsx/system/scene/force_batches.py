@@ -31,7 +31,7 @@ class Place:
 
     def marker(self, sensor: Sensor) -> int:
         """The marker of a sensor, -1 for one that has none."""
-        return self._builder.sensor_marker(sensor)
+        return self._builder.markers.of_sensor(sensor)
 
 
 def build_loads(builder: Builder) -> tuple[Loads, ...]:
@@ -57,7 +57,7 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
         if isinstance(f, ExpressedForce):
             kind = f.term.kind
 
-        markers = builder.force_markers(f) if s is None else builder.joint_markers[s.joint.name]
+        markers = builder.markers.of_force(f) if s is None else builder.joint_markers[s.joint.name]
         groups.setdefault((f.batch, kind), []).append((f, markers))
 
     for (batch, _), found in groups.items():
@@ -68,7 +68,7 @@ def build_loads(builder: Builder) -> tuple[Loads, ...]:
             out.append(batch(builder.m, fs, ms))
 
     for loads in out:
-        loads.length = builder.length()
+        loads.length = builder.bodies.length()
     return tuple(out)
 
 

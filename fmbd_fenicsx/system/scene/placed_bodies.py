@@ -1,0 +1,130 @@
+"""The bodies of a scene with their frames and parts, where these stand and how they begin."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...mechanics.bodies.bodies import ElasticBody, RigidBody, Surface
+from ...mechanics.body import Placed, Site
+from ...mechanics.rods.rods import Rod
+from ...rotations import Array, Motions, motions
+from ..configurations import count
+from ..layout import State
+from ..system import System
+from .model_length import model_length
+from .references import surfaces_in_use
+from .rods import RodNodes
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+NARROW = 1e-3  # of a body, a surface on which it turns as on a hinge
+
+
+class PlacedBodies:
+    """Frames of all moving bodies, with poses and twists at the start; parts with local coordinates, and what these begin with.
+
+    ``used``: names of the surfaces of each body that something is attached to, which have ports.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.m: Motions = motions(scene.dim)
+        self.frame_of: dict[str, int] = {}
+        self.poses: list[Array] = []
+        self.twists: list[Array] = []
+        self.part_of: dict[str, int] = {}
+        self.parts: list[Any] = []
+        self.starts: list[tuple[Array, Array]] = []
+        self.nodes = RodNodes()
+        self.used: dict[str, list[str]] = {}
+
+    @property
+    def ground_frame(self) -> int:
+        """The number of the ground, behind all frames that move."""
+        return len(self.poses)
+
+    def part(self, side: Surface) -> Any:
+        """The part of the elastic body that a surface is of."""
+        return self.parts[self.part_of[side.body.name]]
+
+    def add_frames(self, moving: list[Any]) -> None:
+        """Poses and twists of all moving frames; those of elastic bodies follow with their parts."""
+        for body in moving:
+            if not body.framed:
+                continue
+            self.frame_of[body.name] = len(self.poses)
+            self.poses.append(body.start_pose())
+            self.twists.append(body.start_twist())
+
+        for body in moving:
+            # a rod has a frame for every node, behind those of the bodies
+            if isinstance(body, Rod):
+                self.frame_of |= self.nodes.add(body, len(self.poses))
+                self.poses.extend(body.poses)
+                self.twists.extend(body.start_twists())
+
+    def add_parts(self, moving: list[Any]) -> None:
+        """The parts of all bodies with local coordinates: those in the core first, then those distributed over ranks."""
+        self.used = surfaces_in_use(self.scene)
+        for body in sorted(moving, key=lambda b: b.stage):
+            frame = self.frame_of[body.name] if body.framed else self.ground_frame
+            # parts stand in the order of their stages: replicated ones before fields
+            slides = [(s.wire, s.path) for s in self.scene.sliders.values() if s.wires is body]
+            placed = body.placed(Site(frame, self.ground_frame, self.used[body.name], slides, self._field))
+            if placed is not None:
+                self._put_part(placed)
+
+    def _put_part(self, placed: Placed) -> None:
+        """Add a part with its local coordinates and rates at the start, and the start of its frame."""
+        part = placed.part
+        self.part_of[part.name] = len(self.parts)
+        self.parts.append(part)
+        self.starts.append((placed.q, placed.v))
+        if placed.pose is not None:
+            self.poses[part.frame] = placed.pose
+        if placed.twist is not None:
+            self.twists[part.frame] = placed.twist
+
+    def _field(self, body: ElasticBody) -> Any:
+        """The elastic field of a body, without inertia at the nodes that may touch; collective."""
+        from ...fem.mixed import make_field
+
+        made = make_field(body.name, body.mesh, body.forms())
+        if self.scene.contacts:
+            from .contact import make_massless
+
+            make_massless(self.scene, body, made)
+        return made
+
+    def center(self, side: Surface) -> Array:
+        """Where a surface lies at the start."""
+        if isinstance(side.body, Rod):
+            return self.nodes.section(side)[1][: self.m.dim]
+        center: Array = self.part(side).surface_center(side.name)
+        return center
+
+    def narrow(self, side: Surface) -> float:
+        """Size (m) of a surface that is hardly anything of its elastic body: it turns there as on a hinge; 0 elsewhere."""
+        part = self.part(side) if side.body.meshed else None
+        width = part.field.moments(side.name).length if part is not None and part.distributed else np.inf
+        return width if part is not None and width < NARROW * part.size else 0.0
+
+    def mass(self, rigid: list[RigidBody]) -> float:
+        """Of all bodies, kg; ``rigid``: those that are no parts."""
+        return self.nodes.mass + sum(b.mass for b in rigid) + sum(p.mass_total for p in self.parts)
+
+    def length(self) -> float:
+        """The characteristic length of the model, m."""
+        return model_length(self.scene, [q[: self.m.dim] for q in self.poses], [p.size for p in self.parts])
+
+    def state(self, system: System) -> State:
+        """The state of a system of them as given."""
+        theta = np.zeros(0 if system.counted is None else system.counted.count)
+        v = [*self.twists, *(ud for _, ud in self.starts)]
+        # q in the order of the system: poses, counted angles, local coordinates
+        start = np.concatenate([*self.poses, theta, *(u for u, _ in self.starts)])
+        count(system, start)
+        return State(0.0, start, np.concatenate(v), np.zeros(system.n_v), np.zeros(system.n_lam))
