@@ -238,6 +238,8 @@ def test_bad_input() -> None:
         fmbd.modes(scene, 3)
     with pytest.raises(InputError, match='Unknown input "psh"'):
         fmbd.linearise(scene, ["psh"], ["b"])
+    with pytest.raises(InputError, match='Input "guide a" is a joint or a drive'):
+        fmbd.linearise(scene, ["guide a"], ["b"])
     with pytest.raises(InputError, match='Unknown output "c"'):
         fmbd.linearise(scene, ["push"], ["c"])
     with pytest.raises(InputError, match="Undamped resonance"):
