@@ -1,0 +1,80 @@
+"""No scene falls to steps that Python makes: calls of Python a step beside those of a user's own functions, in every scheme."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from chains import chain
+from profiled import calls_of
+from test_driver import compiled
+
+import fmbd_fenicsx as fmbd
+
+SCHEMES = [
+    fmbd.GeneralizedAlpha(),
+    fmbd.BDF(5, rtol=None),
+    fmbd.Radau(3, rtol=None),
+    fmbd.Rattle(),
+    fmbd.HalfExplicit(rtol=None),
+    fmbd.EnergyMomentum(),
+]
+AROUND, EACH = 15.0, 18.0  # calls of a step that asks for nothing, and for each time that a function is asked
+DT = 2e-3  # s
+
+
+def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
+    """Four links that fall, with elements that ask functions ``of time``, ``of motion``, or of the ``road``."""
+    scene, last = chain(4)
+    s = [fmbd.angle(scene.joints[f"pin {k}"]) for k in range(4)]
+
+    def noted(value: Any) -> Any:
+        asked.append(0.0)
+        return value
+
+    if kind == "of time":
+        scene.add(
+            fmbd.effort("effort", s[0], lambda t: noted(3 * np.cos(2 * t))),
+            fmbd.force("force", last, lambda t: noted((np.cos(t), 1.0)), follower=True),
+            fmbd.forces.motor("motor", s[1], target=lambda t: noted(np.sin(t)), kp=30.0, kd=3.0),
+            fmbd.pid("pid", s[2], target=lambda t: noted(0.3 * np.sin(t)), gains=(40.0, 10.0, 4.0)),
+            fmbd.drive("drive", s[3], lambda t: noted(0.5 * (1 - np.cos(2 * t)))),
+        )
+    elif kind == "of motion":
+        reads = {"s": s[1], "tip": fmbd.position(last)}
+        scene.add(
+            fmbd.joint_spring("law", s[0], law=lambda x, rate, t: noted(20 * np.sin(x) + rate)),
+            fmbd.controller("pd", reads=reads, acts=s[1], law=lambda t, y, z: noted(-20 * y["s"][0] - y["tip"][1])),
+        )
+    else:
+        road = lambda x, t: noted(-0.29 + 0.01 * np.sin(5 * x[0] + t))  # noqa: E731
+        scene.add(
+            fmbd.Tyre("tyre", last, road=road, radius=0.3, stiffness=2e3, damping=10.0, up=(0.0, 1.0)),
+            fmbd.joint_spring("spring", s[0], stiffness=10.0, damping=0.1),
+            fmbd.forces.joint_friction("friction", s[1], coulomb=1.0, speed=0.5, viscous=0.1),
+            fmbd.forces.elastic_stop("stop", s[2], lower=-0.1, upper=0.1, stiffness=1e3, damping=1.0, width=0.05),
+            fmbd.gear("gear", s[2], s[3], ratio=-1.5),
+        )
+    return scene
+
+
+@compiled
+@pytest.mark.parametrize("kind", ["of time", "of motion", "road"])
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
+def test_calls_a_step(scheme: Any, kind: str) -> None:
+    """Differences of runs of 20 and 60 steps; all evaluations beside the functions' own are compiled code's."""
+    asked: list[float] = []
+
+    def run(steps: int) -> None:
+        output = fmbd.Output(times=(0.0, steps * DT), energy=False, progress=False)
+        fmbd.solve(scene_of(kind, asked), t_end=steps * DT, dt=DT, scheme=scheme, output=output)
+
+    run(20)
+    calls, functions = [], []
+    for steps in (20, 60):
+        asked.clear()
+        calls.append(calls_of(lambda steps=steps: run(steps)))
+        functions.append(len(asked))
+    found, each = (calls[1] - calls[0]) / 40, (functions[1] - functions[0]) / 40
+    assert found < AROUND + EACH * each
