@@ -1,13 +1,14 @@
 """Generalized-alpha with contact: gaps at position level, persistency at velocity level.
 
     M a + h + G^T lambda - N^T Lambda = 0,   g = 0,   0 <= Lambda _|_ gap >= 0     at t_n+1                 (1)
-    v_n+1 <- v_n+1 + A^-1 N^T P,   0 <= P _|_ N v_n+1 >= 0   for the contacts that are closed               (2)
+    v_n+1 <- v_n+1 + A^-1 L^T P,   0 <= P _|_ N v_n+1 >= 0   for the contacts that are closed               (2)
     v_n+1 <- v_n+1 - s dv,   A <- A - s dv / (gamma h)       where contacts have closed                     (3)
 
 (1) is the step of :mod:`..onestep.alpha.generalized_alpha` with unilateral rows beside the joints; (2) removes the approach
-velocity of closed contacts (lambda g' = 0, persistency), in the metric A of the step. Contact nodes carry no inertia, so
-Lambda is bounded and the recursion of accelerations stays smooth; rigid impacts belong to :mod:`.moreau`. Energy is
-damped at high frequencies and at impacts; see :mod:`.contact_midpoint` for the rule that conserves it.
+velocity of closed contacts (lambda g' = 0, persistency), in the metric A of the step, with the friction that goes with P: L has
+the rows of normals and tangents. Contact nodes carry no inertia, so Lambda is bounded and the recursion of accelerations stays
+smooth; rigid impacts belong to :mod:`.moreau`. Energy is damped at high frequencies and at impacts; see :mod:`.contact_midpoint`
+for the rule that conserves it.
 
 A body that is stiff for the step stops in no time, and a gap that is closed at the end of a step says nothing of the velocity
 there. The forces of (1) turn a velocity v, a share x of the step before the impact, into
@@ -107,7 +108,8 @@ class ContactAlpha(GeneralizedAlpha):
 class ContactAlphaStepper(FlyingStepper):
     """Advances a state; holds the algorithmic acceleration A."""
 
-    maker, share = "ALPHA", 1.0
+    maker = "ALPHA"
+    share = 1.0
     keeps: ClassVar = {**FlyingStepper.keeps, "A": Memory.like_v, "size": plain()}
 
     def __init__(self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
@@ -189,10 +191,10 @@ class ContactAlphaStepper(FlyingStepper):
         rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.end.q, step.h)[step.near]
         stopped = force.copy()
         on = rows if closed.all() else rows.take(closed)
-        P = self._stopping(on, v, rate[closed])
+        P = self._stopping(on, v, rate[closed], step.h)
         if P.any():
-            v = v + self._pushed(on.N, P)
-            stopped[closed, 0] += P / step.h
+            v = v + self._pushed(on.L, P.ravel())
+            stopped[closed] += P / step.h
 
         # where contacts have closed in this step
         if (closed & (self.ledger.force[step.near][:, 0] <= 0)).any():
@@ -204,13 +206,17 @@ class ContactAlphaStepper(FlyingStepper):
             step.accelerate(share * dv)
         return v, stopped
 
-    def _stopping(self, rows: Rows, v: Array, rate: Array) -> Array:
-        """Impulses (m,) of (2) on closed contacts, whose gaps the motion of obstacles changes at a ``rate`` (m,), m/s."""
-        u = self.contacts.times(self.system, rows.N, v) + rate
-        if not (u < 0).any():
-            return np.zeros(len(u))
-        W, none = self.compliance.of(rows.N, rows.trace, 1.0), np.zeros(len(u))
-        return small_problem(self.normal_problem, W, (u, none), none[:, None], self.ledger.counts)[:, 0]
+    def _stopping(self, rows: Rows, v: Array, rate: Array, h: float) -> Array:
+        """Impulses (m, 1 or d) of (2) on closed contacts, with friction on their slips at the end of a step of size h (s);
+        the motion of obstacles changes gaps at a ``rate`` (m,), m/s.
+        """
+        u = self.contacts.times(self.system, rows.L, v).reshape(len(rate), rows.components)
+        u = u + np.concatenate((rate[:, None], -rows.drift / h), axis=1)
+        none = np.zeros_like(u)
+        if not (u[:, 0] < 0).any():
+            return none
+        W = self.compliance.of(rows.L, rows.trace, 1.0)
+        return small_problem(self.problem, W, (u.ravel(), rows.friction), none, self.ledger.counts)
 
     def _pushed(self, rows: LinearRows, P: Array) -> Array:
         """Change of velocities by impulses P on rows."""

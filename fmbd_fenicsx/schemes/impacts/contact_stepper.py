@@ -37,11 +37,6 @@ class ContactStepper(TimeStepper):
         """Who finds contact forces in compiled code; looked for at the first step, since starts are NumPy's."""
         return compiled_problem(self.system, self.ledger.components)
 
-    @cached_property
-    def normal_problem(self) -> CompiledProblem | None:
-        """The same without friction."""
-        return compiled_problem(self.system, 1)
-
     @property
     def counters(self) -> dict[str, float]:
         """Statistics of contact for the run's counters."""

@@ -73,7 +73,7 @@ class ElasticStep(ContactStep):
             p.confirmed = replace(known, relied=known.relied + 1)
         else:
             told = p.smooth and len(history) == 2 and not self._turned
-            p.confirmed = Confirmed(self.h, near, *history) if told else None
+            p.confirmed = Confirmed(self.h, near, history[0], history[1]) if told else None
         return len(history)
 
     def changes(

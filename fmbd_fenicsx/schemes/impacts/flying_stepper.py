@@ -126,8 +126,7 @@ class FlyingStepper(ContactStepper):
         lend_energies(p, observers.energy)
         if joints is not None:
             march.judge(joints.limits(h), np.inf)
-        if observers.tape is not None:
-            observers.tape.impulse = self.ledger.impulse
+        march.impulse = self.ledger.impulse
         assert driver is not None
         driver.begin_steps(s)
         march.load([(s.t, s.q, s.v, s.a, self._algorithmic(), s.lam)])

@@ -83,7 +83,7 @@ class FreeMarch(March):
         library = driver_of(states.twin.system, CONTACT)
         super().__init__(library, states.tables, states.calls, scheme, own=len(WORKS) + 2, room=room)
         self.around = Surroundings(self, system, share)
-        self.whole = system
+        self.whole, self.impulse = system, np.zeros(0)  # impulse: of contacts since the start, (pairs, d)
 
     def tape(self, judged: Openness) -> Tape:
         """Room for records, not for instants within steps. Made once."""
@@ -93,10 +93,10 @@ class FreeMarch(March):
 
 
 class FlightTape(Tape):
-    """Room for the records of one march, with the works of contact; ``impulse`` (pairs, d): since the start."""
+    """Room for the records of one march, with the works of contact."""
 
     def __init__(self, march: FreeMarch, judged: Openness) -> None:
-        self.whole, self.impulse = march.whole, np.zeros(0)
+        self.march = march
         super().__init__(march.tables, judged, contact=len(WORKS))
 
     def _records(self, which: slice) -> Recorded:
@@ -108,7 +108,7 @@ class FlightRecorded(Recorded):
 
     def __init__(self, found: Recorded, tape: FlightTape) -> None:
         super().__init__(found.twin, found.looks, found.arrays, found.doubt)
-        self.whole, self.impulse = tape.whole, tape.impulse
+        self.whole, self.impulse = tape.march.whole, tape.march.impulse
         del self.contact  # made where somebody asks
 
     @cached_property
