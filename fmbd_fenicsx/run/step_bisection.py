@@ -32,6 +32,9 @@ from .judges.force_balance import Balanced
 from .judges.forecast import Forecast
 
 DEPTH = 6  # times that a step that fails may be halved
+OWN_STEPS = (
+    " A scheme that chooses its steps, scheme=fmbd.Radau(3, rtol=1e-6), makes short ones where a motion is sharp."
+)
 AT_FIRST = 4  # halvings that may be any time, where only so many may be in all: others as steps go on
 
 
@@ -182,8 +185,9 @@ class ConstantSteps(Around):
                 except np.linalg.LinAlgError as error:  # of a part that begins, or is looked at
                     raise diverged(t - h, h, error) from error
                 except (ConvergenceError, LinearSolveError) as error:
+                    own = "" if self.system.contacts is not None else OWN_STEPS
                     raise type(error)(
-                        f"{error} Parts of this step fail too, down to 1/{2 ** (self.whole + DEPTH)} of it."
+                        f"{error} Parts of this step fail too, down to 1/{2 ** (self.whole + DEPTH)} of it.{own}"
                     ) from None
                 if self.stepper.state.t != t:  # sums of halves round
                     self.stepper.state = replace(self.stepper.state, t=t)
