@@ -43,10 +43,10 @@ class Surroundings(PairTables):
 
     def __init__(self, march: March, system: System, share: float) -> None:
         listed: list[Any] = []
-        facing: list[tuple[int, int, float]] = []
+        facing: list[Any] = []
         for pair in system.contacts.pairs:
             if type(pair) is MortarPair:
-                facing.append((len(listed), len(listed) + 1, pair.sight))
+                facing.append(FACING(len(listed), len(listed) + 1, pair.sight))
                 listed += [SurfacePoints(pair.slave), SurfacePoints(pair.master)]
             else:
                 listed.append(pair)
@@ -83,7 +83,8 @@ class FreeMarch(March):
         library = driver_of(states.twin.system, CONTACT)
         super().__init__(library, states.tables, states.calls, scheme, own=len(WORKS) + 2, room=room)
         self.around = Surroundings(self, system, share)
-        self.whole, self.impulse = system, np.zeros(0)  # impulse: of contacts since the start, (pairs, d)
+        self.whole = system
+        self.impulse: Array = np.zeros(0)  # of contacts since the start, (pairs, d)
 
     def tape(self, judged: Openness) -> Tape:
         """Room for records, not for instants within steps. Made once."""
