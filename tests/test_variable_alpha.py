@@ -26,6 +26,7 @@ from fmbd_fenicsx.schemes.consistent import consistent
 from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.look_ahead import LookAhead
+from fmbd_fenicsx.schemes.onestep.alpha.quiet_times import QuietTimes
 from fmbd_fenicsx.schemes.onestep.alpha.stretch import parts
 from fmbd_fenicsx.schemes.onestep.alpha.variable_alpha import VariableAlpha
 from fmbd_fenicsx.system.compiled.tables.tables import Tables
@@ -336,7 +337,7 @@ def test_a_largest_step_is_kept_within_a_call(monkeypatch: pytest.MonkeyPatch) -
         return fmbd.solve(joint_springs(2), t_end=0.5, dt=5e-4, scheme=fmbd.GeneralizedAlpha(rtol=1e-2))
 
     once, made = run(), list(calls)
-    monkeypatch.setattr(VariableAlpha, "_look_far", lambda self, h: False)
+    monkeypatch.setattr(QuietTimes, "_extended", lambda self, s, h, left: False)
     turn = run()
     assert np.array_equal(once.times, turn.times) and np.array_equal(once.state.q, turn.state.q)
     assert once.counters["rejections"] == turn.counters["rejections"]
@@ -348,15 +349,15 @@ def test_a_look_ahead_that_cannot_be_solved_is_a_step_too_large(
     rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The mass of a stiff free body is lost beside its stiffness in a step of seconds: smaller ones are taken."""
-    look, refused = VariableAlpha._ahead, []
+    look, refused = QuietTimes.error, []
 
-    def ahead(self: VariableAlpha, h: float) -> float:
+    def error(self: QuietTimes, s: Any, h: float, end: float) -> float:
         if h > 0.05:
             refused.append(h)
             raise LinearSolveError("the matrix is singular or nearly so")
-        return look(self, h)
+        return look(self, s, h, end)
 
-    monkeypatch.setattr(VariableAlpha, "_ahead", ahead)
+    monkeypatch.setattr(QuietTimes, "error", error)
     run = fmbd.solve(knocked(rod_mesh(dim=2, h=0.5, height=0.1)), t_end=0.4, scheme=fmbd.GeneralizedAlpha(rtol=1e-3))
     assert refused and run.status == "finished"
     assert run.counters["rejected: linear solve failed"] == len(refused)

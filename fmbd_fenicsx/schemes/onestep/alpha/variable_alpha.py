@@ -44,8 +44,9 @@ from ...error_norm import NormOfWays
 from ...newton import Newton
 from ...stepping import UNOBSERVED, Observers, TimeStepper
 from .look_ahead import LookAhead
+from .quiet_times import CALM, QuietTimes
 from .size_change import SizeChange
-from .stretch import SAME, Stretch, parts
+from .stretch import Stretch, parts
 
 if TYPE_CHECKING:
     from ....system.compiled.kept import KeptSteps
@@ -55,8 +56,6 @@ if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
 
 KEPT = 9  # sets of elastic factors: those of eight sizes, and that of the whole stretch
-CALM = 0.01  # errors of late over what is allowed, below which nothing happens
-FARTHEST = 64  # steps whose loads are looked at together
 # share of the present size that a proposal must have for this size to stay: an error of 0.9 is expected then
 KEEPS = 0.93
 
@@ -70,7 +69,8 @@ class VariableAlpha(TimeStepper):
         "control": plain(StepControl),
         "stats": plain(Statistics),
         "stretch": worker,
-        **dict.fromkeys(("proposed", "size", "largest", "quiet", "far", "local_error", "error", "peak"), plain()),
+        "quiet": worker,
+        **dict.fromkeys(("proposed", "size", "local_error", "error", "peak"), plain()),
     }
 
     def __init__(
@@ -84,6 +84,7 @@ class VariableAlpha(TimeStepper):
         self.norm = NormOfWays(system, scheme.rtol, scheme.atol, 3)
         self.stretch = Stretch()
         self.look = LookAhead(system, solver, self.norm, self._weights)
+        self.quiet = QuietTimes(self.look)
         bends = bool(self.norm.deforming or system.elements)
         self.change = SizeChange(system, solver, self.stretch, self._weights, bends)
         self.control = StepControl(3.0)
@@ -95,9 +96,6 @@ class VariableAlpha(TimeStepper):
         self.proposed: float | None = None
         self.size: float | None = None  # of the last step, s
         self._seen: tuple[State, Evaluation] | None = None
-        self.largest = 0.0  # step in which loads were looked at, s
-        self.quiet = 0.0, -np.inf  # size of steps that were looked at ahead, and until when, s
-        self.far = 1  # of how many steps loads are looked at next
 
         # sizes come back: factors of the last few are kept
         solver.elastic.kept = max(solver.elastic.kept, KEPT)
@@ -200,7 +198,7 @@ class VariableAlpha(TimeStepper):
                 self.stretch.lose(h, s.t)
                 continue
             self.solver.near_singular.begin_trial()
-            if self._is_looked_at(h):
+            if self.quiet.holds(s.t, h, self.peak):
                 return level
 
             farthest = self.look.farthest(s, h)
@@ -208,7 +206,7 @@ class VariableAlpha(TimeStepper):
                 proposed = farthest
                 continue
             try:
-                error, cause = self._ahead(h), "a load within the step"
+                error, cause = self.quiet.error(s, h, self.until), "a load within the step"
             except LinearSolveError as failure:
                 error, cause = np.inf, self._losing(h, failure)
             if error <= 1.0:
@@ -247,37 +245,6 @@ class VariableAlpha(TimeStepper):
         kept = self.inner.A if A is None else A
         past = self.inner._past
         self.inner.state, self.inner.A, self.inner._past = state, kept, past
-
-    def _ahead(self, h: float) -> float:
-        """What a load within a step moves, in the norm of errors; 0 where nothing comes within several steps."""
-        error = 0.0 if self._look_far(h) else self.look.loads(self.state, h)
-        if error <= 1.0:
-            self.largest = max(self.largest, h)
-        return error
-
-    def _is_looked_at(self, h: float) -> bool:
-        """Whether loads within a step of size h (s) need no look."""
-        looked_ahead = self.state.t + h <= self._quiet_for(h)
-        return looked_ahead or (h <= self.largest and self.peak > CALM)
-
-    def _quiet_for(self, h: float) -> float:
-        """Up to when loads within steps of size h (s) have been looked at, s."""
-        size, end = self.quiet
-        return end if h == size else -np.inf
-
-    def _look_far(self, h: float) -> bool:
-        """Whether nothing comes within several steps of size h (s), twice as many as the last time; up to those in which drives
-        begin to move.
-        """
-        s, left = self.state, max(self.until - self.state.t, 0.0)
-        steps = int(min(self.far, left / h))
-        if steps > 1:
-            steps = self.look.still(s, h, steps)
-        if steps < 2 or not self.look.loads(s, h, steps) <= 1.0:
-            self.far = 1 if self.far > 1 else 2  # the step behind one that failed is looked at alone
-            return False
-        self.quiet, self.far = (h, s.t + steps * h * (1 + SAME)), min(2 * self.far, FARTHEST)
-        return True
 
     # -- many steps in compiled code ------------------------------------------------------------------------------------
     def stride(self, h: float) -> float:
@@ -363,7 +330,7 @@ class VariableAlpha(TimeStepper):
         if ratio and stretch.loses(stretch.size(level - 1), self.state.t):
             assert stretch.lost is not None
             ratio, until = 0, stretch.lost[1]
-        place, quiet = int(stretch.done * count), self._quiet_for(stretch.size(level))
+        place, quiet = int(stretch.done * count), self.quiet.until(stretch.size(level))
         return Stay(place, count, stretch.length, stretch.end, ratio, KEEPS, CALM, quiet, until, self.peak)
 
     @property
