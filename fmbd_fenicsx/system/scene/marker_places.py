@@ -56,13 +56,12 @@ class MarkerPlaces:
             return MarkerPlace(part.frame, here, lever, side)
 
         # on the ground, on a body locked to it, or on a moving one
-        ground_frame = self.bodies.ground_frame
         if side is ground:
-            return MarkerPlace(ground_frame, here, here[:d] if point is None else point)
+            return MarkerPlace(self.bodies.ground_frame, here, here[:d] if point is None else point)
         if point is not None and not side.turns:
             point = at_its_place(side, point, self.bodies.length())
         if side.locked:
-            return MarkerPlace(ground_frame, here, side.start_pose()[:d] if point is None else point)
+            return MarkerPlace(self.bodies.ground_frame, here, side.start_pose()[:d] if point is None else point)
 
         frame = self.bodies.frame_of[side.name]
         pose = self.bodies.poses[frame]

@@ -68,12 +68,12 @@ class PlacedBodies:
 
     def add_parts(self, moving: list[Any]) -> None:
         """The parts of all bodies with local coordinates: those in the core first, then those distributed over ranks."""
-        self.used = surfaces_in_use(self.scene)
+        self.used, ground = surfaces_in_use(self.scene), self.ground_frame
         for body in sorted(moving, key=lambda b: b.stage):
-            frame = self.frame_of[body.name] if body.framed else self.ground_frame
+            frame = self.frame_of[body.name] if body.framed else ground
             # parts stand in the order of their stages: replicated ones before fields
             slides = [(s.wire, s.path) for s in self.scene.sliders.values() if s.wires is body]
-            placed = body.placed(Site(frame, self.ground_frame, self.used[body.name], slides, self._field))
+            placed = body.placed(Site(frame, ground, self.used[body.name], slides, self._field))
             if placed is not None:
                 self._put_part(placed)
 
