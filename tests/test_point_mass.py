@@ -279,6 +279,17 @@ def test_what_holds_its_place_is_taken() -> None:
     assert scene.check().freedom == 1
 
 
+@pytest.mark.parametrize("mass_first", [True, False])
+def test_joints_without_a_center_sit_at_the_mass(mass_first: bool) -> None:
+    """Whichever of the two bodies it is: nothing takes hold of it elsewhere."""
+    arm, mass = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0)), fmbd.PointMass("mass", 2.0, (1.0, 0.2))
+    scene = fmbd.Scene("held")
+    scene.add(arm, mass, fmbd.spherical("grip", *((mass, arm) if mass_first else (arm, mass))))
+    system, state, _ = scene.build()
+    places = system.at(0.0, state.q, state.v).kin.x
+    assert len(places) >= 2 and np.abs(places[:2] - (1.0, 0.2)).max() < 1e-15
+
+
 def test_messages_of_bodies_name_it() -> None:
     for inertia, place in ((0.0, (0, 0)), ((0.0, 0.0, 0.0), (0, 0, 0))):
         with pytest.raises(InputError, match=r"fmbd\.PointMass"):

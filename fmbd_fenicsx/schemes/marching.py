@@ -41,6 +41,13 @@ def lend_newton(p: Array, system: System, newton: Newton) -> None:
     p[slots.SLOW], p[slots.MAXIT], p[slots.NEW_TANGENT] = newton.slow, newton.max_iterations, newton.patience
 
 
+def take_newton(p: Array, newton: Newton, steps: int) -> None:
+    """Take note of the iterations that so many compiled steps have made, and of the rate of the last one."""
+    newton.iterations += int(p[slots.ITERATIONS])
+    newton.note(float(p[slots.LEFT]), steps)
+    newton.theta = float(p[slots.THETA])
+
+
 def lend_energies(p: Array, judge: EnergyJudge | None) -> None:
     """Write into the parameters of compiled steps by what energies are judged, where they are."""
     p[slots.GUARDED] = judge is not None
@@ -89,9 +96,7 @@ class CompiledSteps(TimeStepper):
 
     def _count_increments(self, p: Array, steps: int) -> None:
         """Take note of Newton's iterations in so many steps."""
-        self.newton.iterations += int(p[slots.ITERATIONS])
-        self.newton.note(float(p[slots.LEFT]), steps)
-        self.newton.theta = float(p[slots.THETA])
+        take_newton(p, self.newton, steps)
 
 
 class MarchingStepper(CompiledSteps):

@@ -143,10 +143,11 @@ def _inputs(made: Linearised, names: Sequence[str]) -> list[tuple[str, Array]]:
                     one = np.zeros_like(wrench)
                     one[loads.a[i], first : first + n] = ev.kin.R[loads.a[i]] @ unit if f.follower and n == d else unit
                     known[f.name if n == 1 else f"{f.name} {AXES[c]}"] = ev.spread(one)
-    for name in set(names) & made.scene.joints.keys() - known.keys():
-        raise InputError(
+    for name in names:
+        require(
+            name in known or name not in made.scene.joints,
             f'Input "{name}" is a joint or a drive, and inputs are forces. Let an effort move a body that is heavy beside all '
-            "others, and divide by its motion."
+            "others, and divide by its motion.",
         )
     return [(label, known[label]) for name in names for label in _chosen(name, known, "input")]
 

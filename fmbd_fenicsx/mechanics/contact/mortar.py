@@ -161,7 +161,9 @@ class MortarPair:
 
     @property
     def sight(self) -> float:
-        """How far facets of the slave look for the master at least, m: with a bound of how they grow."""
+        """How far facets of the slave look for the master, m, beside what nodes move by: half of their diameters, unless it was
+        chosen. Told at rest as the whole of these, which is enough until facets are twice as large.
+        """
         return float(diameters(self.facets[0]).max()) if self.search is None else float(self.search)
 
     @cached_property

@@ -210,7 +210,8 @@ def fixed(name: str, a: Any, b: Any, *, center: Vector | None = None) -> Joint:
         a, b: a rigid body, a surface of an elastic body (``body.surface("pin")``), or :data:`~fmbd_fenicsx.ground`. Reactions are
             those on a, N and N m, world axes.
         center: where the joint sits (m, world, in the places where the bodies were defined); by default the centroid of a
-            surface, else the position of the second body, of the first where the second is the ground.
+            surface, else the place of a mass at a point, else the position of the second body, of the first where the second is
+            the ground.
 
     Raises:
         InputError: a side that is none of these, a body joined with itself, numbers that are none.

@@ -22,11 +22,11 @@ import numpy as np
 _NODES: dict[tuple[Any, ...], Expression] = {}
 
 
-def _of_scalars(operator: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """An operator of two expressions; with an array NumPy takes it entry by entry."""
+def _of_scalars(made: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """What an operator makes of two expressions; with an array NumPy takes it entry by entry."""
 
     def asked(x: Any, y: Any) -> Any:
-        return NotImplemented if isinstance(y, np.ndarray) and y.ndim else operator(x, y)
+        return NotImplemented if isinstance(y, np.ndarray) and y.ndim else made(x, y)
 
     return asked
 

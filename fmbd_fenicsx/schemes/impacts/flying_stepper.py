@@ -17,7 +17,7 @@ from ...rotations import Array
 from ...system.compiled import march as slots
 from ...system.layout import State
 from ...system.serialisation import plain
-from ..marching import lend_energies, lend_newton, take_energies
+from ..marching import lend_energies, lend_newton, take_energies, take_newton
 from ..stepping import UNOBSERVED, Observers
 from .contact_stepper import ContactStepper
 from .elastic_step import Confirmed, is_smooth
@@ -146,11 +146,9 @@ class FlyingStepper(ContactStepper):
 
     def _take(self, march: FreeMarch, made: int, h: float) -> None:
         """The newest state, the books and what was counted."""
-        p, newton, s = march.parameters, self.newton, march.state()
+        p, s = march.parameters, march.state()
         self._take_flight(march, made, h)
-        newton.iterations += int(p[slots.ITERATIONS])
-        newton.note(float(p[slots.LEFT]), made)
-        newton.theta = float(p[slots.THETA])
+        take_newton(p, self.newton, made)
         self.local_error, self.flown = float(p[slots.LOCAL]), self.flown + made
         if self.contacts.searching:
             self.contacts.update(self.system, s.q, 2 * h * self.contacts.fastest(self.system, s.v))

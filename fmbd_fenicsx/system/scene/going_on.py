@@ -148,8 +148,8 @@ def _refuse_away(system: System, closing: Sequence[Closing], gaps: Array) -> Non
         off = float(np.linalg.norm(gap))
         require(
             not new.caught or new.joint.center_a is None or off <= NEAR * system.length,
-            f'Joint "{new.joint.name}" catches mass "{new.joint.b.name}" {off:.3g} m away from where the mass is. Give its '
-            "place at the end of the run as center, or none.",
+            f'Joint "{new.joint.name}" catches mass "{new.joint.b.name}" {off:.3g} m away from where the mass is: center is a '
+            "point of the first body, as that was placed at first. Leave it out, and the joint takes hold where the mass is.",
         )
 
 

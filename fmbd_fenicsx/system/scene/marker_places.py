@@ -68,14 +68,16 @@ class MarkerPlaces:
         return MarkerPlace(frame, pose, pose[:d] if point is None else point, body=side)
 
     def default_point(self, joint: Joint | Force) -> Array | None:
-        """Where a joint or bushing without a center sits: the centroid of a surface, else the origin of its moving body."""
+        """Where a joint or bushing without a center sits: the centroid of a surface, else a mass at a point, which nothing takes
+        hold of elsewhere, else the origin of its moving body.
+        """
         for side in (joint.a, joint.b):
             if isinstance(side, Surface):
                 return self.bodies.center(side)
-        for side in (joint.b, joint.a):
-            if isinstance(side, RigidBody):
-                return side.start_pose()[: self.m.dim]
-        return None
+        bodies = [side for side in (joint.b, joint.a) if isinstance(side, RigidBody)]
+        if not bodies:
+            return None
+        return min(bodies, key=lambda body: body.turns).start_pose()[: self.m.dim]
 
     def made(self) -> Markers:
         """All of them."""
