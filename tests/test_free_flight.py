@@ -86,6 +86,19 @@ def test_flights_cost_no_calls(scheme: Any) -> None:
     assert calls(1024) - calls(512) < 512
 
 
+@pytest.mark.parametrize("every", [1, 1000])
+@pytest.mark.parametrize("scheme", SCHEMES[::2], ids=lambda s: s.name)
+def test_events_are_met_in_flights(scheme: Any, every: int) -> None:
+    """A block in free fall passes a height within a step; its gap is told at the end of that."""
+    scene = falling("FloatingBody", all_sorts=False)
+    scene.sensor("low", fmbd.position(scene.bodies["block"].surface("bottom")))
+    for sensor, t in (("low y", np.sqrt(2 * 0.07 / 9.81)), ("gap", 0.12)):
+        passed = fmbd.Event(sensor, 0.03, direction=-1)
+        run = solved(scene, scheme, output=fmbd.Output(every=every, events=[passed]))
+        assert run.counters["compiled_steps"] > 40
+        assert run.times[-1] == pytest.approx(t, abs=1e-8)
+
+
 def test_flights_end_before_what_is_thin(caplog: pytest.LogCaptureFixture) -> None:
     """A block that would pass through a plate, from as far before it as it is behind it then."""
     body = block("FloatingBody", "block", 0.98, velocity=(0.0, -20.0))

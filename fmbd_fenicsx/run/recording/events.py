@@ -133,13 +133,19 @@ class EventWatch:
         return None
 
     def _locate(self, k: int, at: Callable[[float], State], a: tuple[float, float], b: tuple[float, float]) -> float:
-        """The instant of a crossing between two points (time, value)."""
+        """The instant of a crossing between two points (time, value): the later one of what has one value in a whole step, as
+        gaps and forces of contact have.
+        """
         if b[1] == 0.0:
             return b[0]
 
-        return float(
-            brentq(lambda t: self._value(k, at(t)), a[0], b[0], xtol=ROUNDOFF * max(b[0], 1e-300), rtol=ROUNDOFF)
-        )
+        def value(t: float) -> float:
+            return self._value(k, at(t))
+
+        begin = value(a[0])
+        if begin * b[1] > 0.0:
+            return b[0] if abs(begin - b[1]) < abs(begin - a[1]) else a[0]
+        return float(brentq(value, a[0], b[0], xtol=ROUNDOFF * max(b[0], 1e-300), rtol=ROUNDOFF))
 
     def _value(self, k: int, state: State, told: Recorded | None = None) -> float:
         """Value less level of an event's sensor."""

@@ -42,6 +42,7 @@ class FlyingStepper(ContactStepper):
     flown: int = 0  # steps
     _size: float  # s, of the steps that are asked for
     _march: FreeMarch | None = None
+    _began: State | None = None  # where the newest step of a call began
     _refused: State | None = None  # from where on something may touch, or no step was found
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
@@ -101,6 +102,12 @@ class FlyingStepper(ContactStepper):
             self._march.room[: len(head)] = head
         return self._march
 
+    @property
+    def origin(self) -> State:
+        """As :meth:`TimeStepper.origin`."""
+        assert self._began is not None
+        return self._began
+
     def tape(self, judged: Openness) -> Tape | None:
         """As :meth:`TimeStepper.tape`, where a flight may begin."""
         march = self._march_for(self._size) if self._may_fly else None
@@ -136,6 +143,7 @@ class FlyingStepper(ContactStepper):
         march.calls.forget_error()  # a step in Python meets it again
 
         if made:
+            self._began = s if made == 1 else march.state(1)
             self._take(march, made, h)
             take_energies(p, observers.energy)
             if joints is not None:
