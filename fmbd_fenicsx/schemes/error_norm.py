@@ -60,7 +60,8 @@ class ErrorNorm(Remembering):
     Deformations, of fields and of amplitudes of modes, count by their displacements against the largest one of their body that
     was seen, at least a hundredth of the model's length, their rates as h e_v / w_q in all forms: a stiff body with vibrations
     too small to matter does not hold the steps down. A field counts by its root mean square. The nodes of a rod are frames: what
-    is no rigid motion of all of them is a deformation too (:class:`.RigidMotions`).
+    is no rigid motion of all of them is a deformation too, and so is what frames do with a small part of their body that vibrates
+    (:class:`.RigidMotions`).
     """
 
     keeps: ClassVar = {
@@ -78,14 +79,14 @@ class ErrorNorm(Remembering):
         self.scale: Array = np.ones(system.n_v)  # of positions, in the model
         self.wq: Array = np.ones(system.n_v)
         self.wv: Array = np.ones(system.n_v)
-        self.rods: RigidMotions | None = None
+        self.rigid: RigidMotions | None = None
 
     def update(self, state: State, h: float) -> None:
         """Take notice of a state; ``h`` is the step about to be taken. Collective where there are elastic fields."""
         s = self.system
         v = np.abs(state.v[: s.n_core])
-        if s.elements and self.index < 3:
-            self.rods = RigidMotions.at(s, state)
+        if self.index < 3 and RigidMotions.differ(s):
+            self.rigid = RigidMotions.at(s, state)
         self.q_size = np.maximum(self.q_size, self.sizes.positions(state.q))
         # the velocities that the accelerations reach within the step count too
         fast = np.maximum(v, h * np.abs(state.a[: s.n_core]))
@@ -157,10 +158,10 @@ class ErrorNorm(Remembering):
         return max([self.mean(x) for x in kinds], default=0.0)
 
     def _of_rates(self, h: float, error: Array, power: int) -> list[Array]:
-        """Errors of velocities (``power`` 0) or of accelerations (1) over their tolerances; those that bend rods apart."""
+        """Errors of velocities (``power`` 0) or of accelerations (1) over their tolerances; those of deformations apart."""
         kinds = []
-        if self.rods is not None:
-            bent = self.rods.rest(error)
+        if self.rigid is not None:
+            bent = self.rigid.rest(error)
             kinds.append(bent * (h ** (power + 1) / self.wq))
             error = error - bent
         return [*kinds, error * (h**power / self.wv)]
@@ -173,7 +174,7 @@ class ErrorNorm(Remembering):
         """What errors of places, of velocities and of accelerations are multiplied by before their means are taken, (3, n_v);
         None where the norm asks for more.
         """
-        if self.rods is not None:
+        if self.rigid is not None:
             return None
         if self.index == 3:
             return np.array([1.0, h, h * h])[:, None] / self.wq

@@ -1,9 +1,9 @@
-"""What nodes of rods do beside the rigid motion of their rod: deformations, which error norms measure in another way."""
+"""What nodes of rods and frames of elastic bodies do beside rigid motions: deformations, which error norms measure apart."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,15 +18,25 @@ class RigidMotions:
 
     where rotations count by a hundredth of the rod's size: sections turn against the rod with little inertia.
 
+    A frame that hangs on a part of its body moves with the vibrations of that part. With its twist V and the mean twist T u' of
+    the body's mass in it, the mass moves by V + T u': of each component the smaller one of both is a rigid motion.
+
     ``bases``: numbers in v of a rod's nodes (n,), their weights (n,), and an orthonormal basis (n, 6) of its weighted motions.
+    ``frames``: places in v of a frame and of the field in it, its rotation (d, d), and the part.
     """
 
     ARM: ClassVar[float] = 1e-2
     bases: tuple[tuple[np.ndarray, Array, Array], ...]
+    frames: tuple[tuple[slice, slice, Array, Any], ...]
+
+    @staticmethod
+    def differ(system: System) -> bool:
+        """Whether a system has bodies with such deformations."""
+        return bool(system.elements) or any(p.mean_rates is not None for _, p in system.fields)
 
     @staticmethod
     def at(system: System, state: State) -> RigidMotions:
-        """Of all rods in a state."""
+        """Of all rods and frames in a state."""
         ev = system.at(state.t, state.q)
         bases = []
         for elements in system.elements:
@@ -39,12 +49,22 @@ class RigidMotions:
             weights = np.tile([1.0, 1.0, 1.0, *[RigidMotions.ARM * size] * 3], len(frames))
             basis = np.linalg.qr(weights[:, None] * motions.reshape(-1, 6))[0]
             bases.append(((6 * frames[:, None] + np.arange(6)).ravel(), weights, basis))
-        return RigidMotions(tuple(bases))
+        width, own = system.motions.n_twist, system.slices[1]
+        frames = tuple(
+            (slice(width * p.frame, width * (p.frame + 1)), own[k], ev.rotation[p.frame], p)
+            for k, p in system.fields
+            if p.mean_rates is not None
+        )
+        return RigidMotions(tuple(bases), frames)
 
     def rest(self, v: Array) -> Array:
-        """What velocities (..., n_v) have beside the rigid motions of the rods; zero on all other bodies."""
+        """What velocities (..., n_v) of rods and frames have beside rigid motions, zero elsewhere; collective with fields."""
         out = np.zeros_like(v)
         for at, weights, basis in self.bases:
             own = weights * v[..., at]
             out[..., at] = (own - own @ basis @ basis.T) / weights
+        for at, local, R, part in self.frames:
+            mean = part.field.total(v[..., local] @ part.mean_rates.T)
+            mean[..., : len(R)] = mean[..., : len(R)] @ R.T
+            out[..., at] = np.where(np.abs(v[..., at] + mean) < np.abs(v[..., at]), -mean, 0.0)
         return out

@@ -57,6 +57,12 @@ class FloatingField(FieldPart):
         self.kind = kind
         self._columns_taken = 0  # a number for each set of columns, never used twice
         self._undeformed_columns()
+        if not self.shared_columns:
+            d = field.dim
+            inertia = np.atleast_2d(field.inertia)
+            self.mean_rates = np.vstack(
+                (field.Q[:, :d].T / field.mass_total, np.linalg.solve(inertia, field.Q[:, d:].T))
+            )
 
     def _undeformed_columns(self) -> None:
         """Inertia of the frame about the body as it was meshed."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...kernel_cache import address_of
 from .declarations import enumeration, structure_of
-from .own_steps import BentRods, OwnRoom
+from .own_steps import BentBodies, OwnRoom
 from .states.evaluation import DriverStates
 from .states.explicit import Tableau
 
@@ -25,7 +25,7 @@ class ExplicitRoom:
         system, (c, A), self.own = states.tables.system, tableau, own
         n, stages = system.n_v, A.shape[1]
         work = (2 * stages + 9) * n + 3 * system.n_q + 5 * system.n_lam + states.tables.nu
-        self._bent, self._kinds = BentRods(system), states.twin.kinds
+        self._bent, self._kinds = BentBodies(system), states.twin.kinds
         self._kept = [np.ascontiguousarray(c), np.ascontiguousarray(A), np.zeros(work), np.zeros((3, n))]
         nodes, rows, room, weights = map(address_of, self._kept)
         span, counted = map(address_of, self._kinds)

@@ -10,7 +10,7 @@ import numpy as np
 from ...kernel_cache import address_of
 from ...rotations import Array
 from .declarations import enumeration, fields_of
-from .own_steps import BentRods, OwnRoom
+from .own_steps import BentBodies, OwnRoom
 from .states.convergence import Convergence
 from .states.stages import PointRoom
 
@@ -47,7 +47,7 @@ class ImplicitRoom:
     ) -> None:
         self.stages, self.own = stages, own
         n, size, points, tables = stages.c.n, stages.c.size, stages.c.points, stages.states.tables
-        bent = BentRods(tables.system)
+        bent = BentBodies(tables.system)
         bent.lend(stages.c, apart=own is not None and own.c.index < 3)
         mixed = np.empty((max(points, order + 1) + 14) * n + 2 * tables.system.n_q + 6 * size + tables.nu)
         self._kept = [mixed, bent, *(np.ascontiguousarray(x) for x in coefficients.values())]

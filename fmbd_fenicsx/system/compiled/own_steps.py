@@ -65,12 +65,13 @@ class OwnRoom:
         return sizes, speeds, np.array([one.size for one in self._deflections])
 
 
-class BentRods:
-    """Room in which norms weigh deformations of rods apart from their rigid motions; none where a system has no rods."""
+class BentBodies:
+    """Room in which norms weigh deformations of rods and frames apart from rigid motions; none without such bodies."""
 
     def __init__(self, system: Any) -> None:
-        rods = system.elements
-        self._arrays = (np.zeros(system.n_v), np.zeros(sum(1 + 36 * len(rod.nodes) for rod in rods))) if rods else ()
+        sizes = [1 + 36 * len(rod.nodes) for rod in system.elements]
+        sizes += [system.motions.dim**2 for _, part in system.fields if part.mean_rates is not None]
+        self._arrays = (np.zeros(system.n_v), np.zeros(sum(sizes))) if sizes else ()
 
     def lend(self, norm: Any, *, apart: bool) -> None:
         """Give it to a norm, or say that nothing counts apart."""

@@ -199,6 +199,7 @@ typedef struct {
     double *bent, *form;               /* n x (stresses + bends); 3 x (stresses + bends) */
     double *bias, *pull;               /* modes; work: bends */
     double *held, *second;             /* of the tangent: bends x n, G_r U; TWIST x TWIST of the frame, NULL without stiffening */
+    double *mean_rates;                /* TWIST x n: twist of the mass in its frame by U', body axes; NULL without */
     double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */
     int (*direct)(void *factor, void *rhs, void *solution); /* PETSc's MatSolve: with */
     void **factor, *rhs, *solution;    /* its matrix, NULL where Python solves and when it is freed; vectors on b and z */

@@ -41,7 +41,7 @@ typedef struct {
     double *given;                  /* points x (n + size) + n + nq: work beside laws that bend, see bends.c */
     int iterate, swings, hesitations; /* what points are: ON_ITS_OWN ..; whether efforts of these laws changed much in an increment, */
                                     /* and how often they have been waited for */
-    double *bases, *bent, span;     /* of rods whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
+    double *bases, *bent, span;     /* of rods and frames whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
     struct FieldStages *fields;     /* of elastic fields, whose systems have no such K; NULL for others */
 } Stages;
 

@@ -5,7 +5,7 @@ typedef struct {
     int n, parts;                      /* entries like v; how many parts of these count by themselves: the core, and every field */
     const int *span, *counted;         /* where each of them ends, the core first; how many of it move */
     double *weigh;                     /* 3 x n: of places, of rates, and of accelerations */
-    double *bases, *bent, h;           /* of rods whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
+    double *bases, *bent, h;           /* of rods and frames whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
 } Norm;
 
 #include "marches/rigid_motions.c"

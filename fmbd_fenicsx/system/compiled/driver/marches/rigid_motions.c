@@ -1,4 +1,5 @@
-/* What nodes of rods do beside the rigid motion of their rod, schemes/rigid_motions.py: norms of errors weigh it apart. */
+/* What nodes of rods and frames of fields do beside the rigid motion of their body, schemes/rigid_motions.py: norms of errors weigh it
+   apart. */
 
 #if DIM == 3
 static const double ARM = 1e-2; /* of a rod's size, by which rotations count */
@@ -60,25 +61,46 @@ static void bend_rod(const Rod *r, const double *basis, const double *v, double 
 /* Numbers of a basis. */
 static long basis_size(const Rod *r) { return 1 + 36L * r->nodes; }
 
-/* The bases of all rods in a configuration. */
+/* Whether a frame moves against the mass of its body: those of mean axes do not. */
+static int hangs(const Body *o) { return o->field && o->field->mean_rates; }
+
+/* What velocities of a frame with this rotation have beside the smaller one of them and of those of the body's mass. */
+static void bend_frame(const Body *o, const double *R, const double *v, const double *frame, double *bent)
+{
+    const long n = o->field->n;
+    double own[TWIST], mean[TWIST];
+    for (int i = 0; i < TWIST; i++) mean[i] = own[i] = dot(o->field->mean_rates + i * n, v + o->at_v, n);
+    times(R, own, mean);
+    for (int i = 0; i < TWIST; i++) bent[i] = fabs(frame[i] + mean[i]) < fabs(frame[i]) ? -mean[i] : 0.0;
+}
+
+/* The bases of all rods in a configuration, and the rotations of such frames behind them. */
 static int take_bases(System *s, const Norm *o, const double *q, const double *v)
 {
     int verdict = o->bases ? place(s, q, v) : DONE;
-#if DIM == 3
     double *basis = o->bases;
+#if DIM == 3
     for (const Rod *r = s->rod; basis && !verdict && r < s->rod + s->rods; basis += basis_size(r++)) rigid_motions(s, r, basis);
 #endif
+    for (int b = 0; basis && !verdict && b < s->bodies; b++) {
+        if (!hangs(s->body + b)) continue;
+        rotation(q + POSE * b, basis);
+        basis += D * D;
+    }
     return verdict;
 }
 
-/* What velocities have beside the rigid motions of rods; zero on all other bodies. */
+/* What velocities of rods and frames have beside rigid motions; zero elsewhere. */
 static void bend(const System *s, const Norm *o, const double *v, double *bent)
 {
     memset(bent, 0, o->n * sizeof(double));
-#if DIM == 3
     const double *basis = o->bases;
+#if DIM == 3
     for (const Rod *r = s->rod; r < s->rod + s->rods; basis += basis_size(r++)) bend_rod(r, basis, v, bent);
-#else
-    (void)s, (void)v;
 #endif
+    for (int b = 0; b < s->bodies; b++) {
+        if (!hangs(s->body + b)) continue;
+        bend_frame(s->body + b, basis, v, v + TWIST * b, bent + TWIST * b);
+        basis += D * D;
+    }
 }

@@ -235,6 +235,7 @@ class FieldTable:
             wide=self.wide, elastic=store.address(np.zeros(self.wide)), pressure=self._pressure(), rhs=rhs, solution=solution,
             one_b=one_b, one_z=one_z, one_rhs=one_rhs, one_solution=one_solution,
             direct=address_of_solve(), asked_at=np.nan, number=self.number, b=b, z=z,
+            mean_rates=None if part.mean_rates is None else store.shared(part.mean_rates),
             own=int(self.told), whole=int(self.whole), force=force, sums=sums, state=self.motion.address,
             inertial=self.inertial, turns=int(self.turns), parts=self.parts, frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
