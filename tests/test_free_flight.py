@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from profiled import calls_of
+from test_checkpoint import at_every_step
 from test_contact import BLOCK
 
 import fmbd_fenicsx as fmbd
@@ -84,6 +86,13 @@ def test_flights_cost_no_calls(scheme: Any) -> None:
 
     calls(128)
     assert calls(1024) - calls(512) < 512
+
+
+def test_flights_go_on_from_checkpoints(tmp_path: Path) -> None:
+    """Before and behind the first step in contact, to the last bit, with what was counted."""
+    steps: dict[str, Any] = {"t_end": 0.16, "dt": 2e-3, "scheme": fmbd.ContactMidpoint()}
+    whole = at_every_step(lambda: falling("FloatingBody", all_sorts=False), tmp_path, (20, 72), **steps)
+    assert whole.counters["compiled_steps"] > 60
 
 
 @pytest.mark.parametrize("every", [1, 1000])

@@ -36,7 +36,7 @@ class FlyingStepper(ContactStepper):
     maker: ClassVar[str]
 
     share: float  # of a step, at which its forces act
-    keeps: ClassVar = {**ContactStepper.keeps, "close": plain(), "confirmed": plain(Confirmed)}
+    keeps: ClassVar = {**ContactStepper.keeps, "close": plain(), "flown": plain(), "confirmed": plain(Confirmed)}
     confirmed: Confirmed | None = None  # what the last step tells of later ones
     close: bool = False  # whether something was near in the last step
     flown: int = 0  # steps
