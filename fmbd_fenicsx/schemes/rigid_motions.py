@@ -50,12 +50,12 @@ class RigidMotions:
             basis = np.linalg.qr(weights[:, None] * motions.reshape(-1, 6))[0]
             bases.append(((6 * frames[:, None] + np.arange(6)).ravel(), weights, basis))
         width, own = system.motions.n_twist, system.slices[1]
-        frames = tuple(
+        hanging = tuple(
             (slice(width * p.frame, width * (p.frame + 1)), own[k], ev.rotation[p.frame], p)
             for k, p in system.fields
             if p.mean_rates is not None
         )
-        return RigidMotions(tuple(bases), frames)
+        return RigidMotions(tuple(bases), hanging)
 
     def rest(self, v: Array) -> Array:
         """What velocities (..., n_v) of rods and frames have beside rigid motions, zero elsewhere; collective with fields."""
