@@ -63,8 +63,8 @@ class RigidMotions:
         for at, weights, basis in self.bases:
             own = weights * v[..., at]
             out[..., at] = (own - own @ basis @ basis.T) / weights
-        for at, local, R, part in self.frames:
+        for frame, local, R, part in self.frames:
             mean = part.field.total(v[..., local] @ part.mean_rates.T)
             mean[..., : len(R)] = mean[..., : len(R)] @ R.T
-            out[..., at] = np.where(np.abs(v[..., at] + mean) < np.abs(v[..., at]), -mean, 0.0)
+            out[..., frame] = np.where(np.abs(v[..., frame] + mean) < np.abs(v[..., frame]), -mean, 0.0)
         return out
