@@ -134,6 +134,10 @@ class MarchingStepper(CompiledSteps):
         """
         return (np.inf, np.inf) if self.limit is None else self.limit.free(self.state, h)
 
+    def _left(self, h: float, begun: float) -> float:
+        """Size (s) of the next steps of a call for steps of h since ``begun`` (s), or the most that all may take."""
+        return h
+
     def _take_march(self, march: March, made: int) -> None:
         """Take from the newest states what it keeps, after so many steps."""
         raise NotImplementedError
@@ -181,14 +185,14 @@ class MarchingStepper(CompiledSteps):
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """As :meth:`TimeStepper.march`; steps that fail are left to :meth:`advance`."""
-        made = 0
-        while made < steps:
+        made, begun = 0, self.state.t
+        while made < steps and (left := self._left(h, begun)) > 0.0:
             try:
-                free, most = self._free(h)
+                free, most = self._free(left)
             except StabilityError:  # whoever makes that step says so
                 break
 
-            now = self._made(h, int(min(steps - made, free)), most, observers)
+            now = self._made(left, int(min(steps - made, free)), most, observers)
             made += now
             if self.limit is not None:
                 self.limit.count(now)

@@ -50,7 +50,7 @@ class OwnMarch(MarchingStepper):
     def _end(self, limit: float) -> float:
         """When steps of at most ``limit`` (s) have to end, s: where that is told it is no sum, which may be off by a rounding."""
         end = self.state.t + limit
-        return self.ends[-1] if self.ends[-1] >= end - 2 * np.spacing(end) else end
+        return self.ends[-1] if self.ends[-1] >= end - 4 * np.spacing(end) else end
 
     def step_back(self) -> None:
         """As :meth:`TimeStepper.step_back`."""
@@ -69,6 +69,10 @@ class OwnMarch(MarchingStepper):
     def _failed_here(self) -> bool:
         """Whether it has found none from the newest state on."""
         return self._refused is not None and self._refused[0] is self.state
+
+    def _left(self, h: float, begun: float) -> float:
+        """As :meth:`MarchingStepper._left`: steps of its own choice take so much in all."""
+        return h - (self.state.t - begun) if self.adaptive else h
 
     def _made(self, h: float, count: int, most: float, observers: Observers) -> int:
         self._ahead = h, count
