@@ -148,9 +148,7 @@ class DistributedPart(Part, Protocol):
     heavier: tuple[Array, Array] | None = None  # V (n, k) and C (k, k) of a mass V C V^T beside the field's own
     slack: np.ndarray | None = None  # one-sided springs that the tangent leaves out
     shown: Bent | None = None  # the second order of the ports that the columns hold
-    mean_rates: Array | None = (
-        None  # (n_twist, n) twist, body axes, of the mass in its frame by rates; None: it has none
-    )
+    mean_rates: Array | None = None  # (n_twist, n) mean twist of its mass in its frame by rates, body axes; None: none
 
     @property
     def turns_little(self) -> bool:

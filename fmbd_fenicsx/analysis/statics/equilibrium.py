@@ -128,19 +128,18 @@ def equilibrium(
             point = _with_controllers(newton, StaticPoint(given.q, np.zeros(system.n_lam)), t, path)
             made = None if path is None else path.trace(newton, point, t)
             _check_given_speeds(newton, point.q, t)
-            check_steady(newton, point if made is None else made.points[-1], t if made is None else made.parameter[-1])
+            if made is not None:
+                point, t = made.points[-1], made.parameter[-1]
+            check_steady(newton, point, t)
             if made is None:
                 _tell_roundoff(newton, point, t, given)
             else:
-                newton.take(made.points[-1], made.parameter[-1])
-                _tell(newton, _falls(newton, made.points[-1], made.parameter[-1]), "Shorter steps may lead elsewhere")
+                newton.solvable(lambda: newton.take(point, t))
+                _tell(newton, _falls(newton, point, t), "Shorter steps may lead elsewhere")
         finally:
             solver.destroy()
 
         _tell_smooth_friction(system)
-        if made is not None:
-            t, point = made.parameter[-1], made.points[-1]
-
         counters = {
             "newton_iterations": newton.iterations,
             "tangent_iterations": newton.tangent_iterations,

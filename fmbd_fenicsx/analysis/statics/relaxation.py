@@ -33,7 +33,8 @@ def relax(newton: StaticNewton, start: StaticPoint, t: float, slow: float) -> St
     still: Array = np.zeros(system.n_v)
     tau = longest = slow
     turn = point = StaticPoint(start.q, np.zeros(system.n_lam))
-    v, swung = still, np.inf
+    v = still
+
     for _ in range(MOST):
         pressures = newton.solver.pressures
         try:
@@ -51,14 +52,14 @@ def relax(newton: StaticNewton, start: StaticPoint, t: float, slow: float) -> St
         point, v = there, way / tau
         braking = newton.residual.values(newton.residual.at(point.q, t), point.lam)[0]
         if system.dot(way, braking) >= 0.0:
-            swung = system.max_abs(system.difference(turn.q, point.q))
-            if swung <= RESTS * system.length:
+            if system.max_abs(system.difference(turn.q, point.q)) <= RESTS * system.length:
                 return point
             turn, v = point, still
+
         tau = min(2.0 * tau, longest)
         if system.max_abs(system.difference(start.q, point.q)) > LEFT * system.length:
             break
-    raise ConvergenceError(f"swings of {swung:.1e} m, the last of a descent")
+    raise ConvergenceError("a motion that is stopped at its fastest comes to no rest")
 
 
 def _drawn(newton: StaticNewton, start: StaticPoint, t: float, tau: float, v: Array) -> StaticPoint:
