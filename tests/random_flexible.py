@@ -104,6 +104,9 @@ def flexible(case: Case, size: float, weight: float, slowest: float) -> Callable
     """Closed joints, no energy from nothing, and the way of another scheme where the steps resolve ``slowest``, rad/s."""
 
     def wrong(run: fmbd.Run) -> str:
+        end = case.steps * case.dt
+        if abs(run.times[-1] - end) > 1e-9 * end:
+            return f"ends at {run.times[-1]} instead of {end}"
         if run.drift[0] > 1e-5 * size:
             return f"joints are open by {run.drift[0] / size:.1e} of the length"
         found = gains(run, weight)
