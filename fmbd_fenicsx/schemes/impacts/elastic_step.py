@@ -29,12 +29,13 @@ RELIED = 15  # steps that may rely on one
 
 @dataclass(frozen=True)
 class Confirmed:
-    """The increments of a step of size h (s), over the tolerance, in which a second one confirmed the first: with the candidates
-    ``near``; how many steps have ``relied`` on it since then.
+    """The increments of a step of size h (s), over the tolerance, in which a second one confirmed the first.
+
+    ``candidates``: which were near, as text that checkpoints hold; ``relied``: how many steps have relied on it since then.
     """
 
     h: float
-    near: str
+    candidates: str
     first: float
     second: float
     relied: int = 0
@@ -45,7 +46,7 @@ class Confirmed:
 
 
 def is_smooth(system: System) -> bool:
-    """Whether laws and turning bodies are none of what makes steps with given contacts nonlinear."""
+    """Whether a step with given contacts whose normals stay is linear: so are bodies, none turns, loads depend on time alone."""
     linear = all(isinstance(part, AbsoluteField) and not part.field.nonlinear for _, part in system.fields)
     return linear and not system.n_frames and all(type(loads) is TimeLoads for loads in system.forces)
 
@@ -62,18 +63,19 @@ class ElasticStep(ContactStep):
 
     def solve(self) -> int:
         """As :meth:`ContactStep.solve`."""
-        p, near = self.p, self.near.tobytes().hex()
+        p, candidates = self.p, self.near.tobytes().hex()
         known = p.confirmed
-        if known is not None and (known.h, known.near) != (self.h, near):
+        if known is not None and (known.h, known.candidates) != (self.h, candidates):
             known = None
         history = self.iterate(lambda size: math.inf if known is None else known.left(size))
 
-        self._unconfirmed = len(history) == 1 and known is not None
-        if self._unconfirmed and known is not None:
+        if known is not None and len(history) == 1:
+            self._unconfirmed = True
             p.confirmed = replace(known, relied=known.relied + 1)
-        else:
-            told = p.smooth and len(history) == 2 and not self._turned
-            p.confirmed = Confirmed(self.h, near, history[0], history[1]) if told else None
+            return 1
+
+        told = p.smooth and len(history) == 2 and not self._turned
+        p.confirmed = Confirmed(self.h, candidates, history[0], history[1]) if told else None
         return len(history)
 
     def changes(

@@ -164,21 +164,19 @@ class ContactDriver(PairTables):
         return {"movers": len(made), "singles": len(found.single), "mover": ctypes.addressof(self.movers), **addresses}
 
     # -- calls of C ----------------------------------------------------------------------------------------------------------
-    def answer(self, what: int, number: int, t: float) -> int:
-        """0, or 1 where Python raised: the step is then made in NumPy, which says why, but for forces that are not found."""
-        try:
-            if what == RESTED:
-                self.accumulations += 1
-                tell_rest(self.contacts, number, t)
-            elif what == COMPLEMENTARITY:
+    def _answer(self, what: int, number: int, t: float) -> None:
+        """As :meth:`PairTables._answer`, of rests and of forces too; those that are not found are no fault of Python."""
+        if what == RESTED:
+            self.accumulations += 1
+            tell_rest(self.contacts, number, t)
+        elif what == COMPLEMENTARITY:
+            try:
                 self._forces(number)
-            else:
-                self._answer(what, number, t)
-        except Exception as error:
-            if what == COMPLEMENTARITY and isinstance(error, ConvergenceError):
+            except ConvergenceError as error:
                 self.unsolved = error
-            return 1
-        return 0
+                raise
+        else:
+            super()._answer(what, number, t)
 
     def _forces(self, m: int) -> None:
         """Forces of a group of m contacts with the matrix W and the openings q without force."""

@@ -19,7 +19,8 @@ static ThetaRoom theta_room(const System *s, double *room)
     const long n = s->nv, m = s->rows;
     ThetaRoom o = {.massless = room + MASSLESS, .xi = room + MASSLESS + n};
     o.x = o.xi + n, o.part = o.x + n, o.v = o.part + n, o.a = o.v + n, o.sums = o.a + n, o.q = o.sums + n;
-    o.factored = o.q + s->nq, o.y = o.factored + s->nq, o.gap = o.y + m, o.held = o.gap + m, o.slip = o.held + m, o.partial = o.slip + m, o.second = o.partial + m;
+    o.factored = o.q + s->nq, o.y = o.factored + s->nq;
+    o.gap = o.y + m, o.held = o.gap + m, o.slip = o.held + m, o.partial = o.slip + m, o.second = o.partial + m;
     return o;
 }
 
