@@ -86,6 +86,7 @@ class Part(Protocol):
     mass_total: float = 0.0  # kg
     size: float = 0.0  # m
     rms: Array | None = None  # (n,) root mean square displacement by amplitudes of one, m; None: no amplitudes
+    mean_rates: Array | None = None  # (n_twist, n) mean twist of its mass in its frame by u', body axes; None: none
     shortening: Shortening | None = None  # of ports that are of second order in u
     leaves_out: bool = False  # whether Newton's matrix lacks terms of its motion: gyroscopic and centrifugal ones
     of_time: bool = (
@@ -148,7 +149,6 @@ class DistributedPart(Part, Protocol):
     heavier: tuple[Array, Array] | None = None  # V (n, k) and C (k, k) of a mass V C V^T beside the field's own
     slack: np.ndarray | None = None  # one-sided springs that the tangent leaves out
     shown: Bent | None = None  # the second order of the ports that the columns hold
-    mean_rates: Array | None = None  # (n_twist, n) mean twist of its mass in its frame by rates, body axes; None: none
 
     @property
     def turns_little(self) -> bool:

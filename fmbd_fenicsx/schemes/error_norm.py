@@ -85,8 +85,7 @@ class ErrorNorm(Remembering):
         """Take notice of a state; ``h`` is the step about to be taken. Collective where there are elastic fields."""
         s = self.system
         v = np.abs(state.v[: s.n_core])
-        if self.index < 3 and RigidMotions.differ(s):
-            self.rigid = RigidMotions.at(s, state)
+        self.rigid = self._motions(state)
         self.q_size = np.maximum(self.q_size, self.sizes.positions(state.q))
         # the velocities that the accelerations reach within the step count too
         fast = np.maximum(v, h * np.abs(state.a[: s.n_core]))
@@ -104,6 +103,10 @@ class ErrorNorm(Remembering):
         if self.deforming:
             rates = np.where(self.deformations[:n], self.wv[:n], rates)
         self.wv[:n] = rates
+
+    def _motions(self, state: State) -> RigidMotions | None:
+        """What errors of rates are told apart by."""
+        return RigidMotions.at(self.system, state) if self.index < 3 and RigidMotions.differ(self.system) else None
 
     @property
     def largest(self) -> tuple[Any, ...]:
@@ -227,6 +230,8 @@ class NormOfWays(ErrorNorm):
     measure. What prescribed motions will move belongs to the way from the start. So does where a step has led that was refused
     with an error below its way, error rtol w < w: it foretells the motion under loads that have just come. One that has gone
     astray leaves nothing.
+
+    Where a frame hangs on a part of its body, what it does beside the mass of that is undone by displacements, which count.
     """
 
     LEAST, FINEST = 1e-6, 1e-12
@@ -250,6 +255,17 @@ class NormOfWays(ErrorNorm):
     def largest(self) -> tuple[Any, ...]:
         """With the way."""
         return *super().largest, self.way
+
+    def _motions(self, state: State) -> RigidMotions | None:
+        return (
+            RigidMotions.of_frames(self.system, state)
+            if any(p.mean_rates is not None for p in self.system.parts)
+            else None
+        )
+
+    def __call__(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
+        """(1) of the base, without what frames do beside the mass of their bodies; collective."""
+        return super().__call__(h, e_q if self.rigid is None else e_q - self.rigid.rest(e_q), e_v, e_a)
 
     def look_ahead(self, state: State, span: float) -> None:
         """Take notice of what prescribed motions move within ``span`` (s): by how much they open constraints of a state that is

@@ -22,7 +22,7 @@ class RigidMotions:
     the body's mass in it, the mass moves by V + T u': of each component the smaller one of both is a rigid motion.
 
     ``bases``: numbers in v of a rod's nodes (n,), their weights (n,), and an orthonormal basis (n, 6) of its weighted motions.
-    ``frames``: places in v of a frame and of the field in it, its rotation (d, d), and the part.
+    ``frames``: places in v of a frame and of what is local in it, its rotation (d, d), and the part.
     """
 
     ARM: ClassVar[float] = 1e-2
@@ -32,7 +32,7 @@ class RigidMotions:
     @staticmethod
     def differ(system: System) -> bool:
         """Whether a system has bodies with such deformations."""
-        return bool(system.elements) or any(p.mean_rates is not None for _, p in system.fields)
+        return bool(system.elements) or any(p.mean_rates is not None for p in system.parts)
 
     @staticmethod
     def at(system: System, state: State) -> RigidMotions:
@@ -49,22 +49,28 @@ class RigidMotions:
             weights = np.tile([1.0, 1.0, 1.0, *[RigidMotions.ARM * size] * 3], len(frames))
             basis = np.linalg.qr(weights[:, None] * motions.reshape(-1, 6))[0]
             bases.append(((6 * frames[:, None] + np.arange(6)).ravel(), weights, basis))
-        width, own = system.motions.n_twist, system.slices[1]
-        hanging = tuple(
-            (slice(width * p.frame, width * (p.frame + 1)), own[k], ev.rotation[p.frame], p)
-            for k, p in system.fields
-            if p.mean_rates is not None
+        return RigidMotions(tuple(bases), RigidMotions.of_frames(system, state).frames)
+
+    @staticmethod
+    def of_frames(system: System, state: State) -> RigidMotions:
+        """Of all frames that hang on a part of their body, without rods."""
+        width, in_v = system.motions.n_twist, system.slices[1]
+        hanging = [(k, p) for k, p in enumerate(system.parts) if p.mean_rates is not None]
+        turns = system.at(state.t, state.q).rotation if hanging else []
+        return RigidMotions(
+            (), tuple((slice(width * p.frame, width * (p.frame + 1)), in_v[k], turns[p.frame], p) for k, p in hanging)
         )
-        return RigidMotions(tuple(bases), hanging)
 
     def rest(self, v: Array) -> Array:
-        """What velocities (..., n_v) of rods and frames have beside rigid motions, zero elsewhere; collective with fields."""
+        """What velocities or small ways (..., n_v) have beside those of rigid bodies, zero elsewhere; collective with fields."""
         out = np.zeros_like(v)
         for at, weights, basis in self.bases:
             own = weights * v[..., at]
             out[..., at] = (own - own @ basis @ basis.T) / weights
         for frame, local, R, part in self.frames:
-            mean = part.field.total(v[..., local] @ part.mean_rates.T)
+            mean = v[..., local] @ part.mean_rates.T
+            if part.distributed:
+                mean = part.field.total(mean)
             mean[..., : len(R)] = mean[..., : len(R)] @ R.T
             out[..., frame] = np.where(np.abs(v[..., frame] + mean) < np.abs(v[..., frame]), -mean, 0.0)
         return out

@@ -70,7 +70,7 @@ class BentBodies:
 
     def __init__(self, system: Any) -> None:
         sizes = [1 + 36 * len(rod.nodes) for rod in system.elements]
-        sizes += [system.motions.dim**2 for _, part in system.fields if part.mean_rates is not None]
+        sizes += [system.motions.dim**2 for part in system.parts if part.mean_rates is not None]
         self._arrays = (np.zeros(system.n_v), np.zeros(sum(sizes))) if sizes else ()
 
     def lend(self, norm: Any, *, apart: bool) -> None:

@@ -199,7 +199,6 @@ typedef struct {
     double *bent, *form;               /* n x (stresses + bends); 3 x (stresses + bends) */
     double *bias, *pull;               /* modes; work: bends */
     double *held, *second;             /* of the tangent: bends x n, G_r U; TWIST x TWIST of the frame, NULL without stiffening */
-    double *mean_rates;                /* TWIST x n: twist of the mass in its frame by U', body axes; NULL without */
     double *one, *first;               /* nodes: M 1; D + D x D: int rho X, int rho X X^T */
     int (*direct)(void *factor, void *rhs, void *solution); /* PETSc's MatSolve: with */
     void **factor, *rhs, *solution;    /* its matrix, NULL where Python solves and when it is freed; vectors on b and z */
@@ -242,6 +241,7 @@ typedef struct {
     double *S, *T, *V, *modal, *K, *C, *stress; /* reduced, see mechanics/reduction/reduced.py; stress NULL without stiffening */
     double *U, *now, *bent;            /* work: T(e_a, p), stiffness of the present stress, K_c eta and K_ij eta, a row */
     double *mean, *heavy, *block;      /* J^-1 of second_order.py, TWIST x TWIST; work: 4 TWIST x (TWIST + modes), the step's block */
+    double *mean_rates;                /* twist of the mass in its frame by rates of the modes, or of U, body axes; NULL without */
     int *dest;                         /* places of the lower half of the block */
     Field *field;                      /* of floating elastic bodies, whose modes are the numbers H^T U; else NULL */
     Told *told;                        /* of a part that Python tells, beside a rigid body or alone; else NULL */

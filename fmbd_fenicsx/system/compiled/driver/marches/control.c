@@ -42,13 +42,19 @@ static double squares(const double *e, int n, double tolerance)
     return sum;
 }
 
-/* Root mean square of the core, or that of the worst field. */
-static double error_norm(const Control *c, const double *e)
+/* Root mean square of the core, or that of the worst field; of frames without what they do beside the mass of their body. */
+static double error_norm(const System *s, const Control *c, const double *q, const double *e)
 {
     double share = c->rtol * fmax(fmin(c->reached, 1.0), c->least), core = 0.0, worst = 0.0;
     for (int b = 0; b < c->frames; b++) {
-        core += squares(e + TWIST * b, D, share * c->length + c->atol);
-        core += squares(e + TWIST * b + D, ROT, share + c->atol);
+        double own[TWIST], R[D * D], bent[TWIST] = {0.0};
+        if (hangs(s->body + b)) {
+            rotation(q + POSE * b, R);
+            bend_frame(s->body + b, R, e, e + TWIST * b, bent);
+        }
+        for (int i = 0; i < TWIST; i++) own[i] = e[TWIST * b + i] - bent[i];
+        core += squares(own, D, share * c->length + c->atol);
+        core += squares(own + D, ROT, share + c->atol);
     }
     for (const Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
         for (int i = 0; x->rms && i < x->n; i++)
@@ -74,7 +80,7 @@ static int judged(System *s, const double *p, Control *c, const Block *now, cons
     if (verdict) return verdict;
 
     reach(c, out->q);
-    double error = error_norm(c, c->e);
+    double error = error_norm(s, c, out->q, c->e);
     if (!(error <= 1.0)) return SIZE;
     c->before = fmax(c->error, c->floor);
     c->error = error;

@@ -1,4 +1,4 @@
-/* What nodes of rods and frames of fields do beside the rigid motion of their body, schemes/rigid_motions.py: norms of errors weigh it
+/* What nodes of rods and frames of elastic bodies do beside the rigid motion of their body, schemes/rigid_motions.py: norms of errors weigh it
    apart. */
 
 #if DIM == 3
@@ -62,14 +62,14 @@ static void bend_rod(const Rod *r, const double *basis, const double *v, double 
 static long basis_size(const Rod *r) { return 1 + 36L * r->nodes; }
 
 /* Whether a frame moves against the mass of its body: those of mean axes do not. */
-static int hangs(const Body *o) { return o->field && o->field->mean_rates; }
+static int hangs(const Body *o) { return o->mean_rates != NULL; }
 
 /* What velocities of a frame with this rotation have beside the smaller one of them and of those of the body's mass. */
 static void bend_frame(const Body *o, const double *R, const double *v, const double *frame, double *bent)
 {
-    const long n = o->field->n;
+    const long n = o->field ? o->field->n : o->modes;
     double own[TWIST], mean[TWIST];
-    for (int i = 0; i < TWIST; i++) mean[i] = own[i] = dot(o->field->mean_rates + i * n, v + o->at_v, n);
+    for (int i = 0; i < TWIST; i++) mean[i] = own[i] = dot(o->mean_rates + i * n, v + o->at_v, n);
     times(R, own, mean);
     for (int i = 0; i < TWIST; i++) bent[i] = fabs(frame[i] + mean[i]) < fabs(frame[i]) ? -mean[i] : 0.0;
 }

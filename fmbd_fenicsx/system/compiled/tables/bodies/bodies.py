@@ -62,6 +62,7 @@ def reduced_body(tables: TableLayout, b: int) -> Any:
     return structure("Body", d)(
         modes=m, at_v=system.slices[1][k].start, at_q=system.slices[0][k].start, at_u=int(tables.at_u[b]), mass=c.mass,
         large=(TOO_LARGE * c.size) ** 2 * c.mass, dest=store.integers(tables.fronts.place(unknown[i], unknown[j])),
+        mean_rates=None if part.mean_rates is None else store.address(part.mean_rates),
         **{name: store.address(x) for name, x in arrays.items()},
     )  # fmt: skip
 

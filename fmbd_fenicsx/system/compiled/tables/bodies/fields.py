@@ -204,6 +204,7 @@ class FieldTable:
             at_u=int(tables.at_u[frame]), mass=part.mass_total, large=large,
             block=tables.store.address(np.zeros((width, width))),
             dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])), field=address,
+            mean_rates=None if part.mean_rates is None else tables.store.shared(part.mean_rates),
         )  # fmt: skip
 
     def _field(self) -> Any:
@@ -235,7 +236,6 @@ class FieldTable:
             wide=self.wide, elastic=store.address(np.zeros(self.wide)), pressure=self._pressure(), rhs=rhs, solution=solution,
             one_b=one_b, one_z=one_z, one_rhs=one_rhs, one_solution=one_solution,
             direct=address_of_solve(), asked_at=np.nan, number=self.number, b=b, z=z,
-            mean_rates=None if part.mean_rates is None else store.shared(part.mean_rates),
             own=int(self.told), whole=int(self.whole), force=force, sums=sums, state=self.motion.address,
             inertial=self.inertial, turns=int(self.turns), parts=self.parts, frame_slot=store.integers(self.frame_slots),
             **{name: address for name, (_, address) in of_tangent.items()},
