@@ -199,3 +199,12 @@ def test_equal_subexpressions_are_one_node() -> None:
     assert (x - y) * 0 is (x - x)
     assert -1 * (-x) is x
     assert len(c_source({"one": derive("one", 2, lambda a, b, c: (b.x - a.x) @ (b.x - a.x))})) > 100
+
+
+def test_definitions_tell_which_constants_are_fixed_in_a_frame() -> None:
+    """Compiled code turns these from the axes of the markers, and no others: a load of a follower, not that of a dead force."""
+    found = {name: kinds(3)[name].sides for name in ("turned", "follower", "dead", "distance")}
+    assert found["turned"] == {"e": 0, "g": 0, "f": 1}
+    assert found["follower"] == {"load": 1, "q": 1}
+    assert found["dead"] == {"q": 1}
+    assert found["distance"] == {"p": 0, "q": 1}

@@ -23,7 +23,7 @@ marker: a row of ``Coincident`` has force +lambda n on a, -lambda n on b.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -45,19 +45,26 @@ def standstill(t: float) -> tuple[float, float, float]:
     return 0.0, 0.0, 0.0
 
 
-class ElementaryConstraint(NamedTuple):
-    """One elementary constraint: kind, the two marker indices, direction in a (or space), direction in b, length, drive."""
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One elementary constraint of a joint; directions in world axes of the initial configuration."""
 
     kind: type[Batch]
-    a: int
-    b: int
-    direction: Array
-    other: Array | None = None
-    length: float = 1.0
+    direction: Array  # in marker a, or in space
+    other: Array | None = None  # in marker b
     motion: Motion = standstill
     axis: Array | None = None  # in marker a: what a driven ``Perpendicular`` turns about
     own: Kind | None = None  # of ``ExpressedConstraint``
-    constants: Mapping[str, Any] = MappingProxyType({})  # of a kind that has names for them
+    constants: Mapping[str, Any] = field(default_factory=dict)  # of a kind that has names for them
+
+
+class PlacedRow(NamedTuple):
+    """A row between two markers, of a joint with a length (m)."""
+
+    row: Row
+    a: int
+    b: int
+    length: float
 
 
 class Batch:
@@ -71,17 +78,17 @@ class Batch:
     on_speeds: ClassVar[bool] = False
     of_time: ClassVar[bool] = False
 
-    def __init__(self, motions: Motions, pairs: list[ElementaryConstraint]) -> None:
+    def __init__(self, motions: Motions, pairs: list[PlacedRow]) -> None:
         self.motions = motions
         self.a = np.array([p.a for p in pairs])
         self.b = np.array([p.b for p in pairs])
-        self.driven = [(i, p.motion) for i, p in enumerate(pairs) if p.motion is not standstill]
-        kind = pairs[0].own or kinds(motions.dim)[self.kind]
+        self.driven = [(i, p.row.motion) for i, p in enumerate(pairs) if p.row.motion is not standstill]
+        kind = pairs[0].row.own or kinds(motions.dim)[self.kind]
         self.items = KindItems(motions, kind, self.a, self.b, self.constants(pairs))
 
-    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
+    def constants(self, pairs: list[PlacedRow]) -> dict[str, Array]:
         """Constants of the kind by name, in the axes of the markers."""
-        return {"e": np.array([p.direction for p in pairs], dtype=float)}
+        return {"e": np.array([p.row.direction for p in pairs], dtype=float)}
 
     def lengths(self, length: float) -> Array:
         """What turns the values of the rows into lengths (m), for a model of a size (m): it, for rows that are angles."""
@@ -136,7 +143,7 @@ class Distance(Batch):
 
     kind = "distance"
 
-    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
+    def constants(self, pairs: list[PlacedRow]) -> dict[str, Array]:
         """The lengths."""
         return {"length": np.array([p.length for p in pairs])}
 
@@ -150,9 +157,9 @@ class Apart(Batch):
 class NamedConstants(Batch):
     """Constraints of a kind whose joints give its constants by name."""
 
-    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
+    def constants(self, pairs: list[PlacedRow]) -> dict[str, Array]:
         """As the rows of the joints name them."""
-        return {name: np.array([p.constants[name] for p in pairs], dtype=float) for name in pairs[0].constants}
+        return {name: np.array([p.row.constants[name] for p in pairs], dtype=float) for name in pairs[0].row.constants}
 
 
 class Perpendicular(Batch):
@@ -160,9 +167,9 @@ class Perpendicular(Batch):
 
     kind = "perpendicular"
 
-    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
+    def constants(self, pairs: list[PlacedRow]) -> dict[str, Array]:
         """Both directions."""
-        other = [p.direction if p.other is None else p.other for p in pairs]
+        other = [p.row.direction if p.row.other is None else p.row.other for p in pairs]
         return super().constants(pairs) | {"f": np.array(other, dtype=float)}
 
     def lengths(self, length: float) -> Array:
@@ -206,13 +213,13 @@ class Turned(DrivenKinds, Perpendicular):
 
     kind = "turned"
 
-    def constants(self, pairs: list[ElementaryConstraint]) -> dict[str, Array]:
+    def constants(self, pairs: list[PlacedRow]) -> dict[str, Array]:
         """Both directions, and where e turns to."""
         found = super().constants(pairs)
         e = found["e"]
         if self.motions.dim == 2:
             return found | {"g": np.stack((-e[:, 1], e[:, 0]), -1)}
-        axis = np.array([p.direction if p.axis is None else p.axis for p in pairs], dtype=float)
+        axis = np.array([p.row.direction if p.row.axis is None else p.row.axis for p in pairs], dtype=float)
         return found | {"g": np.cross(axis, e)}
 
 

@@ -29,7 +29,7 @@ from ..bodies.bodies import RigidBody
 from ..kinds.own import OwnTerm, finite_at, own_term, traced
 from . import constraints as ct
 from .couplings import smooth_motion
-from .joints import Joint, Row, Vector, center_point, dimension, direction, ground
+from .joints import Joint, Vector, center_point, dimension, direction, ground
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ def own_joint(
     return OwnJoint(name, a, b, rows, *places, kind="own", axis=way, function=function, apart=apart)
 
 
-def _formula_rows(name: str, function: Callable[..., Any], dim: int, places: tuple[Any, Any]) -> tuple[Row, ...]:
+def _formula_rows(name: str, function: Callable[..., Any], dim: int, places: tuple[Any, Any]) -> tuple[ct.Row, ...]:
     """The rows of a function that symbols pass; none where they do not, or where its formulas have no numbers at the start."""
     what = f'Joint "{name}"'
     points = [np.zeros(dim) if x is None else x for x in places]
@@ -170,7 +170,7 @@ def is_asked(joint: Joint) -> bool:
     return isinstance(joint, OwnJoint) and not joint.rows
 
 
-def asked_rows(joint: Joint, motions: Motions, length: Callable[[], float]) -> list[Row]:
+def asked_rows(joint: Joint, motions: Motions, length: Callable[[], float]) -> list[ct.Row]:
     """The rows of a joint by a function of numbers, in a model of a length (m): as many as it returns."""
     from ..kinds.asked import AskedFunction, asked_kind
 
@@ -179,7 +179,7 @@ def asked_rows(joint: Joint, motions: Motions, length: Callable[[], float]) -> l
     asked = AskedFunction(joint.name, joint.function, motions, live, length())
     kind, still = asked_kind(asked), np.zeros(motions.dim)
     numbers = ({"component": float(i)} for i in range(asked.count))
-    return [Row(ct.ExpressedInTime, still, motion=_clock, own=kind, constants=number) for number in numbers]
+    return [ct.Row(ct.ExpressedInTime, still, motion=_clock, own=kind, constants=number) for number in numbers]
 
 
 def _clock(t: float) -> tuple[float, float, float]:
@@ -187,11 +187,11 @@ def _clock(t: float) -> tuple[float, float, float]:
     return t, 1.0, 0.0
 
 
-def _row(name: str, term: OwnTerm, dim: int) -> Row:
+def _row(name: str, term: OwnTerm, dim: int) -> ct.Row:
     """The row of a formula; where time is in it, that is its motion."""
     batch = _BATCHES[term.kind.flow, term.in_time]
     motion = smooth_motion(name, lambda t: (t, 1.0, 0.0)) if term.in_time else ct.standstill
-    return Row(batch, np.zeros(dim), motion=motion, own=term.kind, constants=term.constants)
+    return ct.Row(batch, np.zeros(dim), motion=motion, own=term.kind, constants=term.constants)
 
 
 _BATCHES = {

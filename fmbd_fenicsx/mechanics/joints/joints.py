@@ -23,7 +23,7 @@ joint                  rows         relative motion left free
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -34,8 +34,8 @@ from ...errors import InputError, require
 from ...rotations import Array, cross3
 from ..bodies.bodies import RigidBody, Surface
 from ..body import Body
-from ..kinds.derivation import Kind
 from . import constraints as ct
+from .constraints import Row
 from .couplings import smooth_motion
 
 UPRIGHT = (0.0, 0.0, 1.0)  # the axis where none is given
@@ -63,19 +63,6 @@ class Ground:
 
 
 ground = Ground()
-
-
-@dataclass(frozen=True, eq=False)
-class Row:
-    """One elementary constraint of a joint; directions in world axes of the initial configuration."""
-
-    kind: type[ct.Batch]
-    direction: Array
-    other: Array | None = None
-    motion: ct.Motion = ct.standstill
-    axis: Array | None = None
-    own: Kind | None = None  # of a row by an expression
-    constants: Mapping[str, Any] = field(default_factory=dict)  # of a kind that has names for them
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,8 @@ from ...checks import check_fields, number, typed, vector
 from ...errors import InputError, require
 from ...rotations import Array
 from ..bodies.bodies import RigidBody
-from .constraints import Along, NamedConstants
-from .joints import Joint, Row, Vector, basis, dimension, direction
+from .constraints import Along, NamedConstants, Row
+from .joints import Joint, Vector, basis, dimension, direction
 
 
 class WheelHeight(NamedConstants):

@@ -331,4 +331,4 @@ def asked_kind(function: AskedFunction) -> AskedKind:
     entries = tuple(side * (d + n) + c for side in function.live for c in range(d + n))
     constants = {"p": d, "turn_a": d * d, "q": d, "turn_b": d * d, "component": 1, "drive": 1, "drive1": 1, "drive2": 1}
     outputs = {"value": [ZERO] * (1 + len(entries)), "rates": [ZERO] * 2, "tangent": []}
-    return AskedKind("asked", d, constants, entries, (), outputs, [], (None, None), False, function)  # type: ignore[arg-type]
+    return AskedKind("asked", d, constants, entries, (), outputs, [], (None, None), function=function)  # type: ignore[arg-type]

@@ -13,7 +13,8 @@ everywhere, ``rates`` writes (2) and (3), ``tangent`` writes the entries of the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
 from itertools import accumulate
 from typing import Any, ClassVar
@@ -50,6 +51,7 @@ class Kind:
     given: list[tuple[Expression, Expression]]
     frames: tuple[SymbolicFrame, SymbolicFrame]
     flow: bool = False  # a speed, which is no rate of a coordinate
+    sides: Mapping[str, int] = field(default_factory=dict)  # of constants that are fixed in A (0) or B (1)
     asked: ClassVar[bool] = False  # whether its kernels are told by Python
 
     @cached_property
@@ -119,7 +121,7 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
         "tangent": [WEIGHT * h for h in lower.values()],
     }
     given = [(u, value) for f in frames for us, values in f.arms for u, value in zip(us, values, strict=True)]
-    return Kind(name, dim, sizes, entries, tuple(lower), outputs, given, frames, flow)
+    return Kind(name, dim, sizes, entries, tuple(lower), outputs, given, frames, flow, constants.sides(frames))
 
 
 def _lower_half(H: list[list[Expression]]) -> dict[tuple[int, int], Expression]:

@@ -86,13 +86,20 @@ class SymbolicFrame:
 
     def axis(self, e: Sequence[Any]) -> Vector:
         """The direction with components ``e`` in the frame, in world axes."""
-        values = Vector(row @ e for row in self.R)
+        values = self._turned(e)
         for known, found in self.arms:
             if found == values:
                 return known
         arm = Vector(symbol(f"{self.name}{len(self.arms)}_{i}") for i in range(self.dim))
         self.arms.append((arm, values))
         return arm
+
+    def _turned(self, e: Sequence[Any]) -> Vector:
+        return Vector(row @ e for row in self.R)
+
+    def holds(self, e: Sequence[Any]) -> bool:
+        """Whether :meth:`axis` was asked for this direction."""
+        return any(values == self._turned(e) for _, values in self.arms)
 
     def point(self, p: Sequence[Any]) -> Vector:
         """The place of the point with coordinates ``p`` in the frame."""
@@ -118,6 +125,11 @@ class AskedConstants:
     def vector(self, name: str, size: int | None = None) -> Vector:
         """A vector of each item, ``dim`` components by default."""
         return Vector(self._more(name, self.dim if size is None else size))
+
+    def sides(self, frames: Sequence[SymbolicFrame]) -> dict[str, int]:
+        """Numbers of the frames in whose axes constants are directions, or places; of those that are fixed in one."""
+        vectors = [name for name, size in self.sizes.items() if size == self.dim]
+        return {name: k for k, frame in enumerate(frames) for name in vectors if frame.holds(self.vector(name))}
 
     def _more(self, name: str, size: int) -> list[Expression]:
         found = [symbol(f"P_{name}_{i}") for i in range(size)]

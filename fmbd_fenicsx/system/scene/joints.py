@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import InputError, near
 from ...mechanics.frames import Markers
-from ...mechanics.joints.constraints import Batch, ElementaryConstraint
+from ...mechanics.joints.constraints import Batch, PlacedRow
 from ...mechanics.joints.counted import CountedAngles, turning_freely
 from ...mechanics.joints.couplings import CouplingBatch
 from ...mechanics.joints.drives import Coupling, JointCoordinate, relative_of
@@ -30,9 +30,7 @@ class JointRows:
     row: int = 0
     blocks: list[RowBlock] = field(default_factory=list)
     markers: dict[str, tuple[int, int]] = field(default_factory=dict)
-    _kinds: dict[tuple[type[Batch], Kind | None], tuple[list[ElementaryConstraint], list[int]]] = field(
-        default_factory=dict
-    )
+    _kinds: dict[tuple[type[Batch], Kind | None], tuple[list[PlacedRow], list[int]]] = field(default_factory=dict)
     _couplings: list[tuple[Coupling, int]] = field(default_factory=list)
 
     def add(self, joint: Joint, markers: tuple[int, int], narrow: float = 0.0) -> None:
@@ -46,11 +44,7 @@ class JointRows:
         # rows of one kind are evaluated together, wherever they stand
         for r in asked_rows(joint, self.motions, self.length) if is_asked(joint) else joint.rows:
             pairs, rows = self._kinds.setdefault((r.kind, r.own), ([], []))
-            pairs.append(
-                ElementaryConstraint(
-                    r.kind, a, b, r.direction, r.other, joint.length, r.motion, r.axis, r.own, r.constants
-                )
-            )
+            pairs.append(PlacedRow(r, a, b, joint.length))
             rows.append(self.row)
             self.row += 1
         if isinstance(joint, Coupling):

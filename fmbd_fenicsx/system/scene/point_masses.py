@@ -13,7 +13,7 @@ from ...mechanics.forces.force_elements import Loads, ScalarLoads
 from ...mechanics.forces.forces import InTime
 from ...mechanics.joints import constraints as ct
 from ...mechanics.joints.couplings import CouplingBatch
-from ...mechanics.joints.joints import Joint, Row, ground
+from ...mechanics.joints.joints import Joint, ground
 from ...mechanics.kinds.evaluation import KindItems
 from ...rotations import Array
 from ..layout import RowBlock
@@ -31,7 +31,7 @@ NEAR = 1e-9  # of the model's length: a place that was computed
 def attitude_of(body: Any) -> Joint:
     """What holds the attitude of a body that does not turn, against the ground: rows beside which nothing acts on it."""
     e, place = np.eye(body.dim), body.start_pose()[: body.dim]
-    rows = tuple(Row(ct.Perpendicular, e[i], e[j]) for i, j in combinations(range(body.dim), 2))
+    rows = tuple(ct.Row(ct.Perpendicular, e[i], e[j]) for i, j in combinations(range(body.dim), 2))
     return Joint(f"attitude of {body.name}", ground, body, rows, place, place, kind="attitude")
 
 

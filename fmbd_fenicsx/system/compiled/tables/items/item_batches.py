@@ -22,18 +22,6 @@ FORMULAS = enumeration("SERVO", "forces/formulas.c")
 LINE, MOST_POINTS = enumeration("LINE").values()  # numbers that stand for a law, at each of so many points
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
-DIRECTIONS = {  # constants that are directions in the axes of a marker: of which side
-    "along": {"e": 0},
-    "perpendicular": {"e": 0, "f": 1},
-    "turned": {"e": 0, "g": 0, "f": 1},
-    "angle": {"fa": 0, "ga": 0, "fb": 1, "gb": 1},
-    "follower": {"load": 1},
-    "wheel_height": {"e": 0, "f": 1},
-    "wheel_slip": {"e": 0, "t": 0, "f": 1},
-    "ball_slip": {"e": 0, "t": 0},
-    "skate": {"e": 1},
-    "follower_couple": {"load": 1},
-}
 OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
 
 
@@ -102,14 +90,12 @@ def turned(tables: TableLayout, items: Items, name: str, values: Array) -> Array
     """Constants of items, directions turned from the axes of their markers into those of the frames; (n, size)."""
     values = np.asarray(values, dtype=float).reshape(len(items), -1)
     R = turning(tables, items, name)
-    if R is None or values.shape[1] != tables.dim:
-        return values
-    return np.asarray((R @ values[..., None])[..., 0])
+    return values if R is None else np.asarray((R @ values[..., None])[..., 0])
 
 
 def turning(tables: TableLayout, items: Items, name: str) -> Array | None:
     """Rotations (n, dim, dim) from the axes of the markers in which a constant is a direction; None for other constants."""
-    side = DIRECTIONS.get(items.kind.name, {}).get(name)
+    side = items.kind.sides.get(name)
     return None if side is None else np.asarray(tables.system.markers.rotation[items.markers[:, side]])
 
 
