@@ -9,7 +9,8 @@ coarse term of rigid motions.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,28 +20,18 @@ import scipy.sparse as sp
 # here and not later: its import is collective, and ranks without subdomains take part
 from petsc4py import PETSc  # noqa: F401
 
-from fmbd_fenicsx.fem.traces.mortar import Mortar, mortar
-from fmbd_fenicsx.fem.traces.multipliers import Multipliers, MultiplierSpace
+from fmbd_fenicsx.fem.traces.mortar import mortar
+from fmbd_fenicsx.fem.traces.multipliers import MultiplierSpace
 from fmbd_fenicsx.fem.traces.traces import Trace
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor
 from fmbd_fenicsx.linear.presets.multiplier_schur import conjugate_gradients
 from fmbd_fenicsx.linear.residual import Judge
 from fmbd_fenicsx.linear.saddle.elastic import Elastic
 from fmbd_fenicsx.linear.saddle.precondition import Fractional, rigid_term
-from fmbd_fenicsx.linear.saddle.ties import TraceTie
+from fmbd_fenicsx.linear.saddle.ties import TraceTie, hold, tie
 from fmbd_fenicsx.rotations import Array
 
-FRACTIONAL = Fractional()
-
-
-@dataclass(frozen=True)
-class Answers:
-    """What preconditioners need to know of a subdomain on another rank (see ``Elastic``)."""
-
-    ck: float
-    moduli: tuple[float, float]
-    depth: float
-    size: float
+SIZES = "ck", "moduli", "depth", "size"  # of a subdomain that preconditioners on other ranks ask for
 
 
 def shared_traces(world: Any, own: dict[Any, Trace]) -> dict[Any, Trace]:
@@ -67,77 +58,53 @@ class DualInterface:
         self.world, self.own, self.traces = world, own, traces
         self.ties: list[TraceTie] = []
         self.judge = Judge("the dual interface problem", 1e-6)
-        facts = {k: Answers(e.ck, e.moduli, e.depth, e.size) for k, e in own.items()}
-        everything = {k: a for part in world.allgather(facts) for k, a in part.items()}
-        self.elastic = [everything[k] for k in sorted(everything)]
+        told = world.allgather({k: {name: getattr(e, name) for name in SIZES} for k, e in own.items()})
+        sizes = {k: known for part in told for k, known in part.items()}
+        self.elastic = [SimpleNamespace(**sizes[k]) for k in sorted(sizes)]
 
-    def tie(self, slave: tuple[int, str], master: tuple[int, str], space: MultiplierSpace) -> Mortar:
+    def tie(self, slave: tuple[int, str], master: tuple[int, str], space: MultiplierSpace) -> None:
         """Tie two surfaces (subdomain, surface); collective."""
-        c = mortar(self.traces[slave], self.traces[master], space)
-        sides = ((slave[0], c.slave_trace, c.slave), (master[0], c.master_trace, -c.master))
-        self._add(f"{slave}-{master}", sides, c.multipliers)
-        return c
+        coupling = mortar(self.traces[slave], self.traces[master], space)
+        self.ties.append(tie(f"{slave}-{master}", slave[0], master[0], coupling))
 
-    def hold(self, surface: tuple[int, str], space: MultiplierSpace) -> Multipliers:
+    def hold(self, surface: tuple[int, str], space: MultiplierSpace) -> None:
         """Weak Dirichlet data on a surface; collective."""
-        mu = space.on(self.traces[surface])
-        self._add(str(surface), ((surface[0], mu.trace, mu.coupling()),), mu)
-        return mu
+        self.ties.append(hold(str(surface), surface[0], space.on(self.traces[surface])))
 
-    def _add(self, name: str, sides: tuple[tuple[int, Trace, sp.csr_matrix], ...], mu: Multipliers) -> None:
-        d = mu.trace.dim
-        columns = [(k, sp.kron(t.columns(B), sp.identity(d), format="csr")) for k, t, B in sides if k in self.own]
-        self.ties.append(_Tie(name, tuple(columns), mu, d, sides))
-
-    def prepare(self, preconditioner: Fractional | None = FRACTIONAL) -> None:
-        """Factor the subdomains and the preconditioner (None: plain conjugate gradients); collective."""
-        self.n = sum(t.rows for t in self.ties)
+    def prepare(self) -> None:
+        """Factor the subdomains and the preconditioner; collective."""
         self.factors = {k: CholeskyFactor(e.body, e.cm, e.ck) for k, e in self.own.items()}
+        self.B: dict[int, sp.csr_matrix] = {}
+        for k, e in self.own.items():
+            rows = [dict(t.columns).get(k, sp.csr_matrix((t.rows, e.rows))) for t in self.ties]
+            self.B[k] = sp.vstack(rows, format="csr")
 
-        # rows of each tie among those of all
-        first = np.cumsum([0, *(t.rows for t in self.ties)])
-        self.B = {k: sp.csr_matrix((self.n, e.rows)) for k, e in self.own.items()}
-        for i, t in enumerate(self.ties):
-            for k, B in t.columns:
-                lift = sp.csr_matrix(
-                    (np.ones(t.rows), (np.arange(first[i], first[i + 1]), np.arange(t.rows))),
-                    (self.n, t.rows),
-                )
-                self.B[k] = self.B[k] + lift @ B
-
-        self._factor: Any = None
-        if preconditioner is not None:
-            S = sp.block_diag([preconditioner.block(self, i) for i in range(len(self.ties))]).toarray()
-            rigid = np.zeros((self.n, self.n))
-            for k, e in self.own.items():
-                gram, BR = rigid_term(e, k, self.ties)
-                rigid += BR @ np.linalg.solve(gram, BR.T)
-            S += self._total(rigid)
-            self._factor = sl.cho_factor(S)
+        preconditioner = Fractional()
+        S = sp.block_diag([preconditioner.block(self, i) for i in range(len(self.ties))]).toarray()
+        self.n = len(S)
+        rigid = np.zeros((self.n, self.n))
+        for k, e in self.own.items():
+            gram, BR = rigid_term(e, k, self.ties)
+            rigid += BR @ np.linalg.solve(gram, BR.T)
+        self._factor = sl.cho_factor(S + self._total(rigid))
 
     def _total(self, x: Array) -> Array:
         return np.asarray(np.sum(self.world.allgather(x), axis=0))
 
     def operator(self, lam: Array) -> Array:
         """S lam; collective."""
-        local = sum((B @ self.factors[k].solve(B.T @ lam) for k, B in self.B.items()), np.zeros(self.n))
-        return self._total(local)
+        return self._jumps({k: factor.solve(self.B[k].T @ lam) for k, factor in self.factors.items()})
 
-    def solve(
-        self, f: dict[int, Array], g: Array, *, rtol: float = 1e-10, limit: int = 500
-    ) -> tuple[dict[int, Array], Array, int]:
+    def solve(self, f: dict[int, Array], g: Array) -> tuple[dict[int, Array], Array, int]:
         """Displacements of this rank's subdomains, multipliers, and the number of iterations; collective."""
         free = {k: self.factors[k].solve(f[k]) for k in self.own}
         d = self._jumps(free) - g
-        lam, iterations = conjugate_gradients(self.operator, self._precondition, d, rtol=rtol, limit=limit)
-
-        held = {k: self.factors[k].solve(self.B[k].T @ lam) for k in self.own}
-        u: dict[int, Array] = {k: free[k] - held[k] for k in self.own}
+        lam, iterations = conjugate_gradients(self.operator, self._precondition, d, rtol=1e-10)
+        u: dict[int, Array] = {k: free[k] - self.factors[k].solve(self.B[k].T @ lam) for k in self.own}
 
         # judged by the gaps that are left
         gap = self._jumps(u) - g
-        size = float(np.linalg.norm(d)) + float(np.linalg.norm(g))
-        self.judge.check(float(np.linalg.norm(gap)), size)
+        self.judge.check(float(np.linalg.norm(gap)), float(np.linalg.norm(d)) + float(np.linalg.norm(g)))
         return u, lam, iterations
 
     def _jumps(self, u: dict[int, Array]) -> Array:
@@ -145,18 +112,9 @@ class DualInterface:
         return self._total(sum((self.B[k] @ u[k] for k in self.own), np.zeros(self.n)))
 
     def _precondition(self, r: Array) -> Array:
-        return r if self._factor is None else np.asarray(sl.cho_solve(self._factor, r))
+        return np.asarray(sl.cho_solve(self._factor, r))
 
     def destroy(self) -> None:
         """Free the factors."""
         for factor in self.factors.values():
             factor.destroy()
-
-
-class _Tie(TraceTie):
-    """A tie whose rows do not depend on the subdomains of this rank."""
-
-    @property
-    def rows(self) -> int:
-        assert self.multipliers is not None
-        return self.multipliers.n * self.components

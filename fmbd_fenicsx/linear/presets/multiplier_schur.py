@@ -30,6 +30,8 @@ from ..saddle.precondition import Fractional, MultiplierPreconditioner
 from ..saddle.saddle import SaddlePoint, Solution
 from .preset import Preset
 
+MOST = 500  # iterations on the multipliers
+
 
 def check_krylov(what: str, rtol: float, most: int) -> None:
     """Refuse tolerances of an iteration that are none, and limits below one."""
@@ -185,7 +187,6 @@ def conjugate_gradients(
     d: Array,
     *,
     rtol: float,
-    limit: int = 500,
 ) -> tuple[Array, int]:
     """Preconditioned conjugate gradients on replicated vectors: the same numbers on all ranks; solution and iterations."""
     lam = np.zeros_like(d)
@@ -195,7 +196,7 @@ def conjugate_gradients(
     size = float(r @ y)
     start = size
 
-    for k in range(limit):
+    for k in range(MOST):
         if size <= rtol**2 * start or start == 0:
             return lam, k
 
@@ -209,6 +210,6 @@ def conjugate_gradients(
         p = y + (size / old) * p
 
     raise ConvergenceError(
-        f"Conjugate gradients on the multipliers did not converge in {limit} iterations (rtol {rtol:g}). "
+        f"Conjugate gradients on the multipliers did not converge in {MOST} iterations (rtol {rtol:g}). "
         "Try a better preconditioner."
     )
