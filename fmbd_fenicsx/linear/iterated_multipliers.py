@@ -16,7 +16,6 @@ motion of all bodies as rigid ones, held by the other constraints: it connects t
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from ..system.system import System
 from .residual import Judge
 from .rigid_modes import rigid_mass, rigid_modes
 from .saddle.elastic import Elastic
-from .saddle.precondition import Fractional, lumped
+from .saddle.precondition import Fractional, inverse_of, lumped
 from .saddle.ties import TraceTie
 
 CONTACT_RTOL = 1e-13  # of scenes with contact, whose own iteration needs products of that accuracy
@@ -142,10 +141,7 @@ class IteratedMultipliers:
         solves: list[Callable[[Array], Array]] = []
         for i in range(len(seen.ties)):
             fractional = self.multiplier if stiff else None
-            S = lumped(seen, i) if fractional is None else fractional.block(seen, i)
-            # blocks that are nearly full are factored as such
-            full = S.nnz > 0.2 * S.shape[0] ** 2
-            solves.append(partial(sl.cho_solve, sl.cho_factor(S.toarray())) if full else spl.splu(S.tocsc()).solve)
+            solves.append(inverse_of(lumped(seen, i) if fractional is None else fractional.block(seen, i)))
 
         ends = np.cumsum([t.rows for t in seen.ties])[:-1]
 

@@ -76,7 +76,7 @@ def _begun(
 ) -> tuple[State, Correction]:
     """See :func:`begin`."""
     if scene.settle:
-        from ..analysis.statics.equilibrium import settled
+        from ..analysis.statics.search import settled
 
         given = settled(system, given, solver)
     said = Declared.by(scheme)

@@ -16,7 +16,8 @@ from ...system.layout import State
 from ...system.sensors.contact import ContactSensor, LimitEffort
 from ...system.system import System
 from ..small_motions.closed_contacts import ClosedContacts
-from ..statics.equilibrium import Equilibrium, static_newton
+from ..statics.equilibrium import Equilibrium
+from ..statics.search import static_newton
 from ..statics.static_contact import FLOOR, ContactNewton
 from ..statics.static_newton import StaticPoint
 

@@ -35,7 +35,8 @@ from ..small_motions.basis import ProjectedSystem, projected
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.small_memory import refuse_moving_memory, relaxes
 from ..small_motions.steady import BodySpin, Spin
-from ..statics.equilibrium import Equilibrium, static_newton
+from ..statics.equilibrium import Equilibrium
+from ..statics.search import static_newton
 from ..statics.static_newton import StaticNewton, StaticPoint
 from .first_order import first_order, slowest
 from .rotors import check_round

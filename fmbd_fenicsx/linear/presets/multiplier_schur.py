@@ -10,13 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
-import scipy.sparse.linalg as spl
 
 from ...checks import check_fields, instance
 from ...errors import ConvergenceError, InputError, LinearSolveError, require
@@ -26,7 +24,7 @@ from ..blocks.elastic_blocks import Bddc, Cholesky, Multigrid, block_solver
 from ..options import check_options
 from ..residual import Judge
 from ..saddle.diagnosis import diagnose
-from ..saddle.precondition import Fractional, MultiplierPreconditioner
+from ..saddle.precondition import Fractional, MultiplierPreconditioner, inverse_of
 from ..saddle.saddle import SaddlePoint, Solution
 from .preset import Preset
 
@@ -163,14 +161,7 @@ class SchurSolver:
 def factored(groups: Sequence[tuple[str, list[int], sp.csr_matrix]], saddle: SaddlePoint) -> Callable[[Array], Array]:
     """r -> S~^-1 r on replicated multipliers, S~ given by groups of ties."""
     first = np.cumsum([0, *(t.rows for t in saddle.ties)])
-    parts: list[tuple[np.ndarray, Callable[[Array], Array]]] = []
-    for _, ties, S in groups:
-        rows = np.concatenate([np.arange(first[i], first[i + 1]) for i in ties])
-        # blocks that are nearly full are factored as such
-        if S.nnz > 0.2 * S.shape[0] ** 2:
-            parts.append((rows, partial(sl.cho_solve, sl.cho_factor(S.toarray()))))
-        else:
-            parts.append((rows, spl.splu(S.tocsc()).solve))
+    parts = [(np.concatenate([np.arange(first[i], first[i + 1]) for i in t]), inverse_of(S)) for _, t, S in groups]
 
     def inverse(r: Array) -> Array:
         out = np.empty_like(r)

@@ -24,12 +24,15 @@ Nordaas, Verschaeve, Mortensen and Mardal (doi:10.1137/15M1052822) for fractiona
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+import scipy.linalg as sl
 import scipy.sparse as sp
+import scipy.sparse.linalg as spl
 
 from ...fem.traces.stability import pencil
 from ...fem.traces.traces import Trace
@@ -147,6 +150,12 @@ def lumped(saddle: Any, i: int) -> sp.csr_matrix:
         part = (B @ sp.diags(1.0 / saddle.diagonal(k)) @ B.T).tocsr()
         out = out + sum(saddle.comm.allgather(part))
     return out.tocsr()
+
+
+def inverse_of(S: sp.csr_matrix) -> Callable[[Array], Array]:
+    """r -> S~^-1 r; blocks that are nearly full are factored as such."""
+    full = S.nnz > 0.2 * S.shape[0] ** 2
+    return partial(sl.cho_solve, sl.cho_factor(S.toarray())) if full else spl.splu(S.tocsc()).solve
 
 
 def to_petsc(S: sp.csr_matrix, saddle: Any, parts: list[int] | None = None) -> Any:
