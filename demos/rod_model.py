@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fmbd_fenicsx.mechanics.rods.skin import skin
+from fmbd_fenicsx.post.drawing.rods import skin
 
 
 def panels(file, content, title):

@@ -443,7 +443,7 @@ def test_section_forces_are_those_of_statics():
 
 def test_skin_follows_the_sections():
     """Rings around the curve, at the corners of the outline."""
-    from fmbd_fenicsx.mechanics.rods.skin import skin
+    from fmbd_fenicsx.post.drawing.rods import skin
 
     section = fmbd.RodSection.rectangle(youngs_modulus=1.0, poisson_ratio=0.0, density=1.0, width=0.2, height=0.1)
     rod = fmbd.Rod("rod", [(0, 0, 0), (2, 0, 0)], section, elements=2, twist=lambda s: 0.25 * np.pi * s)

@@ -15,6 +15,7 @@ E_0 serves all attitudes; new tangents are taken only when Newton's rate asks fo
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,6 @@ from ..system.tangents.force_tangent import force_tangent
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from .border import Border
-from .configuration import MatrixConfiguration
 from .configuration_warnings import CLOSE, NearSingular, rows_depend
 from .core import ADVICE, TIE_LIMIT, CoreSolver
 from .core_matrix import core_matrix
@@ -37,6 +37,22 @@ from .driver_solver import DriverSolver, driver_solver
 from .field_couplings import FieldCouplings
 from .prepared import Condensed, CoreAlone, Prepared, TiesIterated, Whole
 from .residual import Judge
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixConfiguration:
+    """What the matrices depend on; velocities only where they weigh damping or stiffness. ``versions``: of tangents, columns."""
+
+    t: float
+    q: Array
+    v: Any
+    weights: Weights
+    versions: list[tuple[int, int]]
+
+    def equals(self, other: MatrixConfiguration) -> bool:
+        """Whether the matrices are the same to the last bit."""
+        plain = self.t == other.t and self.weights == other.weights and self.versions == other.versions
+        return plain and all(x is y or np.array_equal(x, y) for x, y in ((self.q, other.q), (self.v, other.v)))
 
 
 class StepSolver:

@@ -7,7 +7,6 @@ by itself: ``tip`` of two numbers gives ``tip_x`` and ``tip_y``, spaces in names
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from ..errors import FmbdError, require
 from ..system.scene.scene import Scene
@@ -17,11 +16,11 @@ from .stepper import Saved, SceneStepper, stepper
 class Unit:
     """A scene between communication points; ``dt`` (s) is the largest step that it takes in between."""
 
-    def __init__(self, make: Callable[[], Scene], *, dt: float, scheme: Any = None) -> None:
+    def __init__(self, make: Callable[[], Scene], *, dt: float) -> None:
         self.scene = make()
         require(isinstance(self.scene, Scene), f"A unit needs a function that returns a scene, found {self.scene!r}.")
         self.dt = dt
-        self.stepper: SceneStepper = stepper(self.scene, dt=dt, scheme=scheme)
+        self.stepper: SceneStepper = stepper(self.scene, dt=dt)
         self.outputs: dict[str, tuple[str, int]] = {}
         for sensor, quantity in self.scene.sensors.items():
             size = len(self.stepper[sensor])

@@ -18,15 +18,15 @@ def state_between(
     system: System,
     ends: tuple[State, State],
     t: float,
-    stepper: TimeStepper | None = None,
+    stepper: TimeStepper,
     *,
     earlier: State | None = None,
 ) -> State:
-    """The state at a time t (s) between two ends of a step, in which the ``stepper`` made it where given; ``earlier``: the one
-    that the step before began with, where forces are smooth.
+    """The state at a time t (s) between two ends of a step, that the ``stepper`` made; ``earlier``: the one that the step
+    before began with, where forces are smooth.
     """
     before, after = ends
-    if stepper is not None and stepper.unwrapped.state is after:
+    if stepper.unwrapped.state is after:
         found = stepper.unwrapped.between(t)
         if found is not None:
             return found

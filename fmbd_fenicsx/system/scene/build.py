@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ...errors import InputError
+from ...errors import InputError, require
 from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.bodies.coordinates import CoordinateBody, own_constraint
 from ...mechanics.bodies.port_constraint import PortConstraint
+from ...mechanics.catenary.sliding import place
 from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch
 from ...mechanics.joints.joints import ground
@@ -24,7 +25,6 @@ from .marker_places import MarkerPlaces
 from .placed_bodies import PlacedBodies
 from .point_masses import attitude_of, refuse_angles, refuse_turning
 from .references import check_references, check_sensors
-from .wires import slider_rows
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -131,9 +131,7 @@ class Builder:
         self.joint_markers = rows.markers
 
         own = self._own_equations(rows)
-        sliding = slider_rows(self.scene, self.bodies.parts, self.bodies.part_of, rows.row)
-        for law, _ in sliding[::2]:  # both sides share a row
-            rows.take(law.name, 1, "sliding contact")
+        sliding = self._sliding_contacts(rows)
         traces = tuple((tie, rows.take(tie.name, tie.rows, "surface tie")) for tie in ties)
         for part in self.bodies.parts:
             if part.n_frame_rows:
@@ -168,6 +166,23 @@ class Builder:
                 count = len(law.values(np.asarray(body.start), 0.0))
                 found.append((law, rows.take(body.name, count, "constraint")))
         return found
+
+    def _sliding_contacts(self, rows: JointRows) -> list[tuple[Any, slice]]:
+        """Both sides of every contact that slides along wires, which share a row."""
+        out: list[tuple[Any, slice]] = []
+        slots: dict[str, int] = {}
+        for s in self.scene.sliders.values():
+            for b in (s.wires, s.body):
+                known = self.scene.bodies.get(b.name) is b
+                require(known, f'Contact "{s.name}" refers to body "{b.name}", which is not in the scene.')
+
+            slot = slots[s.wires.name] = slots.get(s.wires.name, -1) + 1
+            numbers = (self.bodies.part_of[s.wires.name], self.bodies.part_of[s.body.name])
+            wire, head = place(s, numbers, slot, rows.row)
+            self.bodies.parts[numbers[0]].statuses.append(wire.status)
+            span = rows.take(wire.name, 1, "sliding contact")
+            out += [(wire, span), (head, span)]
+        return out
 
     # -- start ----------------------------------------------------------------------------------------------------
     def _counted(self, markers: Markers) -> Any:
