@@ -26,7 +26,7 @@ from .obstacles import shape_solid
 from .places import Places
 from .scene_graph import Deforming, MovingPoints, Piece, Role, Solid, joined
 from .skins import gathered_nodes, painted, skin
-from .solids import hull, in_space, read_stl, sphere, swept
+from .solids import disk, hull, in_space, read_stl, sphere, swept
 from .view import Paint
 
 LARGEST = 2_000_000  # triangles that are still drawn
@@ -217,8 +217,6 @@ def _contact_shape(body: RigidBody, at: Places) -> Solid | None:
 
 
 def _ball(radius: float, dim: int) -> Solid:
-    from .solids import disk
-
     return disk(radius) if dim == 2 else sphere(radius)
 
 

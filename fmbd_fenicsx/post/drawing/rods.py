@@ -10,6 +10,7 @@ from ...rotations import Array, quaternion_matrix
 from .bodies import THINNEST, pieces_of
 from .places import Places
 from .scene_graph import Deforming, Piece, Role
+from .solids import loop, walls
 from .view import Paint
 
 ROUND = 12  # corners of a section without an outline
@@ -73,13 +74,7 @@ def _poses(body: Rod, at: Places, k: int) -> Array:
 
 def _tube(n: int, corners: int) -> tuple[np.ndarray, np.ndarray]:
     """Triangles between n rings and over both ends, and the edges of the end rings."""
-    i, j = (x.ravel() for x in np.meshgrid(np.arange(n - 1), np.arange(corners), indexing="ij"))
-    a = i * corners + j
-    b = i * corners + (j + 1) % corners
-    sides = np.concatenate((np.column_stack((a, b, b + corners)), np.column_stack((a, b + corners, a + corners))))
-
-    # fans over the ends
-    fan = np.array([(0, m, m + 1) for m in range(1, corners - 1)], dtype=int).reshape(-1, 3)
+    fan = np.array([(0, m, m + 1) for m in range(1, corners - 1)], dtype=int).reshape(-1, 3)  # over an end
     last = (n - 1) * corners
-    ring = np.column_stack((np.arange(corners), np.roll(np.arange(corners), -1)))
-    return np.concatenate((sides, fan[:, ::-1], last + fan)), np.concatenate((ring, last + ring))
+    triangles = np.concatenate((walls(n, corners), fan[:, ::-1], last + fan))
+    return triangles, np.concatenate((loop(corners), last + loop(corners)))

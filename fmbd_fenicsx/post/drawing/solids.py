@@ -26,13 +26,24 @@ def in_space(x: Array) -> Array:
     return np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
 
 
+def loop(n: int) -> np.ndarray:
+    """Edges between n points in a circle."""
+    return np.column_stack((np.arange(n), np.roll(np.arange(n), -1)))
+
+
+def walls(n: int, corners: int) -> np.ndarray:
+    """Triangles between n rings of so many corners: quads between neighbours, each as two."""
+    i, j = np.indices((n - 1, corners)).reshape(2, -1)
+    a, b = i * corners + j, i * corners + (j + 1) % corners
+    return np.concatenate((np.column_stack((a, b, b + corners)), np.column_stack((a, b + corners, a + corners))))
+
+
 def polygon(corners: Array) -> Solid:
     """A convex polygon of the plane, its corners (n, 2) in order."""
     n = len(corners)
     fan = np.array([[0, i, i + 1] for i in range(1, n - 1)], dtype=int).reshape(-1, 3)
-    ring = np.column_stack((np.arange(n), np.roll(np.arange(n), -1)))
 
-    return Solid(in_space(corners), fan, ring)
+    return Solid(in_space(corners), fan, loop(n))
 
 
 def disk(radius: float, corners: int = 2 * AROUND) -> Solid:
@@ -85,18 +96,12 @@ def swept(path: Array, radius: Array | float, sides: int = 12) -> Solid:
         other = np.cross(e, across)
         rings.append(x + r * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other))
 
-    # quads between neighbouring rings, each as two triangles
-    i, j = np.meshgrid(np.arange(n - 1), np.arange(sides), indexing="ij")
-    a = i * sides + j
-    b = i * sides + (j + 1) % sides
-    sides_of = np.concatenate((np.stack((a, b, b + sides), -1), np.stack((a, b + sides, a + sides), -1)))
-    first, last = n * sides, n * sides + 1
-    around = np.arange(sides)
     # fans about the middles of both ends
-    caps = [np.column_stack((np.full(sides, first), np.roll(around, -1), around))]
-    caps.append(np.column_stack((np.full(sides, last), around, np.roll(around, -1))) + [0, *[(n - 1) * sides] * 2])
+    first, last = n * sides, n * sides + 1
+    caps = [np.column_stack((np.full(sides, first), loop(sides)[:, ::-1]))]
+    caps.append(np.column_stack((np.full(sides, last), loop(sides) + (n - 1) * sides)))
 
-    return Solid(np.concatenate((*rings, path[[0, -1]])), np.concatenate((sides_of.reshape(-1, 3), *caps)))
+    return Solid(np.concatenate((*rings, path[[0, -1]])), np.concatenate((walls(n, sides), *caps)))
 
 
 def carried_on(across: Array, e: Array) -> Array:
@@ -110,9 +115,8 @@ def cylinder(radius: float, length: float, axis: Sequence[float] | Array) -> Sol
     """A cylinder about the origin along an axis, with the edges of its rims."""
     e = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     tube = swept(np.array([-0.5 * length * e, 0.5 * length * e]), radius, AROUND)
-    rim = np.column_stack((np.arange(AROUND), np.roll(np.arange(AROUND), -1)))
 
-    return Solid(tube.points, tube.triangles, np.concatenate((rim, rim + AROUND)))
+    return Solid(tube.points, tube.triangles, np.concatenate((loop(AROUND), loop(AROUND) + AROUND)))
 
 
 def sphere(radius: float, rings: int = 14) -> Solid:
