@@ -1,4 +1,4 @@
-"""Matrices that are dense or sparse, whichever costs less."""
+"""Matrices that are dense or sparse, whichever costs less; what rows leave free."""
 
 from __future__ import annotations
 
@@ -9,12 +9,22 @@ import scipy.sparse as sp
 
 from .rotations import Array
 
+RANK = 1e-9  # singular values of rows of one size below this share of the largest are zero
 WIDE, FEW = 10_000, 0.05  # size and share of entries of an array whose products are worth a sparse matrix
 
 
 def dense(A: Any) -> Array:
     """A as an array."""
     return A.toarray() if sp.issparse(A) else np.asarray(A)
+
+
+def left_free(G: Array) -> Array:
+    """Orthonormal motions (n - rank, n) that rows G (m, n), of any size, leave: G y = 0."""
+    if not len(G):
+        return np.eye(G.shape[1])
+    sizes = np.linalg.norm(G, axis=1)
+    _, stretch, V = np.linalg.svd(G / np.where(sizes > 0, sizes, 1.0)[:, None])
+    return np.asarray(V[int((stretch > RANK * stretch[0]).sum()) :])
 
 
 def thin(A: Array) -> Any:

@@ -53,6 +53,16 @@ def on_components(M: Any, d: int) -> Any:
     return PETSc.Mat().createAIJ(sizes, bsize=d, csr=csr, comm=M.getComm())
 
 
+def petsc_of(A: Any, sizes: Any, comm: Any) -> Any:
+    """A SciPy matrix as PETSc's (aij): this rank's rows of one of these ``sizes``; collective. The caller destroys it."""
+    from petsc4py import PETSc
+
+    A = A.tocsr()
+    A.sort_indices()
+    csr = A.indptr.astype(PETSc.IntType), A.indices.astype(PETSc.IntType), A.data
+    return PETSc.Mat().createAIJ(sizes, csr=csr, comm=comm)
+
+
 def on_columns(act: Callable[[Any, Any], None], comm: Any, B: Array) -> Array:
     """What ``act(B, out)`` writes into a dense PETSc matrix like B, for columns (n, k) of this rank's rows; collective."""
     from petsc4py import PETSc

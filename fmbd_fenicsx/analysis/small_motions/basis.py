@@ -18,6 +18,7 @@ from ...errors import InputError, LinearSolveError
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...log import log
+from ...matrices import left_free
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
 from ...schemes.newton import ExactTangent
@@ -26,7 +27,6 @@ from ...system.speed_rows import speed_rows
 from .perturbation import Perturbation
 from .small_memory import SmallMemory, small_memory
 
-RANK = 1e-9  # singular values of the scaled G below this share of the largest are zero
 BLOCK, MORE = 3, 24  # start vectors, and vectors beyond those asked for
 LARGEST = 3  # times as many where modes do not settle: those of thin bodies are slow beside the inertia that holds them
 NEW = 1e-5  # share of a vector that must be new: below it stands the noise of GMRES
@@ -176,11 +176,7 @@ def free_motions(about: Perturbation) -> Array:
     if not len(held):
         return np.diag(1.0 / system.units)
     G = np.array([about.rows(e)[held] for e in np.diag(1.0 / system.units)]).T
-    sizes = np.linalg.norm(G, axis=1)
-    _, s, Vt = np.linalg.svd(G / np.where(sizes > 0, sizes, 1.0)[:, None])
-
-    rank = int((s > RANK * s[0]).sum())
-    return np.asarray(Vt[rank:] / system.units)
+    return np.asarray(left_free(G) / system.units)
 
 
 def _krylov(

@@ -21,13 +21,13 @@ from functools import cached_property
 import numpy as np
 
 from ...errors import ConvergenceError
+from ...matrices import RANK, left_free
 from ...rotations import Array
 from ...system.compiled.choice import use_driver
 from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.speed_rows import speed_rows
 from ...system.system import System
-from ..small_motions.basis import RANK
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.steady import BodySpin, Spin, steady_rates
 from .static_newton import StaticNewton, StaticPoint
@@ -160,10 +160,7 @@ class _Place:
     def _free(self) -> Array:
         """V, (k, n_v)."""
         system = self.system
-        if not system.n_lam:
-            return np.eye(system.n_v)
-        _, s, Vt = np.linalg.svd(_of_unit_size(_rows(self._here))[0])
-        return np.asarray(Vt[int((s > RANK * s[0]).sum()) :])
+        return left_free(_rows(self._here)) if system.n_lam else np.eye(system.n_v)
 
 
 def _rows(ev: Evaluation) -> Array:

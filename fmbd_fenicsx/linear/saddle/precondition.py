@@ -34,6 +34,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
+from ...fem.assembly import petsc_of
 from ...fem.traces.stability import pencil
 from ...fem.traces.traces import Trace
 from ...rotations import Array
@@ -167,14 +168,8 @@ def to_petsc(S: sp.csr_matrix, saddle: Any, parts: list[int] | None = None) -> A
     comm = saddle.comm
     order, mine = rank_order([S.shape[0]] if parts is None else parts, comm)
 
-    S = S[order][:, order].tocsr()
-    S.sort_indices()
-    S = S[mine]
-    n, m = S.shape
-    csr = (S.indptr.astype(PETSc.IntType), S.indices.astype(PETSc.IntType), S.data)
-
-    A = PETSc.Mat().createAIJ(((n, m), (n, m)), csr=csr, comm=comm)
-    A.assemble()
+    S = S[order][:, order].tocsr()[mine]
+    A = petsc_of(S, (S.shape, S.shape), comm)
     A.setOption(PETSc.Mat.Option.SPD, True)
     return A
 

@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...errors import InputError
+from ...fem.assembly import petsc_of
 from ...ranks import together
 from ...rotations import Array
 from ..rigid_modes import elastic_matrix
@@ -187,12 +188,4 @@ def share_of(n: int, comm: Any, rank: int | None = None) -> int:
 
 def _transposed(B: sp.csr_matrix, share: int, total: int, e: Elastic, comm: Any) -> Any:
     """B^T as a PETSc matrix: this rank's displacements by all multipliers."""
-    from petsc4py import PETSc
-
-    T = B.T.tocsr()
-    T.sort_indices()
-    csr = (T.indptr.astype(PETSc.IntType), T.indices.astype(PETSc.IntType), T.data)
-    size = ((e.rows, e.body.n_global), (share, total))
-    A = PETSc.Mat().createAIJ(size, csr=csr, comm=comm)
-    A.assemble()
-    return A
+    return petsc_of(B.T, ((e.rows, e.body.n_global), (share, total)), comm)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import dolfinx_compat as compat
 from ...errors import require
-from ...fem.assembly import times_columns
+from ...fem.assembly import petsc_of, times_columns
 from ...rotations import Array
 
 
@@ -135,14 +135,11 @@ class LineField:
     def _with(self, K: Any, rows: Any, weights: Array) -> Any:
         """K + sum_r weights_r row_r^T row_r as a PETSc matrix."""
         import scipy.sparse as sp
-        from petsc4py import PETSc
 
         start, cols, values = K.getValuesCSR()
-        total = (sp.csr_matrix((values, cols, start), shape=K.size) + rows.T @ sp.diags(weights) @ rows).tocsr()
-        total.sort_indices()
+        total = sp.csr_matrix((values, cols, start), shape=K.size) + rows.T @ sp.diags(weights) @ rows
         K.destroy()
-        indices = (total.indptr.astype(PETSc.IntType), total.indices.astype(PETSc.IntType), total.data)
-        return PETSc.Mat().createAIJ(total.shape, csr=indices, comm=self.comm)
+        return petsc_of(total, total.shape, self.comm)
 
     def csr(self) -> Any:
         """K as a SciPy matrix."""

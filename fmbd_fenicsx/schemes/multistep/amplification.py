@@ -24,7 +24,7 @@ import numpy as np
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...linear.core_matrix import core_matrix
-from ...matrices import dense
+from ...matrices import dense, left_free
 from ...rotations import Array
 from ...system.compiled.declarations import enumeration
 from ...system.evaluation import Evaluation
@@ -41,7 +41,6 @@ HIGHEST, STABLE = enumeration("ORDERS", "implicit/bdf.c").values()
 POINTS = 8192  # of the curve
 LARGEST = 200  # unknowns of the core, up to which eigenvalues are solved for
 RESOLVED = 0.3  # h omega below which any order follows a vibration
-RANK = 1e-9  # singular values of the constraints below this share of the largest are none
 
 
 class Amplification(Remembering):
@@ -108,7 +107,7 @@ def vibrations(solver: StepSolver, state: State) -> Array:
         return np.array([1j * fastest])
 
     # on motions that the constraints permit
-    free = _free(size * dense(ev.jacobian.core))
+    free = left_free(size * dense(ev.jacobian.core)).T
     M, C, K = (
         free.T @ (size[:, None] * dense(x) * size) @ free if x is not None else np.zeros((free.shape[1],) * 2)
         for x in (mass, damping, stiffness)
@@ -128,15 +127,6 @@ def _applied(ev: Evaluation, w: Weights) -> Any:
     if applied is None or applied.core is None:
         return parts if abs(parts).max() > 0 else None
     return parts + applied.core
-
-
-def _free(G: Array) -> Array:
-    """Orthonormal motions that rows G leave, (n, n - rank)."""
-    if not len(G):
-        return np.eye(G.shape[1])
-    norms = np.sqrt((G * G).sum(axis=1))
-    _, stretch, V = np.linalg.svd(G / np.where(norms > 0, norms, 1.0)[:, None])
-    return np.asarray(V[int((stretch > RANK * stretch[0]).sum()) :].T)
 
 
 @cache
