@@ -5,6 +5,7 @@ factor.
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -145,6 +146,41 @@ def negative(u: Any, v: Any, dx: Any) -> Any:
 def test_unusable_elastic_forms_are_refused(elastic: Any, words: str, rod_mesh: Callable[..., Any]) -> None:
     with pytest.raises(InputError, match=f'"rod".*{words}'):
         field_of(rod_mesh(dim=2, h=0.5, height=0.4), elastic=elastic)
+
+
+def test_a_foundation_is_no_form_of_a_body_in_a_frame(rod_mesh: Callable[..., Any]) -> None:
+    """It would hold the displacement in the frame; in absolute coordinates it carries the weight, rho g A / k."""
+    law = fmbd.materials.plane_stress(5e6, 0.3)
+    mesh = rod_mesh(dim=2, h=0.5, height=0.4)
+
+    def bedded(u: Any, v: Any, dx: Any) -> Any:
+        return law(u, v, dx) + 2e5 * u[1] * v[1] * dx
+
+    kept = fmbd.AbsoluteBody("rod", mesh, density=1000.0, elastic=bedded)
+    scene = fmbd.Scene("bedded", gravity=(0.0, -10.0))
+    scene.add(kept, fmbd.prismatic("guide", fmbd.ground, kept.surface("pin"), axis=(0, 1)))
+    scene.sensor("tip", fmbd.position(kept.surface("tip")))
+    assert fmbd.equilibrium(scene)["tip"][1] == pytest.approx(-1000.0 * 10.0 / 2e5, rel=1e-6)
+
+    floating = fmbd.FloatingBody("rod", mesh, density=1000.0, elastic=bedded)
+    for body in (floating, floating.reduced(modes=2)):
+        scene = fmbd.Scene("bedded")
+        scene.add(body)
+        with pytest.raises(InputError, match='"rod".*resists rigid motion'):
+            scene.build()
+
+
+def test_displacements_of_a_lower_degree_than_curved_cells_are_refused(shared_tmp: Path) -> None:
+    """They hold no linear functions, so that no turn would be free of strain."""
+    disc = Path(__file__).parents[1] / "meshes/disc.py"
+    script = shared_tmp / "curved.py"
+    made = f"runpy.run_path({str(disc)!r})['build'](gmsh, h=0.8)"
+    script.write_text(f"import runpy\n\n\ndef build(gmsh):\n    {made}\n    gmsh.model.mesh.setOrder(2)\n")
+    mesh = fmbd.read_gmsh(script)
+    body = fmbd.FloatingBody("disc", mesh, degree=1, density=1.0, elastic=fmbd.materials.plane_stress(1e6, 0.3))
+    with pytest.raises(InputError, match='"disc".*degree 1 on curved cells of order 2.*degree=2'):
+        Field("disc", mesh, body.forms())
+    Field("disc", mesh, body.with_(degree=2).forms()).destroy()
 
 
 @pytest.mark.parametrize("density", [0.0, -1.0, np.nan, np.inf])

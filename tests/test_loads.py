@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import dolfinx_compat
@@ -20,6 +21,12 @@ from fmbd_fenicsx.mechanics.reduction.reduced import ReducedPart
 from fmbd_fenicsx.rotations import motions
 
 MODULUS, DENSITY = 5e6, 1000.0
+
+
+def fmbd_identity(dim: int) -> Any:
+    import ufl
+
+    return ufl.Identity(dim)
 
 
 def rod(mesh: Any, *loads: Load, **changes: Any) -> fmbd.FloatingBody:
@@ -62,12 +69,6 @@ def test_resultants_and_reduction(rod_mesh: Callable[..., Any], dim: int) -> Non
     np.testing.assert_allclose(rows, field.total(phi.T @ with_loads[1]), rtol=1e-7, atol=1e-7)
     field.destroy()
     bare.destroy()
-
-
-def fmbd_identity(dim: int) -> Any:
-    import ufl
-
-    return ufl.Identity(dim)
 
 
 def clamped_tip(body: Any, t_end: float = 0.4) -> Any:
@@ -128,6 +129,44 @@ def test_thermal_stretch(rod_mesh: Callable[..., Any]) -> None:
         scene.sensor(end, fmbd.position(body.surface(end)))
     run = fmbd.solve(scene, t_end=1.0, dt=5e-3)
     np.testing.assert_allclose(run["tip"][-1, 0] - run["pin"][-1, 0] - 1.0, strain, rtol=1e-3)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("load", [
+    thermal_stress(lambda x: 0.02 * MODULUS * fmbd_identity(2)),
+    traction("tip", (0.02 * MODULUS, 0.0), follower=True),
+    body_force((0.04 * MODULUS, 0.0), follower=True),
+], ids=["heat", "traction", "body force"])  # fmt: skip
+def test_followers_and_heat_turn_with_bodies_without_a_frame(rod_mesh: Callable[..., Any], load: Load) -> None:
+    """A bar turned by 2 rad is as long as one at rest, by the same exact strain: S = E e, P = F S, nu = 0."""
+    mesh = rod_mesh(dim=2, h=0.5, height=0.4)
+    body = fmbd.AbsoluteBody("rod", mesh, density=1.0, energy=saint_venant_kirchhoff(MODULUS, 0.0), loads=(load,))
+    pin = fmbd.revolute("pin", fmbd.ground, body.surface("pin"), center=(0, 0))
+    scene = fmbd.Scene("turned")
+    scene.add(body, pin, fmbd.drive("turn", fmbd.angle(pin), lambda t: 2.0 * t))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    tip = fmbd.equilibrium(scene, path=fmbd.LoadSteps((0.25, 0.5, 0.75, 1.0)))["tip"]
+
+    # the pull is that of the end all along, or grows from there to the pin
+    pulls = [0.02] if load.surface else 0.04 * (np.arange(20) + 0.5) / 20
+    stretches = [brentq(lambda e, p=p: e * (e**2 - 1) / 2 - p, 1.0, 2.0) for p in pulls]
+    expected = np.sqrt(1.04) if load.internal else np.mean(stretches)
+    assert np.arctan2(tip[1], tip[0]) == pytest.approx(2.0, abs=1e-6)
+    assert np.hypot(*tip) == pytest.approx(expected, rel=1e-9 if load.surface or load.internal else 2e-5)
+
+
+def test_followers_of_a_frame_are_refused_where_there_is_none(rod_mesh: Callable[..., Any]) -> None:
+    def form(v: Any, dx: Any, ds: Any) -> Any:
+        return v[0] * ds("tip")
+
+    mesh = rod_mesh(dim=2, h=0.25)
+    for kind in ({"follower": True}, {"internal": True}):
+        law = saint_venant_kirchhoff(MODULUS, 0.3)
+        body = fmbd.AbsoluteBody("rod", mesh, density=1.0, energy=law, loads=(Load(form, **kind),))
+        scene = fmbd.Scene("frameless")
+        scene.add(body)
+        with pytest.raises(InputError, match='Load 0 on body "rod" turns with.*deformed'):
+            scene.build()
 
 
 @pytest.mark.parametrize("kind", ["floating", "absolute"])

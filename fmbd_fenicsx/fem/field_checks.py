@@ -1,4 +1,6 @@
-"""Checks of an elastic field when it is built: symmetry and sign of its form, locking, thin first-order cells."""
+"""Checks of an elastic field when it is built: linear functions, symmetry and sign of its form, locking, thin first-order cells;
+and, where it gets a frame, that its form does not resist rigid motion.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,17 @@ from ..rotations import Array
 # length over height of first-order cells above which bending is far too stiff (1:1000 measured: 280 times)
 SLENDER = 50.0
 
+LINEAR = 1e-8  # gradient of what a linear function of size 1 differs by in V_h: roundoff
+FREE = 1e-11  # forces under a translation by 1 m, of those under random displacements of that size: roundoff
+
 
 def check_field(field: Any) -> None:
     """All checks of a new field; collective.
 
     Raises:
-        InputError: the elastic form is not symmetric, not positive or not finite.
+        InputError: displacements without linear functions; the elastic form is not symmetric, not positive or not finite.
     """
+    _check_linear_functions(field)
     _check_stiffness(field)
     _warn_of_locking(field)
     _warn_of_slender_cells(field)
@@ -37,6 +43,48 @@ def check_start(field: Any, U: Array) -> None:
         raise InputError(
             f'Body "{field.name}": its elastic energy is {energy} J at the start. The initial displacement collapses or inverts '
             "cells, or the energy has no value at the start (a logarithm or a root of zero)."
+        )
+
+
+def check_free(field: Any) -> None:
+    """Refuse an elastic form that resists translations of a body that gets a frame; collective.
+
+    Raises:
+        InputError: on all ranks alike. In u, the displacement in the frame, such a form would hold nothing in the world.
+    """
+    random = np.random.default_rng(7 + field.comm.rank).standard_normal(field.n * field.dim)
+    moved = [random, *(np.tile(e, field.n) for e in np.eye(field.dim))]
+    largest, *force = np.max(field.comm.allgather([np.abs(field.stiffness(u)).max(initial=0.0) for u in moved]), axis=0)
+    if max(force) > FREE * largest:
+        raise InputError(
+            f'Body "{field.name}": its elastic form resists rigid motion, as a foundation does. In a floating frame it sees '
+            "the displacement in the frame alone, which no foundation knows: take an AbsoluteBody, or springs and bushings "
+            "between its surfaces and the ground."
+        )
+
+
+def _check_linear_functions(field: Any) -> None:
+    """Refuse curved cells of an order above the displacements': the body could not turn without strain."""
+    import ufl
+    from dolfinx import fem
+
+    domain, degree = field.mesh.dolfinx, field.forms.degree
+    order = domain.geometry.cmap.degree
+    if degree >= order:
+        return
+
+    x = fem.Function(field.space)
+    x.x.array[: field.n * field.dim] = field.X_world.ravel()
+    x.x.scatter_forward()
+    off = ufl.grad(x) - ufl.Identity(field.dim)
+    parts = ufl.inner(off, off) * ufl.dx, fem.Constant(domain, 1.0) * ufl.dx
+    squares, volume = field.total(np.array([fem.assemble_scalar(compat.form(part)) for part in parts]))
+    strain = np.sqrt(squares / volume)
+    if strain > LINEAR:
+        raise InputError(
+            f'Body "{field.name}": displacements of degree {degree} on curved cells of order {order} contain no linear '
+            f"functions (strains of {strain:.1e} are left), so the body could not turn freely. Take degree={order}, or cells of "
+            f"order {degree}."
         )
 
 

@@ -5,10 +5,14 @@ A load is L(v) times a function of time; its nodal vector b is assembled once. A
 
     dead, follower   translation  sum_n b_n,     rotation  sum_n P_n x b_n,     elastic rows  b                (1)
 
-with b turned into body axes where it is dead. The same load acts on floating, reduced and absolute bodies. On an absolute
-body with large displacements a pressure is integrated over the deformed surface, J F^-T N dS. The stiffness of such
-loads, -dL(u; v)[du], is part of the body's tangent by its symmetric half; the other half comes from the surface's edges and
-vanishes where these are held or the surface is closed (Schweizerhof and Ramm, doi:10.1016/0045-7949(84)90161-5).
+with b turned into body axes where it is dead. The same load acts on floating, reduced and absolute bodies. On a body with an
+energy, whose displacements are of any size, followers and internal loads are forms of the deformed body, F = 1 + grad u:
+
+    pressure  -p J F^-T N . v,     follower f  |f| F f / |F f| . v,     stress S of a thermal strain  S : sym(F^T grad v)      (2)
+
+The stiffness of such loads, -dL(u; v)[du], is part of the body's tangent by its symmetric half. That of S is symmetric; the
+other half of a pressure's comes from the surface's edges and vanishes where these are held or the surface is closed
+(Schweizerhof and Ramm, doi:10.1016/0045-7949(84)90161-5).
 """
 
 from __future__ import annotations
@@ -37,7 +41,8 @@ class Load:
     """L(v) = ``form(v, dx, ds)`` times ``time(t)``; ``ds("tip")`` is the measure of a named surface.
 
     ``follower``: fixed in the body's frame. ``internal``: no resultant on the frame. ``deformed``: form(u, v, dx, ds) used
-    instead by bodies with large displacements, evaluated at the current u.
+    instead by bodies with an energy, evaluated at the current u; those in absolute coordinates, which have no frame, need
+    it of followers and internal loads.
     """
 
     form: Callable[[Any, Any, Any], Any]
@@ -77,7 +82,7 @@ def traction(surface: str, value: Sequence[float], *, time: Time = steady, follo
         surface: its name in the mesh.
         value: in Pa, in the plane in N/m, (d,), world axes.
         time: factor over time (s); by default the full load from the start. Jumps need small steps.
-        follower: the force turns with the body's frame, ``value`` in its axes.
+        follower: the force turns with the body's frame, ``value`` in its axes; with an energy, with the material it acts on.
     """
     vector("traction: value", value)
 
@@ -86,7 +91,10 @@ def traction(surface: str, value: Sequence[float], *, time: Time = steady, follo
 
         return ufl.inner(_constant(vector("traction: value", value, size=v.ufl_shape[0]), dx), v) * ds(surface)
 
-    return Load(form, time, follower, surface=surface, value=value)
+    def deformed(u: Any, v: Any, dx: Any, ds: Any) -> Any:
+        return _carried(value, u, v, dx) * ds(surface)
+
+    return Load(form, time, follower, deformed=deformed if follower else None, surface=surface, value=value)
 
 
 @typed
@@ -96,7 +104,7 @@ def body_force(value: Sequence[float], *, time: Time = steady, follower: bool = 
     Args:
         value: in N/m^3, in the plane in N/m^2, (d,), world axes.
         time: factor over time (s); by default the full load from the start.
-        follower: the force turns with the body's frame, ``value`` in its axes.
+        follower: the force turns with the body's frame, ``value`` in its axes; with an energy, with the material it acts on.
     """
     vector("body_force: value", value)
 
@@ -105,7 +113,10 @@ def body_force(value: Sequence[float], *, time: Time = steady, follower: bool = 
 
         return ufl.inner(_constant(vector("body_force: value", value, size=v.ufl_shape[0]), dx), v) * dx
 
-    return Load(form, time, follower, value=value)
+    def deformed(u: Any, v: Any, dx: Any, ds: Any) -> Any:
+        return _carried(value, u, v, dx) * dx
+
+    return Load(form, time, follower, deformed=deformed if follower else None, value=value)
 
 
 @typed
@@ -137,15 +148,37 @@ def pressure(surface: str, value: float, *, time: Time = steady) -> Load:
 def thermal_stress(stress: Callable[[Any], Any], *, time: Time = steady) -> Load:
     """Stress (Pa) of a thermal strain, ``stress(x)`` with x the material point: L(v) = int stress : sym grad v.
 
-    For a rise dT of an isotropic body: E alpha dT / (1 - 2 nu) times the identity.
+    With an energy it is the second Piola-Kirchhoff stress, which turns with the material: int stress : sym(F^T grad v).
+    For a rise dT of an isotropic body: E alpha dT / (1 - 2 nu) times the identity; of a sheet in plane stress of thickness t:
+    t E alpha dT / (1 - nu).
     """
+
+    def strained(rate: Any, dx: Any) -> Any:
+        import ufl
+
+        return ufl.inner(stress(ufl.SpatialCoordinate(dx.ufl_domain())), ufl.sym(rate)) * dx
 
     def form(v: Any, dx: Any, ds: Any) -> Any:
         import ufl
 
-        return ufl.inner(stress(ufl.SpatialCoordinate(dx.ufl_domain())), ufl.sym(ufl.grad(v))) * dx
+        return strained(ufl.grad(v), dx)
 
-    return Load(form, time, follower=True, internal=True)
+    def deformed(u: Any, v: Any, dx: Any, ds: Any) -> Any:
+        import ufl
+
+        return strained((ufl.Identity(len(u)) + ufl.grad(u)).T * ufl.grad(v), dx)
+
+    return Load(form, time, follower=True, internal=True, deformed=deformed)
+
+
+def _carried(value: Any, u: Any, v: Any, dx: Any) -> Any:
+    """Power on v of a force that is carried along with the material, |f| F f / |F f|; f may be zero."""
+    import ufl
+
+    f = _constant(value, dx)
+    carried = f + ufl.grad(u) * f
+    nothing = _constant(1e-100, dx)
+    return ufl.sqrt((ufl.inner(f, f) + nothing) / (ufl.inner(carried, carried) + nothing)) * ufl.inner(carried, v)
 
 
 def _constant(value: Any, dx: Any) -> Any:

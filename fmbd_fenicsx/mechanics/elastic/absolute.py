@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import require
 from ...fem.fields import Field
 from ...fem.initial import initial_fields
 from ...fem.mean_forces import MeanForces
@@ -36,10 +37,23 @@ def placed_field(body: Any, site: Site) -> Placed:
     return Placed(AbsoluteField(field, site.ground, site.surfaces), U, rate + carried.ravel())
 
 
+def _refuse_frames(field: Field) -> None:
+    """Refuse loads that turn with the frame of a body, where there is none."""
+    for number, load in enumerate(field.loads.loads):
+        require(
+            load.deformed is not None or not (load.follower or load.internal),
+            f'Load {number} on body "{field.name}" turns with the body\'s frame, and a body in absolute coordinates has none. '
+            "Give the Load a form of the deformed body, deformed=lambda u, v, dx, ds: ..., with F = Identity(d) + grad(u); "
+            "traction, body_force, pressure and thermal_stress have one.",
+        )
+
+
 class AbsoluteField(FieldPart):
     """A displacement field against the ground; equation (1). ``ground`` is the index of the ground's frame."""
 
     def __init__(self, field: Field, ground: int, surfaces: list[str]) -> None:
+        if field.nonlinear:
+            _refuse_frames(field)
         super().__init__(field, ground, surfaces, np.zeros((field.n * field.dim, 0)))
         self.tangent = MotionTangent(field)
         self.origin = np.zeros(field.dim)

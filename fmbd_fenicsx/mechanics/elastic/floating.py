@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import ConvergenceError, InputError
+from ...fem.field_checks import check_free
 from ...fem.fields import Field
 from ...rotations import Array, axial, motions, spin_matrix
 from ..placements import Attached, Chord, FrameMotion, MeanAxis
@@ -352,7 +353,12 @@ def moment_columns(field: Field, surface: str) -> Array:
 
 
 def frame_conditions(field: Field, frame: MeanAxis | Attached | Chord) -> Array:
-    """Columns C (n d, n_twist) of the conditions C^T U = 0 that tie a frame to its body."""
+    """Columns C (n d, n_twist) of the conditions C^T U = 0 that tie a frame to its body; collective.
+
+    Raises:
+        InputError: the body is not free, see :func:`.check_free`.
+    """
+    check_free(field)
     if isinstance(frame, MeanAxis):
         return field.Q
     if isinstance(frame, Chord):
