@@ -8,6 +8,7 @@ from dae_problems import march, observed, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.linear import condensation
 from fmbd_fenicsx.schemes.onestep.conserving.energy_momentum import EnergyMomentumStepper
 
 
@@ -141,3 +142,29 @@ def test_the_matrix_of_the_middle_before_differences(monkeypatch: pytest.MonkeyP
     scene.add(beam, fmbd.revolute("pin", fmbd.ground, beam.surface("start"), center=(0, 0)), spring)
     fmbd.solve(scene, t_end=14e-3, dt=1e-3, scheme=fmbd.EnergyMomentum())
     assert len(taken) <= 3
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_potential_that_is_large_beside_what_a_step_changes_of_it(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Masses on circles about a far planet: quotients of the potential's roundoff would be increments that never end."""
+    if not compiled:
+        monkeypatch.setattr(condensation, "driver_solver", lambda *_: None)
+    mu, angle, scene = 4e14, 0.3, fmbd.Scene("orbits")
+    ahead, across = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
+    rates = {}
+    for name, radius in (("low", 7e6), ("high", 7e6 + 10.0)):
+        rates[name] = np.sqrt(mu / radius**3)
+        mass = fmbd.PointMass(name, 50.0, tuple(radius * ahead), velocity=tuple(radius * rates[name] * across))
+        well = fmbd.force_element(
+            f"well of {name}", fmbd.ground, mass, lambda a, b, t: -50.0 * mu / np.sqrt(b.x @ b.x), points=((0, 0), None)
+        )
+        scene.add(mass, well)
+        scene.sensor(name, fmbd.position(mass))
+
+    run = fmbd.solve(scene, t_end=500.0, dt=5.0, scheme=fmbd.EnergyMomentum())
+    for name, rate in rates.items():
+        x, y = run[name].T
+        assert np.abs(np.arctan2(y, x) - angle - rate * run.times).max() < 1e-5
+    assert run.counters["newton_iterations"] <= 2 * run.counters["steps"] + 2

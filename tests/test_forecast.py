@@ -99,6 +99,7 @@ def test_steps_without_end_that_do_not_grow_end_the_run() -> None:
     """1e12 of them; the beginning of a vibration that damping ends takes as short ones, which grow."""
     assert ends_after(far_away(0.0), 1e-12, 'The fastest period is 6.3e-06 s, of body "bob"') == 2100
     assert ends_after(far_away(0.0), 1e-12, "", longer=1.0001) == 5000
+    assert ends_after(far_away(0.0), 1e-13, "No spring is there to blame") == 2100  # for so many steps in its period
 
 
 @pytest.mark.parametrize("sprung", [False, True])

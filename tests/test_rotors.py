@@ -161,3 +161,34 @@ def test_the_free_turn_of_a_solid_shaft_is_no_mode_of_its_diagram() -> None:
             assert np.abs(rates[:2]) == pytest.approx(found.omega[0, 0], rel=5e-3)
             # the antisymmetric one, which leaves the middle at rest
             assert rates[2] == pytest.approx(found.omega[0, 2], rel=5e-3)
+
+
+@pytest.mark.parametrize("speed", [0.0, 300.0])
+def test_an_overhung_rotor_on_a_mount_that_resists_tilts(speed: float) -> None:
+    """The mount holds a ring in which the rotor turns; on the rotor itself it would measure the turn too, which is told."""
+    k, tilt, cross, spin = 1e6, 1e5, 3e4, fmbd.Spin(speed, bodies=("rotor",))
+    K = np.diag([k, k, 1e9, tilt, tilt, 1e5])
+    K[0, 4] = K[4, 0] = cross
+    K[1, 3] = K[3, 1] = -cross
+
+    def overhung(*, ring: bool) -> fmbd.Scene:
+        scene, rotor = fmbd.Scene("overhung"), fmbd.RigidBody("rotor", 10.0, (0.1, 0.1, 0.18))
+        held = fmbd.RigidBody("ring", 1e-6, (1e-9, 1e-9, 1e-9)) if ring else rotor
+        scene.add(rotor, fmbd.bushing("mount", fmbd.ground, held, center=(0, 0, 0), stiffness=K))
+        if ring:
+            scene.add(held, fmbd.revolute("bearing", held, rotor, center=(0, 0, 0)))
+        return scene
+
+    M, G, K4 = np.diag([10.0, 10.0, 0.1, 0.1]), np.zeros((4, 4)), K[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])]
+    G[2, 3], G[3, 2] = 0.18 * speed, -0.18 * speed
+    A = np.block([[np.zeros((4, 4)), np.eye(4)], [-np.linalg.solve(M, K4), -np.linalg.solve(M, G)]])
+    rates = np.sort(np.abs(eig(A, right=False).imag))[::2]
+
+    scene = overhung(ring=True)
+    found = fmbd.modes(scene, 6 if speed else 5, at=fmbd.equilibrium(scene, spin=spin))
+    assert np.sort(found.omega)[-4:] == pytest.approx(rates, rel=1e-6)  # after the free turn
+    if speed:
+        with pytest.raises(InputError, match='rotation of "rotor" is not steady.*light ring'):
+            fmbd.equilibrium(overhung(ring=False), spin=spin)
+        with pytest.raises(InputError, match='stiffness of "rotor" changes as they turn.*light ring'):
+            fmbd.campbell(lambda _: overhung(ring=False), [0.0], 4, spin=spin)

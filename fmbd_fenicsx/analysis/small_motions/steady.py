@@ -28,6 +28,9 @@ from ...rotations import Array
 from ...system.evaluation import Evaluation
 from ...system.system import System
 
+# of messages about rotors that are not round
+MOUNTS = "A bushing that resists tilts feels the turn: let it hold a light ring, in which the rotor turns on a hinge."
+
 
 @dataclass(frozen=True)
 class Spin:

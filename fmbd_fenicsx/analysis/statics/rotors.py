@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...system.system import System
-from ..small_motions.steady import BodySpin
+from ..small_motions.steady import MOUNTS, BodySpin
 from .static_newton import StaticNewton, StaticPoint
 
 ANGLES = (1.0, 2.5)  # by which bodies are turned, rad
@@ -42,7 +42,7 @@ def check_steady(newton: StaticNewton, point: StaticPoint, t: float) -> None:
             raise InputError(
                 f"The rotation of {spin.listed} is not steady: turned by {angle:g} rad, the scene moves by {moved:.3g} m. "
                 "Bodies that spin among others at rest must be round about their axes, with the mass centre on it and loads that "
-                "do not turn with them."
+                "do not turn with them. " + MOUNTS
             )
 
 

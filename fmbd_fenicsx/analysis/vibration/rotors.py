@@ -9,7 +9,7 @@ from ...rotations import Array
 from ...system.layout import State
 from ..small_motions.basis import random_motion
 from ..small_motions.perturbation import Perturbation
-from ..small_motions.steady import BodySpin
+from ..small_motions.steady import MOUNTS, BodySpin
 
 ANGLE = 1.0  # by which bodies are turned, rad
 ROUND = 1e-5  # relative difference of forces that is none
@@ -36,7 +36,8 @@ def check_round(about: Perturbation, spin: BodySpin) -> None:
         if change > ROUND * system.max_abs(force):
             raise InputError(
                 f"The {name} of {spin.listed} changes as they turn: bodies that spin among others at rest must be round about "
-                "their axes. Take the rotation of the whole scene (Spin without bodies) for rotors that are not."
+                "their axes. Take the rotation of the whole scene (Spin without bodies) for rotors that are not. "
+                + MOUNTS
             )
 
 

@@ -35,6 +35,8 @@ from ..kinds.own import OwnTerm
 POINT, SQUARE, DISTANCE, QUOTIENT = range(4)
 # of the change that a motion by the model's length makes: rows of smaller ones are as exact as a quotient
 UNMOVED = 1e-6
+# of the coordinate itself, which is known to its roundoff: quotients of smaller changes would be noise to the iteration
+UNKNOWN = 1e-5
 
 
 def nearest(angle: Array, wanted: Array) -> Array:
@@ -130,7 +132,7 @@ class RelativeCoordinates:
         # a quotient of two roundoffs says nothing; s may have any unit
         lengths = np.where(np.arange(self.motions.n_twist) < self.motions.dim, length, 1.0)
         whole = np.max([np.abs(rows * lengths).max(axis=1) for rows in self.rows(mean)], axis=0)
-        far = np.abs(linear) > UNMOVED * whole
+        far = np.abs(linear) > np.maximum(UNMOVED * whole, UNKNOWN * np.abs(ends[1]))
         return np.where(far, np.clip((ends[1] - ends[0]) / np.where(far, linear, 1.0), -10.0, 10.0), 1.0)
 
 

@@ -41,6 +41,7 @@ ENDLESS = 1e10  # steps that no run makes
 STEADY = 1000  # steps whose pace is compared with that of as many before
 GROWN = 1.001  # the least growth of a pace
 DROWNED = 0.1  # of the accelerations of a motion
+RESOLVED = 1e7  # steps in a period, from which on it is not to blame for them
 LOOKED_AT = 2000  # constraints up to which their singular values are found
 
 
@@ -82,7 +83,7 @@ class Forecast:
             self.said = True
             log.warning(
                 "t = %g s: the last %d steps or parts of steps took %.2g s; at this pace the run needs about %.1e. %s",
-                state.t, recent, advanced, needed, reason(self.solver, state),
+                state.t, recent, advanced, needed, reason(self.solver, state, pace),
             )  # fmt: skip
 
         if self.planned:
@@ -92,7 +93,7 @@ class Forecast:
         if self.stuck == PATIENCE:
             raise endless(state.t, PATIENCE * recent, pace, needed, why)
         if not self._grown(state) and needed >= max(ENDLESS, TIMES * self.asked):
-            raise endless(state.t, STEADY, pace, needed, reason(self.solver, state))
+            raise endless(state.t, STEADY, pace, needed, reason(self.solver, state, pace))
 
     def _hopeless(self, state: State, pace: float, needed: float) -> str:
         """Why steps of error control stay as small as they are, as sentences, or nothing; collective."""
@@ -120,9 +121,9 @@ def endless(t: float, steps: int, pace: float, needed: float, why: str) -> Conve
     )
 
 
-def reason(solver: StepSolver, state: State) -> str:
-    """Why steps are small in a state, as far as it tells, as a sentence; collective."""
-    return singular(solver, state) or drowned(solver, state) or fastest(solver, state)
+def reason(solver: StepSolver, state: State, pace: float = np.inf) -> str:
+    """Why steps of ``pace`` (s) are small in a state, as far as it tells, as a sentence; collective."""
+    return singular(solver, state) or drowned(solver, state) or fastest(solver, state, pace)
 
 
 def singular(solver: StepSolver, state: State) -> str:
@@ -198,15 +199,16 @@ def steepest(solver: StepSolver, state: State) -> str:
     )
 
 
-def fastest(solver: StepSolver, state: State) -> str:
+def fastest(solver: StepSolver, state: State, pace: float = np.inf) -> str:
     """The shortest period (1) and its body, or a law that answers sooner with its rate, as a sentence; collective."""
     (ratio, body), (drag, _) = stiffest(solver, state), stiffest(solver, state, damping=True)
     law = steepest(solver, state) if drag**2 > ratio else ""
-    if law or not ratio > 0:
+    period = 2 * np.pi / np.sqrt(ratio) if ratio > 0 else np.inf
+    if law or not period < RESOLVED * pace:
         return law or (
             "No spring is there to blame: look for a stiff law, an elastic body with a fine mesh, or a singular position."
         )
     return (
-        f'The fastest period is {2 * np.pi / np.sqrt(ratio):.2g} s, of body "{body}" on its springs: give it more mass or a '
+        f'The fastest period is {period:.2g} s, of body "{body}" on its springs: give it more mass or a '
         "softer spring, replace the spring by a joint, or take fmbd.EnergyMomentum()."
     )

@@ -6,7 +6,7 @@ static const double GAUSS[3] = {0.5 - 0.3872983346207417, 0.5, 0.5 + 0.387298334
 enum { MATRICES = 2 };                  /* of a step at most */
 enum { PATIENT = 8 };                   /* increments that are cheaper than new tangents */
 static const double ASTRAY = 10.0, FAR_AWAY = 0.2; /* accelerations, of their size, and ways, of the length, that lead to other solutions */
-static const double UNMOVED = 1e-6; /* as in mechanics/joints/relative.py */
+static const double UNMOVED = 1e-6, UNKNOWN = 1e-5; /* as in mechanics/joints/relative.py */
 static const double KEPT = 1e-13;   /* of the length, that rows may leave of g_1 - g_0 */
 
 /* One step of size h from q0, v0 at t: what is there at both ends, and where the newest accelerations lead. */

@@ -53,7 +53,8 @@ static void mean_shares(System *s, const Batch *k, const Step *o, long first)
         }
         share[i] = 1.0;
         if (k->quotient == DISTANCE) share[i] = 2.0 * out[0] / (from[i] + to[i]);
-        if (k->quotient == QUOTIENT && fabs(linear) > UNMOVED * whole) share[i] = fmax(-10.0, fmin((to[i] - from[i]) / linear, 10.0));
+        int far = fabs(linear) > fmax(UNMOVED * whole, UNKNOWN * fabs(to[i]));
+        if (k->quotient == QUOTIENT && far) share[i] = fmax(-10.0, fmin((to[i] - from[i]) / linear, 10.0));
     }
 }
 
