@@ -2,7 +2,7 @@
 
 For displacements u in V_h (Lagrange, any degree) and material points X, in body axes,
 
-    M_ij = int rho phi_i phi_j,     Q = [M 1_k, M (e_k x X)]                                                 (1)
+    M_ij = int rho phi_i phi_j,     Q = [M 1_k, M (e_k x X)],     J = sum X x Q                              (1)
 
 and, for every surface in use, the moments b_0, b_k of ``mechanics.frames`` as rows T of weights on its nodes. All of it is
 assembled once. Arrays hold the nodes that this rank owns; sums over all ranks are made in a fixed order, so that
@@ -11,6 +11,8 @@ replicated numbers are equal on all ranks to the last bit.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -18,15 +20,61 @@ import numpy as np
 
 from .. import dolfinx_compat as compat
 from ..ranks import rank_sum, together
-from ..rotations import Array, motions
+from ..rotations import Array, Motions, motions
 from .assembly import on_components, times_columns
 from .density import density_on, mean_density
-from .rigid_constants import RigidConstants
 from .surfaces import Moments
 
 if TYPE_CHECKING:
     from .elastic_forms import ElasticForms
     from .numbering import Numbering
+
+Product = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class RigidConstants:
+    """A field as a rigid body, (1): ``mass`` (kg), ``center`` (d,) and ``inertia`` about it, (n_rot, n_rot).
+
+    ``X`` (n, d): owned nodes about the centre, ``Q`` (n d, n_twist); ``size`` (m): of the box around all nodes.
+    """
+
+    mass: float
+    center: Array
+    X: Array
+    Q: Array
+    inertia: Array
+    size: float
+
+    @classmethod
+    def of(cls, x: Array, times_mass: Product, total: Product, m: Motions, comm: Any) -> RigidConstants:
+        """Those of nodes at the places x (n, d), by products with M and sums over the ranks; collective."""
+        n, d = x.shape
+        one = times_mass(np.ones((n, d)))
+        mass = float(total(np.array(one[:, 0].sum())))
+        center = total((one * x).sum(0)) / mass
+        X = x - center
+
+        Q = np.zeros((n, d, m.n_twist))
+        for k in range(d):
+            Q[:, k, k] = one[:, 0]
+        for k in range(m.n_rot):
+            w = np.zeros((1, m.n_rot))
+            w[0, k] = 1.0
+            Q[:, :, d + k] = times_mass(m.spin(w, X))
+
+        J = np.empty((m.n_rot, m.n_rot))
+        for k in range(m.n_rot):
+            J[:, k] = m.moment(X, Q[:, :, d + k]).sum(0)
+        return cls(mass, center, X, Q.reshape(n * d, m.n_twist), total(J), _size(x, comm))
+
+
+def _size(x: Array, comm: Any) -> float:
+    """The diagonal of the box around all nodes; collective."""
+    n, d = x.shape
+    low = comm.allgather(x.min(0) if n else np.full(d, np.inf))
+    high = comm.allgather(x.max(0) if n else np.full(d, -np.inf))
+    return float(np.linalg.norm(np.max(high, axis=0) - np.min(low, axis=0)))
 
 
 class NodalField:

@@ -206,13 +206,13 @@ class Run(Uncopied):
         """All sensors and energies over time as an ``xarray.Dataset`` with units and names of components; ``.to_netcdf(file)``
         writes it. Needs xarray.
         """
-        from ..post.exchange.tables import to_xarray
+        from ..post.exchange.export import to_xarray
 
         return to_xarray(self)
 
     def to_pandas(self) -> Any:
         """All sensors and energies as a ``pandas.DataFrame`` over time, columns "tip x (m)". Needs pandas."""
-        from ..post.exchange.tables import to_pandas
+        from ..post.exchange.export import to_pandas
 
         return to_pandas(self)
 

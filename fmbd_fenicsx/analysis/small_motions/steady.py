@@ -11,7 +11,7 @@ Or some bodies turn, each about an axis of its own, while all others rest: a rot
 
 A shaft that sags spins in its bent shape: each section about its own tangent. The motion is steady where nothing changes as these
 bodies turn: they are round about their axes, their mass centres lie on them, loads on them do not turn
-(:mod:`..statics.rotors`). Other than about a rotation of the whole scene, bearings and foundations may have different
+(:mod:`..statics.equilibrium`). Other than about a rotation of the whole scene, bearings and foundations may have different
 stiffness in different directions, and weights may act across the axis.
 """
 

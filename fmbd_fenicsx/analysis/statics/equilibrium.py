@@ -29,14 +29,15 @@ from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.spins import Spins
 from ...system.system import System
-from ..small_motions.steady import BodySpin, Residual, Spin, body_spin
+from ..small_motions.steady import MOUNTS, BodySpin, Residual, Spin, body_spin
 from .arc_length import ArcLength, Path
 from .load_steps import LoadSteps
-from .rotors import check_steady
 from .search import falls, find, state_of, static_newton, tell_unstable
 from .static_newton import StaticNewton, StaticPoint
 
 ROUGH = 1e-5  # of the largest displacement, roundoff that is told
+ANGLES = (1.0, 2.5)  # by which bodies are turned, rad
+CHANGED = 1e-6  # increment, over the model's length, and speed, over that of the rotation, which are none
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -243,3 +244,46 @@ def _read_along(found: Equilibrium, path: Path) -> None:
     states = [state_of(found.system, p, s, found.spin) for p, s in zip(path.points, path.parameter, strict=True)]
     for name in found.scene.sensors:
         path.series[name] = np.array([read(found, name, s) for s in states])
+
+
+def check_steady(newton: StaticNewton, point: StaticPoint, t: float) -> None:
+    """Refuse what holds the bodies that spin among others at rest, and equilibria that change as they turn; collective.
+
+    They are turned by some angles, and must be in equilibrium as well. See :mod:`..small_motions.steady`.
+    """
+    system, spin = newton.residual.system, newton.residual.spin
+    if not isinstance(spin, BodySpin) or spin.rate == 0.0:
+        return
+
+    _check_held(system, newton.residual.at(point.q, t), spin)
+
+    # what turns must leave forces and gaps as they are
+    lam = point.lam
+    for angle in ANGLES:
+        q = spin.turned(system, point.q, angle)
+        newton.take(replace(point, q=q), t)
+
+        there, later = (newton.residual.at(q, x) for x in (t, t + angle / spin.rate))
+        balance = newton.residual.values(there, lam)[0]
+        gaps = later.constraint()
+
+        moved = system.max_abs(newton.solver.solve(-balance, -gaps)[0])
+        if moved > CHANGED * system.length:
+            raise InputError(
+                f"The rotation of {spin.listed} is not steady: turned by {angle:g} rad, the scene moves by {moved:.3g} m. "
+                "Bodies that spin among others at rest must be round about their axes, with the mass centre on it and loads that "
+                "do not turn with them. " + MOUNTS
+            )
+
+
+def _check_held(system: System, ev: Any, spin: BodySpin) -> None:
+    """Refuse joints and drives that the rotation violates."""
+    if not system.n_lam:
+        return
+    missed = np.abs(ev.opening())
+    row = int(missed.argmax())
+    if missed[row] > CHANGED * abs(spin.rate) * max(system.length, 1.0):
+        raise InputError(
+            f'"{system.block_of(row).name}" does not let {spin.listed} spin with {spin.rate:g} rad/s: it would open with '
+            f"{missed[row]:.3g} (rad/s, m/s). Name all bodies that turn, and give drives the same rate."
+        )

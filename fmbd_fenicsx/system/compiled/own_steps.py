@@ -10,12 +10,28 @@ import numpy as np
 
 from ...kernel_cache import address_of
 from ...rotations import Array
+from ..system import System
 from .declarations import structure_of
-from .tables.deflections import deflections_of
 from .tables.resting import Twin
-from .tables.structures import Store
+from .tables.structures import Store, array_of, structure
 
 OwnSteps = structure_of("marches/own_steps.c", "OwnSteps")
+
+
+def deflections_of(system: System, deforming: list[tuple[int, Any]], store: Store) -> Any:
+    """The parts of these numbers, with the places of their coordinates."""
+    one = structure("Deflection", system.motions.dim)
+    return array_of(one, len(deforming))(
+        *(
+            one(
+                at_q=system.slices[0][k].start,
+                at_v=system.slices[1][k].start,
+                n=part.n,
+                rms=None if part.rms is None else store.address(part.rms),
+            )
+            for k, part in deforming
+        )
+    )
 
 
 class OwnRoom:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,13 +12,16 @@ from ...mechanics.bodies.bodies import RigidBody, Surface
 from ...mechanics.bodies.coordinates import CoordinateBody, own_constraint
 from ...mechanics.bodies.port_constraint import PortConstraint
 from ...mechanics.catenary.sliding import place
+from ...mechanics.forces.effort_laws import Feedback
+from ...mechanics.forces.forces import CoordinateForce
 from ...mechanics.frames import Markers
 from ...mechanics.joints.constraints import Batch
+from ...mechanics.joints.couplings import SmoothMotion
+from ...mechanics.joints.drives import Coupling
 from ...mechanics.joints.joints import ground
 from ..gravity import gravity_of
 from ..layout import RowBlock, State
 from ..system import System
-from .break_points import tell_break_points
 from .force_batches import build_loads
 from .going_on import Closing, go_on
 from .joints import JointRows, counted_angles
@@ -197,3 +201,22 @@ class Builder:
         if not angles:
             return None
         return counted_angles(self.m, markers, angles, np.array([*self.bodies.poses, self.m.identity]))
+
+
+def tell_break_points(scene: Scene) -> None:
+    """Every prescribed motion and every target of a motor is smooth between the break points of its scene only."""
+    for motion in _given(scene):
+        if isinstance(motion, SmoothMotion):
+            motion.steps.break_at(scene.breakpoints)
+
+
+def _given(scene: Scene) -> Iterator[Any]:
+    """All functions of time that have rates."""
+    for joint in scene.joints.values():
+        yield from (row.motion for row in joint.rows)
+        if isinstance(joint, Coupling):
+            yield joint.motion
+    yield from (tie.motion for tie in scene.ties.values())
+    for force in scene.forces.values():
+        if isinstance(force, CoordinateForce) and isinstance(force.law, Feedback):
+            yield force.law.target

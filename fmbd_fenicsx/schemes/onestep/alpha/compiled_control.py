@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....rotations import Array
-from ....system.compiled.tables.deflections import deflections_of
+from ....system.compiled.own_steps import deflections_of
 from ....system.compiled.tables.resting import twin_of
 from ....system.compiled.tables.structures import Store, structure
 from ...control import FADING, LEAST_ERROR, TURN, StepControl

@@ -10,23 +10,27 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
 from ....kernel_cache import address_of
 from ....rotations import Array
 from ...evaluation import Evaluation
+from ...evaluator import Seen
 from ...system import System
 from ..calls import Calls
 from ..declarations import enumeration
+from ..tables.structures import zeros_of
 from ..tables.tables import Tables
 from .driver_evaluation import DriverBatch, DriverEvaluation
 from .exchange import Room
 from .factor import DriverFactor
 from .geometry import CompiledGeometry
-from .glance import DriverGlance
 from .points import LocalPoints, Metric, PointsTold
+
+if TYPE_CHECKING:
+    from ...layout import State
 
 FORGETS, RECALLS, ANEW = enumeration("FORGETS").values()  # of what depends on time only
 FEW, ROOMS = 4, 16  # configurations for which arrays are made at least; up to which they are kept
@@ -225,3 +229,41 @@ class DriverStates(CompiledGeometry):
         if self.calls.error is not None or self.calls.asked:
             self.calls.raise_error()
         return not verdict
+
+
+class DriverGlance:
+    """A :class:`.Glance` of one system: what the judges of a run ask of every state that a step ends in, in one call of C."""
+
+    def __init__(self, states: DriverStates, units: Array, *, energies: bool, balance: bool) -> None:
+        """``units``: what turns values of constraints into lengths, (n_lam,)."""
+        self.states, self.length = states, states.tables.system.length
+        s, looks = states.tables.system, states.tables.looks
+        made = zeros_of({
+            "q": s.n_q, "v": s.n_v, "a": s.n_v, "lam": s.n_lam, "units": s.n_lam,
+            "found": len(Seen._fields), "energies": 4, "sums": s.n_v, "room": 2 * s.n_lam,
+        })  # fmt: skip
+        known = energies and looks.energies_known and not looks.stores
+        self.q, self.v, self.a, self.lam = (made[name][0] for name in ("q", "v", "a", "lam"))
+        self.found = made["found"][0]
+        self._energies: Array | None = made["energies"][0] if known else None
+        self.energies: list[float] | None = None
+        self.sums: Array | None = made["sums"][0] if balance else None
+
+        made["units"][0][:] = units
+        told = {"energies": known, "sums": balance}
+        names = "units", "q", "v", "a", "lam", "found", "energies", "sums", "room"
+        self.at = [made[name][1] if told.get(name, True) else None for name in names]
+
+    def of(self, state: State) -> Seen | None:
+        """What a state shows; None where NumPy has to look."""
+        states = self.states
+        if states.taken:
+            return None
+        self.q[:], self.v[:], self.a[:], self.lam[:] = state.q, state.v, state.a, state.lam
+        states.anew = True
+        told = states.ask(states.library.driver_look, state.t, self.length, *self.at)
+        if not told:
+            return None
+        if self._energies is not None:
+            self.energies = list(map(float, self._energies))
+        return Seen(*map(float, self.found))

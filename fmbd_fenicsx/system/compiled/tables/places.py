@@ -16,7 +16,6 @@ from ....mechanics.kinds.library import kernel_address
 from ....mechanics.kinds.sums import SumKind
 from .items.items import GIVEN, READ, ROW, TERM, Items
 from .layout import TableLayout
-from .squares import rates_of, square_places
 from .structures import structure
 
 
@@ -154,3 +153,26 @@ def rigid_places(tables: TableLayout, first: np.ndarray) -> tuple[int, int]:
         return tables.structure.store.integers(tables.fronts.place(first[:, None] + i, first[:, None] + j))
 
     return tables.structure.once(("rigid", first.tobytes()), find), 4 * len(met)
+
+
+def rates_of(tables: TableLayout, frames: np.ndarray) -> list[np.ndarray]:
+    """The rates that move each item of frames (n, k), frame by frame: those of a body with two of them stand twice."""
+    return [np.concatenate([tables.rates(int(f)) for f in each]) for each in frames]
+
+
+def square_places(tables: TableLayout, store: Any, rates: list[np.ndarray], needed: bool = True) -> dict[str, int]:
+    """Fields of a structure Batch: the rates of its items, the places of the lower halves of blocks on them where these are
+    ``needed``, and where those of an item begin.
+    """
+    counts = np.array([len(x) for x in rates])
+    starts = [np.concatenate(([0], np.cumsum(x))).astype(np.int64) for x in (counts, counts * (counts + 1) // 2)]
+    squares = [np.zeros(0, int)]
+    for x in rates if needed else ():
+        c, r = np.tril_indices(len(x))
+        squares.append(tables.fronts.place(x[c], x[r]))
+    return {
+        "row_start": store.array(starts[0], np.int64)[1],
+        "row_on": store.integers(np.concatenate(rates)),
+        "square_start": store.array(starts[1], np.int64)[1],
+        "square_to": store.integers(np.concatenate(squares)),
+    }

@@ -21,10 +21,9 @@ from .bodies.fields import Block, FieldTable
 from .bodies.rods import RodTable, rod_pairs
 from .bodies.told import ToldPart, is_told
 from .items.angles import angles, free_markers
-from .items.item_batches import item_batch, of_one_sort
+from .items.item_batches import item_batch, mount_batch, of_one_sort
 from .items.items import READ, ROW, items_of, other_loads
 from .items.listening import Listening
-from .items.mounts import mount_batch
 from .items.whole import WholeLoads
 from .layout import TableLayout
 from .matrix_structure import MatrixShape, structure_of

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .....mechanics.forces.force_elements import Loads
 from .....mechanics.forces.formulas import MEMORY
 from .....mechanics.kinds.sums import sum_kind
 from .....rotations import Array
 from ...declarations import enumeration
-from ..places import batch_of
-from ..structures import Store
+from ..places import batch_of, rates_of, square_places
+from ..structures import Store, structure
 from .angles import theta_places
 from .items import FORMULA, LAW, READ, Items
 
@@ -23,6 +24,7 @@ LINE, MOST_POINTS = enumeration("LINE").values()  # numbers that stand for a law
 PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
 OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
+MOUNT = enumeration("ROW")["MOUNT"]  # the role
 
 
 def of_one_sort(tables: TableLayout, items: Items) -> list[Items]:
@@ -145,3 +147,27 @@ def _formula(store: Store, one: Any, items: Items) -> None:
     items.arrays["constants"], one.constants = store.array(formula.constants)
     memory = np.zeros((len(items), MEMORY)) if formula.kept is None else formula.kept()
     items.arrays["kept"], one.kept = store.array(memory)
+
+
+def mount_batch(tables: TableLayout, loads: Loads) -> Any:
+    """One structure Batch of role MOUNT for bushings; its constants are places, turns, K and C, as mounts.c reads them."""
+    mk = tables.system.markers
+    store = tables.store
+    matrices = loads.mounts()
+    assert matrices is not None
+    markers = np.stack((loads.a, loads.b), axis=1)
+    frames = tables.frame[markers]
+    n = len(markers)
+    size = tables.twist
+    d, rot = tables.dim, size - tables.dim
+    places = np.where((frames > tables.nb)[..., None], 0.0, mk.position[markers])
+    turns = mk.rotation[markers].reshape(n, 2, -1)
+    sides = [x[:, side] for side in (0, 1) for x in (places, turns)]
+    constants = np.concatenate([*sides, *(x.reshape(n, -1) for x in matrices)], axis=1)
+
+    return structure("Batch", tables.dim)(
+        role=MOUNT, n=n, width=constants.shape[1], mapped=1, P=store.address(constants), pair=store.integers(frames),
+        at=store.integers(tables.twist_places(frames).reshape(n, -1)),
+        known=store.address(np.zeros(n * (2 * size + d * d + rot * rot + 3 * d + rot))),
+        **square_places(tables, store, rates_of(tables, frames)),
+    )  # fmt: skip

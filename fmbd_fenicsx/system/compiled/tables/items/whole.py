@@ -10,7 +10,7 @@ import numpy as np
 from .....mechanics.forces.force_elements import Loads
 from .....mechanics.frames import Kinematics
 from ...declarations import enumeration
-from ..squares import rates_of, square_places
+from ..places import rates_of, square_places
 from ..structures import structure
 
 if TYPE_CHECKING:
