@@ -222,6 +222,14 @@ class Motions:
             return -hat(x)
         return _together(-x[..., 1], x[..., 0])[..., None]
 
+    def rigid(self, x: Array) -> Array:
+        """Displacements (n, d, n_twist) of points x (n, d) by unit translations and unit rotations about the origin."""
+        d = self.dim
+        out = np.zeros((len(x), d, self.n_twist))
+        out[:, range(d), range(d)] = 1.0
+        out[:, :, d:] = self.lever(x)
+        return out
+
     def turn(self, R: Array, w: Array) -> Array:
         """Angular velocity from body to space axes."""
         return (R @ w[..., None])[..., 0] if self.dim == 3 else w

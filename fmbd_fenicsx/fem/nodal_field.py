@@ -55,16 +55,10 @@ class RigidConstants:
         center = total((one * x).sum(0)) / mass
         X = x - center
 
-        Q = np.zeros((n, d, m.n_twist))
-        for k in range(d):
-            Q[:, k, k] = one[:, 0]
+        arms, J = m.lever(X), np.empty((m.n_rot, m.n_rot))
+        Q = one[:, :1, None] * m.rigid(X)
         for k in range(m.n_rot):
-            w = np.zeros((1, m.n_rot))
-            w[0, k] = 1.0
-            Q[:, :, d + k] = times_mass(m.spin(w, X))
-
-        J = np.empty((m.n_rot, m.n_rot))
-        for k in range(m.n_rot):
+            Q[:, :, d + k] = times_mass(arms[..., k])
             J[:, k] = m.moment(X, Q[:, :, d + k]).sum(0)
         return cls(mass, center, X, Q.reshape(n * d, m.n_twist), total(J), _size(x, comm))
 

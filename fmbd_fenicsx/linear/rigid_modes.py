@@ -23,15 +23,14 @@ def elastic_matrix(body: Field, cm: float, ck: float, cd: float = 0.0) -> Any:
 
 def rigid_modes(body: Field) -> Array:
     """Translations and linear rotations at the owned nodes, (n d, n_twist)."""
-    m, d = body.motions, body.dim
-    out = np.zeros((body.n, d, m.n_twist))
-    for k in range(d):
-        out[:, k, k] = 1.0
-    for k in range(m.n_rot):
-        w = np.zeros((1, m.n_rot))
-        w[0, k] = 1.0
-        out[:, :, d + k] = m.spin(w, body.X) / body.size
-    return out.reshape(body.n * d, m.n_twist)
+    return modes_at(body, body.X)
+
+
+def modes_at(body: Field, x: Array) -> Array:
+    """The same at points x (n, d) about the centre of mass; all modes of one size."""
+    out = body.motions.rigid(x)
+    out[:, :, body.dim :] /= body.size
+    return out.reshape(-1, body.motions.n_twist)
 
 
 def rigid_mass(body: Field, modes: Array) -> Array:

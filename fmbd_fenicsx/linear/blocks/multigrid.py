@@ -13,11 +13,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from ...fem.fields import Field
 from ...rotations import Array
-from ..rigid_modes import attach_modes
+from ..rigid_modes import attach_modes, modes_at
 
 AGGREGATION = (("pc_gamg_threshold", 0.02), ("pc_gamg_coarse_eq_limit", 300))
 
@@ -79,14 +77,10 @@ def _linear(body: Field) -> tuple[Any, Array]:
     import dolfinx.fem.petsc as fp
     from dolfinx import fem
 
-    d, m = body.dim, body.motions
+    d = body.dim
     space = fem.functionspace(body.mesh.dolfinx, ("Lagrange", 1, (d,)))
     P = fp.interpolation_matrix(space, body.space)
     P.assemble()
     n = space.dofmap.index_map.size_local
     X = space.tabulate_dof_coordinates()[:n, :d] - body.center
-    # rigid motions at the linear nodes, of one size
-    modes = np.zeros((n, d, m.n_twist))
-    modes[:, range(d), range(d)] = 1.0
-    modes[:, :, d:] = m.lever(X) / body.size
-    return P, modes.reshape(n * d, m.n_twist)
+    return P, modes_at(body, X)

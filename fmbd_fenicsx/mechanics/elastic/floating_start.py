@@ -72,10 +72,7 @@ def framed_start(body: Any, field: Any, conditions: Array) -> FramedStart:
         pose = m.compose(pose, step)
 
     # and its twist
-    P = field.X + U.reshape(-1, d)
-    Z = Z.copy()
-    for k in range(m.n_rot):
-        Z[:, d + k] = m.spin(np.eye(m.n_rot)[k : k + 1], P).ravel()
+    Z = m.rigid(field.points(U)).reshape(-1, m.n_twist)
     rigid = np.linalg.solve(field.total(conditions.T @ Z), field.total(conditions.T @ (V @ R).ravel()))
 
     Ud = (V @ R).ravel() - Z @ rigid

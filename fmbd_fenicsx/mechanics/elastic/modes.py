@@ -41,12 +41,7 @@ FAR_BELOW = 1e-6  # share of the largest square below which squares of frequenci
 
 def rigid_fields(field: Field) -> Array:
     """Nodal displacements of the rigid motions, (n d, n_twist)."""
-    d, m = field.dim, field.motions
-    Z = np.zeros((field.n, d, m.n_twist))
-    Z[:, range(d), range(d)] = 1.0
-    for k in range(m.n_rot):
-        Z[:, :, d + k] = m.spin(np.eye(m.n_rot)[k : k + 1], field.X)
-    return Z.reshape(-1, m.n_twist)
+    return field.motions.rigid(field.X).reshape(-1, field.motions.n_twist)
 
 
 def quadratic_fields(X: Array) -> Iterator[Array]:
