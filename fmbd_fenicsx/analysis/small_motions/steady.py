@@ -24,7 +24,7 @@ import numpy as np
 
 from ...checks import check_fields, vector
 from ...errors import InputError, near, require
-from ...rotations import Array
+from ...rotations import Array, spin_matrix
 from ...system.evaluation import Evaluation
 from ...system.system import System
 
@@ -53,10 +53,7 @@ class Spin:
 
     def matrix(self, dim: int) -> Array:
         """W x as a matrix (d, d)."""
-        x, y, z = self.rate * np.asarray(self.axis, dtype=float)
-        if dim == 2:
-            return np.array([[0.0, -self.rate], [self.rate, 0.0]])
-        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return spin_matrix(self.rate * np.asarray((1.0,) if dim == 2 else self.axis, dtype=float))
 
     def rates(self, system: System, q: Array) -> tuple[Array, Array]:
         """v and a of (1) in the configuration q, like v."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...checks import array, typed
 from ...errors import InputError, require
-from ...rotations import Array, Motions, hat, tangent_inverse
+from ...rotations import Array, Motions, hat, spin_matrix, tangent_inverse
 from ..frames import Kinematics
 from ..joints.joints import dimension
 from .force_elements import Loads, MarkerTangent
@@ -148,7 +148,7 @@ class BushingLoads(Loads):
                 if k < d:
                     x[at, :, k] += h
                 else:
-                    spin = hat(np.eye(3)[k - d]) if m.dim == 3 else np.array([[0.0, -1.0], [1.0, 0.0]])
+                    spin = spin_matrix(np.eye(m.n_rot)[k - d])
                     R[at] += h * spin @ R[at].real
 
         K = -self._forces(_Pose(xa, Ra, xb, Rb), twist).imag / _STEP

@@ -25,7 +25,7 @@ import numpy as np
 
 from ...errors import AGREEMENTS, CallbackError, named, require
 from ...log import log
-from ...rotations import Array, Motions, hat
+from ...rotations import Array, Motions, hat, spin_matrix
 from .derivation import KERNELS, Kind
 from .expressions import ZERO
 from .frames import FRAME
@@ -59,7 +59,7 @@ class AskedFunction:
             if c < d:
                 self.shift[side, c, k] = 1.0
             else:
-                self.spin[side, :, :, k] = hat(np.eye(n)[c - d]) if d == 3 else [[0.0, -1.0], [1.0, 0.0]]
+                self.spin[side, :, :, k] = spin_matrix(np.eye(n)[c - d])
         self.skew = np.cos(1.0 + np.arange(self.width))
 
     @cached_property
