@@ -14,6 +14,8 @@ import pytest
 from dae_problems import observed, pendulum, pendulum_at, spinning_top
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.run.accuracy.orders import expected_orders
+from fmbd_fenicsx.schemes.own_marching import OwnMarch
 
 # scheme, orders of (q, v, lambda), steps in 1.5 s: where the error is asymptotic and above roundoff
 TABLE: list[tuple[Any, tuple[int, int, int], tuple[int, ...]]] = [
@@ -124,3 +126,39 @@ def test_accelerations_of_what_joints_prescribe(scheme: Any, share: float) -> No
     slope, bend = -s - s * c / w, -c - (c * c - s * s) / w - (s * c) ** 2 / w**3
     exact = bend * rate**2 + slope * second
     assert np.abs(run["a"][:, 0] - exact).max() < share * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("in_parts", [False, True])
+@pytest.mark.parametrize(
+    "scheme", [fmbd.Radau(3, rtol=1e-8), fmbd.Radau(2, fmbd.Index2(), 1e-8), fmbd.BDF(rtol=1e-8)], ids=label
+)
+def test_torques_of_a_given_motion(scheme: Any, in_parts: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Places of a driven arm are those of its drive in steps of any size, and no test of errors asks for the torque; 3e-6 to 2e-5
+    of it were off at the ends of steps and between them.
+    """
+    if in_parts:
+        monkeypatch.setattr(OwnMarch, "_chooses_alike", property(lambda self: False))
+    m, l, J, g = 1.5, 0.4, 0.1, 9.81
+    arm = fmbd.RigidBody("arm", m, J, (l, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+    motor = fmbd.drive("motor", fmbd.angle(pin), lambda t: 0.8 * np.sin(2.0 * t))
+    scene = fmbd.Scene("arm", gravity=(0.0, -g))
+    scene.add(arm, pin, motor)
+    scene.sensor("torque", fmbd.reaction(motor))
+    for output in (fmbd.Output(), fmbd.Output(times=tuple(np.linspace(0.011, 0.98, 37)))):
+        run = fmbd.solve(scene, t_end=1.0, scheme=scheme, output=output)
+        t = run.times
+        exact = 3.2 * (J + m * l * l) * np.sin(2.0 * t) - m * g * l * np.cos(0.8 * np.sin(2.0 * t))  # on the ground
+        assert np.abs(run["torque"][:, -1] - exact).max() < 2e-8 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(2, form, None) for form in (fmbd.GGL(), fmbd.Index2())], ids=label)
+def test_multipliers_that_are_read_have_the_order_of_velocities(scheme: Any) -> None:
+    """Those of the stages have the order of their number."""
+    scene = spinning_top()
+    scene.sensor("force", fmbd.reaction("tip"))
+    exact = fmbd.solve(scene, t_end=0.2, scheme=fmbd.Radau(5, rtol=1e-12))
+    ends = [fmbd.solve(scene, t_end=0.2, dt=0.2 / n, scheme=scheme) for n in (20, 40)]
+    errors = [np.abs(run["force"][-1] - exact["force"][-1]).max() for run in ends]
+    assert np.log2(errors[0] / errors[1]) > scheme.order - 0.3
+    assert expected_orders(scheme, scene, ends[0].system)["force"] == scheme.order

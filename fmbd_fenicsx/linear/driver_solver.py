@@ -123,14 +123,24 @@ class DriverSolver:
 
     def all_closed(self, states: States, metrics: Sequence[Weights]) -> tuple[Array, Array] | None:
         """:meth:`closed` of many states, each in a metric of its own; with fields they share one."""
-        first = states.state(0)
+        weights = self._metrics(states, metrics)
+        return None if weights is None else self.explicit.all_closed(states, weights)
+
+    def all_corrected(self, states: States, metrics: Sequence[Weights]) -> tuple[Array, Array] | None:
+        """a and lambda of many states nearer to their equations, likewise; None with fields."""
+        weights = None if self.states.system.fields else self._metrics(states, metrics)
+        return None if weights is None else self.explicit.all_corrected(states, weights)
+
+    def _metrics(self, states: States, metrics: Sequence[Weights]) -> list[tuple[float, float]] | None:
+        """Weights of C and K in the metrics of states, which are chosen then; None where they are not the driver's."""
+        first, different = states.state(0), {id(x): x for x in metrics}.values()  # many share a few
         usable = self.one_call(first.t, first.q, first.v) is not None
-        alike = not self.states.system.fields or all(x == metrics[0] for x in metrics)
-        if not usable or not alike or not all(x.cm == 1.0 and x.real for x in metrics):
+        alike = not self.states.system.fields or all(x == metrics[0] for x in different)
+        if not usable or not alike or not all(x.cm == 1.0 and x.real for x in different):
             return None
         if metrics[0] != MASSES:
             self._choose(self.states.at(first.t, first.q, first.v), metrics[0])
-        return self.explicit.all_closed(states, [(x.cd, x.ck) for x in metrics])
+        return [(x.cd, x.ck) for x in metrics]
 
     def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
         """The state on the constraints next to q and v in one call, as ExplicitStates; None as above. Fields take new factors."""

@@ -149,4 +149,6 @@ def _made_anew(problem: Problem, solver: StepSolver, before: TimeStepper | None,
 def _stepper_from(problem: Problem, solver: StepSolver, start: State) -> TimeStepper:
     """The scheme's own, from a consistent state."""
     gives_up = problem.most_parts == 0.0 and not problem.said.adaptive
-    return made_stepper(problem.scheme, problem.system, solver, problem.newton, start, gives_up=gives_up)
+    made = made_stepper(problem.scheme, problem.system, solver, problem.newton, start, gives_up=gives_up)
+    made.recorded = max((sensor.derivative for sensor in problem.scene.sensors.values()), default=0)
+    return made

@@ -11,7 +11,7 @@ from ..linear.blocks.field_blocks import Weights
 from ..linear.condensation import StepSolver
 from ..system.layout import States
 from ..system.system import System
-from .consistent import accelerations, project
+from .consistent import accelerations, corrected, project
 
 
 def accelerated(system: System, states: States, solver: StepSolver) -> States:
@@ -22,6 +22,15 @@ def accelerated(system: System, states: States, solver: StepSolver) -> States:
     if found is not None:
         return replace(states, a=found[0], lam=found[1])
     return States.of([accelerations(system, s, solver) for s in states.each()])
+
+
+def all_corrected(system: System, states: States, solver: StepSolver, metrics: Sequence[Weights]) -> States:
+    """States with a and lambda as :func:`.consistent.corrected` has them, each in a metric of its own; collective."""
+    driver = solver.driver
+    found = None if driver is None else driver.all_corrected(states, metrics)
+    if found is not None:
+        return replace(states, a=found[0], lam=found[1])
+    return States.of([corrected(system, s, solver, metric) for s, metric in zip(states.each(), metrics, strict=True)])
 
 
 def projected(system: System, states: States, solver: StepSolver, metrics: Sequence[Weights]) -> States:

@@ -24,6 +24,7 @@ class Declared:
     (:mod:`~fmbd_fenicsx.run.judges.turning_rows`).
     ``ends_ahead``: values at the ends of steps are of a higher order than those between them.
     ``orders``: of positions, velocities, and accelerations with multipliers, where there are any; None: the scheme's in all.
+    ``corrects``: of systems without fields, accelerations and multipliers that are read are of the order of velocities.
     ``forgets``: nothing is left after a few steps of vibrations that these do not resolve.
     ``looks_ahead``: under error control it looks for loads that come within a step before it tries one.
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
@@ -39,6 +40,7 @@ class Declared:
     turn_limit: float | None = None
     orders: tuple[int, int, int] | None = None
     ends_ahead: bool = False
+    corrects: bool = False
     forgets: bool = False
     looks_ahead: bool = False
     timeless: bool = False

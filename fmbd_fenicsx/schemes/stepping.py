@@ -67,6 +67,7 @@ class TimeStepper(Remembering):
         longest, ends: the most that a step of :meth:`march` may be, and when steps have to end (s), see :meth:`bound`.
         passes_marks: steps of one :meth:`march` hit all ends up to the last one.
         keeps_memories: it moves the memory of elements on by itself, see :meth:`note`.
+        recorded: the highest derivative of the motion that somebody reads, 2: accelerations and multipliers.
         gives_up: a step that compiled code does not find is found by nobody: it ends the run.
         keeps: what a checkpoint holds of it, see :class:`~fmbd_fenicsx.system.serialisation.Remembering`.
     """
@@ -79,6 +80,7 @@ class TimeStepper(Remembering):
     ends: Sequence[float] = (-inf,)
     passes_marks: bool = False
     keeps_memories: bool = False
+    recorded: int = 0
     gives_up: bool = False
 
     @property

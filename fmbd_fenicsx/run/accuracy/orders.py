@@ -42,6 +42,8 @@ def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]
     of_volumes = replace(scheme, form=Index3()) if of_index_3 else scheme
     orders = Declared.by(of_volumes).orders if system.blocks or keeps_volumes else None
     known = (scheme.order,) * 3 if orders is None else orders
+    if Declared.by(scheme).corrects and not system.fields:
+        known = (*known[:2], known[1])
     remembers = any(len(keeper.memory_values()) for keeper in system.keepers) or seen_by_ends(system)
     highest = OF_MEMORIES if remembers else max(known)
     return {name: min(known[sensor.derivative], highest) for name, sensor in scene.sensors.items()}

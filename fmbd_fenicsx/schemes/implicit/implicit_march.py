@@ -73,6 +73,14 @@ class ImplicitMarch(OwnMarch):
         """Those of what factors are for, as compiled code says it."""
         raise NotImplementedError
 
+    @property
+    def _corrects(self) -> bool:
+        """Whether accelerations and multipliers are read that no row on accelerations tells, and no test of errors: they are
+        corrected, but for those of fields.
+        """
+        told = 2 in self.scheme.form.levels or not self.system.n_lam
+        return self.recorded > 1 and not told and not self.system.fields
+
     # -- steps --------------------------------------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:
         if self.solver.driver is None or self._full:
@@ -101,7 +109,7 @@ class ImplicitMarch(OwnMarch):
         stages, pencil = lent.stages, self._pencil
         factored = isinstance(pencil, SparsePencil) and pencil.room is stages
 
-        lent.c.projects = self.scheme.form.projected
+        lent.c.projects, lent.c.corrects = self.scheme.form.projected, self._corrects
         lent.c.factored = self._factored_for() if factored else 0.0
         self.eq.lend(stages, self.state, self._tangent, self._lend_matrices)
 

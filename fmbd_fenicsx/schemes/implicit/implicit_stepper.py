@@ -24,8 +24,8 @@ from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ...system.tangents.foretold_efforts import foretold_efforts
-from ..consistent import MASS, accelerations, project, worst_block
-from ..consistent_states import metrics_of, projected
+from ..consistent import MASS, accelerations, corrected, project, worst_block
+from ..consistent_states import all_corrected, metrics_of, projected
 from ..control import FALLEN, ROUNDOFF, STAGNATION, Statistics, StepControl, first_step
 from ..dae import Points
 from ..declared import Declared
@@ -134,10 +134,12 @@ class ImplicitStepper(ImplicitMarch):
         is the nearest state by the masses alone one of a stiff body, which has dents at its joints there.
         """
         levels = Declared.by(self.scheme).levels
-        if 0 not in levels or not self.system.n_lam:
-            return within
-        closed = projected(self.system, within, self.solver, metrics_of(h, self._metric))
-        return closed if 1 in levels else replace(closed, v=within.v)
+        if 0 in levels and self.system.n_lam:
+            closed = projected(self.system, within, self.solver, metrics_of(h, self._metric))
+            within = closed if 1 in levels else replace(closed, v=within.v)
+        if self.recorded > 1 and not self.system.fields:
+            within = all_corrected(self.system, within, self.solver, metrics_of(h, self._step_metric))
+        return within
 
     def _first_size(self, order: float, limit: float) -> float:
         """The size (s) that a run under error control begins with, of a method of this order; collective."""
@@ -149,7 +151,10 @@ class ImplicitStepper(ImplicitMarch):
     def _metric(self, h: float) -> Weights:
         """In which motions within a step of h (s) are least: that of a step, where bodies deform."""
         deforms = self.norm.deforming or self.system.elements
-        return self.eq.metric_of(h, self._solved_for(h)) if deforms else MASS
+        return self._step_metric(h) if deforms else MASS
+
+    def _step_metric(self, h: float) -> Weights:
+        return self.eq.metric_of(h, self._solved_for(h))
 
     def _solved_for(self, h: float) -> Array:
         """The frequencies, (p,) in 1/s, that a step of h (s) was solved for; none where steps nearby have about the same."""
@@ -233,7 +238,8 @@ class ImplicitStepper(ImplicitMarch):
             self._rest -= 1
             self._full = self._rest > 0
         end = self.eq.close_ties(h, end, mult)
-        return project(self.system, end, self.solver) if self.scheme.form.projected else end
+        end = project(self.system, end, self.solver) if self.scheme.form.projected else end
+        return corrected(self.system, end, self.solver, self._step_metric(h)) if self._corrects else end
 
     def _smallest(self, t: float, q: Array, mult: Array) -> Array:
         """Of the multipliers (n_mult,) with the same forces the smallest, level by level, so that predictions stay small."""

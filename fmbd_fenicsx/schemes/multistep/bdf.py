@@ -215,6 +215,7 @@ class BDFStepper(Corrector):
     def _constant(self, h: float) -> State:
         """A step of size h; the first ones by a Radau method, until the past is long enough."""
         if self._starting:
+            self._starter.recorded = self.recorded
             self.state = self._starter.advance(h)
             self._remember(self.state, self._starter.mult)
             self.eq.weigh(self.state)

@@ -146,13 +146,13 @@ class MultistepMarch(ImplicitStepper):
     # -- states within steps ----------------------------------------------------------------------------------------
     def within(self, steps: KeptSteps) -> States:
         """As :meth:`TimeStepper.within`: those of one order together."""
-        head, _, count, _ = self._told(steps.own[:, WORK:])
+        h, (head, _, count, _) = steps.h[:, 0], self._told(steps.own[:, WORK:])  # whose ends are written over
         order = head[:, 0].astype(int) if self.adaptive else np.full(len(head), self.k)
         through, found = np.minimum(order, count[:, 0].astype(int)), steps.after
         for k in np.unique(through):
             which = through == k
             found.put(which, self._through(steps.chosen(which), int(k)))
-        return self._all_held(steps.h[:, 0], found)
+        return self._all_held(h, found)
 
     def _through(self, steps: KeptSteps, k: int) -> States:
         """The same on the polynomials through the newest of k + 1 values."""

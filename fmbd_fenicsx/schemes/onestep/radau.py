@@ -57,6 +57,7 @@ class Radau(OfForm):
     rtol: float | None = 1e-6
     atol: float | None = None
     ends_ahead: ClassVar[bool] = True
+    corrects: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_controlled(self)
@@ -69,7 +70,7 @@ class Radau(OfForm):
 
     @property
     def orders(self) -> tuple[int, int, int]:
-        """Of positions, velocities, and accelerations with multipliers: Hairer, Lubich and Roche, doi:10.1007/BFb0093947."""
+        """Of positions, velocities, and accelerations with multipliers, of stages: Hairer et al., doi:10.1007/BFb0093947."""
         s, full, levels = self.stages, self.order, self.form.levels
         if 2 in levels:
             return full, full, full

@@ -109,6 +109,14 @@ class ExplicitStates:
         made = self._ask(self.states.library.driver_close, numbers, (q, v))
         return (twin.places(q), twin.forces(v)) if made else None
 
+    def all_corrected(self, states: States, weights: Sequence[tuple[float, float]]) -> tuple[Array, Array] | None:
+        """a and lambda of many states nearer to their equations, by increments in the metrics M + cd C + ck K."""
+        twin = self.states.twin
+        q, v, a = twin.configurations(states.q), twin.velocities(states.v), twin.velocities(states.a).copy()
+        t, lam = np.array(states.times, dtype=float), states.lam.copy()
+        made = self._ask(self.states.library.driver_correct, [(len(t),)], (t, np.array(weights), q, v, a, lam))
+        return (twin.forces(a), lam) if made else None
+
     def arrived(self, t: float, q: Array, v: Array, *, places: bool) -> State | None:
         """:meth:`closed`, v alone where not ``places``, and a and lambda there."""
         twin = self.states.twin

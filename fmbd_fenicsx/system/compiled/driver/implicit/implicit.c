@@ -12,7 +12,7 @@ typedef struct {
     int order, fresh;                /* of BDF, the largest; whether the tangent was taken in this step */
     double factored;                 /* size of step (Radau) or frequency (BDF) that the tangent is factored for, 0: none */
     double failed;                   /* increments of steps that failed */
-    int projects;                    /* whether ends are moved onto the constraints */
+    int projects, corrects;          /* whether ends are moved onto the constraints; and their accelerations and multipliers */
     struct OwnSteps *own;            /* where error control chooses the steps, NULL: they are constant; see own_steps.c */
     double rtol, floor, slow;        /* of Newton's increments; m; rate above which the next step takes a tangent */
     double longer, least_share;      /* of Radau, see first_share() */
@@ -189,7 +189,10 @@ static int end_implicit(System *s, const Implicit *o, const double *p, const dou
     memcpy(out.lam, mult, s->rows * sizeof(double));
     if (g->fields) exchange_pressures(s, OUT_OF, 0, g->fields->pressure + (long)(g->points - 1) * g->fields->pressures);
     if (o->projects && (verdict = driver_close(s, 1, *out.t, p[LENGTH], 0.0, 0.0, out.q, out.v, o->mixed))) return verdict;
-    if (!turns_freely(s)) return DONE;
-    if (!(verdict = place(s, out.q, out.v))) settle_angles(s, out.q);
-    return verdict;
+    if (turns_freely(s)) {
+        if ((verdict = place(s, out.q, out.v))) return verdict;
+        settle_angles(s, out.q);
+    }
+    const double weights[2] = {p[H], p[H] * p[H]};
+    return o->corrects ? driver_correct(s, 1, out.t, weights, out.q, out.v, out.a, out.lam, o->mixed) : DONE;
 }

@@ -190,6 +190,39 @@ EXPORT int driver_close(System *s, int places, double t, double length, double c
     return NEWTON;
 }
 
+/* a and lambda nearer to the balance and to G a + g'' = 0 at (t, q, v), as corrected() of schemes/consistent.py: by one increment in the
+   metric of M + cd C + ck K. ``room``: 3 nv + 3 rows. */
+static int correct(System *s, double t, double cd, double ck, const double *q, const double *v, double *a, double *lam, double *room)
+{
+    double *x = room, *y = x + s->nv, *second = y + s->rows, *partial = second + s->rows, *none = partial + s->rows, asked = NAN;
+    int verdict = sample(s, t, &asked);
+    if (verdict || (verdict = place(s, q, v))) return verdict;
+    derivatives_in_time(s, partial, second);
+    memset(none, 0, s->nv * sizeof(double));
+    memset(y, 0, s->rows * sizeof(double));
+    if ((verdict = evaluate(s, q, v, none, y, t)) || (verdict = prepare(s, q, cd, ck, y, 0, t))) return verdict;
+    if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
+
+    turn_velocity(s, a);
+    slips(s, 0);
+    for (int i = 0; i < s->nu; i++) s->b[i] = -s->residual[i];
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -(s->slip[i] + second[i]);
+    if ((verdict = with_all_rows(s, 1.0, x, y, t))) return verdict;
+    add(a, 1.0, x, s->nv);
+    add(lam, 1.0, y, s->rows);
+    return DONE;
+}
+
+/* The same of so many states, one behind the other; ``weights``: cd and ck of each. */
+EXPORT int driver_correct(System *s, long count, const double *t, const double *weights, const double *q, const double *v, double *a,
+                          double *lam, double *room)
+{
+    int verdict = DONE;
+    for (long i = 0; i < count && !verdict; i++, q += s->nq, v += s->nv, a += s->nv, lam += s->rows)
+        verdict = correct(s, t[i], weights[2 * i], weights[2 * i + 1], q, v, a, lam, room);
+    return verdict;
+}
+
 /* The end of a step: q and v moved onto the constraints, then a and lambda there; ``room`` as of both. */
 EXPORT int driver_arrive(System *s, int places, double t, double length, double *q, double *v, double *a, double *lam, double *room)
 {
