@@ -367,3 +367,31 @@ def test_a_path_stays_on_its_branch(path: Any, caplog: pytest.LogCaptureFixture)
     bent = np.abs(found["tip"][:2] - (0.36358, 0.78858)).max() < 1e-3
     assert bent or 'unstable: body "rod' in caplog.text
     assert bent or isinstance(path, fmbd.LoadSteps)
+
+
+def bead_on_hoop(angle: float) -> fmbd.Scene:
+    """1 kg on a ring of 1 m that turns about its upright diameter, as the ground does; ``angle`` from the lowest place."""
+    bead = fmbd.PointMass("bead", 1.0, (np.sin(angle), 0.0, -np.cos(angle)))
+    scene = fmbd.Scene("hoop", gravity=(0.0, 0.0, -9.81))
+    scene.add(bead, fmbd.constraint("ring", fmbd.ground, bead, lambda a, b, t: [b.x[1], b.x @ b.x - 1.0]))
+    scene.sensor("bead", fmbd.position(bead))
+    return scene
+
+
+@pytest.mark.parametrize(("rate", "angle"), [(2.0, 0.05), (5.0, 0.05), (5.0, 1.0)])
+def test_an_unstable_spin_is_told_of(rate: float, angle: float, caplog: pytest.LogCaptureFixture) -> None:
+    """Beyond sqrt(g / R) the bead leaves the lowest place for the one with cos(angle) = g / (rate^2 R)."""
+    low = fmbd.equilibrium(bead_on_hoop(angle), spin=fmbd.Spin(rate))["bead"][2]
+    stays = angle < 0.5
+    assert low == pytest.approx(-1.0 if stays else -9.81 / rate**2, rel=1e-9)
+    assert ('unstable: body "bead"' in caplog.text) == (stays and rate**2 > 9.81)
+
+
+def test_gyroscopic_forces_hold_what_spins_fast(caplog: pytest.LogCaptureFixture) -> None:
+    """A mass on a round mount beyond its critical speed: forces drive it out, and it whirls about its place all the same."""
+    mass = fmbd.RigidBody("disc", 1.0, 1.0, position=(0.0, 0.0))
+    scene = fmbd.Scene("rotor")
+    scene.add(mass, fmbd.bushing("mount", fmbd.ground, mass, stiffness=(100.0, 100.0, 1e3)))
+    found = fmbd.equilibrium(scene, spin=fmbd.Spin(25.0))
+    assert np.sort(fmbd.modes(scene, 3, at=found).omega)[:2] == pytest.approx([15.0, np.sqrt(1e3)])
+    assert "unstable" not in caplog.text

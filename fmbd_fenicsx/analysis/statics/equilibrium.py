@@ -128,7 +128,7 @@ def equilibrium(
                 _tell_roundoff(newton, point, t, given)
             else:
                 newton.solvable(lambda: newton.take(point, t))
-                tell_unstable(newton, falls(newton, point, t), "Shorter steps may lead elsewhere")
+                tell_unstable(newton, point, t, falls(newton, point, t), "Shorter steps may lead elsewhere")
         finally:
             solver.destroy()
 

@@ -21,7 +21,7 @@ from ..small_motions.perturbation import Perturbation
 from ..small_motions.steady import BodySpin, Residual, Spin, steady_rates
 from .descent import descend, descends
 from .relaxation import relax
-from .stability import falling
+from .stability import falling, grows
 from .static_newton import NoEquilibriumError, StaticNewton, StaticPoint, by_load_steps
 
 FAR = 0.1  # displacement, over the model's length, from which on another equilibrium may be as near
@@ -110,25 +110,28 @@ def _stable(newton: StaticNewton, start: StaticPoint, found: StaticPoint, t: flo
                 return there
         except (ConvergenceError, LinearSolveError):
             pass
-    tell_unstable(newton, motion, "Another start may lead to a stable one")
+    tell_unstable(newton, found, t, motion, "Another start may lead to a stable one")
     return found
 
 
-def tell_unstable(newton: StaticNewton, motion: Array | None, remedy: str) -> None:
+def tell_unstable(newton: StaticNewton, point: StaticPoint, t: float, motion: Array | None, remedy: str) -> None:
     """A warning of the motion by which an equilibrium is left; gyroscopic forces may hold what spins."""
-    if motion is not None and newton.residual.spin is None:
-        moved = _shares(newton.residual.system, motion)
-        name = max(moved, key=lambda name: moved[name])
-        log.warning('equilibrium: it is unstable: body "%s" moves away from it by itself. %s', name, remedy)
+    if motion is None or (newton.residual.spin is not None and not grows(_about(newton, point, t), newton, motion)):
+        return
+    moved = _shares(newton.residual.system, motion)
+    name = max(moved, key=lambda name: moved[name])
+    log.warning('equilibrium: it is unstable: body "%s" moves away from it by itself. %s', name, remedy)
 
 
 def falls(newton: StaticNewton, point: StaticPoint, t: float) -> Array | None:
-    """The motion by which an equilibrium without contact is left, see :func:`.falling`."""
+    """The motion by which forces drive an equilibrium without contact away, see :func:`.falling`."""
+    return None if newton.residual.system.contacts is not None else falling(_about(newton, point, t), newton)
+
+
+def _about(newton: StaticNewton, point: StaticPoint, t: float) -> Perturbation:
+    """Small motions about a point."""
     system, spin = newton.residual.system, newton.residual.spin
-    if system.contacts is not None:
-        return None
-    about = Perturbation(system, state_of(system, point, t, spin), spin if isinstance(spin, Spin) else None)
-    return falling(about, newton)
+    return Perturbation(system, state_of(system, point, t, spin), spin if isinstance(spin, Spin) else None)
 
 
 def _slow(newton: StaticNewton, t: float) -> float:

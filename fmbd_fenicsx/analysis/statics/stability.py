@@ -9,6 +9,9 @@ w = P^-1 r, r = K y - mu y, with P the matrix of the equilibrium's own Newton it
 back-solve. A negative mu is proof where differences over ten times the way tell the same, which roundoff does not; a positive one
 counts where w lowers it no more, r^T w << mu |y|^2.
 
+What spins may be held by gyroscopic forces where K is not definite: there the eigenvalues of small motions decide, of scenes
+that have few.
+
 Source: Morgan and Scott, Generalizations of Davidson's method, doi:10.1137/0907054.
 """
 
@@ -17,7 +20,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...rotations import Array
-from ..small_motions.basis import new_part, random_motion
+from ..small_motions.basis import DENSE_LIMIT, new_part, projected, random_motion
+from ..small_motions.first_order import first_order
 from ..small_motions.perturbation import SHIFT, Perturbation
 from .static_newton import StaticNewton
 
@@ -28,6 +32,9 @@ ROUGH = 10.0  # mu over what V^T K V lacks of symmetry, below which it is roundo
 WAY = 10.0 * SHIFT  # of a difference that has to tell the same, over the model's length
 SLOW = 1e-12  # squared rate, over that of the preconditioner's step, with which roundoff of reactions may let it grow
 ALIKE = 0.5  # of mu, by which it may differ
+GROWS = (
+    1e-3  # of the rate at which a motion is left without gyroscopic forces, and below which roundoff parts double zeros
+)
 
 
 def falling(about: Perturbation, newton: StaticNewton) -> Array | None:
@@ -62,6 +69,17 @@ def falling(about: Perturbation, newton: StaticNewton) -> Array | None:
         if mu > 0.0 and system.dot(rest, new) <= SETTLED * mu:
             break
     return None
+
+
+def grows(about: Perturbation, newton: StaticNewton, motion: Array) -> bool:
+    """Whether a motion grows that forces alone drive away, where bodies spin; False where it is not known. Collective."""
+    system = about.system
+    if system.fields or system.n_core > DENSE_LIMIT:
+        return False
+    small = first_order(projected(about, newton.solver, 1, shift=newton.weights.cm))
+    growth = float(np.linalg.eigvals(small.A).real.max(initial=0.0))
+    driven = -system.dot(motion, about.stiffness(motion)) / system.dot(motion, about.mass(motion))
+    return growth > GROWS * np.sqrt(driven)
 
 
 def _quotient(newton: StaticNewton, about: Perturbation, y: Array) -> float:

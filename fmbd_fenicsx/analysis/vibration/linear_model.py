@@ -7,8 +7,8 @@ With y = V z on the basis of :mod:`..small_motions.basis` and u the inputs,
     A = [0 1; -M^-1 K  -M^-1 C],    B = [0; M^-1 V^T F]
 
 with rows on velocities x = (z, what these leave of z'), with memories (integrals of controllers, dashpots) these as well, see
-:mod:`.first_order`; minimal for rigid and reduced bodies: constraints are gone, whatever form a scheme would use. Outputs are
-the scene's sensors, differentiated by positions, velocities, accelerations, reactions and memories.
+:mod:`..small_motions.first_order`; minimal for rigid and reduced bodies: constraints are gone, whatever form a scheme would use.
+Outputs are the scene's sensors, differentiated by positions, velocities, accelerations, reactions and memories.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from ...system.layout import State
 from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
 from ..small_motions.basis import ProjectedSystem, projected, reactions
+from ..small_motions.first_order import first_order
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.small_memory import changed, memory_size, pushed_by
-from .first_order import first_order
 from .modes import Linearised, eigenpairs, prepared, readable
 
 STEP = 1e-4

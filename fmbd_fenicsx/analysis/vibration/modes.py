@@ -32,13 +32,13 @@ from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.system import System
 from ..small_motions.basis import ProjectedSystem, projected
+from ..small_motions.first_order import first_order, slowest
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.small_memory import refuse_moving_memory, relaxes
 from ..small_motions.steady import BodySpin, Spin
 from ..statics.equilibrium import Equilibrium
 from ..statics.search import static_newton
 from ..statics.static_newton import StaticNewton, StaticPoint
-from .first_order import first_order, slowest
 from .rotors import check_round
 from .symmetry import is_symmetric
 
@@ -304,7 +304,7 @@ def eigenpairs(
 ) -> tuple[Array, Array]:
     """The n slowest eigenvalues (n,) of (1) on a basis and their vectors (k, n), one of each conjugate pair; collective.
 
-    ``about``: the operators; ``relaxing``: as for :func:`.first_order.slowest`; ``held``: without zeros, but for roundoff.
+    ``about``: the operators; ``relaxing``: as for :func:`.slowest`; ``held``: without zeros, but for roundoff.
     """
     M, K = small.M, small.K
     if len(small.speeds[0]) or small.memory is not None:

@@ -3,7 +3,7 @@
     z' = N u + D z,       N^T (M z'' + C z' + K z + H w) = N^T f                                              (1)
 
 With rows G_s z' + P z = 0 (rolling) the columns of N span the null space of G_s, and D = -G_s^+ P. Without such rows N = 1, D = 0
-and u = z'. Memories w, where there are any, follow w' = P z + Q z' + R w (:mod:`..small_motions.small_memory`).
+and u = z'. Memories w, where there are any, follow w' = P z + Q z' + R w (:mod:`.small_memory`).
 
 With rows, directions of z that nothing depends on (a place on the road, the angle of a wheel) have eigenvalues of exactly zero;
 they are taken out before the others are computed, so that these keep their digits:
@@ -19,7 +19,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from ...rotations import Array
-from ..small_motions.basis import ProjectedSystem
+from .basis import ProjectedSystem
 
 ALMOST = 1e-7  # share of the fastest eigenvalue below which a slow one is real
 UNCHANGED = 1e-9  # strain of dashpots beside a motion of 1 m that is roundoff
