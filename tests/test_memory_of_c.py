@@ -35,6 +35,7 @@ FILES = (
     "rods_relaxation",
     "marches",
     "stage_systems",
+    "stiff_ties",
     "steps_one_by_one",
     "checkpoint",
     "substructures",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from profiled import calls_of
 from test_checkpoint import at_every_step
+from test_driver import compiled
 from test_foretold_efforts import ANGLE, DIRECTION, END, G, chain, error
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.condensation import StepSolver
 from fmbd_fenicsx.linear.residual import Judge
-from fmbd_fenicsx.schemes.implicit import step_equations
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.schemes.newton import Newton
 from fmbd_fenicsx.system.compiled.choice import use_driver
@@ -103,6 +105,23 @@ def test_beside_a_joint(masses: tuple[float, float], scheme: Any) -> None:
         scene.add(fmbd.distance("tie", light, heavy, **ends) if rigid else tie)
         steps.append(fmbd.solve(scene, t_end=1.0, scheme=scheme).counters["steps"])
     assert steps[1] <= 3.0 * steps[0]
+
+
+@compiled
+@pytest.mark.parametrize("rtol", [None, 1e-5])
+@pytest.mark.parametrize("scheme", [fmbd.Radau, fmbd.BDF])
+def test_python_makes_no_steps(scheme: Any, rtol: float | None) -> None:
+    """Calls of Python a step, by the difference of runs of one and of two lengths."""
+
+    def run(t_end: float) -> Any:
+        size = {} if rtol else {"dt": 2e-3}
+        output = fmbd.Output(times=(0.0, t_end), energy=False, progress=False)
+        made.append(fmbd.solve(chain((1e-3, 1.0), 1e12), t_end=t_end, scheme=scheme(rtol=rtol), output=output, **size))
+
+    made: list[Any] = []
+    run(0.1)
+    calls = [calls_of(lambda end=end: run(end)) for end in (0.2, 0.4)]
+    assert calls[1] - calls[0] < 60 * (made[2].counters["steps"] - made[1].counters["steps"])
 
 
 def bifilar(k: float | None) -> fmbd.Scene:
@@ -230,8 +249,9 @@ def test_andrews_mechanism_at_a_tight_tolerance() -> None:
 def test_sparse_tangents_are_those_by_differences(form: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A plate in space on springs, with a rigid link beside them."""
     ends = []
-    for few in (0, step_equations.FEW):
-        monkeypatch.setattr(step_equations, "FEW", few)
+    for by_patterns in (True, False):
+        if not by_patterns:
+            monkeypatch.setattr(StepEquations, "_structure", lambda eq: None)
         scene = bifilar(1e9)
         link = {"point_a": (0.3, 0.0, 1.0), "point_b": (0.2, 0.0, 0.0)}
         scene.add(fmbd.distance("link", fmbd.ground, scene.bodies["plate"], **link))
@@ -243,7 +263,7 @@ def test_sparse_tangents_are_those_by_differences(form: Any, monkeypatch: pytest
 
 @pytest.mark.parametrize("count", [40, 160])
 def test_work_grows_with_the_length_of_a_chain(count: int) -> None:
-    """Entries of factors beside springs as rows."""
+    """Entries of factors beside springs whose efforts are unknowns."""
     scene = chain((1.0,) * count, 1e10)
     system, state, _ = scene.build()
     use_driver(system)
@@ -251,5 +271,8 @@ def test_work_grows_with_the_length_of_a_chain(count: int) -> None:
     eq.weigh(state)
     eq.begin(state)
     tangent = eq.refresh(state, eq.multipliers(state))
-    (one,) = eq.pencil(tangent, np.array([1e3]), Judge("a test")).systems
-    assert len(eq.stiff) == count and one.lu.nnz < 45 * count
+    (one,) = eq.pencil(tangent, np.array([1e3]), Judge("a test")).room.lower
+    entries = sum(
+        (ctypes.c_long * (eq.tangents.structure.size + 1)).from_address(x)[-1] for x in (one.L_start, one.U_start)
+    )
+    assert len(eq.stiff) == count and entries < 45 * count

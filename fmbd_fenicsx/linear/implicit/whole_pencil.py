@@ -1,4 +1,4 @@
-"""The matrix of an implicit step (:mod:`.pencil`) as a sparse one: of stages that have a tangent each, and beside stiff ties.
+"""The matrix of an implicit step (:mod:`.pencil`) as a sparse one, of stages that have a tangent each.
 
 With D = S - J and S the rates of all stages, d rate / d xi, the unknowns (dxi, dlambda, dmu, dtau, dN) have the columns
 
@@ -49,8 +49,6 @@ class WholePencil:
     """
 
     room: None = None
-    t: StepTangent  # with data, and frequencies (p,), where steps ask for these again
-    s: Array
 
     def __init__(self, tangent: StepTangent, rates: list[Array], judge: Judge, first: int, units: Array | None) -> None:
         self.matrices, self.judge, self.softened = tangent, judge, units is not None

@@ -114,8 +114,8 @@ class Equations(Remembering):
         """The end of a step of h (s) with places and velocities that give ties the efforts among the multipliers (n_mult,)."""
         return state
 
-    def along_ties(self, h: float, v: Array) -> Array:
-        """The part of velocities (..., n_v) that ties hold in steps of h (s)."""
+    def along_ties(self, pencil: Any, v: Array) -> Array:
+        """The part of velocities (k, n_v) that ties hold in a step with these factors."""
         return np.zeros_like(v)
 
     def consistent_start(self, state: State) -> Start:

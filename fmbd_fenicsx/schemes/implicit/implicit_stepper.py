@@ -256,10 +256,12 @@ class ImplicitStepper(ImplicitMarch):
         roundoff = 10 * EPS / self.norm.rtol
         return max(roundoff, min(0.03, self.norm.rtol**0.5))
 
-    def _error_size(self, h: float, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
-        """Norm of errors like v. Along ties velocities count by the places that they lead to, as in index 3."""
+    def _error_size(self, h: float, pencil: Any, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
+        """Norm of errors like v; along ties velocities count by the places they lead to, as in index 3. ``pencil``: of a real
+        frequency.
+        """
         errors = np.array([e_v] if e_a is None else [e_v, e_a])
-        held = self.eq.along_ties(h, errors)
+        held = self.eq.along_ties(pencil, errors)
         if not held.any():
             return self.norm(h, e_q, e_v, e_a)
         return max(self.norm(h, e_q, *(errors - held)), self.norm.mean(held[0] * (h / self.norm.wq)))

@@ -20,7 +20,6 @@ from ...linear.implicit.whole_pencil import WholePencil, stacked
 from ...linear.redundancy import least_forces
 from ...linear.residual import Judge
 from ...rotations import Array
-from ...system.compiled.choice import use_driver
 from ...system.compiled.states.couplings import couplings_of
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.points import PointsTold
@@ -36,14 +35,13 @@ from ..dae import Form, Points
 from .equations import Equations, Start
 from .step_tangents import DenseTangents, SparseTangents
 
-FEW = 60  # coordinates beside ties up to which dense matrices are faster
 CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
 
 
 class StepEquations(Equations):
     """Those of systems without elastic fields: tangents are matrices. Others have :class:`.field_stages.FieldEquations`."""
 
-    keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "last", "origin"), plain()) | {"tangents": worker}
+    keeps: ClassVar = dict.fromkeys(("residuals", "jacobians", "origin"), plain()) | {"tangents": worker}
     dense = True
 
     def __init__(self, system: System, form: Form, solver: StepSolver, acceleration: float = 0.0) -> None:
@@ -57,9 +55,6 @@ class StepEquations(Equations):
         self._chosen: Any = None  # who evaluated the system when these were chosen
         self._weighed: State | None = None  # whose masses are to be taken
 
-        # of the last point
-        self.last: tuple[float, Array, Array, Array] = (0.0, self.origin, self.origin, self.origin)  # t, q_0, xi, v
-
     def remember(self, m: Memory) -> None:
         """With the tangents of the kind that the system has."""
         self._choose()
@@ -67,15 +62,13 @@ class StepEquations(Equations):
 
     def _structure(self) -> StageStructure | None:
         """Patterns of the equations where compiled code knows them, and solves sparse stage systems; else None."""
-        if "driver looked for" in self.system.cache:
-            use_driver(self.stiff.system)
-        states, form = self.stiff.system.evaluator, self.form
-        if not isinstance(states, DriverStates) or (self.tied and self.system.n_v <= FEW):
+        states, form = self.system.evaluator, self.form
+        if not isinstance(states, DriverStates):
             return None
         couplings = couplings_of(states)
         if couplings is None:
             return None
-        return StageStructure(couplings, states, form.levels, pulls=form.pulls, frozen=form.frozen)
+        return StageStructure(couplings, states, form.levels, self.stiff, pulls=form.pulls, frozen=form.frozen)
 
     def _choose(self) -> None:
         """Take notice of who evaluates the system by now, and of a state whose masses are to be taken."""
@@ -92,7 +85,7 @@ class StepEquations(Equations):
     def compiled(self) -> bool:
         """As :attr:`Equations.compiled`."""
         self._choose()
-        return isinstance(self.tangents, SparseTangents) and not self.tangents.told and not self.tied
+        return isinstance(self.tangents, SparseTangents) and not self.tangents.told
 
     def room(self, frequencies: int, points: int) -> StageRoom:
         """As :meth:`Equations.room`."""
@@ -118,14 +111,12 @@ class StepEquations(Equations):
         self._choose()
         self.origin = state.q
         if self.form.frozen:
-            system = self.stiff.system if isinstance(self.tangents, SparseTangents) else self.system
-            self.tangents.direct(system.at(state.t, state.q, state.v).jacobian.core)
+            self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
 
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin and r_low of (1), (2), with what ties leave behind the rows of the form."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
-        self.last = t[-1], self.origin, p.xi[-1], p.v[-1]
         told = self._told(t, p)
         if told is not None:
             low = self.lower(told, p.vd, p.mult)
@@ -147,14 +138,10 @@ class StepEquations(Equations):
 
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
-        m, ties, states = self.system.n_lam, self.stiff, self.stiff.system.evaluator
-        if not isinstance(states, DriverStates) or 2 in self.form.levels:
+        m, states = self.system.n_lam, self.system.evaluator
+        if not isinstance(states, DriverStates) or 2 in self.form.levels or self.tied:
             return None
         lam, mu = p.mult[:, :m], p.mult[:, m:]
-        if self.tied:
-            efforts = p.mult[:, self.levels * m :]
-            lam = ties.forces(lam, efforts)
-            mu = ties.forces(p.mult[:, m : 2 * m], 0.0 * efforts) if self.levels > 1 else mu
         corrected = (mu, self.tangents.metric()) if self.levels > 1 else (None, None)
         return states.points(t, self.origin, (p.xi, p.v, p.vd), (lam, *corrected))
 
@@ -232,23 +219,24 @@ class StepEquations(Equations):
             state = replace(state, q=self.system.compose(state.q, dq), v=state.v + dq / h)
         return state
 
-    def along_ties(self, h: float, v: Array) -> Array:
-        """The part of velocities (..., n_v) that ties hold in steps of h (s), joints closed: dv with
+    def along_ties(self, pencil: Any, v: Array) -> Array:
+        """The part of velocities (k, n_v) that ties hold in a step with the factors of a real frequency s, joints closed: dv with
 
-            M dv + G^T mu + R^T nu = 0,        G dv = 0,        R dv - nu / (h c + h^2 k) = R v,
+            M dv + G^T mu + R^T nu = 0,        G dv = 0,        R dv - nu / (c / s + k / s^2) = R v,
 
-        all of R v where h does not resolve the periods of ties.
+        all of R v where the step does not resolve the periods of ties.
         """
-        ties = self.stiff
+        ties, held = self.stiff, np.zeros_like(v)
         if not self.tied:
-            return np.zeros_like(v)
-        t, origin, xi, at_last = self.last
-        ev = ties.system.at(float(t), ties.system.compose(origin, xi), at_last)
-        rows, across = sp.csr_matrix(ev.jacobian.core), self.tangents.across()
-        soft = np.zeros(len(ties.joints) + len(ties))
-        soft[ties.ties] = 1.0 / (h * ties.damping + h * h * ties.stiffness)
-        wanted = ties.forces(np.zeros((*v.shape[:-1], len(ties.joints))), v @ rows[ties.ties].T)
-        return np.asarray((across @ least_forces(rows @ across + sp.diags(soft), wanted.T)).T)
+            return held
+        n, s = self.system.n_v, pencil.s[0].real
+        low = np.zeros((len(v), 1, n + self.n_mult))
+        low[:, 0, n + self.n_mult - len(ties) :] = -(ties.stiffness / s + ties.damping) * self.tangents.of_ties(
+            pencil.t, v
+        )
+        for one, part in zip(held, low, strict=True):
+            one[:] = pencil.solve(np.zeros((1, n)), part)[0][0, n:]
+        return held
 
     def _closed_start(self, state: State) -> Start:
         """With accelerations anew; beside ties, whose efforts places tell to roundoff times k only, those of the step's end."""

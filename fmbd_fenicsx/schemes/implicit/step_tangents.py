@@ -16,7 +16,6 @@ from ...errors import LinearSolveError
 from ...linear.condensation import StepSolver
 from ...linear.implicit.pencil import Pencil
 from ...linear.implicit.sparse_pencil import SparsePencil
-from ...linear.implicit.whole_pencil import WholePencil
 from ...linear.residual import Judge
 from ...matrices import dense
 from ...rotations import Array
@@ -82,10 +81,6 @@ class DenseTangents(Remembering):
         """The same, sparse."""
         return sp.csr_matrix(self.inverse_mass)
 
-    def across(self) -> sp.csr_matrix:
-        """W G^T and W R^T, (n_v, rows of joints and ties)."""
-        return sp.csr_matrix(self.stiff.forces(self.U, self.U_ties))
-
     def take(self, state: State, mult: Array, solver: StepSolver, lower: Lower) -> StepTangent:
         """The tangent at a state with multipliers (n_mult,), whose lower rows are a function; ``solver``: tells masses."""
         form, n, m, v = self.form, self.system.n_v, self.system.n_lam, state.v
@@ -140,6 +135,10 @@ class DenseTangents(Remembering):
         """Accelerations that efforts of ties (k, p) cause, (k, n_v)."""
         return efforts @ self.U_ties.T
 
+    def of_ties(self, tangent: StepTangent, v: Array) -> Array:
+        """R v of velocities (k, n_v), (k, p)."""
+        return v @ tangent.R.T
+
     def inertia(self, tangent: StepTangent, a: Array) -> Array:
         """M a."""
         return tangent.M @ a
@@ -152,11 +151,12 @@ class DenseTangents(Remembering):
 class SparseTangents(Remembering):
     """By the patterns of a structure, solved in compiled code: derivatives and factors take work in proportion to its entries."""
 
-    keeps: ClassVar = dict.fromkeys(("U", "weighed", "masses", "inverse_mass"), plain())
+    keeps: ClassVar = dict.fromkeys(("U", "R", "weighed", "masses", "inverse_mass"), plain())
 
     def __init__(self, system: System, structure: StageStructure, stiff: StiffTies) -> None:
         self.system, self.structure, self.stiff = system, structure, stiff
         self.U: Array = np.zeros(len(structure.normal.pattern))
+        self.R: Array = np.zeros(len(structure.ties.rows))
         self.weighed = False
         self.told = any(map(is_told, system.parts))  # whether Python tells masses that change
         self._rooms: dict[tuple[int, int], StageRoom] = {}
@@ -192,11 +192,12 @@ class SparseTangents(Remembering):
 
     def take_directions(self, tangent: StepTangent) -> None:
         """Those of a tangent, where a step does not keep its own."""
+        self.R = tangent.R
         self.U = self.structure.frozen if self.structure.keeps_directions else tangent.U
 
     def directions(self) -> Array:
         """U as a matrix."""
-        return np.asarray(dense(self.structure.normal.pattern.matrix(self.U)))[:, self.stiff.joints]
+        return np.asarray(dense(self.structure.normal.pattern.matrix(self.U)))
 
     def weigh_once(self, solver: StepSolver, state: State) -> None:
         """Take the masses of a state, unless compiled code has them: those of rigid bodies stay, and it finds those of modes."""
@@ -205,14 +206,16 @@ class SparseTangents(Remembering):
 
     def normally(self, mult: Array) -> Array:
         """U times multipliers (k, n_lam), (k, n_v)."""
-        return self._pushed(mult, np.zeros((len(mult), len(self.stiff))))
+        return self.structure.normal.pattern.times(self.U, mult)
 
     def pulls(self, efforts: Array) -> Array:
         """Accelerations that efforts of ties (k, p) cause, (k, n_v)."""
-        return self._pushed(np.zeros((len(efforts), self.system.n_lam)), efforts)
+        R = self.structure.ties.rows.matrix(self.R)
+        return np.asarray((self.inverse() @ (R.T @ efforts.T)).T)
 
-    def _pushed(self, mult: Array, efforts: Array) -> Array:
-        return self.structure.normal.pattern.times(self.U, self.stiff.forces(mult, efforts))
+    def of_ties(self, tangent: StepTangent, v: Array) -> Array:
+        """R v of velocities (k, n_v), (k, p)."""
+        return self.structure.ties.rows.times(tangent.R, v)
 
     def metric(self) -> Metric:
         """The inverse of the mass matrix by its pattern and data."""
@@ -227,18 +230,14 @@ class SparseTangents(Remembering):
         pattern, data = self.metric()
         return pattern.matrix(data)
 
-    def across(self) -> sp.csr_matrix:
-        """W G^T and W R^T, (n_v, rows of joints and ties)."""
-        return self.structure.normal.pattern.matrix(self.U)
-
     def take(self, state: State, mult: Array, solver: StepSolver, lower: Lower) -> StepTangent:
         """The tangent at a state with multipliers (n_mult,), in one call; ``solver``: tells masses."""
-        system, ties = self.stiff.system, self.stiff
         self.weigh_once(solver, state)
-        efforts = mult[len(mult) - len(ties) :]
-        made = self.structure.tangent(state, ties.forces(mult[: self.system.n_lam], efforts))
+        made = self.structure.tangent(state, mult)
         if made is None:
-            lower(system.batch(*(np.array([x]) for x in (state.t, state.q, state.v))))  # which may say what is wrong
+            lower(
+                self.stiff.system.batch(*(np.array([x]) for x in (state.t, state.q, state.v)))
+            )  # which may say what is wrong
             raise LinearSolveError("the tangent of a step is not finite.")
         self.take_directions(made)
         return made
@@ -247,41 +246,19 @@ class SparseTangents(Remembering):
         """The tangent that was taken at q_0 o exp(xi), in the coordinates about q_0."""
         structure = self.structure
         J, T = structure.turning(xi, v)
-        R = structure.turned_rows.data(made.G, T) if len(self.stiff) else made.R
-        return replace(made, J=J, by_q=structure.turned.data(made.by_q, T), R=R)
+        return replace(made, J=J, by_q=structure.turned.data(made.by_q, T))
 
     def matrices(self, tangent: StepTangent) -> StepTangent:
-        """A tangent with sparse matrices, those of ties apart."""
-        ties, patterns, n = self.stiff, self.structure.patterns, self.structure.n
-        of = {name: patterns[name].matrix(data) for name, data in vars(tangent).items() if name != "R"}
-        if not len(ties):
-            return StepTangent(**of, R=sp.csr_matrix((0, n)))
-        R = of["G"][ties.ties]
-        turned = patterns["G"].matrix(tangent.R)[ties.ties] if len(tangent.R) else R  # by increments
-
-        # rows of each level are those of joints and ties
-        first = n + self.structure.m * np.arange(len(self.structure.levels))
-        kept = np.concatenate([np.arange(n), *(at + ties.joints for at in first)])
-        pulled = {"by_q": sp.diags(ties.stiffness) @ turned, "by_v": sp.diags(ties.damping) @ R, "by_a": 0.0 * R}
-        below = {name: sp.vstack((of[name][kept], rows), format="csr") for name, rows in pulled.items()}
-        return StepTangent(
-            J=of["J"], M=of["M"], G=of["G"][ties.joints], U=of["U"][:, ties.joints], **below, R=R, slopes=of["slopes"]
-        )
+        """A tangent with sparse matrices."""
+        return StepTangent(**{name: self.structure.patterns[name].matrix(x) for name, x in vars(tangent).items()})
 
     def inertia(self, tangent: StepTangent, a: Array) -> Array:
         """M a."""
         return self.structure.couplings.masses.times(tangent.M, a[None])[0]
 
-    def pencil(
-        self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: bool, points: int = 1
-    ) -> SparsePencil | WholePencil:
+    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: bool, points: int = 1) -> SparsePencil:
         """Solver of so many stages for the frequencies s, (p,)."""
-        if not len(self.stiff):
-            return SparsePencil.factored(tangent, s, judge, self.room(len(s), points), redundant=redundant)
-        units = self.system.multiplier_units if redundant else None
-        made = WholePencil(self.matrices(tangent), [*s[:, None, None]], judge, self.structure.first, units)
-        made.t, made.s = tangent, s
-        return made
+        return SparsePencil.factored(tangent, s, judge, self.room(len(s), points), redundant=redundant)
 
     def room(self, frequencies: int, points: int) -> StageRoom:
         """Where so many points are solved for."""

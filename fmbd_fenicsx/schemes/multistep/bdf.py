@@ -254,7 +254,7 @@ class BDFStepper(Corrector):
             return np.inf
         w = weights(times, t)
         share = h / (t - times[-1])
-        return self._error_size(h, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
+        return self._error_size(h, self._pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
 
     def _choose(self, h: float, p: Points, error: float) -> float:
         """The next step; sets the next order. Changes only after k + 1 steps of one size and order."""

@@ -267,4 +267,4 @@ class RadauStepper(StageNewton):
         e_q, e_v = errors.reshape(2, -1)
         # what forces are off by pushes; multipliers turn with their joints, whose errors light bodies would tell as huge ones
         pushed = push - tab.gamma / h * e_v if self.eq.levels and self.eq.dense else None
-        return self._error_size(h, e_q, e_v, pushed)
+        return self._error_size(h, self._filter, e_q, e_v, pushed)

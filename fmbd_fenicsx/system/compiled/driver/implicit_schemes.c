@@ -5,6 +5,7 @@
 #include "parts.h"
 #include "implicit/convergence.c"
 #include "marches/error_norm.c"
+#include "implicit/ties.c"
 #include "implicit/tangent.c"
 #include "implicit/stages.c"
 #include "implicit/field_steps.c"

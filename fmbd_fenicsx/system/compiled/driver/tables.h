@@ -285,6 +285,13 @@ typedef struct {
     double p[D];                       /* its point in the frame */
 } Reaction;
 
+/* Springs whose efforts are unknowns of an implicit step beside the multipliers: which items of each batch, and their numbers among
+   these efforts. */
+typedef struct {
+    int count, *start, *item, *number; /* start: batches + 1 */
+    const double *efforts;             /* of the point that is evaluated */
+} Ties;
+
 typedef struct {
     int bodies, surfaces, batches, fronts, angles, rods, rows, nu, nv, nq, redundant;
     int fields, core;                  /* bodies with a field; the rates of all others and of frames come first in v */
@@ -343,6 +350,7 @@ typedef struct {
     double *recent, recent_at[RECENT]; /* their numbers and times: one that is wanted again is not asked for again */
     int parts, imaginary;              /* 2 where the matrix is complex, see Field; whether its imaginary part is assembled */
     double *lossy;                     /* that part of the fronts */
+    const Ties *ties;                  /* whose efforts are given; NULL: all are those of the state */
 } System;
 
 /* A number of a record that an event is about, times ``scale``: where it is in the first one, how many numbers further in the next;

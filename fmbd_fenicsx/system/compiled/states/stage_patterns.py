@@ -3,6 +3,8 @@
 With frequencies s, K = K0 + s K1 + s^2 K2, symbols as in linear/implicit/pencil.py:
 
     K0 = [by_q - by_v J, G^T, by_v U, by_a U],     K1 = [by_v - by_a J, 0, by_a U, 0],     K2 = [by_a, 0, 0, 0]      (1)
+
+and behind these, beside stiff ties, [R^T; -1] in K0.
 """
 
 from __future__ import annotations
@@ -20,12 +22,14 @@ from ..declarations import structure_of
 from ..tables.items.items import FORMULA
 from .couplings import Couplings
 from .exchange import Exchange
+from .tied_items import TiedItems
 
 if TYPE_CHECKING:
     from ...layout import State
+    from ...tangents.stiff_ties import StiffTies
     from .evaluation import DriverStates
 
-DATA = "J M G U by_q by_v by_a slopes".split()  # of a tangent, one behind the other
+DATA = "J M G U by_q by_v by_a slopes R".split()  # of a tangent, one behind the other
 
 
 ProductPairs = structure_of("implicit/tangent.c", "Product")
@@ -35,7 +39,7 @@ Patterns = structure_of("implicit/tangent.c", "Patterns", Product=ProductPairs)
 class StageStructure:
     """Patterns of the equations of a step whose constraints hold on some levels, 0 to 2; and of (1), by columns.
 
-    ``pulls``: of rows of accelerations, see ``Form`` of tangent.c. ``frozen``: a step keeps the U of its start.
+    ``pulls``: of rows of accelerations, see ``Form`` of tangent.c. ``frozen``: a step keeps the U of its start. ``stiff``: ties.
     """
 
     def __init__(
@@ -43,6 +47,7 @@ class StageStructure:
         couplings: Couplings,
         states: DriverStates,
         levels: tuple[int, ...],
+        stiff: StiffTies,
         *,
         pulls: tuple[float, float] = (0.0, 0.0),
         frozen: bool = False,
@@ -50,30 +55,35 @@ class StageStructure:
         self.couplings, self.states, self.levels, self.pulls = couplings, states, levels, pulls
         self.keeps_directions = frozen
         n, m, count = couplings.n, couplings.m, len(levels)
-        self.n, self.m, self.size = n, m, n + count * m
+        self.n, self.m, self.size = n, m, n + count * m + len(stiff)
         G, balance, offsets = couplings.rows, couplings.balance, n + m * np.arange(count)
+        self.ties = TiedItems(stiff, couplings, states.tables)
+        R, self.behind = self.ties.rows, n + count * m
 
-        rows = np.concatenate([balance.rows, *(at + G.rows for at in offsets)])
-        columns = np.concatenate([balance.columns, *(G.columns for _ in levels)])
+        rows = np.concatenate([balance.rows, *(at + G.rows for at in offsets), self.behind + R.rows])
+        columns = np.concatenate([balance.columns, *(G.columns for _ in levels), R.columns])
         self.low = Pattern.of((self.size, n), rows, columns)
 
         across, self._across = G.transposed()
         self.normal = Product(couplings.masses, across)
         self.turned = Product(self.low, couplings.turns, within=self.low)
-        self.turned_rows = Product(G, couplings.turns, within=G)
         self.crossed = Product(self.low, self.normal.pattern)
         # rows that depend on each other are softened on the diagonal, where those of mu have entries
         own = n + np.arange(m if count else 0)
         diagonal = Pattern.of((self.size, m), own, own - n)
+        pulling, self._across_ties = R.transposed()
+        efforts = Pattern.of((self.size, len(stiff)), self.behind + np.arange(len(stiff)), np.arange(len(stiff)))
         blocks = [self.low, across, self.crossed.pattern, self.crossed.pattern][: 1 + count]
-        self._lay_out([*blocks, diagonal], [0, n, n + m, n + 2 * m][: 1 + count] + [n])
+        behind = [self.behind, self.behind]
+        self._lay_out([pulling, efforts, *blocks, diagonal], behind + [0, n, n + m, n + 2 * m][: 1 + count] + [n])
         formulas = sum([len(x) for x in states.tables.sources if x.role == FORMULA])
         self.laws = Pattern.of((formulas, 2), *np.indices((formulas, 2)).reshape(2, -1))
         self.frozen = np.zeros(len(self.normal.pattern))  # data of U where a step began
 
         unknowns = [np.arange(n)[:, None], n + np.arange(m)[:, None] + m * np.arange(count)]
         each = [*unknowns[0], *unknowns[1]]
-        self.order = np.concatenate([each[x] for x in couplings.order]).astype(np.int32)
+        order = np.concatenate([each[x] for x in couplings.order])
+        self.order = self.ties.among(order, self.behind).astype(np.int32)
         self._tell(offsets)
 
     def _lay_out(self, blocks: list[Pattern], offsets: list[int]) -> None:
@@ -104,6 +114,9 @@ class StageStructure:
             first=self.levels[0] if levels else 0, colours=colours,
             low=len(low), crossings=len(self.crossed.pattern), columns=len(self._taken), masses=len(couplings.masses),
             G_start=address_of(G.start), G_on=address_of(G.on), M_start=address_of(couplings.masses.start),
+            ties=self.ties.address, R_start=address_of(self.ties.rows.start), R_on=address_of(self.ties.rows.on),
+            across_ties=self._address(self._across_ties),
+            of_ties=self._address(low.places(self.behind + self.ties.rows.rows, self.ties.rows.columns)),
             colour=self._address(colour, np.int32),
             across=self._address(self._across), coloured=self._address(coloured),
             coloured_start=self._address(np.searchsorted(by_colour[coloured], np.arange(colours + 1))),
@@ -116,7 +129,7 @@ class StageStructure:
         self.address = ctypes.addressof(self.c)
         n, n_q = self.n, self.couplings.system.n_q
         masses, widest = len(couplings.masses), max(map(len, couplings.of_body), default=0)
-        sizes = {"q": n_q, "v": n, "a": n, "lam": self.m, "M": masses, "W": masses}
+        sizes = {"q": n_q, "v": n, "a": n, "mult": self.size - n, "M": masses, "W": masses}
         sizes["room"] = 4 * n + n_q + 3 * self.size + 2 * widest**2
         self._given = Exchange(sizes | {"data": self.count})
         self.masses, self.inverse = self._given.arrays[4:6]  # data of M and of its inverse, of the last tangent
@@ -147,17 +160,17 @@ class StageStructure:
 
     @property
     def patterns(self) -> dict[str, Pattern]:
-        """Those of a tangent, by its names; ties have none."""
+        """Those of a tangent, by its names."""
         c, low = self.couplings, self.low
         return {
             "J": c.turns, "M": c.masses, "G": c.rows, "U": self.normal.pattern, "by_q": low, "by_v": low, "by_a": low,
-            "slopes": self.laws, "R": Pattern.of((0, self.n), *np.zeros((2, 0), int)),
+            "slopes": self.laws, "R": self.ties.rows,
         }  # fmt: skip
 
-    def tangent(self, state: State, lam: Array) -> StepTangent | None:
-        """The tangent at a state with multipliers lambda (m,); None where it cannot be found."""
+    def tangent(self, state: State, mult: Array) -> StepTangent | None:
+        """The tangent at a state with all multipliers (n_mult,); None where it cannot be found."""
         given, states = self._given, self.states
-        given.put(state.q, state.v, state.a, lam)
+        given.put(state.q, state.v, state.a, mult)
         states.anew = True
         length = self.couplings.system.length
         if not states.ask(states.library.driver_stage_tangent, self.address, length, state.t, *given.at):
@@ -166,7 +179,7 @@ class StageStructure:
 
     def parted(self, data: Array) -> StepTangent:
         """A tangent whose matrices are views of its data."""
-        return StepTangent(**{name: data[part] for name, part in self.parts.items()}, R=np.zeros(0))
+        return StepTangent(**{name: data[part] for name, part in self.parts.items()})
 
     def data(self, tangent: StepTangent, out: Array) -> None:
         """Those of a tangent, in the order that C expects."""

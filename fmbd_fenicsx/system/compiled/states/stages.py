@@ -23,7 +23,7 @@ FILLED = 4  # entries of L, and of U, over those of K, that there is room for at
 
 Sparse, Lower = structure_of("implicit/stages.c", "Sparse"), structure_of("implicit/stages.c", "Lower")
 Stages = structure_of("implicit/stages.c", "Stages", Sparse=Sparse)
-MATRICES = "by_v by_a J U".split()  # of a tangent, that C multiplies with
+MATRICES = "by_v by_a J U R".split()  # of a tangent, that C multiplies with
 POINTS = (
     "t q0 xi rate v vd mult couple inverse vectors kin low dxi dv dmult push sampled weigh moved judged local".split()
 )
@@ -102,7 +102,7 @@ class StageRoom(PointRoom):
         c = self.c = Stages(
             n=n, m=m, size=size, levels=len(structure.levels), frequencies=p, points=k, entries=entries,
             pulls=structure.pulls, frozen=structure.frozen_at,
-            first=structure.first,
+            first=structure.first, ties=structure.ties.address,
             start=address_of(structure.start), row=address_of(structure.row), order=address_of(structure.order), relax=1.0,
         )  # fmt: skip
 

@@ -104,7 +104,7 @@ static void NAME(substitute)(const Stages *o, const Lower *f, const NUMBER *b, N
 static void NAME(soften)(const Stages *o, NUMBER s, NUMBER *A, NUMBER *soft)
 {
     NUMBER pulled = o->first > 1 ? -1.0 : o->first ? -1.0 / s : -1.0 / (s * s);
-    for (int j = o->n; j < o->size; j++) {
+    for (int j = o->n; j < o->n + o->levels * o->m; j++) {
         int lambda = j < o->n + o->m;
         soft[j] = (lambda ? pulled : 1.0) * o->softness[(j - o->n) % o->m];
         for (int p = o->start[j]; p < o->start[j + 1]; p++)

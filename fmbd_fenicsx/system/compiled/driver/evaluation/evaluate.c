@@ -124,6 +124,14 @@ int take_slopes(System *s, Batch *k, double t)
     return DONE;
 }
 
+/* Efforts that are unknowns, in place of those of the state. */
+static void give_efforts(const System *s, Batch *k)
+{
+    const Ties *o = s->ties;
+    const long b = k - s->batch;
+    for (int j = o->start[b]; j < o->start[b + 1]; j++) k->effort[o->item[j]] = o->efforts[o->number[j]];
+}
+
 /* Coordinates s, rates s' and efforts of a batch; what a law in Python gives comes with one call for all items. */
 int efforts(System *s, Batch *k, double t)
 {
@@ -136,6 +144,7 @@ int efforts(System *s, Batch *k, double t)
         k->rate[i] = rate;
         if (k->role == LINEAR || k->role == READ) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
     }
+    if (s->ties) give_efforts(s, k);
     if (s->straight && k->role == LAW && !is_held(s, k)) return along_tangents(s, k, t);
     return k->role == FORMULA || k->role == LAW ? ask_iterate(s, k, law_of_state, NULL, t) : DONE;
 }

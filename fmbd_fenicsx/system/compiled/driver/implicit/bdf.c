@@ -167,9 +167,10 @@ static int end_bdf(System *s, Implicit *o, const double *p, const Block *now, Bl
 
 /* ---- sizes and orders ---- */
 
-/* The error of the point if it had been taken with order k, over the tolerance. ``room``: 2 nv. */
-static double point_error(const System *s, const Stages *g, int k, Values *e, double *room)
+/* The error of the point if it had been taken with order k, over the tolerance. ``room``: 2 nv and that of step_error(). */
+static double point_error(const System *s, const Implicit *o, int k, Values *e, double *room)
 {
+    const Stages *g = o->stages;
     const double t = g->t[0];
     const int n = g->n;
     if (e->count < k + 1) return INFINITY;
@@ -177,8 +178,7 @@ static double point_error(const System *s, const Stages *g, int k, Values *e, do
     memcpy(room + n, g->v, n * sizeof(double));
     add_foretold(g, k + 1, e, t, -1.0, room, room + n);
     const double *parts[2] = {room, room + n};
-    const Norm norm = norm_of(g);
-    return (t - e->t[0]) / (t - e->t[k]) * own_norm(s, &norm, parts, 2);
+    return (t - e->t[0]) / (t - e->t[k]) * step_error(s, o, parts, 2, room + 2 * n);
 }
 
 /* Of a step with this error of order k. */
@@ -197,20 +197,21 @@ static int permits(Orders *r, int k, double h)
 }
 
 /* The order with the longest stable step, one more or less than k at most, and its ``growth``: at first that of k. */
-static int best_order(const System *s, const Stages *g, Orders *r, int k, double h, Values *e, double *growth, double *room)
+static int best_order(const System *s, const Implicit *o, int k, double h, Values *e, double *growth, double *room)
 {
+    Orders *r = o->own->orders;
     int order = k;
     if (k > 1) {
-        double less = grown(r, point_error(s, g, k - 1, e, room), k - 1);
+        double less = grown(r, point_error(s, o, k - 1, e, room), k - 1);
         if (less > r->lower * *growth) order = k - 1, *growth = less;
     }
     if (k < r->highest && e->count >= k + 2) {
-        double more = grown(r, point_error(s, g, k + 1, e, room), k + 1);
+        double more = grown(r, point_error(s, o, k + 1, e, room), k + 1);
         if (more > r->higher * *growth) order = k + 1, *growth = more;
     }
     while (!permits(r, order, h * within(r, *growth))) {
         order--;
-        *growth = grown(r, point_error(s, g, order, e, room), order);
+        *growth = grown(r, point_error(s, o, order, e, room), order);
     }
     return order;
 }
@@ -230,7 +231,7 @@ static double choose(const System *s, const Implicit *o, double h, const Passing
     }
     if (*made->held <= k && growth > r->keep) return h;
 
-    const int order = best_order(s, o->stages, r, k, h, e, &growth, room);
+    const int order = best_order(s, o, k, h, e, &growth, room);
     if (order == k && r->keep <= growth && growth <= r->calm) return h;
     *made->order = order;
     *made->held = 0.0;
@@ -257,7 +258,7 @@ static int passing_point(System *s, double *p, Implicit *o, const Block *now, Bl
             if (!verdict && turn_too_far(s, c, g->points, g->xi)) verdict = NEWTON;
         } while (tried_anew(o, verdict, work));
         if (verdict) return verdict;
-        found->error = point_error(s, g, k, e, room);
+        found->error = point_error(s, o, k, e, room);
         if (found->error <= 1.0) return DONE;
 
         /* the tangent goes on serving; after several errors a lower order, whose past is shorter */

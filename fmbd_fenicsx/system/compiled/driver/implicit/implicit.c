@@ -59,6 +59,47 @@ static int take_factors(System *s, Implicit *o, double key, double *work)
     return verdict;
 }
 
+/* What ties hold of velocities v in a step of the first frequency s, in ``held`` behind what it moves:
+
+     M dv + G^T mu + R^T nu = 0,        G dv = 0,        R dv - nu / (c / s + k / s^2) = R v
+
+   all of R v where steps do not resolve the periods of ties. ``room``: 2 sizes of a point and n. */
+static int held_by_ties(const System *s, const Implicit *o, const double *v, double *held, double *room)
+{
+    const Stages *g = o->stages;
+    const Sparse *R = &g->R;
+    double *low = room, *kin = low + g->size, *mult = kin + g->n, judged[2];
+    memset(room, 0, (g->size + g->n) * sizeof(double));
+    EACH_TIE(s, g->ties, k, j) {
+        const int i = g->ties->item[j], number = g->ties->number[j];
+        double rate = 0.0;
+        for (int p = R->start[number]; p < R->start[number + 1]; p++) rate += R->data[p] * v[R->on[p]];
+        low[g->n + g->levels * g->m + number] = -(k->stiffness[i] / *g->s + k->damping[i]) * rate;
+    }
+    resolve_real(g, 0, kin, low, held, mult, judged);
+    return judged[0] <= o->convergence->accurate * judged[1];
+}
+
+/* The norm of errors of places, of velocities and (of three kinds) of accelerations. Along ties velocities count by the places that they
+   lead to, as in index 3. ``room``: 2 sizes of a point and 5 n. */
+static double step_error(const System *s, const Implicit *o, const double *const *parts, int kinds, double *room)
+{
+    const Stages *g = o->stages;
+    const Norm norm = norm_of(g);
+    const int n = g->n;
+    double *held = room, *left = held + 2 * n, *rest = left + 2 * n, along = 0.0;
+    const double *others[3] = {parts[0], left, left + n};
+    if (!g->ties) return own_norm(s, &norm, parts, kinds);
+    for (int kind = 1; kind < kinds; kind++) {
+        if (!held_by_ties(s, o, parts[kind], held, rest)) return INFINITY;
+        for (int i = 0; i < n; i++) left[(kind - 1) * n + i] = parts[kind][i] - held[n + i];
+        for (int i = 0; i < n; i++) held[i] = norm.h * held[n + i];
+        if (kind == 1) along = sqrt(mean_square(s, &norm, 0, held));
+    }
+    const double across = own_norm(s, &norm, others, kinds);
+    return across < along ? along : across; /* nan stays */
+}
+
 /* A step from a state on, in coordinates about it, with the tangent and the rate that this one has. */
 static int begin_implicit(System *s, Implicit *o, const Block *now, Block out)
 {

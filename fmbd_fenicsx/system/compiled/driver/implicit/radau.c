@@ -144,8 +144,8 @@ static int end_radau(System *s, Implicit *o, const double *p, const Block *now, 
     return end_implicit(s, o, p, g->mult + (k - 1) * width, out);
 }
 
-/* The start of a step on its constraints: v, a, and what moves the places, dq, each like v. ``room``: nq and that of driver_arrive(). */
-static int start_on_rows(System *s, const Implicit *o, const Block *now, double *v, double *a, double *dq, double *room)
+/* The start of a step with these multipliers on its constraints: v, a, and what moves the places, dq, each like v. ``room``: nq and that of driver_arrive(). */
+static int start_on_rows(System *s, const Implicit *o, const Block *now, const double *mult, double *v, double *a, double *dq, double *room)
 {
     const OwnSteps *c = o->own;
     const Stages *g = o->stages;
@@ -162,7 +162,9 @@ static int start_on_rows(System *s, const Implicit *o, const Block *now, double 
         return DONE;
     }
     memcpy(q, now->q, s->nq * sizeof(double));
+    give(s, g->ties, mult + g->levels * g->m); /* places tell them to roundoff times k only */
     int verdict = driver_arrive(s, c->places, *now->t, c->length, q, v, a, lam, lam + s->rows);
+    give(s, NULL, NULL);
     if (!verdict && c->places) driver_difference(s, 1, now->q, 0, q, 0, NULL, 0, dq);
     return verdict;
 }
@@ -197,7 +199,7 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
     int verdict;
 
     /* what the start of the step leaves of the constraints is no error of the step */
-    if ((verdict = start_on_rows(s, o, now, v, a, dq, rest))) return verdict;
+    if ((verdict = start_on_rows(s, o, now, mult, v, a, dq, rest))) return verdict;
     memcpy(kin, v, n * sizeof(double));
     memcpy(push, a, n * sizeof(double));
     for (int j = 0; j < k; j++) {
@@ -217,8 +219,7 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
 
     if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
     const double *parts[3] = {change, change + n, push};
-    const Norm norm = norm_of(g);
-    *error = own_norm(s, &norm, parts, kinds);
+    *error = step_error(s, o, parts, kinds, rest);
     return DONE;
 }
 

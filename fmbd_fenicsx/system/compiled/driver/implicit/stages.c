@@ -30,6 +30,8 @@ typedef struct {
     int *stack, *mark, *found;
     long *next;
     Sparse by_v, by_a, J, U, W;
+    Sparse R;                       /* of ties, NULL: */
+    Ties *ties;
     double *slopes;                 /* of the tangent, laws x 2, see note_slopes() */
     double *frozen;                 /* data of U where a step keeps that of its start, else NULL */
     /* the points */
@@ -38,7 +40,7 @@ typedef struct {
     double *sampled;                /* points x what a SAMPLE writes */
     double *weigh, *moved, *judged; /* weigh: 3 x n, of dxi, dv and U dlambda; moved: 6; judged: 2, of an iteration */
     double *local, relax;           /* local: nq + 2 n */
-    double *given;                  /* points x (n + size) + n + nq: work beside laws that bend, see bends.c */
+    double *given;                  /* points x (n + size) + n + nq: work beside laws that bend, see bends.c, and ties */
     int iterate, swings, hesitations; /* what points are: ON_ITS_OWN ..; whether efforts of these laws changed much in an increment, */
                                     /* and how often they have been waited for */
     double *bases, *bent, span;     /* of rods and frames whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
@@ -259,16 +261,18 @@ static int stage_residuals(System *s, const Stages *o, int increments)
         s->point = j;
         s->iterate = o->iterate;
         if (carried) exchange_pressures(s, OUT_OF, 0, o->fields->pressure + (long)j * carried);
+        give(s, o->ties, mult + o->levels * o->m);
         verdict = local_point(s, &along, o->t[j], o->q0, o->xi + j * n, o->v + j * n, o->vd + j * n, mult, kin, low, o->local);
         if (carried) close_point(s, o, j, low);
         s->iterate = ON_ITS_OWN;
         s->point = 0;
-        if (verdict) return verdict;
-        for (int i = 0; i < n; i++) {
+        for (int i = 0; i < n && !verdict; i++) {
             kin[i] = o->rate[j * n + i] - kin[i];
-            if (!(fabs(low[i]) < INFINITY)) return NEWTON;
+            if (!(fabs(low[i]) < INFINITY)) verdict = NEWTON;
         }
-        level_rows(s, &form, o->local + s->nq, low);
+        if (!verdict) level_rows(s, &form, o->local + s->nq, low);
+        give(s, NULL, NULL);
+        if (verdict) return verdict;
     }
     if (o->fields) lacking(s, o);
     return DONE;
@@ -332,7 +336,22 @@ static int solve_points(System *s, Stages *o)
     return DONE;
 }
 
+/* All points move along with their increments. */
+static void add_increments(Stages *o)
+{
+    const int n = o->n, k = o->points;
+    add(o->xi, 1.0, o->dxi, k * n);
+    add(o->v, 1.0, o->dv, k * n);
+    add(o->mult, 1.0, o->dmult, k * (o->size - n));
+    for (int j = 0; j < k; j++)
+        for (int i = 0; i < k; i++) {
+            add(o->rate + j * n, o->couple[j * k + i], o->dxi + i * n, n);
+            add(o->vd + j * n, o->couple[j * k + i], o->dv + i * n, n);
+        }
+}
+
 #include "implicit/bends.c"
+#include "implicit/tied_points.c"
 
 /* One increment of all points, behind so many of this call: residuals, solutions, what they move. ``moved``: the largest lengths of dxi, dv and U dlambda, and the
    mean squares of the three by their weights; ``judged``: as of farthest_apart(). */
@@ -358,24 +377,17 @@ static int stage_increment(System *s, Stages *o, int increments)
     }
 
     if (o->fields) move_points(o);
-    add(o->xi, 1.0, o->dxi, k * n);
-    add(o->v, 1.0, o->dv, k * n);
-    add(o->mult, 1.0, o->dmult, k * multipliers);
-    for (int j = 0; j < k; j++)
-        for (int i = 0; i < k; i++) {
-            add(o->rate + j * n, o->couple[j * k + i], o->dxi + i * n, n);
-            add(o->vd + j * n, o->couple[j * k + i], o->dv + i * n, n);
-        }
+    add_increments(o);
     return DONE;
 }
 
 /* The size of an increment, over the tolerance. */
-static double size_moved(const Stages *o, const Convergence *c)
+static double size_moved(const System *s, const Stages *o, const Convergence *c)
 {
     const double *moved = o->moved;
     for (int i = 0; i < 6; i++)
         if (!(moved[i] < INFINITY)) return INFINITY;
-    if (c->adaptive) return sqrt(fmax(moved[3], fmax(moved[4], moved[5])));
+    if (c->adaptive) return sqrt(fmax(fmax(moved[3], pulled(s, o, c->h)), fmax(moved[4], moved[5])));
     return fmax(fmax(moved[0], c->h * moved[1]), c->h * c->h * moved[2]) / c->allowed;
 }
 
@@ -389,13 +401,13 @@ EXPORT int driver_stage_iterate(System *s, Stages *o, Convergence *c, int until)
         int verdict = stage_increment(s, o, c->done - before);
         if (verdict && c->done > before) sample_point(s, o, o->points - 1, 1);
         if (verdict) return verdict;
-        if (s->bridged) pass_increment(c, size_moved(o, c));
-        else judge_increment(c, size_moved(o, c), fmax(o->moved[0], c->h * o->moved[1]) <= c->still);
+        if (s->bridged) pass_increment(c, size_moved(s, o, c));
+        else judge_increment(c, size_moved(s, o, c), fmax(o->moved[0], c->h * o->moved[1]) <= c->still);
         if (o->iterate != ON_ITS_OWN) o->iterate = FOLLOWING;
         if (c->outcome != CONVERGED || c->done >= c->most) continue;
         const int crept = creeps(s, o);
         if (crept || hesitates(s, o)) c->outcome = GOES_ON;
         if (crept) return BENT;
     }
-    return DONE;
+    return o->ties && c->outcome == CONVERGED ? close_ties(s, o, c) : DONE;
 }

@@ -13,15 +13,17 @@ typedef struct {
 /* Where data have their entries. */
 typedef struct {
     int n, m, size, levels, first, colours;
+    Ties *ties;                       /* of the unknowns behind the multipliers */
     double pulls[2];                  /* of the form, see Form */
     long low, crossings, columns;     /* entries of the lower rows, of their products with U, of K */
     int *G_start, *G_on, *M_start, *colour; /* G, M by rows; by which number each coordinate is moved */
-    long *across;                     /* entries of G in the order of G^T */
+    int *R_start, *R_on;              /* rows of ties, R */
+    long *across, *across_ties;       /* entries of G in the order of G^T, and those of R */
     long *coloured_start, *coloured;  /* entries of the lower rows by the number that moves them */
-    long *row, *column, masses, *of_masses, *of_level;
+    long *row, *column, masses, *of_masses, *of_level, *of_ties;
     long *taken;                      /* entries of K among those of its blocks side by side */
     Product normal, turned, crossed;
-    long J, M, G, U, by_q, by_v, by_a, slopes; /* where each matrix begins among the data of a tangent */
+    long J, M, G, U, by_q, by_v, by_a, slopes, R; /* where each matrix begins among the data of a tangent */
     const double *frozen;             /* data of U where steps keep it, else NULL */
 } Patterns;
 
@@ -51,9 +53,10 @@ static void acceleration_rows(System *s, const Form *o, const double *a, double 
     add(rows, 1.0, s->slip, o->m);
 }
 
-/* All of them behind n numbers, where a state with these accelerations was evaluated. */
+/* All of them behind n numbers, and what springs with given efforts leave, where a state with these accelerations was evaluated. */
 static void level_rows(System *s, const Form *o, const double *a, double *low)
 {
+    if (s->ties) tie_rows(s, 0, low + o->n + o->levels * o->m);
     drift(s);
     for (int k = 0; k < o->levels; k++) {
         double *rows = low + o->n + k * o->m;
@@ -125,16 +128,20 @@ static void normal_directions(const Patterns *o, const double *W, const double *
     for (long i = 0; i < o->normal.pairs; i++) U[o->normal.to[i]] += W[o->normal.a[i]] * G[o->across[o->normal.b[i]]];
 }
 
-/* The balance and the constraints of all levels at a state. */
+/* The balance, the constraints of all levels and ties at a state. */
 static int lower_rows(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
                       double *low)
 {
+    give(s, o->ties, lam + o->levels * o->m);
     int verdict = evaluate(s, q, v, a, lam, t);
-    if (verdict && verdict != LOOK) return verdict; /* bodies that NumPy warns of are evaluated like others */
+    if (verdict == LOOK) verdict = DONE; /* bodies that NumPy warns of are evaluated like others */
     const Form form = {o->n, o->m, o->levels, o->first, o->pulls};
-    like_v(s, s->residual, low);
-    level_rows(s, &form, a, low);
-    return DONE;
+    if (!verdict) {
+        like_v(s, s->residual, low);
+        level_rows(s, &form, a, low);
+    }
+    give(s, NULL, NULL);
+    return verdict;
 }
 
 /* By how much coordinates and velocities are moved: as difference_steps() there. */
@@ -253,6 +260,7 @@ EXPORT int driver_stage_tangent(System *s, const Patterns *o, double length, dou
     memcpy(data + o->M, M, o->masses * sizeof(double));
     memset(by_a, 0, o->low * sizeof(double));
     for (long i = 0; i < o->masses; i++) by_a[o->of_masses[i]] = M[i];
+    if (o->ties) tie_slopes(s, o->ties, o->R_start, o->R_on, o->of_ties, room, data + o->R, by_q, by_v);
     long count = o->G_start[o->m];
     for (int k = 0; k < o->levels; k++)
         for (long i = 0; i < count; i++) {
@@ -271,11 +279,14 @@ EXPORT int driver_stage_tangent(System *s, const Patterns *o, double length, dou
 static void powers(const Patterns *o, const double *data, double *room, double *const K[3])
 {
     const double *by[3] = {data + o->by_q, data + o->by_v, data + o->by_a}, *G = data + o->G;
-    long count = o->levels ? o->G_start[o->m] : 0;
+    const int ties = o->ties ? o->ties->count : 0;
+    const long pulling = ties ? o->R_start[ties] : 0, count = o->levels ? o->G_start[o->m] : 0;
     for (int k = 0; k < 3; k++) {
-        double *across = room + o->low, *crossed = across + count, *pushed = crossed + o->crossings;
-        memcpy(room, by[k], o->low * sizeof(double));
-        if (DIM == 3 && k < 2) multiply(&o->turned, -1.0, by[k + 1], data + o->J, room);
+        for (long i = 0; i < pulling; i++) room[i] = k ? 0.0 : data[o->R + o->across_ties[i]];
+        for (long i = pulling; i < pulling + ties; i++) room[i] = k ? 0.0 : -1.0;
+        double *low = room + pulling + ties, *across = low + o->low, *crossed = across + count, *pushed = crossed + o->crossings;
+        memcpy(low, by[k], o->low * sizeof(double));
+        if (DIM == 3 && k < 2) multiply(&o->turned, -1.0, by[k + 1], data + o->J, low);
         for (long i = 0; i < count; i++) across[i] = k ? 0.0 : G[o->across[i]];
         if (o->levels > 1) memset(crossed, 0, o->crossings * sizeof(double));
         if (o->levels > 1 && k < 2) multiply(&o->crossed, 1.0, by[k + 1], data + o->U, crossed);

@@ -70,6 +70,8 @@ class Items:
     terms: list[Items] = field(default_factory=list)
     shift: Array | None = None
     frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))  # of both sides
+    loads: Loads | None = None  # springs and dampers: whose they are, and their numbers there
+    number: np.ndarray | None = None
     batch: Any = None  # the structure
     arrays: dict[str, Array] = field(default_factory=dict)  # coordinates, rates, efforts .. as C reads and writes them
 
@@ -116,6 +118,7 @@ class Items:
         made.frames = self.frames[which] if len(self.frames) else self.frames
         made.terms, made.shift = [term.part(which) for term in self.terms], some(self.shift)
         made.formula = None if self.formula is None else self.formula.part(which)
+        made.loads, made.number = self.loads, some(self.number)
         return made
 
     def _laws(self, which: np.ndarray) -> tuple[Any, ...]:
@@ -197,6 +200,7 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
     whole = of_source(loads.relative, LINEAR)
     whole.stiffness, whole.damping, whole.free = loads.k, loads.c, loads.free
     whole.slot = looks.slots_of(loads)
+    whole.loads, whole.number = loads, np.arange(n)
     whole.take_quotient(loads.relative)
     stated = {int(i) for formula in loads.formulas() for i in formula.which}
     own = np.array([i for i in loads.own if i not in stated], dtype=int)
