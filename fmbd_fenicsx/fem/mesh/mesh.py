@@ -268,6 +268,17 @@ def distributed(load: Loader, label: str, comm: Any = None, halvings: int = 0) -
     return Mesh(msh, facets, checked.surfaces, name, checked.label, made_by, checked.others, checked.volumes, cells)
 
 
+def cells_of(topology: Any, facets: Any) -> tuple[np.ndarray, np.ndarray]:
+    """A cell of each of some facets of this rank, and the number that the facet has in it, (n,) each; collective."""
+    d = topology.dim
+    topology.create_connectivity(d - 1, d)
+    topology.create_connectivity(d, d - 1)
+    to_cell, to_facet = topology.connectivity(d - 1, d), topology.connectivity(d, d - 1)
+    cells = np.array([to_cell.links(f)[0] for f in facets], dtype=np.int32)
+    numbers = [np.flatnonzero(to_facet.links(c) == f)[0] for c, f in zip(cells, facets, strict=True)]
+    return cells, np.array(numbers, dtype=int)
+
+
 def require_file(path: Path) -> None:
     """Refuse a path at which no file is."""
     if not path.is_file():

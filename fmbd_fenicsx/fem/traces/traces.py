@@ -21,6 +21,7 @@ import scipy.sparse as sp
 from ...errors import MeshError
 from ...ranks import together
 from ...rotations import Array
+from ..mesh.mesh import cells_of
 from .quadrilaterals import half_turn, skew_of, skewing, unskewed
 
 
@@ -286,24 +287,18 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
     msh, d = mesh.dolfinx, mesh.dim
     topology = msh.topology
     topology.create_connectivity(d - 1, d)
-    topology.create_connectivity(d, d - 1)
     halved = topology.cell_name() == "hexahedron"
 
     # own facets of the surface that lie on the boundary
     facets = np.intersect1d(mesh.facet_tags.find(tag), exterior_facet_indices(topology))
     facets = facets[facets < topology.index_map(d - 1).size_local]
+    cells, sides = cells_of(topology, facets)
 
     k = lagrange(d - 1, degree, halved).dim
     if len(facets) == 0:
         return np.zeros((0, k), dtype=np.int64), np.zeros((0, k, d)), np.zeros((0, d))
 
-    # the cell of each, and which of its sides it is
-    to_cell = topology.connectivity(d - 1, d)
-    to_facet = topology.connectivity(d, d - 1)
-    cells = np.array([to_cell.links(f)[0] for f in facets])
-    sides = np.array([int(np.flatnonzero(to_facet.links(c) == f)[0]) for c, f in zip(cells, facets, strict=True)])
-
-    # its nodes, those of the cell's side
+    # the nodes of each, those of the cell's side
     closure = np.array(space.element.basix_element.entity_closure_dofs[d - 1])
     dofs = np.take_along_axis(space.dofmap.list[cells], closure[sides], axis=1)
     coordinates = space.tabulate_dof_coordinates()[:, :d]

@@ -23,6 +23,7 @@ import scipy.sparse as sp
 
 from ... import dolfinx_compat as compat
 from ...errors import MeshError
+from ...fem.mesh.mesh import cells_of
 from ...fem.numbering import Numbering
 from ...rotations import Array
 
@@ -202,27 +203,15 @@ def _facet_dofs(nodes: BodyNodes, surface: str) -> tuple[np.ndarray, dict[int, f
     d = mesh.dim
 
     tag, tags = mesh.surface_tag(surface), mesh.facet_tags
-    top = msh.topology
-    top.create_connectivity(d - 1, d)
-    top.create_connectivity(d, d - 1)
+    # each facet once: on the rank that owns its cell
+    cells, sides = cells_of(msh.topology, tags.find(tag))
+    mine = cells < msh.topology.index_map(d).size_local
+    closure = np.array(space.element.basix_element.entity_closure_dofs[d - 1])
+    dofs = np.take_along_axis(space.dofmap.list[cells[mine]], closure[sides[mine]], axis=1)
 
-    closure = space.element.basix_element.entity_closure_dofs[d - 1]
-    to_cell = top.connectivity(d - 1, d)
-    to_facet = top.connectivity(d, d - 1)
-    owned_cells = top.index_map(d).size_local
-    rows = []
     index_map = space.dofmap.index_map
-    for f in tags.indices[tags.values == tag]:
-        # each facet once: on the rank that owns its cell
-        cell = int(to_cell.links(int(f))[0])
-        if cell >= owned_cells:
-            continue
-        k = int(np.flatnonzero(to_facet.links(cell) == f)[0])
-        dofs = space.dofmap.cell_dofs(cell)[closure[k]]
-        rows.append(index_map.local_to_global(dofs.astype(np.int32)))
-
-    n_loc = len(closure[0])
-    facets = np.concatenate(comm.allgather(np.array(rows, dtype=np.int64).reshape(-1, n_loc)))
+    rows = index_map.local_to_global(dofs.ravel().astype(np.int32)).reshape(dofs.shape)
+    facets = np.concatenate(comm.allgather(rows.astype(np.int64)))
     if len(facets) == 0:
         raise MeshError(f'Surface "{surface}" of {mesh.label} has no facets on the boundary.')
 

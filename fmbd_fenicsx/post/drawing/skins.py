@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ... import dolfinx_compat as compat
+from ...fem.mesh.mesh import cells_of
 from ...rotations import Array
 
 
@@ -86,15 +87,8 @@ def _outer_facets(msh: Any) -> list[tuple[int, int]]:
 
     tdim = msh.topology.dim
     msh.topology.create_connectivity(tdim - 1, tdim)
-    msh.topology.create_connectivity(tdim, tdim - 1)
-    cell_of = msh.topology.connectivity(tdim - 1, tdim)
-    facets_of = msh.topology.connectivity(tdim, tdim - 1)
-
-    found = []
-    for facet in dm.exterior_facet_indices(msh.topology):
-        cell = int(cell_of.links(facet)[0])
-        found.append((cell, int(np.flatnonzero(facets_of.links(cell) == facet)[0])))
-    return found
+    cells, numbers = cells_of(msh.topology, dm.exterior_facet_indices(msh.topology))
+    return list(zip(cells.tolist(), numbers.tolist(), strict=True))
 
 
 def _facets_of_a_cell(msh: Any) -> int:
