@@ -307,6 +307,8 @@ def test_a_run_in_parts_is_told_by_one_in_parts() -> None:
     assert run.counters["halved_steps"]
     true = np.abs(run["x"] - exact).max()
     assert 0.5 * true < run.error_estimate["x"] < 3.0 * true
+    # no order is seen: what lasts less than a step is passed by in both
+    assert "one run with half of it tells the error" in run.certificate.uncertain["x"]
 
 
 def test_two_tolerances_that_share_a_size_of_steps_tell_no_error() -> None:

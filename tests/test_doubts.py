@@ -102,6 +102,32 @@ def test_joints_that_drift_apart_are_warned_of(form: Any) -> None:
     assert said == [True, False]
 
 
+@pytest.mark.parametrize("form", [fmbd.Index1(), fmbd.Index2()], ids=lambda form: form.name)
+@pytest.mark.parametrize("apart", [0.0, 1e-6])
+def test_drives_that_contradict_each_other_around_a_loop_are_warned_of(form: Any, apart: float) -> None:
+    """Both cranks of a parallelogram are driven, one further than the other: a form that holds no positions shares out the
+    difference, far below what drifts.
+    """
+    scene = fmbd.Scene("parallelogram", gravity=(0.0, -9.81))
+    first, rod, last = (
+        fmbd.RigidBody(name, 1.0, 0.1, position) for name, position in (("a", (0, 0.5)), ("b", (1, 1)), ("c", (2, 0.5)))
+    )
+    pins = [fmbd.revolute(f"pin {k}", fmbd.ground, x, center=(2 * k, 0)) for k, x in enumerate((first, last))]
+    scene.add(
+        first,
+        rod,
+        last,
+        *pins,
+        fmbd.revolute("near", first, rod, center=(0, 1)),
+        fmbd.revolute("far", rod, last, center=(2, 1)),
+    )
+    for k, pin in enumerate(pins):
+        scene.add(fmbd.drive(f"drive {k}", fmbd.angle(pin), lambda t, k=k: 0.5 * np.sin(t) + k * apart * t**3))
+    run = fmbd.solve(scene, t_end=1.0, dt=0.02, scheme=fmbd.BDF(2, form=form, rtol=None))
+    assert 1e-5 < run.drift[0] < 1e-3
+    assert any("contradict each other" in text for text in run.warnings) == (apart > 0.0)
+
+
 def test_impacts_of_three_steps_are_counted() -> None:
     mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.1), counts=(20, 1), origin=(0.01, 0.0))
     bar = fmbd.AbsoluteBody(

@@ -5,6 +5,7 @@
                                                                   R: energy of roundoff, as in the energy guard)
     |G v + g_t| u_i  >  0.02 max |v|,  > 100 eps L / h            largest velocity in an open joint                  (2)
     |g|  >  1e-3 L                                                under forms that hold no positions                 (3)
+    min_dq |g + G dq|  >  1e-8 L + 10 |g|^2 / L                   the same, beside dependent rows, at the end        (4)
     halvings  >=  10, or one in twenty steps
 
 Each is a warning: on standard error, and in the report under "look at this".
@@ -19,6 +20,7 @@ import numpy as np
 from ..linear.condensation import StepSolver
 from ..log import log
 from ..rotations import Array
+from ..schemes.consistent import MASS, worst_block
 from ..system.layout import State
 from ..system.mobility import tell_of_modes
 from ..system.scene.scene import Scene
@@ -29,6 +31,7 @@ from .recording.recorder import Recorder
 GROWTH = 0.02
 SLIP = 0.02
 APART = 1e-3  # of the model's length
+CONTRADICTS, CURVES = 1e-8, 10.0  # of the model's length; times the square of a gap over it
 PLACES = 100 * float(np.finfo(float).eps)  # of the model's length, roundoff of places in one step
 HALVINGS = 10
 SHARE = 0.05  # of the steps
@@ -37,9 +40,10 @@ CHATTER = 0.1  # of the impacts may be short: a body that comes to rest
 
 
 def warn_of_doubts(
-    scene: Scene, solver: StepSolver, recorder: Recorder, counters: Mapping[str, float], start: State
+    scene: Scene, solver: StepSolver, recorder: Recorder, counters: Mapping[str, float], ends: tuple[State, State]
 ) -> None:
-    """Say what is doubtful in a run; collective."""
+    """Say what is doubtful in a run between two states; collective."""
+    start, end = ends
     system = solver.system
     if recorder.energies and isolated(scene, system):
         _growth(system, recorder.energy, recorder.times, start)
@@ -47,6 +51,7 @@ def warn_of_doubts(
     _impacts(counters)
     _open_velocities(recorder, counters)
     _open_joints(recorder)
+    _contradictions(solver, recorder, end)
     _immovable(solver)
     tell_of_modes(system.at(start.t, start.q))
 
@@ -132,6 +137,27 @@ def _open_joints(recorder: Recorder) -> None:
         "joints are open by up to %.2g m, the model's length is %.3g m: this form of the constraints does not hold positions. "
         "Take a smaller dt, or a form that holds them, such as fmbd.GGL()",
         drift.gap, length,
+    )  # fmt: skip
+
+
+def _contradictions(solver: StepSolver, recorder: Recorder, end: State) -> None:
+    """(4): what no motion closes is no drift. Drives around a loop may ask for what bodies cannot reach."""
+    system, drift = solver.system, recorder.drift
+    holds = drift.closed is None or 0 in drift.closed.levels
+    if holds or not solver.core.redundant or not system.prescribes:
+        return
+    ev = system.at(end.t, end.q)
+    solver.prepare(ev, MASS)
+    gap = ev.constraint()
+    dq, _ = solver.solve(np.zeros(system.n_v), -gap)
+    left = system.row_units * (gap + ev.jacobian.times(dq))
+    length, open_by = system.length, float(np.abs(left).max())
+    if open_by <= CONTRADICTS * length + CURVES * drift.gap**2 / length:
+        return
+    log.warning(
+        "joints and drives contradict each other: at the end %s is open by %.2g m wherever the bodies go, and this form of the "
+        "constraints does not hold positions. Take a drive away, or let it ask for what the others allow",
+        worst_block(system, left), open_by,
     )  # fmt: skip
 
 

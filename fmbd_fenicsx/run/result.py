@@ -53,7 +53,8 @@ class Run(Uncopied):
         damped: sensor -> amplitude of vibrations that steps do not resolve and the scheme takes out, where that is more than
             runs with other steps tell.
         jumps: instants (s) within equal steps at which loads or drives jump, where errors are stated.
-        halved: whether errors of time of equal steps are told by a run with half of them.
+        halved: whether errors of time of equal steps are told by a run with half of them, ``alone`` where larger ones do not
+            make it whole, so that no order was seen.
         at_steps: times and series of sensors at ends of equal steps, where records are at given times and errors are stated.
     """
 
@@ -87,6 +88,7 @@ class Run(Uncopied):
     damped: dict[str, float] = field(default_factory=dict)
     jumps: tuple[float, ...] = ()
     halved: bool = False
+    alone: bool = False
     at_steps: tuple[Array, dict[str, Array]] | None = None
     not_unique: list[str] = field(default_factory=list)
     books: Books | None = None

@@ -144,7 +144,7 @@ def _finished(
 
     counters = _counters(marched, task.newton, solver)
     undetermined = not_unique(solver, marched.state)
-    warn_of_doubts(task.scene, solver, marched.recorder, counters, start.state)
+    warn_of_doubts(task.scene, solver, marched.recorder, counters, (start.state, marched.state))
     warn_of_late_samples(task.scene, task.schedule)
     if task.scene.breakpoints:
         warn_of_close_break_points(task.scene, task.schedule.t_end)

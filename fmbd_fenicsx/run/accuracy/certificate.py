@@ -168,6 +168,12 @@ def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:
     """Why the error of time of a sensor may be far from what is stated; empty where it is not."""
     order = expected_orders(run.scheme, run.scene, run.system)[stated.sensor]
     seen = run.observed_order.get(stated.sensor, np.nan)
+    if run.alone and (stated.time or 0.0) > TAKEN_OUT * stated.span:
+        return [
+            f'the error of time of "{stated.sensor}" is uncertain: with twice the step some steps fail, so that one run with '
+            "half of it tells the error, and no order is seen. Both may pass by what lasts less than a step. Take a smaller dt, "
+            "or a scheme that chooses its steps (rtol)"
+        ]
     if not irregular((order, run.scheme.order), seen, (stated.time or 0.0) / stated.span):
         return []
     return [

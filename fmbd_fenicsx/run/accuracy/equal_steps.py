@@ -105,7 +105,7 @@ def _by_smaller_steps(
         finer = again(problem, schedule, 2 * schedule.steps, given.recorder.output.times, whole=False)
     except UNFIT:
         return compare_steps(expected, given, coarser) if coarser else None
-    return by_half(expected, given, finer, coarser=coarser, larger=larger)
+    return replace(by_half(expected, given, finer, coarser=coarser, larger=larger), unseen=not coarser)
 
 
 def by_half(

@@ -239,7 +239,7 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
             found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
         errors, run.damped = with_damped(found.errors, damped_vibrations(problem, made.schedule))
         run.deviations["time"] = errors
-        run.observed_order, run.halved, made = found.orders, found.halved, found.with_others
+        run.observed_order, run.halved, run.alone, made = found.orders, found.halved, found.unseen, found.with_others
         run.seconds["error estimate"] = clock.perf_counter() - ended
 
     if output.estimate_reduction:
