@@ -15,6 +15,7 @@ import numpy as np
 
 from .. import dolfinx_compat as compat
 from ..rotations import Array
+from .factors.factor import by_mumps
 
 
 class _SchurComplement:
@@ -47,12 +48,12 @@ def infsup_pressure(mesh: Any, degree: int, pressure: int | None = None, *, clam
     A, M, B = _matrices(mesh, degree, degree - 1 if pressure is None else pressure, clamped)
     ksp = PETSc.KSP().create(A.comm)
     ksp.setOperators(A)
-    _solve_directly(ksp)
+    by_mumps(ksp, "lu")
     shell = PETSc.Mat().createPython(M.getSizes(), _SchurComplement(B, ksp), comm=A.comm)
     shell.setUp()
 
     eps = SLEPc.EPS().create(A.comm)
-    _solve_directly(eps.getST().getKSP())
+    by_mumps(eps.getST().getKSP(), "lu")
     eps.setOperators(shell, M)
     eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     eps.setWhichEigenpairs(SLEPc.EPS.Which.SMALLEST_REAL)
@@ -92,10 +93,3 @@ def _matrices(mesh: Any, degree: int, pressure: int, clamped: tuple[str, ...]) -
     for matrix in (A, M, B):
         matrix.assemble()
     return A, M, B
-
-
-def _solve_directly(ksp: Any) -> None:
-    """By a factor of MUMPS."""
-    ksp.setType("preonly")
-    ksp.getPC().setType("lu")
-    ksp.getPC().setFactorSolverType("mumps")

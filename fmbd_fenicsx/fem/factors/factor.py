@@ -195,6 +195,13 @@ class PetscFactor:
             obj.destroy()
 
 
+def by_mumps(ksp: Any, kind: str = "cholesky") -> None:
+    """Let a solver of PETSc be a factor of MUMPS: "cholesky", or "lu" of what is not symmetric or not definite."""
+    ksp.setType("preonly")
+    ksp.getPC().setType(kind)
+    ksp.getPC().setFactorSolverType("mumps")
+
+
 def factored(E: Any, definite: bool) -> Any:
     """A PETSc solver with the factor of E: Cholesky where it is definite, LDL^T by MUMPS otherwise."""
     from petsc4py import PETSc

@@ -30,6 +30,7 @@ from ... import dolfinx_compat as compat
 from ...checks import shown, typed
 from ...errors import InputError
 from ...rotations import Array
+from ..factors.factor import by_mumps
 from ..mesh.mesh import Mesh
 from .mortar import mortar, refined_coupling
 from .multipliers import Multipliers, MultiplierSpace, default_space
@@ -145,9 +146,7 @@ class BodyNorm:
 
         self.ksp = PETSc.KSP().create(self.comm)
         self.ksp.setOperators(self.A)
-        self.ksp.setType("preonly")
-        self.ksp.getPC().setType("cholesky")
-        self.ksp.getPC().setFactorSolverType("mumps")
+        by_mumps(self.ksp)
 
     def product(self, B: sp.csr_matrix) -> Array:
         """B A^-1 B^T for this rank's columns B (n, n_owned), dense (n, n); collective."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...checks import check_fields, number, whole
+from ...fem.factors.factor import by_mumps
 from ...fem.fields import Field
 from ..saddle.elastic import Elastic
 from .iterative import ConjugateGradients
@@ -18,9 +19,7 @@ class Cholesky:
 
     def set_up(self, ksp: Any, block: Elastic | None = None) -> None:
         """Options of one block's KSP."""
-        ksp.setType("preonly")
-        ksp.getPC().setType("cholesky")
-        ksp.getPC().setFactorSolverType("mumps")
+        by_mumps(ksp)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ...fem.factors.factor import by_mumps
 from ...rotations import Array, rotate_nodal
 from ...system.evaluation import Evaluation
 from ..residual import Judge
@@ -45,9 +46,7 @@ class VolumeMass(FieldFactor):
 
         self.ksp = PETSc.KSP().create(field.comm)
         self.ksp.setOperators(self.E)
-        self.ksp.setType("preonly")
-        self.ksp.getPC().setType("cholesky")
-        self.ksp.getPC().setFactorSolverType("mumps")
+        by_mumps(self.ksp)
         self.ksp.setUp()
 
         self.x, self.b = self.E.createVecs()

@@ -17,6 +17,7 @@ import numpy as np
 
 from ...checks import check_fields, instance
 from ...errors import LinearSolveError, near, require
+from ...fem.factors.factor import by_mumps
 from ...fem.fields import Field
 from ...rotations import Array
 from ...system.system import System
@@ -56,9 +57,7 @@ class Direct(Preset):
         ksp = PETSc.KSP().create(saddle.comm)
         ksp.setOptionsPrefix(prefix)
         ksp.setOperators(A)
-        ksp.setType("preonly")
-        ksp.getPC().setType("cholesky")
-        ksp.getPC().setFactorSolverType("mumps")
+        by_mumps(ksp)
         ksp.getPC().setFactorSetUpSolverType()
         ksp.getPC().getFactorMatrix().setMumpsIcntl(14, 150)  # % of memory beyond the estimate: pivoting needs it
         return _Krylov(saddle, ksp, prefix, [A], Judge("the saddle point", 1e-9))

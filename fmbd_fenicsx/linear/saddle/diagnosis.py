@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ...fem.factors.factor import by_mumps
 from ...rotations import Array
 from ..rigid_modes import rigid_modes
 from .saddle import SaddlePoint
@@ -92,9 +93,7 @@ def _inverse_iteration(matrix: Any, comm: Any) -> tuple[Any, float]:
     shifted.shift(SHIFT)
     ksp = PETSc.KSP().create(comm)
     ksp.setOperators(shifted)
-    ksp.setType("preonly")
-    ksp.getPC().setType("lu")
-    ksp.getPC().setFactorSolverType("mumps")
+    by_mumps(ksp, "lu")
 
     x, y = matrix.createVecs()
     x.array[:] = np.random.default_rng(3 + comm.rank).standard_normal(x.getLocalSize())

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ....fem.factors.factor import by_mumps
 from ....mechanics.elastic.absolute import AbsoluteField
 from ....rotations import Array, rotate_nodal
 from ....system.evaluation import Evaluation
@@ -51,9 +52,7 @@ class _Body:
 
         self.ksp = PETSc.KSP().create(field.comm)
         self.ksp.setOperators(self.J)
-        self.ksp.setType("preonly")
-        self.ksp.getPC().setType("lu")
-        self.ksp.getPC().setFactorSolverType("mumps")
+        by_mumps(self.ksp, "lu")
 
         self.x, self.b = self.J.createVecs()
         self.taken: Taken | None = None  # where J_f was
