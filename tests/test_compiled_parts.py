@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from own_bodies import Carrier, SlidingMass, carrier, line_and_bob
+from profiled import calls_of
 from test_driver import compiled
 from test_line_body import line
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.schemes.marching import MarchingStepper
+from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.march import March
 from fmbd_fenicsx.system.compiled.tables.bodies.told import can_be_told
 from fmbd_fenicsx.system.compiled.tables.resting import RestingPart
@@ -91,6 +93,18 @@ def test_a_line_that_large_steps_press_stays_in_compiled_steps() -> None:
     fast, slow = runs
     assert fast.counters["compiled_steps"] == fast.counters["steps"] == 12
     np.testing.assert_allclose(fast["tip"], slow["tip"], rtol=0, atol=1e-5 * np.ptp(slow["tip"]))
+
+
+@compiled
+def test_forces_of_a_line_are_asked_for_by_few_calls() -> None:
+    """By none where nothing has moved since."""
+    system, _, _ = line_and_bob().build()
+    use_driver(system)
+    (line,) = system.evaluator.tables.told
+    line.forces(0.0)
+    assert calls_of(lambda: line.forces(0.0)) <= 1
+    line.motion.state += 1.0
+    assert calls_of(lambda: line.forces(0.0)) <= 9
 
 
 @compiled

@@ -270,7 +270,7 @@ class LinePart(Part):
         alpha = self.body.mass_damping
         rows = self.M @ (a + alpha * v if alpha else a) - motion.gravity @ self._weight
         self._add_force(rows)
-        return np.zeros_like(motion.twist), rows
+        return np.zeros(len(motion.twist)), rows  # which enters no Python
 
     def given(self, motion: FrameMotion, local: tuple[Array, Array]) -> dict[str, float] | None:
         """Power (W) of damping."""

@@ -230,12 +230,10 @@ class StepEquations(Equations):
         if not self.tied:
             return held
         n, s = self.system.n_v, pencil.s[0].real
-        low = np.zeros((len(v), 1, n + self.n_mult))
-        low[:, 0, n + self.n_mult - len(ties) :] = -(ties.stiffness / s + ties.damping) * self.tangents.of_ties(
-            pencil.t, v
-        )
-        for one, part in zip(held, low, strict=True):
-            one[:] = pencil.solve(np.zeros((1, n)), part)[0][0, n:]
+        low, opened = np.zeros((1, n + self.n_mult)), self.tangents.of_ties(pencil.t, v)
+        for i, rate in enumerate(opened):
+            low[0, -len(ties) :] = -(ties.stiffness / s + ties.damping) * rate
+            held[i] = pencil.solve(np.zeros((1, n)), low)[0][0, n:]
         return held
 
     def _closed_start(self, state: State) -> Start:

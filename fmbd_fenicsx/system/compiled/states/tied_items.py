@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,8 +35,8 @@ class TiedItems:
             }
             found += [of_spring[int(i)] for i in which]
         for batch, item in found:
-            frames = tables.sources[batch].frames[item]
-            self._bodies.append([b for b in dict.fromkeys(tables.body_of(frames).tolist()) if b >= 0])
+            both: Any = tables.body_of(tables.sources[batch].frames[item])
+            self._bodies.append([b for b in dict.fromkeys(both.tolist()) if b >= 0])
 
         own = [np.concatenate([couplings.of_body[b] for b in bodies]) for bodies in self._bodies]
         none, lengths = np.zeros(0, int), [len(x) for x in own]

@@ -56,19 +56,20 @@ class ToldPart:
         made = tables.store.zeros({"rows": self.width, "block": (self.width, self.width)})
         self.rows, self.block = (x for x, _ in made.values())
         self.addresses = {name: address for name, (_, address) in made.items()}
-        self._last: tuple[Array, Array] | None = None  # motion and rows of forces, of a part that knows no time
+        self._of_time = self.part.of_time
+        self._last: tuple[bytes, Array] | None = None  # motion and rows of forces, of a part that knows no time
 
     def forces(self, t: float) -> None:
         """Rows of the frame and of the coordinates."""
-        last = self._last
-        if last is not None and np.array_equal(last[0], self.motion.state):
+        last, known = self._last, self.motion.state.tobytes()
+        if last is not None and last[0] == known:
             self.rows[:] = last[1]
             return
 
         motion, _, local = self.motion.at(t)
         self.rows[: self.tables.twist], self.rows[self.tables.twist :] = self.part.force(motion, local)
-        if not self.part.of_time:
-            self._last = self.motion.state.copy(), self.rows.copy()
+        if not self._of_time:
+            self._last = known, self.rows.copy()
 
     def energies(self, t: float) -> None:
         """Kinetic, elastic and weight energy."""
