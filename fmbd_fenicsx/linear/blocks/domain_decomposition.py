@@ -11,8 +11,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from ...fem.fields import Field
-from ...rotations import Array
-from ..rigid_modes import rigid_modes
+from ..rigid_modes import attach_modes, rigid_modes
 
 
 def unassembled(body: Field, cm: float, ck: float) -> Any:
@@ -52,21 +51,7 @@ def unassembled(body: Field, cm: float, ck: float) -> Any:
     A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
     # rigid motions, which the coarse problem has to hold
-    modes = []
-    for column in _orthonormal(body).T:
-        v = A.createVecRight()
-        v.array[:] = column
-        modes.append(v)
-    near = PETSc.NullSpace().create(vectors=modes, comm=body.comm)
-    A.setNearNullSpace(near)
-
-    for obj in (*modes, near, own, sets, lgmap, whole):
+    attach_modes(A, rigid_modes(body))
+    for obj in (own, sets, lgmap, whole):
         obj.destroy()
     return A
-
-
-def _orthonormal(body: Field) -> Array:
-    """Rigid modes with orthonormal columns over all ranks."""
-    R = rigid_modes(body)
-    factor = np.linalg.cholesky(body.total(R.T @ R))
-    return np.asarray(np.linalg.solve(factor, R.T).T)
