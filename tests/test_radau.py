@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 from dae_problems import march, observed, pendulum, pendulum_at, pendulum_errors, spinning_top, state_errors
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
 from fmbd_fenicsx.linear.implicit.pencil import _balance
+from fmbd_fenicsx.run import solve as solving
+from fmbd_fenicsx.run.schedule import step_schedule
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.schemes.onestep.collocation import tableau
 from fmbd_fenicsx.schemes.rigid_motions import RigidMotions
@@ -214,6 +217,25 @@ def test_break_points_and_the_end_are_hit_exactly() -> None:
     assert run["x"][-1, 0] == pytest.approx(1.0 + 0.5 * 0.7**2, abs=1e-9)
     blind = fmbd.solve(scene(()), t_end=1.0, scheme=fmbd.Radau(rtol=1e-8))
     assert blind.counters["rejections"] > run.counters["rejections"]
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [fmbd.Radau(2, rtol=1e-6), fmbd.BDF(rtol=1e-5), fmbd.HalfExplicit(rtol=1e-6)],
+    ids=lambda s: s.name,
+)
+def test_neither_ends_on_the_way_nor_a_largest_step_change_what_errors_are_measured_by(
+    scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From rest velocities count by those that are reached before something may break: a mark at 0.05 s made 312 steps of 236."""
+
+    def steps(dt: float | None = None, marks: tuple[float, ...] = ()) -> float:
+        marked = lambda *given: replace(step_schedule(*given), marks=marks)  # noqa: E731
+        monkeypatch.setattr(solving, "step_schedule", lambda *given, multiple: marked(*given))
+        return fmbd.solve(chain(2, "chain")[0], t_end=1.0, dt=dt, scheme=scheme).counters["steps"]
+
+    alone = steps()
+    assert abs(steps(dt=0.05) - alone) <= 2 and abs(steps(marks=(0.05,)) - alone) <= 2
 
 
 def test_a_jump_that_cannot_be_passed_is_reported_with_its_history() -> None:

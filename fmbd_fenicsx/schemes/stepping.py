@@ -127,6 +127,12 @@ class TimeStepper(Remembering):
         """When the next step has to have ended, s."""
         return self.ends[0]
 
+    def to_come(self, limit: float) -> float:
+        """How long steps under error control, the first of at most ``limit``, go on before something may break, s: velocities
+        that are reached by then measure errors, whatever instants are hit on the way and however long a step may be.
+        """
+        return max(limit, self.ends[-1] - self.state.t)
+
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """Up to so many steps in one call; how many were made. None here: they are made one by one."""
         return 0

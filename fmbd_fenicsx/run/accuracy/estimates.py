@@ -5,12 +5,13 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...log import log
 from ...notices import Gathered
+from ...schemes.declared import Declared
 from ...schemes.error_norm import FINEST
 from ...system.scene.scene import Scene
 from ..built import Built
@@ -39,6 +40,8 @@ STEEPEST = 0.9  # power of a scheme's tolerance that its errors follow at most, 
 LOOKED_AT = 100  # instants at which runs of a search with steps of their own choice are compared: narrow peaks lie between fewer
 CERTIFIED_AT = 200  # the same for a certificate: peaks of accelerations and reactions are narrow
 TENTH = 0.1  # of a tolerance
+# the same of smooth motion, where a run lands at every second end of another one with MANY steps or more, three for two of these
+THIRD, MANY = 1 / 3, 24
 # power of tolerances that errors are thought to fall with at most, and the most that a finer run is thought to have left of one
 FALLS, LEFT = 0.7, 0.6
 TELLING = 2.0  # ratio by which errors fall, by the steps that were taken, from which on runs are compared
@@ -50,7 +53,7 @@ SATURATION = 1.5  # the error of the finer basis counts as at most a third of th
 
 
 def tolerance_error(
-    problem: Problem, coarse: Recorder, schedule: StepSchedule, *, instants: int = CERTIFIED_AT
+    problem: Problem, coarse: Recorder, schedule: StepSchedule, *, instants: int = CERTIFIED_AT, smooth: bool = False
 ) -> dict[str, Deviation]:
     """Error of each sensor by the tolerance of an error-controlled scheme, both runs at the recorded times; collective.
 
@@ -61,21 +64,29 @@ def tolerance_error(
     with f = 1/10, n_r, n_s the steps that the runs took and p the order of the scheme in the sensor: multipliers, and
     all where memories go by the trapezoidal rule, have lower ones than the steps are chosen by. k counts as f^0.7 at least:
     errors like r^(2/3) fall to 0.22 of their size with f = 1/10. Where steps come in a few sizes only, two tolerances may share
-    one, and agree: s falls on then.
+    one, and agree: s falls on then. Of ``smooth`` motion f = 1/3 is enough for many steps, of which the second run lands at every
+    second end, so that n_s / n_r is 3/2 at least; what kinks leave is chance, and comes near in both runs.
     """
     given, rtol = Compared(coarse, schedule, problem.scheme), problem.scheme.rtol
+    few = smooth and _lands_at(problem, coarse) and coarse.indices[-1] >= MANY
+    share, every = (THIRD, 2) if few else (TENTH, 1)
     orders = expected_orders(problem.scheme, problem.scene, problem.system)
     for _ in range(DECADES):
-        rtol = max(TENTH * rtol, FINEST)
+        rtol = max(share * rtol, FINEST)
         try:
-            apart, finer = _from_tolerance(problem, given, rtol, instants)
+            apart, finer = _from_tolerance(problem, given, rtol, instants, every)
         except UNFIT as error:
             log.warning("no error estimate: the run with a smaller tolerance did not end: %s", error)
             return {}
         if grown(given, finer) ** max(orders.values(), default=1) >= TELLING or rtol == FINEST:
             break
-    left = {n: min(max(grown(given, finer) ** -p, TENTH**FALLS), LEFT) for n, p in orders.items()}
+    left = {n: min(max(grown(given, finer) ** -p, share**FALLS), LEFT) for n, p in orders.items()}
     return {n: scaled(x, 1.0 / (1.0 - left[n])) for n, x in apart.items()}
+
+
+def _lands_at(problem: Problem, made: Recorder) -> bool:
+    """Whether runs with smaller steps have to end some where a run was recorded."""
+    return problem.said.ends_ahead and made.output.times is None
 
 
 def grown(given: Compared, finer: Compared) -> float:
@@ -123,15 +134,22 @@ def looked_at(made: Recorder, most: int = LOOKED_AT) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
-def usual_power(order: int) -> float:
-    """The power of a scheme's tolerance that its errors go with, as long as none was seen: steps with its root of the order
-    plus one.
+def _landings(made: Recorder, most: int, every: int) -> np.ndarray:
+    """The same, evenly, at which steps of another run end: so many steps are between them at least."""
+    count = len(made.times) - 1
+    stride = max(-(-count // most), -(-every // max(made.output.every, 1)))
+    return np.unique(np.append(np.arange(0, count, stride), count))
+
+
+def usual_power(scheme: Any) -> float:
+    """The power of a scheme's tolerance that its errors go with, as long as none was seen: steps with its root of the order plus
+    one; those of schemes whose ends are ahead with a higher root than their error does.
     """
-    return min(order / (order + 1.0), STEEPEST)
+    return 1.0 if Declared.by(scheme).ends_ahead else min(scheme.order / (scheme.order + 1.0), STEEPEST)
 
 
 def _from_tolerance(
-    problem: Problem, given: Compared, rtol: float, most: int = LOOKED_AT
+    problem: Problem, given: Compared, rtol: float, most: int = LOOKED_AT, every: int = 1
 ) -> tuple[dict[str, Deviation], Compared]:
     """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective.
 
@@ -140,17 +158,17 @@ def _from_tolerance(
     """
     recorder, schedule = given.recorder, given.schedule
     other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
-    rows = looked_at(recorder, most)
+    lands = finer and _lands_at(problem, recorder)
+    rows = _landings(recorder, most, every) if lands else looked_at(recorder, most)
     instants = tuple(recorder.times[rows])
     wanted = Output(energy=False, progress=False, times=instants)
     landing, mean = schedule, schedule.span / max(int(recorder.indices[-1]), 1)
     if finer and seen_by_ends(problem.system):
         landing = landing.below(SHORT * mean)
-    if finer and problem.said.ends_ahead:
-        ends = recorder.output.times is None
-        landing = (
-            replace(landing, marks=tuple(sorted({*schedule.marks, *instants}))) if ends else landing.below(HALF * mean)
-        )
+    if lands:
+        landing = replace(landing, marks=tuple(sorted({*schedule.marks, *instants})))
+    elif finer and problem.said.ends_ahead:
+        landing = landing.below(HALF * mean)
     made = Compared(companion(other, landing, wanted).recorder, schedule, other.scheme)
     apart = {n: Deviation(made.recorder.times, x - recorder.series[n][rows]) for n, x in made.recorder.series.items()}
     return apart, made

@@ -143,7 +143,7 @@ class ImplicitStepper(ImplicitMarch):
 
     def _first_size(self, order: float, limit: float) -> float:
         """The size (s) that a run under error control begins with, of a method of this order; collective."""
-        self.norm.update(self.state, limit)
+        self.norm.update(self.state, self.to_come(limit))
         found = first_step(self.norm, self.state, order, limit)
         way = FIRST_WAY * self.norm.rtol ** (1.0 / order) * self.system.length
         return time_for_way(self.system, self.state, found, way)

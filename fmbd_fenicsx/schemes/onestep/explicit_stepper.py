@@ -107,7 +107,7 @@ class ExplicitStepper(OwnMarch):
         """One accepted step: of size h, or with error control of at most h (s); collective."""
         if self.adaptive and self.proposed is None:
             self.control.span = max(self.control.span, h)
-            self.norm.update(self.state, h)
+            self.norm.update(self.state, self.to_come(h))
             self.proposed = first_step(self.norm, self.state, self.control.order, h)
         self._free(h)
         self.limit.count(1)

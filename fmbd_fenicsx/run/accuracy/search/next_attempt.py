@@ -377,7 +377,7 @@ def _factor(
 
     # errors of controlled runs follow the tolerance with a slope of their own
     same = [a for a in history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
-    slope = usual_power(run.scheme.order)
+    slope = usual_power(run.scheme)
     if same and same[-1].worst > now:
         slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
     return float(np.clip(0.7 * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))

@@ -53,7 +53,7 @@ MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
 # times the room up to which an error that is told by chance is asked again, as it may be a tenth; and ratio of two such
 DOUBTED = 3.0
 BY_CHANCE = 0.2  # what an order is beyond that of the scheme where kinks may have made it
-PAYS = 1.5  # ratio of steps from which on spaces are compared by looser runs, whose own errors are told with theirs
+PAYS = 1.5  # ratio of steps, as the order of the scheme has it, from which on a looser run is made
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,10 @@ class Allowed:
     def lets(self, errors: dict[str, Deviation]) -> bool:
         """Whether errors of time have that room."""
         return self.share(errors) <= self.room
+
+    def nearly_lets(self, errors: dict[str, Deviation]) -> bool:
+        """Whether errors of a run that may be the last one have about that room, or none where they are not what they seem."""
+        return self.last and bool(errors) and self.share(errors) <= DOUBTED * self.room
 
 
 class SharedRuns:
@@ -198,11 +202,10 @@ class SharedRuns:
         not show, because they do not end.
         """
         found = self._compared(solved, known, allowed)
-        kinks = kinked(solved.run) or self._meet_kinks(solved, found, allowed.sensors)
-        by_chance = kinks or found.unseen or not found.by_chance.isdisjoint(allowed.sensors)
-        doubted = by_chance and allowed.last and not found.halved and found.errors
-        if doubted and allowed.share(found.errors) <= DOUBTED * allowed.room:
-            found = self._by_half(solved, found)
+        if not found.halved and allowed.nearly_lets(found.errors):
+            seen_by_chance = found.unseen or not found.by_chance.isdisjoint(allowed.sensors)
+            if seen_by_chance or self._meet_kinks(solved, found, allowed.sensors):
+                found = self._by_half(solved, found)
         if not found.errors:
             self._untold.add(solved.compared.schedule.steps)
         if allowed.last:
@@ -210,10 +213,12 @@ class SharedRuns:
         return found
 
     def _meet_kinks(self, solved: Solved, found: TimeError, sensors: Sequence[str]) -> bool:
-        """Whether records of runs with so many steps, or more, but fewer than a given one have kinks: what is short beside the
-        steps of a run that tells its error, as a stiff contact, may be smooth in smaller ones. Where the order is beyond that of
+        """Whether records of a run have kinks, or those of runs with fewer steps down to the one that tells its error: what is
+        short beside the steps of that one, as a stiff contact, may be smooth in smaller ones. Where the order is beyond that of
         the scheme, the run beside that one, with which it was seen, counts too.
         """
+        if kinked(solved.run):
+            return True
         scene, scheme = solved.problem.scene, solved.compared.scheme
         made, orders, fewest = self._runs[id(scene)], _expected(solved.problem), found.told_by
         if any(found.orders.get(n, 0.0) > orders[n] + BY_CHANCE for n in sensors):
@@ -283,6 +288,8 @@ class SharedRuns:
         )
         far_off = ratio > MORE_THAN_TWICE and another
         if near_by or far_off:
+            if allowed.nearly_lets(found.errors) and kinked(solved.run):
+                return replace(found, unseen=True)  # half the step tells it then
             # irregular motion is not judged by steps of nearly the same size, nor by some that follow another one
             half = steps // 2
             farther = max((n for n in have if n <= half / NEAREST), default=max(half // 2, 1))
@@ -371,37 +378,41 @@ class SharedRuns:
     def tolerance_error(self, solved: Solved, allowed: Allowed) -> TimeError:
         """The error by the tolerance of a scheme with error control; collective.
 
-        A run with a tenth of it tells it, but where the attempt before shows that it is far too large. What a run has beyond a
-        looser one is mostly the error of that one: its own may be a tenth of what is thought, or six times as much where both
-        begin with the same few steps. One with ten times the tolerance is made where spaces are to be compared as well, which
-        costs less with its steps, where these are clearly fewer by the order of the scheme.
+        A run with a smaller one tells it, but where a looser run shows that it is far too large. What a run has beyond a looser
+        one is mostly the error of that one: its own may be a tenth of what is thought, or six times as much where both begin with
+        the same few steps.
         """
         problem, given = solved.problem, solved.compared
-        follows, order = given, problem.scheme.order
-        before = self._before(problem.scene, problem.scheme, given.schedule)
+        looser, likely = self._looser(solved, allowed), dict[str, Deviation]()
         self._chosen[id(problem.scene)] = given
-        looser: tuple[dict[str, Deviation], Compared] | None = None
-        if before is not None:
-            looser = beyond(given.recorder, before), before
-        elif problem.scheme.rtol <= LOOSE and not allowed.rough and 10.0 ** (1.0 / (order + 1.0)) >= PAYS:
-            try:
-                looser = looser_run(problem, given)
-            except UNFIT:
-                pass
-
-        grew = 0.0 if looser is None else grown(looser[1], given)
-        seen = {n: grew**p for n, p in _expected(problem).items()}
-        likely: dict[str, Deviation] = {}
-        if looser is not None and min(seen[n] for n in allowed.sensors) >= TELLING:
+        if looser is not None:
             apart, loose = looser
-            falls = (loose.scheme.rtol / problem.scheme.rtol) ** usual_power(order)
-            likely = of_tolerances(apart, falls, seen)
-            follows = loose if grew >= PAYS else given
-            if allowed.share(likely) > DOUBTED * allowed.room:
-                return TimeError(likely, {}, follows)
+            falls = (loose.scheme.rtol / problem.scheme.rtol) ** usual_power(problem.scheme)
+            seen = {n: grown(loose, given) ** p for n, p in _expected(problem).items()}
+            likely = of_tolerances(apart, falls, seen) if min(seen[n] for n in allowed.sensors) >= TELLING else {}
+            if likely and allowed.share(likely) > DOUBTED * allowed.room:
+                return TimeError(likely, {}, given)
 
-        errors = tolerance_error(problem, given.recorder, given.schedule, instants=LOOKED_AT)
-        return TimeError({n: at_least(x, likely.get(n, x), FURTHER) for n, x in errors.items()}, {}, follows)
+        smooth = not solved.run.counters.get("rejected: error estimate")
+        errors = tolerance_error(problem, given.recorder, given.schedule, instants=LOOKED_AT, smooth=smooth)
+        return TimeError({n: at_least(x, likely.get(n, x), FURTHER) for n, x in errors.items()}, {}, given)
+
+    def _looser(self, solved: Solved, allowed: Allowed) -> tuple[dict[str, Deviation], Compared] | None:
+        """What a run has beyond one with a larger tolerance, and that one: the attempt before, or one with ten times its own,
+        where these are clearly fewer steps and a first attempt with errors of the usual size would not do; else None.
+        """
+        problem, given = solved.problem, solved.compared
+        scene, scheme = problem.scene, problem.scheme
+        before = self._before(scene, scheme, given.schedule)
+        if before is not None:
+            return beyond(given.recorder, before), before
+        fewer = scheme.rtol <= LOOSE and 10.0 ** (usual_power(scheme) / scheme.order) >= PAYS
+        if id(scene) in self._chosen or not fewer or allowed.lets(_usual(given, allowed.sensors)):
+            return None
+        try:
+            return looser_run(problem, given)
+        except UNFIT:
+            return None
 
     def _before(self, scene: Scene, scheme: Any, schedule: StepSchedule) -> Compared | None:
         """The attempt before with steps of its own choice, where its tolerance is as much looser as tells an error."""
@@ -409,6 +420,12 @@ class SharedRuns:
         if found is None or not LOOSER[0] <= found.scheme.rtol / scheme.rtol <= LOOSER[1]:
             return None
         return found
+
+
+def _usual(made: Compared, sensors: Sequence[str]) -> dict[str, Deviation]:
+    """Errors of about the size that a scheme's tolerance has as a share of the range of sensors."""
+    times, series, rtol = made.recorder.times, made.recorder.series, made.scheme.rtol
+    return {n: Deviation(times[:1], rtol * np.ptp(series[n], axis=0)[None]) for n in sensors}
 
 
 def _expected(problem: Problem) -> dict[str, int]:
