@@ -17,7 +17,7 @@ from ...checks import function as checked_function
 from ...errors import ROUNDINGS, CallbackError, FmbdError, named
 from ...rotations import Array
 from ..frames import Kinematics
-from ..kinds.time_derivatives import CountingSteps, rates
+from ..kinds.time_derivatives import CountingSteps, Rates, TimeFormula, rates
 from .constraints import Batch, Motion, Sides
 from .relative import RelativeCoordinates
 
@@ -27,7 +27,8 @@ class SmoothMotion:
     """A prescribed motion t -> (s, s', s'') by a function of the user's own. ``of``: what is moved, in messages.
 
     ``function`` gives these three where ``complete``, else s alone; the derivatives are then computed
-    (:mod:`..kinds.time_derivatives`), to roundoff where the function is made of NumPy's functions. ``positive``: s is a length.
+    (:mod:`..kinds.time_derivatives`), to roundoff where the function is made of NumPy's functions, in one call where it writes
+    a ``formula``. ``positive``: s is a length.
     """
 
     name: str
@@ -36,11 +37,15 @@ class SmoothMotion:
     complete: bool
     differenced: Callable[[Any], Any]  # the function up to its very end
     positive: bool = False
+    formula: Callable[[float, float], Rates | None] | None = None  # s' and s'' at t where s is a place
     steps: CountingSteps = field(default_factory=CountingSteps)  # of differences
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""
-        value = self.function(t) if self.complete else (self.place(t), *self.rates(t))
+        if not self.complete:
+            place = self.place(t)
+            return place, *self.rates(t, place)
+        value = self.function(t)
         if isinstance(value, tuple) and len(value) == 3 and self._usable(*value):
             return value
         s = self._checked(value, t)
@@ -51,10 +56,15 @@ class SmoothMotion:
         """s and s' at a time."""
         if self.complete:
             return self(t)[:2]
-        return self.place(t), self.rates(t)[0]
+        place = self.place(t)
+        return place, self.rates(t, place)[0]
 
-    def rates(self, t: float) -> tuple[float, float]:
-        """s' and s'' of a function that gives s alone; a few roundings behind its end those at its end."""
+    def rates(self, t: float, place: float | None = None) -> tuple[float, float]:
+        """s' and s'' of a function that gives s alone, at t the ``place``; a few roundings behind its end those at its end."""
+        if self.formula is not None:
+            told = self.formula(t, self.place(t) if place is None else place)
+            if told is not None:
+                return told
         inside = t * (1.0 - ROUNDINGS)
         try:
             found = rates(self.differenced, t, kept=self.steps)
@@ -135,10 +145,14 @@ def smooth_motion(
     """
     checked_function(f'{of.capitalize()} "{name}": motion', function, "t", named="t")
     function = _with_its_derivatives(function)
-    asked = named(f"The motion of {of}", name, function, to_end=True)
-    differenced = named(f"The motion of {of}", name, function)
+    what = f"The motion of {of}"
+    asked = named(what, name, function, to_end=True)
+    differenced = named(what, name, function)
     first = SmoothMotion(name, asked, of, False, differenced, positive)._checked(asked(0.0), 0.0)
-    return SmoothMotion(name, asked, of, len(first) == 3, differenced, positive)
+    complete = len(first) == 3
+    written = None if complete else TimeFormula.of(function)
+    formula = None if written is None else named(what, name, written.rates, time=0)
+    return SmoothMotion(name, asked, of, complete, differenced, positive, formula)
 
 
 class CouplingBatch(Batch):

@@ -1,8 +1,9 @@
 """First and second derivatives of a user's function of time, whatever its time scale.
 
 A function made of arithmetic, comparisons and NumPy's functions is called with a :class:`.Jet`, a time that carries its
-derivatives through every operation: exact to roundoff. Any other function (of ``math``, an interpolation, a table) is
-differenced about t with steps of 2^-39 to 2^18 s, eight times as long from one to the next,
+derivatives through every operation: exact to roundoff. One that writes a single formula is called with a symbol, once, and its
+derivatives are formulas as well, one call of Python each time (:class:`TimeFormula`). Any other function (of ``math``, an
+interpolation, a table) is differenced about t with steps of 2^-39 to 2^18 s, eight times as long from one to the next,
 
     h^m d^m s / dt^m ~ sum_k w_k (s(t + k h) - s(t)),     sum_k w_k k^j = m! for j = m, else 0,   j = 1 ... 6,            (1)
 
@@ -25,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FmbdError
+from .expressions import Program, as_expression, gradient, passing, symbol
 from .jets import Jet, jet
 
 EPS = float(np.finfo(float).eps)
@@ -35,6 +37,7 @@ SMOOTH = 1e-3  # of its change over a step: what a polynomial may leave of it
 PLACES = (0.13, 0.41, 0.77)  # in an interval, where steps are looked for
 MOST = 1000  # intervals whose steps are kept
 REFUSED = (TypeError, ValueError, OverflowError, AttributeError)  # of functions that take plain numbers only
+SAME = 1e-9  # of a value: what a formula may miss of what the function says
 OUTSIDE = (*REFUSED, ArithmeticError, FmbdError)  # of functions of a part of the time only
 
 Rates = tuple[float, float]
@@ -55,6 +58,34 @@ def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: Co
     if not (math.isfinite(found.first) and math.isfinite(found.second)):
         return _differenced(function, t, scale, kept)
     return found.first, found.second
+
+
+class TimeFormula:
+    """What a function t -> s wrote when it was called with a symbol, with its derivatives: s, s', s''."""
+
+    def __init__(self, s: Program) -> None:
+        self.s = s
+
+    @classmethod
+    def of(cls, function: Callable[[Any], Any]) -> TimeFormula | None:
+        """None of a function with cases, tables, or another library's functions."""
+        with passing():
+            try:
+                t = symbol("t")
+                (s,) = np.ravel(function(t))
+                first = gradient(as_expression(s), [t])[0]
+                return cls(Program([as_expression(s), first, gradient(first, [t])[0]], numbers=True))
+            except Exception:
+                return None
+
+    def rates(self, t: float, s: float) -> Rates | None:
+        """s' and s'' where the function says s, as the formula does; None where it does not, or has no derivatives."""
+        try:
+            value, first, second = self.s({"t": t})
+        except (ArithmeticError, ValueError):
+            return None
+        known = math.isfinite(first) and math.isfinite(second)
+        return (first, second) if known and abs(value - s) <= SAME * abs(s) else None
 
 
 def along(function: Callable[[Any, Any], Any], x: Any, v: Any, t: float) -> Rates | None:
