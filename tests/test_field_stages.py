@@ -25,6 +25,7 @@ from fmbd_fenicsx.materials import (
     neo_hookean_incompressible,
     saint_venant_kirchhoff,
 )
+from fmbd_fenicsx.schemes.dae import Points
 from fmbd_fenicsx.schemes.implicit.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
 from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
@@ -256,6 +257,22 @@ def test_turning_of_local_coordinates(rod_mesh: Callable[..., Any]) -> None:
     alone, start, _ = pendulum(rod_mesh(dim=3, h=0.5, height=0.2), "absolute").build()  # no frame turns
     equations = FieldEquations(alone, fmbd.GGL(), StepSolver(alone))
     assert equations.refresh(start, np.zeros(equations.n_mult)).turnings.shape == (0, 6, 6)
+
+
+@pytest.mark.mpi
+def test_roundoff_of_rates_is_the_same_on_all_ranks(rod_mesh: Callable[..., Any]) -> None:
+    """What is roundoff beside the fastest node, which one rank owns, is so in the frames that all hold: no rank goes on alone."""
+    system, start, _ = pendulum(rod_mesh(dim=2, h=0.25)).build()
+    equations = FieldEquations(system, fmbd.Index3(), StepSolver(system))
+    still, rate = np.zeros((2, 1, system.n_v))
+    rate[:, 0] = 1e-15
+    if system.comm.rank == 0:
+        rate[:, -1] = 1.0
+
+    points = Points(still, rate, still, still, np.zeros((1, system.n_lam)))
+    equations.origin = start.q
+    kin, _ = equations.residual(np.array([start.t]), points)
+    assert (kin[:, : system.n_core] == 0.0).all()
 
 
 def floating(mesh: Any) -> Any:

@@ -56,7 +56,11 @@ class Measured(Layout):
 
     def max_abs(self, x: Array) -> float:
         """Largest entry of an array like v, all entries as lengths (see :attr:`units`); collective."""
-        local = float(np.maximum.reduce(np.abs(self.units * x), axis=None, initial=0.0))
+        return self.largest(self.units * x)
+
+    def largest(self, x: Array) -> float:
+        """Largest entry of an array like v as they are; collective: a rank sees the nodes that it owns."""
+        local = float(np.maximum.reduce(np.abs(x), axis=None, initial=0.0))
         return local if not self.fields or self.comm.size == 1 else float(np.max(self.comm.allgather(local)))
 
     def each_max_abs(self, x: Array) -> Array:

@@ -193,7 +193,7 @@ class FieldEquations(Equations):
         """What velocities (k, n_v), whose rates of xi are given, lack to be those of the places: r_kin, without roundoff."""
         slips = self._slips(p.mult, 1)
         left = p.rate - rates if slips is None else p.rate - rates + self.system.rate(p.xi, self.closing.times(slips))
-        return np.where(np.abs(left) > ROUNDOFF * np.abs(p.rate).max(initial=0.0), left, 0.0)
+        return np.where(np.abs(left) > ROUNDOFF * self.system.largest(p.rate), left, 0.0)
 
     def _slips(self, mult: Array, level: int) -> Array | None:
         """The slips (k, n_lam) of one level among multipliers (k, levels n_lam); None without any."""
