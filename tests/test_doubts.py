@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.errors import ConvergenceError, InputError
+from fmbd_fenicsx.materials import saint_venant_kirchhoff
 from fmbd_fenicsx.notices import Gathered
 from fmbd_fenicsx.run import doubts
 
@@ -46,6 +48,32 @@ def test_an_overshoot_of_the_first_steps_is_told_from_growth() -> None:
     total = run.total_energy
     assert total.max() > 2.0 * total[0] > 2.0 * total[-1]
     assert [text for text in run.warnings if "falls again" in text] and not any("grows by" in x for x in run.warnings)
+
+
+def test_cells_turned_inside_out_are_told(rod_mesh: Callable[..., Any]) -> None:
+    """An energy of the Green-Lagrange strain lets a bar be pushed through its own end, or be in a mirror."""
+    soft = fmbd.AbsoluteBody("bar", rod_mesh(h=0.5, height=0.4), density=1e3, energy=saint_venant_kirchhoff(1e2, 0.0))
+
+    def through(x: np.ndarray) -> np.ndarray:
+        return np.array([-2.0 * x[0], 0.0 * x[1]])
+
+    # at the start, and where a run leads
+    scene = fmbd.Scene("mirror")
+    scene.add(soft.with_(displacement=through))
+    with pytest.raises(InputError, match='"bar": its initial displacement turns cells inside out'):
+        scene.build()
+    scene = fmbd.Scene("thrown")
+    scene.add(soft.with_(displacement_rate=lambda x: 1e3 * through(x)))
+    assert [text for text in fmbd.solve(scene, t_end=1e-3, dt=1e-4).warnings if '"bar" has cells' in text]
+
+    # in equilibrium
+    scene = fmbd.Scene("pushed")
+    scene.add(soft, fmbd.tie_surface("wall", soft.surface("pin"), fmbd.ground))
+    push = {"shape": lambda x: np.array([0 * x[0] - 1, 0 * x[1]]), "motion": lambda t: t}
+    scene.add(fmbd.tie_surface("push", soft.surface("tip"), fmbd.ground, **push))
+    assert fmbd.equilibrium(scene, t=0.2).state is not None
+    with pytest.raises(ConvergenceError, match='cells of body "bar" are turned inside out'):
+        fmbd.equilibrium(scene, t=1.8)
 
 
 def test_a_good_run_has_no_warnings() -> None:

@@ -12,6 +12,7 @@ from .. import dolfinx_compat as compat
 from ..errors import InputError
 from ..log import log
 from ..rotations import Array
+from .cell_volumes import least_volume
 
 # length over height of first-order cells above which bending is far too stiff (1:1000 measured: 280 times)
 SLENDER = 50.0
@@ -33,7 +34,7 @@ def check_field(field: Any) -> None:
 
 
 def check_start(field: Any, U: Array) -> None:
-    """Refuse initial displacements U (n d,) whose elastic energy is not finite; collective.
+    """Refuse initial displacements U (n d,) of an energy that is not finite, or that turn cells inside out; collective.
 
     Raises:
         InputError: on all ranks alike.
@@ -43,6 +44,11 @@ def check_start(field: Any, U: Array) -> None:
         raise InputError(
             f'Body "{field.name}": its elastic energy is {energy} J at the start. The initial displacement collapses or inverts '
             "cells, or the energy has no value at the start (a logarithm or a root of zero)."
+        )
+    volume = least_volume(field, U)
+    if volume <= 0.0:
+        raise InputError(
+            f'Body "{field.name}": its initial displacement turns cells inside out (one to {volume:.3g} times its volume).'
         )
 
 

@@ -21,6 +21,7 @@ from ..linear.condensation import StepSolver
 from ..log import log
 from ..rotations import Array
 from ..schemes.consistent import MASS, worst_block
+from ..system.inside_out import inside_out
 from ..system.layout import State
 from ..system.mobility import tell_of_modes
 from ..system.scene.scene import Scene
@@ -53,6 +54,11 @@ def warn_of_doubts(
     _open_joints(recorder)
     _contradictions(solver, recorder, end)
     _immovable(solver)
+    if body := inside_out(system, end.q):
+        log.warning(
+            'body "%s" has cells that are turned inside out at the end: its energy lets them, no material does. Take a smaller '
+            "dt, another mesh there, or a law that grows with ln J, as materials.neo_hookean does", body,
+        )  # fmt: skip
     tell_of_modes(system.at(start.t, start.q))
 
 

@@ -29,6 +29,7 @@ from ...linear.condensation import StepSolver
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
 from ...schemes.newton import ExactTangent
+from ...system.inside_out import inside_out
 from ...system.speed_rows import speed_rows
 from ..small_motions.steady import Residual
 
@@ -170,6 +171,8 @@ class StaticNewton:
                     continue
                 if not self._balanced(point, t, rest):
                     break
+                if body := inside_out(system, point.q):
+                    raise ConvergenceError(f'cells of body "{body}" are turned inside out')
                 self.stalled = size if stalled else 0.0
                 return point
             if sizes[-2] <= size <= TINY * system.length:  # roundoff, enlarged by a motion without stiffness
