@@ -76,8 +76,8 @@ def projected(
     ``enough`` tells from the matrices whether the space of elastic fields need not grow any more.
     """
     system = about.system
+    use_driver(system)
     if not system.fields and system.n_core <= DENSE_LIMIT:
-        use_driver(system)
         V = free_motions(about)
         M, C, K = (V @ image.T for image in about.images(V))
         made = ProjectedSystem(V, M, C, K, _speeds(about, V))

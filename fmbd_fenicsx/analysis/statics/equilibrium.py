@@ -22,6 +22,7 @@ from ...log import log
 from ...mechanics.forces.effort_laws import Friction
 from ...mechanics.forces.forces import CoordinateForce
 from ...rotations import Array
+from ...system.compiled.choice import use_driver
 from ...system.layout import State
 from ...system.mobility import tell_of_modes
 from ...system.scene.alike import alike
@@ -110,6 +111,7 @@ def equilibrium(
         "Take fmbd.LoadSteps(...).",
     )
     system, given, markers = scene.build()
+    use_driver(system)
     solver = StepSolver(system, linear=linear, prefix=scene.name.replace(" ", "_") + "_")
 
     with OneAnswer(system.comm):
