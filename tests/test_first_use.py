@@ -193,7 +193,7 @@ def test_sensors_of_elements_take_names() -> None:
     run = fmbd.solve(scene, t_end=0.5, dt=1e-2)
     np.testing.assert_array_equal(run["phi"], run["phi by name"])
     assert np.abs(run["phi"]).max() > 0
-    with pytest.raises(InputError, match='Joint "pin" .revolute. has no displacement'):
+    with pytest.raises(InputError, match='Joint "pin" .revolute. has no displacement; .*distance and segment do'):
         scene.sensor("s", fmbd.displacement("pin"))
     with pytest.raises(
         InputError, match='coordinate sensor of "pin" must be fmbd.angle.* of a joint itself, not of its name'

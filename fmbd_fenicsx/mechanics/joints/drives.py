@@ -74,7 +74,8 @@ def displacement(joint: Joint) -> JointCoordinate:
         return JointCoordinate(joint, Separation)
     if joint.kind not in ("prismatic", "cylindrical", "point on line"):
         raise InputError(
-            f'Joint "{joint.name}" ({joint.kind}) has no displacement along an axis; prismatic, cylindrical and point on line do.'
+            f'Joint "{joint.name}" ({joint.kind}) has no displacement; prismatic, cylindrical, point on line, distance and '
+            "segment do."
         )
     return JointCoordinate(joint, Slide)
 
