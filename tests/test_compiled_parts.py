@@ -15,6 +15,7 @@ from test_line_body import line
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic
+from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.march import March
@@ -131,6 +132,30 @@ def test_other_schemes_march_beside_lines(scheme: Any, dt: float, monkeypatch: p
     for name in ("q", "v", "a", "lam"):
         wanted = getattr(runs[1].state, name)
         np.testing.assert_allclose(getattr(runs[0].state, name), wanted, atol=1e-8 * np.abs(wanted).max(), err_msg=name)
+
+
+@compiled
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=None), fmbd.BDF(2, rtol=None)], ids=lambda x: type(x).__name__)
+@pytest.mark.parametrize(
+    "make", [line_and_bob, partial(carrier, 2), partial(carrier, 3)], ids=["line", "own 2D", "own 3D"]
+)
+def test_implicit_schemes_march_beside_parts(make: Any, scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python tells forces, masses and slopes alone; steps in parts are the same."""
+
+    def run(steps: int) -> Any:
+        output = fmbd.Output(times=(0.0, steps * 1e-3), energy=False, progress=False)
+        runs.append(fmbd.solve(make(), t_end=steps * 1e-3, dt=1e-3, scheme=scheme, output=output))
+
+    runs: list[Any] = []
+    run(10)
+    calls = [calls_of(lambda steps=steps: run(steps), "/fmbd_fenicsx/") for steps in (10, 30)]
+    assert calls[1] - calls[0] < 20 * 140
+
+    monkeypatch.setattr(StepEquations, "compiled", property(lambda eq: eq._choose()))
+    run(30)
+    for name in ("q", "v"):
+        wanted = getattr(runs[3].state, name)
+        np.testing.assert_allclose(getattr(runs[2].state, name), wanted, atol=1e-6 * np.abs(wanted).max(), err_msg=name)
 
 
 @compiled

@@ -179,6 +179,10 @@ class Equations(Remembering):
         """Tangent and factors that they have left, where they are ``known`` to serve on."""
         return None, None
 
+    def serves(self, tangent: Any) -> bool:
+        """Whether compiled steps go on with a tangent that steps in parts have taken."""
+        return tangent is not None
+
     # -- tangents -----------------------------------------------------------------------------------------------
     def refresh(self, state: State, mult: Array) -> Any:
         """The tangent at a state with multipliers (n_mult,)."""

@@ -101,7 +101,7 @@ class ImplicitMarch(OwnMarch):
         return 1
 
     def _own(self, *, factored: bool) -> Array:
-        return np.concatenate((work_of(self._theta, known=self._tangent is not None), self._memory()))[None]
+        return np.concatenate((work_of(self._theta, known=self.eq.serves(self._tangent)), self._memory()))[None]
 
     def _prepare_room(self, room: Array, *, alone: bool) -> None:
         lent = self._lent

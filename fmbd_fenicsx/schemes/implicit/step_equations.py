@@ -20,7 +20,7 @@ from ...linear.implicit.whole_pencil import WholePencil, stacked
 from ...linear.redundancy import least_forces
 from ...linear.residual import Judge
 from ...rotations import Array
-from ...system.compiled.states.couplings import couplings_of
+from ...system.compiled.states.couplings import Couplings
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stage_patterns import StageStructure
@@ -33,7 +33,7 @@ from ...system.tangents.stiff_ties import stiff_ties
 from ..consistent import arrived
 from ..dae import Form, Points
 from .equations import Equations, Start
-from .step_tangents import DenseTangents, SparseTangents
+from .step_tangents import DenseTangents, RestingTangents, SparseTangents
 
 CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
 
@@ -52,6 +52,7 @@ class StepEquations(Equations):
         self.n_mult += len(self.stiff)
 
         self.tangents: DenseTangents | SparseTangents = DenseTangents(system, self.form, self.stiff)
+        self._resting: RestingTangents | None = None  # where parts rest on the ground
         self._chosen: Any = None  # who evaluated the system when these were chosen
         self._weighed: State | None = None  # whose masses are to be taken
 
@@ -63,19 +64,19 @@ class StepEquations(Equations):
     def _structure(self) -> StageStructure | None:
         """Patterns of the equations where compiled code knows them, and solves sparse stage systems; else None."""
         states, form = self.system.evaluator, self.form
-        if not isinstance(states, DriverStates):
+        if not isinstance(states, DriverStates) or (self.tied and not states.same_rows):
             return None
-        couplings = couplings_of(states)
-        if couplings is None:
-            return None
+        couplings = Couplings(states.tables)
         return StageStructure(couplings, states, form.levels, self.stiff, pulls=form.pulls, frozen=form.frozen)
 
     def _choose(self) -> None:
         """Take notice of who evaluates the system by now, and of a state whose masses are to be taken."""
         if not isinstance(self.tangents, SparseTangents) and self._chosen is not self.system.evaluator:
             structure = self._structure()
-            if structure is not None:
+            if structure is not None and structure.states.same_rows:
                 self.tangents = SparseTangents(self.system, structure, self.stiff)
+            elif structure is not None:
+                self._resting = RestingTangents(self.system, structure)
             self._chosen = self.system.evaluator
         if self._weighed is not None:
             state, self._weighed = self._weighed, None
@@ -85,24 +86,40 @@ class StepEquations(Equations):
     def compiled(self) -> bool:
         """As :attr:`Equations.compiled`."""
         self._choose()
-        return isinstance(self.tangents, SparseTangents) and not self.tangents.told
+        return isinstance(self.tangents, SparseTangents) or self._resting is not None
 
     def room(self, frequencies: int, points: int) -> StageRoom:
         """As :meth:`Equations.room`."""
+        return self._of_march.room(frequencies, points)
+
+    @property
+    def _of_march(self) -> SparseTangents | RestingTangents:
+        """The tangents of whole steps in compiled code."""
+        if self._resting is not None:
+            return self._resting
         assert isinstance(self.tangents, SparseTangents)
-        return self.tangents.room(frequencies, points)
+        return self.tangents
+
+    def serves(self, tangent: Any) -> bool:
+        """As :meth:`Equations.serves`."""
+        return tangent is not None and self._resting is None
+
+    def whole_steps(self, state: State) -> DriverStates | None:
+        """As :meth:`Equations.whole_steps`."""
+        driver = self.solver.driver
+        return None if driver is None else driver.whole_steps(state)
 
     def lend(self, room: StageRoom, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
         """As :meth:`Equations.lend`."""
-        assert isinstance(self.tangents, SparseTangents)
-        if tangent is not None and tangent is not room.tangent:
+        if self.serves(tangent) and tangent is not room.tangent:
             room.structure.data(tangent, room.data)
-        self.tangents.weigh_once(self.solver, state)
+        self._of_march.weigh_once(self.solver, state)
         room.let_depend(redundant=self.solver.core.redundant)
 
     def kept(self, room: StageRoom, judge: Judge, *, known: bool) -> tuple[Any, Any]:
         """As :meth:`Equations.kept`."""
-        assert isinstance(self.tangents, SparseTangents)
+        if not isinstance(self.tangents, SparseTangents):
+            return None, None
         self.tangents.take_directions(room.tangent)
         return (room.tangent, SparsePencil(room.tangent, room.frequencies, judge, room)) if known else (None, None)
 

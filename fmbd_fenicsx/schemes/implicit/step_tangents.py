@@ -159,7 +159,7 @@ class SparseTangents(Remembering):
         self.R: Array = np.zeros(len(structure.ties.rows))
         self.weighed = False
         self.told = any(map(is_told, system.parts))  # whether Python tells masses that change
-        self._rooms: dict[tuple[int, int], StageRoom] = {}
+        self._rooms = Rooms(structure)
 
     @property
     def masses(self) -> Array:
@@ -262,7 +262,32 @@ class SparseTangents(Remembering):
 
     def room(self, frequencies: int, points: int) -> StageRoom:
         """Where so many points are solved for."""
-        key = frequencies, points
-        if key not in self._rooms:
-            self._rooms[key] = StageRoom(self.structure, *key)
-        return self._rooms[key]
+        return self._rooms.of(frequencies, points)
+
+
+class Rooms:
+    """Where points of implicit steps are solved for, by how many frequencies and points there are."""
+
+    def __init__(self, structure: StageStructure) -> None:
+        self.structure, self._known = structure, dict[tuple[int, int], StageRoom]()
+
+    def of(self, *key: int) -> StageRoom:
+        """One of them."""
+        if key not in self._known:
+            self._known[key] = StageRoom(self.structure, *key)
+        return self._known[key]
+
+
+class RestingTangents:
+    """Of whole steps in compiled code where parts rest on the ground, in frames that only the driver's tables have."""
+
+    def __init__(self, system: System, structure: StageStructure) -> None:
+        self.system, self.structure = system, structure
+        self.room = Rooms(structure).of
+        self._moves = structure.states.twin.velocities(np.ones(system.n_v)) > 0.0
+
+    def weigh_once(self, solver: StepSolver, state: State) -> None:
+        """Take the masses of a state; those of frames at rest are one."""
+        M = np.eye(len(self._moves))
+        M[np.ix_(self._moves, self._moves)] = dense(solver.masses(self.system.at(state.t, state.q, state.v)))
+        self.structure.weigh(self.structure.couplings.masses.taken(M))

@@ -144,6 +144,7 @@ class Calls:
             "PART_FORCES": lambda number, t: tables.told[number].forces(t),
             "PART_ENERGIES": lambda number, t: tables.told[number].energies(t),
             "PART_TANGENTS": lambda number, t: tables.told[number].tangents(t),
+            "PART_SLOPES": lambda number, t: tables.told[number].slopes(t),
         }
 
         return {value: said[name] for name, value in ASKED.items()}

@@ -38,6 +38,7 @@ PART void field_energies(System *s, int b, double t, const double *q, const doub
 /* told.c */
 PART int told_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t);
 PART int told_block(System *s, const Body *o, double t);
+PART int take_part_slopes(System *s, const Body *o, const double *q, const double *v, double t);
 PART void told_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out);
 
 /* rods.c, in space */

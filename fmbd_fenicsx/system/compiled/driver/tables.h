@@ -229,6 +229,7 @@ typedef struct {
 /* A part that Python tells, see told.c. */
 typedef struct {
     int number, rests;                 /* for the calls into Python; whether its frame rests: that of a part on the ground */
+    double *slopes, *known;            /* modes x modes by coordinates, and by rates; modes: both, and rows, where these were taken */
     double *state;                     /* R, twist, its rate, pose, gravity, u, u', u'' */
     double *rows, *block;              /* TWIST + modes: forces, or energies; the step's block, world axes */
     int *dest;                         /* places of the lower half of the block */
@@ -439,7 +440,7 @@ typedef struct {
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
        FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, EFFORTS, EFFORT_SLOPES,
-       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS };
+       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS, PART_SLOPES };
 enum { OUTSIDE = 2 };
 
 /* Parts of a SAMPLE: all of it, all but the rates of motions, these alone. */

@@ -16,11 +16,10 @@ from ...sparsity import Pattern
 
 if TYPE_CHECKING:
     from ..tables.tables import Tables
-    from .evaluation import DriverStates
 
 
 class Couplings:
-    """Of the tables of a system without elastic fields whose frames all move."""
+    """Of the tables of a system without elastic fields, with the frames that rest."""
 
     def __init__(self, tables: Tables) -> None:
         system = self.system = tables.system
@@ -111,10 +110,3 @@ class Couplings:
         for colour, own in zip(colours, self.of_body, strict=True):
             out[own] = first[colour] + np.arange(len(own))
         return out
-
-
-def couplings_of(states: DriverStates) -> Couplings | None:
-    """What couples with what; None where frames rest."""
-    tables = states.tables
-    known = tables.twin.system is states.system
-    return Couplings(tables) if known and not states.system.fields else None

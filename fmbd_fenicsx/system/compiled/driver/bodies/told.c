@@ -5,6 +5,31 @@
 #include "algebra/rotations.c"
 #include "parts.h"
 
+/* Slopes of a part whose frame rests, at the state evaluated last with these coordinates and rates. */
+int take_part_slopes(System *s, const Body *o, const double *q, const double *v, double t)
+{
+    const Told *e = o->told;
+    const int n = o->modes;
+    memcpy(e->known, q + o->at_q, n * sizeof(double));
+    memcpy(e->known + n, v + o->at_v, n * sizeof(double));
+    memcpy(e->known + 2 * n, e->rows + TWIST, n * sizeof(double));
+    s->calls++;
+    return s->python(PART_SLOPES, e->number, t) ? FAILED : DONE;
+}
+
+/* Rows of the coordinates by these slopes, at the accelerations where they were taken. */
+static void along_part(const Body *o, const double *q, const double *v, double *rows)
+{
+    const Told *e = o->told;
+    const int n = o->modes;
+    const double *u = e->known, *rate = u + n, *at = rate + n, *by_u = e->slopes, *by_rate = by_u + (long)n * n;
+    for (int i = 0; i < n; i++) {
+        rows[i] = at[i];
+        for (int j = 0; j < n; j++)
+            rows[i] += by_u[n * i + j] * (q[o->at_q + j] - u[j]) + by_rate[n * i + j] * (v[o->at_v + j] - rate[j]);
+    }
+}
+
 /* Rows of the frame (world axes) and of the coordinates, behind each other in f. */
 int told_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t)
 {
@@ -12,6 +37,10 @@ int told_force(System *s, int b, const double *q, const double *v, const double 
     const Told *e = o->told;
     const double *R = s->frames + FRAME * b + TURN;
     double moments[ROT];
+    if (s->straight && e->rests) {
+        along_part(o, q, v, f + TWIST);
+        return DONE;
+    }
     Motion m = motion_of(o, b, q, v, a);
     int verdict = tell(s, PART_FORCES, e->number, o->modes, e->state, R, &m, s->gravity, t);
     if (verdict) return verdict;

@@ -160,20 +160,34 @@ static void difference_steps(const System *s, double length, const double *q, co
     }
 }
 
+/* The lower half of M of a part that Python tells, and of nothing else. */
+static int told_masses(System *s, const Body *o, double t)
+{
+    const double cd = s->cd, ck = s->ck;
+    s->cd = s->ck = 0.0;
+    s->calls++;
+    const int verdict = s->python(PART_TANGENTS, o->told->number, t);
+    s->cd = cd;
+    s->ck = ck;
+    return verdict;
+}
+
 /* M of bodies with modes by its pattern, and its inverse W; frames are placed. ``room``: twice the square of a body's coordinates. Rigid
    bodies keep theirs. */
-static int modal_masses(System *s, const Patterns *o, const double *q, double *M, double *W, double *room)
+static int modal_masses(System *s, const Patterns *o, double t, const double *q, double *M, double *W, double *room)
 {
     for (int b = 0; b < s->bodies; b++) {
         const Body *body = s->body + b;
         const int n = TWIST + body->modes;
         const double *R = s->frames + FRAME * b + TURN;
         double *A = room, *B = A + n * n;
-        if (!body->T) continue;
+        const double *block = body->told ? body->told->block : body->block;
+        if (!body->T && !body->told) continue;
 
-        reduced_block(s, body, R, q + body->at_q, 0.0, 0.0);
+        if (!body->told) reduced_block(s, body, R, q + body->at_q, 0.0, 0.0);
+        else if (told_masses(s, body, t)) return FAILED;
         for (int i = 0; i < n; i++)
-            for (int j = 0; j < n; j++) A[n * i + j] = body->block[i < j ? n * j + i : n * i + j];
+            for (int j = 0; j < n; j++) A[n * i + j] = block[i < j ? n * j + i : n * i + j];
 #if DIM == 3 /* turns about axes of the body */
         for (int side = 0; side < 2; side++)
             for (int i = 0; i < n; i++) {
@@ -183,6 +197,9 @@ static int modal_masses(System *s, const Patterns *o, const double *q, double *M
                 for (int j = 0; j < 3; j++) A[at + j * step] = local[j];
             }
 #endif
+        for (int i = 0; body->inertia && i < D; i++) A[(n + 1) * i] += body->mass;
+        for (int i = 0; body->inertia && i < ROT; i++)
+            for (int j = 0; j < ROT; j++) A[n * (D + i) + D + j] += body->inertia[ROT * i + j];
         memset(B, 0, (size_t)n * n * sizeof(double));
         for (int i = 0; i < n; i++) {
             B[(n + 1) * i] = 1.0;
@@ -215,6 +232,8 @@ static int slopes(System *s, const Patterns *o, double t, const double *q, const
     double *back = ahead + o->size;
     int verdict = lower_rows(s, o, t, q, v, a, lam, rest);
     for (Batch *k = s->batch; !verdict && k < s->batch + s->batches; k++) verdict = take_slopes(s, k, t);
+    for (const Body *b = s->body; !verdict && b < s->body + s->bodies; b++)
+        if (b->told && b->told->rests) verdict = take_part_slopes(s, b, q, v, t);
     note_slopes(s, noted);
     s->straight = 1;
     for (int c = 0; !verdict && c < o->colours; c++) {
@@ -250,7 +269,7 @@ EXPORT int driver_stage_tangent(System *s, const Patterns *o, double length, dou
     if (!verdict) verdict = slopes(s, o, t, q, v, a, lam, hq, hv, by_q, by_v, data + o->slopes, rest);
     s->straight = 0;
     if (verdict) return verdict;
-    if ((verdict = place(s, q, v)) || (verdict = modal_masses(s, o, q, M, W, rest))) return verdict;
+    if ((verdict = place(s, q, v)) || (verdict = modal_masses(s, o, t, q, M, W, rest))) return verdict;
     memset(room, 0, s->nv * sizeof(double));
     memset(room + s->nv, 0, s->nv * sizeof(double));
     turning(s, room, v, data + o->J, NULL);

@@ -53,8 +53,10 @@ class ToldPart:
         self.rests = isinstance(self.part, RestingPart)
         self.width = tables.twist + self.part.n
         self.motion = ToldMotion(tables, self.part.n)
-        made = tables.store.zeros({"rows": self.width, "block": (self.width, self.width)})
-        self.rows, self.block = (x for x, _ in made.values())
+        n = self.part.n
+        sizes = {"rows": self.width, "block": (self.width, self.width), "slopes": (2, n, n), "known": 3 * n}
+        made = tables.store.zeros(sizes)
+        self.rows, self.block, self.by_motion, _ = (x for x, _ in made.values())
         self.addresses = {name: address for name, (_, address) in made.items()}
         self._of_time = self.part.of_time
         self._last: tuple[bytes, Array] | None = None  # motion and rows of forces, of a part that knows no time
@@ -75,6 +77,11 @@ class ToldPart:
         """Kinetic, elastic and weight energy."""
         motion, pose, local = self.motion.at(t)
         self.rows[:3] = self.part.energies(motion, pose, local[:2])
+
+    def slopes(self, t: float) -> None:
+        """Derivatives of the rows by coordinates and by rates."""
+        motion, _, local = self.motion.at(t)
+        self.by_motion[:] = self.part.stiffness_blocks(motion, local)
 
     def tangents(self, t: float) -> None:
         """M + cd D + ck K, the frame in world axes; of an imaginary part without M."""
