@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+import random_combined
 import random_flexible
 import random_mechanisms
 import random_scenes
@@ -21,10 +22,11 @@ from fmbd_fenicsx.log import log
 SECONDS = 30.0  # of processor time that one scene may take
 FINE = ("right", "refused", "warned", "unjudged")
 UNJUDGED = 0.01  # share of runs that may end while the integration that judges them does not
-FEW, FEW_MECHANISMS, FEW_FLEXIBLE = 40, 12, 8
+FEW, FEW_MECHANISMS, FEW_FLEXIBLE, FEW_COMBINED = 40, 12, 8, 8
 MANY = int(os.environ.get("FMBD_RANDOM_SCENES", "5000"))
 MANY_MECHANISMS = int(os.environ.get("FMBD_RANDOM_MECHANISMS", "1000"))
 MANY_FLEXIBLE = int(os.environ.get("FMBD_RANDOM_FLEXIBLE", "300"))
+MANY_COMBINED = int(os.environ.get("FMBD_RANDOM_COMBINED", "300"))
 Draw = Callable[[int], Any]
 
 
@@ -104,6 +106,11 @@ def test_random_flexible() -> None:
     judged(tallied(random_flexible.case, FEW_FLEXIBLE))
 
 
+def test_random_combined() -> None:
+    """The same of chains of all kinds of bodies with all that acts on them."""
+    judged(tallied(random_combined.case, FEW_COMBINED))
+
+
 def test_states_after_a_restart_are_judged_as_before() -> None:
     """A bar for forces out of balance, by all motion so far, that a state near rest would not pass by its own."""
     random_mechanisms.case(824).taken_up()
@@ -118,8 +125,13 @@ def test_steps_of_own_choice_are_taken_up_where_they_are_made_many_in_a_call() -
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize(
     "draw, count",
-    [(random_scenes.case, MANY), (random_mechanisms.case, MANY_MECHANISMS), (random_flexible.case, MANY_FLEXIBLE)],
-    ids=["scenes", "mechanisms", "flexible"],
+    [
+        (random_scenes.case, MANY),
+        (random_mechanisms.case, MANY_MECHANISMS),
+        (random_flexible.case, MANY_FLEXIBLE),
+        (random_combined.case, MANY_COMBINED),
+    ],
+    ids=["scenes", "mechanisms", "flexible", "combined"],
 )
 def test_many_random_scenes(draw: Draw, count: int) -> None:
     judged(tallied(draw, count))

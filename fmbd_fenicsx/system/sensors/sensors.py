@@ -346,7 +346,7 @@ def velocity(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
 
 
 def acceleration(on: Any, *, point: Sequence[float] | None = None) -> Sensor:
-    """World acceleration (m/s^2), as :func:`position`; of the scheme's own acceleration at the end of the step."""
+    """World acceleration (m/s^2), as :func:`position`; of the state that the scheme ends the step with."""
     return _motion(Acceleration, on, point, "m/s^2")
 
 
