@@ -165,14 +165,29 @@ def _modules() -> _Modules:
     return _Modules()
 
 
+def _refuse_no_numbers(ufl_form: Any) -> None:
+    """Numbers are written into C, where nan and inf are the names of functions."""
+    from ufl.constantvalue import RealValue
+    from ufl.corealg.traversal import traverse_unique_terminals
+
+    for integral in ufl_form.integrals():
+        for leaf in traverse_unique_terminals(integral.integrand()):
+            if isinstance(leaf, RealValue) and not np.isfinite(float(leaf)):
+                raise ValueError(f"a number in it is {float(leaf)}")
+
+
 def form(ufl_form: Any) -> Any:
     """Compile a UFL form; collective. Waits for other processes that compile the same form.
 
     One that is not kept from earlier runs takes seconds, which is then said.
+
+    Raises:
+        ValueError: a number in it is not finite.
     """
     from dolfinx import fem
     from ufl import Mesh
 
+    _refuse_no_numbers(ufl_form)
     modules = _modules()
     sort = ("a functional", "a linear form", "a bilinear form")[len(ufl_form.arguments())]
     saying = threading.Timer(SLOW, note, (f"compiling {sort} of an elastic body, once (some seconds)",))

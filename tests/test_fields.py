@@ -137,6 +137,7 @@ def negative(u: Any, v: Any, dx: Any) -> Any:
     [
         (unsymmetric, "not symmetric"),
         (negative, "not positive"),
+        (lambda u, v, dx: np.nan * u[0] * v[0] * dx, "a number in it is nan"),
         (lambda u, v, dx: 1.0, "bilinear"),
         (lambda u, v, dx: u[0] * dx, "bilinear"),
         (lambda u, v, dx: None, "bilinear"),
