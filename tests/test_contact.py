@@ -78,7 +78,7 @@ def test_consistent_mass_oscillates(caplog: pytest.LogCaptureFixture) -> None:
     assert energy.max() <= energy[0] * (1 + 1e-8)
 
 
-@pytest.mark.parametrize(("scheme", "friction", "most"), [(None, 0.0, 370), (fmbd.ContactAlpha(0.8), 0.3, 450)])
+@pytest.mark.parametrize(("scheme", "friction", "most"), [(None, 0.0, 100), (fmbd.ContactAlpha(0.8), 0.3, 100)])
 def test_steps_in_contact_ask_python_for_little(scheme: Any, friction: float, most: int) -> None:
     """Calls of Python's functions a step, that of the sensors left out."""
     bar = strip(10)

@@ -1,4 +1,4 @@
-"""Steps of elastic bodies in which nothing is near what it may touch: compiled, many in a call, and as those of Python."""
+"""Steps of elastic bodies before what they may touch: compiled, many in a call, and as those of Python."""
 
 from __future__ import annotations
 
@@ -72,6 +72,56 @@ def test_flights_are_the_steps_of_python(kind: str, scheme: Any, monkeypatch: py
         assert (found[name][::10] == some[name]).all()
         np.testing.assert_allclose(found[name], alone[name], rtol=rounding, atol=rounding)
     np.testing.assert_allclose(found.total_energy, alone.total_energy, rtol=rounding)
+
+
+TOLD = {
+    "force": fmbd.contact_force,
+    "impulse": fmbd.contact_impulse,
+    "pressure": fmbd.contact_pressure,
+    "gap": fmbd.contact_gap,
+}
+
+
+def squeezed(kind: str) -> Any:
+    """A block lands on a floor beside a ram, under a ball: a plane, a motion, a carried shape, with friction; corners on two."""
+    body = block(kind, "block", 0.002, velocity=(0.2, -0.2))
+    ball = fmbd.RigidBody("ball", 0.2, 1e-3, position=(0.1, 0.553), velocity=(0.0, -0.3), angular_velocity=2.0)
+    obstacles = {
+        "bottom": fmbd.HalfSpace((0, 0), (0, 1)),
+        "right": fmbd.Obstacle(
+            "ram", fmbd.Box((0.4, 2.0), center=(0.705, 0.0)), motion=lambda t: ((-0.2 * t, 0.3 * t), 0.1 * t)
+        ),
+        "top": fmbd.Obstacle("ball", fmbd.Sphere(0.15), on=ball),
+    }
+    scene = fmbd.Scene("squeezed", gravity=(0, -9.81))
+    scene.add(body, ball, fmbd.Spring("spring", body.surface("left"), ball, stiffness=5.0))
+    for side, what in obstacles.items():
+        scene.add(fmbd.contact(side, body.surface(side), what, friction=0.3))
+        for name, sensor in TOLD.items():
+            scene.sensor(f"{side} {name}", sensor(side))
+    scene.sensor("work", fmbd.contact_work())
+    return scene
+
+
+@pytest.mark.parametrize(("kind", "scheme"), zip(KINDS, SCHEMES, strict=True), ids=lambda x: getattr(x, "name", x))
+def test_steps_in_contact_are_those_of_python(kind: str, scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forces, books and counts, however many are asked for at once."""
+    steps: dict[str, Any] = {"t_end": 0.03, "dt": 1e-3, "scheme": scheme}
+    found, some = (fmbd.solve(squeezed(kind), output=fmbd.Output(every=n), **steps) for n in (1, 10))
+    monkeypatch.setattr(FlyingStepper, "flies", False)
+    alone = fmbd.solve(squeezed(kind), **steps)
+    assert found.counters["compiled_steps"] == 30 and not alone.counters["compiled_steps"]
+    for name in ("contact_steps", "impacts", "short_impacts"):
+        assert found.counters[name] == alone.counters[name], name
+    assert (found.state.q == some.state.q).all()
+
+    rounding = 1e-9 if kind == "AbsoluteBody" else 1e-6
+    np.testing.assert_allclose(found.state.q, alone.state.q, rtol=rounding, atol=rounding)
+    for name in [f"{side} {what}" for side in ("bottom", "right", "top") for what in TOLD] + ["work"]:
+        bar = 10 * rounding * np.abs(alone[name]).max()
+        assert bar > 0.0
+        np.testing.assert_allclose(found[name], alone[name], rtol=0.0, atol=bar, err_msg=name)
+        assert (found[name][::10] == some[name]).all()
 
 
 @pytest.mark.parametrize("scheme", SCHEMES[::2], ids=lambda s: s.name)

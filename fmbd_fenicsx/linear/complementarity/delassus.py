@@ -56,9 +56,14 @@ class Compliance(Remembering):
             )
         if self.solver.whole:
             return scale * self._by_solves(rows)
-        if elastic and (len(trace) > MANY or self.solver.iterated is not None):
+        if elastic and (len(trace) > self.most or self.solver.iterated is not None):
             return Applied(self.blocks, rows, np.repeat(trace, rows.core.shape[0] // len(trace)), scale)
         return scale * self.matrix(rows)
+
+    @property
+    def most(self) -> int:
+        """Candidates of which W is stored; those of more are an :class:`Applied`."""
+        return MANY
 
     def matrix(self, rows: LinearRows) -> Array:
         """W, (m, m), for the configuration the solver was last prepared for."""
@@ -73,7 +78,7 @@ class Compliance(Remembering):
             block, turn = self.solver.blocks[position], self.solver.corotations[position]
             # the factor knows the body in the axes of its mean rotation
             N = rows.field[i].turned(turn)
-            C, Y = self._columns(i, block.factor, N.node), self._rows_of_Y(i, block)
+            C, Y = self.on_surface(i, block, N.node)
             local[position] = N, C, Y
             if Y.size:
                 seen[position] = N.columns(Y)
@@ -89,6 +94,10 @@ class Compliance(Remembering):
             W = W + N.columns(N.columns(C).T - Y @ acting[position].T)
         # symmetric but for roundoff
         return 0.5 * (W + W.T)
+
+    def on_surface(self, i: int, block: Any, nodes: np.ndarray) -> tuple[Array, Array]:
+        """C_s (n d, n d) of a trace with at least the columns of ``nodes``, and Y (n d, k) on it, of the block of its field."""
+        return self._columns(i, block.factor, nodes), self._rows_of_Y(i, block)
 
     def _answers(self, core: Array, seen: list[Array]) -> tuple[Array, list[Array]]:
         """What the core does (m, n_core), and what acts on the columns of each field, S X of (2), under rows of forces on the

@@ -128,10 +128,10 @@ class ContactSet:
         return np.array([p.thickness for p in self.pairs])[self.pair]
 
     def pressures(self, force: Array) -> Array:
-        """Pressures of normal forces on all candidates, (m,)."""
+        """Pressures of normal forces on all candidates, (.., m)."""
         out = force.copy()
         for p, at in self._on_surfaces:
-            out[at] = p.pressures(force[at])
+            out[..., at] = p.pressures(force[..., at])
         return out
 
     @cached_property

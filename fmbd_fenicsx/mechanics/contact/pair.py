@@ -98,11 +98,11 @@ class Pair:
         return np.ones(self.count) if self.slave.surface is None else self.slave.surface.weights
 
     def pressures(self, force: Array) -> Array:
-        """Pressures (N/m^(d-1), N on rigid points) of normal forces (m,) in N on the candidates; see :mod:`.trace`."""
+        """Pressures (N/m^(d-1), N on rigid points) of normal forces (.., m) in N on the candidates; see :mod:`.trace`."""
         surface = self.slave.surface
         if surface is None:
             return force
-        return (force if surface.gather is None else surface.gather @ force) / surface.weights
+        return (force if surface.gather is None else (surface.gather @ force.T).T) / surface.weights
 
     @property
     def trace_nodes(self) -> np.ndarray | None:

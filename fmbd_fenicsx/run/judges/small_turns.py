@@ -14,7 +14,7 @@ from ...system.layout import State
 from ...system.system import System
 
 SMALL = 0.05  # rad
-LOOKS = 128  # at a run of equal steps, at least
+LOOKS, FEW = 128, 8  # at a run of equal steps, at least, and steps from one to the next where it is short
 
 
 class SmallTurns:
@@ -27,7 +27,7 @@ class SmallTurns:
 
     def most(self, steps: int) -> int:
         """So many of all steps at most between two looks."""
-        return steps // LOOKS + 1 if self.bodies else steps
+        return max(steps // LOOKS + 1, FEW) if self.bodies else steps
 
     def look(self, state: State) -> None:
         """Warn once of each body that has turned by more than is small; collective."""

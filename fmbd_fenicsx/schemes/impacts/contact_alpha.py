@@ -51,7 +51,7 @@ from ..onestep.alpha.alpha_step import FAR, PATIENCE
 from ..onestep.alpha.generalized_alpha import GeneralizedAlpha
 from .contact_detection import candidates
 from .contact_ledger import StepForces
-from .contact_midpoint import elastic_refusal, elastic_start
+from .contact_midpoint import elastic_refusal, elastic_start, roundoff
 from .contact_newton import openings, small_problem
 from .elastic_step import ElasticStep
 from .flying_stepper import FlyingStepper
@@ -302,4 +302,5 @@ class _Step(ElasticStep):
         self.A = self.A + d_xi / (h * h * self.beta)
         self.a = self.a + d_xi / self.scale
         size = max(system.max_abs(self.xi), h * system.max_abs(s.v), 1e-9 * system.length)
-        return system.max_abs(dq) / max(1e-4 * p.newton.tolerance * size, 100 * np.finfo(float).eps * system.length)
+        self.tolerance = max(1e-4 * p.newton.tolerance * size, roundoff(system))
+        return system.max_abs(dq) / self.tolerance

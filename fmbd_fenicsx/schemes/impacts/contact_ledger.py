@@ -98,10 +98,8 @@ class ContactLedger(Remembering):
         return found
 
     def fly(self, state: State, books: Array, time: float) -> ContactState:
-        """Steps without contact have led to a state; ``books``: works since the start, energy, that of springs; forces act at a
-        ``time`` (s).
-        """
-        self.work, self.energy, self.springs = books[:-2].copy(), float(books[-2]), float(books[-1])
+        """Steps without contact have led to a state, and to the ``books``; forces act at a ``time`` (s)."""
+        self.take(books)
         self.force = np.zeros_like(self.force)
         self.count(0)
         nothing = StepForces(np.zeros(len(self.force), dtype=bool), None, np.zeros((0, self.components)), time)
@@ -109,8 +107,15 @@ class ContactLedger(Remembering):
 
     @property
     def books(self) -> Array:
-        """Works since the start, energy, that of springs, (7,)."""
-        return np.append(self.work, (self.energy, self.springs))
+        """Works since the start, energy, that of springs; impacts, short ones, steps in contact, their increments: (11,)."""
+        counts = self.impacts, self.short, self.in_contact, self.newton_in_contact
+        return np.array((*self.work, self.energy, self.springs, *counts))
+
+    def take(self, books: Array) -> None:
+        """The same, of later steps."""
+        n = len(WORKS)
+        self.work, self.energy, self.springs = books[:n].copy(), float(books[n]), float(books[n + 1])
+        self.impacts, self.short, self.in_contact, self.newton_in_contact = (int(x) for x in books[n + 2 :])
 
     def averaged(self, state: ContactState, time: float, mean: tuple[Array, Array]) -> ContactState:
         """The state at ``time`` with the mean contact forces of a step of several parts: (m, d) in world axes, normal (m,)."""

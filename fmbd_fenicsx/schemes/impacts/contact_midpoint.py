@@ -281,5 +281,6 @@ class _Step(ElasticStep):
         self.lam = self.lam + dlam / self.scale
         self.xi = self.xi + system.rate(self.xi, dxi)
         self.q = system.compose(s.q, self.xi)
-        tolerance = max(1e-4 * p.newton.tolerance * max(system.max_abs(self.xi), h * system.max_abs(s.v)), self.floor)
-        return system.max_abs(dxi) / tolerance
+        way = max(system.max_abs(self.xi), h * system.max_abs(s.v))
+        self.tolerance = max(1e-4 * p.newton.tolerance * way, self.floor)
+        return system.max_abs(dxi) / self.tolerance

@@ -29,7 +29,7 @@ RELIED = 15  # steps that may rely on one
 
 @dataclass(frozen=True)
 class Confirmed:
-    """The increments of a step of size h (s), over the tolerance, in which a second one confirmed the first.
+    """The increments (m) of a step of size h (s) in which a second one confirmed the first.
 
     ``candidates``: which were near, as text that checkpoints hold; ``relied``: how many steps have relied on it since then.
     """
@@ -41,7 +41,7 @@ class Confirmed:
     relied: int = 0
 
     def left(self, size: float) -> float:
-        """The error that a first increment of a size leaves in a step alike."""
+        """The error (m) that a first increment of a size leaves in a step alike."""
         return MARGIN * self.second * max(1.0, (size / self.first) ** 2) if self.relied < RELIED else math.inf
 
 
@@ -55,6 +55,7 @@ class ElasticStep(ContactStep):
     """One step with the candidates ``near``, (m,) bool, which begin with the forces of the last step."""
 
     p: FlyingStepper  # type: ignore[assignment]
+    tolerance: float  # m, of the newest increment
 
     def __init__(self, stepper: FlyingStepper, h: float, near: np.ndarray) -> None:
         super().__init__(stepper, h, stepper.ledger.force[near])
@@ -67,7 +68,9 @@ class ElasticStep(ContactStep):
         known = p.confirmed
         if known is not None and (known.h, known.candidates) != (self.h, candidates):
             known = None
-        history = self.iterate(lambda size: math.inf if known is None else known.left(size))
+        history = self.iterate(
+            lambda size: math.inf if known is None else known.left(size * self.tolerance) / self.tolerance
+        )
 
         if known is not None and len(history) == 1:
             self._unconfirmed = True
@@ -75,7 +78,8 @@ class ElasticStep(ContactStep):
             return 1
 
         told = p.smooth and len(history) == 2 and not self._turned
-        p.confirmed = Confirmed(self.h, candidates, history[0], history[1]) if told else None
+        first, second = (x * self.tolerance for x in history) if told else (0.0, 0.0)
+        p.confirmed = Confirmed(self.h, candidates, first, second) if told else None
         return len(history)
 
     def changes(

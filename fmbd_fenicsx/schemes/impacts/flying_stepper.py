@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 
 FLYING = "compiled where nothing is near what it may touch; NumPy for steps in contact"
+MEETING = "compiled; NumPy for the start and for steps it gives back"
 
 
 class FlyingStepper(ContactStepper):
@@ -81,6 +82,13 @@ class FlyingStepper(ContactStepper):
         looks = driver.told.tables.looks
         return looks.energies_known and not looks.stores and looked_at(self.contacts)
 
+    @cached_property
+    def meets(self) -> bool:
+        """Whether it makes those in which something does, too."""
+        from .compiled.elastic_contact import meets_obstacles
+
+        return self.flies and self.problem is not None and meets_obstacles(self.contacts)
+
     def stride(self, h: float) -> float:
         """As :meth:`TimeStepper.stride`."""
         self._size = h
@@ -90,15 +98,16 @@ class FlyingStepper(ContactStepper):
         """The march with the factors of steps of size h (s)."""
         driver = self.solver.driver
         assert isinstance(driver, FieldDriverSolver)
-        states = driver.of_steps(self.state, self._weights(h))
+        self.solver.weights = self._weights(h)  # whose factor a run has that goes on from a checkpoint
+        states = driver.of_steps(self.state, self.solver.weights)
         if states is None:
             return None
         if self._march is None or self._march.tables is not states.tables:
-            from .compiled.free_flight import FreeMarch
+            from .compiled.elastic_contact import march_of
 
             twin, head = states.tables.system, self._room()
             room = len(head) + 6 * twin.n_v + 2 * twin.n_q + 6 * twin.n_lam
-            self._march = FreeMarch(states, self.system, self.maker, share=self.share, room=room)
+            self._march = march_of(self, states, room)
             self._march.room[: len(head)] = head
         return self._march
 
@@ -115,8 +124,8 @@ class FlyingStepper(ContactStepper):
 
     @property
     def _may_fly(self) -> bool:
-        """Whether nothing was near in the last step, and the next one has not been found out to be no flight."""
-        return self.flies and not self.close and self._refused is not self.state
+        """Whether compiled code may make the next step: where it does none in contact, if nothing was near in the last."""
+        return self.flies and (self.meets or not self.close) and self._refused is not self.state
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """As :meth:`TimeStepper.march`, up to one in which something may touch."""
@@ -137,8 +146,8 @@ class FlyingStepper(ContactStepper):
         assert driver is not None
         driver.begin_steps(s)
         march.load([(s.t, s.q, s.v, s.a, self._algorithmic(), s.lam)])
-        march.ring.own()[:] = self.ledger.books
-        made, verdict = march.steps(steps, observers.tape, judged=joints is not None, flight=march.around.begin())
+        march.around.begin(self, march.ring.own())
+        made, verdict = march.steps(steps, observers.tape, judged=joints is not None, flight=march.around.address)
         driver.end_steps(None)
         march.calls.forget_error()  # a step in Python meets it again
 
@@ -160,12 +169,12 @@ class FlyingStepper(ContactStepper):
         self.local_error, self.flown = float(p[slots.LOCAL]), self.flown + made
         if self.contacts.searching:
             self.contacts.update(self.system, s.q, 2 * h * self.contacts.fastest(self.system, s.v))
-        self.state = self.ledger.fly(s, march.ring.own(), s.t - (1.0 - self.share) * h)
+        self.state = march.around.end(self, s, march.ring.own())
 
     @property
     def path(self) -> str:  # type: ignore[override]
         """As :attr:`TimeStepper.path`."""
-        return FLYING if self.flies else ContactStepper.path
+        return MEETING if self.meets else FLYING if self.flies else ContactStepper.path
 
     @property
     def counters(self) -> dict[str, float]:

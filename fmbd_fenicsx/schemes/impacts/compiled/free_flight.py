@@ -1,10 +1,10 @@
-"""Steps of elastic bodies in which nothing touches, many in one call (``driver/contact/free_flight.c``)."""
+"""Steps of elastic bodies before what they may touch, many in one call (``driver/contact/free_flight.c``)."""
 
 from __future__ import annotations
 
 import ctypes
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,16 +14,26 @@ from ....mechanics.contact.obstacle_pair import ObstaclePair
 from ....rotations import Array
 from ....system.compiled.blocks import state_of
 from ....system.compiled.choice import driver_of
+from ....system.compiled.declarations import enumeration
 from ....system.compiled.library import CONTACT
 from ....system.compiled.march import March
 from ....system.compiled.recording import Recorded
 from ....system.compiled.states.evaluation import DriverStates
+from ....system.compiled.tables.tables import Tables
 from ....system.compiled.tape import Openness, Tape
 from ....system.layout import State
 from ....system.sensors.contact import WORKS, ContactForces, ContactState
 from ....system.system import System
+from ..contact_ledger import SHORT
+from ..elastic_step import MARGIN, RELIED, Confirmed
 from .pairs import PairTables, SurfacePoints
-from .structures import FACING, FREE_FLIGHT, Contacts
+from .structures import FACING, FLIGHT, FREE_FLIGHT, Contacts
+
+if TYPE_CHECKING:
+    from ..flying_stepper import FlyingStepper
+
+_NUMBERS = enumeration("LOADS", FLIGHT)  # of what is kept with a state
+CONFIRMED, TIME, KEPT = (_NUMBERS[x] for x in ("CONFIRMED", "TIME", "KEPT"))
 
 
 def looked_at(contacts: ContactSet) -> bool:
@@ -39,9 +49,12 @@ def looked_at(contacts: ContactSet) -> bool:
 
 
 class Surroundings(PairTables):
-    """What bodies may touch, for the march of their steps; ``share`` of a step at which its forces act."""
+    """What bodies may touch, for a march of steps whose forces act at a ``share`` of them; ``smooth``: see :func:`.is_smooth`.
 
-    def __init__(self, march: March, system: System, share: float) -> None:
+    Steps in which something is near are Python's.
+    """
+
+    def __init__(self, tables: Tables, system: System, share: float, *, smooth: bool) -> None:
         listed: list[Any] = []
         facing: list[Any] = []
         for pair in system.contacts.pairs:
@@ -50,46 +63,79 @@ class Surroundings(PairTables):
                 listed += [SurfacePoints(pair.slave), SurfacePoints(pair.master)]
             else:
                 listed.append(pair)
-        super().__init__(march.tables, system, listed)
+        super().__init__(tables, system, listed)
 
-        searched = [np.nan if pair.search is None else pair.search for pair in listed]
         self._pairs()
         on, place = self._points()
-        m, s = len(on), march.system
-        d = self.tables.dim
+        of = np.repeat(np.arange(len(listed)), [pair.count for pair in listed])
+        searched = [pair.search if isinstance(pair, ObstaclePair) else None for pair in listed]
+        m, s, d = len(on), tables.system, tables.dim
         self.c = Contacts(
-            pairs=len(listed), points=m, pair=ctypes.addressof(self.pairs), on=self._array("on", on, np.int32),
+            pairs=len(listed), points=m, components=d if self.contacts.frictional else 1,
+            moving=int(any(pair.moving for pair in system.contacts.pairs)), pair=ctypes.addressof(self.pairs),
+            on=self._array("on", on, np.int32), of=self._array("of", of, np.int32),
             place=self._array("place", place), own=self._zeros("own", m * (1 + 2 * d)),
-            now=self._touch("now", m, d), end=self._touch("end", m, d), python=self.function,
-            system=march.address,
+            now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
+            python=self.function, system=ctypes.addressof(tables.c),
         )  # fmt: skip
         self._facing = (FACING * len(facing))(*facing)
-        self._flight = FREE_FLIGHT(
+        self.flight = FREE_FLIGHT(
             contacts=ctypes.addressof(self.c), facings=len(facing), facing=ctypes.addressof(self._facing), share=share,
-            least=NEAREST * system.length, search=self._array("search", searched), loaded=int(bool(system.forces)),
-            room=self._zeros("room", 3 * s.n_v + s.n_q + 4 * s.n_lam),
+            least=NEAREST * system.length, loaded=int(bool(system.forces)), smooth=int(smooth), length=system.length,
+            linear=int(not any(part.field.nonlinear for _, part in system.fields)),
+            search=self._array("search", [np.nan if far is None else far for far in searched]),
+            room=self._zeros("room", 3 * s.n_v + s.n_q + 4 * s.n_lam), margin=MARGIN, relies=RELIED, brief=SHORT,
         )  # fmt: skip
+        self.address = ctypes.addressof(self.flight)
 
-    def begin(self) -> int:
-        """The address for a march from another state."""
-        self.c.known = 0
-        return ctypes.addressof(self._flight)
+    @property
+    def kept(self) -> int:
+        """Numbers with each state."""
+        return KEPT
+
+    def begin(self, stepper: FlyingStepper, own: Array) -> None:
+        """A march begins from the newest state of a stepper; with that are kept ``own``."""
+        self.c.known = self.flight.ready = 0
+        known = stepper.confirmed
+        own[:] = 0.0
+        own[:CONFIRMED] = stepper.ledger.books
+        if known is not None:
+            own[CONFIRMED:TIME] = known.h, known.first, known.second, known.relied
+
+    def end(self, stepper: FlyingStepper, s: State, own: Array) -> ContactState:
+        """It has ended in a state ``s``, with which ``own`` are kept: the stepper takes them, and the state with its contacts."""
+        h, first, second, relied = (float(x) for x in own[CONFIRMED:TIME])
+        near = self._near(own)
+        stepper.confirmed = Confirmed(h, near.tobytes().hex(), first, second, int(relied)) if h else None
+        stepper.close = bool(near.any())
+        return self._take_books(stepper, s, own)
+
+    def _near(self, own: Array) -> np.ndarray:
+        """Which candidates were near in the last step, (m,) bool."""
+        return np.zeros(len(self.contacts.pair), dtype=bool)
+
+    def _take_books(self, stepper: FlyingStepper, s: State, own: Array) -> ContactState:
+        """Books of steps in which nothing was near, and the state."""
+        return stepper.ledger.fly(s, own[:CONFIRMED], float(own[TIME]))
+
+    def tape(self, march: FreeMarch, judged: Openness) -> Tape:
+        """Room for records, with the works of contact; not for instants within steps."""
+        return FlightTape(march, judged)
 
 
 class FreeMarch(March):
-    """The march of such steps of a ``system``, whose twin the tables of the states are about."""
+    """The march of such steps, with what is ``around`` the bodies of the states."""
 
-    def __init__(self, states: DriverStates, system: System, scheme: str, *, share: float, room: int) -> None:
+    def __init__(self, states: DriverStates, around: Surroundings, scheme: str, *, room: int) -> None:
         library = driver_of(states.twin.system, CONTACT)
-        super().__init__(library, states.tables, states.calls, scheme, own=len(WORKS) + 2, room=room)
-        self.around = Surroundings(self, system, share)
-        self.whole = system
+        super().__init__(library, states.tables, states.calls, scheme, own=around.kept, room=room)
+        self.around, self.whole = around, around.system
         self.impulse: Array = np.zeros(0)  # of contacts since the start, (pairs, d)
 
     def tape(self, judged: Openness) -> Tape:
         """Room for records, not for instants within steps. Made once."""
         if self._tape is None:
-            self._tape = FlightTape(self, judged)
+            self._tape = self.around.tape(self, judged)
         return self._tape
 
 

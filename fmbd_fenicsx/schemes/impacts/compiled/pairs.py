@@ -21,20 +21,15 @@ from ....system.compiled.tables.tables import Tables
 from ....system.system import System
 from .structures import SOURCE, Touch, structure
 
-POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED = enumeration("POSE_OF", SOURCE).values()
+POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED, NEARBY = enumeration("POSE_OF", SOURCE).values()
 *_, SURFACE, LIMIT, OWN = enumeration("HALF_SPACE", SOURCE).values()  # behind the shapes that the driver knows
 
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """The nodes of a surface that touches no obstacle but another surface, as a pair of their own."""
+    """The nodes of a surface that touches no obstacle but another surface, which stand among the pairs."""
 
     slave: Side
-    friction: float = 0.0
-    restitution: float = 0.0
-    thickness: float = np.inf
-    search: float | None = None
-    moving: bool = False
 
     @property
     def count(self) -> int:
@@ -120,23 +115,27 @@ class PairTables:
         made = []
 
         for pair in self.listed:
-            one = kind(
-                first=first, count=pair.count, moving=int(pair.moving), radius=pair.slave.radius, carrier=-1,
-                friction=pair.friction, restitution=pair.restitution, thickness=pair.thickness,
-            )  # fmt: skip
+            one = kind(first=first, count=pair.count, radius=pair.slave.radius, carrier=-1)
             one.asked[:] = [np.nan] * len(one.asked)
-            if isinstance(pair, LimitPair):
-                self._stop(one, pair)
-            elif isinstance(pair, SurfacePoints):
+            if isinstance(pair, SurfacePoints):
                 one.shape = SURFACE
             else:
-                self._obstacle(one, pair)
+                self._meeting(one, pair)
             if pair.slave.surface is not None:
                 self._moved(one, pair)
             first += pair.count
             made.append(one)
 
         self.pairs = (kind * len(made))(*made)
+
+    def _meeting(self, one: Any, pair: Any) -> None:
+        """What points meet, and by which laws."""
+        one.moving, one.thickness = int(pair.moving), pair.thickness
+        one.friction, one.restitution = pair.friction, pair.restitution
+        if isinstance(pair, LimitPair):
+            self._stop(one, pair)
+        else:
+            self._obstacle(one, pair)
 
     def _obstacle(self, one: Any, pair: ObstaclePair) -> None:
         """Shape and carrier of an obstacle."""

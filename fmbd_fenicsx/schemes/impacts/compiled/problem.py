@@ -36,25 +36,40 @@ class CompiledProblem:
         """
         m, d = force.shape
         if m != self.c.all.m:
-            self._take_size(m)
+            self.take_size(m)
         row, near, _ = self.everyone
         blocks, x = W.reshape(m, d, m, d), self.arrays
         x["own"][: m * d * d] = blocks[range(m), :, range(m)].ravel()
         x["W"][: len(row) * d * d] = blocks[row, :, near].ravel()
         x["f"][: m * d], x["u"][: m * d], x["mu"][:m] = force.ravel(), opening.ravel(), mu
         x["q"][: m * d] = opening.ravel() - W @ force.ravel()
-        self.c.tally = Tally()
         if self.library.contact_problem(ctypes.addressof(self.c)):
+            self.c.tally = Tally()
             return None
 
-        tally = self.c.tally
-        counts.solves, counts.iterations = counts.solves + tally.solves, counts.iterations + tally.iterations
-        counts.changes, counts.residual = counts.changes + tally.changes, max(counts.residual, tally.residual)
+        self.count(counts)
         found = x["f"][: m * d].reshape(m, d).copy()
         found[:, 0] = np.maximum(found[:, 0], 0.0)
         return found
 
-    def _take_size(self, m: int) -> None:
+    @property
+    def posed(self) -> tuple[Array, Array, Array, Array]:
+        """The problem as it stands in C: W, openings (m d,) under the forces, friction (m,), and the forces (m, d) themselves."""
+        m, d, x = self.c.all.m, self.d, self.arrays
+        row, near, _ = self.everyone
+        W = np.zeros((m, d, m, d))
+        W[range(m), :, range(m)] = x["own"][: m * d * d].reshape(m, d, d)
+        W[row, :, near] = x["W"][: len(row) * d * d].reshape(-1, d, d)
+        return W.reshape(m * d, m * d), x["u"][: m * d].copy(), x["mu"][:m].copy(), x["f"][: m * d].reshape(m, d)
+
+    def count(self, counts: ContactCounts) -> None:
+        """Add what was counted since the last call."""
+        tally = self.c.tally
+        counts.solves, counts.iterations = counts.solves + tally.solves, counts.iterations + tally.iterations
+        counts.changes, counts.residual = counts.changes + tally.changes, max(counts.residual, tally.residual)
+        self.c.tally = Tally()
+
+    def take_size(self, m: int) -> None:
         """Problems of m points come next."""
         if m > self.room:
             self._make_room(m)

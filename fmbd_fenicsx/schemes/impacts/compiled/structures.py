@@ -16,7 +16,7 @@ Contacts = structure_of(
     SOURCE, "Contacts", Touch=Touch, Block=Block, Problem=Problem, Graph=Graph, Blocks=Blocks, Tally=Tally
 )
 FLIGHT = "contact/free_flight.c"
-FACING, FREE_FLIGHT = structure_of(FLIGHT, "Facing"), structure_of(FLIGHT, "FreeFlight")
+FACING, NODES, FREE_FLIGHT = (structure_of(FLIGHT, name) for name in ("Facing", "Nodes", "FreeFlight"))
 
 
 def structure(name: str, dim: int) -> type[ctypes.Structure]:

@@ -71,7 +71,7 @@ class ContactTape(Tape):
             gap,
             carried,
             force,
-            _pressures(contacts, carried),
+            contacts.pressures(carried),
             impulse,
             work,
         )
@@ -100,10 +100,3 @@ class ContactRecorded(Recorded):
         """One of the states, with the contact forces of the step that led to it."""
         s = super().state(i)
         return ContactState(s.t, s.q, s.v, s.a, s.lam, self.contact.record(i, float(self._times[i])))
-
-
-def _pressures(contacts: ContactSet, normal: Array) -> Array:
-    """Pressures of normal forces (k, m)."""
-    if all(pair.trace_nodes is None for pair in contacts.pairs):
-        return normal
-    return np.array([contacts.pressures(x) for x in normal]).reshape(normal.shape)

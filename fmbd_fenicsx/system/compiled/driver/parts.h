@@ -128,10 +128,39 @@ static inline Block block_at(const System *s, double *x)
 int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 
-/* free_flight.c: whether nothing touches in a step of size h, then its books are written; LOOK where something may. The step counts. */
+/* free_flight.c: whether a step of size h may count, then its books are written; LOOK where something may touch that Python looks after.
+   The step counts. What its record tells of contacts. */
 typedef struct FreeFlight FreeFlight;
 PART int fly(System *s, FreeFlight *o, double h, const Block *now, const Block *out);
 PART void land(FreeFlight *o);
+PART void record_contact(const FreeFlight *o, const Block *out, double *to, long place);
+
+/* elastic_contact.c. An increment of Newton's iteration: at t and q its balance is, at ``end`` gaps close, by xi from the step's start at
+   ``from`` (s) over a span; forces act by ``scale`` times its solution for the right-hand sides b and ``open``, NULL: the residuals
+   evaluated last. */
+typedef struct {
+    double t, end_t, from, span, scale;
+    const double *q, *end, *xi, *open;
+    double *b;
+} Contacting;
+/* Find who takes part in a step of size h; begin its iteration, with how many; whether others join in where it has led to. */
+PART int begin_contact(System *s, FreeFlight *o, double h, const Block *now);
+PART int start_forces(System *s, FreeFlight *o, const Block *now);
+PART int met_others(FreeFlight *o, const Block *out, int *verdict);
+/* Whether a slow iteration goes on with its matrix: new tangents change nothing but columns of inertia. */
+PART int goes_on_slowly(const FreeFlight *o);
+/* The matrix is a new one, that of a configuration; the solution with contacts. */
+PART void contact_factored(const System *s, FreeFlight *o, const double *q);
+PART int contact_increment(System *s, FreeFlight *o, const Contacting *k, double *x, double *y);
+/* The error that a first increment of a size (over a tolerance, m) leaves, by what steps before tell; take note of those of a step. */
+PART double left_as_told(const FreeFlight *o, const Block *now, double h, double size, double tolerance);
+PART void iterated(FreeFlight *o, const Block *now, const Block *out, double h, const double *sizes, double tolerance, int done);
+/* Velocities of closed contacts at the end of a step: as persistency in contact_alpha.py, with what accelerations change by for that of a
+   velocity. */
+typedef struct {
+    double h, scale, gain, to_A, to_a;
+} Persisting;
+PART int persist(System *s, FreeFlight *o, const Persisting *k, const Block *now, const Block *out);
 enum { WORKS = 5 }; /* of contacts since the start, see sensors/contact.py: in records of such steps */
 
 /* schemes.c */
@@ -156,6 +185,8 @@ int side_row(System *s, const Batch *k, long i, int side, int *body);
 void item_row(System *s, const Batch *k, long i, double factor, double *row);
 void all_rows(System *s, const double *mu, double *G);
 EXPORT int driver_solve(System *s, long count, const double *q, const double *b, const double *c, double *x, double *y);
+EXPORT int driver_columns(System *s, long count, const double *q, const double *still, const double *b, const double *pz, double *x,
+                          double *f);
 EXPORT int driver_balances(System *s, long count, const double *t, const double *q, const double *v, const double *a,
                            const double *lam, double *out);
 EXPORT int driver_constraints(System *s, long count, const double *t, const double *q, const double *v, double *gap, double *slip,

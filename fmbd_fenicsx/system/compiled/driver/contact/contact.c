@@ -6,7 +6,7 @@
    a surface that touches no obstacle but another surface are a pair of their own, too. */
 
 enum { HALF_SPACE, SPHERE, CYLINDER, BOX, SURFACE, LIMIT, OWN }; /* OWN: Python tells the distances */
-enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED };   /* what Python is asked for, or told, by contact */
+enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED, NEARBY }; /* what Python is asked for, or told, by contact */
 enum { TOLD = 8 };                                     /* poses of a moving obstacle that are kept: those of the times of a step */
 
 typedef struct {

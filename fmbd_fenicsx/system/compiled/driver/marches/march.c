@@ -39,7 +39,7 @@ static int passes(System *s, Closed *o, const Block *now, double h)
     return 1;
 }
 
-/* Who looks at the steps of a march, each may be NULL: takes records, judges errors, judges every state, sees whether nothing touches. */
+/* Who looks at the steps of a march, each may be NULL: takes records, judges errors, judges every state, keeps the books of contact. */
 typedef struct {
     Tape *tape;
     Control *control;
@@ -73,7 +73,7 @@ static int judge_state(System *s, const Watch *w, double *p, const Block *past, 
     if (guarded && placed && gained(s, p, out, e)) return GAIN;
     if ((s->remembers || recorded || waits) && !placed) return LOOK;
     if (p[CHOSEN] != 0.0 && s->remembers && friction_overran(s, *out->t, *out->t - *past->t)) return LOOK;
-    if (recorded && w->flight) memcpy(w->tape->contact + WORKS * place_on(w->tape), out->own, WORKS * sizeof(double));
+    if (recorded && w->flight) record_contact(w->flight, out, w->tape->contact, place_on(w->tape));
     if (recorded) verdict = record(s, w->tape, out, guarded ? e : 0, w->tape->left == 1 || waits);
     else if (waits) judge_drift(s, w->tape, out);
     if (!verdict && s->remembers) verdict = keep(s, *out->t);
@@ -153,7 +153,9 @@ EXPORT long march(System *s, int scheme, double *p, double *room, long steps, do
                   Control *control, Closed *closed, FreeFlight *flight)
 {
     s->recalls = ANEW;
+    s->flight = flight;
     const long made = march_on(s, scheme, p, room, steps, ring, verdict, tape, control, closed, flight);
     s->recalls = FORGETS;
+    s->flight = NULL;
     return made;
 }

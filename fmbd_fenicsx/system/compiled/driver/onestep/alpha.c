@@ -43,6 +43,15 @@ int judge(double *p, const double *sizes, int done, double *error)
     return left <= 1.0 || size <= 1e-3;
 }
 
+/* The same where contacts may take part, and earlier steps tell what a first increment leaves; over a tolerance, m. */
+static int judge_step(const System *s, double *p, const Block *now, const double *sizes, double tolerance, int done, double *error)
+{
+    const int converged = judge(p, sizes, done, error);
+    if (converged || done > 1 || !s->flight) return converged;
+    *error = fmin(*error, left_as_told(s->flight, now, p[H], *sizes, tolerance));
+    return *error <= 1.0;
+}
+
 /* Whether an iteration that converges would still take more increments than its tangent is worth. */
 int lingers(const double *p, int done, double left)
 {
@@ -95,6 +104,7 @@ typedef struct {
     double misfit;                     /* of the springs' pulls across in the matrix */
     int done, hesitations;             /* increments; those that were made as laws were undecided */
     int far;                           /* whether the matrix is far from the state */
+    int touching;                      /* contacts that take part */
     int evaluated, renewals;           /* whether the end was evaluated already; new tangents of fields */
     Secants told;
 } AlphaStep;
@@ -166,6 +176,7 @@ static int evaluate_end(System *s, const double *p, AlphaStep *k)
 /* A new matrix, where the one at hand is not that of the state evaluated. */
 static int linearise(System *s, const double *p, AlphaStep *k)
 {
+    if (k->touching && k->done) return DONE; /* velocities of closed contacts follow from the matrix of a step's beginning */
     int later = k->done > 0, slow = later && p[THETA] > SLOW_TURN;
     int impatient = k->done > (int)p[PATIENCE] && !s->fields && !k->told.poor; /* fields go on with one tangent while they converge */
 
@@ -183,6 +194,7 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     s->led = later;
     int verdict = prepare(s, k->out.q, k->damp, k->scale, k->lam, reactions, k->t);
     s->led = 0;
+    if (k->touching) contact_factored(s, s->flight, k->out.q);
     return verdict;
 }
 
@@ -192,13 +204,16 @@ static int solve(System *s, AlphaStep *k)
     const Body *const end = s->body + (s->fields ? s->bodies : 0);
     for (const Body *o = s->body; o < end; o++)
         if (o->field) close_volume(o, o->field->force);
-    int verdict = k->stable ? stabilised(s, k->scale, k->damp, k->x, k->closing, k->y, k->none, k->t)
-                            : increment(s, k->scale, k->x, k->y, k->t);
+    const Contacting at = {k->t, k->t, *k->now.t, k->t - *k->now.t, k->scale, k->out.q, k->out.q, k->xi, NULL, NULL};
+    int verdict = k->touching ? contact_increment(s, s->flight, &at, k->x, k->y)
+                  : k->stable ? stabilised(s, k->scale, k->damp, k->x, k->closing, k->y, k->none, k->t)
+                              : increment(s, k->scale, k->x, k->y, k->t);
     if (verdict) return verdict;
     for (const Body *o = s->body; o < end; o++)
         if (o->field) move_pressure(o, k->x);
 
     /* the best tangent that there is comes first; multipliers found anew are no increments */
+    if (k->touching) return DONE;
     if (s->redundant && k->done == 0) forget(&k->told);
     else if (s->leaves_out && (!s->foretells || k->renewals)) improve(s, &k->told, k->x, k->stable ? k->closing : NULL, k->y);
     return DONE;
@@ -278,8 +293,10 @@ static int iterate(System *s, double *p, AlphaStep *k)
         if ((verdict = solve(s, k))) return verdict;
         take(s, p, k);
 
-        converged = judge(p, k->sizes, k->done, &k->left);
-        if (outworn(s, p, k)) {
+        converged = judge_step(s, p, &k->now, k->sizes, k->tolerance, k->done, &k->left);
+        const int old = outworn(s, p, k);
+        if (old && k->touching && !goes_on_slowly(s->flight)) return NEWTON;
+        if (old && !k->touching) {
             if ((verdict = renew_tangents(s, p, k))) return verdict;
             converged = 0;
         } else if (converged < 0 && !(s->bridged && k->sizes[k->done - 1] < INFINITY)) return NEWTON;
@@ -291,6 +308,26 @@ static int iterate(System *s, double *p, AlphaStep *k)
     return k->done > (int)p[PATIENCE] + 1 && !s->fields && strayed(s, p, k->xi, k->begun) ? NEWTON : DONE;
 }
 
+/* Newton's iteration from where the last steps lead, and its end. */
+static int find_end(System *s, double *p, const Block *past, int known, AlphaStep *k)
+{
+    const Block out = k->out;
+    int verdict;
+    predict(s, p, past, known, k);
+    k->touching = s->flight && start_forces(s, s->flight, past);
+    if ((verdict = iterate(s, p, k))) return verdict;
+
+    p[ITERATIONS] += k->done;
+    follow(s, p, k);
+    if (turns_freely(s)) {
+        if ((verdict = place(s, out.q, out.v))) return verdict;
+        settle_angles(s, out.q);
+    }
+    *out.t = k->t;
+    if (s->flight) iterated(s->flight, past, &out, p[H], k->sizes, k->tolerance, k->done);
+    return DONE;
+}
+
 /* One step, as a Maker of march.c. */
 static int alpha_step(System *s, double *p, double *free_room, const Block *past, int known, Block out)
 {
@@ -300,25 +337,26 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
     (void)free_room; /* it works in the tables' */
 
     begin(s, p, past[0], out, &k);
+    if (s->flight && (verdict = begin_contact(s, s->flight, p[H], past))) return verdict;
     if (!rates_wait(s, p) && (verdict = sample(s, k.t, &asked))) return verdict;
     if (rates_wait(s, p)) {
         s->calls++;
         if (s->python(SAMPLE, PLACES, k.t)) return FAILED;
     }
-    predict(s, p, past, known, &k);
-    if ((verdict = iterate(s, p, &k))) return verdict;
+    if ((verdict = find_end(s, p, past, known, &k))) return verdict;
+    while (s->flight && met_others(s->flight, &out, &verdict)) {
+        begin(s, p, past[0], out, &k);
+        if ((verdict = find_end(s, p, past, known, &k))) return verdict;
+    }
+    if (verdict) return verdict;
 
-    p[ITERATIONS] += k.done;
     p[LEFT] += k.left;
     s->renewals = k.renewals;
-    follow(s, p, &k);
-    if (turns_freely(s)) {
-        if ((verdict = place(s, out.q, out.v))) return verdict;
-        settle_angles(s, out.q);
-    }
-    *out.t = k.t;
+    const double h = p[H], to_A = 1.0 / (p[GAMMA] * h);
+    const Persisting end = {h, k.scale, k.scale / (p[BETA] * h) * p[GAMMA], to_A, (1 - p[AM]) / (1 - p[AF]) * to_A};
+    if (k.touching && (verdict = persist(s, s->flight, &end, past, &out))) return verdict;
     for (int i = 0; i < s->nv; i++) k.x[i] = out.A[i] - k.now.A[i];
-    p[LOCAL] = fmax(p[LOCAL], p[H] * p[H] * fabs(p[BETA] - 1.0 / 6.0) * largest_of(s->units, k.x, s->nv));
+    p[LOCAL] = fmax(p[LOCAL], h * h * fabs(p[BETA] - 1.0 / 6.0) * largest_of(s->units, k.x, s->nv));
     return DONE;
 }
 

@@ -1,4 +1,4 @@
-/* The theta rule with no contact, schemes/impacts/contact_midpoint.py, many steps in one call (march.c).
+/* The theta rule, schemes/impacts/contact_midpoint.py, many steps in one call (march.c); with contacts of contact/elastic_contact.c.
 
    Its room begins with theta, the size (m) of increments that are roundoff, whether velocities are projected on joints, and nv
    numbers: 1 for nodes without inertia. */
@@ -54,26 +54,33 @@ static int theta_residuals(System *s, const ThetaRoom *o, double h, double theta
 static int theta_iterate(System *s, double *p, const double *room, const ThetaRoom *o, Block now, Block out)
 {
     const double h = p[H], theta = room[SHARE_OF_STEP], scale = theta * h * h;
+    const Contacting at = {*now.t + theta * h, *out.t, *now.t, h, scale, o->q, out.q, o->xi, o->gap, o->sums};
+    const int touching = start_forces(s, s->flight, &now);
     const int most = (int)fmin(p[MAXIT], MOST);
     double sizes[MOST], left;
-    int verdict, converged = 0;
+    int verdict, converged = 0, done;
 
-    for (int done = 0; !converged;) {
+    for (done = 0; !converged;) {
         if (done == most) return NEWTON;
         if ((verdict = theta_residuals(s, o, h, theta, now, out, !done))) return verdict;
+        if (touching && !done) contact_factored(s, s->flight, o->factored);
         for (int i = 0; i < s->nv; i++) o->sums[i] *= -scale;
         for (int i = 0; i < s->rows; i++) o->gap[i] = -o->gap[i];
-        if ((verdict = driver_solve(s, 1, o->factored, o->sums, o->gap, o->x, o->y))) return verdict;
+        verdict = touching ? contact_increment(s, s->flight, &at, o->x, o->y)
+                           : driver_solve(s, 1, o->factored, o->sums, o->gap, o->x, o->y);
+        if (verdict) return verdict;
 
         const double size = largest_of(s->units, o->x, s->nv);
         for (int i = 0; i < s->rows; i++) out.lam[i] += o->y[i] / scale;
         driver_rate(s, 1, o->xi, s->nv, o->x, s->nv, o->part);
         add(o->xi, 1.0, o->part, s->nv);
         const double way = fmax(largest_of(s->units, o->xi, s->nv), h * largest_of(s->units, now.v, s->nv));
-        sizes[done++] = size / fmax(FINER * p[TOL] * way, room[ROUNDOFF]);
+        const double tolerance = fmax(FINER * p[TOL] * way, room[ROUNDOFF]);
+        sizes[done++] = size / tolerance;
 
-        converged = judge(p, sizes, done, &left);
-        if (converged < 0 || lingers(p, done, left)) return NEWTON;
+        converged = judge_step(s, p, &now, sizes, tolerance, done, &left);
+        if (converged > 0) iterated(s->flight, &now, &out, h, sizes, tolerance, done);
+        if (converged < 0 || (lingers(p, done, left) && !goes_on_slowly(s->flight))) return NEWTON;
         p[ITERATIONS] += 1;
     }
     p[LEFT] += left;
@@ -90,9 +97,13 @@ static int theta_step(System *s, double *p, double *room, const Block *past, int
     (void)known; /* it begins with the velocity, as steps in contact do */
 
     *out.t = *now.t + h;
-    memcpy(out.lam, now.lam, s->rows * sizeof(double));
-    for (int i = 0; i < s->nv; i++) o.xi[i] = h * now.v[i], out.A[i] = 0.0;
-    if ((verdict = theta_iterate(s, p, room, &o, now, out))) return verdict;
+    if ((verdict = begin_contact(s, s->flight, h, &now))) return verdict;
+    do {
+        memcpy(out.lam, now.lam, s->rows * sizeof(double));
+        for (int i = 0; i < s->nv; i++) o.xi[i] = h * now.v[i], out.A[i] = 0.0;
+        if ((verdict = theta_iterate(s, p, room, &o, now, out))) return verdict;
+    } while (met_others(s->flight, &out, &verdict));
+    if (verdict) return verdict;
 
     /* (1), and (4) where there is no inertia */
     for (int i = 0; i < s->nv; i++) {
