@@ -20,9 +20,8 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError, PartsError
 from fmbd_fenicsx.materials import linear_elastic, neo_hookean
 from fmbd_fenicsx.run import single_run
-from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps
+from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps, estimates
 from fmbd_fenicsx.run.accuracy.certificate import moving
-from fmbd_fenicsx.run.accuracy.estimates import LOOKED_AT
 from fmbd_fenicsx.run.accuracy.search import next_attempt, shared_runs, shared_spaces, space_levels, tolerance
 from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.system.scene import refinement
@@ -117,6 +116,23 @@ def test_values_within_one_step_hide_no_error() -> None:
     assert run.counters["steps"] == 1 and 0.5 < run.certificate["x"].total / true < 3.0
 
 
+def test_few_long_steps_are_told_by_shorter_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 19 steps beside a tyre the run that lands at their ends had the longest ones, too, and 0.04 of the error was stated."""
+    longest, companion = [], estimates.companion
+
+    def noted(problem: Any, schedule: Any, *rest: Any) -> Any:
+        longest.append(schedule.largest)
+        return companion(problem, schedule, *rest)
+
+    monkeypatch.setattr(estimates, "companion", noted)
+    output = fmbd.Output(progress=False, estimate_error=True)
+    for rtol in (1e-3, 1e-6):
+        scheme = fmbd.Radau(3, rtol=rtol)
+        run = fmbd.solve(CASES["pendulum, Radau"].scene(), t_end=1.0, scheme=scheme, output=output)
+        few = run.counters["steps"] < estimates.MANY
+        assert longest.pop() == pytest.approx(0.5 / run.counters["steps"] if few else np.inf) and few == (rtol == 1e-3)
+
+
 def test_steps_that_begin_alike_hide_no_error() -> None:
     """11 steps of BDF from order one are 2.4 times the tolerance off, nearly as far as 8 with ten times its own: what is between
     these states 0.17 of the error.
@@ -134,7 +150,7 @@ def test_steps_that_begin_alike_hide_no_error() -> None:
 def test_records_at_many_times_tell_the_error_of_the_next_attempt() -> None:
     """An attempt is compared with the one before at a hundred of them, of steps that a march in compiled code has kept, too."""
     case, scheme = CASES["geared chain"], fmbd.HalfExplicit()
-    times = np.linspace(0.0, case.t_end, 2 * LOOKED_AT + 41)
+    times = np.linspace(0.0, case.t_end, 2 * estimates.LOOKED_AT + 41)
     output = fmbd.Output(times=tuple(times), progress=False)
     run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"end": 2e-4}, scheme=scheme, output=output)
     off = np.abs(run["end"] - case.reference(case, times)).max()

@@ -154,7 +154,8 @@ def _from_tolerance(
     """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective.
 
     Where values between ends of steps are of a lower order, steps of a finer run end where the given one is recorded at its own,
-    or its errors would be taken for that one's; at other times it has half of its mean step at most, as both would share theirs.
+    or its errors would be taken for that one's. At other times, and beside few steps, it has half of the mean one at most: both
+    would share a long one, and what it is off.
     """
     recorder, schedule = given.recorder, given.schedule
     other, finer = replace(problem, scheme=replace(problem.scheme, rtol=rtol)), rtol < problem.scheme.rtol
@@ -167,7 +168,7 @@ def _from_tolerance(
         landing = landing.below(SHORT * mean)
     if lands:
         landing = replace(landing, marks=tuple(sorted({*schedule.marks, *instants})))
-    elif finer and problem.said.ends_ahead:
+    if finer and problem.said.ends_ahead and not (lands and recorder.indices[-1] >= MANY):
         landing = landing.below(HALF * mean)
     made = Compared(companion(other, landing, wanted).recorder, schedule, other.scheme)
     apart = {n: Deviation(made.recorder.times, x - recorder.series[n][rows]) for n, x in made.recorder.series.items()}
