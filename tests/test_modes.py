@@ -420,3 +420,17 @@ def test_dampers_are_seen_beside_stiff_parts() -> None:
         spring = fmbd.joint_spring(f"spring of {name}", fmbd.displacement(rail), stiffness=stiffness, damping=damping)
         scene.add(cart, rail, spring)
     assert fmbd.modes(scene, 1).eigenvalues[0] == pytest.approx(-0.025 + 1j * np.sqrt(1.0 - 0.025**2), abs=1e-9)
+
+
+def test_a_scene_without_free_motion_has_no_modes() -> None:
+    """A drive holds the only joint."""
+    arm = fmbd.RigidBody("arm", 1.0, 0.1, position=(0.5, 0.0))
+    pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0.0, 0.0))
+    scene = fmbd.Scene("held")
+    scene.add(
+        arm, pin, fmbd.drive("motor", fmbd.angle(pin), lambda t: 0.0 * t), fmbd.effort("push", fmbd.angle(pin), 0.0)
+    )
+    scene.sensor("arm", fmbd.angle(pin))
+    for ask in (lambda: fmbd.modes(scene, 1), lambda: fmbd.linearise(scene, ["push"], ["arm"])):
+        with pytest.raises(InputError, match="leave no motion free"):
+            ask()

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ...errors import InputError, LinearSolveError
+from ...errors import InputError, LinearSolveError, require
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...log import log
@@ -79,6 +79,7 @@ def projected(
     use_driver(system)
     if not system.fields and system.n_core <= DENSE_LIMIT:
         V = free_motions(about)
+        require(len(V) > 0, "The scene has no modes: its joints and drives leave no motion free, see scene.check().")
         M, C, K = (V @ image.T for image in about.images(V))
         made = ProjectedSystem(V, M, C, K, _speeds(about, V))
     else:
