@@ -187,6 +187,42 @@ def test_halved_edges_of_a_round_shape_in_millimetres_meet_it(name: str, text: s
     )
 
 
+CURVED = """
+def build(gmsh):
+    gmsh.model.occ.addDisk(0, 0, 0, 1, 1), gmsh.model.occ.synchronize()
+    gmsh.model.addPhysicalGroup(2, [1], name="disc")
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+    gmsh.model.mesh.generate(2), gmsh.model.mesh.setOrder(2)
+"""
+
+
+def test_halved_edges_of_curved_cells_are_curved(shared_tmp: Path) -> None:
+    """They fall to the shape with the fourth power of their length; a finished mesh has no shape for them."""
+    from dolfinx import fem
+
+    script, finished = shared_tmp / "curved.py", shared_tmp / "curved.msh"
+    script.write_text(CURVED)
+    mesh, missing = read_gmsh(script), []
+    for _ in range(2):
+        assert mesh.dolfinx.geometry.cmap.degree == 2
+        area = mesh.dolfinx.comm.allreduce(fem.assemble_scalar(fem.form(fem.Constant(mesh.dolfinx, 1.0) * mesh.dx)))
+        missing.append(np.pi - area)
+        mesh = mesh.refined()
+    assert missing[0] / missing[1] == pytest.approx(16.0, rel=0.1)
+
+    if MPI.COMM_WORLD.rank == 0:
+        import gmsh
+
+        gmsh.initialize()
+        gmsh.option.setNumber("General.Terminal", 0)
+        runpy.run_path(str(script))["build"](gmsh)
+        gmsh.write(str(finished))
+        gmsh.finalize()
+    MPI.COMM_WORLD.barrier()
+    with pytest.raises(MeshError, match="order 2 cannot be halved"):
+        read_gmsh(finished).refined()
+
+
 def write_rod(file: Path, dim: int) -> None:
     """The rod of meshes/rod.py as a finished mesh."""
     import gmsh

@@ -108,7 +108,7 @@ class Mesh:
         halved. Either way curved sides are met better where gmsh knows the shape; sides of a finished mesh stay as they are.
 
         Raises:
-            MeshError: nobody knows where the mesh is from.
+            MeshError: nobody knows where the mesh is from, or its cells are curved and it was finished elsewhere.
         """
         if self.recipe is None:
             raise MeshError(f"{self.label} cannot be refined: it was not read by read_gmsh or read_mesh.")
@@ -286,9 +286,23 @@ def require_file(path: Path) -> None:
 
 
 def halve_edges(gmsh: Any, times: int) -> None:
-    """Halve every edge of a model's mesh so many times; new nodes lie on its shape, in whose units the mesh has to be."""
+    """Halve every edge of a model's mesh so many times; new nodes lie on its shape, in whose units the mesh has to be.
+
+    Raises:
+        MeshError: curved cells without a shape. gmsh would make them straight, and the body another one.
+    """
+    if not times:
+        return
+    order = max(gmsh.model.mesh.getElementProperties(kind)[2] for kind in gmsh.model.mesh.getElementTypes())
+    shapes = [gmsh.model.getType(*entity) for entity in gmsh.model.getEntities(gmsh.model.getDimension())]
+    if order > 1 and any(shape.startswith("Discrete") for shape in shapes):
+        raise MeshError(
+            f"its cells of order {order} cannot be halved, as a finished mesh has no shape for their new sides. Take a script "
+            "with the size of its cells h, a .geo file or a CAD part."
+        )
     for _ in range(times):
         gmsh.model.mesh.refine()
+    gmsh.model.mesh.setOrder(order)
 
 
 def _load(
