@@ -86,12 +86,14 @@ class MixedEnergy:
 
     ``carried``: p is an unknown of its own beside u instead of being eliminated (absolute bodies, see ``fem.mixed``).
     ``incompressible``: the part quadratic in p serves the tangent only, so that J = 1 holds without it.
+    ``of_strain(domain)``: the same as a UFL function (C, J, p) -> J/m^3, where it is one of C = F^T F; None: it is not known.
     """
 
     density: Callable[[Any, Any, Any], Any]
     linear: bool = False
     carried: bool = False
     incompressible: bool = False
+    of_strain: Callable[[Any], Callable[[Any, Any, Any], Any]] | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)

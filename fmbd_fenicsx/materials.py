@@ -190,7 +190,7 @@ def neo_hookean_mixed(youngs_modulus: Modulus, poisson_ratio: float) -> MixedEne
     To be given as ``energy``. In the plane: plane strain. lambda is limited to 1e3 mu (nu = 0.4995):
     beyond it take :func:`neo_hookean_incompressible`.
     """
-    return MixedEnergy(_neo_hookean_of_pressure(*_moduli(youngs_modulus, poisson_ratio, STIFFEST_LARGE)))
+    return _neo_hookean_of_pressure(_moduli(youngs_modulus, poisson_ratio, STIFFEST_LARGE))
 
 
 def neo_hookean_incompressible(youngs_modulus: Modulus, poisson_ratio: float = 0.5) -> MixedEnergy:
@@ -204,22 +204,26 @@ def neo_hookean_incompressible(youngs_modulus: Modulus, poisson_ratio: float = 0
         0.0 < poisson_ratio <= 0.5, f"Poisson's ratio {poisson_ratio} must lie in (0, 0.5] for a pressure of its own."
     )
     mu, lmbda, grade = _moduli(youngs_modulus, poisson_ratio)
-    density = _neo_hookean_of_pressure(mu, lmbda, grade)
-    return MixedEnergy(density, carried=True, incompressible=lmbda >= STIFFEST * mu)
+    return _neo_hookean_of_pressure((mu, lmbda, grade), carried=True, incompressible=lmbda >= STIFFEST * mu)
 
 
-def _neo_hookean_of_pressure(mu: float, lmbda: float, grade: Grade) -> Form:
-    """mu/2 (tr F^T F - d - 2 ln J) + p (J - 1) - p^2 / (2 lambda)."""
+def _neo_hookean_of_pressure(moduli: tuple[float, float, Grade], **how: bool) -> MixedEnergy:
+    """mu/2 (tr C - d - 2 ln J) + p (J - 1) - p^2 / (2 lambda)."""
+    mu, lmbda, grade = moduli
+
+    def of_strain(domain: Any) -> Callable[[Any, Any, Any], Any]:
+        from ufl import ln, tr
+
+        m, k = graded(domain, (mu, lmbda), grade)
+        return lambda C, J, p: 0.5 * m * (tr(C) - C.ufl_shape[0] - 2 * ln(J)) + p * (J - 1) - p * p / (2 * k)
 
     def density(u: Any, p: Any, dx: Any) -> Any:
-        from ufl import Identity, det, grad, inner, ln
+        from ufl import Identity, det, grad
 
-        m, k = graded(dx.ufl_domain(), (mu, lmbda), grade)
         F = Identity(u.ufl_shape[0]) + grad(u)
-        J = det(F)
-        return (0.5 * m * (inner(F, F) - F.ufl_shape[0] - 2 * ln(J)) + p * (J - 1) - p * p / (2 * k)) * dx
+        return of_strain(dx.ufl_domain())(F.T * F, det(F), p) * dx
 
-    return density
+    return MixedEnergy(density, of_strain=of_strain, **how)
 
 
 def _of_green_strain(C: Any, m: Any, k: Any) -> Any:

@@ -517,3 +517,56 @@ def test_complex_directions_and_right_hand_sides_are_two_real_ones(rod_mesh: Cal
     both = solver.solve(real[0] + 1j * imaginary[0], c[0] + 1j * c[1])
     for found, (x, y) in zip(both, zip(*each, strict=True), strict=True):
         assert np.array_equal(found, x + 1j * y)
+
+
+SOFT = [
+    (fmbd.Radau(2, rtol=None), 0.02),
+    (fmbd.Radau(3, rtol=None), 0.05),
+    (fmbd.BDF(2, rtol=None), 0.02),
+]
+
+
+@pytest.mark.parametrize(("scheme", "dt"), SOFT, ids=lambda x: getattr(x, "name", str(x)))
+def test_soft_bodies_take_large_steps_whole(rod_mesh: Callable[..., Any], scheme: Any, dt: float) -> None:
+    """A rubber rod falls and bends by more than its height: new tangents where a step before took many increments, and those of
+    each stage where one for all is not enough.
+    """
+    run = fmbd.solve(pendulum(rod_mesh(h=0.2), "absolute", E=3e5), t_end=0.5, dt=dt, scheme=scheme)
+    fine = fmbd.solve(pendulum(rod_mesh(h=0.2), "absolute", E=3e5), t_end=0.5, dt=2e-3, scheme=scheme)
+    assert run.counters["halved_steps"] == fine.counters["halved_steps"] == 0
+    np.testing.assert_allclose(run["tip"][-1], fine["tip"][-1], atol=3e-2)
+
+
+def test_new_tangents_only_where_they_save_increments(rod_mesh: Callable[..., Any]) -> None:
+    """Of a stiff rod that turns a new tangent is hardly better than the first."""
+    scene = pendulum(rod_mesh(h=0.2), "absolute", E=1e9)
+    run = fmbd.solve(scene, t_end=0.5, dt=5e-3, scheme=fmbd.Radau(2, rtol=None))
+    assert run.counters["newton_iterations"] > 4 * run.counters["steps"]
+    assert run.counters["factorisations"] <= 6
+
+
+def test_increments_of_stages_with_a_tangent_each(rod_mesh: Callable[..., Any]) -> None:
+    """They leave a hundredth of the residual of stages that are far apart, where one tangent for all leaves a tenth."""
+    system, start, _ = pendulum(rod_mesh(h=0.5), "absolute", E=3e5).build()
+    stepper = fmbd.Radau(2, rtol=None).stepper(system, StepSolver(system), fmbd.Newton(), start)
+    h, rng = 0.01, np.random.default_rng(3)
+    stepper.eq.begin(start)
+    xi, v, mult = stepper._predict(h)
+    bent = 1e-2 * np.sin(3.0 * np.arange(2)[:, None]) * rng.normal(size=system.n_v)
+    points = stepper._stages(h, xi + bent, v + bent / h, mult)
+    each, times = stepper._own_pencil(h, points), start.t + h * stepper.tab.c
+
+    left = []
+    for solver in (each, None):
+        kin, low = each.residual = stepper.eq.residual(times, points)
+        first = each._by_one(kin, low)
+        dxi, dv, dmult = each._parted(first)
+        if solver is not None:
+            change, dmult = each.solve(kin, low)
+            dxi, dv = np.split(change, 2, axis=1)
+        after = each._by_one(
+            *stepper.eq.residual(times, each._moved(1e-3 * np.concatenate([x.ravel() for x in (dxi, dv, dmult)])))
+        )
+        linear = (after - first) / 1e-3 + first
+        left.append(np.abs(linear[: dxi.size]).max() / np.abs(first[: dxi.size]).max())
+    assert left[0] < 0.02 < 0.1 < left[1], left

@@ -72,6 +72,17 @@ def test_thin_bodies_take_few_increments_in_large_steps() -> None:
         assert not run.counters["halved_steps"]
 
 
+def test_a_body_that_keeps_its_volume_takes_few_increments_in_large_steps() -> None:
+    """Its pressure is that which an increment foretold, and steps begin with a tangent where they are predicted."""
+    made = pulsed(thin(fmbd.materials.neo_hookean_mixed(1e7, 0.4999)), 60.0)
+    coarse, fine = (fmbd.solve(made, t_end=0.4, dt=dt) for dt in (0.02, 0.01))
+    assert np.abs(coarse["tip"][:, 1]).max() > 0.3
+    assert np.abs(coarse["tip"] - fine["tip"][::2]).max() < 0.02
+    for run in (coarse, fine):
+        assert run.counters["newton_iterations"] < 8 * run.counters["steps"]
+        assert not run.counters["halved_steps"]
+
+
 @pytest.mark.parametrize(("modulus", "dt"), [(4.4e12, 0.01), (2.6e13, 0.005)])
 def test_a_stiff_body_keeps_to_the_solution_of_small_increments(modulus: float, dt: float) -> None:
     """A rod of 1 m that falls about its pin for 0.1 s, close to the stiffness that its roundoff permits, moves as a rigid one."""

@@ -8,11 +8,14 @@ linearised.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
 
 from .. import dolfinx_compat as compat
+from ..energies import StoredEnergy
 from ..errors import InputError
 from ..rotations import Array
 from .assembly import NodalVector, times_columns
@@ -71,6 +74,12 @@ class Field(NodalField):
     def pressure_argument(self) -> Any:
         """The function of the pressure in them, None without one."""
         return None
+
+    @property
+    def strain_energy(self) -> Callable[[Any], Any] | None:
+        """The energy as a UFL function W(C), C = F^T F, where it is known as one."""
+        energy = self.forms.energy
+        return energy.density(self.elastic_measure.ufl_domain()) if isinstance(energy, StoredEnergy) else None
 
     @property
     def nonlinear(self) -> bool:
@@ -164,6 +173,10 @@ class Field(NodalField):
         fp.assemble_matrix(into, self.stiffness_form)
         into.assemble()
         return into
+
+    def holding(self, pressure: Array | None) -> AbstractContextManager[None]:
+        """Displacements are placed with this pressure for a while: bodies without one have nothing to do."""
+        return nullcontext()
 
     def place(self, U: Array) -> None:
         """Nodal values of the energy's argument, ghosts included; collective."""

@@ -1,4 +1,4 @@
-"""Tangents of thin bodies: the stress that the last increment foretold, in place of that where it led.
+"""Tangents with the stress that the last increment foretold, in place of that where it led.
 
 Newton's increment d of a thin body turns its parts along straight lines, which stretches them by grad(d)^T grad(d) / 2: a strain
 of the second order that the linear solution does not know of, and that the next increment takes back. Its stress, times the
@@ -9,6 +9,13 @@ With the stress of the linear solution in the geometric part,
 
 the iteration converges in about as many increments as one with stresses as unknowns of their own. The forces stay those of the
 configuration.
+
+An increment changes volumes by the second order too, which a large bulk modulus turns into a pressure. Where the pressure is
+eliminated, C p = b(u), the tangent has that of the linear solution,
+
+    C p = b(u - d) + B d,        B of the tangent that d was found with,                                               (2)
+
+and the increments are those of an iteration for u and p: its rate does not depend on the bulk modulus.
 
 Source: Magisano, Leonetti and Garcea, doi:10.1016/j.cma.2016.10.023 (mixed integration points).
 """
@@ -25,7 +32,7 @@ def geometric_change(field: Any, increment: Any) -> Any:
     import ufl
 
     dx, w = field.elastic_measure, field.argument
-    density = field.forms.energy.density(dx.ufl_domain())
+    density = field.strain_energy
     F = ufl.Identity(field.dim) + ufl.grad(w)
     D = ufl.grad(increment)
 

@@ -22,6 +22,8 @@ Source: Boffi, Brezzi and Fortin, Mixed Finite Element Methods, doi:10.1007/978-
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -41,10 +43,18 @@ if TYPE_CHECKING:
     from .numbering import Numbering
 
 
+def _volume(C: Any) -> Any:
+    """J of C = F^T F."""
+    import ufl
+
+    return ufl.sqrt(ufl.det(C))
+
+
 class MixedField(Field):
     """A displacement field whose pressure is eliminated by (1); the same interface as :class:`.Field`."""
 
     mixed = True
+    _held: Array | None = None  # the pressure that displacements are placed with, where it is not their own
 
     @property
     def nonlinear(self) -> bool:
@@ -124,8 +134,37 @@ class MixedField(Field):
     def place(self, U: Array) -> None:
         """Displacements and the pressure that belongs to them, ghosts included; collective."""
         super().place(U)
-        if not self.carried:
+        if self._held is not None:
+            self.pressure_values = self._held
+        elif not self.carried:
             self._take_pressure_of_law()
+
+    @contextmanager
+    def holding(self, pressure: Array | None) -> Iterator[None]:
+        """Displacements are placed with this pressure (n_pressure,) for a while, None: with their own."""
+        self._held = pressure
+        try:
+            yield
+        finally:
+            self._held = None
+
+    def foretold_pressure(self, U: Array, dU: Array | None) -> Array:
+        """(2) of :mod:`.foretold_stress` for an increment dU, in the axes of the tangent, from displacements U on; None: the
+        pressure there. Collective.
+        """
+        self.place(U)
+        if dU is not None:
+            self.move_pressure(dU, np.zeros(self.n_pressure))
+        return self.pressure_values
+
+    @property
+    def strain_energy(self) -> Callable[[Any], Any] | None:
+        """As :meth:`Field.strain_energy`, at the pressure as it is."""
+        of_strain = self._energy.of_strain
+        if of_strain is None:
+            return None
+        density = of_strain(self.elastic_measure.ufl_domain())
+        return lambda C: density(C, _volume(C), self._p)
 
     def _take_pressure_of_law(self) -> None:
         """The pressure that belongs to the displacements that are placed: C p = b, the balance at p = 0."""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import dolfinx_compat as compat
-from ..energies import StoredEnergy
 from ..rotations import Array
 from .foretold_stress import geometric_change
 from .viscous import symmetric
@@ -28,7 +27,7 @@ class MotionTangent:
 
     def __init__(self, field: Field) -> None:
         self.field = field
-        self.foretells = isinstance(field.forms.energy, StoredEnergy)
+        self.foretells = field.strain_energy is not None
 
     def take(self, t: float, U: Array, Ud: Array, increment: Array | None = None) -> None:
         """:meth:`.Field.linearise` at displacements U with rates Ud (n d,) and time t; collective.

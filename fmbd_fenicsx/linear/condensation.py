@@ -22,6 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..errors import InputError, LinearSolveError, require
+from ..mechanics.placements import Approach
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.evaluator import Evaluator
@@ -316,28 +317,30 @@ class StepSolver:
         for field, p in zip(fields, values, strict=True):
             field.pressure_values = p  # type: ignore[attr-defined]
 
-    def refresh(self, ev: Evaluation, increment: Array | None = None, *, apart: bool = False) -> bool:
+    def refresh(
+        self, ev: Evaluation, increment: Array | None = None, *, predicted: bool = False, apart: bool = False
+    ) -> bool:
         """New tangents of nonlinear parts and forces, and rows, at a state; False when all are constant. Collective.
 
-        ``increment``: Newton's, like v, that led there, where stresses are to be those that it foretold. ``apart``: as for
-        :meth:`prepare`.
+        ``increment``: Newton's, like v, that led there, where stresses are to be those that it foretold, or the motion that is
+        ``predicted`` for a step. ``apart``: as for :meth:`prepare`.
         """
-        known = {} if increment is None else {k: self.system.local_v(increment, k) for k, _ in self.system.fields}
+        s, known = self.system, {}
+        if increment is not None:
+            known = {k: Approach(s.local_v(increment, k), predicted) for k, _ in s.fields}
         changed = ev.take_tangents(increments=self._exact(known))
         if changed or self._pushed:
             self.prepare(ev, self.weights, apart=apart)
         return changed or self._pushed
 
-    def renew_fields(self, ev: Evaluation, increments: Mapping[int, Array]) -> list[FactoredField]:
-        """Blocks with new tangents of all fields at a state, for a matrix that someone else makes; ``increments``: Newton's, by
-        part.
-        """
+    def renew_fields(self, ev: Evaluation, increments: Mapping[int, Approach]) -> list[FactoredField]:
+        """Blocks with new tangents of all fields at a state, for a matrix that someone else makes; ``increments``: by part."""
         ev.take_tangents(increments=self._exact(increments))
         self._held = None
         self.blocks = self.elastic.of(ev.jacobian, self.weights, ties_apart=False, splits=False)
         return self.blocks
 
-    def _exact(self, increments: Mapping[int, Array]) -> dict[int, Array]:
+    def _exact(self, increments: Mapping[int, Approach]) -> dict[int, Approach]:
         """Increments of fields whose factors are exact enough for stresses to be foretold."""
         parts = zip(self.system.fields, self.blocks, strict=True)
         return {k: increments[k] for (k, _), b in parts if k in increments and not b.factor.noisy}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 
@@ -63,6 +63,13 @@ class Chord:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+
+class Approach(NamedTuple):
+    """What led to where a tangent is taken, ``moved`` of local coordinates (n,): Newton's increment, or the motion predicted."""
+
+    moved: Array
+    predicted: bool = False
 
 
 class Part(Protocol):
@@ -188,12 +195,19 @@ class DistributedPart(Part, Protocol):
         """Whether :meth:`relinearise` changes anything."""
         return False
 
+    @property
+    def begins_anew(self) -> bool:
+        """Whether a step takes a tangent where it is predicted, once steps take new ones: what an older one is off by would be an
+        increment many times too large.
+        """
+        return False
+
     def relinearise(
-        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Array | None = None
+        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Approach | None = None
     ) -> bool:
         """Take the tangent at a motion of the frame and local coordinates with two rates; False when it is constant anyway.
 
-        ``increment``: Newton's of the local coordinates, that led there, where it is known. Collective.
+        ``increment``: what led there, where it is known. Collective.
         """
         return False
 

@@ -92,19 +92,21 @@ class Newton:
         renew: Callable[[], bool] = lambda: False,
         *,
         ahead: bool = False,
+        begun: bool = False,
         misfit: Callable[[], float] = lambda: 0.0,
         foretold: Callable[[float], float] = lambda size: math.inf,
     ) -> tuple[bool, list[float]]:
         """Call ``increment`` (it applies one increment, returns its norm over the tolerance) until the error
         is below 1. ``renew`` takes a new tangent and tells whether there was one to take: where the last increment began, or
-        ``ahead``, where it led. ``misfit``: share of the last increment that its tangent may have got wrong.
+        ``ahead``, where it led; ``begun``: the step began with one. ``misfit``: share of the last increment that its tangent may
+        have got wrong.
         ``foretold``: the error that a first increment of this size leaves, where earlier steps tell.
 
         Returns whether it converged, and the history of norms.
         """
         history: list[float] = []
-        at_once = ahead and self.renewals > 1
-        refreshed = 0
+        at_once = ahead and self.renewals > 1 + begun
+        refreshed = int(begun)
         for _ in range(self.max_iterations):
             size = increment()
             self.iterations += 1
@@ -131,8 +133,10 @@ class Newton:
                 # the first: the rate of the step before, no better than 0.02
                 left = max(self.theta, 0.02) / (1 - min(max(self.theta, 0.02), 0.9)) * size
                 left = min(left, foretold(size))
-                if at_once and size > FAR and renew():
-                    refreshed, self.theta = 1, 0.1
+                if size <= FAR:
+                    refreshed = 0  # it was not worth a tangent
+                elif at_once and renew():
+                    refreshed, self.theta = refreshed + 1, 0.1
                     continue
 
             if (left <= 1.0 or size <= 1e-3) and misfit() * size <= 1.0:
@@ -221,6 +225,7 @@ def strayed(system: System, xi: Array, predicted: Array) -> bool:
     return system.max_abs(xi - predicted) > near
 
 
+OTHER_SOLUTION = "Newton found another solution, far from the predicted one"
 ADVICE = ". Try a smaller dt."
 
 

@@ -16,7 +16,7 @@ from ..errors import BalanceError
 from ..mechanics.elastic.foreshortening import Bent
 from ..mechanics.forces.force_elements import Loads
 from ..mechanics.frames import Kinematics
-from ..mechanics.placements import FrameMotion
+from ..mechanics.placements import Approach, FrameMotion
 from ..rotations import Array
 from .lengths import Measured
 from .tangents.foreshortened_ports import bend, port_bias, port_forces, pulls
@@ -245,11 +245,11 @@ class Evaluation:
         ]
 
     def take_tangents(
-        self, parts: Iterable[int] | None = None, increments: Mapping[int, Array] = MappingProxyType({})
+        self, parts: Iterable[int] | None = None, increments: Mapping[int, Approach] = MappingProxyType({})
     ) -> bool:
         """New tangents of elastic fields (None: of all) at this state; False when all are constant.
 
-        ``increments``: of Newton, by part, that led there, where they are known.
+        ``increments``: by part, that led there, where they are known.
         """
         motions = self.tangent_motions()
         fields = self.system.fields if parts is None else [(k, f) for k, f in self.system.fields if k in parts]

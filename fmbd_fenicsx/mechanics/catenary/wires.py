@@ -23,7 +23,7 @@ from ...errors import InputError, require
 from ...rotations import Array, motions
 from ..body import WIRES, Body, Placed, Site
 from ..elastic.field_part import FieldPart
-from ..placements import FrameMotion
+from ..placements import Approach, FrameMotion
 from .line_field import LineField
 
 
@@ -242,7 +242,7 @@ class WiresPart(FieldPart):
         return self._tangents
 
     def relinearise(
-        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Array | None = None
+        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Approach | None = None
     ) -> bool:
         """Take the slack droppers at displacements; False when they are the same."""
         self._chosen = self._see(local[0])

@@ -20,10 +20,10 @@ from ...fem.fields import Field
 from ...fem.initial import initial_fields
 from ...fem.mean_forces import MeanForces
 from ...fem.motion_tangent import MotionTangent
-from ...rotations import Array
+from ...rotations import Array, rotate_nodal
 from ..body import Placed, Site
 from ..frames import polar_rotation
-from ..placements import FrameMotion
+from ..placements import Approach, FrameMotion
 from .field_part import FieldPart, TangentPoint
 
 
@@ -95,29 +95,44 @@ class AbsoluteField(FieldPart):
         return self.field.nonlinear
 
     @property
+    def begins_anew(self) -> bool:
+        """Bodies whose pressure follows their volume: its stiffness holds motions that turn with them."""
+        return self.field.mixed and self.foretells and not self.field.carried
+
+    @property
     def foretells(self) -> bool:
         """Bodies with a stored energy: see :mod:`fmbd_fenicsx.fem.foretold_stress`."""
         return self.tangent.foretells
 
     def relinearise(
-        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Array | None = None
+        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Approach | None = None
     ) -> bool:
-        """Take the tangent at displacements and rates; collective. ``increment`` (n d,): Newton's, that led there."""
+        """Take the tangent at displacements and rates; collective."""
         if not self.field.nonlinear:
             return False
         U, Ud = (x.copy() for x in local[:2])
-        pressure = self.field.pressure_values if self.field.carried else None  # type: ignore[attr-defined]
         foretold = increment if self.foretells else None
-        self._take_tangent(TangentPoint(motion.t, U, Ud, None, pressure, foretold))
+        pressure, moved = self._pressure_of_tangent(U, foretold), None if foretold is None else foretold.moved
+        self._take_tangent(TangentPoint(motion.t, U, Ud, None, pressure, moved))
         return True
 
+    def _pressure_of_tangent(self, U: Array, increment: Approach | None) -> Array | None:
+        """The pressure that a tangent is taken with, where it is not that of the displacements; collective."""
+        field: Any = self.field
+        if field.carried:
+            return field.pressure_values  # type: ignore[no-any-return]
+        if increment is None or not field.mixed:
+            return None
+        before = U - increment.moved
+        turned = None if increment.predicted else rotate_nodal(increment.moved, self.corotation(before), back=True)
+        return field.foretold_pressure(before, turned)  # type: ignore[no-any-return]
+
     def _take_tangent(self, at: TangentPoint) -> None:
-        if at.pressure is not None:
-            self.field.pressure_values = at.pressure  # type: ignore[attr-defined]
         self.turn_at_tangent = self.mean_rotation(at.U)
         if self.field.rest_damping is not None:
             self.field.rest_damping.turn(self.turn_at_tangent)
-        self.tangent.take(at.t, at.U, at.Ud, at.increment)
+        with self.field.holding(at.pressure):
+            self.tangent.take(at.t, at.U, at.Ud, at.increment)
         self._tangent_at = at
 
     def _first_tangent(self) -> None:

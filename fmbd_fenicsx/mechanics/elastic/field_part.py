@@ -19,8 +19,8 @@ from ..placements import DistributedPart, FrameMotion
 
 @dataclass(frozen=True)
 class TangentPoint:
-    """Where the tangent of a part was taken: time (s), nodal displacements and rates (n d,), loads, the pressure it carried, the
-    increment of Newton that led there.
+    """Where the tangent of a part was taken: time (s), nodal displacements and rates (n d,), loads, the pressure where it was not
+    that of the displacements, the increment of Newton that led there.
     """
 
     t: float
@@ -139,7 +139,7 @@ class FieldPart(DistributedPart):
         U = m.nodal("displacement", at and at.U, order)
         Ud = m.nodal("rate", at and at.Ud, order)
         pressure = None
-        if self.field.carried:
+        if m("with a pressure", at is not None and at.pressure is not None):
             numbering = self.field.pressure_numbering  # type: ignore[attr-defined]
             pressure = m.nodal("pressure", at and at.pressure, numbering)
         increment = None

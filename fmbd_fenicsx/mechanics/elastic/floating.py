@@ -19,7 +19,7 @@ from ...errors import ConvergenceError, InputError
 from ...fem.field_checks import check_free
 from ...fem.fields import Field
 from ...rotations import Array, axial, motions, spin_matrix
-from ..placements import Attached, Chord, FrameMotion, MeanAxis
+from ..placements import Approach, Attached, Chord, FrameMotion, MeanAxis
 from ..validity import TOO_LARGE, too_large
 from .field_part import FieldPart, TangentPoint
 from .foreshortening import Bent, Shortening
@@ -193,7 +193,7 @@ class FloatingField(FieldPart):
         return self.field.tangents
 
     def relinearise(
-        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Array | None = None
+        self, motion: FrameMotion, local: tuple[Array, Array, Array], increment: Approach | None = None
     ) -> bool:
         """Take tangent and inertia at displacements; collective.
 

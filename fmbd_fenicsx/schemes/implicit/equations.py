@@ -183,10 +183,21 @@ class Equations(Remembering):
         """Whether compiled steps go on with a tangent that steps in parts have taken."""
         return tangent is not None
 
+    def refused(self, room: Any) -> None:
+        """Take notice of what they have tried in a step that they have not made."""
+
     # -- tangents -----------------------------------------------------------------------------------------------
     def refresh(self, state: State, mult: Array) -> Any:
         """The tangent at a state with multipliers (n_mult,)."""
         raise NotImplementedError
+
+    def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Any:
+        """The tangent at a point of the local coordinates, for a full Newton iteration."""
+        raise NotImplementedError
+
+    def renew(self) -> bool:
+        """Whether the next :meth:`refresh` takes what serves many steps anew, for a step that has failed without."""
+        return False
 
     def inertia(self, tangent: Any, a: Array) -> Array:
         """M a at the tangent's motion."""

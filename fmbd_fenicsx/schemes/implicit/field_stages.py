@@ -33,12 +33,14 @@ from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stages import StageRule
+from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ..dae import Form, Points
 from .closing_motions import COLUMNS, ClosingMotions
 from .equations import Equations, Start
+from .field_renewals import FieldRenewals
 from .field_tangent import FieldTangent
 from .stage_krylov import FieldStages, shares
 from .stage_pressures import StagePressures
@@ -59,7 +61,7 @@ class FieldEquations(Equations):
         ),
         "solvers": worker,
         "_last_metric": plain(Weights),
-        **dict.fromkeys(("closing", "pressures"), worker),
+        **dict.fromkeys(("closing", "renewals"), worker),
     }
     dense = False
 
@@ -77,6 +79,7 @@ class FieldEquations(Equations):
         self._begun: State | None = None
         self._room: FieldStageRoom | None = None
         self.pressures = StagePressures(solver)
+        self.renewals = FieldRenewals(system)
         self.left_motions: Array = np.zeros((1, 0))  # of frequencies, what iterations have left, as pressures see it
 
         self._lent: list[FrequencySolver] = []  # who solves in whole steps, and for which frequencies
@@ -107,9 +110,12 @@ class FieldEquations(Equations):
     # -- residuals ----------------------------------------------------------------------------------------------
     def begin(self, state: State, *, closed: bool = True) -> None:
         """Local coordinates about the state; ``closed``: with :meth:`consistent_start`, where that is asked for."""
-        self.pressures.begin(known=self._begun is state, in_parts=closed)
-        if self._begun is not state:
+        self.pressures.begin(known=self._begun is state)
+        if self._begun is state:
+            self.renewals.begin_again()
+        else:
             self._begun = state
+            self.renewals.begin()
             self.closing.begin(state)
             self._last_metric = self.closing.metric
             if self._estimates and closed:  # while the matrix is at hand
@@ -263,13 +269,17 @@ class FieldEquations(Equations):
     def lend(self, room: FieldStageRoom, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
         """As :meth:`Equations.lend`: steps take derivatives of their own, and ask for the matrices of their frequencies."""
         self.begin(state, closed=False)
-        room.fields.outworn = int(self.pressures.renews)
+        self.renewals.lend(room)
         room.begin(matrices, self.consistent_start(state) if self._estimates else None)
 
     def kept(self, room: FieldStageRoom, judge: Judge, *, known: bool) -> tuple[Any, Any]:
         """As :meth:`Equations.kept`: nothing, but whether new tangents are due."""
-        self.pressures.renew_next(due=bool(room.fields.outworn))
+        self.renewals.follow(room)
         return super().kept(room, judge, known=known)
+
+    def refused(self, room: FieldStageRoom) -> None:
+        """As :meth:`Equations.refused`."""
+        self.renewals.tried(room)
 
     def lend_matrices(self, room: FieldStageRoom, state: State, s: Array) -> None:
         """As :meth:`Equations.lend_matrices`. Solutions are not iterated on there: an increment more is cheaper."""
@@ -280,7 +290,7 @@ class FieldEquations(Equations):
         if isinstance(evaluator, DriverStates):  # elements remember the steps of the march, not where it began
             evaluator.tables.remember()
         if (at := room.take_outworn()) is not None:
-            self.system.at(*at).take_tangents([k for k, _ in self.pressures.fields])
+            self.renewals.take_predicted(self._evaluation(at), room.origin)
 
         ev = self.system.at(state.t, state.q, state.v)
         ev.balance(state.a, state.lam)
@@ -298,6 +308,7 @@ class FieldEquations(Equations):
 
     def follow(self, dxi: Array, rule: StageRule) -> None:
         """As :meth:`Equations.follow`: pressures move along, and take what iterations have left of the balance."""
+        self.renewals.count(1)
         if self.pressures.fields:
             self.pressures.move(dxi + rule.relax * (rule.vectors @ self.left_motions).real, rule.relax)
 
@@ -319,13 +330,29 @@ class FieldEquations(Equations):
     def refresh(self, state: State, mult: Array) -> FieldTangent:
         """Derivatives at a state with multipliers (n_mult,) from now on."""
         self.jacobians += 1
-        ev = self.system.at(state.t, state.q, state.v)
-        self.closing.take(ev)
         state = replace(state, lam=mult[: self.system.n_lam])
-        self.pressures.take_tangents(ev)
+        ev = self._evaluation(state)
+        self.closing.take(ev)
         with self.pressures.held(self.pressures.start):
+            self.renewals.take(ev, self.origin)
+            self.pressures.turn(ev)
             low = self.form.lower(ev.balance(state.a, state.lam), ev, state.a)
         return FieldTangent(self.system, self.form, state, ev, low, self.pressures)
+
+    def _evaluation(self, state: State) -> Evaluation:
+        """The system in a state with its accelerations and multipliers, whose stresses tangents take."""
+        ev = self.system.at(state.t, state.q, state.v)
+        ev.forces = state.a, state.lam
+        return ev
+
+    def renew(self) -> bool:
+        """As :meth:`Equations.renew`."""
+        return self.renewals.ask()
+
+    def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> FieldTangent:
+        """As :meth:`Equations.tangent_at`: with new tangents of the fields."""
+        self.renewals.ask(again=True)
+        return self.refresh(State(t, self.system.compose(self.origin, xi), v, vd, mult[: self.system.n_lam]), mult)
 
     def inertia(self, tangent: FieldTangent, a: Array) -> Array:
         """M a at the tangent's motion."""

@@ -166,4 +166,5 @@ class ImplicitMarch(OwnMarch):
             return
         self._count_solves(failed)
         self.newton.iterations += failed
+        self.eq.refused(self._lent.stages)
         self._tangent = self._pencil = None  # parts of the step begin with their own

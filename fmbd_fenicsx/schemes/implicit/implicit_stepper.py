@@ -179,8 +179,9 @@ class ImplicitStepper(ImplicitMarch):
     def _with_new_tangent(self, find: Callable[[], Points | str]) -> Points | str:
         """What is found, once more with a tangent of this step where an older one has failed."""
         found = find()
-        if isinstance(found, str) and not self._fresh:
+        if isinstance(found, str) and (not self._fresh or self.eq.renew()):
             self._tangent = None
+            self.eq.begin(self.state)
             found = find()
         return found
 

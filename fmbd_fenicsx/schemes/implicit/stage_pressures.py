@@ -5,10 +5,10 @@ With B, C of the tangent and r = dPi/dp of a stage (:mod:`~fmbd_fenicsx.fem.mixe
     balance(p) + B^T C^-1 r,        dp = C^-1 (B dxi + r)                                                          (1)
 
 in every stage by itself: B and C are real and the same for all stages, so that (1) goes with any sum of them, complex ones too.
+B of another strain leaves a share of (1) to the next increment (:mod:`.field_renewals`).
 Where an iteration with the matrix P of another frequency leaves P e of the balance (:mod:`.stage_krylov`), pressures take their
-share of it at once, dp = C^-1 B e with the weights of both: no motion would tell it, as that of a multiplier. B of another strain
-leaves a share of (1) to the next increment: tangents are taken anew in steps behind those that took many. Where no solution is
-iterated on, compiled code does the same (``driver/implicit/field_stages.c``), in whole steps too.
+share of it at once, dp = C^-1 B e with the weights of both: no motion would tell it, as that of a multiplier. Where no solution
+is iterated on, compiled code does the same (``driver/implicit/field_stages.c``), in whole steps too.
 Volumes are held on the level of positions, as by index 3: stages end with r = 0.
 """
 
@@ -16,27 +16,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from ...linear.condensation import StepSolver
 from ...rotations import Array, rotate_nodal
-from ...system.compiled.declarations import enumeration
 from ...system.compiled.states.field_stages import FieldStageRoom
 from ...system.evaluation import Evaluation
-from ...system.serialisation import Remembering, plain
-
-# increments of a step behind which tangents are taken anew
-MANY = enumeration("MANY", "implicit/field_stages.c")["MANY"]
 
 Values = list[Array]  # of each field (n_pressure,)
 
 
-class StagePressures(Remembering):
+class StagePressures:
     """Those of the ``fields`` of a system that carry some. Methods are collective."""
-
-    keeps: ClassVar = {"_increments": plain()}
 
     def __init__(self, solver: StepSolver) -> None:
         self.system, self.solver = solver.system, solver
@@ -45,19 +38,14 @@ class StagePressures(Remembering):
         self._of_stages: list[Values] = []
         self._gaps: list[Values] = []
         self._turns: list[Any] = []  # of the bodies since their newest tangents, where derivatives are taken
-        self._increments, self.renews = 0, False  # of the step; whether it begins with new tangents
-        self._tried = False  # whether that was begun in parts before
 
-    def begin(self, *, known: bool, in_parts: bool = True) -> None:
-        """Begin a step, ``in_parts`` or in one call of compiled code; ``known``: from the state that the last one began with."""
+    def begin(self, *, known: bool) -> None:
+        """Begin a step; ``known``: from the state that the last one began with."""
         if known:
             self.solver.pressures = self.start
-            self.renews |= self._tried and in_parts
         else:
             self.start = self.solver.pressures
-            self.renews, self._tried = self._increments > MANY, False
-        self._tried |= in_parts
-        self._of_stages, self._increments = [], 0
+        self._of_stages = []
 
     @contextmanager
     def held(self, values: Values) -> Iterator[None]:
@@ -68,11 +56,8 @@ class StagePressures(Remembering):
         finally:
             self.solver.pressures = before
 
-    def take_tangents(self, ev: Evaluation) -> None:
-        """New tangents where derivatives are taken, if they are due."""
-        if self.renews and self.fields:
-            with self.held(self.start):
-                ev.take_tangents([k for k, _ in self.fields])
+    def turn(self, ev: Evaluation) -> None:
+        """Take notice of how bodies are turned where derivatives are taken."""
         self._turns = [part.corotation(ev.local(k)[0]) for k, part in self.fields]
 
     def stiffness(self, dxi: Array) -> Array:
@@ -111,20 +96,11 @@ class StagePressures(Remembering):
         """Pressures of all stages after increments (k, n_v) of :meth:`balances`, which close so much of the gaps; the last one's
         are those of the fields.
         """
-        self.count(1)
         for stage, gaps in enumerate(self._gaps):
             self.solver.pressures = self._of_stages[stage]
             for i, (_, part) in enumerate(self.fields):
                 part.field.move_pressure(self._turned_back(i, dxi[stage]), relax * gaps[i])
             self._of_stages[stage] = self.solver.pressures
-
-    def count(self, increments: int) -> None:
-        """Take note of so many increments."""
-        self._increments += increments
-
-    def renew_next(self, *, due: bool) -> None:
-        """Take note of whether the step behind those that compiled code has made begins with new tangents."""
-        self._increments = (MANY + 1) * due
 
     def _push(self, gaps: Values) -> Array:
         """B^T C^-1 times gaps of the volumes, like v."""

@@ -277,7 +277,7 @@ class StepEquations(Equations):
         return self.tangents.take(state, mult, self.solver, lower)
 
     def tangent_at(self, t: float, xi: Array, v: Array, vd: Array, mult: Array) -> Any:
-        """The tangent at a point of the local coordinates, for a full Newton iteration."""
+        """As :meth:`Equations.tangent_at`."""
         at = State(t, self.system.compose(self.origin, xi), v, vd, mult[: self.system.n_lam])
         return self.tangents.at_increments(self.refresh(at, mult), xi, v)
 

@@ -180,7 +180,7 @@ class BDFStepper(Corrector):
                 cause, error = found, np.inf
                 stale = self._tangent is not None and not self._fresh
                 self._tangent = None
-                if stale:
+                if stale or self.eq.renew():
                     continue  # once more with a new tangent
                 if cause.startswith("Newton") and self.eq.dense and not self._full:
                     self._full = True
@@ -223,8 +223,7 @@ class BDFStepper(Corrector):
 
         found = self._with_new_tangent(lambda: self._newton(h, self.scheme.order))
         if isinstance(found, str):
-            self._tangent = None
-            self._full = True  # Newton's own tangent in each iteration: stiff springs that turn
+            self._begin_spell()  # Newton's own tangent in each iteration: stiff springs that turn
             found = self._newton(h, self.scheme.order)
         if isinstance(found, str):
             raise self._failure(h, found)

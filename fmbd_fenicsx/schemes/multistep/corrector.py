@@ -16,7 +16,7 @@ from ...system.compiled.states.convergence import CONVERGED
 from ...system.compiled.states.stages import StageRule
 from ...system.layout import State
 from ..dae import Points
-from ..newton import strayed
+from ..newton import OTHER_SOLUTION, strayed
 from .multistep_march import ALONE, NEAR, RATES, MultistepMarch
 from .past import local, slopes_at_first, weights
 
@@ -60,7 +60,7 @@ class Corrector(MultistepMarch):
 
         iteration = self._iteration(h, np.array([t]), p, StageRule(c[:1, None], ALONE, ALONE, relax))
         convergence, most = self._convergence(h, RATES, 1.0), self.newton.max_iterations
-        for until in range(1, most + 1) if self._full and self.eq.dense else (most,):
+        for until in range(1, most + 1) if self._full else (most,):
             if convergence.done:
                 self._own_tangent(t, iteration.points, c[0])
             if failed := self._iterated(h, iteration, convergence, until):
@@ -71,7 +71,7 @@ class Corrector(MultistepMarch):
         self.newton.note(convergence.share * convergence.size)
         p = iteration.points
         if self._full and strayed(self.system, p.xi[0], foretold):
-            return "Newton found another solution, far from the predicted one"
+            return OTHER_SOLUTION
         return p
 
     def _own_tangent(self, t: float, p: Points, frequency: float) -> None:

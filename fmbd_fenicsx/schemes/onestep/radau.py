@@ -134,7 +134,8 @@ class RadauStepper(StageNewton):
         if isinstance(point, str):
             if not self._full:
                 self._begin_spell()
-            point = self._full_newton(h)
+            self.eq.begin(self.state)
+            point = self._found(lambda: self._full_newton(h))
         if isinstance(point, str):
             self._full = False  # parts of the step begin like others
             raise self._failure(h, point)
@@ -172,7 +173,7 @@ class RadauStepper(StageNewton):
                 cause, error = points, np.inf
                 stale = self._tangent is not None and not self._fresh
                 self._tangent = None
-                if stale:
+                if stale or self.eq.renew():
                     continue  # once more with a new tangent
                 self._trouble += 2
                 # on the way through a singular configuration smaller steps fail alike

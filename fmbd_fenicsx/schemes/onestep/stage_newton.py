@@ -18,6 +18,8 @@ from ...system.compiled.states.stages import StageRule
 from ...system.layout import State
 from ..control import FALLEN, ROUNDOFF, STAGNATION
 from ..dae import Points
+from ..implicit.coupled_stages import CoupledStages
+from ..newton import OTHER_SOLUTION, strayed
 from .stage_march import LEAST_SHARE, LONGER, RATES, StageMarch
 
 Stages = tuple[Array, Array, Array]  # xi, v and multipliers of each
@@ -29,15 +31,18 @@ class StageNewton(StageMarch):
 
     def _refresh(self, h: float, predicted: Stages) -> None:
         """Tangent in the middle of the step as predicted, where it serves all stages best."""
-        s, tab = self.state, self.tab
-        xi, v, mult = predicted
-        change, count = v - s.v, len(tab.c)
-        vd = np.add.reduce(tab.W @ change, axis=0) / (h * count)
-        q = self.system.compose(s.q, tab.middle @ xi)
-        at = State(s.t + 0.5 * h, q, s.v + tab.middle @ change, vd, s.lam)
-        self._tangent = self.eq.refresh(at, np.add.reduce(mult, axis=0) / count)
+        t, xi, v, vd, mult = self._middle(h, *predicted)
+        at = State(t, self.system.compose(self.state.q, xi), v, vd, self.state.lam)
+        self._tangent = self.eq.refresh(at, mult)
         self._fresh = True
         self._pencil = None
+
+    def _middle(self, h: float, xi: Array, v: Array, mult: Array) -> tuple[float, Array, Array, Array, Array]:
+        """t, xi, v, v' and multipliers in the middle of the step by these stages."""
+        s, tab, count = self.state, self.tab, len(self.tab.c)
+        change = v - s.v
+        vd = np.add.reduce(tab.W @ change, axis=0) / (h * count)
+        return s.t + 0.5 * h, tab.middle @ xi, s.v + tab.middle @ change, vd, np.add.reduce(mult, axis=0) / count
 
     def _prepare(self, h: float, predicted: Stages) -> None:
         """Tangent and factors for a step of size h (s) with these stages."""
@@ -68,7 +73,7 @@ class StageNewton(StageMarch):
     def _iterate(self, h: float, predicted: Stages) -> Points | str:
         """With one tangent for all stages, as long as it converges."""
         tab = self.tab
-        rule = StageRule(tab.W / h, tab.inverse, tab.vectors)
+        rule = self._rule(h)
         times = self.state.t + h * tab.c
         stages = self.eq.aligned(times, rule.couple, self._stages(h, *predicted))
         iteration = self._iteration(h, times, stages, rule)
@@ -80,6 +85,10 @@ class StageNewton(StageMarch):
         self._h_rate = h if convergence.done > 1 else max(h, self._h_rate)
         self.newton.note(convergence.share * convergence.size)
         return self._finished(h, iteration.points)
+
+    def _rule(self, h: float) -> StageRule:
+        """Of the points of a step of size h (s)."""
+        return StageRule(self.tab.W / h, self.tab.inverse, self.tab.vectors)
 
     def _first_share(self, h: float) -> float:
         """What one increment leaves of the error, over its size, by the rate of the step before.
@@ -111,9 +120,9 @@ class StageNewton(StageMarch):
         doi:10.1007/BF01385643); constant steps have no other way out. For singular configurations too. Tangents of an iteration
         serve the next ones of the step while these converge fast.
         """
-        if not self.eq.dense:
+        if self.adaptive and not self.eq.dense:
             return "Newton too slow"
-        xi, v, mult = self._predict(h)
+        xi, v, mult = predicted = self._predict(h)
         self._allow(h)
 
         # what is small enough, and what is as small as roundoff permits, after so many iterations
@@ -123,15 +132,17 @@ class StageNewton(StageMarch):
             floor = 1.0 + np.finfo(float).eps ** 0.5 / self.norm.rtol
             calm = 3
 
+        times, rule = self.state.t + h * self.tab.c, self._rule(h)
         last, greatest, pencil = np.inf, 0.0, None
         for k in range(2 * self.newton.max_iterations):  # at a singular position each halves the error
             points = self._stages(h, xi, v, mult)
-            residual = self.eq.residual(self.state.t + h * self.tab.c, points)
+            residual = self.eq.residual(times, points)
             fresh = pencil is None
             pencil = pencil or self._own_pencil(h, points)
             change, dmult = pencil.solve(*residual)
             dxi, dv = np.split(change, 2, axis=1)
             xi, v, mult = xi + dxi, v + dv, mult + dmult
+            self.eq.follow(dxi, rule)
             size = self._size(h, dxi, dv, dmult)
             self._count(1)
 
@@ -143,14 +154,20 @@ class StageNewton(StageMarch):
             fast = size <= KEPT * last
             if (size <= enough and (fresh or fast)) or (calmed and (small or self._still)):
                 self._iterations, self._theta = k + 1, 1.0
+                if not self.adaptive and strayed(self.system, xi[-1], predicted[0][-1]):
+                    return OTHER_SOLUTION
                 return self._finished(h, self._stages(h, xi, v, mult))
             pencil = pencil if fast else None
             last = size
         return "Newton too slow"
 
-    def _own_pencil(self, h: float, points: Points) -> WholePencil:
-        """One large matrix of all stages, with a tangent at each."""
+    def _own_pencil(self, h: float, points: Points) -> WholePencil | CoupledStages:
+        """One large matrix of all stages, with a tangent at each; of fields its action."""
         times = self.state.t + h * self.tab.c
+        if not self.eq.dense:
+            self._refresh(h, (points.xi, points.v, points.mult))
+            self._factor(h)
+            return CoupledStages(self.eq, times, points, self._rule(h), self._pencil, self.judge)
         each = zip(times, points.xi, points.v, points.vd, points.mult, strict=True)
         tangents = [self.eq.tangent_at(float(t), *values) for t, *values in each]
         self.stats.factorisations += 1

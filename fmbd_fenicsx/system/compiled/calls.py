@@ -139,7 +139,7 @@ class Calls:
             "FIELD_MEANS": lambda number, t: tables.fields[number].mean_forces(t),
             "FIELD_LOADS": lambda number, t: tables.fields[number].forces_in_c.load(t),
             "FIELD_ENERGIES": lambda number, t: tables.fields[number].energies(t),
-            "FIELD_TANGENTS": lambda number, t: tables.renew_fields(t),
+            "FIELD_TANGENTS": lambda number, t: tables.renew_fields(t, predicted=bool(number)),
             "FREQUENCIES": lambda number, key: tables.frequencies(key),
             "PART_FORCES": lambda number, t: tables.told[number].forces(t),
             "PART_ENERGIES": lambda number, t: tables.told[number].energies(t),

@@ -127,6 +127,7 @@ class AlphaStep:
         far = farthest(system, start.state.q)
         self.tolerance = newton.small(system, self.scale * system.typical(start.a), far)
         self.foretells = any(part.foretells for _, part in system.fields)  # new tangents are exact ones
+        self.begins_anew = any(part.begins_anew for _, part in system.fields)
 
         # what it has found
         self.secants = Secants(system)
@@ -143,7 +144,10 @@ class AlphaStep:
 
     def solve(self) -> tuple[bool, list[float]]:
         """Iterate; whether it converged, and the history of increments over the tolerance."""
-        return self.newton.solve(self._increment, self._renew, ahead=self.foretells, misfit=lambda: self.misfit)
+        begun = self.begins_anew and self.newton.renewals > 0 and self._begin_anew()
+        return self.newton.solve(
+            self._increment, self._renew, ahead=self.foretells, begun=begun, misfit=lambda: self.misfit
+        )
 
     @property
     def found(self) -> State:
@@ -289,6 +293,13 @@ class AlphaStep:
             self.secants.forget()
             self.renewed = True
         return taken
+
+    def _begin_anew(self) -> bool:
+        """A new tangent where the step is predicted; whether there is one."""
+        ev = self._evaluation(self.end)
+        ev.forces = self.end.a, self.end.lam
+        self.renewed = self.solver.refresh(ev, self.end.xi, predicted=True)
+        return self.renewed
 
     def _take_tangent(self) -> bool:
         """A new tangent where the last increment began; whether there is one."""

@@ -145,7 +145,10 @@ class AlphaStepper(TimeStepper):
         except (ConvergenceError, LinearSolveError):
             self.solver.pressures = pressures
             if self.system.fields:
-                raise
+                if self.newton.renewals or not any(part.begins_anew for _, part in self.system.fields):
+                    raise
+                self.newton.renewals = 1  # once more with a tangent where the step is predicted
+                return self._step(rule, start, PATIENCE)
         # once more with a tangent for each iteration, before the step is made in parts
         self.newton.theta = 0.5
         return self._step(rule, start, 0)  # stiff springs that turn need Newton's own tangent

@@ -13,7 +13,7 @@ from .compiled_stepper import CompiledAlphaStepper
 
 if TYPE_CHECKING:
     from ....linear.blocks.field_blocks import FactoredField
-    from ....rotations import Array
+    from ....mechanics.placements import Approach
     from ....system.compiled.tape import Openness, Tape
 
 
@@ -27,7 +27,7 @@ class FieldStepper(CompiledAlphaStepper):
         super()._use(driver)
         driver.tables.renewed, driver.tables.user = self._renewed, self
 
-    def _renewed(self, t: float, increments: dict[int, Array]) -> list[FactoredField]:
+    def _renewed(self, t: float, increments: dict[int, Approach]) -> list[FactoredField]:
         """The fields' blocks with new tangents, for the driver in use, at the state that it evaluated last."""
         _, q, v, a, _, lam = self.driver.block(NEXT)
         ev = self.system.at(t, q, v)

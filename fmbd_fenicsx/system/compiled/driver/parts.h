@@ -220,7 +220,7 @@ int misled(const System *s);
 double other_pulls(System *s, const double *x);
 int other_slopes(const System *s, double cd, double ck);
 int stabilised(System *s, double scale, double damp, double *x, double *closing, double *y, double *none, double t);
-int take_tangents(System *s, const double *x, double t);
+int take_tangents(System *s, const double *x, int predicted, double t);
 double typical(const System *s, const double *a);
 int with_all_rows(System *s, double scale, double *x, double *y, double t);
 int with_fields(System *s, double scale, double *x, double *y, double t);

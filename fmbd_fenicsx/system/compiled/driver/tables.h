@@ -328,8 +328,8 @@ typedef struct {
     int again;                         /* where in ``work`` a second solution has its own, see sway() */
     int renewed;                       /* whether forces as a whole get new slopes at any rate */
     int led;                           /* whether the matrix takes the efforts foretold: after an increment of a step */
-    int renewable, foretells, renewals; /* whether Python takes new tangents of fields in a step, and where the last increment */
-                                       /* led; how many the last step took */
+    int renewable, foretells, begins, renewals; /* whether Python takes new tangents of fields in a step, where the last increment */
+                                       /* led, and where it is predicted; how many the last step took */
     Controllers *controllers;          /* NULL without any */
     int straight;                      /* whether laws in Python count as their tangents at the last evaluation before */
     int linkable, links;               /* how many efforts may answer to more than their coordinate, and do; see links.c */

@@ -80,12 +80,19 @@ class FieldStageRoom(PointRoom):
         cuts = np.cumsum(self._counts)[:-1]
         return [np.split(values, cuts) for values in self.known["pressure"].copy()]
 
-    def take_outworn(self) -> tuple[float, Array, Array] | None:
-        """Time (s), q and v where new tangents of bodies with such pressures are asked for, once; else None."""
-        if not self.fields.outworn:
+    def take_outworn(self) -> State | None:
+        """The motion where new tangents of fields are asked for, once; else None."""
+        c, known = self.fields, self.known
+        if not c.outworn:
             return None
-        self.fields.outworn = 0
-        return float(self.fields.t), self.twin.places(self.known["q"]), self.twin.forces(self.known["v"])
+        c.outworn, c.renewed = 0, 1
+        v, a = map(self.twin.forces, (known["v"], known["a"]))
+        return State(float(c.t), self.twin.places(known["q"]), v, a, known["lam"].copy())
+
+    @property
+    def origin(self) -> Array:
+        """q where the step begins."""
+        return self.twin.places(self.arrays["q0"])
 
     def put(self, t: Array, q0: Array, points: Any, rule: StageRule, weights: Array) -> None:
         """As of all points, with the frames at rest."""

@@ -54,6 +54,11 @@ class RestingField(FieldPart):
         return self.part.foretells
 
     @property
+    def begins_anew(self) -> bool:
+        """As the field itself."""
+        return self.part.begins_anew
+
+    @property
     def began(self) -> Array:
         """Rotation of the body where the tangent was taken, and sum of (M X) X^T, (2, d, d)."""
         X = self.field.X

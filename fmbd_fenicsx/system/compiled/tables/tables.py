@@ -13,7 +13,7 @@ import numpy as np
 from ....errors import ConvergenceError
 from ....mechanics.joints.relative import RelativeCoordinates
 from ....mechanics.kinds.frames import FRAME
-from ....rotations import Array
+from ....mechanics.placements import Approach
 from ...system import System
 from ..order import RowGroup
 from .bodies.bodies import reduced_body, rigid_bodies, surface
@@ -44,7 +44,7 @@ class Tables(TableLayout):
     """All tables of one system; ``batches`` are those of the driver."""
 
     # fields with new tangents: at t, increments that led there
-    renewed: Callable[[float, dict[int, Array]], Sequence[Block]]
+    renewed: Callable[[float, dict[int, Approach]], Sequence[Block]]
     # lends the matrices of what a number stands for; LinearSolveError where there are none
     frequencies: Callable[[float], None]
 
@@ -134,13 +134,16 @@ class Tables(TableLayout):
         groups = [RowGroup(near, tuple(rows), coupling) for (near, coupling), rows in found.items()]
         return MatrixShape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs))
 
-    def renew_fields(self, t: float) -> None:
-        """New tangents of the fields at the state that C evaluated last; ConvergenceError where NumPy has to take them."""
+    def renew_fields(self, t: float, *, predicted: bool) -> None:
+        """New tangents of the fields at the state that C evaluated last, where an increment led or a step is ``predicted``;
+        ConvergenceError where NumPy has to take them.
+        """
         if any(field.part.shared_columns for field in self.fields):
             raise ConvergenceError(
                 "The columns of a frame with mean axes change their number with the first new tangent."
             )
-        self._take(self.renewed(t, {field.k: field.b[: field.part.n].copy() for field in self.fields}))
+        moved = {f.k: Approach(f.b[: f.part.n].copy(), predicted) for f in self.fields}
+        self._take(self.renewed(t, moved))
 
     def take(self, blocks: Sequence[Block]) -> bool:
         """Go on with other factors of the fields, for another size of step; False where their columns are others."""
@@ -177,7 +180,8 @@ class Tables(TableLayout):
             seen_place=seen_places(self), accelerated=int(looks.accelerated),
             seen_angle=self.store.integers(np.isin(looks.markers, list(looks.angled))),
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
-            foretells=int(any(part.foretells for part in parts)), indefinite=int(any(field.indefinite for field in self.fields)),
+            foretells=int(any(part.foretells for part in parts)), begins=int(any(part.begins_anew for part in parts)),
+            indefinite=int(any(field.indefinite for field in self.fields)),
             leaves_out=int(s.leaves_out), parts=self.parts_of_numbers, controllers=controllers, **self._links(),
         )  # fmt: skip
 

@@ -394,14 +394,14 @@ double typical(const System *s, const double *a)
     return found;
 }
 
-/* New tangents of fields from the state evaluated last, where an increment x led; see fields.py. */
-int take_tangents(System *s, const double *x, double t)
+/* New tangents of fields from the state evaluated last, where an increment x led, or where a step is predicted; see fields.py. */
+int take_tangents(System *s, const double *x, int predicted, double t)
 {
     for (const Body *o = s->body; o < s->body + s->bodies; o++) {
         if (!o->field) continue;
         memcpy(o->field->b, x + o->at_v, o->field->n * sizeof(double));
     }
     s->calls++;
-    int told = s->python(FIELD_TANGENTS, 0, t);
+    int told = s->python(FIELD_TANGENTS, predicted, t);
     return told == OUTSIDE ? NEWTON : told ? FAILED : DONE;
 }

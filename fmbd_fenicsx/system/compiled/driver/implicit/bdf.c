@@ -308,6 +308,7 @@ int bdf_step(System *s, double *p, double *room, const Block *past, int known, B
     if (o->own) return own_bdf_step(s, p, o, now, out, &values, rest);
 
     memcpy(made.order, m.order, 3 * sizeof(double));
-    verdict = point_of_step(s, p, o, now, o->order, &values, out.own, rest);
+    do verdict = point_of_step(s, p, o, now, o->order, &values, out.own, rest);
+    while (o->stages->fields && tried_anew(o, verdict, out.own));
     return verdict ? verdict : end_bdf(s, o, p, now, out, rest);
 }

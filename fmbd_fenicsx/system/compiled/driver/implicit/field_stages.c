@@ -22,7 +22,9 @@ typedef struct FieldStages {
     double *kin, *low, *rate, *push;   /* frequencies x 2 n, x 2 size, x 2 n, x 2 n */
     double *x, *y;                     /* frequencies x 4 n, x 2 (size - n): solutions */
     double *b, *c, *given, *found, *room; /* 2 n, 2 n + 2 m; 2 m each; 3 n + size */
-    int pressures, outworn;            /* unknown ones of all fields, side by side; whether these ask for new tangents: */
+    int renewable, renewed, outworn, fewest; /* whether fields have new tangents, this step has taken some, and the next one asks for some;
+                                          increments of a step since, at the least: schemes/implicit/field_renewals.py */
+    int pressures;                     /* unknown ones of all fields, side by side: */
     double *pressure, *opened, *began; /* points x pressures: of the points, and their balances; where the step began */
     double solves, slow;               /* share of the increment before from which on Python iterates on solutions */
 } FieldStages;
@@ -49,7 +51,7 @@ static void add_closing(const Stages *o, const double *c, double *y)
 
 /* ---- pressures that are unknowns: schemes/implicit/stage_pressures.py ---- */
 
-enum { MANY = 4 };                     /* increments of a step, behind which the next one takes new tangents */
+enum { MANY = 4, MORE = 2 };           /* increments of a step, and more than one behind new tangents, from which on the next one takes some */
 
 /* Those of the fields in the tables of ``s``, or their balances, as they stand side by side in x: into x, or out of it. */
 enum { INTO, OUT_OF };
@@ -102,13 +104,29 @@ static void begin_points(const System *s, const Stages *o)
     for (int j = 0; j < o->points; j++) memcpy(e->pressure + (long)j * e->pressures, e->began, e->pressures * sizeof(double));
 }
 
-/* Steps of many increments ask for new tangents of bodies with such pressures, and for matrices with these. */
+/* New tangents of fields are asked for, and matrices with these. */
+static void renew_fields(FieldStages *e)
+{
+    e->outworn = 1;
+    e->lent = 0.0;
+}
+
+/* Steps of more increments than new tangents would ask for have these in the next one. */
 static void wear_tangents(const Stages *o, int increments)
 {
     FieldStages *e = o->fields;
-    if (!e->pressures || increments <= MANY) return;
-    e->outworn = 1;
-    e->lent = 0.0;
+    if (e->renewed || increments < e->fewest) e->fewest = increments;
+    e->renewed = 0;
+    if (e->renewable && increments > MANY && increments > e->fewest + MORE) renew_fields(e);
+}
+
+/* Whether a step that has failed is tried once more, with new tangents of the fields. */
+static int tried_renewed(const Stages *o, int verdict)
+{
+    FieldStages *e = o->fields;
+    if (!e || verdict != NEWTON || !e->renewable || e->renewed) return 0;
+    renew_fields(e);
+    return 1;
 }
 
 /* The size of a motion. */

@@ -43,6 +43,7 @@ static int take_tangent(System *s, Implicit *o, double t, const double *q, const
 /* Whether what has failed is tried once more: the tangent was that of an older step. */
 static int tried_anew(const Implicit *o, int verdict, double *work)
 {
+    if (tried_renewed(o->stages, verdict)) return 1;
     if (o->fresh || (verdict != NEWTON && verdict != SINGULAR)) return 0;
     work[KNOWN] = 0.0;
     return 1;
@@ -175,11 +176,11 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
     work[INCREMENTS_MADE] += c->done;
     p[ITERATIONS] += c->done;
     if (!verdict && (c->outcome != CONVERGED || !(judged[0] <= c->accurate * judged[1]))) verdict = NEWTON;
-    if (o->stages->fields) wear_tangents(o->stages, c->done);
     if (verdict) {
         o->failed += c->done;
         return verdict;
     }
+    if (o->stages->fields) wear_tangents(o->stages, c->done);
     farthest_apart(judged, work + RESIDUAL);
     work[KNOWN] = c->theta <= o->slow && !o->stages->fields && o->factored != 0.0;
     if (o->stages->fields) sample_point(s, o->stages, o->stages->points - 1, 1); /* derivatives were taken elsewhere */

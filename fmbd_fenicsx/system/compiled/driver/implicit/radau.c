@@ -300,6 +300,7 @@ int radau_step(System *s, double *p, double *room, const Block *past, int known,
     int verdict = begin_radau(s, o, now, out);
     if (verdict) return verdict;
     if (o->own) return own_radau_step(s, p, o, now, out);
-    verdict = stages_of_step(s, p, o, now, out);
+    do verdict = stages_of_step(s, p, o, now, out);
+    while (o->stages->fields && tried_anew(o, verdict, out.own));
     return verdict ? verdict : end_radau(s, o, p, now, out);
 }

@@ -84,7 +84,7 @@ static int strayed(const System *s, const double *p, const double *xi, double *b
 /* Whether fields should have new tangents, as schemes/newton.py. */
 static int worth_tangents(const System *s, const double *p, double first, int done, double left)
 {
-    int at_once = done == 1 && s->foretells && s->renewals > 1 && first > WORTH;
+    int at_once = done == 1 && s->foretells && s->renewals > 1 + s->begins && first > WORTH;
     return s->renewable && (at_once || lingers(p, done, left));
 }
 
@@ -275,8 +275,22 @@ static int renew_tangents(System *s, double *p, AlphaStep *k)
         if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, k->t))) return verdict;
         k->evaluated = 1;
     }
-    if ((verdict = take_tangents(s, k->x, k->t))) return verdict;
+    if ((verdict = take_tangents(s, k->x, 0, k->t))) return verdict;
     p[THETA] = 0.1;
+    return prepare(s, s->q, k->damp, k->scale, out.lam, 0, k->t);
+}
+
+/* New tangents of fields where the step is predicted, while steps take some. */
+static int begin_anew(System *s, double *p, AlphaStep *k)
+{
+    const Block out = k->out;
+    int verdict;
+    if (!s->begins || !s->renewals || k->touching) return DONE;
+    k->renewals = 1;
+    k->evaluated = 1;
+    follow(s, p, k);
+    if ((verdict = evaluate(s, out.q, out.v, out.a, out.lam, k->t))) return verdict;
+    if ((verdict = take_tangents(s, k->xi, 1, k->t))) return verdict;
     return prepare(s, s->q, k->damp, k->scale, out.lam, 0, k->t);
 }
 
@@ -284,7 +298,8 @@ static int renew_tangents(System *s, double *p, AlphaStep *k)
 static int iterate(System *s, double *p, AlphaStep *k)
 {
     const int most = (int)fmin(p[MAXIT], MOST);
-    int verdict, converged = 0;
+    int verdict = begin_anew(s, p, k), converged = 0;
+    if (verdict) return verdict;
 
     while (!converged) {
         if (k->done == most) return NEWTON;
@@ -294,6 +309,7 @@ static int iterate(System *s, double *p, AlphaStep *k)
         take(s, p, k);
 
         converged = judge_step(s, p, &k->now, k->sizes, k->tolerance, k->done, &k->left);
+        if (k->done == 1 && k->sizes[0] <= WORTH) k->renewals = 0; /* it was not worth one */
         const int old = outworn(s, p, k);
         if (old && k->touching && !goes_on_slowly(s->flight)) return NEWTON;
         if (old && !k->touching) {

@@ -314,7 +314,7 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
             forget(&told);
             told.poor = s->fields > 0; /* each of their increments is worth more than what the pairs cost */
             if (slow && (old || taken > 1) && s->renewable) {
-                if ((verdict = take_tangents(s, x, t + 0.5 * h))) return verdict;
+                if ((verdict = take_tangents(s, x, 0, t + 0.5 * h))) return verdict;
                 done[1]++;
             }
             if (mean_prepare(s, &o, lam, factored)) return NEWTON;

@@ -1,0 +1,82 @@
+"""When implicit steps take new tangents of elastic fields: where these save increments.
+
+A tangent serves as long as steps need hardly more increments than one with a new tangent did. What a tangent of one motion
+leaves out (gyroscopic terms, the turning of parts against each other within a step) a new one leaves out, too: such increments
+ask for none. Compiled code does the same (``driver/implicit/field_stages.c``), in whole steps.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from ...mechanics.placements import Approach
+from ...rotations import Array
+from ...system.compiled.declarations import enumeration
+from ...system.compiled.states.field_stages import FieldStageRoom
+from ...system.evaluation import Evaluation
+from ...system.serialisation import Remembering, plain
+from ...system.system import System
+
+COUNTS = enumeration("MANY", "implicit/field_stages.c")
+MANY, MORE = COUNTS["MANY"], COUNTS["MORE"]
+
+
+class FieldRenewals(Remembering):
+    """Of one run. ``due``: whether the step begins with new tangents."""
+
+    keeps: ClassVar = dict.fromkeys(("due", "_increments", "_fewest", "_new"), plain())
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.fields = [k for k, part in system.fields if part.renewable]
+        self.due = False
+        self._increments = 0  # of the step
+        self._fewest = 0  # of a step since the newest tangents
+        self._new = False  # whether the step has taken new ones
+
+    def begin(self) -> None:
+        """Begin a step from another state than the last one."""
+        if made := self._increments:
+            self._fewest = made if self._new else min(self._fewest, made)
+            self.due = made > max(MANY, self._fewest + MORE)
+        self._increments, self._new = 0, False
+
+    def begin_again(self) -> None:
+        """Begin one from the same state."""
+        self._increments = 0
+
+    def count(self, increments: int) -> None:
+        """Take note of so many increments."""
+        self._increments += increments
+
+    def ask(self, *, again: bool = False) -> bool:
+        """Whether a step that has failed may be tried with new tangents, which it takes then; ``again``: several times."""
+        self.due = bool(self.fields) and (again or not self._new)
+        return self.due
+
+    def take(self, ev: Evaluation, origin: Array) -> None:
+        """New tangents where derivatives are taken in a step that begins at q = ``origin``, if they are due; collective."""
+        if self.due and self.fields:
+            self.take_predicted(ev, origin)
+            self.due, self._new = False, True
+
+    def take_predicted(self, ev: Evaluation, origin: Array) -> None:
+        """The same, due or not."""
+        s = self.system
+        led = [k for k, part in s.fields if part.begins_anew]
+        ev.take_tangents(
+            self.fields, {k: Approach(s.local_q(ev.q, k) - s.local_q(origin, k), predicted=True) for k in led}
+        )
+
+    def lend(self, room: FieldStageRoom) -> None:
+        """Let compiled code go on."""
+        c = room.fields
+        c.renewable, c.outworn, c.fewest, c.renewed = bool(self.fields), self.due, self._fewest, 0
+
+    def follow(self, room: FieldStageRoom) -> None:
+        """Go on behind steps of compiled code."""
+        self.due, self._fewest = bool(room.fields.outworn), int(room.fields.fewest)
+
+    def tried(self, room: FieldStageRoom) -> None:
+        """Take notice of what compiled code has tried in a step that is to be made in parts."""
+        self.due, self._new = False, bool(room.fields.renewed)
