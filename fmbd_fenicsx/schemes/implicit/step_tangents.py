@@ -271,8 +271,9 @@ class Rooms:
     def __init__(self, structure: StageStructure) -> None:
         self.structure, self._known = structure, dict[tuple[int, int], StageRoom]()
 
-    def of(self, *key: int) -> StageRoom:
+    def of(self, frequencies: int, points: int) -> StageRoom:
         """One of them."""
+        key = frequencies, points
         if key not in self._known:
             self._known[key] = StageRoom(self.structure, *key)
         return self._known[key]

@@ -23,7 +23,8 @@ class Couplings:
 
     def __init__(self, tables: Tables) -> None:
         system = self.system = tables.system
-        self.n, self.m = system.n_v, system.n_lam
+        self.n: int = system.n_v
+        self.m: int = system.n_lam
         self.groups, self.pairs = tables.structure.shape.groups, tables.structure.shape.pairs
         self.answering = tables.listening.pairs
         twist = system.motions.n_twist

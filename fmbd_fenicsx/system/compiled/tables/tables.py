@@ -80,7 +80,7 @@ class Tables(TableLayout):
         self.fronts = self.structure.fronts
 
         self.sources = [one for items in self.items for one in of_one_sort(self, items)]
-        self.batches = [item_batch(self, items, number) for number, items in enumerate(self.sources)]
+        self.batches: list[Any] = [item_batch(self, items, number) for number, items in enumerate(self.sources)]
         self._first_coordinate = len(self.sources) - len(coordinates)
         self.batches += [mount_batch(self, loads) for loads in self.mounts]
         self.whole = [WholeLoads(self, loads, number) for number, loads in enumerate(self.loads)]
