@@ -59,7 +59,7 @@ class ContactLedger(Remembering):
         self.contacts = self.system.contacts
         d = self.system.motions.dim
         self.components = d if self.contacts.frictional else 1
-        self.force = np.zeros((len(self.contacts.pair), self.components))
+        self.force: Array = np.zeros((len(self.contacts.pair), self.components))
         self.impulse: Array = np.zeros((len(self.contacts.pairs), d))
         self.work: Array = np.zeros(len(WORKS))
         self.energy = self.springs = 0.0
