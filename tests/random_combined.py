@@ -127,7 +127,11 @@ class Chain:
             return fmbd.Beam(
                 name, start=self.place(k), end=self.place(k + 1), section=section, elements=2, attached=attached
             )
-        frames = {"attached": fmbd.Attached("left"), "chord": fmbd.Chord("left", "right"), "mean": fmbd.MeanAxis()}
+        frames: dict[str, Any] = {
+            "attached": fmbd.Attached("left"),
+            "chord": fmbd.Chord("left", "right"),
+            "mean": fmbd.MeanAxis(),
+        }
         body = fmbd.FloatingBody(
             name, strip(s.L, width, k * s.L), density=density, elastic=materials.plane_stress(young, 0.3),
             frame=frames[self.chosen(*frames)], stiffness_damping=float(pick(rng, 1e-3, 1e-2)) * s.T,
@@ -225,7 +229,7 @@ class Chain:
         kind = self.chosen("spring", "tie", "damper", "force", "follower", "torque", "rod", "tyre")
         name, F, c = f"{kind} at {n}", s.M * s.L / s.T**2, self.stiffness * 10.0 ** rng.uniform(-1, 1)
         far = (at[0] + s.L * float(rng.uniform(-0.5, 0.5)), s.L * float(pick(rng, 1.3, -1.3)))
-        ends = {"point_a": far, "point_b": at, "length": float(np.hypot(far[0] - at[0], far[1]))}
+        ends: dict[str, Any] = {"point_a": far, "point_b": at, "length": float(np.hypot(far[0] - at[0], far[1]))}
         if kind == "tyre" and not isinstance(side, fmbd.RigidBody):
             return
         made: dict[str, Callable[[], Any]] = {

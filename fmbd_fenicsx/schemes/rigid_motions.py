@@ -56,7 +56,7 @@ class RigidMotions:
         """Of all frames that hang on a part of their body, without rods."""
         width, in_v = system.motions.n_twist, system.slices[1]
         hanging = [(k, p) for k, p in enumerate(system.parts) if p.mean_rates is not None]
-        turns = system.at(state.t, state.q).rotation if hanging else []
+        turns: Any = system.at(state.t, state.q).rotation if hanging else ()
         return RigidMotions(
             (), tuple((slice(width * p.frame, width * (p.frame + 1)), in_v[k], turns[p.frame], p) for k, p in hanging)
         )

@@ -134,19 +134,19 @@ class ReducedPart(Part):
         self.second = SecondOrder(constants.mass, constants.S[:, 0], constants.T[0, 0])
         self._modal_mass = np.trace(constants.T[1:, 1:], axis1=2, axis2=3).copy()
 
-        self.rms = np.sqrt(np.diag(self._modal_mass) / constants.mass)
-        self.mean_rates = self._mean_rates()
+        self.rms = rms = np.sqrt(np.diag(self._modal_mass) / constants.mass)
+        self.mean_rates = self._mean_rates(rms)
         self.first_frequency = (
             float(np.sqrt(sl.eigh(constants.K, self._modal_mass, eigvals_only=True)[0])) if self.n else np.inf
         )
 
-    def _mean_rates(self) -> Array | None:
+    def _mean_rates(self, rms: Array) -> Array | None:
         """Mean twist of its mass in a frame that hangs on a part of it; None in mean axes, where it is roundoff."""
         c, d = self.constants, self.dim
         moments = np.array([axial(t) for t in c.T[0, 1:]]).reshape(self.n, self.motions.n_twist - d).T
         rates = np.asarray(self.second.inverse @ np.vstack((c.S[:, 1:], moments)))
         moved = rates * np.repeat((1.0, self.size), (d, len(rates) - d))[:, None]
-        return rates if (np.abs(moved) > STILL * self.rms).any() else None
+        return rates if (np.abs(moved) > STILL * rms).any() else None
 
     def surface_center(self, surface: str) -> Array:
         """Centroid of a surface at the start, world axes."""
