@@ -88,6 +88,11 @@ class Rule:
         xi = h * start.v + h * h * (0.5 - self.beta) * start.A + h * h * self.beta * A
         return StepEnd(A, xi, start.a, start.lam)
 
+    def even(self, a: Array, A: Array) -> Array:
+        """Accelerations at the end of a step, from a and A at its start, for which places go on with velocities."""
+        am, af = self.alpha_m, self.alpha_f
+        return ((am - (1 - am) * (0.5 - self.beta) / self.beta) * A - af * a) / (1 - af)
+
     def speed(self, start: StepStart, A: Array) -> Array:
         """The velocity at the end, (2)."""
         return start.v + self.h * (1 - self.gamma) * start.A + self.h * self.gamma * A

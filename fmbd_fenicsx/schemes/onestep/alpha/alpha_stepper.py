@@ -51,6 +51,23 @@ def _keep_counters(m: Memory, name: str, counters: Any) -> dict[str, float]:
     return {**counters, **m(name, counters)}
 
 
+def _led(points: list[tuple[float, Array, Array]], t: float) -> tuple[Array, Array]:
+    """a and lambda at t by the polynomial through those of states."""
+    times = np.array([p[0] for p in points])
+    weights = [np.prod((t - np.delete(times, i)) / (ti - np.delete(times, i))) for i, ti in enumerate(times)]
+    a, lam = (sum(w * p[k] for w, p in zip(weights, points, strict=True)) for k in (1, 2))
+    return a, lam
+
+
+def _leaps(points: list[tuple[float, Array, Array]]) -> Array:
+    """Whether the newest a is farther from where the others lead than they are large: steps do not resolve such motion, and where
+    all lead tells nothing. Of each entry.
+    """
+    newest, *others = points
+    miss = newest[1] - _led(others, newest[0])[0]
+    return np.abs(miss) > np.abs([a for _, a, _ in points]).max(axis=0)
+
+
 class AlphaStepper(TimeStepper):
     """Advances a consistent state; holds the algorithmic acceleration and the history of the predictor."""
 
@@ -95,17 +112,13 @@ class AlphaStepper(TimeStepper):
         self._begin_from(start())
         return True
 
-    def _predict(self, h: float) -> tuple[Array, Array]:
-        """a and lambda extrapolated by the parabola through the last steps (less at the start)."""
+    def _predict(self, rule: Rule) -> tuple[Array, Array]:
+        """a and lambda by the parabola through the last steps (less at the start); where a leaps, places go on with v."""
         s = self.state
-        t = s.t + h
         points = [(s.t, s.a, s.lam), *self._past]
-        a, lam = np.zeros_like(s.a), np.zeros_like(s.lam)
-        for i, (ti, ai, li) in enumerate(points):
-            # Lagrange's weights of the newest three states
-            w = float(np.prod([(t - tj) / (ti - tj) for j, (tj, _, _) in enumerate(points) if j != i]))
-            a += w * ai
-            lam += w * li
+        a, lam = _led(points, s.t + rule.h)
+        if self._past:
+            a = np.where(_leaps(points), rule.even(s.a, self.A), a)
         return a, lam
 
     def _first(self, rule: Rule) -> StepStart:
@@ -131,7 +144,7 @@ class AlphaStepper(TimeStepper):
         """What the next step begins with, and the prediction of its end."""
         if self.fresh:
             return self._first(rule)
-        return StepStart(self.state, self.state.v, self.A, *self._predict(rule.h))
+        return StepStart(self.state, self.state.v, self.A, *self._predict(rule))
 
     def advance(self, h: float) -> State:
         """One step of size h (s); collective. Raises ConvergenceError when Newton fails; the state is then unchanged."""

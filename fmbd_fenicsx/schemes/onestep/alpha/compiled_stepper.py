@@ -186,8 +186,9 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         zero = np.zeros(self.system.n_v)
         before = (s.t - h, place, zero, 2 * s.a - start.a, zero, 2 * s.lam - start.lam)
         self.driver.load([(s.t, s.q, start.v, s.a, start.A, s.lam), before])
+        self.driver.parameters[slots.MADE_UP] = 1.0
         self.fresh = not self._steps(h, 1, observers)
-        self.driver.parameters[slots.HISTORY] = 1
+        self.driver.parameters[[slots.HISTORY, slots.MADE_UP]] = 1.0, 0.0
         return 0 if self.fresh else 1
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:

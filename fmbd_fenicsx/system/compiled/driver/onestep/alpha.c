@@ -127,18 +127,33 @@ static void begin(System *s, const double *p, Block now, Block out, AlphaStep *k
     s->share = h * p[BETA] / p[GAMMA];
 }
 
-/* Accelerations and multipliers as those of the last steps go on. */
+/* Whether the newest of these accelerations is farther from where the others lead (by their weights w) than they are large: steps do not
+   resolve such motion, and where all lead tells nothing. */
+static int leaps(const Block *past, int known, const double *w, int i)
+{
+    double miss = past[0].a[i], size = fabs(past[0].a[i]);
+    for (int j = 1; j <= known; j++) {
+        miss -= w[j - 1] * past[j].a[i];
+        size = fmax(size, fabs(past[j].a[i]));
+    }
+    return fabs(miss) > size;
+}
+
+/* Accelerations and multipliers as those of the last steps go on; where accelerations leap, places go on with velocities. */
 static void predict(System *s, const double *p, const Block *past, int known, AlphaStep *k)
 {
     const int n = s->nv, m = s->rows;
-    const double h = p[H], am = p[AM], af = p[AF];
+    const double h = p[H], am = p[AM], af = p[AF], even = (0.5 - p[BETA]) / p[BETA];
     const Block now = k->now, out = k->out;
-    double w[3];
+    const int judged = known > 0 && p[MADE_UP] == 0.0;
+    double w[3], before[3];
 
     predictor(past, known, k->t, w);
+    if (judged) predictor(past + 1, known - 1, *now.t, before);
     for (int i = 0; i < n; i++) {
         out.a[i] = 0.0;
         for (int j = 0; j <= known; j++) out.a[i] += w[j] * past[j].a[i];
+        if (judged && leaps(past, known, before, i)) out.a[i] = ((am - (1 - am) * even) * now.A[i] - af * now.a[i]) / (1 - af);
         out.A[i] = ((1 - af) * out.a[i] + af * now.a[i] - am * now.A[i]) / (1 - am);
         k->begun[i] = k->xi[i] = h * now.v[i] + h * h * (0.5 - p[BETA]) * now.A[i] + k->hb * out.A[i];
     }
