@@ -223,7 +223,12 @@ class BDFStepper(Corrector):
 
         found = self._with_new_tangent(lambda: self._newton(h, self.scheme.order))
         if isinstance(found, str):
-            self._begin_spell()  # Newton's own tangent in each iteration: stiff springs that turn
+            # Newton's own tangent in each iteration: stiff springs that turn, which one tangent moves next to nothing across, and two
+            # increments look like an end. From then on, where that is cheap
+            if self.eq.dense:
+                self._full, self._tangent = True, None
+            else:
+                self._begin_spell()
             found = self._newton(h, self.scheme.order)
         if isinstance(found, str):
             raise self._failure(h, found)
