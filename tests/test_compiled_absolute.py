@@ -125,7 +125,7 @@ def test_soft_bodies_take_new_tangents_in_compiled_steps(rod_mesh: Callable[...,
 
     fast, slow = pair(make, form, t_end=0.08, dt=1e-3)
     made = [run.counters["factorisations"] for run in (fast, slow)]
-    assert made[0] == made[1] > 5
+    assert made[0] == made[1] > 15
     assert fast.counters["halved_steps"] == slow.counters["halved_steps"] == 0
     agree(fast, slow, 80)
 
@@ -140,8 +140,8 @@ def test_tangents_at_once_after_steps_that_took_several(rod_mesh: Callable[..., 
 
 
 def test_sudden_loads_on_stiff_bodies_in_large_steps(rod_mesh: Callable[..., Any]) -> None:
-    """Waves that steps do not resolve leave accelerations that ring: their parabola leads 200 times too far, and 20 steps were
-    made in 207 halves. The pulled rod is longer by what its stress says, in compiled steps and by NumPy.
+    """Waves that steps do not resolve leave accelerations that ring, and their parabola leads far off: each step was made in
+    a dozen parts. The pulled rod is longer by what its stress says, in compiled steps and by NumPy.
     """
     E, pull, runs = 2e9, 1e5, []
     for native in (True, False):
@@ -158,7 +158,7 @@ def test_sudden_loads_on_stiff_bodies_in_large_steps(rod_mesh: Callable[..., Any
         runs.append(fmbd.solve(scene, t_end=0.04, dt=1e-3, scheme=fmbd.GeneralizedAlpha(0.8, compiled=native)))
     fast, slow = runs
     assert fast.counters["halved_steps"] == slow.counters["halved_steps"] == 0
-    assert fast.counters["newton_iterations"] == slow.counters["newton_iterations"] <= 3.5 * 40
+    assert fast.counters["newton_iterations"] == slow.counters["newton_iterations"] <= 4.5 * 40
     assert np.allclose(fast["tip"], slow["tip"], rtol=0, atol=1e-10)
     stretch = fast["tip"][-20:, 0].mean() / fast["tip"][0, 0] - 1.0
     assert 0.7 < stretch * E / pull < 1.3, stretch

@@ -159,9 +159,10 @@ class MixedField(Field):
 
     @property
     def strain_energy(self) -> Callable[[Any], Any] | None:
-        """As :meth:`Field.strain_energy`, at the pressure as it is."""
+        """As :meth:`Field.strain_energy`, at the pressure as it is; None, too, where damping by stiffness follows the tangent."""
         of_strain = self._energy.of_strain
-        if of_strain is None:
+        damped = self.forms.stiffness_damping and not self.carried  # the tangent has its damping by the same stiffness
+        if of_strain is None or damped:
             return None
         density = of_strain(self.elastic_measure.ufl_domain())
         return lambda C: density(C, _volume(C), self._p)

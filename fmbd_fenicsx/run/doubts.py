@@ -54,7 +54,7 @@ def warn_of_doubts(
     _open_joints(recorder)
     _contradictions(solver, recorder, end)
     _immovable(solver)
-    if body := inside_out(system, end.q):
+    if system.fields and (body := inside_out(system, end.q)):
         log.warning(
             'body "%s" has cells that are turned inside out at the end: its energy lets them, no material does. Take a smaller '
             "dt, another mesh there, or a law that grows with ln J, as materials.neo_hookean does", body,

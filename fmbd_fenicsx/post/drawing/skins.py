@@ -88,7 +88,7 @@ def _outer_facets(msh: Any) -> list[tuple[int, int]]:
     tdim = msh.topology.dim
     msh.topology.create_connectivity(tdim - 1, tdim)
     cells, numbers = cells_of(msh.topology, dm.exterior_facet_indices(msh.topology))
-    return list(zip(cells.tolist(), numbers.tolist(), strict=True))
+    return [(int(cell), int(number)) for cell, number in zip(cells, numbers, strict=True)]
 
 
 def _facets_of_a_cell(msh: Any) -> int:

@@ -223,8 +223,8 @@ class BDFStepper(Corrector):
 
         found = self._with_new_tangent(lambda: self._newton(h, self.scheme.order))
         if isinstance(found, str):
-            # Newton's own tangent in each iteration: stiff springs that turn, which one tangent moves next to nothing across, and two
-            # increments look like an end. From then on, where that is cheap
+            # Newton's own tangent in each iteration, from now on where that is cheap: one tangent moves next to nothing across a
+            # stiff spring that turns, and two of its increments look like an end
             if self.eq.dense:
                 self._full, self._tangent = True, None
             else:

@@ -22,7 +22,7 @@ from .tape import Openness, Tape
 
 # fmt: off
 (H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR, ITERATIONS, LOCAL,
- GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED, CHOSEN, MADE_UP,
+ GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT, STABILISED, CHOSEN, EVENS,
  PARAMETERS) = enumeration("H", "parts.h").values()
 # fmt: on
 COUNTED = [ITERATIONS, LOCAL, LEFT]  # by a march, from zero
@@ -63,7 +63,7 @@ class March:
     def load(self, states: Sequence[Block]) -> None:
         """Take the last states, the newest first, at most three."""
         self.ring.load([self.tables.twin.widened(x) for x in states])
-        self.parameters[HISTORY], self.parameters[MADE_UP] = len(states) - 1, 0.0
+        self.parameters[HISTORY] = len(states) - 1
 
     def block(self, i: int) -> Block:
         """The i-th newest state, with its algorithmic acceleration."""

@@ -26,6 +26,7 @@ from ....linear.blocks.incompressibility import volume_push
 from ....linear.condensation import StepSolver
 from ....linear.redundancy import least
 from ....rotations import Array
+from ....system.compiled.declarations import constants
 from ....system.layout import State, States
 from ....system.serialisation import Memory, plain
 from ....system.speed_rows import speed_rows
@@ -42,6 +43,7 @@ from .jerk import jerk, spin_of_acceleration
 if TYPE_CHECKING:
     from .generalized_alpha import GeneralizedAlpha
 
+(LEAP,) = constants("onestep/alpha.c", "LEAP")  # of the length of the model
 CLOSINGS = 3  # iterations that close joints within a step
 SHUT = 1e-12  # lengths of the model by which they may stay open
 
@@ -59,13 +61,13 @@ def _led(points: list[tuple[float, Array, Array]], t: float) -> tuple[Array, Arr
     return a, lam
 
 
-def _leaps(points: list[tuple[float, Array, Array]]) -> Array:
-    """Whether the newest a is farther from where the others lead than they are large: steps do not resolve such motion, and where
-    all lead tells nothing. Of each entry.
+def _leaps(points: list[tuple[float, Array, Array]], much: Array) -> Array:
+    """Whether the newest a is farther from where the others lead than they are large, by more than ``much``, each entry: steps do
+    not resolve such motion, and where all lead is far off.
     """
     newest, *others = points
     miss = newest[1] - _led(others, newest[0])[0]
-    return np.abs(miss) > np.abs([a for _, a, _ in points]).max(axis=0)
+    return np.abs(miss) > np.maximum(np.abs([a for _, a, _ in points]).max(axis=0), much)
 
 
 class AlphaStepper(TimeStepper):
@@ -113,12 +115,16 @@ class AlphaStepper(TimeStepper):
         return True
 
     def _predict(self, rule: Rule) -> tuple[Array, Array]:
-        """a and lambda by the parabola through the last steps (less at the start); where a leaps, places go on with v."""
+        """a and lambda by the parabola through the last steps (less at the start); where a of bodies with an energy leaps, places
+        go on with v.
+        """
         s = self.state
         points = [(s.t, s.a, s.lam), *self._past]
         a, lam = _led(points, s.t + rule.h)
-        if self._past:
-            a = np.where(_leaps(points), rule.even(s.a, self.A), a)
+        if self._past and any(part.foretells for _, part in self.system.fields):
+            much = LEAP * self.system.length / (rule.weights.ck * self.system.units)
+            much[: self.system.slices[1][0].start] = np.inf  # frames
+            a = np.where(_leaps(points, much), rule.even(s.a, self.A), a)
         return a, lam
 
     def _first(self, rule: Rule) -> StepStart:

@@ -186,9 +186,8 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         zero = np.zeros(self.system.n_v)
         before = (s.t - h, place, zero, 2 * s.a - start.a, zero, 2 * s.lam - start.lam)
         self.driver.load([(s.t, s.q, start.v, s.a, start.A, s.lam), before])
-        self.driver.parameters[slots.MADE_UP] = 1.0
         self.fresh = not self._steps(h, 1, observers)
-        self.driver.parameters[[slots.HISTORY, slots.MADE_UP]] = 1.0, 0.0
+        self.driver.parameters[slots.HISTORY] = 1
         return 0 if self.fresh else 1
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
@@ -243,7 +242,7 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
             self._load()
         driver, newton = self.driver, self.newton
         p = driver.parameters
-        p[slots.H], p[slots.THETA] = h, newton.theta
+        p[slots.H], p[slots.THETA], p[slots.EVENS] = h, newton.theta, not self.fresh
         lend_energies(p, observers.energy)
 
         driver.tables.recall()

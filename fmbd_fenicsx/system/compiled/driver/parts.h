@@ -103,7 +103,7 @@ enum { CORRECTIONS = sizeof CORRECTED / sizeof *CORRECTED };
 /* Parameters of a march; increments of a step at most. */
 enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,  /* in */
        ITERATIONS, LOCAL, GUARDED, HIGHEST, TURNOVER, WEIGHT, SHARE, SETTLING, LEFT,                                   /* in and out */
-       STABILISED, CHOSEN, MADE_UP, PARAMETERS };   /* in: the GGL form; sizes by error control; whether the past only tells where a leads */
+       STABILISED, CHOSEN, EVENS, PARAMETERS }; /* in: the GGL form; sizes by error control; no first step: leaps are evened out */
 enum { MOST = 64 };
 
 /* A state as one block of numbers: t, q (nq), v (nv), a (nv), A (nv), lambda (rows), and what a scheme keeps of its own. */

@@ -3,6 +3,7 @@
    A block of a state holds t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
 
 static const double SLOW_TURN = 0.01; /* rate of Newton above which efforts get a new tangent */
+static const double LEAP = 1e-3;      /* of the model's length: leaps of accelerations that lead farther are no prediction */
 static const double WORTH = 1e3;      /* first increments, over the tolerance, that are worth a new tangent of fields at once */
 enum { RENEWALS = 10 };               /* of tangents of fields in a step at most */
 
@@ -127,25 +128,25 @@ static void begin(System *s, const double *p, Block now, Block out, AlphaStep *k
     s->share = h * p[BETA] / p[GAMMA];
 }
 
-/* Whether the newest of these accelerations is farther from where the others lead (by their weights w) than they are large: steps do not
-   resolve such motion, and where all lead tells nothing. */
-static int leaps(const Block *past, int known, const double *w, int i)
+/* Whether the newest of these accelerations is farther from where the others lead (by their weights w) than they are large, by more than
+   ``much``: steps do not resolve such motion, and where all lead is far off. */
+static int leaps(const Block *past, int known, const double *w, int i, double much)
 {
     double miss = past[0].a[i], size = fabs(past[0].a[i]);
     for (int j = 1; j <= known; j++) {
         miss -= w[j - 1] * past[j].a[i];
         size = fmax(size, fabs(past[j].a[i]));
     }
-    return fabs(miss) > size;
+    return fabs(miss) > fmax(size, much);
 }
 
-/* Accelerations and multipliers as those of the last steps go on; where accelerations leap, places go on with velocities. */
+/* Accelerations and multipliers as those of the last steps go on; where those of bodies with an energy leap, places go on with velocities. */
 static void predict(System *s, const double *p, const Block *past, int known, AlphaStep *k)
 {
     const int n = s->nv, m = s->rows;
     const double h = p[H], am = p[AM], af = p[AF], even = (0.5 - p[BETA]) / p[BETA];
     const Block now = k->now, out = k->out;
-    const int judged = known > 0 && p[MADE_UP] == 0.0;
+    const int judged = known > 0 && p[EVENS] != 0.0 && s->foretells, frames = TWIST * s->bodies;
     double w[3], before[3];
 
     predictor(past, known, k->t, w);
@@ -153,7 +154,7 @@ static void predict(System *s, const double *p, const Block *past, int known, Al
     for (int i = 0; i < n; i++) {
         out.a[i] = 0.0;
         for (int j = 0; j <= known; j++) out.a[i] += w[j] * past[j].a[i];
-        if (judged && leaps(past, known, before, i)) out.a[i] = ((am - (1 - am) * even) * now.A[i] - af * now.a[i]) / (1 - af);
+        if (judged && i >= frames && leaps(past, known, before, i, LEAP * p[LENGTH] / (k->scale * s->units[i]))) out.a[i] = ((am - (1 - am) * even) * now.A[i] - af * now.a[i]) / (1 - af);
         out.A[i] = ((1 - af) * out.a[i] + af * now.a[i] - am * now.A[i]) / (1 - am);
         k->begun[i] = k->xi[i] = h * now.v[i] + h * h * (0.5 - p[BETA]) * now.A[i] + k->hb * out.A[i];
     }
