@@ -213,7 +213,7 @@ def test_halved_edges_of_curved_cells_are_curved(shared_tmp: Path) -> None:
     if MPI.COMM_WORLD.rank == 0:
         import gmsh
 
-        gmsh.initialize()
+        gmsh.initialize(interruptible=False)
         gmsh.option.setNumber("General.Terminal", 0)
         runpy.run_path(str(script))["build"](gmsh)
         gmsh.write(str(finished))

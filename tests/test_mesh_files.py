@@ -72,7 +72,7 @@ def test_a_point_takes_the_face_that_it_lies_on_and_not_another_in_its_plane(tmp
     import gmsh
 
     file = tmp_path / "bridge.step"
-    gmsh.initialize()
+    gmsh.initialize(interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     occ = gmsh.model.occ
     feet = [(3, occ.addBox(x, 0, 0, 2, 3, 2)) for x in (0, 8)]
