@@ -114,14 +114,14 @@ class AlphaStepper(TimeStepper):
         self._begin_from(start())
         return True
 
-    def _predict(self, rule: Rule) -> tuple[Array, Array]:
+    def _predict(self, rule: Rule, *, evens: bool = True) -> tuple[Array, Array]:
         """a and lambda by the parabola through the last steps (less at the start); where a of bodies with an energy leaps, places
         go on with v.
         """
         s = self.state
         points = [(s.t, s.a, s.lam), *self._past]
         a, lam = _led(points, s.t + rule.h)
-        if self._past and any(part.foretells for _, part in self.system.fields):
+        if evens and self._past and any(part.foretells for _, part in self.system.fields):
             much = LEAP * self.system.length / (rule.weights.ck * self.system.units)
             much[: self.system.slices[1][0].start] = np.inf  # frames
             a = np.where(_leaps(points, much), rule.even(s.a, self.A), a)
@@ -164,6 +164,13 @@ class AlphaStepper(TimeStepper):
         except (ConvergenceError, LinearSolveError):
             self.solver.pressures = pressures
             if self.system.fields:
+                # leaps may be where a body snaps through
+                plain = start if self.fresh else replace(start, a=self._predict(rule, evens=False)[0])
+                if self.system.max_abs(plain.a - start.a) > 0.0:
+                    try:
+                        return self._step(rule, plain, PATIENCE)
+                    except (ConvergenceError, LinearSolveError):
+                        self.solver.pressures = pressures
                 if self.newton.renewals or not any(part.begins_anew for _, part in self.system.fields):
                     raise
                 self.newton.renewals = 1  # once more with a tangent where the step is predicted
