@@ -74,13 +74,19 @@ def refine(msh: Any) -> Any:
     return mesh.refine(msh, partitioner=_partitioner(mesh))[0]
 
 
+def coordinate_element(geometry: Any) -> Any:
+    """The element that maps the cells of a mesh, which has one."""
+    known = getattr(geometry, "cmaps", None)
+    return geometry.cmap if known is None or callable(known) else known[0]  # 0.9 has a function of that name
+
+
 def moved(msh: Any, x: np.ndarray) -> Any:
     """A mesh with the topology of another and the points x (n, d) in place of its own."""
     import ufl
     from dolfinx import cpp, mesh
 
     old = msh.geometry._cpp_object
-    element = old.cmap if hasattr(old, "cmap") else old.cmaps[0]
+    element = coordinate_element(old)
     geometry = type(old)(
         old.index_map(), geometry_dofmap(msh), element, np.ascontiguousarray(x), old.input_global_indices
     )
@@ -97,7 +103,7 @@ def geometry_dofmap(msh: Any) -> np.ndarray:
 def pull_back(msh: Any, x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Points x (n, d) of the cell with the geometry ``nodes`` (k, d), in the reference cell, (n, d)."""
     g = msh.geometry
-    element = g.cmap if hasattr(g, "cmap") else g.cmaps[0]
+    element = coordinate_element(g)
     return np.asarray(element.pull_back(np.ascontiguousarray(x), np.ascontiguousarray(nodes)))
 
 

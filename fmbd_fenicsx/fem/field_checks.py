@@ -75,7 +75,7 @@ def _check_linear_functions(field: Any) -> None:
     from dolfinx import fem
 
     domain, degree = field.mesh.dolfinx, field.forms.degree
-    order = domain.geometry.cmap.degree
+    order = compat.coordinate_element(domain.geometry).degree
     if degree >= order:
         return
 
