@@ -15,7 +15,7 @@ are then closed by the least motion.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -159,25 +159,27 @@ class AlphaStepper(TimeStepper):
             return self._damp(h, damped)
         start = self._predicted(rule)
         pressures = self.solver.pressures
-        try:
-            return self._step(rule, start, PATIENCE)
-        except (ConvergenceError, LinearSolveError):
-            self.solver.pressures = pressures
-            if self.system.fields:
-                # leaps may be where a body snaps through
-                plain = start if self.fresh else replace(start, a=self._predict(rule, evens=False)[0])
-                if self.system.max_abs(plain.a - start.a) > 0.0:
-                    try:
-                        return self._step(rule, plain, PATIENCE)
-                    except (ConvergenceError, LinearSolveError):
-                        self.solver.pressures = pressures
-                if self.newton.renewals or not any(part.begins_anew for _, part in self.system.fields):
-                    raise
-                self.newton.renewals = 1  # once more with a tangent where the step is predicted
-                return self._step(rule, start, PATIENCE)
+        for begun in self._beginnings(rule, start):
+            try:
+                return self._step(rule, begun, PATIENCE)
+            except (ConvergenceError, LinearSolveError) as error:
+                self.solver.pressures, failed = pressures, error
+        if self.system.fields:
+            raise failed
         # once more with a tangent for each iteration, before the step is made in parts
         self.newton.theta = 0.5
         return self._step(rule, start, 0)  # stiff springs that turn need Newton's own tangent
+
+    def _beginnings(self, rule: Rule, start: StepStart) -> Iterator[StepStart]:
+        """What a step may begin with, the next where it has failed with one; collective."""
+        yield start
+        if not self.fresh and self.system.fields:
+            plain = replace(start, a=self._predict(rule, evens=False)[0])
+            if self.system.max_abs(plain.a - start.a) > 0.0:
+                yield plain  # leaps may be where a body snaps through
+        if not self.newton.renewals and any(part.begins_anew for _, part in self.system.fields):
+            self.newton.renewals = 1  # a tangent where the step is predicted
+            yield start
 
     def _damped(self, rule: Rule) -> Array | None:
         """Accelerations that a step which damps begins with, where this is a start for one; else None. Collective."""
