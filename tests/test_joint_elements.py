@@ -81,6 +81,33 @@ def test_dry_friction_against_the_analytic_decay(dim: int) -> None:
     assert again == pytest.approx(run.energy["springs"][-1], rel=1e-12), "compiled steps and NumPy tell the same"
 
 
+@pytest.mark.parametrize("damping", [0.0, 5.0])
+def test_a_joint_that_slides_at_the_start_has_all_of_its_friction(damping: float) -> None:
+    """w = w0 - F t / J from t = 0 on."""
+    F, rate = 0.7, -4.0
+    scene, phi = wheel(rate)
+    friction = scene.add(fmbd.dry_friction("friction", phi, limit=F, stick=1e5, damping=damping))
+    scene.sensor("effort", fmbd.element_effort(friction))
+    run = fmbd.solve(scene, t_end=1.0, dt=0.1)
+    assert run["effort"][:, 0] == pytest.approx(np.full(11, F), rel=1e-12)
+    assert run["phi"][-1, 0] == pytest.approx(rate + 0.5 * F / INERTIA, rel=1e-12)
+
+
+@pytest.mark.parametrize(("given", "effort"), [((4.0, 4.0), -1.0), ((4.0, -4.0), 0.0), ((4.0, -1.0), -1.0)])
+def test_friction_starts_with_the_velocities_that_joints_allow(given: tuple[float, float], effort: float) -> None:
+    """Two wheels of one gear with speeds that contradict it: the second turns with the mean, or rests."""
+    wheels = [fmbd.RigidBody(f"wheel {k}", 1.0, INERTIA, angular_velocity=w) for k, w in enumerate(given)]
+    scene = fmbd.Scene("gear")
+    scene.add(*wheels)
+    turns = [scene.add(fmbd.revolute(w.name + " pin", fmbd.ground, w, center=(0, 0))) for w in wheels]
+    first, second = (fmbd.angle(turn) for turn in turns)
+    scene.add(fmbd.gear("gear", first, second, ratio=1.0))
+    scene.add(fmbd.dry_friction("friction", second, limit=1.0, stick=1e5))
+    scene.sensor("rim", fmbd.acceleration(wheels[1], point=(0.0, 1.0)))
+    run = fmbd.solve(scene, t_end=1e-3, dt=1e-4)
+    assert run["rim"][0, 0] == pytest.approx(-effort / (2 * INERTIA), abs=1e-9)
+
+
 OWN_STEPS = [
     fmbd.Radau(3, rtol=1e-4),
     fmbd.Radau(3, rtol=1e-8),

@@ -90,6 +90,30 @@ def test_dry_friction(torque: float, angle: float) -> None:
         fmbd.modes(scene, 1, at=found)
 
 
+REMEMBERING = {
+    "dry friction": lambda: lever(lambda s: fmbd.dry_friction("friction", s, limit=9.0, stick=1e3), torque=5.0),
+    "integral": lambda: lever(lambda s: fmbd.pid("motor", s, target=0.1, gains=(50.0, 20.0, 1.0)), torque=5.0),
+}
+
+
+@pytest.mark.parametrize("made", REMEMBERING.values(), ids=REMEMBERING)
+def test_a_settled_start_stays_where_it_is(made: Any) -> None:
+    """What elements remember in the equilibrium is what the run begins with."""
+    scene, place = made(), fmbd.equilibrium(made())["angle"]
+    scene.settle = True
+    run = fmbd.solve(scene, t_end=0.2, dt=0.01)
+    assert np.abs(place).max() > 1e-3
+    assert np.abs(run["angle"] - place).max() < 1e-9
+
+
+def test_a_settled_start_takes_no_velocity() -> None:
+    scene = fmbd.Scene("hung", settle=True, gravity=(0.0, -GRAVITY))
+    body = fmbd.RigidBody("body", 1.0, 0.25, position=(0.0, -1.0), velocity=(1.0, 0.0), angular_velocity=1.0)
+    scene.add(body, fmbd.revolute("hinge", fmbd.ground, body, center=(0.0, 0.0)))
+    with pytest.raises(InputError, match='"body" is given a velocity, which a scene with settle=True does not take'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
 def test_slack_wires() -> None:
     """A weight on three wires, of which one is too long: the forces of the two others carry it."""
     scene, start = fmbd.Scene("wires", gravity=(0.0, -GRAVITY)), np.array([0.3, -1.0])

@@ -137,6 +137,13 @@ def test_equilibria_are_relaxed():
     assert found["end"][0] - 1 == pytest.approx(9.81 * MASS / 2 / STIFFNESS, rel=1e-9)
 
 
+def test_a_settled_start_is_relaxed():
+    scene = bar()
+    scene.settle = True
+    run = fmbd.solve(scene, t_end=0.2, dt=0.01)
+    np.testing.assert_allclose(run["end"][:, 0] - 1, 9.81 * MASS / 2 / STIFFNESS, rtol=1e-9)
+
+
 def test_stiffness_is_the_derivative_of_the_forces():
     rod = fmbd.Rod("rod", [(0, 0, 0), (0.5, 0.1, 0), (1, 0, 0)], SECTION, elements=2, degree=2)
     scene = fmbd.Scene("free")

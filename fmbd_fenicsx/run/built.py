@@ -10,6 +10,7 @@ from ..linear.condensation import StepSolver
 from ..notices import Gathered
 from ..schemes.consistent import Correction
 from ..schemes.declared import Declared
+from ..system.element_memory import memories
 from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.system import System
@@ -18,10 +19,11 @@ from .problem import begin
 
 @dataclass(frozen=True)
 class ConsistentStart:
-    """A consistent start, and what it corrected."""
+    """A consistent start, what it corrected, and what elements remember there."""
 
     state: State
     correction: Correction
+    memories: list[Any]
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,8 @@ class Built:
             self.system.evaluator.begin_anew()
             return self.starts[0]
 
-        made = ConsistentStart(*begin(scene, scheme, self.system, self.given, solver=solver, h=h))
+        start = begin(scene, scheme, self.system, self.given, solver=solver, h=h)
+        made = ConsistentStart(*start, memories(self.system))
         if Declared.by(scheme).start is None and not solver.pressures:
             self.starts.append(made)
         return made

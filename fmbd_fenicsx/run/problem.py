@@ -24,7 +24,7 @@ from .judges.acceptance import Closed
 from .judges.energy_check import Guarded, Watch
 from .judges.force_balance import Balanced
 from .judges.forecast import Forecast
-from .judges.given_velocities import warn_of_changed_velocities
+from .judges.given_velocities import look_at_given_velocities
 from .recording.output import Output
 from .schedule import StepSchedule
 from .step_bisection import ConstantSteps, Judges
@@ -39,6 +39,7 @@ class Problem:
     markers: dict[str, int]
     given: State
     start: State
+    memories: list[Any]  # of elements, at the start
     scheme: Any
     newton: Newton
     linear: Any
@@ -61,13 +62,19 @@ def make_solver(scene: Scene, system: System, linear: Any) -> StepSolver:
 def begin(
     scene: Scene, scheme: Any, system: System, given: State, *, solver: StepSolver, h: float
 ) -> tuple[State, Correction]:
-    """The consistent start of a scheme from a state as given, with first steps of h (s); collective."""
+    """The consistent start of a scheme from a state as given, with first steps of h (s); the memories of elements are those of
+    the start then. Collective.
+    """
     reset(system, given)
     system.evaluator.begin_anew()
     with OneAnswer(system.comm):
         start, correction = _begun(scene, scheme, system, given, solver=solver, h=h)
+        moved = bool(correction.position or correction.velocity) and not scene.settle
+        if system.keepers and moved:  # forces are those of memories of where bodies are
+            reset(system, start)
+            start, _ = _begun(scene, scheme, system, start, solver=solver, h=h)
     if scene.origin is None:  # joints that close in motion change velocities
-        warn_of_changed_velocities(system, given, start, correction)
+        look_at_given_velocities(system, given, start, correction, settled=scene.settle)
     return start, correction
 
 
@@ -76,7 +83,7 @@ def _begun(
 ) -> tuple[State, Correction]:
     """See :func:`begin`."""
     if scene.settle:
-        from ..analysis.statics.search import settled
+        from ..analysis.statics.equilibrium import settled
 
         given = settled(system, given, solver)
     said = Declared.by(scheme)

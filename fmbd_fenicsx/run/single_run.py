@@ -116,6 +116,7 @@ def _problem(task: Task, built: Built, solver: StepSolver, start: ConsistentStar
         markers=built.markers,
         given=built.given,
         start=start.state,
+        memories=start.memories,
         scheme=task.scheme,
         newton=task.newton,
         linear=task.linear,

@@ -25,6 +25,7 @@ from ..errors import InputError, near, require
 from ..rotations import Array
 from ..schemes.declared import Declared
 from ..schemes.newton import Newton
+from ..system.element_memory import memories
 from ..system.layout import State
 from ..system.scene.alike import alike, values_of_inputs
 from ..system.scene.scene import Scene
@@ -77,7 +78,7 @@ class SceneStepper(Uncopied):
         try:
             start, _ = begin(scene, scheme, system, given, solver=self._solver, h=dt)
             self._problem = Problem(
-                scene, system, markers, given, start, scheme, newton, linear, self._solver.pressures
+                scene, system, markers, given, start, memories(system), scheme, newton, linear, self._solver.pressures
             )
             self._judges = judges = judges_of(self._problem, self._solver, self._pace)
             made = make_stepper(self._problem, self._solver, self._pace, judges, guarded=closed(scene, system))

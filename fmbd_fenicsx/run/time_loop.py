@@ -10,7 +10,7 @@ from ..agreement import OneAnswer
 from ..errors import ConvergenceError, LinearSolveError
 from ..linear.condensation import StepSolver
 from ..log import log
-from ..system.element_memory import next_sample, reset
+from ..system.element_memory import next_sample, restore
 from ..system.evaluation import Evaluation
 from ..system.layout import State
 from ..system.spins import Spins
@@ -79,7 +79,7 @@ def march(
     problem: Problem, solver: StepSolver, schedule: StepSchedule, output: Output, keeper: Keeper | None = None
 ) -> Marched:
     """All steps from a consistent start, or from the checkpoint that the ``keeper`` takes up; collective."""
-    reset(problem.system, problem.start)
+    restore(problem.system, problem.memories)
     loop = Loop(problem, solver, schedule, output, keeper)
     try:
         loop.run()

@@ -149,6 +149,18 @@ def equilibrium(
     return found
 
 
+def settled(system: System, given: State, solver: StepSolver) -> State:
+    """The state at rest in equilibrium near a given one, with memories as a run begins with there: the start of
+    ``Scene(settle=True)``; collective.
+    """
+    newton = static_newton(system, solver, given, None)
+    point = _with_controllers(newton, StaticPoint(given.q, np.zeros(system.n_lam)), given.t, None)
+    state = state_of(system, point, given.t, None)
+    for elements in system.elements:  # relaxed at the start of the run
+        elements.kept = elements.first(system.at(state.t, state.q, state.v), state)
+    return state
+
+
 def _tell_smooth_friction(system: System) -> None:
     """Smooth friction creeps under any load: an equilibrium is what is left when it has crept as far as it can."""
     every = [f for loads in system.forces for f in loads.forces]

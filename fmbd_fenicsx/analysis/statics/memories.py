@@ -62,11 +62,11 @@ def remember(system: System, state: State, at: Any, *, relaxed: bool) -> None:
 
 
 def begin_memories(system: System, state: State) -> None:
-    """What force elements remember at a start; viscoelastic rods stay relaxed. Collective."""
-    ev = system.at(state.t, state.q, state.v)
-    for loads in system.forces:
-        if loads.kept is not None:
-            loads.kept = loads.first(ev, state)
+    """What force elements remember at a start; viscoelastic rods have been there since ever, relaxed. Collective."""
+    ev, ever = system.at(state.t, state.q, state.v), replace(state, t=-np.inf)
+    few = sum(f.kept is not None for f in system.forces)
+    for k, keeper in enumerate(system.keepers):
+        keeper.kept = keeper.first(ev, state if k < few else ever)
 
 
 def stick(system: System, state: State) -> None:

@@ -33,12 +33,6 @@ ROUNDOFF = 1e-14  # of the forces of springs at the model's length
 NOTHING = 10.0  # s, where nothing moves a scene
 
 
-def settled(system: System, given: State, solver: StepSolver) -> State:
-    """The state at rest in equilibrium near a given one: the start of ``Scene(settle=True)``; collective."""
-    newton = static_newton(system, solver, given, None)
-    return state_of(system, find(newton, StaticPoint(given.q, np.zeros(system.n_lam)), given.t), given.t, None)
-
-
 def static_newton(
     system: System, solver: StepSolver, start: State, spin: Spin | BodySpin | None, *, balanced: bool = False
 ) -> StaticNewton:

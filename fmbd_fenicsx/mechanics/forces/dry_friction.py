@@ -21,6 +21,8 @@ from .force_elements import Loads, MarkerTangent, ScalarLoads
 from .forces import Force
 from .formulas import MEMORY, Formula, table
 
+ROUNDOFF = 1e-9  # of what the ends of a joint move: rates below are those of projections onto the joints
+
 
 class DryFrictionLoads(ScalarLoads):
     """Elements (1) of one kind of coordinate; ``kept`` (m,): the points p where they stick."""
@@ -74,8 +76,10 @@ class DryFrictionLoads(ScalarLoads):
         return self._tangent_of(kin, self.effort(s, rate, t), (self.k * sticks, self.c * sticks))
 
     def first(self, ev: Any, state: Any) -> Array:
-        """p where the joint is: it starts without friction force."""
-        return self.relative.values(ev.kin)
+        """p of a joint at rest: where it is, without a force; of one that moves: where it is dragged, the force at its limit."""
+        s, rate = self._state(ev.kin)
+        moves = np.abs(rate) > ROUNDOFF * self.relative.swept(ev.kin)
+        return np.asarray(s - np.where(moves, np.sign(rate) * self.limit - self.c * rate, 0.0) / self.k)
 
     def overran(self, ev: Any, h: float) -> bool:
         """Whether friction pushes along the motion: that turned within the step, by more than the spring before sliding gives."""

@@ -74,7 +74,7 @@ def dry_friction(name: str, on: Coordinate, *, limit: float, stick: float, dampi
         N = k (s - p) + c s',   |N| <= F,   p follows s while |N| = F                                              (1)
 
     The point p where the joint sticks is memory of the run: kept in checkpoints, moved by accepted steps only. A load below F
-    is held without creep, at an elastic deflection of load / k.
+    is held without creep, at an elastic deflection of load / k. A joint that moves at the start slides from there on.
 
     Args:
         on: ``fmbd.angle(joint)`` or ``fmbd.displacement(joint)``.

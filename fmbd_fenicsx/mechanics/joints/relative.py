@@ -113,6 +113,13 @@ class RelativeCoordinates:
         first, *rest = (row * twists[m] for m, row in zip(self.markers, self.rows(kin), strict=True))
         return np.asarray(sum(rest, first).sum(1))
 
+    def swept(self, kin: Kinematics) -> Array:
+        """The rates s' that the motions of the markers would add up to, none against another, (m,)."""
+        assert kin.twist is not None
+        return np.asarray(
+            sum(np.abs(row * kin.twist[m]).sum(1) for m, row in zip(self.markers, self.rows(kin), strict=True))
+        )
+
     def quotients(
         self, mean: Kinematics, ends: tuple[Kinematics, Kinematics], h: float, length: float
     ) -> tuple[Array, ...]:

@@ -59,6 +59,7 @@ def unbegun(scene: Scene, built: Built, scheme: Any, *, newton: Newton, linear: 
         markers=built.markers,
         given=built.given,
         start=built.given,
+        memories=[],
         scheme=scheme,
         newton=newton,
         linear=linear,
@@ -79,14 +80,16 @@ def companion(
     solver = make_solver(problem.scene, system, problem.linear)
     try:
         if of is None:
-            solver.pressures, start = problem.pressures, problem.start
+            solver.pressures = problem.pressures
             system.evaluator.begin_anew()
         else:
-            start = of.start(problem.scene, problem.scheme, solver=solver, h=schedule.next(0.0)).state
-            problem = replace(problem, system=system, markers=of.markers, given=of.given)
+            begun = of.start(problem.scene, problem.scheme, solver=solver, h=schedule.next(0.0))
+            problem = replace(
+                problem, system=system, markers=of.markers, given=of.given, start=begun.state, memories=begun.memories
+            )
 
         newton, pressures = problem.newton.afresh(), solver.pressures
-        made = replace(problem, start=start, newton=newton, pressures=pressures, warned=None, beside=beside)
+        made = replace(problem, newton=newton, pressures=pressures, warned=None, beside=beside)
         marched = march(made, solver, schedule, output)
     finally:
         solver.destroy()

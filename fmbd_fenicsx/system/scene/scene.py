@@ -77,7 +77,8 @@ class Scene:
         name: what messages call the scene.
         gravity: acceleration in m/s^2, world axes, (d,) or (3,), or a function of time (s) that gives it; None for no gravity.
         gravity_ramp: duration (s) of a smooth switch-on of gravity; 0 for gravity from the start.
-        settle: start at rest in the static equilibrium near the given placement (loads of t = 0) instead of in the placement.
+        settle: start at rest in the static equilibrium near the given placement (loads of t = 0) instead of in the placement;
+            integrals of continuous controllers have come to rest there, velocities of bodies are refused.
         breakpoints: times (s) at which loads or drives are not smooth: steps end there, equal ones too, which are fitted in
             between. Those outside of a run are passed over.
         origin: what the scene goes on from, of a run's ``next_scene()``; else None.
