@@ -108,10 +108,9 @@ def truck(load: object, *, pinned: bool = True, modulus: float | None = None) ->
     for name, (a, b, at_a, at_b, k, d, f) in SUSPENSION.items():
         if pinned and name.startswith("load, rear"):
             continue
-        law = tyre(k, d, f, at_a[0]) if name.endswith("tyre") else None
-        ends = (sides[a], sides[b], at_a, at_b)
-        free = 0.0 if law else -f / k
-        scene.add(fmbd.Spring(name, *ends, stiffness=k, damping=d, length=free, law=law))
+        rolls = name.endswith("tyre")
+        acts = {"law": tyre(k, d, f, at_a[0])} if rolls else {"stiffness": k, "damping": d, "length": -f / k}
+        scene.add(fmbd.Spring(name, sides[a], sides[b], at_a, at_b, **acts))
     for name, body in bodies.items():
         scene.sensor(name, fmbd.position(body))
         scene.sensor(f"{name} pitch", fmbd.rotation(body))

@@ -240,10 +240,18 @@ def _values_of(what: str, function: Callable[..., Any], places: list[tuple[float
     return values
 
 
+def floats(value: Any) -> Any:
+    """An array of what a user's function returned; TypeError for texts, and for complex numbers, which NumPy would cut."""
+    found = np.asarray(value)
+    if found.dtype.kind in "cSU":
+        raise TypeError("no real numbers")
+    return found.astype(float)
+
+
 def _finite_numbers(found: list[Any], shape: tuple[int, ...]) -> Any:
     """An array of a shape, where single numbers may stand for rows of one; None where they are no such numbers."""
     try:
-        values = np.array(found, dtype=float)
+        values = floats(found)
     except (TypeError, ValueError, OverflowError):
         return None
     if shape[1] == 1 and values.shape == shape[:1]:

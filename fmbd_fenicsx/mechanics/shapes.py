@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..checks import check_fields, number, shown, vector
-from ..errors import CallbackError, named, require
+from ..errors import CallbackError, floats, named, require
 from ..log import log
 from ..rotations import Array, motions
 from .body import ORIGIN
@@ -296,7 +296,7 @@ class SignedDistance(Shape):
             return np.array([float(self.function(tuple(p))) for p in y])
         told = named("The function of", "SignedDistance", self.function, time=None)(y.T)
         try:
-            found = np.asarray(told, dtype=float)
+            found: Array = floats(told)
         except (TypeError, ValueError):
             raise CallbackError(
                 f"SignedDistance: the function returned {shown(told)}, expected ({len(y)},) finite numbers."

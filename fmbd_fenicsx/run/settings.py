@@ -26,6 +26,10 @@ def check_settings(scene: Any, newton: Any, output: Any, restart: Any) -> None:
         instance("solve: newton", newton, Newton)
     if output is not None:
         instance("solve: output", output, Output)
+        require(
+            output.times is None or output.every == 1,
+            f"Output: every = {output.every} counts steps, and records at given times know none; give one of them.",
+        )
     require(
         restart is None or isinstance(restart, str | Path),
         f"solve: restart {shown(restart)} must be a folder: a string, a path, or checkpoint.newest.",

@@ -52,6 +52,9 @@ def check_tolerance(rtol: float | None, atol: float | None, scheme: str) -> None
         )
     if atol is not None:
         require(bool(np.isfinite(atol)) and atol > 0, f"{scheme}: atol = {atol} must be positive.")
+        require(
+            rtol is not None, f"{scheme}: atol = {atol} belongs to error control, which begins with rtol; give both."
+        )
 
 
 class ErrorNorm(Remembering):

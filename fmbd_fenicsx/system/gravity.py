@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..checks import function, vector
-from ..errors import named
+from ..errors import named, require
 from ..rotations import Array
 
 GivenGravity = Sequence[float] | Callable[[float], Sequence[float]] | None
@@ -50,6 +50,7 @@ def check_gravity(what: str, given: GivenGravity) -> None:
 def gravity_of(name: str, given: GivenGravity, ramp: float, dim: int, begins: float) -> Gravity:
     """That of the scene ``name``, which begins at ``begins`` (s)."""
     what = f'Scene "{name}": gravity'
+    require(given is not None or ramp == 0, f"{what}_ramp = {ramp:g} s switches on gravity, and there is none.")
     if not callable(given):
         g = np.zeros(dim) if given is None else vector(what, given, size=dim)
         return Gravity(lambda t: g, ramp, g, g, ramp == 0)

@@ -37,7 +37,7 @@ class Spin:
     """Rotation of a whole scene, ``rate`` in rad/s, about an ``axis`` (world axes, z in the plane) through ``center`` (m).
 
     ``bodies``: names of bodies that spin instead, each about this axis through its own frame, while all others rest: round rotors
-    in their bearings, (2) of the module.
+    in their bearings, (2) of the module. They have no ``center``.
     """
 
     rate: float
@@ -50,9 +50,14 @@ class Spin:
         size = float(np.linalg.norm(vector("Spin: axis", self.axis, size=3)))
         require(abs(size - 1.0) < 1e-9, f"Spin: axis {self.axis} must be a unit vector (x, y, z).")
         require(len(self.center) in (2, 3), f"Spin: center {self.center} must be a point (x, y) or (x, y, z), m.")
+        require(
+            not (any(self.center) and self.bodies),
+            f"Spin: bodies turn about their own frames, so center = {self.center} has no effect. Leave it out.",
+        )
 
     def matrix(self, dim: int) -> Array:
-        """W x as a matrix (d, d)."""
+        """W x as a matrix (d, d); refuses axes other than z in the plane."""
+        require(dim == 3 or self.axis[2] > 1 - 1e-9, f"Spin: axis {self.axis} must be (0, 0, 1) in the plane.")
         return spin_matrix(self.rate * np.asarray((1.0,) if dim == 2 else self.axis, dtype=float))
 
     def rates(self, system: System, q: Array) -> tuple[Array, Array]:
@@ -142,6 +147,7 @@ def body_spin(system: System, q: Array, spin: Spin) -> BodySpin:
     names = system.frame_names
     frames = [i for name in spin.bodies for i in _frames_of(name, names)]
     m = system.motions
+    spin.matrix(m.dim)  # refuses
     if m.dim == 2:
         return BodySpin(spin.rate, tuple(spin.bodies), np.array(frames), np.ones((len(frames), 1)))
     R = m.matrix(system.poses(q))[frames]

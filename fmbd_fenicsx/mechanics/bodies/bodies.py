@@ -117,7 +117,10 @@ class RigidBody(Body):
             _ = self._pose
         except InputError as error:
             raise error if str(error).startswith(what) else InputError(f"{what}: {error}") from None
-        _ = self._twist
+        require(
+            not (self._twist.any() and self.locked),
+            f"{what} is locked and stays where it is: leave out its velocity, or locked=True.",
+        )
 
     @property
     def inertia_matrix(self) -> Array:

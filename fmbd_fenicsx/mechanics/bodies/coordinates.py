@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import array, check_fields, vector
-from ...errors import CallbackError, InputError, named, require
+from ...errors import CallbackError, InputError, floats, named, require
 from ...rotations import Array
 from ..body import EQUATIONS, Body, Placed, Site
 from ..placements import FrameMotion, Part
@@ -108,6 +108,8 @@ class CoordinateBody(Body):
         object.__setattr__(self, "start_rate", rate)
 
         mass = named("The mass of body", self.name, self.mass, time=None)(start) if callable(self.mass) else self.mass
+        for name in () if self.constraint else ("jacobian", "gamma", "rate"):
+            require(getattr(self, name) is None, f"{what}: {name} belongs to a constraint, and none is given.")
         M = array(f"{what}: mass", mass)
         require(M.shape == (n, n), f'Body "{self.name}": mass has shape {M.shape}, expected ({n}, {n}).')
         if np.abs(M - M.T).max(initial=0.0) > 1e-10 * np.abs(M).max(initial=0.0):
@@ -175,7 +177,7 @@ class CoordinatePart(Part):
     def _finite(self, what: str, given: Any, shape: tuple[int, ...], t: float | None = None) -> Array:
         """What a function of the user's returned, as finite numbers of a shape."""
         try:
-            found = np.asarray(given, dtype=float)
+            found: Array = floats(given)
         except (TypeError, ValueError, OverflowError):
             found = np.full(1, np.nan)
         if found.shape != shape or not np.isfinite(found).all():

@@ -23,7 +23,7 @@ import numpy as np
 
 from ... import dolfinx_compat as compat
 from ...checks import check_fields, number, whole
-from ...errors import CallbackError, InputError, named, near, require
+from ...errors import CallbackError, InputError, floats, named, near, require
 from ...rotations import Array
 from ..body import LINES, Body, Placed, Site
 from ..placements import FrameMotion, Part
@@ -219,7 +219,7 @@ class LinePart(Part):
         """What a function of the user's gives at places s, numbers in rows."""
         given = named(f"The {what} of line", self.body.name, function, time=None)(s)
         try:
-            found = np.asarray(given, dtype=float)
+            found: Array = floats(given)
         except (TypeError, ValueError):
             found = np.zeros(0)
         if found.ndim != 2:

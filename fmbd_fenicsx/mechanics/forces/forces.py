@@ -154,7 +154,7 @@ class Torque(InTime):
 class Spring(Force):
     """Spring and damper between two points: tension N(s, s') along the line, s the elongation from ``length`` (m).
 
-    Linear: N = stiffness s + damping s'. A user's law(s, rate, t) -> N replaces it. Points must not coincide.
+    Linear: N = stiffness s + damping s'; or by a law(s, rate, t) -> N of the user's own alone. Points must not coincide.
     """
 
     stiffness: float = None  # type: ignore[assignment]  # N/m; 0 where only others are given
@@ -219,6 +219,11 @@ class Tyre(Force):
         require(
             self.a is not ground, f'Tyre "{self.name}" must act on a wheel: a rigid body or a surface, not the ground.'
         )
+        require(
+            self.b is None and self.point_b is None,
+            f'Tyre "{self.name}": it has one end, the wheel centre point_a of the body a; b and point_b have no effect. The road '
+            "is the function road(x, t).",
+        )
         function(f'Tyre "{self.name}": road', self.road, "xt", named="x, t")
         number(f'Tyre "{self.name}": radius', self.radius, above=0.0, unit="m")
         size = float(np.linalg.norm(vector(f'Tyre "{self.name}": up', self.up, size=self.a.dim)))
@@ -250,6 +255,11 @@ def _constants(what: str, stiffness: float | None, damping: float | None, law: A
     words = "stiffness or damping" if law is ... else "stiffness, damping or a law"
     nothing = stiffness is None and damping is None and law in (None, ...)
     require(not nothing, f"{what} does nothing: no {words} is given.")
+    require(
+        law in (None, ...) or not (stiffness or damping),
+        f"{what}: its law stands for stiffness and damping, which would have no effect beside it. Leave them out, or add them "
+        "in the law: law=lambda s, rate, t: stiffness * s + damping * rate + ...",
+    )
     return (
         number(f"{what}: stiffness", 0.0 if stiffness is None else stiffness),
         number(f"{what}: damping", 0.0 if damping is None else damping, least=0.0),
@@ -297,8 +307,8 @@ def joint_spring(
     free: float = 0.0,
     law: Law | None = None,
 ) -> CoordinateForce:
-    """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s'; a law(s - free, s', t)
-    replaces both.
+    """Spring and damper on a joint coordinate s: restoring effort stiffness (s - free) + damping s', or law(s - free, s', t)
+    alone.
 
     s may be a sum, ``fmbd.angle(a) - 2 * fmbd.angle(b)``: an effort N on it is c_k N on each of its terms c_k s_k.
     """

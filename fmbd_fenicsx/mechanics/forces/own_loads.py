@@ -75,7 +75,9 @@ class OwnLoads(Loads):
         # the usual answer passes at once: this is called at every iterate
         if found.dtype == np.float64 and found.shape == (n,) and isfinite(found.dot(found)):
             return found
-        return checked(name, found, n, t)
+        if len(value) != 2:
+            return checked(name, found, n, t)
+        return np.concatenate((checked(name, value[0], d, t), checked(name, value[1], n - d, t)))
 
     def _answers(self, kin: Kinematics, t: float) -> Array:
         """What all laws return, (m, n)."""

@@ -8,16 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import AGREEMENTS, BalanceError, CallbackError, named
+from ...errors import AGREEMENTS, BalanceError, CallbackError, floats, named
 from ...rotations import Array
 
 
 def checked(name: str, value: Any, size: int, t: float, what: str = "the law") -> Array:
-    """A user's result as an array of the right size, or an error that names the force; ``what``: the function, in it."""
+    """A user's result as an array of the right size, or an error that names the force; ``what``: the function, in it.
+
+    In the plane (2) a third number may follow when it is zero, as for :func:`~fmbd_fenicsx.checks.vector`.
+    """
     try:
-        found = np.atleast_1d(np.asarray(value, dtype=float))
+        found = np.atleast_1d(floats(value))
     except (TypeError, ValueError, OverflowError):
         raise CallbackError(f'Force "{name}": {what} returned {value!r} at t = {t:g} s, expected numbers.') from None
+    if size == 2 and found.shape == (3,) and found[2] == 0.0:  # a vector of the plane as one of space
+        found = found[:2]
     if found.shape != (size,):
         raise CallbackError(f'Force "{name}": {what} returned shape {found.shape} at t = {t:g} s, expected ({size},).')
     if not np.isfinite(found).all():
@@ -96,6 +101,6 @@ class Repeatable:
 def _parts(value: Any) -> list[Array]:
     """The numbers of an answer: one array, or force and torque; none where it has none."""
     try:
-        return [np.asarray(x, dtype=float) for x in (value if isinstance(value, tuple) else (value,))]
+        return [floats(x) for x in (value if isinstance(value, tuple) else (value,))]
     except (TypeError, ValueError, OverflowError):
         return []

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import function as checked_function
-from ...errors import ROUNDINGS, CallbackError, FmbdError, named
+from ...errors import ROUNDINGS, CallbackError, FmbdError, floats, named
 from ...rotations import Array
 from ..frames import Kinematics
 from ..kinds.time_derivatives import CountingSteps, Rates, TimeFormula, rates
@@ -93,7 +93,7 @@ class SmoothMotion:
     def _checked(self, value: Any, t: float) -> Array:
         """The numbers that the function returned, (1,) or (3,)."""
         try:
-            found: Array = np.asarray(value, dtype=float).ravel()
+            found: Array = floats(value).ravel()
         except (TypeError, ValueError, OverflowError):
             found = np.array(np.nan)
         self._require(found.shape in ((1,), (3,)) and bool(np.isfinite(found).all()), value, t)

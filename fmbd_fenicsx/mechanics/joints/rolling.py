@@ -136,12 +136,16 @@ def skate(
 ) -> Joint:
     """A blade of b at ``center`` glides along itself and not across, against a; ``along`` and ``normal`` are fixed in b.
 
-    Directions in world axes of the initial configuration; in the plane ``normal`` is not used. One row: what keeps the blade on
+    Directions in world axes of the initial configuration; in the plane ``normal`` is z. One row: what keeps the blade on
     the ice, say :func:`planar`, is a joint of its own. Its reaction (N) acts across the blade.
     """
     dim = dimension(a, b, name)
     u = direction(along, dim, name)
     if dim == 2:
+        require(
+            direction(normal, 3, name)[2] > 1 - 1e-9,
+            f'Joint "{name}": normal {tuple(normal)} is not (0, 0, 1), the only one in the plane.',
+        )
         across = np.array([-u[1], u[0]])
     else:
         across = np.cross(direction(normal, dim, name), u)

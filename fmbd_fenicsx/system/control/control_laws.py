@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import CallbackError
+from ...errors import CallbackError, floats
 from ...rotations import Array
 
 
@@ -22,7 +22,7 @@ def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> A
         return np.array([value])  # the usual answer: laws are asked many times a step
 
     try:
-        found = np.asarray(value, dtype=float)
+        found: Array = floats(value)
     except (TypeError, ValueError, OverflowError):
         raise CallbackError(f'Controller "{name}" returned {value!r} at t = {t:g} s, expected {size} {what}.') from None
 
