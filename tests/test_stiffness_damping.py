@@ -84,10 +84,10 @@ def test_runs_with_strong_damping_do_not_depend_on_when_the_tangent_is_taken(rod
     assert np.abs(tips[0] - tips[1]).max() < 1e-7
 
 
-def one_bent(kind: Any, mesh: Any, beta: float) -> Any:
+def one_bent(kind: Any, mesh: Any, law: Any, beta: float) -> Any:
     """A part whose tangent was taken where it is bent, and turned by 0.6 rad if it may turn in its coordinates."""
     scene = fmbd.Scene("one")
-    scene.add(kind("rod", mesh, density=1e3, energy=neo_hookean(1e6, 0.3), stiffness_damping=beta))
+    scene.add(kind("rod", mesh, density=1e3, energy=law, stiffness_damping=beta))
     part = scene.build()[0].fields[0][1]
     X, turn = part.field.X, 0.6 if kind is fmbd.AbsoluteBody else 0.0
     R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -96,25 +96,51 @@ def one_bent(kind: Any, mesh: Any, beta: float) -> Any:
     return part, U
 
 
-@pytest.mark.parametrize("kind", [fmbd.AbsoluteBody, fmbd.FloatingBody])
-def test_newtons_matrix_has_the_damping_of_the_forces(rod_mesh: Callable[..., Any], kind: Any) -> None:
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        (fmbd.AbsoluteBody, neo_hookean(1e6, 0.3)),
+        (fmbd.FloatingBody, neo_hookean(1e6, 0.3)),
+        (fmbd.AbsoluteBody, neo_hookean_mixed(1e6, 0.49)),
+        (fmbd.AbsoluteBody, neo_hookean_incompressible(1e6)),
+    ],
+)
+def test_newtons_matrix_has_the_damping_of_the_forces(rod_mesh: Callable[..., Any], kind: Any, law: Any) -> None:
     """cd D of the step's matrix, as E x with damping less E x without, is the derivative of the forces by the rate."""
     from fmbd_fenicsx.linear.blocks.field_blocks import FieldMatrix, Weights
 
     mesh, products = rod_mesh(dim=2, h=0.25), []
     x = None
     for beta in (BETA, 0.0):
-        part, U = one_bent(kind, mesh, beta)
+        part, U = one_bent(kind, mesh, law, beta)
         x = np.random.default_rng(5).standard_normal(len(U)) if x is None else x
         m = FieldMatrix.of(part, Weights(1.0, 1.0, 1.0))
         E = part.field.combination(m.cm, m.ck, m.cd)
         a, b = E.createVecs()
-        a.array[:] = x
+        a.array[:], a.array[: len(x)] = 0.0, x  # no pressure
         E.mult(a, b)
-        products.append(b.array.copy())
-    part, U = one_bent(kind, mesh, BETA)
+        products.append(b.array[: len(x)].copy())
+    part, U = one_bent(kind, mesh, law, BETA)
     force = damping(part, U, x)
     assert np.abs(products[0] - products[1] - force).max() < 2e-3 * np.abs(force).max()
+
+
+@pytest.mark.mpi
+def test_pressures_that_follow_the_volume_damp_as_those_of_their_own(rod_mesh: Callable[..., Any]) -> None:
+    """A rod of rubber that falls and bends far, damped by more than a step: the same motion, in no more increments."""
+    tips, counts = [], []
+    for law in (neo_hookean_mixed(5e6, 0.4995), neo_hookean_incompressible(5e6, 0.4995)):
+        rod = fmbd.AbsoluteBody("rod", rod_mesh(dim=2, h=0.1), density=1e3, energy=law, stiffness_damping=BETA)
+        scene = fmbd.Scene("sag", gravity=(0, -9.81))
+        scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+        scene.sensor("tip", fmbd.position(rod.surface("tip")))
+        run = fmbd.solve(scene, t_end=0.3, dt=0.01, output=fmbd.Output(progress=False))
+        assert run.counters["halved_steps"] == 0
+        tips.append(run["tip"])
+        counts.append(run.counters["newton_iterations"])
+    assert tips[0][-1, 1] < -0.3
+    assert np.abs(tips[0] - tips[1]).max() < 1e-5
+    assert counts[0] <= counts[1]
 
 
 def test_a_pressed_and_damped_block_needs_no_more_iterations_than_an_undamped_one() -> None:

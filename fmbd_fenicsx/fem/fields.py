@@ -139,7 +139,7 @@ class Field(NodalField):
         # damping by stiffness is that of the body without stress
         if self.tangents < 0 and self.nonlinear and (self.carried or self.forms.stiffness_damping > 0):
             self._unstressed = self.K.copy()
-            if self.forms.stiffness_damping and (self.carried or not self.mixed):
+            if self.forms.stiffness_damping:
                 self.rest_damping = RestDamping(self, self._unstressed)
 
         # what the tangent of moving loads adds stands in a matrix of its own: K stays that of the energy

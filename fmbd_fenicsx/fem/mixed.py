@@ -127,9 +127,6 @@ class MixedField(Field):
         self._B.zeroEntries()
         fp.assemble_matrix(self._B, self._coupling_form)
         self._B.assemble()
-        if first:
-            kept = self._unstressed is not None and not self.carried
-            self._unstressed_B = self._B.copy() if kept else None
 
     def place(self, U: Array) -> None:
         """Displacements and the pressure that belongs to them, ghosts included; collective."""
@@ -159,10 +156,9 @@ class MixedField(Field):
 
     @property
     def strain_energy(self) -> Callable[[Any], Any] | None:
-        """As :meth:`Field.strain_energy`, at the pressure as it is; None, too, where damping by stiffness follows the tangent."""
+        """As :meth:`Field.strain_energy`, at the pressure as it is."""
         of_strain = self._energy.of_strain
-        damped = self.forms.stiffness_damping and not self.carried  # the tangent has its damping by the same stiffness
-        if of_strain is None or damped:
+        if of_strain is None:
             return None
         density = of_strain(self.elastic_measure.ufl_domain())
         return lambda C: density(C, _volume(C), self._p)
@@ -251,10 +247,6 @@ class MixedField(Field):
         """B where the field is linearised; the caller destroys it."""
         return self._B.copy()
 
-    def coupling_at_rest(self) -> Any:
-        """B of the body without stress, None where no damping asks for it; the caller destroys it."""
-        return None if self._unstressed_B is None else self._unstressed_B.copy()
-
     @property
     def compliance_factor(self) -> Any:
         """The factor of C as PETSc's matrix, which the field keeps."""
@@ -295,31 +287,18 @@ class MixedField(Field):
         return self._p.x.array  # type: ignore[no-any-return]
 
     def stiffness(self, U: Array) -> Array:
-        """A U + B^T C^-1 B U, (n d,); with a pressure of its own A U of the stress-free body: what stiffness_damping acts by."""
-        return self._times(self._unstressed, U) if self.carried else self._with_volume(self.K, self._B, U)
-
-    def stiffness_at_rest(self, U: Array) -> Array:
-        """:meth:`stiffness` of the body without stress."""
-        kept = self._unstressed_B is not None
-        return self._with_volume(self._unstressed, self._unstressed_B, U) if kept else self.stiffness(U)
-
-    def _with_volume(self, A: Any, B: Any, U: Array) -> Array:
-        """A U + B^T C^-1 B U: the pressure follows the volume."""
-        self._bu.array[:] = U
-        B.mult(self._bu, self._pb)
-        self._solve_p.solve(self._pb, self._px)
-        B.multTranspose(self._px, self._bu)
-        volume = np.array(self._bu.array)
-        return self._times(A, U) + volume
+        """A U + B^T C^-1 B U, (n d,): the pressure follows the volume; with a pressure of its own A U of the stress-free body."""
+        if self.carried:
+            return self._times(self._unstressed, U)
+        volume = self.volume_push(self.volume_rate(U))
+        return self._times(self.K, U) + volume
 
     def stiffness_at(self, U: Array, into: Any = None) -> Any:
-        """As :meth:`Field.stiffness_at`; with a pressure of its own A, of the body without pressure."""
-        held = self._p.x.array.copy()
-        if self.carried:
-            self._p.x.array[:] = 0.0
-        into = super().stiffness_at(U, into)
-        if self.carried:
-            self._p.x.array[:] = held
+        """As :meth:`Field.stiffness_at`: A of the body without pressure."""
+        held = self.pressure_values
+        with self.holding(np.zeros_like(held)):
+            into = super().stiffness_at(U, into)
+        self.pressure_values = held
         return into
 
     def stress_form(self, u: Any, v: Any) -> tuple[Any, Any]:
@@ -366,8 +345,6 @@ class MixedField(Field):
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
-        if self._unstressed_B is not None:
-            self._unstressed_B.destroy()
         for x in (self._B, self._bu, self._bp, self._px, self._pb, self._C, self._solve_p):
             x.destroy()
         super().destroy()

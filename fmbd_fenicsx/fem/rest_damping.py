@@ -2,6 +2,7 @@
 
 R is the mean rotation of a body in world axes, one in a floating frame. Newton's matrix holds R K_0 R^T beside the tangent K(u),
 with the R of the last tangent: with beta K(u) instead a strained body does not converge once beta is of the size of the step.
+With a pressure, K_0 is the stiffness at constant pressure: parts that turn against R would be braked by lambda otherwise.
 """
 
 from __future__ import annotations

@@ -207,7 +207,8 @@ class ElasticBody(Body):
         velocity, angular_velocity: of a rigid motion at the start (about the centre of mass), added to
             ``displacement_rate``; world axes = body axes, m/s, rad/s.
         displacement, displacement_rate: initial u(x), u'(x): functions of the coordinates (d, n) -> (d, n) in m, m/s.
-        mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s).
+        mass_damping, stiffness_damping: Rayleigh coefficients alpha (1/s) and beta (s); the stiffness is that of the body without
+            stress, and at constant pressure where an energy has one.
         quadrature: degree of the quadrature of the elastic form or energy; None: what the form asks
             for, at most 4 (degree - 1) + 2 of an energy, whose forces and tangent then have the same.
         loads: of :mod:`fmbd_fenicsx.fem.loads`: tractions, pressure, body forces, thermal stress, own forms.

@@ -147,7 +147,7 @@ typedef struct {
 typedef struct {
     long n;
     int *B_start, *B_column, *C_start, *C_column; /* by rows of the pressure */
-    double *B, *C, *B_rest;            /* B_rest: of the body without stress, NULL where no damping asks for it */
+    double *B, *C;
     double *b, *x, *p;                 /* n each: C x = b; p, which is x where it follows U */
     void **factor, *rhs, *solution;    /* of C; vectors on b and x */
     int integrals, keeps_volume;       /* of the balance, where this is not linear; whether that is to have no part in p */

@@ -52,8 +52,7 @@ static int mean_turn(const Field *e, const double *U, double *turn)
     return polar(F, turn, Z);
 }
 
-/* F += beta R K R^T U' by the stiffness K without stress, with the pressure that follows it, R the mean rotation of the body. NEWTON
-   where it has none. */
+/* F += beta R K R^T U' by the stiffness K without stress, R the mean rotation of the body. NEWTON where it has none. */
 static int add_rest_damping(const Field *e, const double *U, const double *Ud, double *F)
 {
     const NodeMatrix K = {e->K_start, e->K_column, e->K};
@@ -63,7 +62,6 @@ static int add_rest_damping(const Field *e, const double *U, const double *Ud, d
     for (long i = 0; i < e->n; i += D) times(turn, Ud + i, rates + i);
     memset(force, 0, e->n * sizeof(double));
     blocks_times(e->nodes, &K, rates, rates, 0.0, force);
-    if (e->pressure && e->pressure->B_rest) pressure_force(e, e->pressure->B_rest, rates, rates, 0.0, force);
     for (long i = 0; i < e->n; i += D) {
         transposed(turn, force + i, world);
         add(F + i, e->beta, world, D);

@@ -80,8 +80,6 @@ class FieldMatrices:
         field, cache, key = self.field, self._cache, ("rows of the pressure", self._key)
         if key not in cache:
             made = _by_rows("B", field.coupling_matrix()) | _by_rows("C", field.compliance_matrix())
-            if (at_rest := field.coupling_at_rest()) is not None:
-                made["B_rest"] = _by_rows("B", at_rest)["B"]
             cache[key] = [field.tangents, made]
         known = cache[key]
         if known[0] != field.tangents:
