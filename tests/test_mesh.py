@@ -261,6 +261,56 @@ def test_one_volume_of_several_brings_its_own_surfaces() -> None:
     assert read_gmsh(FAULTY, fault="two volumes", volume="plate 1").surface_names == []
 
 
+GROUPS = """
+SetFactory("OpenCASCADE");
+Rectangle(1) = {0, 0, 0, 1, 0.2}; Rectangle(2) = {1, 0, 0, 1, 0.2};
+BooleanFragments{ Surface{1}; Delete; }{ Surface{2}; Delete; }
+Physical Surface("one") = {1}; Physical Surface("two") = {2};
+middle() = Curve In BoundingBox{0.99, -1, -1, 1.01, 1, 1}; around() = Boundary{ Surface{1}; }; other() = Boundary{ Surface{2}; };
+Physical Curve("middle") = {middle()};
+Physical Curve("left") = Curve In BoundingBox{-0.1, -1, -1, 0.01, 1, 1};
+Physical Curve("ends") = {Curve In BoundingBox{-0.1, -1, -1, 0.01, 1, 1}, Curve In BoundingBox{1.99, -1, -1, 2.1, 1, 1}};
+Physical Curve("all") = {around(), other()};
+Mesh.MeshSizeMax = 0.2; Mesh.ElementOrder = 2;
+Mesh 2;
+"""
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("version", [2.2, 4.1])
+def test_a_facet_may_be_in_several_groups_and_one_inside_is_in_none(version: float, shared_tmp: Path) -> None:
+    """One of the groups lost it, and a load on a group inside the body was nothing, both in silence."""
+    geo, file = shared_tmp / "groups.geo", shared_tmp / "groups.msh"
+    if MPI.COMM_WORLD.rank == 0:
+        import gmsh
+
+        geo.write_text(GROUPS)
+        gmsh.initialize(interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(geo))
+        gmsh.option.setNumber("Mesh.MshFileVersion", version)
+        gmsh.write(str(file))
+        gmsh.finalize()
+    MPI.COMM_WORLD.barrier()
+
+    mesh = read_gmsh(file, volume=("one", "two"))
+    E, nu, p = 1e7, 0.3, 1e4
+    sheet = fmbd.materials.plane_stress(E, nu)
+    body = fmbd.AbsoluteBody("sheet", mesh, density=1.0, elastic=sheet, loads=[fmbd.pressure("all", p)])
+    assert mesh.surface_names == ["all", "ends", "left"]
+    known = Field("sheet", mesh, body.forms())
+    assert [known.moments(name).area for name in mesh.surface_names] == pytest.approx([4.4, 0.4, 0.2], rel=1e-12)
+
+    scene = fmbd.Scene("pressed from all sides")
+    scene.add(body, fmbd.fixed("held", fmbd.ground, body.surface("left")))
+    scene.sensor("ends", fmbd.position(body.surface("ends")))
+    assert fmbd.equilibrium(scene)["ends"][0] == pytest.approx(1.0 - p * (1 - nu) / E, rel=1e-12)
+
+    with pytest.raises(InputError, match=r'no surface "middle".*does not lie on the boundary of volume "one \+ two"'):
+        inside = fmbd.AbsoluteBody("sheet", mesh, density=1.0, elastic=sheet, loads=[fmbd.pressure("middle", p)])
+        fmbd.Scene("pushed inside").add(inside).build()
+
+
 @pytest.mark.mpi
 def test_points_outside_the_solid_are_left_out() -> None:
     mesh = read_gmsh(FAULTY, fault="lone point")

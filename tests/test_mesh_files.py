@@ -47,9 +47,17 @@ def part(shared_tmp: Path) -> Path:
 @pytest.mark.mpi
 def test_step_file_with_a_size_and_named_surfaces(part: Path) -> None:
     mesh = fmbd.read_cad(
-        part, h=2e-3, scale=1e-3, surfaces={"bore": (0.014, 0.01, 0.0025), "end": lambda x: x[0] > 0.04 - 1e-9}
+        part,
+        h=2e-3,
+        scale=1e-3,
+        surfaces={
+            "bore": (0.014, 0.01, 0.0025),
+            "end": lambda x: x[0] > 0.04 - 1e-9,
+            "ends": lambda x: np.abs(x[0] - 0.02) > 0.02 - 1e-9,
+        },
     )
-    assert mesh.surface_names == ["bore", "end"]
+    assert mesh.surface_names == ["bore", "end", "ends"]
+    assert area(mesh, "ends") == pytest.approx(2 * area(mesh, "end"), rel=1e-9)
     assert area(mesh, "end") == pytest.approx(0.02 * 0.005, rel=1e-9)
     assert area(mesh, "bore") == pytest.approx(2 * np.pi * 0.004 * 0.005, rel=0.03)  # flat facets around
     body = fmbd.FloatingBody("plate", mesh, density=7800.0, elastic=fmbd.materials.linear_elastic(2e11, 0.3), degree=1)
@@ -113,8 +121,13 @@ def two_tetrahedra(**sets: Any) -> Any:
 def test_abaqus_sets_become_surfaces(tmp_path: Path) -> None:
     file = tmp_path / "pyramid.inp"
     two_tetrahedra(point_sets={"floor": np.array([0, 1, 2, 3]), "top": np.array([4])}).write(file)
-    mesh = fmbd.read_mesh(file, scale=1e-3, surfaces={"side": lambda x: x[1] < 0.51e-3 * (x[2] > 0.9e-3) + 1e-9})
-    assert mesh.surface_names == ["floor", "side"], "a node alone is no surface"
+    mesh = fmbd.read_mesh(
+        file,
+        scale=1e-3,
+        surfaces={"side": lambda x: x[1] < 0.51e-3 * (x[2] > 0.9e-3) + 1e-9, "all": lambda x: x[2] > -1},
+    )
+    assert mesh.surface_names == ["all", "floor", "side"], "a node alone is no surface"
+    assert area(mesh, "all") == pytest.approx(1e-6 * (1 + np.sqrt(5)))
     assert area(mesh, "floor") == pytest.approx(1e-6) and area(mesh, "side") == pytest.approx(0.5e-6 * np.sqrt(1.25))
 
 

@@ -79,7 +79,7 @@ def _matrices(mesh: Any, degree: int, pressure: int, clamped: tuple[str, ...]) -
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     p, q = ufl.TrialFunction(Q), ufl.TestFunction(Q)
 
-    tags = [mesh.facet_tags.find(mesh.surface_tag(s)) for s in clamped]
+    tags = [mesh.facets(s) for s in clamped]
     facets = np.sort(np.concatenate(tags)) if tags else np.zeros(0, dtype=np.int32)
     dofs = fem.locate_dofs_topological(V, mesh.dim - 1, facets)
     held = [fem.dirichletbc(np.zeros(mesh.dim), dofs, V)]

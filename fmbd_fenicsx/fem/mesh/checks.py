@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import MeshError, near
+from .facet_groups import Tag, separate
 
 DEGENERATE = 1e-14  # of the largest Jacobian determinant
 INVERTED = 1e-9  # of that of the cell: a corner may be flat, as behind a quarter point, and not turned inside out
@@ -29,7 +31,7 @@ class Checked:
 
     dim: int
     volumes: dict[str, int]
-    surfaces: dict[str, int]
+    surfaces: dict[str, Tag]
     label: str
     others: dict[str, str]
 
@@ -131,11 +133,11 @@ def _solids(model: Any, groups: list[Group], label: str, volume: str | Sequence[
     return [g for g in solids if g.name in wanted]
 
 
-def _surfaces(model: Any, groups: list[Group], entities: list[int], label: str) -> dict[str, int]:
+def _surfaces(model: Any, groups: list[Group], entities: list[int], label: str) -> dict[str, Tag]:
     """Name -> tag of the groups on the boundary of the solid; those elsewhere are removed."""
-    surfaces: dict[str, int] = {}
+    found: dict[str, int] = {}
     if not groups:
-        return surfaces
+        return {}
     dim = groups[0].dim + 1
     edges = _corners(model, dim, entities, facets=True)
     own = {abs(int(t)) for e in entities for _, t in model.getBoundary([(dim, e)], oriented=False)}
@@ -147,9 +149,10 @@ def _surfaces(model: Any, groups: list[Group], entities: list[int], label: str) 
             continue
         if not any(len(x) for e in parts for x in model.mesh.getElements(g.dim, e)[1]):
             raise MeshError(f'{label}: surface "{g.name}" has no facets. Mesh it, or remove the group.')
-        _check_facets(_corners(model, g.dim, parts), edges, f'{label}: surface "{g.name}"')
-        surfaces[g.name] = g.tag
-    return surfaces
+        _check_facets(set(_corners(model, g.dim, parts)), edges, f'{label}: surface "{g.name}"')
+        found[g.name] = g.tag
+    inside = {facet for facet, cells in edges.items() if cells > 1}
+    return separate(model, dim - 1, found, inside) if found else {}
 
 
 def _drop_others(model: Any, dim: int, entities: list[int]) -> None:
@@ -305,9 +308,11 @@ FACETS = {  # corners of the facets of a cell, by dimension and number of corner
 }
 
 
-def _corners(model: Any, dim: int, entities: list[int], facets: bool = False) -> set[tuple[int, ...]]:
-    """Corner nodes, sorted, of all elements of entities, or of their facets; none of shapes that are not known here."""
-    out: set[tuple[int, ...]] = set()
+def _corners(model: Any, dim: int, entities: list[int], facets: bool = False) -> Counter[tuple[int, ...]]:
+    """Corner nodes, sorted, of all elements of entities, or of their facets, with how often each is there; none of shapes
+    that are not known here.
+    """
+    out: Counter[tuple[int, ...]] = Counter()
     for entity in entities:
         types, _, nodes = model.mesh.getElements(dim, entity)
         for kind, numbers in zip(types, nodes, strict=True):
@@ -315,13 +320,13 @@ def _corners(model: Any, dim: int, entities: list[int], facets: bool = False) ->
             cells = np.asarray(numbers, dtype=np.int64).reshape(-1, count)[:, :corners]
             parts = FACETS.get((dim, corners), ()) if facets else (tuple(range(corners)),)
             for part in parts:
-                out.update(tuple(row) for row in np.sort(cells[:, list(part)], axis=1))
+                out.update(map(tuple, np.sort(cells[:, list(part)], axis=1).tolist()))
     return out
 
 
-def _check_facets(facets: set[tuple[int, ...]], edges: set[tuple[int, ...]], what: str) -> None:
+def _check_facets(facets: set[tuple[int, ...]], edges: Counter[tuple[int, ...]], what: str) -> None:
     """The facets of a surface are facets of the solid's cells: others carry no field."""
-    lost = facets - edges if edges else set()
+    lost = facets - edges.keys() if edges else set()
     if lost:
         raise MeshError(
             f"{what}: {len(lost)} of {len(facets)} facets belong to no cell of the solid (first: nodes {list(min(lost))}). "

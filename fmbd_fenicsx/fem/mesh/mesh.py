@@ -24,6 +24,7 @@ from ...errors import InputError, MeshError, near
 from ...ranks import together
 from ...rotations import motions
 from .checks import Checked, check_model, name_of_volumes
+from .facet_groups import Tag
 
 Loader = Callable[[Any, int], Checked]  # fills a gmsh session with a mesh whose edges are halved so many times
 SIZES = ("h", "counts", "cells")  # parameters of scripts by which cells become smaller
@@ -79,14 +80,14 @@ def _placed(mesh: Mesh, places: tuple[tuple[Any, Any], ...]) -> Mesh:
 class Mesh:
     """A distributed mesh of one body with named surfaces.
 
-    Attributes: ``dolfinx`` the mesh, ``facet_tags`` its MeshTags, ``surfaces`` name -> tag, ``volume`` name of the solid group
-    or groups, ``label`` what messages call it, ``recipe`` how it was made, where that is known, ``others`` name of a group that
-    is no surface -> why; ``volumes`` name -> tag of the solid groups, ``cell_tags`` their MeshTags.
+    Attributes: ``dolfinx`` the mesh, ``facet_tags`` its MeshTags, ``surfaces`` name -> tag or tags, ``volume`` name of the
+    solid group or groups, ``label`` what messages call it, ``recipe`` how it was made, where that is known, ``others`` name of a
+    group that is no surface -> why; ``volumes`` name -> tag of the solid groups, ``cell_tags`` their MeshTags.
     """
 
     dolfinx: Any
     facet_tags: Any
-    surfaces: dict[str, int]
+    surfaces: dict[str, Tag]
     volume: str
     label: str
     recipe: Recipe | FinishedMesh | None = None
@@ -124,11 +125,15 @@ class Mesh:
         """Names of the surfaces, sorted."""
         return sorted(self.surfaces)
 
-    def surface_tag(self, name: str) -> int:
-        """Tag of a named surface."""
+    def surface_tag(self, name: str) -> Tag:
+        """Tag of a named surface, or those of its parts where it shares facets with others: what UFL's measures take."""
         if name not in self.surfaces:
             raise MeshError(f"No{self.missing(name)[2:]}")
         return self.surfaces[name]
+
+    def facets(self, name: str) -> Any:
+        """Facets of a named surface that this rank knows, ascending."""
+        return self.facet_tags.indices[np.isin(self.facet_tags.values, self.surface_tag(name))]
 
     def volume_tag(self, name: str) -> int:
         """Tag of a named volume: ``dx(mesh.volume_tag("core"))`` is the measure of it in an elastic form of the body."""

@@ -134,7 +134,7 @@ class BodyNorm:
         u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
         a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + u * v / fem.Constant(msh, float(length) ** 2)) * ufl.dx
 
-        tags = [mesh.facet_tags.find(mesh.surface_tag(s)) for s in clamped]
+        tags = [mesh.facets(s) for s in clamped]
         facets = np.concatenate(tags) if tags else np.zeros(0, dtype=np.int32)
         dofs = fem.locate_dofs_topological(V, mesh.dim - 1, np.sort(facets))
         self.fixed = np.zeros(V.dofmap.index_map.size_local, dtype=bool)

@@ -236,8 +236,8 @@ def trace_of(space: Any, mesh: Any, surface: str) -> Trace:
     try:
         # cells of higher degree may have straight facets there
         if shape is not None:
-            _own_facets(shape, mesh, mesh.surface_tag(surface), sides)
-        local = _own_facets(space, mesh, mesh.surface_tag(surface), degree)
+            _own_facets(shape, mesh, surface, sides)
+        local = _own_facets(space, mesh, surface, degree)
     except MeshError as exc:
         error = MeshError(f"{label}: {exc}")
     together(comm, error)
@@ -280,7 +280,7 @@ def _by_place(x: Array) -> np.ndarray:
     return np.lexsort(np.round((x - x.min(0)) / size, 9).T[::-1])
 
 
-def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarray, Array, Array]:
+def _own_facets(space: Any, mesh: Any, surface: str, degree: int) -> tuple[np.ndarray, Array, Array]:
     """Own facets: global node numbers (n, k), their points (n, k, d), outward normals (n, d); quadrilaterals as two halves."""
     from dolfinx.mesh import exterior_facet_indices
 
@@ -290,7 +290,7 @@ def _own_facets(space: Any, mesh: Any, tag: int, degree: int) -> tuple[np.ndarra
     halved = topology.cell_name() == "hexahedron"
 
     # own facets of the surface that lie on the boundary
-    facets = np.intersect1d(mesh.facet_tags.find(tag), exterior_facet_indices(topology))
+    facets = np.intersect1d(mesh.facets(surface), exterior_facet_indices(topology))
     facets = facets[facets < topology.index_map(d - 1).size_local]
     cells, sides = cells_of(topology, facets)
 

@@ -202,9 +202,8 @@ def _facet_dofs(nodes: BodyNodes, surface: str) -> tuple[np.ndarray, dict[int, f
     comm = msh.comm
     d = mesh.dim
 
-    tag, tags = mesh.surface_tag(surface), mesh.facet_tags
     # each facet once: on the rank that owns its cell
-    cells, sides = cells_of(msh.topology, tags.find(tag))
+    cells, sides = cells_of(msh.topology, mesh.facets(surface))
     mine = cells < msh.topology.index_map(d).size_local
     closure = np.array(space.element.basix_element.entity_closure_dofs[d - 1])
     dofs = np.take_along_axis(space.dofmap.list[cells[mine]], closure[sides[mine]], axis=1)
@@ -217,7 +216,7 @@ def _facet_dofs(nodes: BodyNodes, surface: str) -> tuple[np.ndarray, dict[int, f
 
     # int phi_i over the surface
     scalar = fem.functionspace(msh, ("Lagrange", nodes.degree))
-    ds = ufl.Measure("ds", domain=msh, subdomain_data=tags)(tag)
+    ds = ufl.Measure("ds", domain=msh, subdomain_data=mesh.facet_tags)(mesh.surface_tag(surface))
     b = fem.assemble_vector(compat.form(ufl.TestFunction(scalar) * ds))
     b.scatter_reverse(la.InsertMode.add)
 

@@ -178,7 +178,7 @@ def _facet_size(surface: Surface) -> float:
     """Mean diameter of the facets of a surface, m; collective."""
     mesh = surface.body.solid.mesh
     msh, facet = mesh.dolfinx, mesh.dim - 1
-    facets = mesh.facet_tags.find(mesh.surface_tag(surface.name))
+    facets = mesh.facets(surface.name)
 
     # those of this rank
     own = facets[facets < msh.topology.index_map(facet).size_local]
