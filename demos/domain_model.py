@@ -7,7 +7,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot
 from fmbd_fenicsx.fem.elastic_forms import ElasticForms
 from fmbd_fenicsx.fem.fields import Field
-from fmbd_fenicsx.linear.saddle.elastic import Elastic
+from fmbd_fenicsx.linear.blocks.elastic import Elastic
 
 LENGTH, HEIGHT, PULSE, T_END = 2.0, 0.25, 1.2, 5.5  # m, m, s, s
 LAW = ElasticForms(fmbd.materials.linear_elastic(1.0, 0.0), 1.0, 2)  # wave speed 1 m/s
@@ -70,9 +70,9 @@ def march(dual, parts, dt):
         lam.append(found)
         counts.append(iterations)
 
-    mu = [tie.multipliers for tie in dual.ties]  # minus the traction on the slave, whose normal is along x
-    place = [(m.trace.points[0, 0], m.trace.normals[0, 0]) for m in mu]
-    x, normal = np.repeat(place, [m.n for m in mu], axis=0).T
+    on = [tie.sides[0][1] for tie in dual.ties]  # minus the traction on the slave, whose normal is along x
+    place, counts_of = [(t.points[0, 0], t.normals[0, 0]) for t in on], [tie.rows // 2 for tie in dual.ties]
+    x, normal = np.repeat(place, counts_of, axis=0).T
     dual.destroy()
     lam = np.array(lam).reshape(len(tip), -1, 2)
     return times, np.array(tip), -normal * lam[:, :, 0], lam[:, :, 1], x, np.mean(counts)

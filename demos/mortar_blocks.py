@@ -9,8 +9,9 @@ Run:  ./with-dolfinx python3 demos/mortar_blocks.py          (--fast: three mesh
       +---------+   the rest of the boundary is held weakly; cross-points by merged ends (blocks_model.py)
 """
 
+import blocks_model as model
 import numpy as np
-from blocks_model import BEND, PATCH, Problem, interface_traction
+from blocks_model import BEND, PATCH
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot, study
@@ -23,13 +24,10 @@ NAMES = ("u L2", "u H1", "traction H^-1/2", "traction L2")
 def errors(degree, n, solution):
     """Errors of u (L2, H1) and of the traction (H^-1/2, h-weighted L2) on meshes of 7 n and 5 n cells."""
     meshes = [fmbd.read_gmsh("meshes/block.py", cells=c * n, origin=(0.0, y)) for c, y in ((7, 1.0), (5, 0.0))]
-    problem = Problem(degree, meshes, solution)
-    found, mu, exact = problem.solve(), problem.glue.multipliers, lambda x: interface_traction(solution, x)
-    lam = found.multipliers[0].reshape(-1, 2)
-    weighted = np.sqrt(1 / (7 * n)) * mu.error(lam, exact)
-    out = dict(zip(NAMES, (*problem.errors(found), DualNorm(mu, times=2).error(lam, exact), weighted), strict=True))
-    problem.destroy()
-    return out
+    found = model.solve(degree, meshes, solution)
+    (mu, lam), exact = model.glue(found), lambda x: model.interface_traction(solution, x)
+    traction = DualNorm(mu, times=2).error(lam, exact), np.sqrt(1 / (7 * n)) * mu.error(lam, exact)
+    return dict(zip(NAMES, (*model.errors(found, solution), *traction), strict=True))
 
 
 args = demo.arguments(__doc__)

@@ -14,15 +14,8 @@ import numpy as np
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import demo, plot, study
-from fmbd_fenicsx.fem.elastic_forms import ElasticForms
-from fmbd_fenicsx.fem.fields import Field
 from fmbd_fenicsx.fem.traces.multipliers import Aggregated, Continuous, Discontinuous, Dual, Ends
 from fmbd_fenicsx.fem.traces.stability import infsup
-from fmbd_fenicsx.fem.traces.traces import trace_of
-from fmbd_fenicsx.linear.presets.krylov import Direct
-from fmbd_fenicsx.linear.saddle.elastic import Elastic
-from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
-from fmbd_fenicsx.linear.saddle.ties import hold
 from fmbd_fenicsx.post.demo import Check
 
 KEPT, P1 = Continuous(ends=Ends.KEPT), Continuous(1, Ends.KEPT)
@@ -40,15 +33,13 @@ def square(n):
 
 def clamped_plate(n):
     """Multiplier space on the clamp, its values; load 0.1 N/m downwards on the right face."""
-    plate = Field("plate", square(n), ElasticForms(fmbd.materials.linear_elastic(1.0, 0.3), 1.0, 2))
-    mu, face = P1.on(trace_of(plate.space, plate.mesh, "left")), trace_of(plate.space, plate.mesh, "right")
-    load, mine = np.zeros((plate.n, 2)), face.owned >= 0
-    load[face.owned[mine], 1] = -0.1 * (face.mass() @ np.ones(face.n))[mine]
-    system = SaddlePoint([Elastic(plate)], [hold("clamp", 0, mu)])
-    solver = Direct().solver(system)
-    lam = -solver.solve([load.ravel()], [np.zeros(2 * mu.n)]).multipliers[0].reshape(-1, 2)  # force on the plate
-    solver.destroy(), system.destroy(), plate.destroy()
-    return mu, lam
+    elastic, shear = fmbd.materials.linear_elastic(1.0, 0.3), fmbd.loads.traction("right", (0.0, -0.1))
+    plate = fmbd.AbsoluteBody("plate", square(n), degree=2, density=1.0, elastic=elastic, loads=[shear])
+    scene = fmbd.Scene("clamped plate")
+    scene.add(plate, fmbd.tie_surface("clamp", plate.surface("left"), fmbd.ground, space=P1))
+    found = fmbd.equilibrium(scene)
+    ((clamp, rows),) = found.system.traces
+    return clamp.multipliers, found.state.lam[rows].reshape(-1, 2)  # force on the plate
 
 
 args = demo.arguments(__doc__)

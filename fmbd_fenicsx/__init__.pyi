@@ -37,10 +37,10 @@ from .fem.traces.multipliers import Linear as Linear
 from .fem.traces.stability import infsup as infsup
 from .linear.blocks.elastic_blocks import Bddc as Bddc
 from .linear.blocks.elastic_blocks import Cholesky as Cholesky
-from .linear.presets.krylov import Direct as Direct
-from .linear.presets.krylov import FieldSplit as FieldSplit
+from .linear.presets import Direct as Direct
+from .linear.presets import FieldSplit as FieldSplit
 from .linear.blocks.elastic_blocks import Multigrid as Multigrid
-from .linear.presets.multiplier_schur import Schur as Schur
+from .linear.presets import Schur as Schur
 from .fem.mesh.line import Line as Line
 from .fem.mesh.line import read_line as read_line
 from .log import say as say

@@ -10,19 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_traces import ROOT
-from tied import release, surface
+from tied import ROOT
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.fem.elastic_forms import ElasticForms
-from fmbd_fenicsx.fem.fields import Field
-from fmbd_fenicsx.fem.traces.mortar import mortar
-from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends, default_space
+from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends
 from fmbd_fenicsx.fem.traces.tie_stability import infsup_together
-from fmbd_fenicsx.linear.presets.krylov import Direct
-from fmbd_fenicsx.linear.saddle.elastic import Elastic
-from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
-from fmbd_fenicsx.linear.saddle.ties import hold, tie
 
 MU, LAMBDA = fmbd.materials.lame(1.0, 0.3)
 # name -> (origin, size, cells along x); ties (finer, coarser): block and face
@@ -54,61 +46,44 @@ class Exact:
         return np.einsum("...ij,...j->...i", s, normal)
 
 
-def arrangement(dim: int, degree: int, blocks: dict[str, Any], glued: list[tuple[str, str]], times: int = 1):
-    """Fields by name, ties between them, and the outer faces."""
-    law = ElasticForms(fmbd.materials.linear_elastic(1.0, 0.3), 1.0, degree)
-    fields = {}
+def bodies(dim: int, blocks: dict[str, Any], **given: Any) -> dict[str, fmbd.AbsoluteBody]:
+    """Elastic bodies by name."""
+    elastic, made = fmbd.materials.linear_elastic(1.0, 0.3), {}
     for name, (origin, size, cells) in blocks.items():
         o, s = ((*origin, 0.0)[:dim], (*size, 1.0)[:dim])
-        mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=s, cells=times * cells, origin=o)
-        fields[name] = Field(name, mesh, law)
-    inner = {side for pair in glued for side in pair}
-    faces = ("left", "right", "bottom", "top", "back", "front")[: 2 * dim]
-    outer = [f"{name} {face}" for name in blocks for face in faces if f"{name} {face}" not in inner]
-    return fields, outer
+        mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=s, cells=cells, origin=o)
+        made[name] = fmbd.AbsoluteBody(name, mesh, density=1.0, elastic=elastic, **given)
+    return made
 
 
 def solve(
     dim: int, degree: int, blocks: dict[str, Any], glued: list[tuple[str, str]], times: int = 1, exact: Any = None
 ):
     """Largest errors of displacements and of tractions at all their nodes, relative to the largest values."""
-    fields, outer = arrangement(dim, degree, blocks, glued, times)
-    exact, number = exact or Exact(dim, degree), {name: i for i, name in enumerate(fields)}
-    space = default_space(degree)
+    exact = exact or Exact(dim, degree)
+    finer = {name: (origin, size, times * cells) for name, (origin, size, cells) in blocks.items()}
+    made = bodies(dim, finer, degree=degree, loads=[fmbd.loads.body_force(tuple(exact.force))])
+    side = lambda text: made[text.split()[0]].surface(text.split()[1])  # noqa: E731
 
-    def face(side: str):
-        name, which = side.split()
-        return number[name], surface(fields[name], which)
+    scene = fmbd.Scene("cross-points")
+    scene.add(*made.values(), *(fmbd.tie_surface(f"{a} - {b}", side(a), side(b)) for a, b in glued))
+    inner = {face for pair in glued for face in pair}
+    faces = ("left", "right", "bottom", "top", "back", "front")[: 2 * dim]
+    for outer in (f"{name} {face}" for name in blocks for face in faces if f"{name} {face}" not in inner):
+        scene.add(fmbd.tie_surface(outer, side(outer), fmbd.ground, shape=lambda x: exact.u(x.T).T))
+    found = fmbd.equilibrium(scene)
 
-    rows, values, spaces = [], [], []
-    for a, b in glued:
-        (i, slave), (j, master) = face(a), face(b)
-        c = mortar(slave, master, space)
-        rows.append(tie(f"{a} - {b}", i, j, c))
-        spaces.append(c.multipliers)
-        values.append(np.zeros(rows[-1].rows))
-    for side in outer:
-        i, trace = face(side)
-        spaces.append(space.on(trace))
-        rows.append(hold(side, i, spaces[-1]))
-        values.append(spaces[-1].integrals(exact.u).ravel())
-    system = SaddlePoint([Elastic(f) for f in fields.values()], rows)
-    solver = Direct().solver(system)
-    loads = [f.mass(np.ones((f.n, 1)) * exact.force).ravel() for f in fields.values()]
-    found = solver.solve(loads, values)
     off, size = np.zeros(2), np.zeros(2)
-    for f, u in zip(fields.values(), found.u, strict=True):
-        wanted = exact.u(f.X_world)
-        off[0] = max(off[0], np.abs(u.reshape(-1, dim) - wanted).max(initial=0.0))
+    for k, part in found.system.fields:
+        wanted = exact.u(part.field.X_world)
+        off[0] = max(off[0], np.abs(found.system.local_q(found.state.q, k).reshape(-1, dim) - wanted).max(initial=0.0))
         size[0] = max(size[0], np.abs(wanted).max(initial=0.0))
-    for mu, lam in zip(spaces, found.multipliers, strict=True):
-        t = mu.trace
-        wanted = -exact.traction(t.corners, t.normals[:, None])
-        off[1] = max(off[1], np.abs(mu.coefficients(lam.reshape(-1, dim)) - wanted).max())
+    for tie, rows in found.system.traces:
+        t, lam = tie.multipliers.trace, found.state.lam[rows].reshape(-1, dim)
+        wanted = exact.traction(t.corners, t.normals[:, None])
+        off[1] = max(off[1], np.abs(tie.multipliers.coefficients(lam) - wanted).max())
         size[1] = max(size[1], np.abs(wanted).max())
-    comm = system.comm
-    solver.destroy()
-    release(system)
+    comm = found.system.comm
     return np.max(comm.allgather(off), axis=0) / np.max(comm.allgather(size), axis=0)
 
 
@@ -136,18 +111,9 @@ def test_tractions_at_cross_points_stay_bounded() -> None:
 def test_rank_in_a_scene(dim: int, degree: int) -> None:
     """rank(B) = rows for all ties together, by the inf-sup constant and by the scene's count of redundant rows."""
     scene = fmbd.Scene("four")
-    made = {}
-    for name, (origin, size, cells) in FOUR.items():
-        mesh = fmbd.read_gmsh(
-            ROOT / "meshes/block.py",
-            size=(*size, 1.0)[:dim],
-            cells=min(cells, 2 + (cells == 3)),
-            origin=(*origin, 0.0)[:dim],
-        )
-        made[name] = fmbd.AbsoluteBody(
-            name, mesh, degree=degree, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3)
-        )
-        scene.add(made[name])
+    fewer = {name: (origin, size, min(cells, 2 + (cells == 3))) for name, (origin, size, cells) in FOUR.items()}
+    made = bodies(dim, fewer, degree=degree)
+    scene.add(*made.values())
     side = lambda text: made[text.split()[0]].surface(text.split()[1])  # noqa: E731
     for a, b in FOUR_TIES:
         scene.add(fmbd.tie_surface(a, side(a), side(b)))
@@ -160,12 +126,7 @@ def test_rank_in_a_scene(dim: int, degree: int) -> None:
 
 def test_three_jumps_around_a_point_add_up_to_zero() -> None:
     """On matching meshes, P1 with kept ends: one dependent combination a component; none with merged ends."""
-    made = {}
-    for name, (origin, size, cells) in {**THREE, "low": ((0, 0), (2, 1), 4), "ne": ((1, 1), (1, 1), 2)}.items():
-        mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=size, cells=cells, origin=origin)
-        made[name] = fmbd.AbsoluteBody(
-            name, mesh, degree=1, density=1.0, elastic=fmbd.materials.linear_elastic(1.0, 0.3)
-        )
+    made = bodies(2, {**THREE, "low": ((0, 0), (2, 1), 4), "ne": ((1, 1), (1, 1), 2)}, degree=1)
     side = lambda text: made[text.split()[0]].surface(text.split()[1])  # noqa: E731
     for space, count in ((Continuous(ends=Ends.KEPT), 1), (Continuous(), 0)):
         ties = [fmbd.tie_surface(a, side(a), side(b), space=space) for a, b in THREE_TIES]

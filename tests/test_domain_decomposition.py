@@ -6,26 +6,20 @@ import sys
 
 import numpy as np
 import pytest
-from test_traces import ROOT
-from tied import block, manufactured, release, surface, tied
+from tied import KEPT1, ROOT, Step, unit_field
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.fem.elastic_forms import ElasticForms
 from fmbd_fenicsx.fem.fields import Field
-from fmbd_fenicsx.fem.traces.multipliers import Continuous, Ends
 from fmbd_fenicsx.fem.traces.traces import trace_of
 from fmbd_fenicsx.linear.blocks.domain_decomposition import unassembled
-from fmbd_fenicsx.linear.blocks.elastic_blocks import Bddc, set_bddc
+from fmbd_fenicsx.linear.blocks.elastic import Elastic
+from fmbd_fenicsx.linear.blocks.elastic_blocks import set_bddc
 from fmbd_fenicsx.linear.blocks.spd import CholeskyFactor
-from fmbd_fenicsx.linear.presets.krylov import FieldSplit
-from fmbd_fenicsx.linear.presets.multiplier_schur import Schur
 from fmbd_fenicsx.linear.rigid_modes import elastic_matrix
-from fmbd_fenicsx.linear.saddle.elastic import Elastic
 
 sys.path.insert(0, str(ROOT / "demos"))
 from dual_interface import DualInterface, shared_traces  # noqa: E402
-
-KEPT1 = Continuous(1, Ends.KEPT)
 
 
 @pytest.mark.mpi
@@ -33,7 +27,7 @@ KEPT1 = Continuous(1, Ends.KEPT)
 def test_bddc_against_the_factor(dim: int, degree: int) -> None:
     from petsc4py import PETSc
 
-    field = block("block", dim, 8 if dim == 2 else 4, degree)
+    field = unit_field(dim, 8 if dim == 2 else 4, degree)
     cm = 4.0 * 16
     A = unassembled(field, cm, 1.0)
     ksp = PETSc.KSP().create(field.comm)
@@ -57,17 +51,6 @@ def test_bddc_against_the_factor(dim: int, degree: int) -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("preset", [FieldSplit(Bddc()), Schur(Bddc())], ids=str)
-def test_bddc_in_the_presets(preset) -> None:
-    s = tied(6)
-    solver = preset.solver(s)
-    f, g, error = manufactured(s)
-    assert error(solver.solve(f, g)) < 1e-6
-    solver.destroy()
-    release(s)
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("parts, cells", [(1, (6, 6)), (2, (6, 6)), (3, (6, 8)), (4, (6, 8))])
 def test_subdomains_give_the_beam(parts: int, cells: tuple[int, int]) -> None:
     """A beam in pieces, clamped at its left end: counts bounded, result that of all pieces in one saddle
@@ -77,23 +60,19 @@ def test_subdomains_give_the_beam(parts: int, cells: tuple[int, int]) -> None:
     world = MPI.COMM_WORLD
     law = ElasticForms(fmbd.materials.linear_elastic(1.0, 0.3), 1.0, 2)
 
-    def piece(i: int, comm) -> Field:
-        mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", cells=cells[i % 2], origin=(float(i), 0.0), comm=comm)
-        return Field(f"piece{i}", mesh, law)
+    def mesh(i: int):
+        return fmbd.read_gmsh(ROOT / "meshes/block.py", cells=cells[i % 2], origin=(float(i), 0.0), comm=MPI.COMM_SELF)
 
     cm = 4 * 6.0**2
-    own = {i: Elastic(piece(i, MPI.COMM_SELF), cm) for i in range(parts) if i % world.size == world.rank}
+    own = {i: Elastic(Field(f"piece{i}", mesh(i), law), cm) for i in range(parts) if i % world.size == world.rank}
     traces = shared_traces(
         world,
         {(i, n): trace_of(e.body.space, e.body.mesh, n) for i, e in own.items() for n in ("left", "right")},
     )
     dual = DualInterface(world, own, traces)
     dual.hold((0, "left"), KEPT1)
-    for i in range(1, parts):
-        fine, coarse = (
-            ((i, "left"), (i - 1, "right")) if cells[i % 2] >= cells[(i - 1) % 2] else ((i - 1, "right"), (i, "left"))
-        )
-        dual.tie(fine, coarse, KEPT1)
+    for glued in _interfaces(parts, cells):
+        dual.tie(*glued, KEPT1)
     dual.prepare()
     load = {
         i: e.body.mass(np.ones((e.body.n, 2)) * [0.0, 1.0] * (1 + e.body.X_world[:, :1])).ravel()
@@ -101,7 +80,7 @@ def test_subdomains_give_the_beam(parts: int, cells: tuple[int, int]) -> None:
     }
     u, lam, iterations = dual.solve(load, np.zeros(dual.n))
     assert iterations <= 25
-    whole = _whole(piece, parts, cells, cm)
+    whole = _whole(mesh, parts, cells, cm)
     found = {
         k: v
         for part in world.allgather({i: (own[i].body.X_world, u[i].reshape(-1, 2)) for i in own})
@@ -113,29 +92,23 @@ def test_subdomains_give_the_beam(parts: int, cells: tuple[int, int]) -> None:
     dual.destroy()
 
 
-def _whole(piece, parts: int, cells: tuple[int, int], cm: float):
-    """The same by a direct solve on one rank."""
-    from mpi4py import MPI
+def _interfaces(parts: int, cells: tuple[int, int]) -> list[tuple[tuple[int, str], tuple[int, str]]]:
+    """The finer side and the other one of each interface."""
+    pairs = [((i, "left"), (i - 1, "right")) for i in range(1, parts)]
+    return [(a, b) if cells[a[0] % 2] >= cells[b[0] % 2] else (b, a) for a, b in pairs]
 
-    from fmbd_fenicsx.fem.traces.mortar import mortar
-    from fmbd_fenicsx.linear.presets.krylov import Direct
-    from fmbd_fenicsx.linear.saddle.saddle import SaddlePoint
-    from fmbd_fenicsx.linear.saddle.ties import hold, tie
 
-    bodies = [piece(i, MPI.COMM_SELF) for i in range(parts)]
-    ties = [hold("clamp", 0, KEPT1.on(surface(bodies[0], "left")))]
-    for i in range(1, parts):
-        a, b = (i, i - 1) if cells[i % 2] >= cells[(i - 1) % 2] else (i - 1, i)
-        sides = [surface(bodies[k], "left" if k == i else "right") for k in (a, b)]
-        ties.append(tie(f"glue{i}", a, b, mortar(*sides, KEPT1)))
-    s = SaddlePoint([Elastic(b, cm) for b in bodies], ties)
-    solver = Direct().solver(s)
-    f = [b.mass(np.ones((b.n, 2)) * [0.0, 1.0] * (1 + b.X_world[:, :1])).ravel() for b in bodies]
-    found = solver.solve(f, [np.zeros(t.rows) for t in ties])
-    out = {i: (b.X_world, v.reshape(-1, 2)) for i, (b, v) in enumerate(zip(bodies, found.u, strict=True))}
-    solver.destroy()
-    release(s)
-    return out
+def _whole(mesh, parts: int, cells: tuple[int, int], cm: float):
+    """The same on each rank as one scene, by the direct solver."""
+    elastic = fmbd.materials.linear_elastic(1.0, 0.3)
+    bodies = [fmbd.AbsoluteBody(f"piece{i}", mesh(i), degree=2, density=1.0, elastic=elastic) for i in range(parts)]
+    ties = [fmbd.tie_surface("clamp", bodies[0].surface("left"), fmbd.ground, space=KEPT1)]
+    for n, glued in enumerate(_interfaces(parts, cells)):
+        ties.append(fmbd.tie_surface(f"glue{n}", *(bodies[i].surface(side) for i, side in glued), space=KEPT1))
+    step = Step(*bodies, *ties, cm=cm)
+    f = [b.mass(np.ones((b.n, 2)) * [0.0, 1.0] * (1 + b.X_world[:, :1])).ravel() for b in step.fields]
+    x, _ = step.solve(None, np.concatenate(f), np.zeros(step.system.n_lam))
+    return {i: (b.X_world, step.system.local_v(x, i).reshape(-1, 2)) for i, b in enumerate(step.fields)}
 
 
 @pytest.mark.mpi
@@ -143,7 +116,7 @@ def test_fetidp_solves_the_elastic_block() -> None:
     """PETSc's FETI-DP on the unassembled block gives the answer of the assembled one."""
     from petsc4py import PETSc
 
-    body = block("body", 2, 8, 1)
+    body = unit_field(2, 8, 1)
     cm = 4 * 8.0**2
     A, E = unassembled(body, cm, 1.0), elastic_matrix(body, cm, 1.0)
     b = E.createVecLeft()

@@ -9,7 +9,7 @@ by GMRES (K need not be symmetric: follower forces), preconditioned by
 
     S~ = blockdiag(S~_i) + W W^T                                                                                     (2)
 
-with the fractional operators S~_i of :mod:`.saddle.precondition` on the surfaces of each tie, and W W^T what the rows see of the
+with the fractional operators S~_i of :mod:`.tie_preconditioner` on the surfaces of each tie, and W W^T what the rows see of the
 motion of all bodies as rigid ones, held by the other constraints: it connects the ties, and keeps counts flat in chains.
 """
 
@@ -28,11 +28,10 @@ from ..matrices import dense
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.system import System
+from .blocks.elastic import Elastic
 from .residual import Judge
 from .rigid_modes import rigid_mass, rigid_modes
-from .saddle.elastic import Elastic
-from .saddle.precondition import Fractional, inverse_of, lumped
-from .saddle.ties import TraceTie
+from .tie_preconditioner import Lumped, TraceTie, inverse_of
 
 CONTACT_RTOL = 1e-13  # of scenes with contact, whose own iteration needs products of that accuracy
 CHANGED = 0.1  # relative change of G after which S~ is made anew
@@ -43,7 +42,7 @@ class IteratedMultipliers:
 
     def __init__(self, system: System, multiplier: Any, rtol: float) -> None:
         self.system, self.rtol = system, rtol if system.contacts is None else min(rtol, CONTACT_RTOL)
-        self.multiplier = multiplier if isinstance(multiplier, Fractional) else None
+        self.multiplier = multiplier
         self.rows = np.concatenate([np.arange(span.start, span.stop) for _, span in system.traces])
         self.direct = np.setdiff1d(np.arange(system.n_lam), self.rows)
         self.judge = Judge("the multipliers of surface ties", max(1e-9, 100 * rtol))
@@ -138,11 +137,8 @@ class IteratedMultipliers:
 
     def _blockwise(self, seen: SceneTies, *, stiff: bool) -> Callable[[Array], Array]:
         """The inverse of blockdiag(S~_i); ``stiff``: whether the matrix holds stiffness beside masses."""
-        solves: list[Callable[[Array], Array]] = []
-        for i in range(len(seen.ties)):
-            fractional = self.multiplier if stiff else None
-            solves.append(inverse_of(lumped(seen, i) if fractional is None else fractional.block(seen, i)))
-
+        how = self.multiplier if stiff else Lumped()
+        solves = [inverse_of(how.block(seen, i)) for i in range(len(seen.ties))]
         ends = np.cumsum([t.rows for t in seen.ties])[:-1]
 
         def blockwise(r: Array) -> Array:
@@ -191,7 +187,7 @@ def _free_motions(M: Array, held: Array) -> Array:
 
 
 class SceneTies:
-    """The ties of a system as :mod:`.saddle.precondition` wants to see them."""
+    """The ties of a system as :mod:`.tie_preconditioner` wants to see them."""
 
     def __init__(self, system: System, weights: Any) -> None:
         self.comm = system.comm
@@ -202,7 +198,7 @@ class SceneTies:
             sides = tuple((position[x.part], x.trace, x.coupling) for x in t.sides if x.part is not None)
             d = 1 if t.normal is not None else t.data.shape[1]
             columns = tuple((k, _columns(trace, B, t)) for k, trace, B in sides)
-            self.ties.append(TraceTie(t.name, columns, t.multipliers, d, sides))
+            self.ties.append(TraceTie(t.name, columns, d, sides))
 
     def diagonal(self, k: int) -> Array:
         """diag(cm M + ck K) on this rank; collective."""

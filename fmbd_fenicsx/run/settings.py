@@ -39,7 +39,7 @@ def check_settings(scene: Any, newton: Any, output: Any, restart: Any) -> None:
 def check_ways(linear: Any, checkpoint: Any) -> None:
     """Refuse classes and names for what is loaded only where it is given: the linear solver, and checkpoints."""
     if linear is not None:
-        from ..linear.presets.preset import Preset
+        from ..linear.presets import Preset
 
         instance("solve: linear", linear, Preset)
     if checkpoint is not None:

@@ -8,7 +8,7 @@ from typing import Any
 from ...checks import check_fields, number, whole
 from ...fem.factors.factor import by_mumps
 from ...fem.fields import Field
-from ..saddle.elastic import Elastic
+from .elastic import Elastic
 from .iterative import ConjugateGradients
 from .spd import CholeskyFactor
 
@@ -71,7 +71,7 @@ class Bddc:
         from .domain_decomposition import unassembled
 
         assert block is not None
-        A = unassembled(block.body, block.inertia, block.ck)
+        A = unassembled(block.body, block.cm, block.ck)
         ksp.setType("preonly")
         ksp.setOperators(A)
         A.destroy()  # the KSP keeps it

@@ -12,7 +12,7 @@ from ...rotations import Array
 from ..options import check_options
 from ..residual import Judge
 from ..rigid_modes import elastic_matrix
-from ..saddle.elastic import Elastic
+from .elastic import Elastic
 from .spd import FieldFactor
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from ...rotations import Array
+from ..blocks.elastic import Elastic
 from ..blocks.spd import FieldFactor
 from ..residual import Judge
 from ..rigid_modes import elastic_matrix
-from ..saddle.elastic import Elastic
 from .layout import split_name
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from ...rotations import Array
 from ...system.system import System
-from ..saddle.saddle import share_of
 
 
 class SplitLayout:
@@ -26,8 +25,8 @@ class SplitLayout:
         self.scale = np.ones(len(self.names))
 
         # on this rank
-        core = [share_of(system.n_core, self.comm)][: self.first]
-        multipliers = [share_of(r.stop - r.start, self.comm) for r in self.rows.values()]
+        core = [_size(share(system.n_core, self.comm))][: self.first]
+        multipliers = [_size(share(_size(r), self.comm)) for r in self.rows.values()]
         self.sizes = [*core, *(f.n for _, f in system.fields), *multipliers]
 
     @property
@@ -37,8 +36,8 @@ class SplitLayout:
 
     def pack(self, core: Array, local: list[Array], lam: Array) -> Array:
         """This rank's entries of a vector of forces: on the core, on the nodes of each field, on all rows."""
-        shares = [_share(core, self.comm)][: self.first]
-        parts = (*shares, *local, *(_share(lam[r], self.comm) for r in self.rows.values()))
+        shares = [self._mine(core)][: self.first]
+        parts = (*shares, *local, *(self._mine(lam[r]) for r in self.rows.values()))
         return np.concatenate([d * x for d, x in zip(self.scale, parts, strict=True)])
 
     def unpack(self, x: Array) -> tuple[Array, list[Array], Array]:
@@ -57,6 +56,10 @@ class SplitLayout:
             lam[r] = y
         return core, local, lam
 
+    def _mine(self, x: Array) -> Array:
+        """This rank's entries of a replicated array."""
+        return x[share(len(x), self.comm)]
+
     def split(self, x: Array) -> list[Array]:
         """The blocks of a vector, this rank's entries."""
         return np.split(x, np.cumsum(self.sizes)[:-1])
@@ -73,7 +76,7 @@ def _blocks_of_rows(system: System) -> dict[str, slice]:
     rows: dict[str, slice] = {}
     for block in system.blocks:
         name = f"{block.name.removeprefix('frame of ')}.frame" if block.kind == "frame" else block.name
-        empty = block.rows.stop == block.rows.start
+        empty = not _size(block.rows)
         if not empty and not any(block.rows == r for r in rows.values()):
             rows[f"{name}.force".replace(" ", "_")] = block.rows
     return rows
@@ -84,7 +87,12 @@ def split_name(body: str) -> str:
     return f"{body}.u".replace(" ", "_")
 
 
-def _share(x: Array, comm: Any) -> Array:
-    """This rank's entries of a replicated array."""
-    low = sum(share_of(len(x), comm, r) for r in range(comm.rank))
-    return x[low : low + share_of(len(x), comm)]
+def share(n: int, comm: Any) -> slice:
+    """This rank's rows of n that all ranks know."""
+    each, more = divmod(n, comm.size)
+    low = comm.rank * each + min(comm.rank, more)
+    return slice(low, low + each + (comm.rank < more))
+
+
+def _size(rows: slice) -> int:
+    return int(rows.stop - rows.start)

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ...fem.assembly import petsc_of
 from ...matrices import dense
 from ...rotations import Array
 from ..blocks.field_blocks import Weights
 from ..iterated_multipliers import SceneTies
-from ..saddle.precondition import Fractional, lumped, rigid_term, to_petsc
-from .layout import SplitLayout
+from ..tie_preconditioner import rigid_term
+from .layout import SplitLayout, share
 from .matrix import StepMatrix
 
 LEAST = 1e-10  # eigenvalues of preconditioning blocks, scaled to a unit diagonal, are at least this
@@ -35,7 +36,7 @@ class Preconditioner:
         scale = _units(matrix, small)
         layout.scale = np.array([*scale[:first], *np.ones(len(matrix.blocks)), *scale[first:]])
 
-        own = [to_petsc(S * x**2, layout.system) for S, x in zip(small, scale, strict=True)]
+        own = [_to_petsc(S * x**2, layout.comm) for S, x in zip(small, scale, strict=True)]
         diagonal = [*own[:first], *(b.factor.sparse.E for b in matrix.blocks), *own[first:]]
         self.sets = _index_sets(layout)
         self.P = _nested(diagonal, self.sets, layout.comm)
@@ -61,9 +62,7 @@ class _Ties:
         i = self.numbers.get(rows.start)
         if i is None or self.seen is None:
             return
-        fractional = isinstance(self.multiplier, Fractional)
-        own = self.multiplier.block(self.seen, i) if fractional else lumped(self.seen, i)
-        S += own.toarray()
+        S += self.multiplier.block(self.seen, i).toarray()
 
         for k, e in enumerate(self.seen.elastic):
             gram, BR = rigid_term(e, k, [self.seen.ties[i]])
@@ -108,6 +107,16 @@ def _index_sets(layout: SplitLayout) -> list[Any]:
     starts = begin + np.cumsum([0, *layout.sizes])
     pairs = zip(layout.sizes, starts, strict=False)
     return [PETSc.IS().createStride(size, int(start), 1, comm=layout.comm) for size, start in pairs]
+
+
+def _to_petsc(S: sp.csr_matrix, comm: Any) -> Any:
+    """This rank's share of the rows of a replicated matrix."""
+    from petsc4py import PETSc
+
+    own = S[share(S.shape[0], comm)]
+    A = petsc_of(own, (own.shape, own.shape), comm)
+    A.setOption(PETSc.Mat.Option.SPD, True)
+    return A
 
 
 def _nested(diagonal: list[Any], sets: list[Any], comm: Any) -> Any:

@@ -8,7 +8,7 @@ The matrix is applied, never assembled: C has constant columns, G is known by it
 
     diag(|A|, E_k~, S~_j),    S~_j = G_c,j |A|^-1 G_c,j^T + sum_k G_k,j E_k~^-1 G_k,j^T                             (2)
 
-with E_k~ a factor or a multigrid cycle, S~_j as it stands for joints and by :mod:`~..saddle.precondition` for ties of field
+with E_k~ a factor or a multigrid cycle, S~_j as it stands for joints and by :mod:`~..tie_preconditioner` for ties of field
 multipliers. C has rank n_twist for each floating body, so it adds a number of iterations that does not depend on the mesh.
 Options of PETSc: ``-<scene>_ksp_...`` for the Krylov method, ``-<scene>_fieldsplit_<block>_...`` for the splits. The theory is
 that of block-diagonal preconditioners, Benzi, Golub and Liesen, doi:10.1017/S0962492904000212.
@@ -24,7 +24,7 @@ from ...errors import InputError, LinearSolveError
 from ...ranks import together
 from ...rotations import Array
 from ...system.system import System
-from ..blocks.elastic_blocks import Bddc, Cholesky
+from ..blocks.elastic_blocks import Cholesky
 from ..blocks.field_blocks import Weights
 from ..field_couplings import FieldCouplings
 from ..iterated_multipliers import CHANGED
@@ -58,7 +58,7 @@ class SplitSolver:
             raise InputError(
                 "FieldSplit() splits elastic bodies; this scene has none with nodal unknowns. Use linear=fmbd.Direct()."
             )
-        together(system.comm, _refusal(system, preset, prefix))
+        together(system.comm, _refusal(system, prefix))
         self.system, self.preset, self.prefix = system, preset, prefix
         self.layout = SplitLayout(system)
         self.judge = Judge("the whole matrix of a step", 100 * preset.rtol)
@@ -207,7 +207,7 @@ class SplitSolver:
         self._release()
 
 
-def _refusal(system: System, preset: Any, prefix: str) -> Exception | None:
+def _refusal(system: System, prefix: str) -> Exception | None:
     """What has no splits: slack wires, pressure fields, and options that need an assembled matrix."""
     from petsc4py import PETSc
 
@@ -215,16 +215,10 @@ def _refusal(system: System, preset: Any, prefix: str) -> Exception | None:
         if f.slack is not None or f.field.mixed:
             kind = "a pressure" if f.field.mixed else "wires that go slack"
             return InputError(f'FieldSplit() does not take body "{f.name}" with {kind}. Use linear=fmbd.Direct().')
-    if isinstance(preset.elastic, Bddc):
-        return InputError(
-            "FieldSplit(elastic=Bddc()) does not work in scenes. Use Cholesky(), Multigrid(), or Schur(Bddc())."
-        )
     if PETSc.Options().getString(f"{prefix}pc_fieldsplit_type", "additive") != "additive":
         return InputError(f"-{prefix}pc_fieldsplit_type: splits of a scene are additive, its matrix is not assembled.")
     if PETSc.Options().getString(f"{prefix}pc_type", "fieldsplit") != "fieldsplit":
         return InputError(
             f"-{prefix}pc_type: a scene under FieldSplit() has splits: -{prefix}fieldsplit_<block>_pc_type."
         )
-    if preset.method not in ("minres", "fgmres", "gmres"):
-        return InputError(f'FieldSplit(method="{preset.method}") in a scene: "minres", "fgmres" or "gmres".')
     return None

@@ -15,14 +15,8 @@ class Elastic:
     """The block cm M + ck K of one body."""
 
     body: Field
-    cm: float = 0.0
+    cm: float
     ck: float = 1.0
-    stand_in: float = 0.0  # set by SaddlePoint for bodies without inertia
-
-    @property
-    def name(self) -> str:
-        """Name of the block."""
-        return f"{self.body.name}.u"
 
     @property
     def rows(self) -> int:
@@ -57,21 +51,6 @@ class Elastic:
         return tuple(float(x) for x in b.total(np.array([np.mean(shear), np.mean(axial)])) / volume)  # type: ignore[return-value]
 
     @property
-    def modulus(self) -> float:
-        """Mean shear modulus, Pa."""
-        return self.moduli[0]
-
-    @property
-    def inertia(self) -> float:
-        """cm, or in statics a stand-in for preconditioners."""
-        return self.cm if self.cm > 0 else self.stand_in
-
-    @property
-    def static_inertia(self) -> float:
-        """The cm for which waves cross the body in about one step."""
-        return float(0.1 * self.ck * self.modulus / (self.body.mean_density * self.body.size**2))
-
-    @property
     def depth(self) -> float:
         """Length sqrt(ck G / (cm rho)) over which a surface force reaches into the body within a step, m."""
-        return float(np.sqrt(self.ck * self.modulus / (self.inertia * self.body.mean_density)))
+        return float(np.sqrt(self.ck * self.moduli[0] / (self.cm * self.body.mean_density)))

@@ -1,1 +1,0 @@
-"""Ways to solve a saddle point, as small frozen objects that a user chooses from."""

@@ -1,1 +1,0 @@
-"""Saddle points of their own, and preconditioners for them."""
