@@ -162,6 +162,30 @@ def test_a_drive_with_a_kink_at_a_break_point(scheme: Any) -> None:
     assert np.allclose(run["rate"][:, 0], run.times > 0.505 + 1e-9, rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    "scheme",
+    [fmbd.ExplicitRungeKutta(rtol=1e-7), fmbd.HalfExplicit(rtol=1e-7), fmbd.Radau(3, rtol=1e-7)],
+    ids=lambda x: x.name,
+)
+def test_what_a_drive_with_a_kink_moves(scheme: Any) -> None:
+    """A slider on a spring along an arm of given angle: r'' = r w^2 - k / m (r - 1/2), on which w acts from its jump on."""
+    arm, slider = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0)), fmbd.RigidBody("slider", 0.5, 0.01, (0.5, 0.0))
+    pin, rail = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0)), fmbd.prismatic("rail", arm, slider, axis=(1, 0))
+    scene = fmbd.Scene("slider", breakpoints=(0.3,))
+    scene.add(arm, slider, pin, rail, fmbd.joint_spring("spring", fmbd.displacement(rail), stiffness=50.0))
+    scene.add(fmbd.drive("motor", fmbd.angle(pin), lambda t: np.interp(t, [0.0, 0.3, 1.0], [0.0, 0.6, -2.2])))
+    scene.sensor("s", fmbd.displacement(rail))
+    run = fmbd.solve(scene, t_end=0.9, scheme=scheme, output=fmbd.Output(energy=False, progress=False))
+
+    r, v, t0 = 0.5, 0.0, 0.0
+    for t1, rate in ((0.3, 2.0), (0.9, -4.0)):
+        w, rest = np.sqrt(100.0 - rate**2), 50.0 / (100.0 - rate**2)
+        t = t1 - t0
+        c, s = np.cos(w * t), np.sin(w * t)
+        r, v, t0 = rest + (r - rest) * c + v / w * s, v * c - (r - rest) * w * s, t1
+    assert abs(run["s"][-1, 0] + 0.5 - r) < 2e-6 and run.counters["steps"] < 400
+
+
 def test_stretches_of_equal_steps() -> None:
     """Sizes fit between break points, are not above the one asked for, and one where they differ by roundoff only."""
     plain = step_schedule(fmbd.Scene("s"), fmbd.GeneralizedAlpha(), 1.0, 0.01)

@@ -152,6 +152,27 @@ def test_differences_stop_where_they_disagree() -> None:
     assert max(asked) < 100.0
 
 
+@pytest.mark.parametrize("places", [(0.0, 0.6, -0.2, 1.0), (1.0, 1.0, 2.0, 2.0)])
+def test_rates_of_a_table_of_straight_lines(places: tuple[float, ...]) -> None:
+    """At its first time they are those behind it. Across a kink formulas of s'' agree by chance: 11 1/s^2 were found beside 0."""
+    times = (0.0, 0.3, 0.7, 1.0)
+    slopes = np.diff(places) / np.diff(times)
+    inside = np.concatenate([[0.0], np.linspace(0.001, 0.299, 150), np.linspace(0.302, 0.698, 99)])
+    kept = CountingSteps()
+    found = np.array([rates(lambda t: float(np.interp(t, times, places)), t, kept=kept) for t in inside])
+    assert np.allclose(found[:, 0], slopes[np.searchsorted(times, inside, "right") - 1], rtol=0, atol=1e-9)
+    assert np.abs(found[:, 1]).max() < 1e-7
+
+
+def test_a_side_that_is_another_function_is_not_asked() -> None:
+    """Steps that are too long for the smooth side ahead of t = 0 went to the constant one behind."""
+    kept = CountingSteps()
+    kept.break_at([0.3])
+    for t in (0.0, 1e-7, 1e-3):
+        first, second = rates(lambda t: float(np.interp(t, [0.0, 0.3, 1.0], [0.0, 0.6, 0.0])), t, kept=kept)
+        assert first == pytest.approx(2.0, abs=1e-9) and abs(second) < 1e-5
+
+
 def test_differences_make_no_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
     """Six numbers are summed at each of some fifteen steps: arrays of them took five times as long as the function itself."""
     monkeypatch.setattr(time_derivatives, "np", None)

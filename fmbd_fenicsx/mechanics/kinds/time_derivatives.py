@@ -9,9 +9,11 @@ interpolation, a table) is differenced about t with steps of 2^-39 to 2^18 s, ei
 
 with k = -3 ... 3, and where the function ends (it raises, or returns no finite number), or is said to break, with k = 1 ... 6
 or -6 ... -1. The step counts whose error, by its difference from the formula of the four nearest k and its roundoff, is smallest.
-Longer steps are tried as long as they agree with what shorter ones have found: a whole period would else look like rest. The
-steps that count at a few places of an interval of time serve all of it, where they do not contradict each other: two to four in
-place of some fifteen (:class:`CountingSteps`).
+Longer steps are tried as long as they agree with what shorter ones have found: a whole period would else look like rest. Across
+a kink formulas of s'' may agree by chance: a step counts for s'' where its s' is that of the step before. At a kink rates are
+those behind it: where no polynomial joins both sides, the side ahead is asked alone. The steps that count at a few places of an
+interval of time serve all of it, where they do not contradict each other: two to four in place of some fifteen
+(:class:`CountingSteps`).
 """
 
 from __future__ import annotations
@@ -132,15 +134,16 @@ SIDES = tuple(
 class Best:
     """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it.
 
-    ``number``: of its step. One alone may be misled by roundoff of terms that cancel, of which values tell nothing; two steps
-    in turn that agree to :data:`SMOOTH` of a rate are ``sure``, and only these can be contradicted.
+    ``number``: of its step; ``parted``: no polynomial joins its values. One alone may be misled by roundoff of terms that
+    cancel, of which values tell nothing; two steps in turn that agree to :data:`SMOOTH` of a rate are ``sure``, and only these
+    can be contradicted.
     """
 
-    __slots__ = ("contradicted", "error", "number", "sharp", "sure", "value")
+    __slots__ = ("contradicted", "error", "number", "parted", "sharp", "sure", "value")
 
     def __init__(self) -> None:
         self.value, self.error, self.number = math.nan, math.inf, 0
-        self.sharp = self.sure = self.contradicted = False
+        self.sharp = self.sure = self.contradicted = self.parted = False
 
     def take(self, value: float, doubt: float, number: int) -> None:
         """Look at the estimate by the next longer step."""
@@ -237,8 +240,12 @@ def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: C
     few = None if kept is None else kept.by_few(function, t, scale)
     if few is not None:
         return few
-    first, second = search(function, t, scale, ALWAYS if kept is None else kept.smooth_about(t))
-    return first.value, second.value
+    span = ALWAYS if kept is None else kept.smooth_about(t)
+    found = search(function, t, scale, span)
+    if found[1].parted:
+        ahead = search(function, t, scale, (t, span[1]))
+        found = ahead if ahead[1].error < SMOOTH * found[1].error else found
+    return found[0].value, found[1].value
 
 
 def search(
@@ -250,7 +257,9 @@ def search(
 ) -> tuple[Best, Best]:
     """The same by some of the steps, as long as they stay in the ``span`` of times in which the function is smooth."""
     here = float(function(t))
-    found = (Best(), Best())
+    first, second = Best(), Best()
+    shorter: tuple[float, float] | None = None  # s' by the step before, with its doubt
+    side: tuple[DifferenceFormula, ...] | None = None
     for number in steps:
         h = STEPS[number]
         if t + h == t:
@@ -262,14 +271,35 @@ def search(
 
         # values are known to their roundoff, and times to theirs
         d = [value - here for value in there]
-        noise = EPS * max(scale, abs(here), max(map(abs, there))) + EPS * abs(t) / h * max(map(abs, d))
-        for power, best, formula in zip((h, h * h), found, formulas, strict=True):
-            value, rough = formula.sums(d)
-            best.take(value / power, (abs(value - rough) + noise * formula.size) / power, number)
+        most = max(map(abs, d))
+        noise = EPS * max(scale, abs(here), max(map(abs, there))) + EPS * abs(t) / h * most
+        (rate, rough_rate), (curve, rough_curve) = (formula.sums(d) for formula in formulas)
+        blur, blurred = (noise * formula.size for formula in formulas)
 
-        if found[0].contradicted and found[1].contradicted:
+        rate, doubt = rate / h, (abs(rate - rough_rate) + blur) / h
+        # where longer steps fit on another side only, and it is another function there
+        if side is not None and side is not formulas and not _agree(rate, doubt, first.value, first.error):
             break
-    return found
+        side = formulas
+        first.take(rate, doubt, number)
+        # across a kink both formulas of s'' may agree by chance, but s' leaps
+        if shorter is None or _agree(rate, doubt, *shorter):
+            apart = abs(curve - rough_curve)
+            second.take(curve / (h * h), (apart + blurred) / (h * h), number)
+            if second.number == number:
+                second.parted = apart > SMOOTH * most + blurred
+        else:
+            second.contradicted |= second.sure
+        shorter = rate, doubt
+
+        if first.contradicted and second.contradicted:
+            break
+    return first, second
+
+
+def _agree(rate: float, doubt: float, other: float, its_doubt: float) -> bool:
+    """Whether two estimates, each with its doubt, may be of one rate."""
+    return abs(rate - other) <= SMOOTH * abs(rate) + AGREES * (doubt + its_doubt)
 
 
 def _around(

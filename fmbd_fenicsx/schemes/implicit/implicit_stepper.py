@@ -24,7 +24,7 @@ from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ...system.tangents.foretold_efforts import foretold_efforts
-from ..consistent import MASS, accelerations, corrected, project, worst_block
+from ..consistent import MASS, arrived, corrected, project, worst_block
 from ..consistent_states import all_corrected, metrics_of, projected
 from ..control import FALLEN, ROUNDOFF, STAGNATION, Statistics, StepControl, first_step
 from ..dae import Points
@@ -108,8 +108,10 @@ class ImplicitStepper(ImplicitMarch):
         self.eq.weigh(state)
 
     def restart(self, t: float) -> None:
-        """Forget the past: the solution has a kink at t. Accelerations and multipliers behind the kink are solved for."""
-        self._begin_from(accelerations(self.system, replace(self.state, t=t), self.solver))
+        """Forget the past: the solution has a kink at t. What drives have changed in velocities is an impact; accelerations and
+        multipliers behind the kink are solved for.
+        """
+        self._begin_from(arrived(self.system, replace(self.state, t=t), self.solver, places=False))
 
     def begin_anew(self, start: Callable[[], State]) -> bool:
         """As :meth:`TimeStepper.begin_anew`."""

@@ -24,7 +24,7 @@ from ...system.compiled.states.explicit import Tableau
 from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
-from ..consistent import accelerations, arrived
+from ..consistent import arrived
 from ..control import Statistics, StepControl, first_step, turn_limit, turns_too_far
 from ..error_norm import ErrorNorm, check_tolerance
 from ..newton import Newton
@@ -89,7 +89,7 @@ class ExplicitStepper(OwnMarch):
 
     def restart(self, t: float) -> None:
         """Accelerations and multipliers behind a kink at t."""
-        self.state = accelerations(self.system, replace(self.state, t=t), self.solver)
+        self.state = arrived(self.system, replace(self.state, t=t), self.solver, places=False)
         self.proposed, self.control.h_old, self.before = None, 0.0, None
 
     def between(self, t: float) -> State | None:
