@@ -350,6 +350,28 @@ def test_a_column_beyond_its_load_is_told_of(load: float, rod_mesh: Any, caplog:
     assert ('unstable: body "column"' in caplog.text) == (load > 1.0)
 
 
+@pytest.mark.parametrize(("follower", "dead"), [(4.8, 0.0), (0.5, 0.7), (0.5, 1.4), (0.0, 0.9)])
+def test_a_column_under_a_force_that_follows_is_unstable_where_it_diverges(
+    follower: float, dead: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A pressure on its end has no potential: beyond Euler's load, by which forces are given, the column stands until it flutters
+    (Beck, 8.1 of them). It was called unstable; its modes did not settle. With a dead force it diverges as modes tell.
+    """
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, 0.1), counts=(12, 1), quads=True)
+    euler = (0.5 * np.pi) ** 2 * 1e7 * 0.1**3 / 12.0
+    energy = fmbd.materials.sheet_saint_venant_kirchhoff(1e7, 0.0)
+    pressed = [fmbd.pressure("right", follower * euler / 0.1)] if follower else []
+    column = fmbd.AbsoluteBody("column", mesh, density=1e3, energy=energy, loads=pressed)
+    scene = fmbd.Scene("column")
+    scene.add(column, fmbd.fixed("clamp", fmbd.ground, column.surface("left")))
+    scene.add(fmbd.force("press", column.surface("right"), (-dead * euler, 0.0)))
+    found = fmbd.equilibrium(scene)
+    grow = fmbd.modes(scene, 2, at=found).eigenvalues.real.max()
+    assert (grow > 1.0) == (dead > 1.0)
+    assert ('unstable: body "column"' in caplog.text) == (dead > 1.0)
+    assert "did not settle" not in caplog.text
+
+
 @pytest.mark.parametrize("path", [fmbd.ArcLength(1.0), fmbd.LoadSteps(tuple(np.linspace(0.05, 1.0, 20)))])
 def test_a_path_stays_on_its_branch(path: Any, caplog: pytest.LogCaptureFixture) -> None:
     """A column pushed with 1.5 of its buckling load and 1e-4 of that across it: the elastica, or it is said that it stands on."""

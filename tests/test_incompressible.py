@@ -333,3 +333,16 @@ def pendulum_of(body: Any) -> fmbd.Run:
     scene = fmbd.Scene("pendulum", gravity=(0.0, -9.81))
     scene.add(body, fmbd.revolute("pin", body.surface("pin"), fmbd.ground))
     return fmbd.solve(scene, t_end=0.2, dt=2.5e-3, output=QUIET)
+
+
+def test_a_path_by_arc_length_is_refused() -> None:
+    """It went on for minutes without a point: pressures that bodies carry do not move along a path."""
+    mesh = fmbd.read_gmsh(ROOT / "meshes/block.py", size=(1.0, 0.5), counts=(2, 1))
+    pull = fmbd.traction("right", (1e4, 0.0), time=lambda t: t)
+    block = fmbd.AbsoluteBody("block", mesh, density=DENSITY, energy=neo_hookean_incompressible(E), loads=[pull])
+    scene = fmbd.Scene("pulled")
+    scene.add(block, fmbd.fixed("wall", block.surface("left"), fmbd.ground))
+    scene.sensor("end", fmbd.position(block.surface("right")))
+    with pytest.raises(InputError, match='"block" carries its pressure.*LoadSteps'):
+        fmbd.equilibrium(scene, path=fmbd.ArcLength(1.0))
+    assert fmbd.equilibrium(scene, path=fmbd.LoadSteps((0.5, 1.0)))["end"][0] > 1.0

@@ -84,6 +84,12 @@ class ArcLength:
 
     def trace(self, newton: StaticNewton, start: StaticPoint, t: float) -> Path:
         """The path from an equilibrium at t on; collective. Raises ConvergenceError where steps become too short."""
+        carried = [p.name for _, p in newton.residual.system.fields if p.field.carried]
+        require(
+            not carried,
+            f'Body "{(carried or [""])[0]}" carries its pressure as an unknown: paths by ArcLength are not offered for it. Take '
+            "fmbd.LoadSteps(...), or materials.neo_hookean_mixed, whose pressure is eliminated.",
+        )
         span = self.t_end - t
         path = Path([t], [start])
         tangent = newton.solvable(partial(_tangent, newton, start, t, span, None))

@@ -7,7 +7,8 @@ With K the exact stiffness on increments y of the configuration as lengths, G y 
 is found by Davidson's method: on a growing basis V the smallest eigenvalue mu of V^T K V and its vector y, and as one more vector
 w = P^-1 r, r = K y - mu y, with P the matrix of the equilibrium's own Newton iteration. A vector costs a product with K and a
 back-solve. A negative mu is proof where differences over ten times the way tell the same, which roundoff does not; a positive one
-counts where w lowers it no more, r^T w << mu |y|^2.
+counts where w lowers it no more, r^T w << mu |y|^2. Forces that follow have no potential, K is not symmetric, and a negative mu
+proves nothing: there motions of the basis with K y = l M y and real l < 0 are asked for. Flutter is left to modes.
 
 What spins may be held by gyroscopic forces where K is not definite: there the eigenvalues of small motions decide, of scenes
 that have few.
@@ -18,6 +19,7 @@ Source: Morgan and Scott, Generalizations of Davidson's method, doi:10.1137/0907
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg as sl
 
 from ...rotations import Array
 from ..small_motions.basis import DENSE_LIMIT, new_part, projected, random_motion
@@ -48,10 +50,8 @@ def falling(about: Perturbation, newton: StaticNewton) -> Array | None:
     images: list[Array] = []
     new = newton.solver.solve(about.mass(random_motion(about, 0)), none)[0]
 
-    while len(basis) < MOST:
-        v = new_part(about, basis, new, newton.solver.solve)
-        if v is None:
-            break
+    mu, away, skew = 0.0, None, False
+    while len(basis) < MOST and (v := new_part(about, basis, new, newton.solver.solve)) is not None:
         basis.append(v)
         images.append(about.stiffness(v))
         K = np.array([[system.dot(x, image) for image in images] for x in basis])
@@ -59,16 +59,34 @@ def falling(about: Perturbation, newton: StaticNewton) -> Array | None:
 
         mu, y = float(values[0]), vectors[:, 0] @ np.array(basis)
         slowest = SLOW * newton.weights.cm * system.dot(y, about.mass(y))
-        if mu < -max(FLAT * np.abs(values).max(), ROUGH * np.abs(K - K.T).max(), slowest):
-            size = system.max_abs(y)
-            along = _quotient(newton, about, y / size) * size**2
-            return np.asarray(y / size) if abs(along - mu) <= ALIKE * abs(mu) else None
+        skew = mu > -ROUGH * np.abs(K - K.T).max()
+        away = y if mu < -max(FLAT * np.abs(values).max(), slowest) else None
+        # one motion alone does not show whether its forces have a potential
+        if away is not None and not skew and len(basis) > 1:
+            break
 
         rest = vectors[:, 0] @ np.array(images) - mu * system.units**2 * y
         new = newton.solver.solve(rest, none)[0]
         if mu > 0.0 and system.dot(rest, new) <= SETTLED * mu:
             break
-    return None
+    if away is not None and skew:
+        away = _diverging(about, basis, K)
+        mu = 0.0 if away is None else system.dot(away, about.stiffness(away))
+    if away is None:
+        return None
+
+    size = system.max_abs(away)
+    along = _quotient(newton, about, away / size) * size**2
+    return np.asarray(away / size) if abs(along - mu) <= ALIKE * abs(mu) else None
+
+
+def _diverging(about: Perturbation, basis: list[Array], K: Array) -> Array | None:
+    """The motion of a basis that forces without a potential drive away fastest, K y = l M y with l < 0; None: there is none."""
+    masses = [about.mass(v) for v in basis]
+    rates, motions = sl.eig(K, np.array([[about.system.dot(x, mass) for mass in masses] for x in basis]))
+    rates = np.where(rates.imag == 0.0, rates.real, np.inf)
+    fastest = int(rates.argmin())
+    return np.asarray(motions[:, fastest].real @ np.array(basis)) if rates[fastest] < 0.0 else None
 
 
 def grows(about: Perturbation, newton: StaticNewton, motion: Array) -> bool:

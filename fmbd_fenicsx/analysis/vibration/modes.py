@@ -31,7 +31,7 @@ from ...system.scene.alike import alike
 from ...system.scene.scene import Scene
 from ...system.speed_rows import speed_rows
 from ...system.system import System
-from ..small_motions.basis import ProjectedSystem, projected
+from ..small_motions.basis import EXACT, ProjectedSystem, projected
 from ..small_motions.first_order import first_order, slowest
 from ..small_motions.perturbation import Perturbation
 from ..small_motions.small_memory import refuse_moving_memory, relaxes
@@ -372,7 +372,10 @@ class Settled:
         size, rough = np.abs(self.last), _roundoff(small, vectors)
         rigid = size <= rough
         borne = np.where(rigid | (rough <= ROUGH * size), rough, 0.0)
-        same = np.abs(self.last - last) <= STAYS * (size + RIGID * size.max()) + borne
+        # left and right vectors differ: what solves leave counts by itself, else by its square
+        followed = np.abs(small.K - small.K.T).max() > STAYS * np.abs(small.K).max()
+        stays = EXACT.rtol if followed else STAYS
+        same = np.abs(self.last - last) <= stays * (size + RIGID * size.max()) + borne
         self.stays = self.stays + 1 if same.all() else 0
         return self.stays == 2
 
