@@ -251,13 +251,16 @@ class BDFStepper(Corrector):
 
     # -- error and order ----------------------------------------------------------------------------------------
     def _error(self, h: float, p: Points, k: int) -> float:
-        """Error of a step taken with order k if it had been taken with order ``k``."""
+        """Error of a step if it had been taken with order ``k``: of what the past foretold wrongly the share of smooth motion.
+
+        Behind longer steps that share is small, and would hide forces that bend within the step: it counts as behind equal ones.
+        """
         times, xis, vs = local(self.system, self.state.q, self.past[: k + 1])
         t = self.state.t + h
         if len(times) < k + 1:
             return np.inf
         w = weights(times, t)
-        share = h / (t - times[-1])
+        share = max(h / (t - times[-1]), 1.0 / (k + 1))
         return self._error_size(h, self._pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
 
     def _choose(self, h: float, p: Points, error: float) -> float:

@@ -167,7 +167,7 @@ static int end_bdf(System *s, Implicit *o, const double *p, const Block *now, Bl
 
 /* ---- sizes and orders ---- */
 
-/* The error of the point if it had been taken with order k, over the tolerance. ``room``: 2 nv and that of step_error(). */
+/* The error of the point if it had been taken with order k, over the tolerance, as _error() of bdf.py. ``room``: 2 nv and that of step_error(). */
 static double point_error(const System *s, const Implicit *o, int k, Values *e, double *room)
 {
     const Stages *g = o->stages;
@@ -178,7 +178,7 @@ static double point_error(const System *s, const Implicit *o, int k, Values *e, 
     memcpy(room + n, g->v, n * sizeof(double));
     add_foretold(g, k + 1, e, t, -1.0, room, room + n);
     const double *parts[2] = {room, room + n};
-    return (t - e->t[0]) / (t - e->t[k]) * step_error(s, o, parts, 2, room + 2 * n);
+    return fmax((t - e->t[0]) / (t - e->t[k]), 1.0 / (k + 1)) * step_error(s, o, parts, 2, room + 2 * n);
 }
 
 /* Of a step with this error of order k. */

@@ -7,6 +7,8 @@ typedef struct {
     double size, greatest, theta, share;
 } Convergence;
 
+static const double PASSED = -1.0; /* in the place of a size */
+
 /* What is left of the error, over the size of increment k. */
 static double share_left(const Convergence *o, int k)
 {
@@ -22,11 +24,11 @@ static int is_roundoff(const Convergence *o, int k, double ratio, double size, d
     return (ratio > 0.5 && size <= o->calm && last <= o->before * o->calm) || (stagnates && still);
 }
 
-/* Take notice of an increment that tells nothing of the iteration. */
+/* Take notice of an increment that tells nothing of the iteration, nor by how much the next one is smaller. */
 static void pass_increment(Convergence *o, double size)
 {
     o->done++;
-    o->size = size;
+    o->size = PASSED;
     if (!(size < INFINITY)) o->outcome = DIVERGED;
     else if (o->done == o->most) o->outcome = TOO_SLOW;
 }
@@ -34,7 +36,7 @@ static void pass_increment(Convergence *o, double size)
 /* Take notice of one more increment; ``still``: it moved nothing beyond roundoff. */
 EXPORT void judge_increment(Convergence *o, double size, int still)
 {
-    const int k = o->done++;
+    const int k = o->done++, told = k && o->size != PASSED;
     const double last = o->size;
     o->size = size;
     o->greatest = fmax(size, o->greatest);
@@ -42,13 +44,13 @@ EXPORT void judge_increment(Convergence *o, double size, int still)
         o->outcome = DIVERGED;
         return;
     }
-    if (k) {
+    if (told) {
         double ratio = last > 0.0 ? fmin(size / last, o->largest) : 0.0;
         o->theta = k > 1 && o->averaged ? sqrt(ratio * fmax(o->theta, 1e-10)) : ratio;
         if (is_roundoff(o, k, ratio, size, last, still)) o->size = size = 0.0;
         else if (o->theta >= o->limit && size > o->tolerance && (o->adaptive || k > 3)) o->outcome = DIVERGED;
     }
-    o->share = share_left(o, k);
+    o->share = k && !told ? 1.0 : share_left(o, k);
     if (o->outcome == DIVERGED) return;
 
     double left = o->share * size;
