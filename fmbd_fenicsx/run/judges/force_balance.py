@@ -33,6 +33,7 @@ from math import hypot
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ...errors import ConvergenceError
@@ -175,6 +176,8 @@ class Balanced(Remembering):
         if s.n_lam:
             out += abs(ev.jacobian.core).T @ np.abs(state.lam)
         frames = out[: s.n_frames * s.motions.n_twist].reshape(s.n_frames, s.motions.n_twist)  # a view
+        if s.n_lam:
+            frames[:, d:] += (_arms(ev) * frames[:, :d].max(axis=1, initial=0.0))[:, None]
 
         if s.forces:
             size = np.abs(ev.wrenches())
@@ -187,6 +190,18 @@ class Balanced(Remembering):
         for part in (frames[:, :d], frames[:, d:]):
             part[:] = part.max(axis=1, keepdims=True)
         return out
+
+
+def _arms(ev: Evaluation) -> Array:
+    """The longest arm at which a joint pushes each frame, (n_frames,): a force along it has no moment, as axes lie by chance."""
+    s, d = ev.system, ev.system.motions.dim
+    twist, n = s.motions.n_twist, s.n_frames
+    squares = sp.csr_array(ev.jacobian.core)[:, : n * twist].power(2)
+    column = np.arange(n * twist)
+    turns = column % twist >= d
+    of_frame = sp.csr_array((np.ones(n * twist), (column, 2 * (column // twist) + turns)), (n * twist, 2 * n))
+    push, turn = (squares @ of_frame).toarray().reshape(-1, n, 2).transpose(2, 0, 1)
+    return np.asarray(np.sqrt(np.divide(turn, push, out=np.zeros_like(turn), where=push > 0).max(axis=0)))
 
 
 def _held(ev: Evaluation, A: Any, left: Array) -> Array:
