@@ -189,3 +189,32 @@ def test_elastic_bodies_may_settle() -> None:
     assert guarded.watch.rejections == 0 and guarded.state.v[0] > 2.0
     guarded.advance(1.0)
     assert guarded.watch.rejections == 2
+
+
+def bouncing(k: float, damping: float = 0.0) -> fmbd.Scene:
+    """A ball that falls by 1 m onto an elastic stop."""
+    scene = fmbd.Scene("bounce", gravity=(0.0, -9.81))
+    ball = fmbd.RigidBody("ball", 1.0, 0.1, position=(0.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, ball, center=(0, 0), axis=(0, 1))
+    stop = fmbd.elastic_stop("stop", fmbd.displacement(rail), lower=-1.0, stiffness=k, damping=damping)
+    scene.add(ball, rail, stop)
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("scheme", "dt", "k", "words"),
+    [
+        (fmbd.GeneralizedAlpha(rtol=1e-4), None, 1e6, ["of the energy is lost in a step"]),
+        (fmbd.GeneralizedAlpha(), 0.013, 1e6, ["the energy grows by", "of the energy is lost in a step"]),
+        (fmbd.Radau(rtol=1e-6), None, 1e6, []),
+        (fmbd.GeneralizedAlpha(), 1e-4, 1e6, []),
+    ],
+)
+def test_a_stop_that_is_struck_within_a_step(scheme: Any, dt: float | None, k: float, words: list[str]) -> None:
+    """A stop stores and gives back: energy that a step makes or loses there is told, where nothing gives or takes any."""
+    run = fmbd.solve(bouncing(k), t_end=1.82, dt=dt, scheme=scheme)
+    assert len(run.warnings) == len(words)
+    for word, told in zip(words, run.warnings, strict=True):
+        assert word in told
+    damped = fmbd.solve(bouncing(k, damping=50.0), t_end=0.6, dt=1e-4)
+    assert not damped.warnings

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from profiled import calls_of
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -197,3 +198,26 @@ def test_a_program_without_logging_sees_each_warning_once(monkeypatch: Any, caps
     for _ in range(2):
         driven(lambda t: 0.1 * max(t - 0.4567, 0.0))
     assert capsys.readouterr().err.count("kink at t = 0.4567 s") == 1
+
+
+TIMES = np.linspace(0.0, 0.05, 11)
+TABLE = CubicSpline(TIMES, TIMES**2)
+SHORT = {
+    "drive": lambda body, s: fmbd.drive("short", s, TABLE),
+    "motor": lambda body, s: fmbd.motor("short", s, target=TABLE, kp=1.0),
+    "effort": lambda body, s: fmbd.effort("short", s, make_interp_spline(TIMES, TIMES**2)),
+    "force": lambda body, s: fmbd.force("short", body, CubicSpline(TIMES, np.stack((TIMES, TIMES), axis=1))),
+}
+
+
+@pytest.mark.parametrize("made", SHORT.values(), ids=SHORT)
+def test_tables_that_end_before_the_run_are_told(made: Any) -> None:
+    """An interpolation goes on with its last polynomial."""
+    for t_end, told in ((0.05, False), (0.1, True)):
+        scene = fmbd.Scene("tables")
+        body = fmbd.RigidBody("body", 1.0, 1.0, position=(1.0, 0.0))
+        hinge = fmbd.revolute("hinge", fmbd.ground, body, center=(0.0, 0.0))
+        scene.add(body, hinge, made(body, fmbd.angle(hinge)))
+        run = fmbd.solve(scene, t_end=t_end, dt=0.01)
+        assert any('"short" goes from 0 to 0.05 s, the run from 0 to 0.1 s' in line for line in run.warnings) == told
+        assert len(run.warnings) == told

@@ -26,7 +26,7 @@ from ..system.layout import State
 from ..system.mobility import tell_of_modes
 from ..system.scene.scene import Scene
 from ..system.system import System
-from .judges.energy_check import isolated, roundoff_energy, strain_energy
+from .judges.energy_check import isolated, lossless, roundoff_energy, strain_energy
 from .recording.recorder import Recorder
 
 GROWTH = 0.02
@@ -36,6 +36,7 @@ CONTRADICTS, CURVES = 1e-8, 10.0  # of the model's length; times the square of a
 PLACES = 100 * float(np.finfo(float).eps)  # of the model's length, roundoff of places in one step
 HALVINGS = 10
 SHARE = 0.05  # of the steps
+LOST = 0.05  # share of the energy that one step takes from what nothing takes any
 SETTLING = 10  # records, of the first steps
 CHATTER = 0.1  # of the impacts may be short: a body that comes to rest
 
@@ -48,6 +49,8 @@ def warn_of_doubts(
     system = solver.system
     if recorder.energies and isolated(scene, system):
         _growth(system, recorder.energy, recorder.times, start)
+    if recorder.energies and lossless(scene, system):
+        _loss(recorder.energy, recorder.times)
     _halvings(counters)
     _impacts(counters)
     _open_velocities(recorder, counters)
@@ -88,6 +91,20 @@ def _growth(system: System, energy: dict[str, Array], times: Array, start: State
             "the energy grows by %.3g J (from %.6g J to at most %.6g J) although nothing puts energy into the scene: the step "
             "does not follow the motion. Take a smaller dt%s",
             growth, total[0], np.max(total), ", fmbd.Radau() or fmbd.EnergyMomentum()" if system.contacts is None else "",
+        )  # fmt: skip
+
+
+def _loss(energy: dict[str, Array], times: Array) -> None:
+    """Energy that is gone within a step: of what struck a stop and left it again, or stayed."""
+    total: Array = sum(energy.values(), start=np.zeros(len(times)))
+    turnover = float(np.max(energy["kinetic"] + energy["elastic"] + np.abs(energy["springs"])))
+    lost = total[:-1] - total[1:]
+    if np.max(lost, initial=0.0) > LOST * turnover:
+        k = int(np.argmax(lost))
+        log.warning(
+            "t = %.6g s: %.0f %% of the energy is lost in a step of %.3g s, and nothing takes any: a stop, or another stiff "
+            "part, is struck and left within it. Take a smaller dt or rtol, or fmbd.Radau() with its own steps",
+            times[k + 1], 100 * min(lost[k] / turnover, 1.0), times[k + 1] - times[k],
         )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from .accuracy.companion_runs import Compared
 from .built import Built, ConsistentStart
 from .doubts import warn_of_doubts
 from .judges.rank_advice import advise_on_ranks
+from .judges.tables_in_time import warn_of_short_tables
 from .judges.turning_rows import warn_of_turning_rows
 from .loads_ahead import seeing_loads
 from .problem import Problem, make_solver
@@ -147,6 +148,7 @@ def _finished(
     undetermined = not_unique(solver, marched.state)
     warn_of_doubts(task.scene, solver, marched.recorder, counters, (start.state, marched.state))
     warn_of_late_samples(task.scene, task.schedule)
+    warn_of_short_tables(task.scene, task.schedule.begin, task.schedule.t_end)
     if task.scene.breakpoints:
         warn_of_close_break_points(task.scene, task.schedule.t_end)
     warn_of_dense_break_points(task.schedule)

@@ -30,10 +30,17 @@ class Held:
 class EffortLaw:
     """A restoring effort N(s, s', t) with its derivatives and its potential.
 
-    ``conserves``: no effort but that of the energy :meth:`stored`, so that it neither gives nor takes any.
+    ``conserves``: no effort but that of the energy :meth:`stored`, so that it neither gives nor takes any, and does not bend.
+    ``gives``: whether it may give more than it stores.
     """
 
     conserves: ClassVar[bool] = False
+    gives: ClassVar[bool] = True
+
+    @property
+    def takes(self) -> bool:
+        """Whether it may take energy."""
+        return not self.conserves
 
     @property
     def formula(self) -> tuple[str, tuple[float, ...]] | None:
@@ -69,6 +76,8 @@ class Friction(EffortLaw):
     stribeck: float
     viscous: float
 
+    gives: ClassVar[bool] = False
+
     @property
     def formula(self) -> tuple[str, tuple[float, ...]]:
         """Smooth friction."""
@@ -103,6 +112,13 @@ class ElasticStop(EffortLaw):
     stiffness: float
     damping: float
     width: float
+
+    gives: ClassVar[bool] = False
+
+    @property
+    def takes(self) -> bool:
+        """Where it is damped."""
+        return self.damping > 0.0
 
     @property
     def formula(self) -> tuple[str, tuple[float, ...]]:

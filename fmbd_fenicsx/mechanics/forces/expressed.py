@@ -32,6 +32,7 @@ class OfPotential(EffortLaw):
     """The unit effort of (1): the coordinate itself is the energy."""
 
     conserves = True
+    gives = False
 
     @property
     def formula(self) -> tuple[str, tuple[float, ...]]:

@@ -39,6 +39,7 @@ class SmoothMotion:
     positive: bool = False
     formula: Callable[[float, float], Rates | None] | None = None  # s' and s'' at t where s is a place
     steps: CountingSteps = field(default_factory=CountingSteps)  # of differences
+    table: Callable[[float], Any] | None = None  # as the user gave it
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """s, s', s'' at a time."""
@@ -144,7 +145,7 @@ def smooth_motion(
     :class:`SmoothMotion`.
     """
     checked_function(f'{of.capitalize()} "{name}": motion', function, "t", named="t")
-    function = _with_its_derivatives(function)
+    given, function = function, _with_its_derivatives(function)
     what = f"The motion of {of}"
     asked = named(what, name, function, to_end=True)
     differenced = named(what, name, function)
@@ -152,7 +153,7 @@ def smooth_motion(
     complete = len(first) == 3
     written = None if complete else TimeFormula.of(function)
     formula = None if written is None else named(what, name, written.rates, time=0)
-    return SmoothMotion(name, asked, of, complete, differenced, positive, formula)
+    return SmoothMotion(name, asked, of, complete, differenced, positive, formula, table=given)
 
 
 class CouplingBatch(Batch):

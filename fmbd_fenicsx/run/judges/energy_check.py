@@ -16,7 +16,7 @@ damping of the scheme then removes it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -40,8 +40,9 @@ ROUNDOFF = 1e-12
 
 
 def closed(scene: Scene, system: System) -> bool:
-    """Whether nothing can put energy into a scene, and no contact may take it away in impacts."""
-    return not scene.unilateral and isolated(scene, system)
+    """Whether nothing can put energy into a scene, no contact may take it away in impacts, and no law of an element bends."""
+    bends = not all(isinstance(law, EffortLaw) and law.conserves for law in _laws(system))
+    return not (scene.unilateral or bends) and isolated(scene, system)
 
 
 def isolated(scene: Scene, system: System) -> bool:
@@ -50,14 +51,23 @@ def isolated(scene: Scene, system: System) -> bool:
     worked = any([b.may_do_work for b in scene.bodies.values()])
     driven = any([batch.driven for batch, _ in system.batches])
     moved = any(tie.motion is not None for tie in scene.ties.values())
-    forced = any(not isinstance(f, ScalarLoads) or _gives(f) for f in system.forces)
+    forced = any(not isinstance(f, ScalarLoads) for f in system.forces)
+    forced = forced or not all(isinstance(law, EffortLaw) and not law.gives for law in _laws(system))
     return not (worked or driven or moved or forced or pushed or scene.gravity_changes or scene.sliders)
 
 
-def _gives(loads: ScalarLoads) -> bool:
-    """Whether a law of some elements may put energy into a scene: all but those of a potential."""
-    laws = (loads.forces[i].law for i in loads.own)
-    return not all(isinstance(law, EffortLaw) and law.conserves for law in laws)
+def lossless(scene: Scene, system: System) -> bool:
+    """Whether nothing can take energy from a scene that nothing puts any into, which has stops of an energy."""
+    bodies = all([b.keeps_energy for b in scene.bodies.values()])
+    damped = any(type(f) is not ScalarLoads or f.c.any() for f in system.forces)
+    stopped = [not law.takes and not law.conserves for law in _laws(system) if isinstance(law, EffortLaw)]
+    taken = any(not isinstance(law, EffortLaw) or law.takes for law in _laws(system))
+    return bodies and any(stopped) and not (damped or taken or scene.unilateral) and isolated(scene, system)
+
+
+def _laws(system: System) -> list[Any]:
+    """The laws of elements on coordinates, a user's own ones too."""
+    return [loads.forces[i].law for loads in system.forces if isinstance(loads, ScalarLoads) for i in loads.own]
 
 
 class Watch(Remembering):
