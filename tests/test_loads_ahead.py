@@ -203,7 +203,7 @@ def test_a_column_that_never_rests_has_no_marks() -> None:
     system, state, _ = scene.build()
     own = step_schedule(scene, SCHEMES[2], 3.0, None)
     assert len(seeing_loads(own, SCHEMES[2], scene, system, state).marks) == 0
-    assert len(loads_ahead(scene, system, state, step_schedule(scene, fmbd.Rattle(), 3.0, 0.03))) == 0
+    assert len(loads_ahead(scene, fmbd.Rattle(), system, state, step_schedule(scene, fmbd.Rattle(), 3.0, 0.03))) == 0
 
 
 def test_a_share_of_what_does_not_move_is_no_tolerance() -> None:

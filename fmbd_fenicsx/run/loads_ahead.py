@@ -79,14 +79,14 @@ def seeing_loads(schedule: StepSchedule, scheme: Any, scene: Scene, system: Syst
 
 
 def loads_ahead(
-    scene: Scene, system: System, state: State, schedule: StepSchedule, within: float = FEW_STEPS
+    scene: Scene, scheme: Any, system: System, state: State, schedule: StepSchedule, within: float = FEW_STEPS
 ) -> tuple[float, ...]:
     """Instants (s) at which loads jump all along a run, and of equal steps those at which some have to end so that none passes
     over loads that come and go ``within`` so many, where both depend on time alone; collective.
     """
     if not loads_vary(scene, system):
         return ()
-    held = HeldState(system, state)
+    held = HeldState(system, state, Declared.by(scheme).compiled)
     jumps = () if system.fields else jumps_in_time(held, all_along(schedule))  # of fields it costs as much as steps
     found = set(jumps)
     if schedule.steps:

@@ -277,7 +277,7 @@ def _jumps_within(run: Run, schedule: StepSchedule) -> tuple[float, ...]:
     state that is held; collective.
     """
     try:
-        seen = loads_ahead(run.scene, run.system, run.state, schedule, PASSED)
+        seen = loads_ahead(run.scene, run.scheme, run.system, run.state, schedule, PASSED)
         return seen or jumps_about_kinks(run, schedule, run.series)
     except UNFIT as error:
         log.info("jumps of loads are not looked for: %s", error)

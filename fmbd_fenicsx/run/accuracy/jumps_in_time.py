@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...rotations import Array
+from ...schemes.declared import Declared
+from ...system.compiled.choice import use_driver
 from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.system import System
@@ -33,11 +35,12 @@ AT_ONCE = 2e6  # numbers of an evaluation at many instants
 @dataclass(frozen=True)
 class HeldState:
     """Forces, and rates that drives prescribe, as functions of time alone: those of a system with a state held, ``known`` at the
-    times (s) that were asked for.
+    times (s) that were asked for. ``compiled``: the driver is to tell them, whose tables are made when they are asked for.
     """
 
     system: System
     state: State
+    compiled: bool = False
     known: dict[float, Array] = field(default_factory=dict)
 
     def rows(self, times: Array) -> Array:
@@ -51,6 +54,8 @@ class HeldState:
 
     def _rows(self, times: Array) -> Array:
         system = self.system
+        if self.compiled:
+            use_driver(system)
         q, v = (np.tile(x, (len(times), 1)) for x in (self.state.q, self.state.v))
         seen = system.batch(times, q, v)
         forces = seen.balance(np.zeros_like(v)) / system.units
@@ -168,7 +173,8 @@ def jumps_about_kinks(run: Run, schedule: StepSchedule, sensors: Iterable[str]) 
     if not schedule.steps or closed(run.scene, run.system):
         return ()
     stretches = [times for name in sensors for times in about_kinks(run, name)]
-    return tuple(sorted({*jumps_in_time(HeldState(run.system, run.state), stretches)}))
+    held = HeldState(run.system, run.state, Declared.by(run.scheme).compiled)
+    return tuple(sorted({*jumps_in_time(held, stretches)}))
 
 
 def with_break_points(scene: Scene, more: tuple[float, ...]) -> Scene:

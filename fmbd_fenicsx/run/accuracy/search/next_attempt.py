@@ -14,9 +14,7 @@ import numpy as np
 
 from ....errors import InputError, require
 from ....log import log
-from ....schemes.declared import Declared
 from ....schemes.error_norm import FINEST
-from ....system.compiled.choice import use_driver
 from ....system.layout import State
 from ....system.scene.refinement import (
     cheap_levels,
@@ -37,7 +35,7 @@ from ..companion_runs import UNFIT
 from ..deviation import Deviation
 from ..equal_steps import FEWEST
 from ..estimates import usual_power
-from ..jumps_in_time import jumps_about_kinks, loads_vary, with_break_points
+from ..jumps_in_time import jumps_about_kinks, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
 from .shared_runs import Orders
 from .shared_spaces import SharedSpaces
@@ -273,16 +271,13 @@ def jumps_before(plan: AttemptPlan, shared: SharedSpaces) -> tuple[float, ...]:
     if meshed_bodies(plan.scene):
         return ()
     built = shared.ahead(plan.scene)
-    asked_often = not built.system.fields and loads_vary(plan.scene, built.system)  # at a hundred instants
-    if asked_often and Declared.by(plan.scheme).compiled:
-        use_driver(built.system)  # as its runs do
-    return _ahead(plan.scene, built.system, built.given, plan.schedule)
+    return _ahead(plan, built.system, built.given)
 
 
-def _ahead(scene: Scene, system: System, state: State, schedule: StepSchedule) -> tuple[float, ...]:
+def _ahead(plan: AttemptPlan, system: System, state: State) -> tuple[float, ...]:
     """See :func:`.loads_ahead`; none where loads have no value in the state that is held; collective."""
     try:
-        return loads_ahead(scene, system, state, schedule)
+        return loads_ahead(plan.scene, plan.scheme, system, state, plan.schedule)
     except UNFIT as error:
         log.info("jumps of loads are not looked for: %s", error)
         return ()
@@ -293,7 +288,7 @@ def jumps_within(plan: AttemptPlan, run: Run, tol: Tolerance, *, first: bool) ->
     collective.
     """
     slow = first and bool(meshed_bodies(plan.scene))
-    seen = _ahead(run.scene, run.system, run.state, plan.schedule) if slow else ()
+    seen = _ahead(plan, run.system, run.state) if slow else ()
     return seen or jumps_about_kinks(run, plan.schedule, tol)
 
 
