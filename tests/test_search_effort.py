@@ -179,18 +179,6 @@ def test_loads_are_asked_once_at_a_time() -> None:
     assert 200 < len(asked) < 260 and len(asked) - len(set(asked)) < 5
 
 
-def test_spaces_are_compared_with_the_tolerance_of_the_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With ten times that, what the steps differ by was stated as an error in space: thirty times the truth."""
-    made: list[float] = []
-    like = shared_runs.SharedRuns.like
-    monkeypatch.setattr(shared_runs, "looser_run", None)
-    noted = lambda self, run, scene: (made.append(run.scheme.rtol), like(self, run, scene))[1]  # noqa: E731
-    monkeypatch.setattr(shared_runs.SharedRuns, "like", noted)
-    case = MORE["kicked bar"]
-    fmbd.solve(case.scene(), t_end=case.t_end, tol=case.tol(5e-4), output=fmbd.Output(progress=False))
-    assert made == [1e-4]
-
-
 def at_a_stop() -> fmbd.Scene:
     """A body that swings against an elastic stop."""
     scene = fmbd.Scene("stop", gravity=(0.0, -9.81))

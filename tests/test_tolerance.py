@@ -106,6 +106,41 @@ def test_smaller_tolerances_tell_errors_of_controlled_steps(
     assert true <= 2e-6 and 0.5 < run.certificate["x"].total / true < 3.0
 
 
+def test_one_run_tells_errors_of_controlled_steps_and_of_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One with a smaller tolerance and twice the elements, in place of one for each: what it differs by is the error."""
+    case, made = CASES["rod, Radau"], marches(monkeypatch)
+    output = fmbd.Output(energy=False, progress=False)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={"tip": 1e-3}, output=output, **case.settings)
+    assert [x.scheme.rtol for x in made] == pytest.approx([1e-4, 1e-5]) and run.joint == "time"
+
+    true = float(np.abs(run["tip"] - case.reference(case, run.times)).max())
+    said = run.certificate
+    assert said["tip"].space is None and 0.5 < said["tip"].total / true < 3.0 and not said.unstated
+    assert "time: of time and space" in str(said) and said.as_dict()["joint"] == "time"
+
+
+@pytest.mark.parametrize(
+    ("name", "sensor", "tol", "rtols", "then"),
+    [
+        ("cable", "end", 5e-4, [1e-4, 1e-5, 1e-4], "finer meshes and finer steps"),
+        ("rod", "tip", 1e-2, [1e-4, 1e-5], "finer meshes"),
+    ],
+    ids=["both", "meshes"],
+)
+def test_what_one_run_tells_of_steps_and_meshes_is_told_apart(
+    name: str, sensor: str, tol: float, rtols: list[float], then: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it is too large: by one with the same tolerance on the finer meshes, or by none where steps have no part in it."""
+    case, made = EVERY[name], marches(monkeypatch)
+    output, scheme = fmbd.Output(energy=False, progress=False), fmbd.GeneralizedAlpha(rtol=1e-4)
+    run = fmbd.solve(case.scene(), t_end=case.t_end, tol={sensor: tol}, output=output, scheme=scheme)
+    assert [x.scheme.rtol for x in made[: len(rtols)]] == pytest.approx(rtols)
+    assert (made[len(rtols)].scheme.rtol < 1e-4) == ("steps" in then)
+    assert run.history[0].then == then and run.history[-1].then == "done" and len(run.history) == 2
+    true = float(np.abs(run[sensor] - case.reference(case, run.times)).max())
+    assert true <= tol and 0.5 < run.certificate[sensor].total / true < 3.0
+
+
 def test_values_within_one_step_hide_no_error() -> None:
     """A pendulum that one step takes to its end, with either tolerance: what its polynomial is off is told by smaller steps."""
     case = CASES["pendulum, Radau"]

@@ -44,7 +44,8 @@ class Run(Uncopied):
         local_error: the scheme's own indicator of the error of one step, largest over the run (m, rad).
         observed_order: sensor name -> order in h seen in the runs of the estimate, nan where it could not be
             seen.
-        space_unstated: what of the error by the meshes could not be stated, and why.
+        space_unstated: what of the error by the meshes could not be stated, and why. ``joint``: the kind of error, of time and
+            space, that holds the other; "" where each is stated.
         newton_accuracy: mean relative error that Newton's iteration left: its tolerance or less.
         deviations: kind (space, time, modes, algebra) -> sensor -> estimated error over time, with its sign.
         history: attempts of :func:`solve` with ``tol``.
@@ -79,6 +80,7 @@ class Run(Uncopied):
     local_error: float
     observed_order: dict[str, float] = field(default_factory=dict)
     space_unstated: str = ""
+    joint: str = ""
     newton_accuracy: float = 1e-6
     deviations: dict[str, dict[str, Deviation]] = field(default_factory=dict)
     history: tuple[Any, ...] = ()

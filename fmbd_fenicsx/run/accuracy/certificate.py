@@ -55,13 +55,15 @@ class Statement:
 @dataclass(frozen=True)
 class Certificate:
     """Statements of all sensors, the seconds of the run, why a kind of error was not stated: kind -> reason, and why an error may
-    be far from what is stated: sensor -> reason.
+    be far from what is stated: sensor -> reason. ``joint``: the kind, of time and space, that holds the other, as one run with
+    less of both told them.
     """
 
     statements: tuple[Statement, ...]
     seconds: float
     unstated: dict[str, str]
     uncertain: dict[str, str] = field(default_factory=dict)
+    joint: str = ""
 
     def __getitem__(self, sensor: str) -> Statement:
         """The statement of a sensor."""
@@ -79,6 +81,7 @@ class Certificate:
             shown = "".join(f"{'-':>10}" if x is None else f"{x:>10.1e}" for x in (*numbers, s.total, s.share))
             lines.append(f"{s.sensor:<{width}} {shown}  {s.unit}")
         lines += [f"{kind} not stated: {why}" for kind, why in self.unstated.items()]
+        lines += [f"{self.joint}: of time and space, told by one run with less of both"] if self.joint else []
         return "\n".join([*lines, *self.uncertain.values()])
 
     def as_dict(self) -> dict[str, object]:
@@ -93,7 +96,8 @@ class Certificate:
             }
             for s in self.statements
         }
-        return {"sensors": rows, "seconds": self.seconds, "unstated": self.unstated, "uncertain": self.uncertain}
+        told = {"unstated": self.unstated, "uncertain": self.uncertain, "joint": self.joint}
+        return {"sensors": rows, "seconds": self.seconds, **told}
 
 
 def certificate_of(run: Run) -> Certificate:
@@ -115,9 +119,9 @@ def stated_of(run: Run, sensors: Iterable[str]) -> Certificate:
     in_space, in_time, of_modes = run.space_error, run.error_estimate, run.reduction_error
 
     unstated = {}
-    if meshed and (run.space_unstated or not in_space):
+    if meshed and run.joint != "time" and (run.space_unstated or not in_space):
         unstated["space"] = run.space_unstated or "not asked for: Output(estimate_space=True)"
-    if not in_time:
+    if not in_time and run.joint != "space":
         asked = "error estimate" in run.seconds
         unstated["time"] = (
             "the runs to compare with did not end" if asked else "not asked for: Output(estimate_error=True)"
@@ -137,7 +141,7 @@ def stated_of(run: Run, sensors: Iterable[str]) -> Certificate:
         found = [kind[name] for kind in run.deviations.values() if name in kind]
         unit = run.scene.sensors[name].unit
         made.append(Statement(name, unit, space, in_time.get(name), modes, left, added_up(found) + more, span))
-    return Certificate(tuple(made), run.seconds["total"], unstated)
+    return Certificate(tuple(made), run.seconds["total"], unstated, joint=run.joint)
 
 
 def uncertain_of(run: Run, stated: Certificate) -> dict[str, str]:

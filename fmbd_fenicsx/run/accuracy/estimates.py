@@ -67,21 +67,30 @@ def tolerance_error(
     one, and agree: s falls on then. Of ``smooth`` motion f = 1/3 is enough for many steps, of which the second run lands at every
     second end, so that n_s / n_r is 3/2 at least; what kinks leave is chance, and comes near in both runs.
     """
-    given, rtol = Compared(coarse, schedule, problem.scheme), problem.scheme.rtol
+    try:
+        apart, left = beyond_by_tolerance(problem, Compared(coarse, schedule, problem.scheme), instants, smooth=smooth)
+    except UNFIT as error:
+        log.warning("no error estimate: the run with a smaller tolerance did not end: %s", error)
+        return {}
+    return {n: scaled(x, 1.0 / (1.0 - left[n])) for n, x in apart.items()}
+
+
+def beyond_by_tolerance(
+    problem: Problem, given: Compared, instants: int, *, smooth: bool, of: Built | None = None
+) -> tuple[dict[str, Deviation], dict[str, float]]:
+    """What a run with a smaller tolerance has beyond a given one, as :func:`tolerance_error` takes it, and k of that one;
+    ``of``: it is made with another system of the problem's scene; collective. Raises one of :data:`.UNFIT` where it does not end.
+    """
+    coarse, rtol = given.recorder, problem.scheme.rtol
     few = smooth and _lands_at(problem, coarse) and coarse.indices[-1] >= MANY
     share, every = (THIRD, 2) if few else (TENTH, 1)
     orders = expected_orders(problem.scheme, problem.scene, problem.system)
     for _ in range(DECADES):
         rtol = max(share * rtol, FINEST)
-        try:
-            apart, finer = _from_tolerance(problem, given, rtol, instants, every)
-        except UNFIT as error:
-            log.warning("no error estimate: the run with a smaller tolerance did not end: %s", error)
-            return {}
+        apart, finer = _from_tolerance(problem, given, rtol, instants, every, of)
         if grown(given, finer) ** max(orders.values(), default=1) >= TELLING or rtol == FINEST:
             break
-    left = {n: min(max(grown(given, finer) ** -p, share**FALLS), LEFT) for n, p in orders.items()}
-    return {n: scaled(x, 1.0 / (1.0 - left[n])) for n, x in apart.items()}
+    return apart, {n: min(max(grown(given, finer) ** -p, share**FALLS), LEFT) for n, p in orders.items()}
 
 
 def _lands_at(problem: Problem, made: Recorder) -> bool:
@@ -149,7 +158,7 @@ def usual_power(scheme: Any) -> float:
 
 
 def _from_tolerance(
-    problem: Problem, given: Compared, rtol: float, most: int = LOOKED_AT, every: int = 1
+    problem: Problem, given: Compared, rtol: float, most: int = LOOKED_AT, every: int = 1, of: Built | None = None
 ) -> tuple[dict[str, Deviation], Compared]:
     """What a run with another tolerance has beyond a given one, at some of its records, and that run; collective.
 
@@ -170,8 +179,10 @@ def _from_tolerance(
         landing = replace(landing, marks=tuple(sorted({*schedule.marks, *instants})))
     if finer and problem.said.ends_ahead and not (lands and recorder.indices[-1] >= MANY):
         landing = landing.below(HALF * mean)
-    made = Compared(companion(other, landing, wanted).recorder, schedule, other.scheme)
-    apart = {n: Deviation(made.recorder.times, x - recorder.series[n][rows]) for n, x in made.recorder.series.items()}
+    made = Compared(companion(other, landing, wanted, of).recorder, schedule, other.scheme)
+    there = {n: x[rows] for n, x in recorder.series.items()}
+    seen = {n: x for n, x in made.recorder.series.items() if x.shape == there[n].shape}  # not those of each mesh
+    apart = {n: Deviation(made.recorder.times, x - there[n]) for n, x in seen.items()}
     return apart, made
 
 

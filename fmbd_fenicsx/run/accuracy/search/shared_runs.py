@@ -407,7 +407,7 @@ class SharedRuns:
         if before is not None:
             return beyond(given.recorder, before), before
         fewer = scheme.rtol <= LOOSE and 10.0 ** (usual_power(scheme) / scheme.order) >= PAYS
-        if id(scene) in self._chosen or not fewer or allowed.lets(_usual(given, allowed.sensors)):
+        if id(scene) in self._chosen or not fewer or allowed.lets(usual_errors(given)):
             return None
         try:
             return looser_run(problem, given)
@@ -422,10 +422,10 @@ class SharedRuns:
         return found
 
 
-def _usual(made: Compared, sensors: Sequence[str]) -> dict[str, Deviation]:
+def usual_errors(made: Compared) -> dict[str, Deviation]:
     """Errors of about the size that a scheme's tolerance has as a share of the range of sensors."""
     times, series, rtol = made.recorder.times, made.recorder.series, made.scheme.rtol
-    return {n: Deviation(times[:1], rtol * np.ptp(series[n], axis=0)[None]) for n in sensors}
+    return {n: Deviation(times[:1], rtol * np.ptp(x, axis=0)[None]) for n, x in series.items()}
 
 
 def _expected(problem: Problem) -> dict[str, int]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -21,11 +22,13 @@ from ....system.scene.refinement import (
 from ....system.scene.scene import Scene
 from ....system.system import System
 from ...built import Built
+from ...single_run import Solved
 from ..companion_runs import UNFIT, Compared
-from ..deviation import Deviation
-from ..estimates import mode_deviations
+from ..deviation import Deviation, scaled
+from ..estimates import LOOKED_AT, beyond_by_tolerance, mode_deviations
 from .shared_runs import SharedRuns
 from .space_levels import (
+    AHEAD,
     UNENDED,
     finer_scene,
     from_below,
@@ -40,6 +43,28 @@ LEFT = 0.4
 LEAVES = 2e-3  # of the range of a sensor: what spaces of few unknowns may leave, where nothing is known of them
 
 Enough = Callable[[dict[str, Deviation]], bool] | None
+Finer = tuple[Scene, str, Built | None]  # spaces, what has none there, and their system, if anything is finer
+
+
+@dataclass(frozen=True)
+class TimeAndSpace:
+    """What a run with less error of time, a share ``left`` of it, and less in space is ``apart`` from another one."""
+
+    apart: Mapping[str, Deviation]
+    left: Mapping[str, float]
+
+    @property
+    def errors(self) -> dict[str, Deviation]:
+        """Those of both kinds together: each is at most so many times what it adds to the difference."""
+        return {n: scaled(x, max(AHEAD, 1.0 / (1.0 - self.left[n]))) for n, x in self.apart.items()}
+
+    def of_time(self, in_space: Mapping[str, Deviation]) -> dict[str, Deviation]:
+        """Those of time alone, as far as errors ``in_space`` were told by the same spaces."""
+        found = {}
+        for n, x in self.apart.items():
+            more = in_space[n].at(x.times) / AHEAD
+            found[n] = Deviation(x.times, (x.values - more) / (1.0 - self.left[n]))
+        return found
 
 
 class SharedSpaces(SharedRuns):
@@ -51,7 +76,7 @@ class SharedSpaces(SharedRuns):
     def __init__(self, newton: Newton | None, linear: Any, grain: int) -> None:
         super().__init__(newton, linear, grain)
         self.looked: dict[int, float] = {}
-        self._finer: dict[int, tuple[Scene, str, Built | None]] = {}
+        self._finer: dict[int, Finer] = {}
         self._next: set[int] = set()  # scenes whose errors are measured against the next level
         self._richer: dict[int, Scene] = {}
 
@@ -75,7 +100,28 @@ class SharedSpaces(SharedRuns):
                 log.warning("no error of reduction: the run with more modes did not end: %s", error)
         return {}
 
-    # -- meshes -------------------------------------------------------------------------------------------------------
+    # -- meshes, and time with them -----------------------------------------------------------------------------------
+    def all_at_once(self, solved: Solved, enough: Enough) -> TimeAndSpace | None:
+        """What a run with a smaller tolerance in finer spaces has beyond one with steps of its scheme's own choice; collective.
+
+        It is clearly better in both, so that what it differs by is the error, and costs less than a run for each. None where
+        there is no such run.
+        """
+        problem, given = solved.problem, solved.compared
+        finer, why, built = self._finer_of(problem.scene, given, enough)
+        if built is None or why:
+            return None
+        self._chosen[id(problem.scene)] = given
+        smooth = not solved.run.counters.get("rejected: error estimate")
+        try:
+            apart, left = beyond_by_tolerance(
+                replace(problem, scene=finer), given, LOOKED_AT, smooth=smooth, of=self.built(finer)
+            )
+        except UNFIT as error:
+            log.info("the run with a smaller tolerance in finer spaces did not end: %s", error)
+            return None
+        return TimeAndSpace(apart, left) if apart.keys() == given.recorder.series.keys() else None
+
     def space_error(
         self, scene: Scene, runs: Sequence[Compared], below: Sequence[Scene], enough: Enough = None
     ) -> tuple[dict[str, Deviation], str]:
@@ -131,18 +177,22 @@ class SharedSpaces(SharedRuns):
             if found is not None:
                 return found, ""
 
-        if id(scene) not in self._finer:
-            self._finer[id(scene)] = self._ahead(scene, made, enough) or finer_scene(scene)
-        finer, why, built = self._finer[id(scene)]
+        finer, why, built = self._finer_of(scene, made, enough)
         if built is None:
             return {}, why or "no body is on a mesh"
-        if id(finer) not in self._built:
-            self.keep(finer, built)
         try:
             fine = self.like(made, finer)
         except UNFIT as error:
             return {}, unended(error)
         return space_deviations(made.recorder, fine.recorder, why)
+
+    def _finer_of(self, scene: Scene, made: Compared, enough: Enough) -> Finer:
+        """The spaces that the error of a scene, of which a run was ``made``, is measured against; collective."""
+        if id(scene) not in self._finer:
+            found = self._finer[id(scene)] = self._ahead(scene, made, enough) or finer_scene(scene)
+            if found[2] is not None and id(found[0]) not in self._built:
+                self.keep(found[0], found[2])
+        return self._finer[id(scene)]
 
     def _ahead(self, scene: Scene, made: Compared, enough: Enough) -> tuple[Scene, str, Built] | None:
         """The next level to measure an error against, where it is likely to be needed: its system and runs serve again."""

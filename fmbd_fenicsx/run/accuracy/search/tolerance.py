@@ -49,7 +49,7 @@ from .next_attempt import (
     space_first,
     space_limit,
 )
-from .shared_runs import Allowed, Orders, known_orders
+from .shared_runs import Allowed, Orders, known_orders, usual_errors
 from .shared_spaces import SharedSpaces
 from .shares import (
     AIM,
@@ -73,6 +73,7 @@ FEW = 24  # steps of which every second end is one of the next attempts
 LOOSEST = 1e-4  # rtol of the first attempt of schemes with error control
 STALLED, STALLED_IN_CONTACT = 256.0, 60.0  # ratios of steps over which errors have to fall
 FAILURES = 1  # runs that may fail, each followed by one with a quarter of the step, beside one that came to its end
+UNUSUAL = 500.0  # times what a scheme's tolerance usually leaves that meshes do: by steps up to 170 were seen
 SHOWN = 4  # jumps of loads in the table of attempts
 RECORDS = 200  # that runs make at least, so that they can be compared
 
@@ -315,6 +316,8 @@ def _default(scene: Scene, t_end: float) -> Any:
 def _state_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> Orders:
     """The errors of a run that are not known yet, and the orders that were seen; collective."""
     run, touches = solved.run, bool(plan.scene.contacts)
+    if _all_at_once(plan, tol, shared, solved):
+        return Orders()
     if touches:  # what tells the others has the steps of the run anyway, and how much room they leave is known then
         _other_errors(plan, tol, shared, solved, solved.compared)
         kinds = {k: x for k, x in run.deviations.items() if k in ("space", "modes")}
@@ -327,6 +330,35 @@ def _state_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solve
         _other_errors(plan, tol, shared, solved, found.with_others)
     fewest = found.with_others.schedule.steps
     return Orders(known_orders(found), fewest) if fewest < plan.steps else Orders()
+
+
+def _all_at_once(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> bool:
+    """State the errors of steps of a scheme's own choice and of meshes together, by one run that has less of both, where they are
+    small enough, or nearly all by meshes; each of them else, with another one in the same spaces. Whether this could be;
+    collective.
+    """
+    run, scene, begun = solved.run, plan.scene, clock.perf_counter()
+    if plan.steps or scene.contacts or modal_bodies(scene) or not meshed_bodies(scene) or plan.known.errors:
+        return False
+    spans = moving(run.series, scene.sensors, FLOOR)
+    usual = largest_share(usual_errors(solved.compared), spans, tol)
+    if len(plan.below) > 1 or usual > SAFE:
+        return False  # levels cost less, or a run with a larger tolerance, which tells that it is far too large
+    found = shared.all_at_once(solved, lambda x: largest_share(x, spans, tol) <= AIM)
+    if found is None:
+        return False
+
+    run.seconds["error estimate"] = clock.perf_counter() - begun
+    share = largest_share(found.errors, spans, tol)
+    if share <= SAFE or share > UNUSUAL * usual:
+        run.joint = "time" if share <= SAFE else "space"
+        run.deviations[run.joint] = found.errors
+        return True
+    _other_errors(plan, tol, shared, solved, solved.compared)
+    in_space = run.deviations["space"]
+    if in_space.keys() == found.apart.keys():
+        run.deviations["time"] = found.of_time(in_space)
+    return "time" in run.deviations
 
 
 def _time_error(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solved: Solved) -> TimeError:
