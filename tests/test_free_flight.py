@@ -1,4 +1,4 @@
-"""Steps of elastic bodies before what they may touch: compiled, many in a call, and as those of Python."""
+"""Steps of elastic bodies that touch obstacles and each other: compiled, many in a call, and as those of Python."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_flights_are_the_steps_of_python(kind: str, scheme: Any, monkeypatch: py
     found, some = (solved(falling(kind, all_sorts=True), scheme, output=fmbd.Output(every=n)) for n in (1, 10))
     monkeypatch.setattr(FlyingStepper, "flies", False)
     alone = solved(falling(kind, all_sorts=True), scheme)
-    assert 50 < found.counters["compiled_steps"] < 95 and alone.counters["contact_steps"] > 5
+    assert found.counters["compiled_steps"] == 100 and alone.counters["contact_steps"] > 5
 
     rounding = 1e-10 if isinstance(scheme, fmbd.ContactMidpoint) else 1e-8
     assert (found.state.q == some.state.q).all()
@@ -122,6 +122,99 @@ def test_steps_in_contact_are_those_of_python(kind: str, scheme: Any, monkeypatc
         assert bar > 0.0
         np.testing.assert_allclose(found[name], alone[name], rtol=0.0, atol=bar, err_msg=name)
         assert (found[name][::10] == some[name]).all()
+
+
+def leaned(dim: int, kind: str, degree: int = 1, *, hexahedra: bool = False, push: float = 0.2) -> Any:
+    """A block lands on another one, slides, and is pushed at its side; the planes of hexahedra fan out along x."""
+
+    def made(kind: str, name: str, size: Any, counts: Any, origin: Any, velocity: Any) -> Any:
+        mesh = fmbd.read_gmsh(
+            BLOCK, size=size[-dim:], counts=counts[-dim:], quads=dim == 2 or hexahedra, origin=origin[-dim:]
+        )
+        if hexahedra:
+            x = mesh.dolfinx.geometry.x
+            x[:, 1] *= 1.0 + 0.3 * x[:, 0]
+        elastic = fmbd.materials.linear_elastic(50.0, 0.2)
+        return getattr(fmbd, kind)(name, mesh, degree=degree, density=1.0, elastic=elastic, velocity=velocity[-dim:])
+
+    low, high = ("bottom", "top") if dim == 2 else ("back", "front")
+    lower = made("AbsoluteBody", "lower", (1.0, 1.0, 0.8), (3, 4, 1), (-0.5, -0.5, -0.8), (0.0, 0.0, 0.0))
+    upper = made(kind, "upper", (0.6, 0.6, 0.4), (2, 3, 1), (-0.3, -0.2, 5e-4), (0.1, 0.3, -0.3))
+    scene = fmbd.Scene("leaned", gravity=9.81 * -np.eye(dim)[-1])
+    scene.add(lower, upper, fmbd.fixed("held", fmbd.ground, lower.surface(low)))
+    scene.add(fmbd.contact("rub", upper.surface(low), lower.surface(high), friction=0.3))
+    if push:
+        scene.add(fmbd.force("push", upper.surface("right"), lambda t: tuple(-push * np.eye(dim)[0])))
+    for name, sensor in TOLD.items():
+        scene.sensor(name, sensor("rub"))
+    scene.sensor("work", fmbd.contact_work())
+    return scene
+
+
+LEANED = [
+    ((2, "AbsoluteBody"), SCHEMES[0]),
+    ((2, "FloatingBody", 2), SCHEMES[2]),
+    ((3, "AbsoluteBody", 2), SCHEMES[2]),
+    ((3, "AbsoluteBody", 1, True), SCHEMES[0]),
+]
+
+
+@pytest.mark.parametrize(("what", "scheme"), LEANED, ids=str)
+def test_surfaces_that_meet_are_those_of_python(what: Any, scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairings, forces and books of two elastic surfaces; where nothing is opposite, too."""
+    scene = leaned(*what[:3], hexahedra=len(what) > 3)
+    found, some = (fmbd.solve(scene, t_end=0.03, dt=1e-3, scheme=scheme, output=fmbd.Output(every=n)) for n in (1, 10))
+    monkeypatch.setattr(FlyingStepper, "flies", False)
+    alone = fmbd.solve(scene, t_end=0.03, dt=1e-3, scheme=scheme)
+    assert found.counters["compiled_steps"] == 30 and not alone.counters["compiled_steps"]
+    for name in ("contact_steps", "impacts", "short_impacts"):
+        assert found.counters[name] == alone.counters[name], name
+    assert (found.state.q == some.state.q).all()
+
+    rounding = 1e-9 if "AbsoluteBody" in what else 1e-6
+    np.testing.assert_allclose(found.state.q, alone.state.q, rtol=rounding, atol=rounding)
+    for name in (*TOLD, "work"):
+        seen = np.isfinite(alone[name])
+        assert (np.isfinite(found[name]) == seen).all() and (found[name][::10] == some[name]).all()
+        bar = 10 * rounding * np.abs(alone[name][seen]).max()
+        np.testing.assert_allclose(found[name][seen], alone[name][seen], rtol=0.0, atol=bar, err_msg=name)
+
+
+def test_surfaces_that_meet_cost_few_calls() -> None:
+    """Python is asked which facets may see each other, and for compliances of those that come near."""
+    scene = leaned(2, "AbsoluteBody", push=0.0)
+
+    def calls(steps: int) -> int:
+        output = fmbd.Output(every=steps)
+        run = lambda: fmbd.solve(scene, t_end=1e-3 * steps, dt=1e-3, scheme=SCHEMES[0], output=output)  # noqa: E731
+        return calls_of(run, "fmbd_fenicsx")
+
+    calls(20)
+    assert calls(80) - calls(40) < 40 * 60
+
+
+@pytest.mark.parametrize("scheme", SCHEMES[::2], ids=lambda s: s.name)
+def test_two_bars_exchange_their_velocities(scheme: Any) -> None:
+    """Bars of length L and wave speed c = 1 hit each other: for 2 L / c they press each other by rho c v / 2."""
+
+    def bar(name: str, x: float, speed: float, n: int) -> Any:
+        mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.1), counts=(n, 1), quads=True, origin=(x, 0.0))
+        elastic = fmbd.materials.linear_elastic(1.0, 0.0)
+        return fmbd.AbsoluteBody(name, mesh, degree=1, density=1.0, elastic=elastic, velocity=(speed, 0.0))
+
+    left, right = bar("left", -1.0, 0.1, 50), bar("right", 0.0, 0.0, 60)
+    scene = fmbd.Scene("bars")
+    scene.add(left, right, fmbd.contact("hit", right.surface("left"), left.surface("right")))
+    scene.sensor("force", fmbd.contact_force("hit"))
+    run = fmbd.solve(scene, t_end=2.3, dt=0.01, scheme=scheme)
+    assert run.counters["compiled_steps"] == 230
+    t, force, energy = run.times[1:], run["force"][1:, 0], run.total_energy
+    on = (t > 0.1) & (t < 1.9)
+    assert force[on].mean() == pytest.approx(0.005, rel=1e-2)
+    assert t[force > 1e-9].max() == pytest.approx(2.0, abs=3 * run.dt)
+    assert energy.max() <= energy[0] * (1 + 1e-8) and energy[-1] > 0.99 * energy[0]
+    total = run.system.at(run.state.t, run.state.q, run.state.v).momenta()[0]
+    assert total[0] == pytest.approx(0.01, rel=1e-12)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES[::2], ids=lambda s: s.name)

@@ -116,7 +116,7 @@ def _shared(
 ) -> tuple[np.ndarray, Array, Array, Array, Array]:
     """All that :func:`_integrate` finds, the pairs shared among the ranks; sorted, so that no sum depends on their number."""
     comm = slave.comm
-    pairs = _candidates(slave, master, sight[0])
+    pairs = neighbours(slave, master, sight[0])
     parts = comm.allgather(_integrate(slave, master, pairs[comm.rank :: comm.size], degree, sight))
 
     pair, own, other, overlap, gap = (np.concatenate([part[i] for part in parts]) for i in range(5))
@@ -124,7 +124,7 @@ def _shared(
     return pair[order], own[order], other[order], overlap[order], gap[order]
 
 
-def _candidates(slave: Trace, master: Trace, sight: Array) -> np.ndarray:
+def neighbours(slave: Trace, master: Trace, sight: Array) -> np.ndarray:
     """Pairs of facets (n, 2) with points that may be ``sight`` apart: their circumscribed balls are no farther."""
     from scipy.spatial import cKDTree
 

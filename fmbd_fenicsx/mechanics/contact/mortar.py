@@ -159,13 +159,6 @@ class MortarPair:
         """Pressures (N/m^(d-1)) of normal forces on the candidates, (m,) N."""
         return force / self.weight
 
-    @property
-    def sight(self) -> float:
-        """How far facets of the slave look for the master, m, beside what nodes move by: half of their diameters, unless it was
-        chosen. Told at rest as the whole of these, which is enough until facets are twice as large.
-        """
-        return float(diameters(self.facets[0]).max()) if self.search is None else float(self.search)
-
     @cached_property
     def trace_nodes(self) -> np.ndarray:
         """Numbers in the slave's trace of the candidates' nodes."""
@@ -268,13 +261,13 @@ def _match(facets: Facets, side: Side, trace: ContactTrace) -> np.ndarray:
 def _moved(facets: Facets, x: Array) -> Facets:
     """The facets with nodes at x."""
     moved = replace(facets, points=x)
-    n, before = _across(moved.corners), _across(facets.corners)
+    n, before = across(moved.corners), across(facets.corners)
     n = n / np.sqrt((n * n).sum(1))[:, None]
     n *= np.sign((before * facets.normals).sum(1))[:, None]  # the side that was outward at rest
     return replace(facets, points=x, normals=n)
 
 
-def _across(corners: Array) -> Array:
+def across(corners: Array) -> Array:
     """Vectors across facets, (n, d)."""
     e = corners[:, 1:] - corners[:, :1]
     return np.stack((e[:, 0, 1], -e[:, 0, 0]), axis=1) if corners.shape[2] == 2 else cross3(e[:, 0], e[:, 1])

@@ -57,7 +57,7 @@ from .elastic_step import ElasticStep
 from .flying_stepper import FlyingStepper
 
 if TYPE_CHECKING:
-    from .compiled.free_flight import FreeMarch
+    from .compiled.elastic_contact import ContactMarch
 
 FINER = 1e-2  # of Newton's tolerance, where increments count by accelerations
 
@@ -121,7 +121,7 @@ class ContactAlphaStepper(FlyingStepper):
     def _weights(self, h: float) -> Weights:
         return self.scheme.rule(h).weights
 
-    def _lend(self, march: FreeMarch, h: float) -> None:
+    def _lend(self, march: ContactMarch, h: float) -> None:
         march.parameters[slots.AM : slots.BETA + 1] = self.scheme.parameters
         march.parameters[slots.FAR], march.parameters[slots.PATIENCE] = FAR * self.system.length, PATIENCE
         march.parameters[slots.TOL] *= FINER
@@ -129,7 +129,7 @@ class ContactAlphaStepper(FlyingStepper):
     def _algorithmic(self) -> Array:
         return self.A
 
-    def _take_flight(self, march: FreeMarch, made: int, h: float) -> None:
+    def _take_flight(self, march: ContactMarch, made: int, h: float) -> None:
         self.A, self.size = march.block(0)[4], h
 
     def begin_anew(self, start: Callable[[], State]) -> bool:
@@ -178,7 +178,6 @@ class ContactAlphaStepper(FlyingStepper):
         lam = least(self.solver, s.t + h, q, step.lam)
         self.state = self.ledger.write(State(s.t + h, q, v, step.a, lam), forces, (step.end, step.xi, step.lam), h)
         self.ledger.count(iterations)
-        self.close = bool(near.any())
         return self.state
 
     def _persist(self, step: _Step) -> tuple[Array, Array]:

@@ -97,14 +97,6 @@ class ContactLedger(Remembering):
         found = self._carry(state, forces, c.touch(system, state.t, state.q), h)
         return found
 
-    def fly(self, state: State, books: Array, time: float) -> ContactState:
-        """Steps without contact have led to a state, and to the ``books``; forces act at a ``time`` (s)."""
-        self.take(books)
-        self.force = np.zeros_like(self.force)
-        self.count(0)
-        nothing = StepForces(np.zeros(len(self.force), dtype=bool), None, np.zeros((0, self.components)), time)
-        return self._carry(state, nothing, self.contacts.touch(self.system, state.t, state.q))
-
     @property
     def books(self) -> Array:
         """Works since the start, energy, that of springs; impacts, short ones, steps in contact, their increments: (11,)."""

@@ -56,7 +56,7 @@ from .elastic_step import ElasticStep
 from .flying_stepper import FlyingStepper
 
 if TYPE_CHECKING:
-    from .compiled.free_flight import FreeMarch
+    from .compiled.elastic_contact import ContactMarch
 
 
 @dataclass(frozen=True)
@@ -149,6 +149,7 @@ class ContactMidpointStepper(FlyingStepper):
     def __init__(self, theta: float, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(system, solver, newton, state)
         self.theta = self.share = theta
+        self.keeps_overlaps = theta == 0.5
         self._projects = any(b.kind != "frame" for b in system.blocks)
         self._weightless = weightless(system)
         self._begun: State | None = None  # what the last step began with
@@ -163,7 +164,7 @@ class ContactMidpointStepper(FlyingStepper):
         massless = driver.states.twin.velocities(self._weightless.astype(float))
         return np.concatenate(((self.theta, roundoff(self.system), self._projects), massless))
 
-    def _take_flight(self, march: FreeMarch, made: int, h: float) -> None:
+    def _take_flight(self, march: ContactMarch, made: int, h: float) -> None:
         places = [march.state(i) for i in range(1 + min(made, 2))]
         means = [self.system.difference(b.q, a.q, near=h * b.v) / h for a, b in pairwise(places)]
         self._begun, self._means = places[1], [*self._means[-1:], *means[::-1]][-2:]
@@ -173,7 +174,7 @@ class ContactMidpointStepper(FlyingStepper):
         unchanged.
         """
         system, s = self.system, self.state
-        near, ahead = candidates(system, self.contacts, s, h, keep=self.theta == 0.5)
+        near, ahead = candidates(system, self.contacts, s, h, keep=self.keeps_overlaps)
 
         for _ in range(4):
             step = _Step(self, h, near, ahead)
@@ -197,7 +198,6 @@ class ContactMidpointStepper(FlyingStepper):
         lam = least(self.solver, s.t + h, step.q, step.lam)
         self.state = self.ledger.write(State(s.t + h, step.q, v, a, lam), forces, (step.end, step.xi, step.lam), h)
         self.ledger.count(iterations)
-        self.close = bool(near.any())
         return self.state
 
     def between(self, t: float) -> State | None:

@@ -1,7 +1,7 @@
-"""Steppers of elastic contact, whose steps are many in one call of compiled code where nothing touches.
+"""Steppers of elastic contact, whose steps are many in one call of compiled code.
 
-Compiled code makes a step of the scheme without contact, and looks where it has led to; a step in which something may touch is
-made in Python, with contact. Who makes a step depends on the state alone, and no result on how many were asked for at once.
+A step that this does not find is made in Python. Who makes a step depends on the state alone, and no result on how many were
+asked for at once.
 """
 
 from __future__ import annotations
@@ -24,27 +24,26 @@ from .elastic_step import Confirmed, is_smooth
 
 if TYPE_CHECKING:
     from ...system.compiled.tape import Openness, Tape
-    from .compiled.free_flight import FreeMarch
+    from .compiled.elastic_contact import ContactMarch
 
 
-FLYING = "compiled where nothing is near what it may touch; NumPy for steps in contact"
-MEETING = "compiled; NumPy for the start and for steps it gives back"
+COMPILED = "compiled; NumPy for the start and for steps it gives back"
 
 
 class FlyingStepper(ContactStepper):
-    """A scheme says how its steps without contact are called (``maker``), and what they are made by."""
+    """A scheme says how its steps are called (``maker``), and what they are made by."""
 
     maker: ClassVar[str]
 
     share: float  # of a step, at which its forces act
-    keeps: ClassVar = {**ContactStepper.keeps, "close": plain(), "flown": plain(), "confirmed": plain(Confirmed)}
+    keeps: ClassVar = {**ContactStepper.keeps, "flown": plain(), "confirmed": plain(Confirmed)}
     confirmed: Confirmed | None = None  # what the last step tells of later ones
-    close: bool = False  # whether something was near in the last step
+    keeps_overlaps: bool = False  # whether those that a new pairing of surfaces finds are not pushed out
     flown: int = 0  # steps
     _size: float  # s, of the steps that are asked for
-    _march: FreeMarch | None = None
+    _march: ContactMarch | None = None
     _began: State | None = None  # where the newest step of a call began
-    _refused: State | None = None  # from where on something may touch, or no step was found
+    _refused: State | None = None  # from where on no step was found
 
     # -- what a scheme says -------------------------------------------------------------------------------------------------
     def _weights(self, h: float) -> Weights:
@@ -55,14 +54,14 @@ class FlyingStepper(ContactStepper):
         """What its steps are made by, in front of the room to work in."""
         return np.zeros(0)
 
-    def _lend(self, march: FreeMarch, h: float) -> None:
+    def _lend(self, march: ContactMarch, h: float) -> None:
         """Write into the march what steps of size h (s) are made by."""
 
     def _algorithmic(self) -> Array:
         """Algorithmic accelerations of the state."""
         return np.zeros_like(self.state.v)
 
-    def _take_flight(self, march: FreeMarch, made: int, h: float) -> None:
+    def _take_flight(self, march: ContactMarch, made: int, h: float) -> None:
         """Take from the newest states what it keeps, after so many steps of size h (s)."""
 
     @cached_property
@@ -73,28 +72,29 @@ class FlyingStepper(ContactStepper):
     # -- steps --------------------------------------------------------------------------------------------------------------
     @cached_property
     def flies(self) -> bool:
-        """Whether compiled code makes steps in which nothing touches."""
-        from .compiled.free_flight import looked_at
-
+        """Whether compiled code makes steps."""
         driver = self.solver.driver
-        if not isinstance(driver, FieldDriverSolver) or self.solver.core.redundant:
+        if not isinstance(driver, FieldDriverSolver) or self.solver.core.redundant or self.problem is None:
             return False
         looks = driver.told.tables.looks
-        return looks.energies_known and not looks.stores and looked_at(self.contacts)
+        return looks.energies_known and not looks.stores and self._sees_surfaces
 
-    @cached_property
-    def meets(self) -> bool:
-        """Whether it makes those in which something does, too."""
-        from .compiled.elastic_contact import meets_obstacles
+    @property
+    def _sees_surfaces(self) -> bool:
+        """Whether compiled code has room for the functions on facets that face others."""
+        facing = [pair for pair in self.contacts.pairs if pair.searches]
+        if not facing:
+            return True
+        from .compiled.facets import is_known
 
-        return self.flies and self.problem is not None and meets_obstacles(self.contacts)
+        return all(map(is_known, facing))
 
     def stride(self, h: float) -> float:
         """As :meth:`TimeStepper.stride`."""
         self._size = h
         return h if self._may_fly else 0.0
 
-    def _march_for(self, h: float) -> FreeMarch | None:
+    def _march_for(self, h: float) -> ContactMarch | None:
         """The march with the factors of steps of size h (s)."""
         driver = self.solver.driver
         assert isinstance(driver, FieldDriverSolver)
@@ -103,11 +103,11 @@ class FlyingStepper(ContactStepper):
         if states is None:
             return None
         if self._march is None or self._march.tables is not states.tables:
-            from .compiled.elastic_contact import march_of
+            from .compiled.elastic_contact import ContactMarch
 
             twin, head = states.tables.system, self._room()
             room = len(head) + 6 * twin.n_v + 2 * twin.n_q + 6 * twin.n_lam
-            self._march = march_of(self, states, room)
+            self._march = ContactMarch(self, states, room)
             self._march.room[: len(head)] = head
         return self._march
 
@@ -124,11 +124,11 @@ class FlyingStepper(ContactStepper):
 
     @property
     def _may_fly(self) -> bool:
-        """Whether compiled code may make the next step: where it does none in contact, if nothing was near in the last."""
-        return self.flies and (self.meets or not self.close) and self._refused is not self.state
+        """Whether compiled code may make the next step."""
+        return self.flies and self._refused is not self.state
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
-        """As :meth:`TimeStepper.march`, up to one in which something may touch."""
+        """As :meth:`TimeStepper.march`, up to one that is Python's."""
         s = self.state
         march = self._march_for(h) if self._may_fly else None
         if march is None:
@@ -142,7 +142,6 @@ class FlyingStepper(ContactStepper):
         lend_energies(p, observers.energy)
         if joints is not None:
             march.judge(joints.limits(h), np.inf)
-        march.impulse = self.ledger.impulse
         assert driver is not None
         driver.begin_steps(s)
         march.load([(s.t, s.q, s.v, s.a, self._algorithmic(), s.lam)])
@@ -161,20 +160,18 @@ class FlyingStepper(ContactStepper):
             self._refused = self.state
         return made
 
-    def _take(self, march: FreeMarch, made: int, h: float) -> None:
+    def _take(self, march: ContactMarch, made: int, h: float) -> None:
         """The newest state, the books and what was counted."""
         p, s = march.parameters, march.state()
         self._take_flight(march, made, h)
         take_newton(p, self.newton, made)
         self.local_error, self.flown = float(p[slots.LOCAL]), self.flown + made
-        if self.contacts.searching:
-            self.contacts.update(self.system, s.q, 2 * h * self.contacts.fastest(self.system, s.v))
         self.state = march.around.end(self, s, march.ring.own())
 
     @property
     def path(self) -> str:  # type: ignore[override]
         """As :attr:`TimeStepper.path`."""
-        return MEETING if self.meets else FLYING if self.flies else ContactStepper.path
+        return COMPILED if self.flies else ContactStepper.path
 
     @property
     def counters(self) -> dict[str, float]:

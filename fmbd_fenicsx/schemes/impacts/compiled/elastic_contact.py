@@ -11,83 +11,146 @@ import numpy as np
 from ....kernel_cache import address_of
 from ....linear.complementarity.delassus import Compliance
 from ....linear.driver_solver import FieldDriverSolver
-from ....mechanics.contact.contact_set import ContactSet
-from ....mechanics.contact.obstacle_pair import ObstaclePair
+from ....mechanics.contact.contact_set import NEAREST
 from ....rotations import Array
+from ....system.compiled.choice import driver_of
+from ....system.compiled.declarations import enumeration
+from ....system.compiled.library import CONTACT
+from ....system.compiled.march import March
 from ....system.compiled.states.evaluation import DriverStates
 from ....system.compiled.tables.tables import Tables
 from ....system.compiled.tape import Openness, Tape
 from ....system.layout import State
 from ....system.sensors.contact import ContactForces, ContactState
-from ....system.system import System
+from ..contact_ledger import SHORT
 from ..contact_newton import small_problem
-from .free_flight import CONFIRMED, KEPT, TIME, FreeMarch, Surroundings
-from .pairs import COMPLEMENTARITY, NEARBY
+from ..elastic_step import MARGIN, RELIED, Confirmed
+from .pairs import COMPLEMENTARITY, FACETS, NEARBY, PairTables, SurfacePoints
+from .pairs import MEETING as FACING
 from .problem import CompiledProblem
-from .structures import NODES
+from .structures import FLIGHT, FREE_FLIGHT, MEANS, MEETING, NODES, Contacts
 from .tape import ContactTape
 
 if TYPE_CHECKING:
     from ..flying_stepper import FlyingStepper
+    from .facets import FacingSurfaces
+
+_NUMBERS = enumeration("LOADS", FLIGHT)  # of what is kept with a state
+CONFIRMED, TIME, KEPT = (_NUMBERS[x] for x in ("CONFIRMED", "TIME", "KEPT"))
 
 
-def meets_obstacles(contacts: ContactSet) -> bool:
-    """Whether all that may touch are nodes of fields before obstacles."""
-    return all(type(pair) is ObstaclePair and pair.slave.trace in contacts.on_fields for pair in contacts.pairs)
-
-
-class Encounters(Surroundings):
-    """Obstacles whose contacts compiled steps find too: ``problem`` finds forces by the ``compliance``, of a ``driver``."""
+class Encounters(PairTables):
+    """What the fields of a stepper may touch, and the books of it; ``by``: who finds forces, a compliance, and its driver."""
 
     def __init__(
-        self,
-        about: tuple[Tables, System, float],
-        by: tuple[CompiledProblem, Compliance, FieldDriverSolver],
-        *,
-        smooth: bool,
+        self, tables: Tables, stepper: FlyingStepper, by: tuple[CompiledProblem, Compliance, FieldDriverSolver]
     ) -> None:
-        """``about``: what :class:`Surroundings` takes."""
-        super().__init__(*about, smooth=smooth)
+        laws = list(stepper.contacts.pairs)
+        facing = [k for k, pair in enumerate(laws) if pair.searches]
+        surfaces = [SurfacePoints(side) for k in facing for side in (laws[k].slave, laws[k].master)]
+        super().__init__(tables, stepper.system, [*laws, *surfaces])
         self.problem, self.compliance, self.driver = by
-        c, o = self.contacts, self.flight
+        self.laws, self.candidates = len(laws), len(self.contacts.pair)
+
+        self._pairs()
         counts = [pair.count for pair in self.listed]
-        self.node = np.concatenate([pair.slave.surface.nodes for pair in self.listed])
-        self.trace = np.repeat([pair.slave.trace for pair in self.listed], counts)
-        self.traces = list(c.on_fields)
-        self._nodes_of_traces = (NODES * len(self.traces))()
+        on, place = self._points()
+        m, s, d = len(on), tables.system, tables.dim
+        self.c = Contacts(
+            pairs=len(self.listed), points=m, components=d if self.contacts.frictional else 1,
+            moving=int(any(pair.moving for pair in laws)), pair=ctypes.addressof(self.pairs),
+            on=self._array("on", on, np.int32), of=self._array("of", np.repeat(np.arange(len(counts)), counts), np.int32),
+            place=self._array("place", place), own=self._zeros("own", m * (1 + 2 * d)),
+            now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
+            python=self.function, system=ctypes.addressof(tables.c),
+        )  # fmt: skip
+        system = self.system
+        self.flight = FREE_FLIGHT(
+            contacts=ctypes.addressof(self.c), laws=self.laws, candidates=self.candidates, share=stepper.share,
+            keeps=int(stepper.keeps_overlaps), least=NEAREST * system.length, loaded=int(bool(system.forces)),
+            smooth=int(stepper.smooth), length=system.length,
+            linear=int(not any(part.field.nonlinear for _, part in system.fields)),
+            search=self._array("search", [np.nan if pair.search is None else pair.search for pair in laws]),
+            room=self._zeros("room", 3 * s.n_v + s.n_q + 4 * s.n_lam), margin=MARGIN, relies=RELIED, brief=SHORT,
+            problem=ctypes.addressof(self.problem.c), most=self.compliance.most,
+            listed=self._zeros("listed", m, np.int32), near=self._zeros("near", m, np.int32),
+            sways=self._zeros("sways", s.n_frames, np.int32), factored=self._zeros("factored", s.n_q),
+            offset=self._zeros("offset", self.candidates),
+        )  # fmt: skip
+        self.address = ctypes.addressof(self.flight)
         self._first = self.c.now.gap  # of the two rooms that C takes in turn
         self._room = 0, 0  # rows that there is room for, and columns
-
-        o.problem, o.most = ctypes.addressof(self.problem.c), self.compliance.most
-        o.nodes = ctypes.addressof(self._nodes_of_traces)
-        o.nodes_of = self._array("nodes of", [self.traces.index(pair.slave.trace) for pair in self.listed], np.int32)
-        o.node = self._array("node", self.node, np.int32)
-        o.listed, o.near = (self._zeros(name, self.c.points, np.int32) for name in ("listed", "near"))
-        o.sways = self._zeros("sways", self.tables.system.n_frames, np.int32)
-        o.factored = self._zeros("factored", self.tables.system.n_q)
+        self._take_traces()
+        self._take_means(facing)
         self._share_out()
 
+    # -- what rows act on ----------------------------------------------------------------------------------------------------
+    def _take_traces(self) -> None:
+        """The nodes of all traces."""
+        contacts, o = self.contacts, self.flight
+        self.traces = list(contacts.on_fields)
+        self._nodes_of_traces = (NODES * len(self.traces))()
+        first = 0
+        for i, one in zip(self.traces, self._nodes_of_traces, strict=True):
+            trace = contacts.traces[i]
+            one.size, one.first, one.extent = trace.n, first, trace.size
+            first += trace.n
+        o.traces, o.nodes = len(self.traces), ctypes.addressof(self._nodes_of_traces)
+        o.nodes_of = self._array("nodes of", [self.traces.index(pair.slave.trace) for pair in self.listed], np.int32)
+        o.node = self._array("node", np.concatenate([pair.trace_nodes for pair in self.listed]), np.int32)
+        o.touched, o.place, o.answered = (
+            self._zeros(name, first, np.int32) for name in ("touched", "among", "answered")
+        )
+        o.reply = self._zeros("reply", first * self.tables.dim * self.c.components)
+
+    def _take_means(self, facing: list[int]) -> None:
+        """Of which points: before an obstacle of one, between surfaces of those that their facets tell."""
+        surface = np.full((self.laws, 2), -1)
+        self._means = (MEANS * (2 * self.laws))()
+        self.meetings: list[FacingSurfaces] = []
+        for k in range(self.laws):
+            count, mean, other = self.listed[k].count, self._means[2 * k], self._means[2 * k + 1]
+            if k not in facing:
+                surface[k, 0] = k
+                mean.first = self._array(f"first {k}", np.arange(count + 1), np.int32)
+                mean.node = self._array(f"one {k}", np.arange(count), np.int32)
+                mean.weight = self._array(f"whole {k}", np.ones(count))
+                continue
+            from .facets import FacingSurfaces
+
+            for side, one in enumerate((mean, other)):
+                one.first = self._zeros(f"first {side} {k}", count + 1, np.int32)
+            number = len(self.meetings)
+            slave = self.laws + 2 * number
+            surface[k] = slave, slave + 1
+            self.meetings.append(FacingSurfaces(self.listed[k], number, (k, slave, slave + 1), self._array))
+
+        o, size = self.flight, ctypes.sizeof(MEANS)
+        self._meetings = (MEETING * len(self.meetings))(*(one.c for one in self.meetings))
+        o.meetings, o.meeting = len(self.meetings), ctypes.addressof(self._meetings)
+        o.means, o.surface = ctypes.addressof(self._means), self._array("surface", surface, np.int32)
+        for one, c in zip(self.meetings, self._meetings, strict=True):
+            one.c = c
+            c.means = o.means + 2 * size * c.pair
+            c.offset = o.offset + self.arrays["offset"].itemsize * self.pairs[c.pair].first
+
+    # -- what is kept with a state -------------------------------------------------------------------------------------------
     def _share_out(self) -> None:
-        """Where what is kept with a state stands."""
-        m, pairs, d, o = self.c.points, self.c.pairs, self.tables.dim, self.flight
+        """Where it stands."""
+        m, d, o = self.candidates, self.tables.dim, self.flight
         shapes = {
-            "since": (pairs,),
-            "impulse": (pairs, d),
+            "since": (self.laws,),
+            "impulse": (self.laws, d),
             "held": (m, self.c.components),
             "force": (m, d),
             "near": (m,),
         }
         self._places: dict[str, tuple[slice, tuple[int, ...]]] = {}
-        self._kept = KEPT
+        self.kept = KEPT  # numbers with each state
         for name, shape in shapes.items():
-            self._places[name] = slice(self._kept, self._kept + math.prod(shape)), shape
-            self._kept += math.prod(shape)
+            self._places[name] = slice(self.kept, self.kept + math.prod(shape)), shape
+            self.kept += math.prod(shape)
         o.at_since, o.at_impulse, o.at_held, _, o.at_near = (span.start for span, _ in self._places.values())
-
-    @property
-    def kept(self) -> int:
-        """As :attr:`Surroundings.kept`."""
-        return self._kept
 
     def _part(self, own: Array, name: str) -> Array:
         """Some of the numbers that are kept with a state, in their shape."""
@@ -95,34 +158,40 @@ class Encounters(Surroundings):
         return own[span].reshape(shape)
 
     def begin(self, stepper: FlyingStepper, own: Array) -> None:
-        """As :meth:`Surroundings.begin`."""
-        super().begin(stepper, own)
+        """A march begins from the newest state of a stepper; with that are kept ``own``."""
+        self.c.known = self.flight.ready = 0
+        self.arrays["answered"][:] = 0
         books, known = stepper.ledger, stepper.confirmed
         self.counts = books.counts
+        own[:] = 0.0
+        own[:CONFIRMED] = books.books
         self._part(own, "since")[:] = books.touching
         self._part(own, "impulse")[:] = books.impulse
         self._part(own, "held")[:] = books.force
         if known is not None:
+            own[CONFIRMED:TIME] = known.h, known.first, known.second, known.relied
             self._part(own, "near")[:] = np.frombuffer(bytes.fromhex(known.candidates), dtype=bool)
         sways = self.arrays["sways"]
         for field in self.tables.fields:
             sways[field.part.frame] = field.c.sways
 
-    def _near(self, own: Array) -> np.ndarray:
-        return self._part(own, "near") != 0.0
+    def end(self, stepper: FlyingStepper, s: State, own: Array) -> ContactState:
+        """It has ended in a state ``s``, with which ``own`` are kept: the stepper takes them, and the state with its contacts."""
+        h, first, second, relied = (float(x) for x in own[CONFIRMED:TIME])
+        near = self._part(own, "near") != 0.0
+        stepper.confirmed = Confirmed(h, near.tobytes().hex(), first, second, int(relied)) if h else None
 
-    def _take_books(self, stepper: FlyingStepper, s: State, own: Array) -> ContactState:
         books, c = stepper.ledger, self.contacts
         books.take(own[:CONFIRMED])
         books.touching = [int(x) for x in self._part(own, "since")]
         books.impulse, books.force = self._part(own, "impulse").copy(), self._part(own, "held").copy()
         self.problem.count(books.counts)
 
-        m, carried = self.c.points, books.force[:, 0].copy()
-        x, normal = (self._looked_at(name).reshape(m, -1).copy() for name in ("x", "normal"))
+        m, carried = self.candidates, books.force[:, 0].copy()
+        x, normal = (self._looked_at(name).reshape(-1, self.tables.dim)[:m].copy() for name in ("x", "normal"))
         found = ContactForces(
-            c.names, float(own[TIME]), c.pair, x, normal, self._looked_at("gap").copy(), carried, self._part(own, "force").copy(),
-            c.pressures(carried), books.impulse, books.work.copy(),
+            c.names, float(own[TIME]), c.pair, x, normal, self._looked_at("gap")[:m] + self.arrays["offset"], carried,
+            self._part(own, "force").copy(), c.pressures(carried), books.impulse, books.work.copy(),
         )  # fmt: skip
         return ContactState(s.t, s.q, s.v, s.a, s.lam, found)
 
@@ -131,13 +200,13 @@ class Encounters(Surroundings):
         found: Array = self.arrays[f"{'now' if self.c.now.gap == self._first else 'end'} {name}"]
         return found
 
-    def tape(self, march: FreeMarch, judged: Openness) -> Tape:
-        """As :meth:`Surroundings.tape`, with all that is told of contacts."""
-        return EncounterTape(march.tables, judged, self.contacts, self.system)
-
+    # -- what Python is asked ------------------------------------------------------------------------------------------------
     def _answer(self, what: int, number: int, t: float) -> None:
         if what == NEARBY:
             self._make_ready(number)
+        elif what == FACETS:
+            k = 2 * self._meetings[number].pair
+            self.meetings[number].list_facets(self.arrays, (self._means[k], self._means[k + 1]))
         elif what == COMPLEMENTARITY:
             W, opening, mu, force = self.problem.posed
             force[:] = small_problem(None, W, (opening, mu), force, self.counts)
@@ -145,30 +214,34 @@ class Encounters(Surroundings):
             super()._answer(what, number, t)
 
     def _make_ready(self, count: int) -> None:
-        """Compliances of those near, and room for so many."""
-        near = self.arrays["near"][:count]
-        o, blocks, system = self.flight, self.driver.blocks, self.system
+        """Compliances of the nodes that those near act on, and room for so many."""
+        o, blocks, system, a = self.flight, self.driver.blocks, self.system, self.arrays
         self.problem.take_size(count)
         first = np.cumsum([0, *(block.Y.shape[1] for block in blocks)])
         for i, one in zip(self.traces, self._nodes_of_traces, strict=True):
-            k = system.field_number(self.contacts.traces[i].part)
-            C, Y = self.compliance.on_surface(i, blocks[k], self.node[near[self.trace[near] == i]])
-            self.arrays[f"C {i}"], self.arrays[f"Y {i}"] = C, Y
-            one.size, one.columns, one.at = len(C), Y.shape[1], int(first[k])
+            k, nodes = system.field_number(self.contacts.traces[i].part), a["touched"][one.begin : one.end]
+            C, Y = self.compliance.on_surface(i, blocks[k], nodes)
+            a[f"C {i}"], a[f"Y {i}"] = C, Y
+            one.columns, one.at = Y.shape[1], int(first[k])
             one.C, one.Y = address_of(C), address_of(Y)
+            a["answered"][one.first + nodes] = 1
         o.columns = int(first[-1])
-        on = self.arrays["on"]
         moving = any(self.contacts.traces[i].moving for i in self.traces)
-        o.coupled = int(moving or o.columns > 0 or bool((on[:, 1] >= 0).any()))
+        o.coupled = int(moving or o.columns > 0 or self._on_core)
 
         self._make_room(count * self.c.components, o.columns)
+
+    @property
+    def _on_core(self) -> bool:
+        """Whether bodies without a field carry obstacles."""
+        return any(one.carrier >= 0 for one in self.pairs if one.shape != FACING)
 
     def _make_room(self, rows: int, columns: int) -> None:
         """Room for so many rows of those near, and for columns of the fields."""
         if rows <= self._room[0] and columns == self._room[1]:
             return
         self._room, d, core = (rows, columns), self.tables.dim, self.tables.system.n_core
-        sizes = {"rows": d + 2 * self.tables.twist, **dict.fromkeys(("direction", "axes"), d)}
+        sizes = {"rows": 2 * (d + self.tables.twist), "direction": d, "axes": 2 * d}
         sizes |= dict.fromkeys(("start", "change", "stopped", "rates"), 1) | dict.fromkeys(("push", "answer"), core)
         for name, size in (sizes | dict.fromkeys(("seen", "acting"), columns)).items():
             setattr(self.flight, name, self._zeros(name, rows * size))
@@ -180,14 +253,18 @@ class EncounterTape(ContactTape):
     stops_at = Tape.stops_at  # no impact cuts them
 
 
-def march_of(stepper: FlyingStepper, states: DriverStates, room: int) -> FreeMarch:
-    """The march of a stepper by some states, with so much room to work in."""
-    driver, problem = stepper.solver.driver, stepper.problem
-    assert isinstance(driver, FieldDriverSolver)
-    about = states.tables, stepper.system, stepper.share
-    if stepper.meets and problem is not None:
-        by = problem, stepper.compliance, driver
-        around: Surroundings = Encounters(about, by, smooth=stepper.smooth)
-    else:
-        around = Surroundings(*about, smooth=stepper.smooth)
-    return FreeMarch(states, around, stepper.maker, room=room)
+class ContactMarch(March):
+    """The march of a stepper by some states, with what its bodies meet, and so much room to work in."""
+
+    def __init__(self, stepper: FlyingStepper, states: DriverStates, room: int) -> None:
+        driver, problem = stepper.solver.driver, stepper.problem
+        assert isinstance(driver, FieldDriverSolver) and problem is not None
+        self.around = Encounters(states.tables, stepper, (problem, stepper.compliance, driver))
+        library = driver_of(states.twin.system, CONTACT)
+        super().__init__(library, states.tables, states.calls, stepper.maker, own=self.around.kept, room=room)
+
+    def tape(self, judged: Openness) -> Tape:
+        """Room for records with all that is told of contacts, not for instants within steps. Made once."""
+        if self._tape is None:
+            self._tape = EncounterTape(self.tables, judged, self.around.contacts, self.around.system)
+        return self._tape

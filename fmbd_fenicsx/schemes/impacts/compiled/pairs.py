@@ -21,8 +21,8 @@ from ....system.compiled.tables.tables import Tables
 from ....system.system import System
 from .structures import SOURCE, Touch, structure
 
-POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED, NEARBY = enumeration("POSE_OF", SOURCE).values()
-*_, SURFACE, LIMIT, OWN = enumeration("HALF_SPACE", SOURCE).values()  # behind the shapes that the driver knows
+POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED, NEARBY, FACETS = enumeration("POSE_OF", SOURCE).values()
+*_, SURFACE, LIMIT, OWN, MEETING = enumeration("HALF_SPACE", SOURCE).values()  # behind the shapes that the driver knows
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,12 @@ class SurfacePoints:
         """Nodes."""
         assert self.slave.surface is not None
         return len(self.slave.surface.nodes)
+
+    @property
+    def trace_nodes(self) -> np.ndarray:
+        """Their numbers in the trace."""
+        assert self.slave.surface is not None
+        return self.slave.surface.nodes
 
 
 def shape_data(shape: Shape, dim: int) -> tuple[int, list[float]]:
@@ -92,16 +98,16 @@ class PairTables:
         return np.stack((np.concatenate(first), others), axis=1), np.concatenate(places)
 
     def _nodes(self, pair: Any) -> tuple[np.ndarray, Array]:
-        """Bodies of the nodes of a surface, and their places in the axes of these."""
+        """Bodies of the nodes of a pair on a surface, and their places in the axes of these."""
         trace = self.contacts.traces[pair.slave.trace]
         part: Any = self.tables.system.parts[trace.part]
-        places = trace.X[pair.slave.surface.nodes]
+        places = trace.X[pair.trace_nodes]
         return np.full(pair.count, part.frame), places if trace.moving else places - part.origin
 
     def _moved(self, one: Any, pair: Any) -> None:
         """What moves the nodes of a surface in their body: modes, or coordinates of their own."""
         trace: Any = self.contacts.traces[pair.slave.trace]
-        nodes, d = pair.slave.surface.nodes, self.tables.dim
+        nodes, d = pair.trace_nodes, self.tables.dim
         if isinstance(trace, FieldTrace):
             first = self.tables.system.slices[0][trace.part].start
             one.node = self._array(f"nodes {one.first}", first + d * trace.own[nodes], np.int32)
@@ -134,6 +140,9 @@ class PairTables:
         one.friction, one.restitution = pair.friction, pair.restitution
         if isinstance(pair, LimitPair):
             self._stop(one, pair)
+        elif pair.searches:
+            part: Any = self.tables.system.parts[self.contacts.traces[pair.master.trace].part]
+            one.shape, one.carrier = MEETING, part.frame
         else:
             self._obstacle(one, pair)
 

@@ -16,7 +16,10 @@ Contacts = structure_of(
     SOURCE, "Contacts", Touch=Touch, Block=Block, Problem=Problem, Graph=Graph, Blocks=Blocks, Tally=Tally
 )
 FLIGHT = "contact/free_flight.c"
-FACING, NODES, FREE_FLIGHT = (structure_of(FLIGHT, name) for name in ("Facing", "Nodes", "FreeFlight"))
+NODES, FREE_FLIGHT = (structure_of(FLIGHT, name) for name in ("Nodes", "FreeFlight"))
+MEANS, _SHAPES = (structure_of("contact/facets.c", name) for name in ("Means", "Shapes"))
+_FACETS = structure_of("contact/facets.c", "Facets", Shapes=_SHAPES)
+MEETING = structure_of("contact/facets.c", "Meeting", Shapes=_SHAPES, Facets=_FACETS)
 
 
 def structure(name: str, dim: int) -> type[ctypes.Structure]:

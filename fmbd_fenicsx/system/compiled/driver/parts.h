@@ -128,8 +128,7 @@ static inline Block block_at(const System *s, double *x)
 int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 
-/* free_flight.c: whether a step of size h may count, then its books are written; LOOK where something may touch that Python looks after.
-   The step counts. What its record tells of contacts. */
+/* free_flight.c: the books of a step of size h. The step counts. What its record tells of contacts. */
 typedef struct FreeFlight FreeFlight;
 PART int fly(System *s, FreeFlight *o, double h, const Block *now, const Block *out);
 PART void land(FreeFlight *o);

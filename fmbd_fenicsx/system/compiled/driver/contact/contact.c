@@ -5,8 +5,8 @@
    pose), or is carried by a body. A stop is a pair of its own, whose one or two candidates are the lower and the upper one. The nodes of
    a surface that touches no obstacle but another surface are a pair of their own, too. */
 
-enum { HALF_SPACE, SPHERE, CYLINDER, BOX, SURFACE, LIMIT, OWN }; /* OWN: Python tells the distances */
-enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED, NEARBY }; /* what Python is asked for, or told, by contact */
+enum { HALF_SPACE, SPHERE, CYLINDER, BOX, SURFACE, LIMIT, OWN, MEETING }; /* OWN: Python tells the distances; MEETING: see facets.c */
+enum { POSE_OF, COMPLEMENTARITY, DISTANCES, RESTED, NEARBY, FACETS }; /* what Python is asked for, or told, by contact */
 enum { TOLD = 8 };                                     /* poses of a moving obstacle that are kept: those of the times of a step */
 
 typedef struct {

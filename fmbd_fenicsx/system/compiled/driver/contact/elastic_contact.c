@@ -1,37 +1,79 @@
-/* Contacts in a step of elastic bodies: which points take part, as schemes/impacts/contact_detection.py, and Newton's increment with
-   them, as schemes/impacts/contact_newton.py. Points are nodes of fields; obstacles are at rest, move as prescribed, or are carried by
-   a body. What contact leaves behind is kept with a state, see free_flight.c. */
+/* Contacts in a step of elastic bodies: which candidates take part, as schemes/impacts/contact_detection.py, and Newton's increment with
+   them, as schemes/impacts/contact_newton.py. What contact leaves behind is kept with a state, see free_flight.c. */
 
-enum { WIDE = D + 2 * TWIST, ROUNDS_OF_STEP = 4 }; /* numbers of a row; how often points join in */
-static const double OVERLAP = 1e-9;                /* of the model's length: what a point passes into an obstacle before it joins in */
+enum { ROUNDS_OF_STEP = 4 };        /* how often points join in */
+static const double OVERLAP = 1e-9; /* of the model's length: what a point passes into an obstacle before it joins in */
 
-/* Where the node of point i begins in arrays like v. */
-static long node_at(const Contacts *c, int i)
-{
-    const Pair *o = c->pair + c->of[i];
-    const Body *body = c->system->body + c->on[2 * i];
-    return o->node[i - o->first] - body->at_q + body->at_v;
-}
+#include "contact/elastic_rows.c"
 
 /* ---- which contacts take part ---- */
 
-/* Ask Python for the compliance of those near, and for room. */
+/* List the nodes that those near act on, trace by trace; whether C is known at all of them. */
+static void list_nodes(FreeFlight *o, int *known)
+{
+    int count = 0;
+    *known = 1;
+    for (Nodes *k = o->nodes; k < o->nodes + o->traces; k++)
+        for (int n = 0; n < k->size; n++) o->place[k->first + n] = -1;
+    for (int j = 0; j < 2 * o->count; j++) {
+        const Side k = side_of(o, o->near[j / 2], j % 2);
+        for (int e = 0; e < k.count; e++) o->place[k.nodes->first + number_of(&k, e)] = 0;
+    }
+    for (Nodes *k = o->nodes; k < o->nodes + o->traces; k++) {
+        k->begin = count;
+        for (int n = k->first; n < k->first + k->size; n++) {
+            if (o->place[n] < 0) continue;
+            *known &= o->answered[n];
+            o->place[n] = count, o->touched[count++] = n - k->first;
+        }
+        k->end = count;
+    }
+}
+
+/* Ask Python for what is not known of the compliance of those near, and for room for another number of them. */
 static int gather_near(FreeFlight *o)
 {
     Contacts *c = o->contacts;
-    int count = 0, same = o->ready;
-    for (int i = 0; i < c->points; i++)
+    int count = 0, same = 1, known;
+    for (int i = 0; i < o->candidates; i++)
         if (o->listed[i]) {
             same = same && count < o->count && o->near[count] == i;
             o->near[count++] = i;
         }
-    same = same && count == o->count;
+    if (!same || count != o->count) o->known_scale = 0.0;
     o->count = count;
-    if (same || !count) return DONE;
+    if (!count) return DONE;
+    list_nodes(o, &known);
+    if (o->ready && known && o->problem->all.m == count) return DONE;
     o->ready = o->known_scale = 0;
     if (count > o->most) return LOOK;
     if (c->python(NEARBY, count, 0.0)) return FAILED;
     o->ready = 1;
+    return DONE;
+}
+
+/* Pair surfaces anew for a step of size h: facets look as far as nodes move in four of them. */
+static int pair_surfaces(FreeFlight *o, double h, const Block *now)
+{
+    Contacts *c = o->contacts;
+    double fastest = 0.0;
+    if (!o->meetings) return DONE;
+    for (int p = 0; p < c->pairs; p++) {
+        const Pair *k = c->pair + p;
+        if (k->shape == MEETING) continue;
+        const int b = c->on[2 * k->first];
+        const Body *body = c->system->body + b;
+        double turning = 0.0, speed = 0.0;
+        for (int j = 0; j < D; j++) speed += fabs(now->v[TWIST * b + j]);
+        for (int j = D; j < TWIST; j++) turning += fabs(now->v[TWIST * b + j]);
+        const double carried = rests(body) ? 0.0 : speed + turning * o->nodes[o->nodes_of[p]].extent;
+        double most = 0.0;
+        for (int i = 0; i < k->count; i++) most = fmax(most, length_of(now->v + k->node[i] - body->at_q + body->at_v));
+        fastest = fmax(fastest, most + carried);
+    }
+    for (int k = 0; k < o->meetings; k++)
+        if (pair_facets(c, o->meeting + k, k, 4.0 * h * fastest, o->keeps, &c->now)) return FAILED;
+    o->known_scale = 0.0;
     return DONE;
 }
 
@@ -68,13 +110,13 @@ int begin_contact(System *s, FreeFlight *o, double h, const Block *now)
 {
     Contacts *c = o->contacts;
     int verdict;
-    if (!o->problem) return DONE;
-    if (!c->known && look_at_points(c, now->q, *now->t, &c->now)) return FAILED;
+    if (!c->known && look_at_points(o, now->q, *now->t, &c->now)) return FAILED;
     c->known = 1, o->turned = o->rounds = 0;
+    if (pair_surfaces(o, h, now)) return FAILED;
     for (int i = 0; i < s->nv; i++) o->room[i] = h * now->v[i];
     if ((verdict = driver_compose(s, 1, now->q, s->nq, o->room, s->nv, o->room + s->nv))) return verdict;
-    if (look_at_points(c, o->room + s->nv, *now->t + h, &c->aside)) return FAILED;
-    for (int k = 0; k < c->pairs; k++)
+    if (look_at_points(o, o->room + s->nv, *now->t + h, &c->aside)) return FAILED;
+    for (int k = 0; k < o->laws; k++)
         if ((verdict = take_near(o, k, &c->now, &c->aside))) return verdict;
     return gather_near(o);
 }
@@ -82,7 +124,6 @@ int begin_contact(System *s, FreeFlight *o, double h, const Block *now)
 int start_forces(System *s, FreeFlight *o, const Block *now)
 {
     const int d = o->contacts->components;
-    if (!o->problem) return 0;
     o->matrix = o->increments = 0;
     let_sway(s, o, !o->count);
     for (int k = 0; k < o->count; k++)
@@ -94,139 +135,12 @@ int met_others(FreeFlight *o, const Block *out, int *verdict)
 {
     Contacts *c = o->contacts;
     int more = 0;
-    if (!o->problem || (*verdict = look_at_points(c, out->q, *out->t, &c->end))) return 0;
-    for (int i = 0; i < c->points; i++)
+    if ((*verdict = look_at_points(o, out->q, *out->t, &c->end))) return 0;
+    for (int i = 0; i < o->candidates; i++)
         if (!o->listed[i] && c->end.gap[i] < -OVERLAP * o->length) o->listed[i] = more = 1;
     if (!more) return 0;
     *verdict = gather_near(o);
     return !*verdict && ++o->rounds < ROUNDS_OF_STEP;
-}
-
-/* ---- rows ---- */
-
-/* Rows of the points near, at a configuration where they touch like this: directions at nodes, in the axes of their body, and rows on the
-   frames of body and obstacle. */
-static void elastic_rows(FreeFlight *o, const double *q, const Touch *at)
-{
-    const Contacts *c = o->contacts;
-    const int d = c->components;
-    for (int k = 0; k < o->count; k++) {
-        const int i = o->near[k], b = c->on[2 * i], carrier = c->on[2 * i + 1];
-        double e[D * D], R[D * D], *row = o->rows + WIDE * d * k;
-        memcpy(e, at->normal + D * i, D * sizeof(double));
-        if (d > 1) across(e, e + D);
-        o->turned |= o->increments && memcmp(o->direction + D * d * k, e, D * sizeof(double));
-        memcpy(o->direction + D * d * k, e, D * d * sizeof(double));
-        rotation(q + POSE * b, R);
-        for (int a = 0; a < d; a++, row += WIDE) {
-            memset(row, 0, WIDE * sizeof(double));
-            transposed(R, e + D * a, row);
-            if (!rests(c->system->body + b)) frame_row(q + POSE * b, at->x + D * i, e + D * a, 1.0, row + D);
-            if (carrier >= 0) frame_row(q + POSE * carrier, at->x + D * i, e + D * a, -1.0, row + D + TWIST);
-        }
-    }
-}
-
-/* A row of point i times an array like v. */
-static double row_times(const Contacts *c, int i, const double *row, const double *v)
-{
-    const int carrier = c->on[2 * i + 1];
-    double sum = dot(row, v + node_at(c, i), D) + dot(row + D, v + TWIST * c->on[2 * i], TWIST);
-    return carrier < 0 ? sum : sum + dot(row + D + TWIST, v + TWIST * carrier, TWIST);
-}
-
-/* b += factor L^T f, like v. */
-static void add_pushes(const FreeFlight *o, double factor, const double *f, double *b)
-{
-    const Contacts *c = o->contacts;
-    const double *row = o->rows;
-    for (int k = 0; k < o->count; k++)
-        for (int a = 0; a < c->components; a++, row += WIDE, f++) {
-            const int i = o->near[k], carrier = c->on[2 * i + 1];
-            add(b + node_at(c, i), factor * *f, row, D);
-            add(b + TWIST * c->on[2 * i], factor * *f, row + D, TWIST);
-            if (carrier >= 0) add(b + TWIST * carrier, factor * *f, row + D + TWIST, TWIST);
-        }
-}
-
-/* ---- how contacts answer: (1) and (2) of linear/complementarity/delassus.py ---- */
-
-/* Rows at nodes in the axes of the factors of their fields, into ``axes``; whether they are what they were. */
-static int turn_rows(FreeFlight *o)
-{
-    const Contacts *c = o->contacts;
-    const int d = c->components;
-    int same = 1;
-    for (int r = 0; r < d * o->count; r++) {
-        const Field *e = c->system->body[c->on[2 * o->near[r / d]]].field;
-        double y[D];
-        memcpy(y, o->rows + WIDE * r, sizeof y);
-        if (e->turns) transposed(e->T, o->rows + WIDE * r, y);
-        same = same && !memcmp(y, o->axes + D * r, sizeof y);
-        memcpy(o->axes + D * r, y, sizeof y);
-    }
-    return same;
-}
-
-/* What the core does under forces on all rows. */
-static int ask_core(System *s, FreeFlight *o)
-{
-    const Contacts *c = o->contacts;
-    const int d = c->components, n = d * o->count;
-    memset(o->push, 0, (long)n * s->core * sizeof(double));
-    memset(o->seen, 0, (long)n * o->columns * sizeof(double));
-    for (int r = 0; r < n; r++) {
-        const int i = o->near[r / d], carrier = c->on[2 * i + 1];
-        const Nodes *k = o->nodes + o->nodes_of[c->of[i]];
-        add(o->push + (long)s->core * r + TWIST * c->on[2 * i], 1.0, o->rows + WIDE * r + D, TWIST);
-        if (carrier >= 0) add(o->push + (long)s->core * r + TWIST * carrier, 1.0, o->rows + WIDE * r + D + TWIST, TWIST);
-        for (int j = 0; j < D && k->columns; j++)
-            add(o->seen + (long)o->columns * r + k->at, o->axes[D * r + j], k->Y + (long)k->columns * (D * o->node[i] + j), k->columns);
-    }
-    memset(o->room, 0, s->nv * sizeof(double));
-    return driver_columns(s, n, o->factored, o->room, o->push, o->seen, o->answer, o->acting);
-}
-
-/* How row r moves under a force on row l. */
-static double answer_on(const System *s, const FreeFlight *o, int r, int l, int coupled)
-{
-    const Contacts *c = o->contacts;
-    const int i = o->near[r / c->components], j = o->near[l / c->components];
-    const Nodes *k = o->nodes + o->nodes_of[c->of[i]];
-    double sum = 0.0;
-    if (k == o->nodes + o->nodes_of[c->of[j]])
-        for (int a = 0; a < D; a++)
-            sum += o->axes[D * r + a] * dot(k->C + k->size * (D * o->node[i] + a) + D * o->node[j], o->axes + D * l, D);
-    if (!coupled) return sum;
-    sum -= dot(o->seen + (long)o->columns * r, o->acting + (long)o->columns * l, o->columns);
-    return sum + dot(o->push + (long)s->core * r, o->answer + (long)s->core * l, s->core);
-}
-
-/* W, for forces that a solution weights by ``scale``. */
-static int take_compliance(System *s, FreeFlight *o, double scale)
-{
-    const Contacts *c = o->contacts;
-    const int d = c->components, m = o->count, coupled = o->coupled;
-    Problem *P = &o->problem->all;
-    int verdict, same = turn_rows(o) && !coupled && o->known_scale == scale;
-    o->matrix = 1;
-    if (same) return DONE;
-    o->known_scale = 0.0;
-    if (coupled && (verdict = ask_core(s, o))) return verdict;
-    for (int i = 0; i < m; i++)
-        for (int j = 0; j <= i; j++)
-            for (int a = 0; a < d; a++)
-                for (int b = 0; b < d; b++) {
-                    const int r = d * i + a, l = d * j + b;
-                    const double w = 0.5 * scale * (answer_on(s, o, r, l, coupled) + answer_on(s, o, l, r, coupled));
-                    if (i == j) P->own[(i * d + a) * d + b] = w;
-                    else {
-                        P->W[(((long)i * (m - 1) + j) * d + a) * d + b] = w;
-                        P->W[(((long)j * (m - 1) + i - 1) * d + b) * d + a] = w;
-                    }
-                }
-    o->known_scale = scale;
-    return DONE;
 }
 
 /* ---- increments ---- */
@@ -243,7 +157,7 @@ static int find_openings(FreeFlight *o, const Contacting *k, const Touch *at, co
         if (drifts(c, i, k->q, k->t, way_over(k->from, k->span), at, drift)) return FAILED;
         for (int a = 0; a < d; a++) {
             const double *row = o->rows + WIDE * (d * j + a);
-            P->u[d * j + a] = row_times(c, i, row, x) + (a ? row_times(c, i, row, k->xi) - drift[a] : end->gap[i]);
+            P->u[d * j + a] = row_times(o, i, row, x) + (a ? row_times(o, i, row, k->xi) - drift[a] : end->gap[i]);
         }
         P->mu[j] = c->pair[c->of[i]].friction;
     }
@@ -257,19 +171,18 @@ static void push_residuals(System *s, const FreeFlight *o, const double *f)
 {
     const Contacts *c = o->contacts;
     const double *row = o->rows;
-    for (int k = 0; k < o->count; k++)
-        for (int a = 0; a < c->components; a++, row += WIDE, f++) {
-            const int *on = c->on + 2 * o->near[k];
-            const Body *body = s->body + on[0];
-            add(body->field->force + node_at(c, o->near[k]) - body->at_v, -*f, row, D);
-            for (int side = 0; side < 2; side++) {
-                const double *twist = row + D + side * TWIST;
-                double turning[ROT];
-                if (on[side] < 0) continue;
-                to_world(s->frames + FRAME * on[side] + TURN, twist + D, turning);
-                add(s->residual + s->body[on[side]].at_u, -*f, twist, D);
-                add(s->residual + s->body[on[side]].at_u + D, -*f, turning, ROT);
-            }
+    for (int r = 0; r < c->components * o->count; r++, row += WIDE)
+        for (int side = 0; side < 2; side++) {
+            const int i = o->near[r / c->components], on = c->on[2 * i + side];
+            const Side k = side_of(o, i, side);
+            const double *twist = row + 2 * D + side * TWIST;
+            double turning[ROT];
+            for (int e = 0; e < k.count; e++)
+                add(k.body->field->force + node_at(&k, e) - k.body->at_v, -f[r] * k.weight[e], row + D * side, D);
+            if (on < 0) continue;
+            to_world(s->frames + FRAME * on + TURN, twist + D, turning);
+            add(s->residual + s->body[on].at_u, -f[r], twist, D);
+            add(s->residual + s->body[on].at_u + D, -f[r], turning, ROT);
         }
 }
 
@@ -313,8 +226,8 @@ int contact_increment(System *s, FreeFlight *o, const Contacting *k, double *x, 
     Problem *P = &o->problem->all;
     Touch *end = &c->aside;
     int verdict, changed = 0;
-    if (look_at_points(c, k->q, k->t, &c->aside)) return FAILED;
-    if (k->end != k->q && look_at_points(c, k->end, k->end_t, end = &c->end)) return FAILED;
+    if (look_at_points(o, k->q, k->t, &c->aside)) return FAILED;
+    if (k->end != k->q && look_at_points(o, k->end, k->end_t, end = &c->end)) return FAILED;
     elastic_rows(o, k->q, &c->aside);
 
     /* the increment without a change of the contact forces */
@@ -337,7 +250,7 @@ int contact_increment(System *s, FreeFlight *o, const Contacting *k, double *x, 
 /* Whether the points near are those of the step that led to a state. */
 static int as_before(const FreeFlight *o, const Block *now)
 {
-    for (int i = 0; o->problem && i < o->contacts->points; i++)
+    for (int i = 0; i < o->candidates; i++)
         if (now->own[o->at_near + i] != o->listed[i]) return 0;
     return 1;
 }

@@ -7,7 +7,7 @@ static int take_rates(FreeFlight *o, double h, const Block *out)
     const double e = 1e-3 * h;
     memset(o->rates, 0, o->count * sizeof(double));
     for (int side = 1; c->moving && side > -2; side -= 2) {
-        if (look_at_points(c, out->q, *out->t + side * e, &c->aside)) return FAILED;
+        if (look_at_points(o, out->q, *out->t + side * e, &c->aside)) return FAILED;
         for (int k = 0; k < o->count; k++) o->rates[k] += side * c->aside.gap[o->near[k]] / (2 * e);
     }
     return DONE;
@@ -36,8 +36,7 @@ static int pushed(System *s, const FreeFlight *o, const double *impulse, double 
 /* Impulses (2) on closed contacts, the only ones with forces, into P->f, over ``scale``; whether there are any. Open ones are not moved. */
 static int stop_closed(System *s, FreeFlight *o, const Persisting *at, const double *force, const Block *now, const Block *out, int *any)
 {
-    const Contacts *c = o->contacts;
-    const int d = c->components, m = o->count;
+    const int d = o->contacts->components, m = o->count;
     Problem *P = &o->problem->all;
     double most = 0.0, carry[D];
     int verdict;
@@ -45,7 +44,7 @@ static int stop_closed(System *s, FreeFlight *o, const Persisting *at, const dou
     for (int k = 0; k < m; k++) {
         if (carried(o, k, at->h, now, out, carry)) return FAILED;
         for (int a = 0; a < d; a++)
-            P->u[d * k + a] = row_times(c, o->near[k], o->rows + WIDE * (d * k + a), out->v) + carry[a];
+            P->u[d * k + a] = row_times(o, o->near[k], o->rows + WIDE * (d * k + a), out->v) + carry[a];
         if (force[d * k] > 0.0) most = fmax(most, fabs(P->u[d * k])), *any |= P->u[d * k] < 0.0;
     }
     memset(P->f, 0, d * m * sizeof(double));

@@ -1,0 +1,219 @@
+/* Rows of contacts of fields, and how they answer to forces. A row acts on means of nodes of one field or two; before an obstacle that is one
+   node, and the obstacle is at rest, moves as prescribed, or is carried by a body. */
+
+enum { WIDE = 2 * (D + TWIST) }; /* numbers of a row: directions at the nodes of both sides, on both frames */
+
+/* The nodes that candidate i acts on with one of its sides: entries of a mean over the points of a pair. */
+typedef struct {
+    const Pair *points;
+    const Body *body;
+    Nodes *nodes;
+    int count;
+    const int *node, *number;          /* among the points; of these, in their trace */
+    const double *weight;
+} Side;
+
+static Side side_of(const FreeFlight *o, int i, int side)
+{
+    const Contacts *c = o->contacts;
+    const int law = c->of[i], of = o->surface[2 * law + side];
+    if (of < 0) return (Side){.count = 0};
+    const Means *k = o->means + 2 * law + side;
+    const Pair *points = c->pair + of;
+    const int *first = k->first + i - c->pair[law].first;
+    return (Side){points, c->system->body + c->on[2 * points->first], o->nodes + o->nodes_of[of], first[1] - *first, k->node + *first,
+                  o->node + points->first, k->weight + *first};
+}
+
+/* Where node e of a side begins in arrays like v. */
+static long node_at(const Side *k, int e) { return k->points->node[k->node[e]] - k->body->at_q + k->body->at_v; }
+
+/* Its number in its trace. */
+static int number_of(const Side *k, int e) { return k->number[k->node[e]]; }
+
+/* The row of a mean of points with this sum of weights along e, on the twist of a frame, in its body axes. */
+static void mean_row(const double *pose, double weight, const double *mean, const double *e, double sign, double *row)
+{
+    double y[D];
+    for (int j = 0; j < D; j++) y[j] = mean[j] + (1.0 - weight) * pose[j];
+    frame_row(pose, y, e, sign, row);
+    for (int j = 0; j < D; j++) row[j] *= weight;
+}
+
+/* Rows of those near, at a configuration where they touch like this: directions at nodes, in the axes of their bodies, and rows on the
+   frames of these, or on that of an obstacle. */
+static void elastic_rows(FreeFlight *o, const double *q, const Touch *at)
+{
+    const Contacts *c = o->contacts;
+    const int d = c->components;
+    for (int k = 0; k < o->count; k++) {
+        const int i = o->near[k];
+        double e[D * D], R[D * D], *row = o->rows + WIDE * d * k;
+        memcpy(e, at->normal + D * i, D * sizeof(double));
+        if (d > 1) across(e, e + D);
+        o->turned |= o->increments && memcmp(o->direction + D * d * k, e, D * sizeof(double));
+        memcpy(o->direction + D * d * k, e, D * d * sizeof(double));
+        memset(row, 0, d * WIDE * sizeof(double));
+        for (int side = 0; side < 2; side++) {
+            const int b = c->on[2 * i + side];
+            const double sign = side ? -1.0 : 1.0;
+            const Side m = side_of(o, i, side);
+            double mean[D] = {0.0}, weight = 0.0;
+            if (b < 0) continue;
+            for (int n = 0; n < m.count; n++) {
+                add(mean, m.weight[n], at->x + D * (m.points->first + m.node[n]), D);
+                weight += m.weight[n];
+            }
+            rotation(q + POSE * b, R);
+            for (int a = 0; a < d; a++) {
+                double *local = row + WIDE * a + D * side, *twist = row + WIDE * a + 2 * D + TWIST * side;
+                if (!m.points) {
+                    frame_row(q + POSE * b, at->x + D * i, e + D * a, sign, twist);
+                    continue;
+                }
+                transposed(R, e + D * a, local);
+                for (int j = 0; j < D; j++) local[j] *= sign;
+                if (!rests(m.body)) mean_row(q + POSE * b, weight, mean, e + D * a, sign, twist);
+            }
+        }
+    }
+}
+
+/* A row of candidate i times an array like v. */
+static double row_times(const FreeFlight *o, int i, const double *row, const double *v)
+{
+    double sum = 0.0;
+    for (int side = 0; side < 2; side++) {
+        const int b = o->contacts->on[2 * i + side];
+        const Side k = side_of(o, i, side);
+        for (int e = 0; e < k.count; e++) sum += k.weight[e] * dot(row + D * side, v + node_at(&k, e), D);
+        if (b >= 0) sum += dot(row + 2 * D + TWIST * side, v + TWIST * b, TWIST);
+    }
+    return sum;
+}
+
+/* b += factor L^T f, like v. */
+static void add_pushes(const FreeFlight *o, double factor, const double *f, double *b)
+{
+    const Contacts *c = o->contacts;
+    const double *row = o->rows;
+    for (int r = 0; r < c->components * o->count; r++, row += WIDE)
+        for (int side = 0; side < 2; side++) {
+            const int i = o->near[r / c->components], on = c->on[2 * i + side];
+            const Side k = side_of(o, i, side);
+            for (int e = 0; e < k.count; e++) add(b + node_at(&k, e), factor * f[r] * k.weight[e], row + D * side, D);
+            if (on >= 0) add(b + TWIST * on, factor * f[r], row + 2 * D + TWIST * side, TWIST);
+        }
+}
+
+/* ---- how contacts answer: (1) and (2) of linear/complementarity/delassus.py ---- */
+
+/* Rows at nodes in the axes of the factors of their fields, into ``axes``; whether they are what they were. */
+static int turn_rows(FreeFlight *o)
+{
+    const Contacts *c = o->contacts;
+    const int d = c->components;
+    int same = 1;
+    for (int r = 0; r < 2 * d * o->count; r++) {
+        const Side k = side_of(o, o->near[r / 2 / d], r % 2);
+        double y[D];
+        memcpy(y, o->rows + WIDE * (r / 2) + D * (r % 2), sizeof y);
+        if (k.count && k.body->field->turns) transposed(k.body->field->T, o->rows + WIDE * (r / 2) + D * (r % 2), y);
+        same = same && !memcmp(y, o->axes + D * r, sizeof y);
+        memcpy(o->axes + D * r, y, sizeof y);
+    }
+    return same;
+}
+
+/* What the core does under forces on all rows. */
+static int ask_core(System *s, FreeFlight *o)
+{
+    const Contacts *c = o->contacts;
+    const int d = c->components, n = d * o->count;
+    memset(o->push, 0, (long)n * s->core * sizeof(double));
+    memset(o->seen, 0, (long)n * o->columns * sizeof(double));
+    for (int r = 0; r < 2 * n; r++) {
+        const int i = o->near[r / 2 / d], side = r % 2, on = c->on[2 * i + side];
+        const Side k = side_of(o, i, side);
+        if (on >= 0) add(o->push + (long)s->core * (r / 2) + TWIST * on, 1.0, o->rows + WIDE * (r / 2) + 2 * D + TWIST * side, TWIST);
+        for (int e = 0; e < k.count && k.nodes->columns; e++)
+            for (int j = 0; j < D; j++)
+                add(o->seen + (long)o->columns * (r / 2) + k.nodes->at, k.weight[e] * o->axes[D * r + j],
+                    k.nodes->Y + (long)k.nodes->columns * (D * number_of(&k, e) + j), k.nodes->columns);
+    }
+    memset(o->room, 0, s->nv * sizeof(double));
+    return driver_columns(s, n, o->factored, o->room, o->push, o->seen, o->answer, o->acting);
+}
+
+/* How the nodes touched answer to forces on the rows of the i-th candidate near, row by row; C is symmetric. */
+static void ask_fields(const FreeFlight *o, int i)
+{
+    const int d = o->contacts->components, touched = o->nodes[o->traces - 1].end;
+    memset(o->reply, 0, (long)d * D * touched * sizeof(double));
+    for (int side = 0; side < 2; side++) {
+        const Side k = side_of(o, o->near[i], side);
+        for (int e = 0; e < k.count; e++)
+            for (int b = 0; b < d; b++)
+                for (int j = 0; j < D; j++) {
+                    const double *C = k.nodes->C + (long)D * k.nodes->size * (D * number_of(&k, e) + j);
+                    const double f = k.weight[e] * o->axes[D * (2 * (d * i + b) + side) + j];
+                    for (int t = k.nodes->begin; t < k.nodes->end; t++) add(o->reply + D * (b * touched + t), f, C + D * o->touched[t], D);
+                }
+    }
+}
+
+/* How the rows of the i-th move then, (components x components). */
+static void answers_on(const FreeFlight *o, int i, double *w)
+{
+    const int d = o->contacts->components, touched = o->nodes[o->traces - 1].end;
+    memset(w, 0, d * d * sizeof(double));
+    for (int side = 0; side < 2; side++) {
+        const Side k = side_of(o, o->near[i], side);
+        for (int e = 0; e < k.count; e++) {
+            const double *reply = o->reply + D * o->place[k.nodes->first + number_of(&k, e)];
+            for (int a = 0; a < d; a++)
+                for (int b = 0; b < d; b++)
+                    w[d * a + b] += k.weight[e] * dot(o->axes + D * (2 * (d * i + a) + side), reply + D * b * touched, D);
+        }
+    }
+}
+
+/* The block of W for candidates i and j of those near. */
+static double *block_of(const Problem *P, int d, int i, int j)
+{
+    return i == j ? P->own + i * d * d : P->W + ((long)i * (P->m - 1) + j - (j > i)) * d * d;
+}
+
+/* W, for forces that a solution weights by ``scale``: symmetric but for roundoff. */
+static int take_compliance(System *s, FreeFlight *o, double scale)
+{
+    const int d = o->contacts->components, m = o->count, coupled = o->coupled;
+    const Problem *P = &o->problem->all;
+    int verdict, same = turn_rows(o) && !coupled && o->known_scale == scale;
+    o->matrix = 1;
+    if (same) return DONE;
+    o->known_scale = 0.0;
+    if (coupled && (verdict = ask_core(s, o))) return verdict;
+    memset(P->own, 0, (long)m * d * d * sizeof(double));
+    memset(P->W, 0, (long)m * (m - 1) * d * d * sizeof(double));
+    for (int j = 0; j < m; j++) {
+        ask_fields(o, j);
+        for (int i = 0; i < m; i++) {
+            double w[D * D], *block = block_of(P, d, i, j), *across = block_of(P, d, j, i);
+            answers_on(o, i, w);
+            for (int a = 0; a < d; a++)
+                for (int b = 0; b < d; b++) {
+                    const long r = d * i + a, l = d * j + b;
+                    double part = w[d * a + b];
+                    if (coupled) {
+                        part -= dot(o->seen + o->columns * r, o->acting + o->columns * l, o->columns);
+                        part += dot(o->push + s->core * r, o->answer + s->core * l, s->core);
+                    }
+                    block[d * a + b] += 0.5 * scale * part;
+                    across[d * b + a] += 0.5 * scale * part;
+                }
+        }
+    }
+    o->known_scale = scale;
+    return DONE;
+}
