@@ -166,11 +166,12 @@ def test_rates_of_a_table_of_straight_lines(places: tuple[float, ...]) -> None:
 
 def test_a_side_that_is_another_function_is_not_asked() -> None:
     """Steps that are too long for the smooth side ahead of t = 0 went to the constant one behind."""
-    kept = CountingSteps()
-    kept.break_at([0.3])
-    for t in (0.0, 1e-7, 1e-3):
-        first, second = rates(lambda t: float(np.interp(t, [0.0, 0.3, 1.0], [0.0, 0.6, 0.0])), t, kept=kept)
-        assert first == pytest.approx(2.0, abs=1e-9) and abs(second) < 1e-5
+    for times, places in (([0.0, 0.3, 1.0], [0.0, 0.6, 0.0]), ([0.0, 0.4, 0.8, 1.2], [1.0, 0.8, 0.9, 0.9])):
+        kept = CountingSteps()
+        kept.break_at(times[1:-1])
+        for t in (0.0, 1e-7, 1e-3, times[1] * (1.0 - 1e-15)):
+            first, second = rates(partial(np.interp, xp=times, fp=places), t, kept=kept)
+            assert first == pytest.approx((places[1] - places[0]) / times[1], abs=1e-9) and abs(second) < 1e-5
 
 
 def test_differences_make_no_arrays(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -188,7 +188,13 @@ class CountingSteps:
         steps, errors = self._interval(function, t, scale)
         if not steps:
             return None
-        found = search(function, t, scale, self.smooth_about(t), steps)
+        span = self.smooth_about(t)
+        if (
+            t + 3 * STEPS[steps[0]] >= span[1]
+        ):  # on the side behind alone: so that it is seen where that is another function
+            ahead = [n for n, h in enumerate(STEPS) if t + 6 * h < span[1]]
+            steps = sorted({*steps, *ahead[-1:]})
+        found = search(function, t, scale, span, steps)
         good = all(not x.contradicted and x.error <= AGREES * error for x, error in zip(found, errors, strict=True))
         return (found[0].value, found[1].value) if good else None
 
