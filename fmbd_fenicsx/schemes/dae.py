@@ -106,6 +106,7 @@ class OfForm:
 
     form: Form
     forgets: ClassVar[bool] = True
+    finds_memories: ClassVar[bool] = True
 
     @property
     def carries_pressure(self) -> bool:

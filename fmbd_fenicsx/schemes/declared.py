@@ -26,6 +26,8 @@ class Declared:
     ``orders``: of positions, velocities, and accelerations with multipliers, where there are any; None: the scheme's in all.
     ``corrects``: of systems without fields, accelerations and multipliers that are read are of the order of velocities.
     ``forgets``: nothing is left after a few steps of vibrations that these do not resolve.
+    ``finds_memories``: memories of continuous laws are found as the motion is, in the order of positions; else they go by the
+    trapezoidal rule.
     ``looks_ahead``: under error control it looks for loads that come within a step before it tries one.
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
@@ -42,6 +44,7 @@ class Declared:
     ends_ahead: bool = False
     corrects: bool = False
     forgets: bool = False
+    finds_memories: bool = False
     looks_ahead: bool = False
     timeless: bool = False
     compiled: bool = True

@@ -112,6 +112,11 @@ class ErrorNorm(Remembering):
         return RigidMotions.at(self.system, state) if self.index < 3 and RigidMotions.differ(self.system) else None
 
     @property
+    def tolerances(self) -> tuple[float, float]:
+        """Relative and absolute."""
+        return self.rtol, self.atol or 0.0
+
+    @property
     def largest(self) -> tuple[Any, ...]:
         """The largest sizes so far."""
         return self.q_size, self.v_size, self.deflections

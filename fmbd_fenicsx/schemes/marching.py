@@ -89,7 +89,10 @@ class CompiledSteps(TimeStepper):
         if self._alone is None:
             return False
         q, tables, memories = self._alone
-        if q is not self.state.q or tables.sampled:  # a new sample is a jump, which who called has to know
+        if q is not self.state.q:
+            return False
+        if tables.sampled:  # a new sample is a jump, which who called has to know
+            tables.remember_points(memories)
             return False
         tables.remember(memories)
         return True

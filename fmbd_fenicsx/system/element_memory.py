@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from ..rotations import Array
+from .control.memory_points import PointRule, StepError
 from .layout import State
 from .system import System
 
@@ -67,3 +69,28 @@ def accept(system: System, state: State) -> bool:
     jumped = any(loads.jumps(value) for loads, value in zip(keepers, kept, strict=True))
     restore(system, kept)
     return jumped
+
+
+def collocated(system: System) -> list[Any]:
+    """The elements whose memory is found at the points of an implicit step together."""
+    return [loads for loads in system.forces if loads.collocates]
+
+
+def collocate(system: System, rule: PointRule, q: Array, v: Array) -> None:
+    """Find the memories at the points of an implicit step, q (k, n_q) and v (k, n_v); collective."""
+    finding = collocated(system)
+    if finding:
+        kins = [system.at(float(t), q[i], v[i]).kin for i, t in enumerate(rule.t)]
+        for loads in finding:
+            loads.collocate(rule, kins)
+
+
+def lead_memories(system: System, share: float) -> None:
+    """Where a tangent of the step is taken memories answer to their rates by so much (s)."""
+    for loads in collocated(system):
+        loads.lead(share)
+
+
+def memory_error(system: System, of: StepError) -> float:
+    """The largest error of a memory in the step whose points were found last, over the tolerance."""
+    return max((loads.memory_error(of) for loads in collocated(system)), default=0.0)

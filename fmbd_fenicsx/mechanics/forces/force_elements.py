@@ -123,6 +123,21 @@ class Loads:
         """Whether forces jump when the memory becomes ``kept``."""
         return False
 
+    @property
+    def collocates(self) -> bool:
+        """Whether its memory is found at the points of a step together; its errors are told."""
+        return False
+
+    def collocate(self, rule: Any, kins: Sequence[Kinematics]) -> None:
+        """Find the memory at the points of a step, whose markers are ``kins``, by the rule of the scheme."""
+
+    def lead(self, share: float) -> None:
+        """Where a tangent of the step is taken the memory answers to its rates by so much (s)."""
+
+    def memory_error(self, of: Any) -> float:
+        """The error of the memory in the step whose points were found last, over the tolerance."""
+        return 0.0
+
     def memory_values(self) -> Array:
         """The memory as numbers (m,) that small motions change; (0,) where it stays as it is."""
         return np.zeros(0)

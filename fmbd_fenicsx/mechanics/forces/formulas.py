@@ -15,7 +15,7 @@ import numpy as np
 from ...rotations import Array
 from .effort_laws import EffortLaw, Feedback, Held
 
-WIDTH, MEMORY = 6, 3  # numbers of an element: constants, and memory of accepted steps
+WIDTH, MEMORY = 6, 47  # numbers of an element: constants, and memory of accepted steps, see PidMemory of tables.h
 TARGET = 4  # of SERVO and PID: where the target and its rate stand
 
 

@@ -62,7 +62,7 @@ def tolerance_error(
         |x_r - x| <= |x_r - x_s| + |x_s - x| <= 1 / (1 - k) |x_r - x_s|,     s = f r,     k = (n_r / n_s)^p           (1)
 
     with f = 1/10, n_r, n_s the steps that the runs took and p the order of the scheme in the sensor: multipliers, and
-    all where memories go by the trapezoidal rule, have lower ones than the steps are chosen by. k counts as f^0.7 at least:
+    all where memories go by rules of their own, have lower ones than the steps are chosen by. k counts as f^0.7 at least:
     errors like r^(2/3) fall to 0.22 of their size with f = 1/10. Where steps come in a few sizes only, two tolerances may share
     one, and agree: s falls on then. Of ``smooth`` motion f = 1/3 is enough for many steps, of which the second run lands at every
     second end, so that n_s / n_r is 3/2 at least; what kinks leave is chance, and comes near in both runs.

@@ -11,13 +11,14 @@ import numpy as np
 from ...rotations import Array
 from ...schemes.dae import Index3, OfForm
 from ...schemes.declared import Declared
+from ...system.element_memory import collocated
 from ...system.scene.scene import Scene
 from ...system.system import System
 
 SEEN = 0.75  # share of the expected order above which runs with larger steps follow the same motion
 REGULAR = 0.9  # the same above which an order is what it seems
 LEAST_ORDER = 0.5
-# the trapezoidal rule of controllers and of arms of rods that relax; friction that knows ends of steps alone
+# the trapezoidal rule of laws with a memory, arms of rods that relax; friction that knows ends of steps alone
 OF_MEMORIES = 2
 BETWEEN, MOST_BETWEEN = 0.4, 0.5  # of the way from an order seen to the expected one; and the most that this may be
 TOO_HIGH = 1.0  # what an order is beyond that of the scheme that belongs to another motion
@@ -34,8 +35,8 @@ FALLING = 0.5  # order below which differences do not fall with the step: a tent
 
 def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]:
     """The order that a scheme has in each sensor: multipliers, and motion that constraints take part in, may have a lower one
-    than positions (:attr:`.Declared.orders`), and none is above that of the memories of continuous elements. Volumes that bodies
-    keep are constraints on positions alone.
+    than positions (:attr:`.Declared.orders`), and none is above that of memories of continuous elements that the scheme does not
+    find as it finds the motion. Volumes that bodies keep are constraints on positions alone.
     """
     keeps_volumes = any(part.field.keeps_volume for _, part in system.fields)
     of_index_3 = keeps_volumes and isinstance(scheme, OfForm)
@@ -44,7 +45,9 @@ def expected_orders(scheme: Any, scene: Scene, system: System) -> dict[str, int]
     known = (scheme.order,) * 3 if orders is None else orders
     if Declared.by(scheme).corrects and not system.fields:
         known = (*known[:2], known[1])
-    remembers = any(len(keeper.memory_values()) for keeper in system.keepers) or seen_by_ends(system)
+    found = collocated(system) if Declared.by(scheme).finds_memories else []
+    left = [keeper for keeper in system.keepers if keeper not in found]
+    remembers = any(len(keeper.memory_values()) for keeper in left) or seen_by_ends(system)
     highest = OF_MEMORIES if remembers else max(known)
     return {name: min(known[sensor.derivative], highest) for name, sensor in scene.sensors.items()}
 

@@ -70,7 +70,7 @@ class CoupledStages:
         """How much of an increment is taken: so much that P^-1 r, of this ``size``, falls. Pressures would have to move along."""
         share = 1.0
         while not self.eq.pressures.fields and share > LEAST:
-            left = self._by_one(*self.eq.residual(self.t, self._moved(share * y)))
+            left = self._by_one(*self.eq.left_of(self.t, self._moved(share * y), self.rule))
             if float(self._dot(left[None], left)[0]) ** 0.5 < (1.0 - FALLS * share) * size:
                 break
             share *= 0.5
@@ -96,7 +96,7 @@ class CoupledStages:
         dxi, dv, _ = self._parted(y)
         moved = max(system.each_max_abs(dxi).max(), self._h * system.each_max_abs(dv).max())
         e = SHIFT * system.length / (moved or 1.0)
-        kin, low = self.eq.residual(self.t, self._moved(e * y))
+        kin, low = self.eq.left_of(self.t, self._moved(e * y), self.rule)
         return -self._by_one((kin - self.residual[0]) / e, (low - self.residual[1]) / e)
 
     def _moved(self, y: Array) -> Points:

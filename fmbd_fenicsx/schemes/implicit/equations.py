@@ -13,6 +13,8 @@ from ...linear.residual import Judge
 from ...rotations import Array
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import PointRoom, StageRule
+from ...system.control.memory_points import PointRule
+from ...system.element_memory import collocate, collocated
 from ...system.layout import State
 from ...system.serialisation import Remembering
 from ...system.system import System
@@ -78,6 +80,17 @@ class Equations(Remembering):
     def residual(self, t: Array, p: Points) -> tuple[Array, Array]:
         """r_kin (k, n_v) and r_low (k, n_v + n_mult) of (1), (2) at the times t (k,)."""
         raise NotImplementedError
+
+    def left_of(self, t: Array, p: Points, rule: StageRule) -> tuple[Array, Array]:
+        """:meth:`residual`, with the memories of elements at the points."""
+        self.collocate(t, p, rule)
+        return self.residual(t, p)
+
+    def collocate(self, t: Array, p: Points, rule: StageRule) -> None:
+        """Find the memories of elements at points."""
+        if collocated(self.system):
+            points = PointRule(t, rule.couple, rule.past, rule.ends)
+            collocate(self.system, points, self.system.compose(self.origin, p.xi), p.v)
 
     def follow(self, dxi: Array, rule: StageRule) -> None:
         """Move what is eliminated from them along with increments (k, n_v) of the points of :meth:`residual`."""

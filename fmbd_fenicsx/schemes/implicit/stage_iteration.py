@@ -50,7 +50,7 @@ class StageIteration:
     def increment(self, pencil: Any) -> Increments:
         """Add one increment, in NumPy."""
         p, n = self.points, self._points.xi.shape[1]
-        kin, low = self.eq.residual(self.t, p)
+        kin, low = self.eq.left_of(self.t, p, self.rule)
         change, mult = self._solved(pencil, kin, low)
         dxi, dv = change[:, :n], change[:, n:]
         couple = self.rule.couple

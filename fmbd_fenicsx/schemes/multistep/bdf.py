@@ -28,6 +28,8 @@ from ...errors import require
 from ...linear.condensation import StepSolver
 from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.control.memory_points import StepError
+from ...system.element_memory import memory_error
 from ...system.layout import State
 from ...system.scene.contents import Contents
 from ...system.serialisation import Memory, plain, worker
@@ -154,6 +156,11 @@ class BDFStepper(Corrector):
         within = State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, np.array(t)) @ vs, mult[:m])
         return self._held(s.t - self.past[1].t, within)
 
+    def note(self) -> bool:
+        """As :meth:`TimeStepper.note`, also of the first steps, which another scheme makes."""
+        starter = self._starter
+        return bool(starter.note()) if starter is not None and starter.state is self.state else super().note()
+
     # -- steps --------------------------------------------------------------------------------------------------
     def _controlled(self, limit: float) -> State:
         """A step of at most ``limit`` (s) that passes the error test."""
@@ -261,7 +268,9 @@ class BDFStepper(Corrector):
             return np.inf
         w = weights(times, t)
         share = max(h / (t - times[-1]), 1.0 / (k + 1))
-        return self._error_size(h, self._pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
+        of_memories = StepError(np.array([share]), -share * w, times, 0.0, 0.0, *self.norm.tolerances)
+        motion = self._error_size(h, self._pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
+        return max(motion, memory_error(self.system, of_memories))
 
     def _choose(self, h: float, p: Points, error: float) -> float:
         """The next step; sets the next order. Changes only after k + 1 steps of one size and order."""

@@ -9,6 +9,8 @@ the equations of the step (:mod:`~fmbd_fenicsx.schemes.dae`) are solved for xi, 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...rotations import Array
@@ -56,9 +58,12 @@ class Corrector(MultistepMarch):
         p, c = self._predicted(h, k)
         foretold = p.xi[0]
         self.eq.begin(self.state)
-        relax = self._prepare(t, p, c[0])
+        ends = np.array([x.t for x in self.past[:k]])
+        rule = StageRule(c[:1, None], ALONE, ALONE, past=c[None, 1:], ends=ends)
+        self.eq.collocate(np.array([t]), p, rule)  # a tangent knows how memories follow
+        rule = replace(rule, relax=self._prepare(t, p, c[0]))
 
-        iteration = self._iteration(h, np.array([t]), p, StageRule(c[:1, None], ALONE, ALONE, relax))
+        iteration = self._iteration(h, np.array([t]), p, rule)
         convergence, most = self._convergence(h, RATES, 1.0), self.newton.max_iterations
         for until in range(1, most + 1) if self._full else (most,):
             if convergence.done:
@@ -70,6 +75,7 @@ class Corrector(MultistepMarch):
 
         self.newton.note(convergence.share * convergence.size)
         p = iteration.points
+        self.eq.collocate(np.array([t]), p, rule)
         if self._full and strayed(self.system, p.xi[0], foretold):
             return OTHER_SOLUTION
         return p

@@ -16,11 +16,13 @@ import numpy as np
 from ...checks import check_fields
 from ...errors import BalanceError, CallbackError, ConvergenceError, LawError, LinearSolveError
 from ...linear.condensation import StepSolver
+from ...log import log
 from ...rotations import Array
 from ...system.compiled.explicit import CONTROLLED, ExplicitRoom
 from ...system.compiled.march import March
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.explicit import Tableau
+from ...system.element_memory import collocated
 from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
@@ -81,6 +83,11 @@ class ExplicitStepper(OwnMarch):
         self.adaptive = scheme.rtol is not None
         self.limit: StepLimit = StepLimit(self.what, system, solver, partial(amplified, self._tableau()[0][1]))
         self._lent: ExplicitRoom | None = None
+        if self.adaptive and (left := collocated(system)):
+            log.warning(
+                'error control of %s does not see the memory of controller "%s", which goes by the trapezoidal rule: rtol may '
+                "not be met. Take fmbd.Radau() or fmbd.BDF()", scheme.name, left[0].forces[0].name,
+            )  # fmt: skip
 
     @property
     def counters(self) -> dict[str, float]:

@@ -28,6 +28,8 @@ from ...linear.condensation import StepSolver
 from ...linear.implicit.sparse_pencil import SparsePencil
 from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.control.memory_points import StepError
+from ...system.element_memory import memory_error
 from ...system.layout import State
 from ...system.serialisation import Memory, plain
 from ...system.system import System
@@ -268,4 +270,10 @@ class RadauStepper(StageNewton):
         e_q, e_v = errors.reshape(2, -1)
         # what forces are off by pushes; multipliers turn with their joints, whose errors light bodies would tell as huge ones
         pushed = push - tab.gamma / h * e_v if self.eq.levels and self.eq.dense else None
-        return self._error_size(h, self._filter, e_q, e_v, pushed)
+        return max(self._error_size(h, self._filter, e_q, e_v, pushed), self._memory_error(h))
+
+    def _memory_error(self, h: float) -> float:
+        """The same of the memories of elements."""
+        weights, begun = self.tab.error / h, np.array([self.state.t])
+        of_step = StepError(weights, -weights.sum(keepdims=True), begun, 1.0, self.tab.gamma / h, *self.norm.tolerances)
+        return memory_error(self.system, of_step)

@@ -15,6 +15,7 @@ from ...errors import CallbackError, ConvergenceError, LinearSolveError
 from ...linear.implicit.whole_pencil import WholePencil
 from ...rotations import Array
 from ...system.compiled.states.stages import StageRule
+from ...system.element_memory import lead_memories
 from ...system.layout import State
 from ..control import FALLEN, ROUNDOFF, STAGNATION
 from ..dae import Points
@@ -31,6 +32,7 @@ class StageNewton(StageMarch):
 
     def _refresh(self, h: float, predicted: Stages) -> None:
         """Tangent in the middle of the step as predicted, where it serves all stages best."""
+        lead_memories(self.system, float(1.0 / abs(self.tab.frequencies(h)[0])))
         t, xi, v, vd, mult = self._middle(h, *predicted)
         at = State(t, self.system.compose(self.state.q, xi), v, vd, self.state.lam)
         self._tangent = self.eq.refresh(at, mult)
@@ -88,7 +90,9 @@ class StageNewton(StageMarch):
 
     def _rule(self, h: float) -> StageRule:
         """Of the points of a step of size h (s)."""
-        return StageRule(self.tab.W / h, self.tab.inverse, self.tab.vectors)
+        W = self.tab.W / h
+        past, begun = -W.sum(axis=1, keepdims=True), np.array([self.state.t])
+        return StageRule(W, self.tab.inverse, self.tab.vectors, past=past, ends=begun)
 
     def _first_share(self, h: float) -> float:
         """What one increment leaves of the error, over its size, by the rate of the step before.
@@ -100,6 +104,7 @@ class StageNewton(StageMarch):
 
     def _finished(self, h: float, found: Points) -> Points:
         points = self._stages(h, found.xi, found.v, found.mult)
+        self.eq.collocate(self.state.t + h * self.tab.c, points, self._rule(h))
         self._acceleration = self.eq.end_acceleration(self.state.t + h, points)
         return points
 
@@ -136,7 +141,7 @@ class StageNewton(StageMarch):
         last, greatest, pencil = np.inf, 0.0, None
         for k in range(2 * self.newton.max_iterations):  # at a singular position each halves the error
             points = self._stages(h, xi, v, mult)
-            residual = self.eq.residual(times, points)
+            residual = self.eq.left_of(times, points, rule)
             fresh = pencil is None
             pencil = pencil or self._own_pencil(h, points)
             change, dmult = pencil.solve(*residual)

@@ -3,12 +3,13 @@
     continuous     u = u(t, y, z),   z' = g(t, y, z)                                                              (1)
     sampled        u, z = law(t_k, y_k, z)  at t_k = k T, held between                                            (2)
 
-y are the readings, u the efforts, z the memory. Within a step from t_n the memory of (1) follows the trapezoidal rule,
+y are the readings, u the efforts, z the memory. Radau and BDF find z of (1) at the points of a step as they find the motion
+(:mod:`.memory_points`), and errors of z count among those of the step. With other schemes it follows the trapezoidal rule,
 
     z(t) = z_n + (t - t_n) / 2 (g_n + g(t, y, z(t))),                                                             (3)
 
-a function of the configuration and of what was kept at t_n; so it is of second order in every scheme, a rejected step has
-nothing to undo, and Newton sees how u answers to the joint coordinates, positions and velocities that are read.
+of second order. Both are functions of the motion and of what was kept at t_n: a rejected step has nothing to undo, and Newton
+sees how u answers to the joint coordinates, positions and velocities that are read.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ from ..sensors.sensor import Sensor
 from ..sensors.sensors import JointReading
 from .control_laws import PidLaw
 from .control_memory import ControllerMemory
+from .integrals import integral_of, memory_of
 from .law_with_memory import LawWithMemory
+from .memory_points import PointRule, StepError
 from .readings import KINEMATIC, Reading
 
 _AT = 1e-9  # share of the sampling period by which a step may end before its sample
@@ -157,11 +160,10 @@ class ControlLoads(Loads):
             return []
 
         def kept() -> Array:
-            return np.array([[self.kept.z[0], self.kept.rate[0], self.kept.t]])
+            return integral_of(self.kept, self.law.points, float(self.spans[0]))
 
         def keep(memory: Array) -> None:
-            z, rate, t = (float(x) for x in memory[0])
-            self.kept = ControllerMemory(t, np.array([z]), np.array([rate]), self.kept.u, 0)
+            self.kept = memory_of(memory, self.kept.u)
 
         kp, ki, kd = law.gains
         numbers = table([(kp, kd, law.limit, ki, *law.target(0.0)[:2])])
@@ -170,7 +172,7 @@ class ControlLoads(Loads):
     # -- memory -----------------------------------------------------------------------------------------------------
     def first(self, ev: Any, state: Any) -> ControllerMemory:
         """Memory at the start, with the first sample taken."""
-        self.kept = self.law.begun(state.t)
+        self.kept, self.law.points.lead = self.law.begun(state.t), None
         return self.accepted(ev, state)
 
     @property
@@ -194,7 +196,26 @@ class ControlLoads(Loads):
 
     def set_memory(self, values: Array, t: float) -> None:
         """Take z at time t, s."""
-        self.kept = replace(self.kept, t=t, z=values.copy())
+        self.kept = replace(self.kept, t=t, z=values.copy(), past=())
+
+    @property
+    def collocates(self) -> bool:
+        """As of :class:`Loads`: continuous laws."""
+        return bool(self.controller.memory) and self.controller.every is None
+
+    def collocate(self, rule: PointRule, kins: Sequence[Kinematics]) -> None:
+        """Find z at the points of a step."""
+        if self.law.stated:
+            self.law.points.reach = self.spans[:1]  # z' = target - s
+        self.law.collocate(rule, np.array([self.read(kin) for kin in kins]))
+
+    def lead(self, share: float) -> None:
+        """Where a tangent of the step is taken z answers to g by so much (s)."""
+        self.law.points.lead = share
+
+    def memory_error(self, of: StepError) -> float:
+        """The error of z in the step whose points were found last, over the tolerance."""
+        return self.law.points.error(self.kept, of)
 
     def memory_rates(self, ev: Any, t: float) -> Array:
         """g of (1), (m,)."""

@@ -13,8 +13,9 @@ import numpy as np
 
 from ...errors import CallbackError, LawError, named
 from ...rotations import Array
-from .control_laws import differences, numbers_of
+from .control_laws import PidLaw, differences, numbers_of
 from .control_memory import ControllerMemory, StepMemory
+from .memory_points import PointMemories, PointRule
 from .readings import Readings
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ class LawWithMemory:
         self.kept = self.begun(0.0)
         self._answers: dict[tuple[float, bytes], tuple[Array, Array, Array]] = {}  # u, z and g of (3) at t and y
         self._within = StepMemory(self.name, self.kept)  # of the step that they are of
+        self.points = PointMemories(self.name)  # of copies too
+        self.stated = isinstance(controller.law, PidLaw)  # whether its rate is known without asking
         self._slopes: tuple[Any, Array] | None = None
 
     def begun(self, t: float) -> ControllerMemory:
@@ -71,20 +74,36 @@ class LawWithMemory:
         return self.ask(t, {name: own[part] for name, part in self.parts.items()}, z)
 
     def with_memory(self, t: float, y: Array) -> tuple[Array, Array, Array]:
-        """u of a continuous law at time t, with z and g of (3); asked for the same again, what was found."""
+        """u of a continuous law at time t, with z and g: as points of a step have it, else of (3); what was found is not asked
+        for again.
+        """
+        points = self.points
+        number = points.number(self.kept, t)
+        if number is not None and points.y[number] == y.tobytes():
+            return points.u[number], points.z[number], points.rate[number]
         if self._within.kept is not self.kept or len(self._answers) > RECENT:
             self._answers, self._within = {}, StepMemory(self.name, self.kept)
         key = t, y.tobytes()
         found = self._answers.get(key)
+        if found is None and (z := self.kept.within(t)) is not None:
+            u, rate = self.asked(t, y, z)
+            found = self._answers[key] = u, z, rate
         if found is None:
             last = next(reversed(self._answers), None)  # of the same instant its memory is near
             start = self._answers[last][1] if last is not None and last[0] == t else None
-            found = self._answers[key] = self._within.at(t, partial(self.asked, t, y), start)
+            rule = points.rule_at(self.kept, t)
+            found = self._answers[key] = self._within.at(t, partial(self.asked, t, y), start, rule)
         return found
 
+    def collocate(self, rule: PointRule, readings: Array) -> None:
+        """The memory at the points of a step, of readings (k, size) there."""
+        if self.controller.memory:
+            self.points.find(self.kept, rule, readings, self.asked)
+            self._answers = {}  # of points that were somewhere else
+
     def slopes(self, t: float, y: Array, spans: Array, *, quick: bool = False) -> Array:
-        """du/dy, (acts, size), the memory going along: du/dy + du/dz (1 - h/2 dg/dz)^-1 h/2 dg/dy; asked for the same again,
-        what was found.
+        """du/dy, (acts, size), the memory going along: du/dy + du/dz (1 - w dg/dz)^-1 w dg/dy, w = h/2 in (3); what was found is
+        not asked for again.
 
         ``spans``: what each number of y is at least for differences; ``quick``: these go to one side, enough for a step's
         matrix, with half the calls of the law.
@@ -97,7 +116,8 @@ class LawWithMemory:
     def _differences(self, t: float, y: Array, spans: Array, *, quick: bool) -> Array:
         if not len(y):
             return np.zeros((self.acts, 0))
-        (u, z, rate), half = self.with_memory(t, y), 0.5 * (t - self.kept.t)
+        (u, z, rate), rule = self.with_memory(t, y), self.points.rule_at(self.kept, t)
+        half = 0.5 * (t - self.kept.t) if rule is None else rule[1]
         known = (u, rate) if quick else None
         by_memory: Array = np.zeros((self.acts, len(z)))
         if len(z) and half:
@@ -105,12 +125,17 @@ class LawWithMemory:
             by_memory = half * np.linalg.solve((np.eye(len(z)) - half * rate).T, effort.T).T
 
         effort, rate = differences(y, spans, lambda y: self.asked(t, y, z), known)
+        if len(z) and not self.stated:
+            reach = np.abs(rate) @ spans
+            self.points.reach = reach if self.points.reach is None else np.maximum(self.points.reach, reach)
         return effort + by_memory @ rate
 
     def after(self, t: float, y: Array) -> ControllerMemory:
-        """What a continuous law keeps of a step that ended at t with these readings, by (3)."""
-        u, z, rate = self.with_memory(t, y)
-        return ControllerMemory(t, z, rate, u, 0)
+        """What a continuous law keeps of a step that ended at t with these readings."""
+        (u, z, rate), kept = self.with_memory(t, y), self.kept
+        past, before = (kept.followed_by(), kept.rate) if t > kept.t else (kept.past, kept.before)
+        reach = kept.reach if self.points.reach is None else np.maximum(kept.reach, self.points.reach)
+        return ControllerMemory(t, z, rate, u, 0, past, before, self.points.sizes(kept, t, z), reach)
 
     def keep(self, t: float, y: Array) -> None:
         """Keep it: where the step ends the law has answered already."""

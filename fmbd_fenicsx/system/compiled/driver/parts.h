@@ -88,6 +88,9 @@ void configuration(const System *s, const double *q0, const double *xi, double *
 void energies(System *s, double t, const double *q, const double *v, const double *gravity, double *out);
 int keep(System *s, double t);
 void share_memory(const System *s, System *with);
+void note_readings(System *s, int j);
+int find_memories(System *s);
+int memory_error(System *s, double *error);
 int friction_overran(System *s, double t, double h);
 double largest(const double *x, int n);
 double largest_of(const double *units, const double *x, int n);

@@ -101,6 +101,30 @@ typedef struct Act {
     double *slopes;                    /* count: du/dy */
 } Act;
 
+/* Memories at the points of an implicit step, see implicit/memories.c: at most so many points, and ends of steps before the last one. */
+enum { MOST_STAGES = 7, PAST = 5, ENDINGS = PAST + 1 };
+
+/* What a PID controller keeps: its integral, the rate and the time of an accepted step, the largest so far, what rates count as at least,
+   where steps before have ended, and the rate at the newest of these. */
+typedef struct {
+    double z, rate, t, size, reach, count, before;
+    double times[PAST], values[PAST];
+    double points, when[MOST_STAGES], then[MOST_STAGES]; /* of the step under way: how many, and the integral there */
+    double error[MOST_STAGES], speed[MOST_STAGES], slope; /* what is read there against the target; of the rate at the last, by z */
+} PidMemory;
+enum { MEMORY = 7 + 2 * PAST + 4 * MOST_STAGES + 2 }; /* numbers of it, and of what dry friction keeps */
+
+/* How memories hang together at the points, sum couple z + sum past z_(n-l) = z', and the error of a step: a sum of these and of the rate
+   where it began, over ``frequency`` less the slopes of rates, unless that is 0. */
+typedef struct {
+    int points, ends;
+    double t[MOST_STAGES], couple[MOST_STAGES * MOST_STAGES], past[MOST_STAGES * ENDINGS], end[ENDINGS]; /* end: times */
+    double of_points[MOST_STAGES], of_ends[ENDINGS], of_rate, frequency, rtol, atol, error;
+    double lead;                       /* by how much memories answer to rates where a tangent is taken, s */
+    int integrals, asked;              /* whether there are PID controllers, and laws in Python; all that these read at the points: */
+    double *y;
+} Remembered;
+
 /* All controllers whose law is asked at every evaluation, see control.c. */
 typedef struct {
     int readings, fresh;               /* fresh: whether y and u are those of the frames as they are placed */
@@ -331,6 +355,7 @@ typedef struct {
     int renewable, foretells, begins, renewals; /* whether Python takes new tangents of fields in a step, where the last increment */
                                        /* led, and where it is predicted; how many the last step took */
     Controllers *controllers;          /* NULL without any */
+    Remembered *remembered;            /* NULL where no memory is found at points */
     int straight;                      /* whether laws in Python count as their tangents at the last evaluation before */
     int linkable, links;               /* how many efforts may answer to more than their coordinate, and do; see links.c */
     double *push, *pull;               /* linkable x (nu + TWIST surfaces + 1); parts linkable x parts (nu + TWIST surfaces + 1) */
@@ -441,7 +466,8 @@ typedef struct {
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
        FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, EFFORTS, EFFORT_SLOPES,
-       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS, PART_SLOPES };
+       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS, PART_SLOPES,
+       COLLOCATE, MEMORY_ERROR, LEAD_MEMORIES };
 enum { OUTSIDE = 2 };
 
 /* Parts of a SAMPLE: all of it, all but the rates of motions, these alone. */

@@ -16,7 +16,7 @@ from ..declarations import structure_of
 from ..tables.structures import Sizes, zeros_of
 from .evaluation import DriverStates
 from .field_states import FactoredFieldStates
-from .stages import POINTS, PointRoom, StageRule, Stages
+from .stages import ENDINGS, POINTS, PointRoom, StageRule, Stages
 
 FieldStages = structure_of("implicit/field_stages.c", "FieldStages")
 MOVING = ("xi", "rate", "v", "vd")  # of points, like v
@@ -32,7 +32,8 @@ class FieldStageRoom(PointRoom):
         size, width = n + len(levels) * m, len(levels) * m
         sizes: Sizes = {
             "s": (p, 2), "t": k, "q0": system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n), "mult": (k, width),
-            "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n), "low": (k, size), "dxi": (k, n),
+            "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "past": k * ENDINGS, "ends": ENDINGS,
+            "kin": (k, n), "low": (k, size), "dxi": (k, n),
             "dv": (k, n), "dmult": (k, width), "push": (2 * k, n), "weigh": (3, n),
             "moved": 6, "judged": 2, "local": system.n_q + 2 * n,
             "sampled": (k, states.calls.written),

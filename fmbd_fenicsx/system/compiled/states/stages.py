@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,25 +18,29 @@ from .evaluation import DriverStates
 from .stage_patterns import StageStructure
 
 SIZE = enumeration("DONE")["SIZE"]  # a verdict: no room
+ENDINGS = enumeration("MOST_STAGES")["ENDINGS"]  # of steps that rates are made of, at most
 FILLED = 4  # entries of L, and of U, over those of K, that there is room for at first
 
 
 Sparse, Lower = structure_of("implicit/stages.c", "Sparse"), structure_of("implicit/stages.c", "Lower")
 Stages = structure_of("implicit/stages.c", "Stages", Sparse=Sparse)
 MATRICES = "by_v by_a J U R".split()  # of a tangent, that C multiplies with
-POINTS = (
-    "t q0 xi rate v vd mult couple inverse vectors kin low dxi dv dmult push sampled weigh moved judged local".split()
-)
+POINTS = "t q0 xi rate v vd mult couple inverse vectors past ends kin low dxi dv dmult push".split()
+POINTS += "sampled weigh moved judged local".split()
 
 
 @dataclass(frozen=True)
 class StageRule:
-    """How points hang together: d rate / d xi (k, k), what decouples the points, (p, k) and (k, p); ``relax``: of increments."""
+    """How points hang together: d rate / d xi (k, k), what decouples the points, (p, k) and (k, p); ``relax``: of increments;
+    ``past``: d rate / d values where steps have ended, at the times ``ends`` (l,), the newest first, (k, l).
+    """
 
     couple: Array
     inverse: Array
     vectors: Array
     relax: float = 1.0
+    past: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    ends: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class PointRoom:
@@ -63,6 +67,8 @@ class PointRoom:
         """The rule, and weights of increments (3, n)."""
         x = self.arrays
         x["couple"][:], x["weigh"][:] = rule.couple, weights
+        self.c.behind = len(rule.ends)
+        x["past"][: rule.past.size], x["ends"][: len(rule.ends)] = rule.past.ravel(), rule.ends
         for name, mixing in (("inverse", rule.inverse), ("vectors", rule.vectors)):
             x[name][..., 0], x[name][..., 1] = mixing.real, mixing.imag
         self.c.relax = rule.relax
@@ -111,8 +117,9 @@ class StageRoom(PointRoom):
             "sizes": entries, "blocks": entries, "data": structure.count,
             "softness": m, "soft": (p, 2 * size), "x": 2 * size, "right": (4, 2 * size), "mixed": 6 * n + 4 * size,
             "t": k, "q0": states.tables.system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n),
-            "mult": (k, max(multipliers, m)), "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "kin": (k, n),
-            "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)), "push": (2 * k, n), "weigh": (3, n),
+            "mult": (k, max(multipliers, m)), "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "past": k * ENDINGS,
+            "ends": ENDINGS, "kin": (k, n), "low": (k, size), "dxi": (k, n), "dv": (k, n), "dmult": (k, max(multipliers, 1)),
+            "push": (2 * k, n), "weigh": (3, n),
             "sampled": (k, states.calls.written),
             "moved": 6, "judged": 2, "local": states.tables.system.n_q + 2 * n,
             "given": k * (n + size) + n + states.tables.system.n_q,

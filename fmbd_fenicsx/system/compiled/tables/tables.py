@@ -22,7 +22,7 @@ from .bodies.rods import RodTable, rod_pairs
 from .bodies.told import ToldPart, is_told
 from .items.angles import angles, free_markers
 from .items.item_batches import item_batch, mount_batch, of_one_sort
-from .items.items import READ, ROW, items_of, other_loads
+from .items.items import READ, ROW, Items, items_of, other_loads
 from .items.listening import Listening
 from .items.whole import WholeLoads
 from .layout import TableLayout
@@ -167,6 +167,7 @@ class Tables(TableLayout):
         once = 4 * s.n_v + 3 * self.rows  # work of a step, and of a second solution where there are fields
         row_dest, sign = pivots_of(self)
         controllers = self.listening.structure()  # before batches are copied
+        integrals = any(x.formula is not None and x.formula.kind == "PID" for x in self.sources)
         counts, lists = self._lists()
 
         parts = [field.part for field in self.fields]
@@ -182,7 +183,8 @@ class Tables(TableLayout):
             readings=looks.count, row_dest=row_dest, sign=sign, renewable=int(any(part.renewable for part in parts)),
             foretells=int(any(part.foretells for part in parts)), begins=int(any(part.begins_anew for part in parts)),
             indefinite=int(any(field.indefinite for field in self.fields)),
-            leaves_out=int(s.leaves_out), parts=self.parts_of_numbers, controllers=controllers, **self._links(),
+            leaves_out=int(s.leaves_out), parts=self.parts_of_numbers, controllers=controllers,
+            remembered=self.listening.remembered(integrals=integrals), **self._links(),
         )  # fmt: skip
 
     def _lists(self) -> tuple[dict[str, int], dict[str, int]]:
@@ -285,3 +287,9 @@ class Tables(TableLayout):
         """Give the memory of elements back after accepted steps, which are the newest ones unless others are given."""
         for one, memory in zip(self.remembering, self.memories() if memories is None else memories, strict=True):
             one.remember(memory)
+
+    def remember_points(self, memories: list[Any]) -> None:
+        """The same of what compiled steps have found at points of a step, whose end Python takes up."""
+        for one, memory in zip(self.remembering, memories, strict=True):
+            if isinstance(one, Items) and one.formula is not None and one.formula.kind == "PID":
+                one.remember(memory)

@@ -113,13 +113,58 @@ int keep(System *s, double t)
         for (long i = 0; !k->told && i < k->n; i++) {
             double *kept = k->kept + MEMORY * i;
             if (k->formula == DRY) kept[0] = dragged(k, i);
-            else pid_keep(k->constants + FORMULA_WIDTH * i, kept, k->s[i] - k->free[i], k->rate[i], t);
+            else pid_keep(k->constants + FORMULA_WIDTH * i, integral_of(k, i), k->s[i] - k->free[i], k->rate[i], t);
         }
     }
     for (Rod *k = s->rod; k < s->rod + s->rods; k++) rod_keep(s, k, t);
     if (s->remembers < 2) return DONE;
     read_all(s);
     return s->python(KEEP, 0, t) ? FAILED : DONE;
+}
+
+/* What controllers with a memory read at point j of a step, whose frames are placed and whose targets are at hand. */
+void note_readings(System *s, int j)
+{
+    const Remembered *r = s->remembered;
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (!k->told && (k->role != FORMULA || k->formula != PID)) continue;
+        values(s, k);
+        efforts(s, k, r->t[j]);
+        for (long i = 0; !k->told && i < k->n; i++) {
+            const double *p = k->constants + FORMULA_WIDTH * i;
+            integral_of(k, i)->error[j] = p[4] - (k->s[i] - k->free[i]);
+            integral_of(k, i)->speed[j] = p[5] - k->rate[i];
+        }
+    }
+    if (!r->asked) return;
+    read_all(s);
+    memcpy(r->y + (long)j * r->asked, s->controllers->y, r->asked * sizeof(double));
+}
+
+/* Memories at the points of a step, of what has been read there: those of formulas, then those of laws in Python. */
+int find_memories(System *s)
+{
+    const Remembered *r = s->remembered;
+    int verdict = DONE;
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++)
+        for (long i = 0; k->role == FORMULA && k->formula == PID && i < k->n && !verdict; i++)
+            verdict = find_integral(k->constants + FORMULA_WIDTH * i, integral_of(k, i), r);
+    if (verdict || !r->asked) return verdict;
+    s->calls++;
+    return s->python(COLLOCATE, 0, 0.0) ? FAILED : DONE;
+}
+
+/* The largest error of a memory in the step under way, over the tolerance. */
+int memory_error(System *s, double *error)
+{
+    Remembered *r = s->remembered;
+    r->error = 0.0;
+    if (r->asked && s->python(MEMORY_ERROR, 0, 0.0)) return FAILED;
+    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
+        for (long i = 0; k->role == FORMULA && k->formula == PID && i < k->n; i++)
+            r->error = fmax(r->error, integral_error(integral_of(k, i), r));
+    *error = fmax(*error, r->error);
+    return DONE;
 }
 
 /* Memories, and efforts between two samples, as other tables of the same system have them. */

@@ -3,7 +3,9 @@
    those of mechanics/forces/effort_laws.py, mechanics/forces/dry_friction.py and system/control/controllers.py; x: elongation. */
 
 enum { SERVO, PID, DRY, SMOOTH, STOP, POTENTIAL };
-enum { FORMULA_WIDTH = 6, MEMORY = 3 };
+enum { FORMULA_WIDTH = 6 };
+
+static PidMemory *integral_of(const Batch *k, long i) { return (PidMemory *)(k->kept + MEMORY * i); }
 
 /* k x + c x' within +- limit, with its slopes. */
 static double cut(double effort, double limit, double *k, double *c)
@@ -20,29 +22,128 @@ static double friction(double effort, double limit, double *k, double *c)
     return fmax(-limit, fmin(limit, effort));
 }
 
-/* A motor with integral part: its memory z grows by the trapezoidal rule from what was kept, so the effort is linear until cut. */
-static double pid_effort(const double *p, const double *kept, double x, double rate, double t, double *k, double *c)
+/* The integral where it is known whatever the motion: at points of the step under way, and in the last step, on the cubic through its
+   ends. */
+static int known_integral(const PidMemory *m, double t, double *z)
 {
-    double half = 0.5 * (t - kept[2]);
-    *k = p[0] + p[3] * half;
-    *c = p[1];
-    return cut(*k * (x - p[4]) + p[1] * (rate - p[5]) - p[3] * (kept[0] + half * kept[1]), p[2], k, c);
+    for (int j = 0; j < (int)m->points; j++)
+        if (m->when[j] == t) {
+            *z = m->then[j];
+            return 1;
+        }
+    if (!(m->count > 0.0 && m->times[0] <= t && t < m->t)) return 0;
+    const double h = m->t - m->times[0], x = (t - m->times[0]) / h, rise = m->z - m->values[0];
+    *z = m->values[0] + x * rise + x * (1.0 - x) * ((1.0 - x) * (h * m->before - rise) - x * (h * m->rate - rise));
+    return 1;
 }
 
-/* The memory z and its growth g after a step; where the effort u is cut, what is cut off is fed back into g. */
-static void pid_keep(const double *p, double *kept, double x, double rate, double t)
+/* A motor with integral part: its memory z is found at the points of a step, or grows by the trapezoidal rule from what was kept, so the
+   effort is linear until cut. */
+static double pid_effort(const double *p, const PidMemory *m, double x, double rate, double t, double *k, double *c)
 {
-    double half = 0.5 * (t - kept[2]), k, c, error = p[4] - x;
-    double u = -pid_effort(p, kept, x, rate, t, &k, &c), z = kept[0] + half * (kept[1] + error), growth = error;
-    double push = p[0] * error + p[1] * (p[5] - rate);
+    double half = 0.5 * (t - m->t), z;
+    *k = p[0] + p[3] * half;
+    *c = p[1];
+    if (known_integral(m, t, &z)) return cut(p[0] * (x - p[4]) + p[1] * (rate - p[5]) - p[3] * z, p[2], k, c);
+    return cut(*k * (x - p[4]) + p[1] * (rate - p[5]) - p[3] * (m->z + half * m->rate), p[2], k, c);
+}
 
-    if (fabs(push + p[3] * z) > p[2]) {
-        z = (kept[0] + half * (kept[1] + error + (u - push) / p[0])) / (1.0 + half * p[3] / p[0]);
-        growth = error + (u - push - p[3] * z) / p[0];
+/* z' with its slope by z, for an error and its rate; where the effort is cut, what is cut off is fed back. */
+static double integral_rate(const double *p, double z, double error, double speed, double *slope)
+{
+    double free = p[0] * error + p[1] * speed + p[3] * z, u = fmax(-p[2], fmin(p[2], free));
+    *slope = u == free ? 0.0 : -p[3] / p[0];
+    return u == free ? error : error + (u - free) / p[0];
+}
+
+/* Where a step has ended, or on the line back from the last one where none has. */
+static double integral_behind(const PidMemory *m, double t)
+{
+    for (int i = 0; i < (int)m->count; i++)
+        if (m->times[i] == t) return m->values[i];
+    return m->z + (t - m->t) * m->rate;
+}
+
+/* The integral at the points of a step, whose errors and speeds it knows: straight but for cuts. */
+static int find_integral(const double *p, PidMemory *m, const Remembered *r)
+{
+    const int n = r->points;
+    double A[MOST_STAGES * MOST_STAGES], b[MOST_STAGES], slope[MOST_STAGES], before[MOST_STAGES] = {NAN};
+    m->points = 0.0;
+    for (int j = 0; j < n; j++) {
+        m->when[j] = r->t[j];
+        m->then[j] = m->z + (r->t[j] - m->t) * m->rate;
     }
-    kept[0] = z;
-    kept[1] = growth;
-    kept[2] = t;
+    for (int tries = 0, same = 0; tries < 8 && !same; tries++) {
+        same = tries > 0;
+        for (int j = 0; j < n; j++) {
+            b[j] = integral_rate(p, m->then[j], m->error[j], m->speed[j], slope + j);
+            same &= slope[j] == before[j];
+            before[j] = slope[j];
+            for (int i = 0; i < n; i++) {
+                A[j * n + i] = r->couple[j * n + i] - (i == j ? slope[j] : 0.0);
+                b[j] -= r->couple[j * n + i] * m->then[i];
+            }
+            for (int l = 0; l < r->ends; l++) b[j] -= r->past[j * r->ends + l] * integral_behind(m, r->end[l]);
+        }
+        if (solve_dense(A, n, b, 1, 1, 0.0)) return SINGULAR;
+        for (int j = 0; j < n; j++) m->then[j] += b[j];
+    }
+    m->points = n;
+    m->slope = slope[n - 1];
+    return DONE;
+}
+
+/* What errors of the integral are measured by, in a step that ends at t with z. */
+static double integral_size(const PidMemory *m, double t, double z)
+{
+    return fmax(fmax(m->size, fabs(m->z)), fmax(fabs(z), (t - m->t) * fmax(fabs(m->rate), m->reach)));
+}
+
+/* Its error in the step under way, over the tolerance. */
+static double integral_error(const PidMemory *m, const Remembered *r)
+{
+    const int last = (int)m->points - 1;
+    double off = r->of_rate * m->rate, allowed;
+    if (last < 0) return 0.0;
+    for (int j = 0; j <= last; j++) off += r->of_points[j] * m->then[j];
+    for (int l = 0; l < r->ends; l++) off += r->of_ends[l] * integral_behind(m, r->end[l]);
+    if (r->frequency > 0.0) off /= r->frequency - m->slope;
+    allowed = r->rtol * integral_size(m, m->when[last], m->then[last]) + r->atol;
+    return allowed > 0.0 ? fabs(off) / allowed : 0.0;
+}
+
+/* The memory z and its growth g after a step. */
+static void pid_keep(const double *p, PidMemory *m, double x, double rate, double t)
+{
+    double half = 0.5 * (t - m->t), k, c, error = p[4] - x, z, slope, growth = error;
+    int point = m->points > 0.0 && m->when[(int)m->points - 1] == t;
+    if (point) {
+        z = m->then[(int)m->points - 1];
+        growth = integral_rate(p, z, error, p[5] - rate, &slope);
+    } else {
+        double u = -pid_effort(p, m, x, rate, t, &k, &c), push = p[0] * error + p[1] * (p[5] - rate);
+        z = m->z + half * (m->rate + error);
+        if (fabs(push + p[3] * z) > p[2]) {
+            z = (m->z + half * (m->rate + error + (u - push) / p[0])) / (1.0 + half * p[3] / p[0]);
+            growth = error + (u - push - p[3] * z) / p[0];
+        }
+    }
+    m->size = integral_size(m, t, z);
+    if (t > m->t) {
+        for (int i = PAST - 1; i > 0; i--) {
+            m->times[i] = m->times[i - 1];
+            m->values[i] = m->values[i - 1];
+        }
+        m->times[0] = m->t;
+        m->values[0] = m->z;
+        m->before = m->rate;
+        m->count = fmin(m->count + 1.0, PAST);
+    }
+    m->z = z;
+    m->rate = growth;
+    m->t = t;
+    m->points = 0.0;
 }
 
 static double smooth_effort(const double *p, double rate, double *c)
@@ -73,7 +174,7 @@ void formula(Batch *k, long i, double t)
     const double *p = k->constants + FORMULA_WIDTH * i, *kept = k->kept + MEMORY * i;
     double x = k->s[i] - k->free[i], rate = k->rate[i], *slope = k->stiffness + i, *drag = k->damping + i;
     switch (k->formula) {
-    case PID: k->effort[i] = pid_effort(p, kept, x, rate, t, slope, drag); return;
+    case PID: k->effort[i] = pid_effort(p, integral_of(k, i), x, rate, t, slope, drag); return;
     case SMOOTH: k->effort[i] = smooth_effort(p, rate, drag); return;
     case STOP: k->effort[i] = stop_effort(p, x, rate, slope, drag); return;
     case POTENTIAL: k->effort[i] = 1.0; *slope = *drag = 0.0; return;

@@ -91,7 +91,12 @@ static double foretell_point(Stages *g, int k, Values *e, double t)
     add_foretold(g, k < e->count ? k + 1 : e->count, e, t, 1.0, g->xi, g->v);
 
     lagrange(k, e, t, c);
-    for (int j = 0; j < k; j++) c0 -= c[j] /= e->t[j] - t;
+    for (int j = 0; j < k; j++) {
+        c0 -= c[j] /= e->t[j] - t;
+        g->past[j] = c[j];
+        g->ends[j] = e->t[j];
+    }
+    g->behind = k;
     for (int i = 0; i < n; i++) {
         g->rate[i] = c0 * g->xi[i];
         g->vd[i] = c0 * g->v[i];
@@ -146,11 +151,13 @@ static int point_of_step(System *s, double *p, Implicit *o, const Block *now, in
     g->t[0] = t;
     g->couple[0] = foretell_point(g, k, e, t);
     if (work[KNOWN] == 0.0) {
+        if (s->remembered && (verdict = remember_points(s, g, 0))) return verdict; /* a tangent knows how these follow */
         configuration(s, now->q, g->xi, q);
         if ((verdict = take_tangent(s, o, t, q, g->v, g->vd, g->mult, p[LENGTH], work))) return verdict;
     }
     if ((verdict = point_factors(s, o, g->couple[0], work))) return verdict;
-    return iterate_step(s, o, p, now, 1.0, work);
+    if ((verdict = iterate_step(s, o, p, now, 1.0, work))) return verdict;
+    return s->remembered ? remember_points(s, g, 1) : DONE;
 }
 
 /* The state at the point, and what is kept of it. ``room``: 2 nv + rows. */
@@ -168,7 +175,7 @@ static int end_bdf(System *s, Implicit *o, const double *p, const Block *now, Bl
 /* ---- sizes and orders ---- */
 
 /* The error of the point if it had been taken with order k, over the tolerance, as _error() of bdf.py. ``room``: 2 nv and that of step_error(). */
-static double point_error(const System *s, const Implicit *o, int k, Values *e, double *room)
+static double point_error(System *s, const Implicit *o, int k, Values *e, double *room)
 {
     const Stages *g = o->stages;
     const double t = g->t[0];
@@ -177,8 +184,13 @@ static double point_error(const System *s, const Implicit *o, int k, Values *e, 
     memcpy(room, g->xi, n * sizeof(double));
     memcpy(room + n, g->v, n * sizeof(double));
     add_foretold(g, k + 1, e, t, -1.0, room, room + n);
-    const double *parts[2] = {room, room + n};
-    return fmax((t - e->t[0]) / (t - e->t[k]), 1.0 / (k + 1)) * step_error(s, o, parts, 2, room + 2 * n);
+    const double *parts[2] = {room, room + n}, share = fmax((t - e->t[0]) / (t - e->t[k]), 1.0 / (k + 1));
+    double error = share * step_error(s, o, parts, 2, room + 2 * n), w[ENDINGS];
+    if (!s->remembered) return error;
+    lagrange(k + 1, e, t, w);
+    for (int j = 0; j <= k; j++) w[j] *= -share;
+    memcpy(s->remembered->end, e->t, (k + 1) * sizeof(double));
+    return remembered_error(s, g, &o->own->rtol, &share, w, k + 1, 0.0, 0.0, &error) ? INFINITY : error;
 }
 
 /* Of a step with this error of order k. */
@@ -197,7 +209,7 @@ static int permits(Orders *r, int k, double h)
 }
 
 /* The order with the longest stable step, one more or less than k at most, and its ``growth``: at first that of k. */
-static int best_order(const System *s, const Implicit *o, int k, double h, Values *e, double *growth, double *room)
+static int best_order(System *s, const Implicit *o, int k, double h, Values *e, double *growth, double *room)
 {
     Orders *r = o->own->orders;
     int order = k;
@@ -217,7 +229,7 @@ static int best_order(const System *s, const Implicit *o, int k, double h, Value
 }
 
 /* The size after an accepted step of h; the next order, and for how many steps it was held: _choose() of bdf.py. */
-static double choose(const System *s, const Implicit *o, double h, const Passing *found, Values *e, const Memories *made, double *room)
+static double choose(System *s, const Implicit *o, double h, const Passing *found, Values *e, const Memories *made, double *room)
 {
     Orders *r = o->own->orders;
     const int k = (int)*made->order;

@@ -87,6 +87,18 @@ static int middle_tangent(System *s, Implicit *o, const double *p, const Block *
     return take_tangent(s, o, *now->t + 0.5 * p[H], q, v, a, mult, p[LENGTH], work);
 }
 
+/* How rates of memories follow from where the step begins, at t: polynomials that are constant have none. */
+static void couple_start(Stages *g, double t)
+{
+    const int k = g->points;
+    g->behind = 1;
+    *g->ends = t;
+    for (int j = 0; j < k; j++) {
+        g->past[j] = 0.0;
+        for (int i = 0; i < k; i++) g->past[j] -= g->couple[j * k + i];
+    }
+}
+
 /* The stages of a step, by Newton's iteration. */
 static int stages_of_step(System *s, double *p, Implicit *o, const Block *now, Block out)
 {
@@ -99,16 +111,18 @@ static int stages_of_step(System *s, double *p, Implicit *o, const Block *now, B
 
     for (int j = 0; j < k; j++) g->t[j] = *now->t + h * o->c[j];
     for (int i = 0; i < k * k; i++) g->couple[i] = o->W[i] / h;
+    couple_start(g, *now->t);
     for (int i = 0; i < 2 * g->frequencies; i++) g->s[i] = o->values[i] / h;
     foretell_stages(s, o, h, now, &last);
     rates_of_stages(o, now, change);
+    if ((verdict = lead_memories(s, 1.0 / hypot(g->s[0], g->s[1])))) return verdict;
     if (work[KNOWN] == 0.0 && (verdict = middle_tangent(s, o, p, now, change, work))) return verdict;
     if ((verdict = take_factors(s, o, h, work))) return verdict;
     if (g->fields && (verdict = align_stages(s, g))) return verdict;
     if ((verdict = iterate_step(s, o, p, now, first_share(o, &made, h), work))) return verdict;
     *made.share = o->convergence->share;
     *made.seen = o->convergence->done > 1 ? h : fmax(h, *made.seen);
-    return DONE;
+    return s->remembered ? remember_points(s, g, 1) : DONE;
 }
 
 /* A step from a state on, with what this one knows of Newton's iteration. */
@@ -189,6 +203,19 @@ static int filtered(System *s, const Implicit *o, const double *kin, double *pus
     return DONE;
 }
 
+/* That of the memories at the stages, where it is larger. */
+static int error_of_memories(System *s, const Implicit *o, double h, double *error)
+{
+    const OwnSteps *c = o->own;
+    const Stages *g = o->stages;
+    double points[MOST_STAGES], begun = 0.0;
+    for (int j = 0; j < g->points; j++) {
+        points[j] = c->error[j] / h;
+        begun -= points[j];
+    }
+    return remembered_error(s, g, &c->rtol, points, &begun, 1, 1.0, *g->s, error);
+}
+
 /* The error of the stages of a step from a state with these multipliers, over the tolerance. */
 static int own_error(System *s, Implicit *o, double h, const Block *now, const double *mult, double *work, double *error)
 {
@@ -220,7 +247,7 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
     if ((verdict = filtered(s, o, kin, push, change, work, rest))) return verdict;
     const double *parts[3] = {change, change + n, push};
     *error = step_error(s, o, parts, kinds, rest);
-    return DONE;
+    return error_of_memories(s, o, h, error);
 }
 
 /* The size that follows an accepted step of h with ``left`` to go before it: _next_size() of radau.py. */

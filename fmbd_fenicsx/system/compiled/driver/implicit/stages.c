@@ -36,6 +36,8 @@ typedef struct {
     double *frozen;                 /* data of U where a step keeps that of its start, else NULL */
     /* the points */
     double *t, *q0, *xi, *rate, *v, *vd, *mult, *couple, *inverse, *vectors;  /* couple: points x points, d rate / d xi */
+    double *past, *ends;            /* points x behind: d rate / d values at ends of steps; when these were, the newest first */
+    int behind;
     double *kin, *low, *dxi, *dv, *dmult, *push;
     double *sampled;                /* points x what a SAMPLE writes */
     double *weigh, *moved, *judged; /* weigh: 3 x n, of dxi, dv and U dlambda; moved: 6; judged: 2, of an iteration */
@@ -244,13 +246,19 @@ static Normal normal_at(const Stages *o, const Sparse *directions, int j)
     return (Normal){&o->W, o->frozen ? directions : NULL, levels > 1 ? mult + o->m : NULL, levels > 2 ? mult + 2 * o->m : NULL};
 }
 
+#include "implicit/memories.c"
+
 /* What the points leave of the equations after so many increments: kin, points x n, and low, points x size. */
 static int stage_residuals(System *s, const Stages *o, int increments)
 {
-    const int n = o->n, size = o->size, known = increments || (o->fields && o->fields->aligned);
+    const int n = o->n, size = o->size;
     const Form form = form_of(o);
     const Sparse frozen = directions_of(o);
-    int verdict;
+    int verdict, known = increments || (o->fields && o->fields->aligned);
+    if (s->remembered) {
+        if ((verdict = remember_points(s, o, known))) return verdict;
+        known = 1;
+    }
     s->bridged = s->swung = 0;
     if (o->fields) o->fields->aligned = 0;
     for (int j = 0; j < o->points; j++) {

@@ -15,6 +15,7 @@ import numpy as np
 from .....mechanics.joints.sums import Coordinate
 from .....rotations import Array
 from ....control.controllers import ControlLoads
+from ....control.memory_points import PointRule, StepError
 from ....control.readings import Reading
 from ....sensors.sensors import AngularVelocity, Position, Velocity
 from ...declarations import enumeration
@@ -80,6 +81,11 @@ class Listening:
         self.markers = np.array(sorted({r.marker for r in self.readings if r.relative is None}), dtype=int)
 
     @property
+    def _remembering(self) -> list[Listener]:
+        """Those with a memory."""
+        return [one for one in self.listeners if one.remembers]
+
+    @property
     def links(self) -> int:
         """Efforts that answer to more than their own coordinate."""
         return sum([items.linked for items in self.items])
@@ -135,6 +141,16 @@ class Listening:
             structure("Controllers", tables.dim)(readings=len(readings), reading=store.structure(array), **addresses)
         )
 
+    def remembered(self, *, integrals: bool) -> int | None:
+        """The address of the structure Remembered; None where no memory is found at points. ``integrals``: of PID controllers."""
+        store, asked = self.tables.store, sum(r.size for r in self.readings) if self._remembering else 0
+        if not (integrals or self._remembering):
+            return None
+        most = enumeration("MOST_STAGES")["MOST_STAGES"]
+        self._y, y = store.array(np.zeros((most, asked)))
+        self._points = structure("Remembered", self.tables.dim)(integrals=integrals, asked=asked, y=y)
+        return store.structure(self._points)
+
     def _reading(self, reading: Reading) -> Any:
         """The structure of what is read."""
         tables, made = self.tables, structure("Reading", self.tables.dim)()
@@ -165,6 +181,33 @@ class Listening:
         """du/dy of all controllers there."""
         for one in self.listeners:
             one.slopes[:] = one.law.slopes(t, one.y, one.loads.spans, quick=True)
+
+    def collocate(self) -> None:
+        """Find memories at the points of a step, where C has read."""
+        c, first = self._points, 0
+        k, ends = c.points, c.ends
+        rule = PointRule(
+            np.array(c.t[:k]), np.array(c.couple[: k * k]).reshape(k, k), np.array(c.past[: k * ends]).reshape(k, ends),
+            np.array(c.end[:ends]),
+        )  # fmt: skip
+        for one in self.listeners:
+            count = len(one.y)
+            if one.remembers:
+                one.law.collocate(rule, self._y[:k, first : first + count])
+            first += count
+
+    def lead(self) -> None:
+        """By how much memories answer to rates where a tangent is taken."""
+        for one in self._remembering:
+            one.law.points.lead = self._points.lead
+
+    def tell_error(self) -> None:
+        """The largest error of a memory in the step whose points were found last, over the tolerance."""
+        c = self._points
+        k, ends = c.points, c.ends
+        points, behind, times = (np.array(x) for x in (c.of_points[:k], c.of_ends[:ends], c.end[:ends]))
+        of = StepError(points, behind, times, c.of_rate, c.frequency, c.rtol, c.atol)
+        c.error = max(one.law.points.error(one.law.kept, of) for one in self._remembering)
 
     def keep(self, t: float) -> None:
         """Take up an accepted step that ends at t."""

@@ -1,0 +1,179 @@
+"""Memories of continuous laws at the points of an implicit step, which are found together.
+
+With the memories z_i at the points, and those z_(n-l) where the last steps ended, the newest first,
+
+    sum_j couple_ij z_j + sum_l past_il z_(n-l) = g(t_i, y_i, z_i)                                                     (1)
+
+is the rule that the scheme has for its motion: collocation of Radau, differences of BDF. So memories are of the order of the
+scheme. The error of a step, in the same form, is weighed by rtol times the largest memory so far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from ...errors import CallbackError
+from ...rotations import Array
+from .control_laws import Answers, differences
+from .control_memory import ControllerMemory
+
+SWEEPS = 30  # of all points
+# shares of a memory that Newton's iteration may leave, and along which slopes tell what the law would answer
+LEFT, NEAR = 1e-14, 1e-7
+FALLS = 0.3  # share of what was left that slopes of one point may leave of all
+
+
+@dataclass(frozen=True)
+class PointRule:
+    """(1) at the times ``t`` (k,), s: ``couple`` (k, k), and ``past`` (k, p) of where steps have ended, ``ends`` (p,); 1/s."""
+
+    t: Array
+    couple: Array
+    past: Array
+    ends: Array
+
+    def follows(self, other: PointRule) -> bool:
+        """Whether it is the same rule at the same times."""
+        return np.array_equal(self.couple, other.couple) and np.array_equal(self.past, other.past)
+
+
+@dataclass(frozen=True)
+class StepError:
+    """The error of a step: (frequency - dg/dz)^-1 (points . z_i + past . z_(n-l) + rate g_n); the sum itself for frequency 0.
+
+    ``ends``: as of (1). ``rtol``, ``atol``: what it is measured by.
+    """
+
+    points: Array
+    past: Array
+    ends: Array
+    rate: float
+    frequency: float
+    rtol: float
+    atol: float
+
+
+@dataclass
+class PointMemories:
+    """What a law has found for the points of a step from what was ``kept``: times, readings, z, u and g; one for all who ask it.
+
+    ``reach``: by how much readings that change by what they are at least change the rates; None before slopes were asked for.
+    """
+
+    name: str
+    kept: ControllerMemory | None = None
+    rule: PointRule | None = None
+    t: list[float] = field(default_factory=list)
+    y: list[bytes] = field(default_factory=list)
+    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    u: list[Array] = field(default_factory=list)
+    rate: list[Array] = field(default_factory=list)
+    slopes: list[Answers] | None = None  # du/dz and dg/dz at each point of this step
+    reach: Array | None = None
+    lead: float | None = (
+        None  # by how much z answers to g where a tangent is taken, s; None: as the trapezoidal rule has it
+    )
+
+    def number(self, kept: ControllerMemory, t: float) -> int | None:
+        """Which of the points a time is; None where it is none."""
+        return self.t.index(t) if self.kept is kept and t in self.t else None
+
+    def rule_at(self, kept: ControllerMemory, t: float) -> tuple[Array, float] | None:
+        """How z = base + share g follows from readings at a time alone, base (m,) and share (s): at a point with others as they
+        were found, or where a tangent is taken; None where the trapezoidal rule says it.
+        """
+        number = self.number(kept, t)
+        if number is not None:
+            assert self.rule is not None
+            share = 1.0 / float(self.rule.couple[number, number])
+            return self.z[number] - share * self.rate[number], share
+        if self.lead is None or not t > kept.t:
+            return None
+        return kept.z + (t - kept.t - self.lead) * kept.rate, self.lead
+
+    def find(
+        self, kept: ControllerMemory, rule: PointRule, readings: Array, asked: Callable[[float, Array, Array], Answers]
+    ) -> None:
+        """Solve (1) for readings (k, size); ``asked``: (t, y, z) -> (u, g)."""
+        t, k, y = [float(x) for x in rule.t], len(rule.t), [y.tobytes() for y in readings]
+        if self.kept is kept and (self.t, self.y) == (t, y) and self.rule is not None and self.rule.follows(rule):
+            return
+        laws = [partial(asked, t[i], readings[i]) for i in range(k)]
+        z = self.z if self.kept is kept and self.t == t else np.array([kept.foretold(x) for x in t])
+        slopes = self.slopes if self.kept is kept and len(self.t) == k else None
+        behind = rule.past @ kept.ends(rule.ends)
+        alone, before = np.linalg.inv(rule.couple), np.inf
+
+        for _ in range(SWEEPS):
+            answers = [laws[i](z[i]) for i in range(k)]
+            u, rates = (np.array(x) for x in zip(*answers, strict=True))
+            size = np.maximum(self.sizes(kept, t[-1], z[-1]), np.abs(alone @ rates).max(axis=0))
+            if slopes is None:
+                slopes = [differences(z[-1], size, laws[-1], answers[-1])] * k
+            miss = rule.couple @ z + behind - rates
+            change = _change(rule.couple, slopes, miss)
+            share = _share(change, size)
+            if share > FALLS * before:  # each point has its own
+                slopes = [differences(z[i], size, laws[i], answers[i]) for i in range(k)]
+                change = _change(rule.couple, slopes, miss)
+                share = _share(change, size)
+            if share > LEFT:
+                z = z - change
+            if share <= NEAR:
+                break
+            before = share
+        else:
+            raise CallbackError(
+                f'Controller "{self.name}": its memory has no value up to t = {t[-1]:g} s. Is the law smooth in it?'
+            )
+
+        # along their slopes for the rest of the way
+        if share > LEFT:
+            u = u - np.array([by_u @ x for (by_u, _), x in zip(slopes, change, strict=True)])
+            rates = rates - np.array([by_rate @ x for (_, by_rate), x in zip(slopes, change, strict=True)])
+        self.kept, self.rule, self.slopes, self.t, self.z, self.u, self.rate = (
+            kept,
+            rule,
+            slopes,
+            t,
+            z,
+            list(u),
+            list(rates),
+        )
+        self.y = y
+
+    def sizes(self, kept: ControllerMemory, t: float, z: Array) -> Array:
+        """What errors of a step from ``kept`` to t are measured by: the largest memories so far, and what rates add in it."""
+        grows = np.maximum(np.abs(kept.rate), kept.reach if self.reach is None else np.maximum(kept.reach, self.reach))
+        return np.maximum(np.maximum(kept.size, np.abs(kept.z)), np.maximum(np.abs(z), (t - kept.t) * grows))
+
+    def error(self, kept: ControllerMemory, of: StepError) -> float:
+        """The largest error of a step that was found last, over the tolerance."""
+        if self.kept is not kept:
+            return 0.0
+        off: Array = of.points @ self.z + of.past @ kept.ends(of.ends) + of.rate * kept.rate
+        if of.frequency:
+            assert self.slopes is not None
+            off = np.linalg.solve(of.frequency * np.eye(len(off)) - self.slopes[-1][1], off)
+        sizes = self.sizes(kept, self.t[-1], self.z[-1])
+        allowed = of.rtol * sizes + of.atol
+        return float(np.max(np.abs(off)[allowed > 0] / allowed[allowed > 0], initial=0.0))
+
+
+def _change(couple: Array, slopes: list[Answers], miss: Array) -> Array:
+    """By how much memories are off where (1) is off by ``miss`` (k, m)."""
+    k, m = miss.shape
+    matrix = couple[:, None, :, None] * np.eye(m)[:, None, :]
+    for i, (_, by_rate) in enumerate(slopes):
+        matrix[i, :, i] -= by_rate
+    return np.linalg.solve(matrix.reshape(k * m, k * m), miss.ravel()).reshape(k, m)
+
+
+def _share(change: Array, size: Array) -> float:
+    """The largest change (k, m) over the sizes (m,)."""
+    largest = np.abs(change).max(axis=0)
+    return float(np.max(largest[largest > 0] / np.maximum(size[largest > 0], np.finfo(float).tiny), initial=0.0))

@@ -1,0 +1,211 @@
+"""Memories of continuous laws under Radau and BDF: of the order of the motion, and within its tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from test_compiled_evaluation import compiled
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.rotations import Array
+from fmbd_fenicsx.system.compiled import choice
+
+END = 2.0
+TIMES = np.linspace(0.0, END, 11)
+GAINS, LIMIT = (60.0, 80.0, 9.0), 40.0
+
+
+def goal(t: float) -> float:
+    return 0.8 * float(np.sin(2.0 * t))
+
+
+class Case(NamedTuple):
+    """A law (t, s, v, z) -> (u, z') on the angle of a wheel of 1 kg m^2, the memory at the start, and the speed there."""
+
+    law: Callable[[float, float, float, Array], tuple[float, Any]]
+    memory: tuple[float, ...]
+    speed: float = 0.0
+
+
+def filtered(t: float, s: float, v: float, z: Array) -> tuple[float, Any]:
+    """PID with a filter of its derivative, against a weight."""
+    e = goal(t) - s
+    return 50 * e + 360 * (e - z[0]) + 30 * z[1] - 8 * np.sin(s), (60 * (e - z[0]), e)
+
+
+def bouc_wen(t: float, s: float, v: float, z: Array) -> tuple[float, Any]:
+    return 3 * np.cos(2 * t) - 12 * s - 28 * z[0], (v - 30 * abs(v) * z[0] * abs(z[0]) - 20 * v * z[0] ** 2,)
+
+
+def maxwell(t: float, s: float, v: float, z: Array) -> tuple[float, Any]:
+    return -25 * s - 60 * (s - z[0]) + 2 * np.sin(3 * t), ((s - z[0]) / 0.15,)
+
+
+def stiff(t: float, s: float, v: float, z: Array) -> tuple[float, Any]:
+    return -30 * z[0] - 2 * v + np.sin(3 * t), (1e4 * (s - z[0]),)
+
+
+def three_gains(t: float, s: float, v: float, z: Array) -> tuple[float, Any]:
+    """That of fmbd.pid, whose limit never binds."""
+    e, (kp, ki, kd) = goal(t) - s, GAINS
+    return kp * e + ki * z[0] + kd * (1.6 * np.cos(2 * t) - v), (e,)
+
+
+CASES = {
+    "filtered": Case(filtered, (0.0, 0.0)),
+    "bouc_wen": Case(bouc_wen, (0.0,)),
+    "maxwell": Case(maxwell, (0.3,), 1.0),
+    "stiff": Case(stiff, (0.0,), 1.0),
+    "pid": Case(three_gains, (0.0,), 1.0),
+}
+
+
+@cache
+def exact(name: str) -> Array:
+    """Angle and speed at the times, by SciPy, (n, 2)."""
+    case = CASES[name]
+
+    def rate(t: float, x: Array) -> Array:
+        u, g = case.law(t, x[0], x[1], x[2:])
+        return np.concatenate(([x[1], u], g))
+
+    start = np.concatenate(([0.0, case.speed], case.memory))
+    method = "Radau" if name == "stiff" else "DOP853"
+    found = solve_ivp(rate, (0.0, END), start, method=method, rtol=1e-12, atol=1e-14, t_eval=TIMES)
+    return np.asarray(found.y[:2].T)
+
+
+def wheel(name: str, calls: list[float] | None = None) -> fmbd.Scene:
+    """The same as a scene; ``calls``: the times at which the law is asked."""
+    case, asked = CASES[name], [] if calls is None else calls
+    body = fmbd.RigidBody("wheel", 1.0, 1.0, angular_velocity=case.speed)
+    hinge = fmbd.revolute("hinge", fmbd.ground, body, center=(0, 0))
+    phi = fmbd.angle(hinge)
+
+    def law(t: float, y: Any, z: Array) -> tuple[float, Any]:
+        asked.append(t)
+        return case.law(t, y["s"][0], y["v"][0], z)
+
+    scene = fmbd.Scene(name)
+    reads = {"s": phi, "v": fmbd.joint_rate(phi)}
+    own = fmbd.controller("motor", reads=reads, acts=phi, law=law, memory=case.memory)
+    scene.add(body, hinge)
+    scene.add(fmbd.pid("motor", phi, target=goal, gains=GAINS) if name == "pid" else own)
+    scene.sensor("phi", phi)
+    scene.sensor("rate", fmbd.joint_rate(phi))
+    scene.sensor("effort", fmbd.element_effort(scene.forces["motor"]))
+    return scene
+
+
+def error(run: Any, name: str) -> float:
+    """The largest of angles and speeds."""
+    found = np.concatenate((run["phi"], run["rate"]), axis=1)
+    return float(np.abs(found - exact(name)).max())
+
+
+AT_TIMES = fmbd.Output(times=tuple(TIMES))
+
+
+@pytest.mark.parametrize("name", ["filtered", "stiff", "pid"])
+def test_memories_are_of_the_order_of_the_scheme(name: str) -> None:
+    """Two memories of a law in Python, one of rate 1e4 1/s, and the integral of a formula."""
+    schemes: dict[Any, float] = {
+        fmbd.Radau(stages=2, rtol=None): 3,
+        fmbd.Radau(rtol=None): 5,
+        fmbd.BDF(order=2, rtol=None): 2,
+        fmbd.BDF(order=4, rtol=None): 4,
+        fmbd.BDF(order=5, rtol=None): 5,
+    }
+    for scheme, order in schemes.items():
+        steps = (0.02, 0.01) if isinstance(scheme, fmbd.Radau) else (0.01, 0.005)
+        errors = [
+            error(fmbd.solve(wheel(name), t_end=END, dt=dt, scheme=scheme, output=AT_TIMES), name) for dt in steps
+        ]
+        assert np.log2(errors[0] / errors[1]) > order - 0.2, (scheme.name, errors)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_error_control_sees_memories(name: str) -> None:
+    """The trapezoidal rule left up to 1000 tolerances; laws are asked as often as three stages take, or one point."""
+    for scheme, most in ((fmbd.Radau(rtol=1e-6), 40), (fmbd.BDF(rtol=1e-6), 18)):
+        calls: list[float] = []
+        run = fmbd.solve(wheel(name, calls), t_end=END, scheme=scheme, output=AT_TIMES)
+        assert error(run, name) < 5e-5, scheme.name
+        assert len(calls) < most * run.counters["steps"], scheme.name
+
+
+def test_a_tighter_tolerance_is_met() -> None:
+    run = fmbd.solve(wheel("filtered"), t_end=END, scheme=fmbd.Radau(rtol=1e-8), output=AT_TIMES)
+    assert error(run, "filtered") < 2e-8
+
+
+@compiled
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-6), fmbd.BDF(rtol=None)], ids=["radau", "bdf"])
+@pytest.mark.parametrize("name", ["filtered", "pid"])
+def test_steps_in_numpy_find_the_same(name: str, scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = []
+    for _ in range(2):
+        runs.append(fmbd.solve(wheel(name), t_end=0.4, dt=0.02, scheme=scheme))
+        monkeypatch.setattr(choice, "driver_of", lambda *system: None)
+    ends = [np.array([r[x][-1, 0] for x in ("phi", "rate", "effort")]) for r in runs]
+    assert ends[1] == pytest.approx(ends[0], rel=2e-6)
+
+
+@pytest.mark.parametrize(
+    "scheme", [fmbd.Radau(rtol=1e-6), fmbd.BDF(rtol=1e-6), fmbd.BDF(rtol=None)], ids=["radau", "bdf", "equal"]
+)
+@pytest.mark.parametrize("name", ["filtered", "pid"])
+def test_memories_survive_checkpoints(name: str, scheme: Any, tmp_path: Any) -> None:
+    whole = fmbd.solve(wheel(name), t_end=1.0, dt=0.02, scheme=scheme)
+    fmbd.solve(wheel(name), t_end=1.0, dt=0.02, scheme=scheme, checkpoint=fmbd.Checkpoint(tmp_path, every=11, keep=9))
+    middle = min(tmp_path.iterdir(), key=lambda p: int(p.name.rpartition("step")[2]))
+    again = fmbd.solve(wheel(name), t_end=1.0, dt=0.02, scheme=scheme, restart=middle)
+    for sensor in ("phi", "rate", "effort"):
+        assert np.array_equal(again[sensor], whole[sensor])
+
+
+def test_efforts_within_steps_have_the_memory_of_the_instant() -> None:
+    """On the cubic through the ends of a step: errors fall by 16 where steps are halved."""
+    output = fmbd.Output(times=tuple(np.linspace(0.0, 1.0, 101)))
+    efforts = [
+        fmbd.solve(wheel("maxwell"), t_end=1.0, dt=dt, scheme=fmbd.Radau(rtol=None), output=output)["effort"]
+        for dt in (0.05, 0.025, 0.005)
+    ]
+    off = [float(np.abs(x - efforts[2]).max()) for x in efforts[:2]]
+    assert np.log2(off[0] / off[1]) > 3.5
+
+
+def test_an_integral_beside_a_sampled_controller() -> None:
+    """Python takes up ends of steps that compiled code has found, where a sample may be due."""
+    errors = []
+    for dt in (0.02, 0.01):
+        scene = wheel("pid")
+        scene.add(
+            fmbd.controller(
+                "idle",
+                reads={"s": fmbd.angle(scene.joints["hinge"])},
+                acts=fmbd.angle(scene.joints["hinge"]),
+                law=lambda t, y, z: 0.0,
+                every=0.5,
+            )
+        )
+        errors.append(error(fmbd.solve(scene, t_end=END, dt=dt, scheme=fmbd.Radau(rtol=None), output=AT_TIMES), "pid"))
+    assert np.log2(errors[0] / errors[1]) > 4.5
+
+
+def test_certificates_know_what_memories_leave() -> None:
+    output = fmbd.Output(times=tuple(TIMES), estimate_error=True)
+    for scheme in (fmbd.Radau(rtol=1e-5), fmbd.BDF(rtol=1e-6)):
+        run = fmbd.solve(wheel("maxwell"), t_end=END, scheme=scheme, output=output)
+        true = float(np.abs(run["phi"][:, 0] - exact("maxwell")[:, 0]).max())
+        assert 0.5 * true <= run.certificate["phi"].time <= 20 * true, scheme.name
+
+
+def test_a_tolerance_is_met_with_memories() -> None:
+    run = fmbd.solve(wheel("filtered"), t_end=END, tol={"phi": 1e-5}, scheme=fmbd.Radau(), output=AT_TIMES)
+    assert float(np.abs(run["phi"][:, 0] - exact("filtered")[:, 0]).max()) < 1e-5
