@@ -127,8 +127,8 @@ class DriverSolver:
         return None if weights is None else self.explicit.all_closed(states, weights)
 
     def all_corrected(self, states: States, metrics: Sequence[Weights]) -> tuple[Array, Array] | None:
-        """a and lambda of many states nearer to their equations, likewise; None with fields."""
-        weights = None if self.states.system.fields else self._metrics(states, metrics)
+        """a and lambda of many states nearer to their equations, likewise."""
+        weights = self._metrics(states, metrics)
         return None if weights is None else self.explicit.all_corrected(states, weights)
 
     def _metrics(self, states: States, metrics: Sequence[Weights]) -> list[tuple[float, float]] | None:

@@ -26,6 +26,9 @@ def accelerated(system: System, states: States, solver: StepSolver) -> States:
 
 def all_corrected(system: System, states: States, solver: StepSolver, metrics: Sequence[Weights]) -> States:
     """States with a and lambda as :func:`.consistent.corrected` has them, each in a metric of its own; collective."""
+    apart = _by_metrics(system, states, metrics, lambda some, own: all_corrected(system, some, solver, own))
+    if apart is not None:
+        return apart
     driver = solver.driver
     found = None if driver is None else driver.all_corrected(states, metrics)
     if found is not None:
@@ -35,19 +38,30 @@ def all_corrected(system: System, states: States, solver: StepSolver, metrics: S
 
 def projected(system: System, states: States, solver: StepSolver, metrics: Sequence[Weights]) -> States:
     """States with q, then v, moved on the constraints, each in a metric of its own; a and lambda kept; collective."""
-    different = dict.fromkeys(metrics)
-    if system.fields and len(different) > 1:  # their factors are those of one metric
-        every = replace(states, q=states.q.copy(), v=states.v.copy())
-        for metric in different:
-            which = np.array([x == metric for x in metrics])
-            every.put(which, projected(system, states.chosen(which), solver, [metric] * int(which.sum())))
-        return every
-
+    apart = _by_metrics(system, states, metrics, lambda some, own: projected(system, some, solver, own))
+    if apart is not None:
+        return apart
     driver = solver.driver
     found = None if driver is None else driver.all_closed(states, metrics)
     if found is not None:
         return replace(states, q=found[0], v=found[1])
     return States.of([project(system, s, solver, metric) for s, metric in zip(states.each(), metrics, strict=True)])
+
+
+def _by_metrics(
+    system: System, states: States, metrics: Sequence[Weights], made: Callable[[States, list[Weights]], States]
+) -> States | None:
+    """What is ``made`` of states, of one metric after the other, as factors of fields are those of one; None without fields, and
+    where all states have the same metric.
+    """
+    different = dict.fromkeys(metrics)
+    if not system.fields or len(different) < 2:
+        return None
+    every = replace(states, q=states.q.copy(), v=states.v.copy(), a=states.a.copy(), lam=states.lam.copy())
+    for metric in different:
+        which = np.array([x == metric for x in metrics])
+        every.put(which, made(states.chosen(which), [metric] * int(which.sum())))
+    return every
 
 
 def metrics_of(h: np.ndarray, metric: Callable[[float], Weights]) -> list[Weights]:

@@ -74,12 +74,17 @@ class ImplicitMarch(OwnMarch):
         raise NotImplementedError
 
     @property
+    def _correctable(self) -> bool:
+        """Whether accelerations and multipliers are read that may be corrected: not with pressures that belong to them."""
+        return self.recorded > 1 and not any(part.field.carried for _, part in self.system.fields)
+
+    @property
     def _corrects(self) -> bool:
-        """Whether accelerations and multipliers are read that no row on accelerations tells, and no test of errors: they are
-        corrected, but for those of fields.
+        """Whether those of ends of steps are corrected: they are read, and no row on accelerations tells them, nor a test of
+        errors.
         """
         told = 2 in self.scheme.form.levels or not self.system.n_lam
-        return self.recorded > 1 and not told and not self.system.fields
+        return self._correctable and not told
 
     # -- steps --------------------------------------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:

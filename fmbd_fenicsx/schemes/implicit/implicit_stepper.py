@@ -139,7 +139,7 @@ class ImplicitStepper(ImplicitMarch):
         if 0 in levels and self.system.n_lam:
             closed = projected(self.system, within, self.solver, metrics_of(h, self._metric))
             within = closed if 1 in levels else replace(closed, v=within.v)
-        if self.recorded > 1 and not self.system.fields:
+        if self._correctable:
             within = all_corrected(self.system, within, self.solver, metrics_of(h, self._step_metric))
         return within
 

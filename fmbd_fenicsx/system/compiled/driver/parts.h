@@ -168,6 +168,7 @@ enum { WORKS = 5 }; /* of contacts since the start, see sensors/contact.py: in r
 /* schemes.c */
 void predictor(const Block *past, int known, double t, double *w);
 EXPORT int driver_arrive(System *s, int places, double t, double length, double *q, double *v, double *a, double *lam, double *room);
+int correct(System *s, double t, double cd, double ck, const double *q, const double *v, double *a, double *lam, double *room);
 EXPORT int driver_correct(System *s, long count, const double *t, const double *weights, const double *q, const double *v, double *a,
                           double *lam, double *room);
 EXPORT int driver_close(System *s, int places, double t, double length, double cd, double ck, double *q, double *v, double *room);

@@ -120,7 +120,7 @@ static int close_rows(System *by, const double *q, double *opened, double *none,
     return verdict == LOOK ? DONE : verdict;
 }
 
-/* What depends on time only at the start of a step, which the last point of the one before knows, in the tables of a matrix. */
+/* What depends on time only between steps, which the last point of the one before knows, in the tables of a matrix. */
 static int sample_start(System *s, const Stages *o, double t, System *by)
 {
     const int end = o->points - 1;
@@ -176,6 +176,19 @@ static int close_start(System *s, const Stages *o, int places, const Block *now)
     if ((verdict = close_rows(by, now->q, opened, none, e->found, a))) return verdict;
     e->begun = 1;
     return DONE;
+}
+
+/* a and lambda at the end of a step, as correct() has them, by the matrix of the step; as they are where none is real. ``room``: 3 nv + 3 rows. */
+static int correct_end(System *s, const Stages *o, Block out, double *room)
+{
+    const int real = real_frequency(o);
+    const double w = o->s[2 * real];
+    System *by = o->fields->by[real];
+    int verdict;
+    if (parts_of(o, real) > 1) return DONE;
+    share_memory(s, by);
+    if ((verdict = sample_start(s, o, *out.t, by))) return verdict;
+    return correct(by, *out.t, 1.0 / w, 1.0 / (w * w), out.q, out.v, out.a, out.lam, room);
 }
 
 /* ---- rows that depend ---- */

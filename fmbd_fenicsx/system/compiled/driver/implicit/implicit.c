@@ -235,6 +235,8 @@ static int end_implicit(System *s, const Implicit *o, const double *p, const dou
         if ((verdict = place(s, out.q, out.v))) return verdict;
         settle_angles(s, out.q);
     }
+    if (!o->corrects) return DONE;
+    if (g->fields) return correct_end(s, g, out, o->mixed);
     const double weights[2] = {p[H], p[H] * p[H]};
-    return o->corrects ? driver_correct(s, 1, out.t, weights, out.q, out.v, out.a, out.lam, o->mixed) : DONE;
+    return driver_correct(s, 1, out.t, weights, out.q, out.v, out.a, out.lam, o->mixed);
 }

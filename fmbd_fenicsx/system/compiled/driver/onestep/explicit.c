@@ -191,12 +191,12 @@ EXPORT int driver_close(System *s, int places, double t, double length, double c
 }
 
 /* a and lambda nearer to the balance and to G a + g'' = 0 at (t, q, v), as corrected() of schemes/consistent.py: by one increment in the
-   metric of M + cd C + ck K. ``room``: 3 nv + 3 rows. */
-static int correct(System *s, double t, double cd, double ck, const double *q, const double *v, double *a, double *lam, double *room)
+   metric of M + cd C + ck K; what depends on time only is known. ``room``: 3 nv + 3 rows. */
+int correct(System *s, double t, double cd, double ck, const double *q, const double *v, double *a, double *lam, double *room)
 {
-    double *x = room, *y = x + s->nv, *second = y + s->rows, *partial = second + s->rows, *none = partial + s->rows, asked = NAN;
-    int verdict = sample(s, t, &asked);
-    if (verdict || (verdict = place(s, q, v))) return verdict;
+    double *x = room, *y = x + s->nv, *second = y + s->rows, *partial = second + s->rows, *none = partial + s->rows;
+    int verdict = place(s, q, v);
+    if (verdict) return verdict;
     derivatives_in_time(s, partial, second);
     memset(none, 0, s->nv * sizeof(double));
     memset(y, 0, s->rows * sizeof(double));
@@ -217,9 +217,10 @@ static int correct(System *s, double t, double cd, double ck, const double *q, c
 EXPORT int driver_correct(System *s, long count, const double *t, const double *weights, const double *q, const double *v, double *a,
                           double *lam, double *room)
 {
+    double last = NAN;
     int verdict = DONE;
     for (long i = 0; i < count && !verdict; i++, q += s->nq, v += s->nv, a += s->nv, lam += s->rows)
-        verdict = correct(s, t[i], weights[2 * i], weights[2 * i + 1], q, v, a, lam, room);
+        if (!(verdict = sample(s, t[i], &last))) verdict = correct(s, t[i], weights[2 * i], weights[2 * i + 1], q, v, a, lam, room);
     return verdict;
 }
 
