@@ -46,6 +46,8 @@ from .corrector import Corrector
 from .multistep_march import CALM, HIGHER, LOWER, SLOW, growth_of, within
 from .past import LONGEST, Past, before, local, slopes, weights
 
+SUDDEN = 0.05  # share of the last step below which a step is behind a bend of forces, as in bdf.c
+
 
 @dataclass(frozen=True)
 class BDF(OfForm):
@@ -260,14 +262,16 @@ class BDFStepper(Corrector):
     def _error(self, h: float, p: Points, k: int) -> float:
         """Error of a step if it had been taken with order ``k``: of what the past foretold wrongly the share of smooth motion.
 
-        Behind longer steps that share is small, and would hide forces that bend within the step: it counts as behind equal ones.
+        Behind much longer steps that share is small, and would hide forces that bend within: it counts as behind equal ones.
         """
         times, xis, vs = local(self.system, self.state.q, self.past[: k + 1])
         t = self.state.t + h
         if len(times) < k + 1:
             return np.inf
         w = weights(times, t)
-        share = max(h / (t - times[-1]), 1.0 / (k + 1))
+        share = h / (t - times[-1])
+        if h < SUDDEN * (times[0] - times[1]):
+            share = max(share, 1.0 / (k + 1))
         of_memories = StepError(np.array([share]), -share * w, times, 0.0, 0.0, *self.norm.tolerances)
         motion = self._error_size(h, self._pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
         return max(motion, memory_error(self.system, of_memories))
