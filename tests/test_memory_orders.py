@@ -209,3 +209,8 @@ def test_certificates_know_what_memories_leave() -> None:
 def test_a_tolerance_is_met_with_memories() -> None:
     run = fmbd.solve(wheel("filtered"), t_end=END, tol={"phi": 1e-5}, scheme=fmbd.Radau(), output=AT_TIMES)
     assert float(np.abs(run["phi"][:, 0] - exact("filtered")[:, 0]).max()) < 1e-5
+
+
+def test_explicit_schemes_say_that_their_error_control_sees_no_memory(caplog: pytest.LogCaptureFixture) -> None:
+    fmbd.solve(wheel("maxwell"), t_end=0.1, scheme=fmbd.schemes.ExplicitRungeKutta(rtol=1e-6))
+    assert 'memory of controller "motor"' in caplog.text
