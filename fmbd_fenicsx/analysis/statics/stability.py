@@ -50,7 +50,8 @@ def falling(about: Perturbation, newton: StaticNewton) -> Array | None:
     images: list[Array] = []
     new = newton.solver.solve(about.mass(random_motion(about, 0)), none)[0]
 
-    mu, away, skew = 0.0, None, False
+    mu, skew = 0.0, False
+    away: Array | None = None
     while len(basis) < MOST and (v := new_part(about, basis, new, newton.solver.solve)) is not None:
         basis.append(v)
         images.append(about.stiffness(v))
@@ -59,7 +60,7 @@ def falling(about: Perturbation, newton: StaticNewton) -> Array | None:
 
         mu, y = float(values[0]), vectors[:, 0] @ np.array(basis)
         slowest = SLOW * newton.weights.cm * system.dot(y, about.mass(y))
-        skew = mu > -ROUGH * np.abs(K - K.T).max()
+        skew = bool(mu > -ROUGH * np.abs(K - K.T).max())
         away = y if mu < -max(FLAT * np.abs(values).max(), slowest) else None
         # one motion alone does not show whether its forces have a potential
         if away is not None and not skew and len(basis) > 1:
