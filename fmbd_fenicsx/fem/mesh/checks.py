@@ -320,7 +320,7 @@ def _corners(model: Any, dim: int, entities: list[int], facets: bool = False) ->
             cells = np.asarray(numbers, dtype=np.int64).reshape(-1, count)[:, :corners]
             parts = FACETS.get((dim, corners), ()) if facets else (tuple(range(corners)),)
             for part in parts:
-                out.update(map(tuple, np.sort(cells[:, list(part)], axis=1).tolist()))
+                out.update(tuple(row) for row in np.sort(cells[:, list(part)], axis=1))
     return out
 
 
