@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -320,7 +320,8 @@ def _corners(model: Any, dim: int, entities: list[int], facets: bool = False) ->
             cells = np.asarray(numbers, dtype=np.int64).reshape(-1, count)[:, :corners]
             parts = FACETS.get((dim, corners), ()) if facets else (tuple(range(corners)),)
             for part in parts:
-                out.update(tuple(row) for row in np.sort(cells[:, list(part)], axis=1))
+                found = cast("list[list[int]]", np.sort(cells[:, list(part)], axis=1).tolist())
+                out.update(tuple(nodes) for nodes in found)
     return out
 
 
