@@ -30,7 +30,7 @@ FILES = (
     "field_means",
     "field_stages",
     "field_states",
-    "free_flight",
+    "elastic_books",
     "kept_steps",
     "rods_relaxation",
     "marches",

@@ -53,8 +53,8 @@ from .contact_detection import candidates
 from .contact_ledger import StepForces
 from .contact_midpoint import elastic_refusal, elastic_start, roundoff
 from .contact_newton import openings, small_problem
+from .elastic_contact_stepper import ElasticContactStepper
 from .elastic_step import ElasticStep
-from .flying_stepper import FlyingStepper
 
 if TYPE_CHECKING:
     from .compiled.elastic_contact import ContactMarch
@@ -105,12 +105,12 @@ class ContactAlpha(GeneralizedAlpha):
         return ContactAlphaStepper(self, system, solver, newton, state)
 
 
-class ContactAlphaStepper(FlyingStepper):
+class ContactAlphaStepper(ElasticContactStepper):
     """Advances a state; holds the algorithmic acceleration A."""
 
     maker = "ALPHA"
     share = 1.0
-    keeps: ClassVar = {**FlyingStepper.keeps, "A": Memory.like_v, "size": plain()}
+    keeps: ClassVar = {**ElasticContactStepper.keeps, "A": Memory.like_v, "size": plain()}
 
     def __init__(self, scheme: ContactAlpha, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(system, solver, newton, state)
@@ -129,7 +129,7 @@ class ContactAlphaStepper(FlyingStepper):
     def _algorithmic(self) -> Array:
         return self.A
 
-    def _take_flight(self, march: ContactMarch, made: int, h: float) -> None:
+    def _take_own(self, march: ContactMarch, made: int, h: float) -> None:
         self.A, self.size = march.block(0)[4], h
 
     def begin_anew(self, start: Callable[[], State]) -> bool:

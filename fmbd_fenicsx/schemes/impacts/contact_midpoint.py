@@ -52,8 +52,8 @@ from ..newton import Newton
 from .contact_detection import candidates, refuse_penetration
 from .contact_ledger import StepForces
 from .contact_newton import openings
+from .elastic_contact_stepper import ElasticContactStepper
 from .elastic_step import ElasticStep
-from .flying_stepper import FlyingStepper
 
 if TYPE_CHECKING:
     from .compiled.elastic_contact import ContactMarch
@@ -141,7 +141,7 @@ def weightless(system: System) -> np.ndarray:
     return out
 
 
-class ContactMidpointStepper(FlyingStepper):
+class ContactMidpointStepper(ElasticContactStepper):
     """Advances a state through contact."""
 
     maker = "THETA_RULE"
@@ -164,7 +164,7 @@ class ContactMidpointStepper(FlyingStepper):
         massless = driver.states.twin.velocities(self._weightless.astype(float))
         return np.concatenate(((self.theta, roundoff(self.system), self._projects), massless))
 
-    def _take_flight(self, march: ContactMarch, made: int, h: float) -> None:
+    def _take_own(self, march: ContactMarch, made: int, h: float) -> None:
         places = [march.state(i) for i in range(1 + min(made, 2))]
         means = [self.system.difference(b.q, a.q, near=h * b.v) / h for a, b in pairwise(places)]
         self._begun, self._means = places[1], [*self._means[-1:], *means[::-1]][-2:]

@@ -21,7 +21,7 @@ from ...system.system import System
 from .contact_newton import ContactStep
 
 if TYPE_CHECKING:
-    from .flying_stepper import FlyingStepper
+    from .elastic_contact_stepper import ElasticContactStepper
 
 MARGIN = 10.0  # of what is foretold
 RELIED = 15  # steps that may rely on one
@@ -54,10 +54,10 @@ def is_smooth(system: System) -> bool:
 class ElasticStep(ContactStep):
     """One step with the candidates ``near``, (m,) bool, which begin with the forces of the last step."""
 
-    p: FlyingStepper  # type: ignore[assignment]
+    p: ElasticContactStepper  # type: ignore[assignment]
     tolerance: float  # m, of the newest increment
 
-    def __init__(self, stepper: FlyingStepper, h: float, near: np.ndarray) -> None:
+    def __init__(self, stepper: ElasticContactStepper, h: float, near: np.ndarray) -> None:
         super().__init__(stepper, h, stepper.ledger.force[near])
         self.near = near
         self._unconfirmed = self._turned = False  # _turned: whether normals have changed in the iteration

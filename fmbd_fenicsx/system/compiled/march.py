@@ -96,11 +96,11 @@ class March:
         control: int | None = None,
         *,
         judged: bool = False,
-        flight: int | None = None,
+        contact: int | None = None,
     ) -> tuple[int, int]:
         """Make up to so many steps; the number made, and the verdict of the one that stopped them. ``control``: address of
-        the one that judges errors, ``judged``: whether :meth:`judge` has said how joints are, ``flight``: address of what tells
-        whether nothing touches.
+        the one that judges errors, ``judged``: whether :meth:`judge` has said how joints are, ``contact``: address of
+        what elastic bodies may touch.
         """
         self.parameters[COUNTED] = 0.0
         made = self.library.march(
@@ -114,6 +114,6 @@ class March:
             None if tape is None else tape.address,
             control,
             ctypes.addressof(self.closed) if judged else None,
-            flight,
+            contact,
         )
         return int(made), int(self._verdict.value)

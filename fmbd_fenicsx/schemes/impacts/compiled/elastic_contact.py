@@ -28,14 +28,14 @@ from ..elastic_step import MARGIN, RELIED, Confirmed
 from .pairs import COMPLEMENTARITY, FACETS, NEARBY, PairTables, SurfacePoints
 from .pairs import MEETING as FACING
 from .problem import CompiledProblem
-from .structures import FLIGHT, FREE_FLIGHT, MEANS, MEETING, NODES, Contacts
+from .structures import BOOKS, ELASTIC_CONTACT, MEANS, MEETING, NODES, Contacts
 from .tape import ContactTape
 
 if TYPE_CHECKING:
-    from ..flying_stepper import FlyingStepper
+    from ..elastic_contact_stepper import ElasticContactStepper
     from .facets import FacingSurfaces
 
-_NUMBERS = enumeration("LOADS", FLIGHT)  # of what is kept with a state
+_NUMBERS = enumeration("LOADS", BOOKS)  # of what is kept with a state
 CONFIRMED, TIME, KEPT = (_NUMBERS[x] for x in ("CONFIRMED", "TIME", "KEPT"))
 
 
@@ -43,7 +43,7 @@ class Encounters(PairTables):
     """What the fields of a stepper may touch, and the books of it; ``by``: who finds forces, a compliance, and its driver."""
 
     def __init__(
-        self, tables: Tables, stepper: FlyingStepper, by: tuple[CompiledProblem, Compliance, FieldDriverSolver]
+        self, tables: Tables, stepper: ElasticContactStepper, by: tuple[CompiledProblem, Compliance, FieldDriverSolver]
     ) -> None:
         laws = list(stepper.contacts.pairs)
         facing = [k for k, pair in enumerate(laws) if pair.searches]
@@ -65,7 +65,7 @@ class Encounters(PairTables):
             python=self.function, system=ctypes.addressof(tables.c),
         )  # fmt: skip
         system = self.system
-        self.flight = FREE_FLIGHT(
+        self.contact = ELASTIC_CONTACT(
             contacts=ctypes.addressof(self.c), laws=self.laws, candidates=self.candidates, share=stepper.share,
             keeps=int(stepper.keeps_overlaps), least=NEAREST * system.length, loaded=int(bool(system.forces)),
             smooth=int(stepper.smooth), length=system.length,
@@ -77,7 +77,7 @@ class Encounters(PairTables):
             sways=self._zeros("sways", s.n_frames, np.int32), factored=self._zeros("factored", s.n_q),
             offset=self._zeros("offset", self.candidates),
         )  # fmt: skip
-        self.address = ctypes.addressof(self.flight)
+        self.address = ctypes.addressof(self.contact)
         self._first = self.c.now.gap  # of the two rooms that C takes in turn
         self._room = 0, 0  # rows that there is room for, and columns
         self._take_traces()
@@ -87,7 +87,7 @@ class Encounters(PairTables):
     # -- what rows act on ----------------------------------------------------------------------------------------------------
     def _take_traces(self) -> None:
         """The nodes of all traces."""
-        contacts, o = self.contacts, self.flight
+        contacts, o = self.contacts, self.contact
         self.traces = list(contacts.on_fields)
         self._nodes_of_traces = (NODES * len(self.traces))()
         first = 0
@@ -125,7 +125,7 @@ class Encounters(PairTables):
             surface[k] = slave, slave + 1
             self.meetings.append(FacingSurfaces(self.listed[k], number, (k, slave, slave + 1), self._array))
 
-        o, size = self.flight, ctypes.sizeof(MEANS)
+        o, size = self.contact, ctypes.sizeof(MEANS)
         self._meetings = (MEETING * len(self.meetings))(*(one.c for one in self.meetings))
         o.meetings, o.meeting = len(self.meetings), ctypes.addressof(self._meetings)
         o.means, o.surface = ctypes.addressof(self._means), self._array("surface", surface, np.int32)
@@ -137,7 +137,7 @@ class Encounters(PairTables):
     # -- what is kept with a state -------------------------------------------------------------------------------------------
     def _share_out(self) -> None:
         """Where it stands."""
-        m, d, o = self.candidates, self.tables.dim, self.flight
+        m, d, o = self.candidates, self.tables.dim, self.contact
         shapes = {
             "since": (self.laws,),
             "impulse": (self.laws, d),
@@ -157,9 +157,9 @@ class Encounters(PairTables):
         span, shape = self._places[name]
         return own[span].reshape(shape)
 
-    def begin(self, stepper: FlyingStepper, own: Array) -> None:
+    def begin(self, stepper: ElasticContactStepper, own: Array) -> None:
         """A march begins from the newest state of a stepper; with that are kept ``own``."""
-        self.c.known = self.flight.ready = 0
+        self.c.known = self.contact.ready = 0
         self.arrays["answered"][:] = 0
         books, known = stepper.ledger, stepper.confirmed
         self.counts = books.counts
@@ -175,7 +175,7 @@ class Encounters(PairTables):
         for field in self.tables.fields:
             sways[field.part.frame] = field.c.sways
 
-    def end(self, stepper: FlyingStepper, s: State, own: Array) -> ContactState:
+    def end(self, stepper: ElasticContactStepper, s: State, own: Array) -> ContactState:
         """It has ended in a state ``s``, with which ``own`` are kept: the stepper takes them, and the state with its contacts."""
         h, first, second, relied = (float(x) for x in own[CONFIRMED:TIME])
         near = self._part(own, "near") != 0.0
@@ -215,7 +215,7 @@ class Encounters(PairTables):
 
     def _make_ready(self, count: int) -> None:
         """Compliances of the nodes that those near act on, and room for so many."""
-        o, blocks, system, a = self.flight, self.driver.blocks, self.system, self.arrays
+        o, blocks, system, a = self.contact, self.driver.blocks, self.system, self.arrays
         self.problem.take_size(count)
         first = np.cumsum([0, *(block.Y.shape[1] for block in blocks)])
         for i, one in zip(self.traces, self._nodes_of_traces, strict=True):
@@ -244,7 +244,7 @@ class Encounters(PairTables):
         sizes = {"rows": 2 * (d + self.tables.twist), "direction": d, "axes": 2 * d}
         sizes |= dict.fromkeys(("start", "change", "stopped", "rates"), 1) | dict.fromkeys(("push", "answer"), core)
         for name, size in (sizes | dict.fromkeys(("seen", "acting"), columns)).items():
-            setattr(self.flight, name, self._zeros(name, rows * size))
+            setattr(self.contact, name, self._zeros(name, rows * size))
 
 
 class EncounterTape(ContactTape):
@@ -256,7 +256,7 @@ class EncounterTape(ContactTape):
 class ContactMarch(March):
     """The march of a stepper by some states, with what its bodies meet, and so much room to work in."""
 
-    def __init__(self, stepper: FlyingStepper, states: DriverStates, room: int) -> None:
+    def __init__(self, stepper: ElasticContactStepper, states: DriverStates, room: int) -> None:
         driver, problem = stepper.solver.driver, stepper.problem
         assert isinstance(driver, FieldDriverSolver) and problem is not None
         self.around = Encounters(states.tables, stepper, (problem, stepper.compliance, driver))

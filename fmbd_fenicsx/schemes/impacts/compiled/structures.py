@@ -15,8 +15,8 @@ Tree, Block = (structure_of(PARTS, name) for name in ("Tree", "Block"))
 Contacts = structure_of(
     SOURCE, "Contacts", Touch=Touch, Block=Block, Problem=Problem, Graph=Graph, Blocks=Blocks, Tally=Tally
 )
-FLIGHT = "contact/free_flight.c"
-NODES, FREE_FLIGHT = (structure_of(FLIGHT, name) for name in ("Nodes", "FreeFlight"))
+BOOKS = "contact/elastic_books.c"
+NODES, ELASTIC_CONTACT = (structure_of(BOOKS, name) for name in ("Nodes", "ElasticContact"))
 MEANS, _SHAPES = (structure_of("contact/facets.c", name) for name in ("Means", "Shapes"))
 _FACETS = structure_of("contact/facets.c", "Facets", Shapes=_SHAPES)
 MEETING = structure_of("contact/facets.c", "Meeting", Shapes=_SHAPES, Facets=_FACETS)

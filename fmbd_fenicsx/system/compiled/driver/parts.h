@@ -131,11 +131,11 @@ static inline Block block_at(const System *s, double *x)
 int radau_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 int bdf_step(System *s, double *p, double *room, const Block *past, int known, Block out);
 
-/* free_flight.c: the books of a step of size h. The step counts. What its record tells of contacts. */
-typedef struct FreeFlight FreeFlight;
-PART int fly(System *s, FreeFlight *o, double h, const Block *now, const Block *out);
-PART void land(FreeFlight *o);
-PART void record_contact(const FreeFlight *o, const Block *out, double *to, long place);
+/* elastic_books.c: the books of a step of size h. The step counts. What its record tells of contacts. */
+typedef struct ElasticContact ElasticContact;
+PART int book_contact(System *s, ElasticContact *o, double h, const Block *now, const Block *out);
+PART void pass_contact(ElasticContact *o);
+PART void record_contact(const ElasticContact *o, const Block *out, double *to, long place);
 
 /* elastic_contact.c. An increment of Newton's iteration: at t and q its balance is, at ``end`` gaps close, by xi from the step's start at
    ``from`` (s) over a span; forces act by ``scale`` times its solution for the right-hand sides b and ``open``, NULL: the residuals
@@ -146,23 +146,23 @@ typedef struct {
     double *b;
 } Contacting;
 /* Find who takes part in a step of size h; begin its iteration, with how many; whether others join in where it has led to. */
-PART int begin_contact(System *s, FreeFlight *o, double h, const Block *now);
-PART int start_forces(System *s, FreeFlight *o, const Block *now);
-PART int met_others(FreeFlight *o, const Block *out, int *verdict);
+PART int begin_contact(System *s, ElasticContact *o, double h, const Block *now);
+PART int start_forces(System *s, ElasticContact *o, const Block *now);
+PART int met_others(ElasticContact *o, const Block *out, int *verdict);
 /* Whether a slow iteration goes on with its matrix: new tangents change nothing but columns of inertia. */
-PART int goes_on_slowly(const FreeFlight *o);
+PART int goes_on_slowly(const ElasticContact *o);
 /* The matrix is a new one, that of a configuration; the solution with contacts. */
-PART void contact_factored(const System *s, FreeFlight *o, const double *q);
-PART int contact_increment(System *s, FreeFlight *o, const Contacting *k, double *x, double *y);
+PART void contact_factored(const System *s, ElasticContact *o, const double *q);
+PART int contact_increment(System *s, ElasticContact *o, const Contacting *k, double *x, double *y);
 /* The error that a first increment of a size (over a tolerance, m) leaves, by what steps before tell; take note of those of a step. */
-PART double left_as_told(const FreeFlight *o, const Block *now, double h, double size, double tolerance);
-PART void iterated(FreeFlight *o, const Block *now, const Block *out, double h, const double *sizes, double tolerance, int done);
+PART double left_as_told(const ElasticContact *o, const Block *now, double h, double size, double tolerance);
+PART void iterated(ElasticContact *o, const Block *now, const Block *out, double h, const double *sizes, double tolerance, int done);
 /* Velocities of closed contacts at the end of a step: as persistency in contact_alpha.py, with what accelerations change by for that of a
    velocity. */
 typedef struct {
     double h, scale, gain, to_A, to_a;
 } Persisting;
-PART int persist(System *s, FreeFlight *o, const Persisting *k, const Block *now, const Block *out);
+PART int persist(System *s, ElasticContact *o, const Persisting *k, const Block *now, const Block *out);
 enum { WORKS = 5 }; /* of contacts since the start, see sensors/contact.py: in records of such steps */
 
 /* schemes.c */

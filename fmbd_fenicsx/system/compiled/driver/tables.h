@@ -377,7 +377,7 @@ typedef struct {
     int parts, imaginary;              /* 2 where the matrix is complex, see Field; whether its imaginary part is assembled */
     double *lossy;                     /* that part of the fronts */
     const Ties *ties;                  /* whose efforts are given; NULL: all are those of the state */
-    struct FreeFlight *flight;         /* what bodies may touch in the steps of a march, NULL without, see free_flight.c */
+    struct ElasticContact *contact;         /* what bodies may touch in the steps of a march, NULL without, see elastic_books.c */
 } System;
 
 /* A number of a record that an event is about, times ``scale``: where it is in the first one, how many numbers further in the next;

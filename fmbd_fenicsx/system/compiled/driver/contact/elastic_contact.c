@@ -1,5 +1,5 @@
 /* Contacts in a step of elastic bodies: which candidates take part, as schemes/impacts/contact_detection.py, and Newton's increment with
-   them, as schemes/impacts/contact_newton.py. What contact leaves behind is kept with a state, see free_flight.c. */
+   them, as schemes/impacts/contact_newton.py. What contact leaves behind is kept with a state, see elastic_books.c. */
 
 enum { ROUNDS_OF_STEP = 4 };        /* how often points join in */
 static const double OVERLAP = 1e-9; /* of the model's length: what a point passes into an obstacle before it joins in */
@@ -9,7 +9,7 @@ static const double OVERLAP = 1e-9; /* of the model's length: what a point passe
 /* ---- which contacts take part ---- */
 
 /* List the nodes that those near act on, trace by trace; whether C is known at all of them. */
-static void list_nodes(FreeFlight *o, int *known)
+static void list_nodes(ElasticContact *o, int *known)
 {
     int count = 0;
     *known = 1;
@@ -31,7 +31,7 @@ static void list_nodes(FreeFlight *o, int *known)
 }
 
 /* Ask Python for what is not known of the compliance of those near, and for room for another number of them. */
-static int gather_near(FreeFlight *o)
+static int gather_near(ElasticContact *o)
 {
     Contacts *c = o->contacts;
     int count = 0, same = 1, known;
@@ -53,7 +53,7 @@ static int gather_near(FreeFlight *o)
 }
 
 /* Pair surfaces anew for a step of size h: facets look as far as nodes move in four of them. */
-static int pair_surfaces(FreeFlight *o, double h, const Block *now)
+static int pair_surfaces(ElasticContact *o, double h, const Block *now)
 {
     Contacts *c = o->contacts;
     double fastest = 0.0;
@@ -78,7 +78,7 @@ static int pair_surfaces(FreeFlight *o, double h, const Block *now)
 }
 
 /* The points of a pair that are near at one of two looks; LOOK where one could pass through: distances change by no more than it moves. */
-static int take_near(FreeFlight *o, int number, const Touch *from, const Touch *to)
+static int take_near(ElasticContact *o, int number, const Touch *from, const Touch *to)
 {
     const Pair *k = o->contacts->pair + number;
     double approach = 0.0;
@@ -97,7 +97,7 @@ static int take_near(FreeFlight *o, int number, const Touch *from, const Touch *
 }
 
 /* Solutions with contacts correct no moments, as compliances do not. */
-static void let_sway(System *s, const FreeFlight *o, int back)
+static void let_sway(System *s, const ElasticContact *o, int back)
 {
     for (int b = 0; b < s->bodies; b++) {
         if (!s->body[b].field) continue;
@@ -106,7 +106,7 @@ static void let_sway(System *s, const FreeFlight *o, int back)
     }
 }
 
-int begin_contact(System *s, FreeFlight *o, double h, const Block *now)
+int begin_contact(System *s, ElasticContact *o, double h, const Block *now)
 {
     Contacts *c = o->contacts;
     int verdict;
@@ -121,7 +121,7 @@ int begin_contact(System *s, FreeFlight *o, double h, const Block *now)
     return gather_near(o);
 }
 
-int start_forces(System *s, FreeFlight *o, const Block *now)
+int start_forces(System *s, ElasticContact *o, const Block *now)
 {
     const int d = o->contacts->components;
     o->matrix = o->increments = 0;
@@ -131,7 +131,7 @@ int start_forces(System *s, FreeFlight *o, const Block *now)
     return o->count;
 }
 
-int met_others(FreeFlight *o, const Block *out, int *verdict)
+int met_others(ElasticContact *o, const Block *out, int *verdict)
 {
     Contacts *c = o->contacts;
     int more = 0;
@@ -146,7 +146,7 @@ int met_others(FreeFlight *o, const Block *out, int *verdict)
 /* ---- increments ---- */
 
 /* Gaps at the end of a step, and slips in it, under the forces so far and after an increment x. */
-static int find_openings(FreeFlight *o, const Contacting *k, const Touch *at, const Touch *end, const double *x)
+static int find_openings(ElasticContact *o, const Contacting *k, const Touch *at, const Touch *end, const double *x)
 {
     Contacts *c = o->contacts;
     const int d = c->components;
@@ -167,7 +167,7 @@ static int find_openings(FreeFlight *o, const Contacting *k, const Touch *at, co
 }
 
 /* Forces on the rows, out of the residuals evaluated last. */
-static void push_residuals(System *s, const FreeFlight *o, const double *f)
+static void push_residuals(System *s, const ElasticContact *o, const double *f)
 {
     const Contacts *c = o->contacts;
     const double *row = o->rows;
@@ -187,7 +187,7 @@ static void push_residuals(System *s, const FreeFlight *o, const double *f)
 }
 
 /* The solution with more forces on the rows. */
-static int solve_pushed(System *s, const FreeFlight *o, const Contacting *k, const double *f, double *x, double *y)
+static int solve_pushed(System *s, const ElasticContact *o, const Contacting *k, const double *f, double *x, double *y)
 {
     if (k->b) {
         add_pushes(o, k->scale, f, k->b);
@@ -198,7 +198,7 @@ static int solve_pushed(System *s, const FreeFlight *o, const Contacting *k, con
 }
 
 /* Forces that the law asks for; Python finds those of hard problems. */
-static int find_forces(const FreeFlight *o)
+static int find_forces(const ElasticContact *o)
 {
     const Problem *P = &o->problem->all;
     const int d = o->contacts->components, n = d * o->count;
@@ -211,15 +211,15 @@ static int find_forces(const FreeFlight *o)
     return DONE;
 }
 
-int goes_on_slowly(const FreeFlight *o) { return o->linear; }
+int goes_on_slowly(const ElasticContact *o) { return o->linear; }
 
-void contact_factored(const System *s, FreeFlight *o, const double *q)
+void contact_factored(const System *s, ElasticContact *o, const double *q)
 {
     o->matrix = 0;
     memcpy(o->factored, q, s->nq * sizeof(double));
 }
 
-int contact_increment(System *s, FreeFlight *o, const Contacting *k, double *x, double *y)
+int contact_increment(System *s, ElasticContact *o, const Contacting *k, double *x, double *y)
 {
     Contacts *c = o->contacts;
     const int n = c->components * o->count;
@@ -248,14 +248,14 @@ int contact_increment(System *s, FreeFlight *o, const Contacting *k, double *x, 
 /* ---- what steps tell of later ones: schemes/impacts/elastic_step.py ---- */
 
 /* Whether the points near are those of the step that led to a state. */
-static int as_before(const FreeFlight *o, const Block *now)
+static int as_before(const ElasticContact *o, const Block *now)
 {
     for (int i = 0; i < o->candidates; i++)
         if (now->own[o->at_near + i] != o->listed[i]) return 0;
     return 1;
 }
 
-double left_as_told(const FreeFlight *o, const Block *now, double h, double size, double tolerance)
+double left_as_told(const ElasticContact *o, const Block *now, double h, double size, double tolerance)
 {
     const double *known = now->own + CONFIRMED;
     if (!o->smooth || *known != h || known[RELIES] >= o->relies || !as_before(o, now)) return INFINITY;
@@ -264,7 +264,7 @@ double left_as_told(const FreeFlight *o, const Block *now, double h, double size
     return o->margin * known[SECOND] * fmax(1.0, ratio * ratio) / tolerance;
 }
 
-void iterated(FreeFlight *o, const Block *now, const Block *out, double h, const double *sizes, double tolerance, int done)
+void iterated(ElasticContact *o, const Block *now, const Block *out, double h, const double *sizes, double tolerance, int done)
 {
     double *told = out->own + CONFIRMED;
     o->iterations = done;

@@ -13,7 +13,7 @@ typedef struct {
     const double *weight;
 } Side;
 
-static Side side_of(const FreeFlight *o, int i, int side)
+static Side side_of(const ElasticContact *o, int i, int side)
 {
     const Contacts *c = o->contacts;
     const int law = c->of[i], of = o->surface[2 * law + side];
@@ -42,7 +42,7 @@ static void mean_row(const double *pose, double weight, const double *mean, cons
 
 /* Rows of those near, at a configuration where they touch like this: directions at nodes, in the axes of their bodies, and rows on the
    frames of these, or on that of an obstacle. */
-static void elastic_rows(FreeFlight *o, const double *q, const Touch *at)
+static void elastic_rows(ElasticContact *o, const double *q, const Touch *at)
 {
     const Contacts *c = o->contacts;
     const int d = c->components;
@@ -80,7 +80,7 @@ static void elastic_rows(FreeFlight *o, const double *q, const Touch *at)
 }
 
 /* A row of candidate i times an array like v. */
-static double row_times(const FreeFlight *o, int i, const double *row, const double *v)
+static double row_times(const ElasticContact *o, int i, const double *row, const double *v)
 {
     double sum = 0.0;
     for (int side = 0; side < 2; side++) {
@@ -93,7 +93,7 @@ static double row_times(const FreeFlight *o, int i, const double *row, const dou
 }
 
 /* b += factor L^T f, like v. */
-static void add_pushes(const FreeFlight *o, double factor, const double *f, double *b)
+static void add_pushes(const ElasticContact *o, double factor, const double *f, double *b)
 {
     const Contacts *c = o->contacts;
     const double *row = o->rows;
@@ -109,7 +109,7 @@ static void add_pushes(const FreeFlight *o, double factor, const double *f, doub
 /* ---- how contacts answer: (1) and (2) of linear/complementarity/delassus.py ---- */
 
 /* Rows at nodes in the axes of the factors of their fields, into ``axes``; whether they are what they were. */
-static int turn_rows(FreeFlight *o)
+static int turn_rows(ElasticContact *o)
 {
     const Contacts *c = o->contacts;
     const int d = c->components;
@@ -126,7 +126,7 @@ static int turn_rows(FreeFlight *o)
 }
 
 /* What the core does under forces on all rows. */
-static int ask_core(System *s, FreeFlight *o)
+static int ask_core(System *s, ElasticContact *o)
 {
     const Contacts *c = o->contacts;
     const int d = c->components, n = d * o->count;
@@ -146,7 +146,7 @@ static int ask_core(System *s, FreeFlight *o)
 }
 
 /* How the nodes touched answer to forces on the rows of the i-th candidate near, row by row; C is symmetric. */
-static void ask_fields(const FreeFlight *o, int i)
+static void ask_fields(const ElasticContact *o, int i)
 {
     const int d = o->contacts->components, touched = o->nodes[o->traces - 1].end;
     memset(o->reply, 0, (long)d * D * touched * sizeof(double));
@@ -163,7 +163,7 @@ static void ask_fields(const FreeFlight *o, int i)
 }
 
 /* How the rows of the i-th move then, (components x components). */
-static void answers_on(const FreeFlight *o, int i, double *w)
+static void answers_on(const ElasticContact *o, int i, double *w)
 {
     const int d = o->contacts->components, touched = o->nodes[o->traces - 1].end;
     memset(w, 0, d * d * sizeof(double));
@@ -185,7 +185,7 @@ static double *block_of(const Problem *P, int d, int i, int j)
 }
 
 /* W, for forces that a solution weights by ``scale``: symmetric but for roundoff. */
-static int take_compliance(System *s, FreeFlight *o, double scale)
+static int take_compliance(System *s, ElasticContact *o, double scale)
 {
     const int d = o->contacts->components, m = o->count, coupled = o->coupled;
     const Problem *P = &o->problem->all;

@@ -1,7 +1,7 @@
 /* Velocities of closed contacts at the end of a step of elastic bodies: (2) and (3) of schemes/impacts/contact_alpha.py. */
 
 /* Rates of gaps that come from prescribed motion, into o->rates, by central differences over the step. */
-static int take_rates(FreeFlight *o, double h, const Block *out)
+static int take_rates(ElasticContact *o, double h, const Block *out)
 {
     Contacts *c = o->contacts;
     const double e = 1e-3 * h;
@@ -14,7 +14,7 @@ static int take_rates(FreeFlight *o, double h, const Block *out)
 }
 
 /* At which gaps open, and slips grow, of point k near, by the motion of its obstacle alone, (components). */
-static int carried(FreeFlight *o, int k, double h, const Block *now, const Block *out, double *rate)
+static int carried(ElasticContact *o, int k, double h, const Block *now, const Block *out, double *rate)
 {
     Contacts *c = o->contacts;
     if (drifts(c, o->near[k], out->q, *out->t, way_over(*now->t, h), &c->end, rate)) return FAILED;
@@ -24,7 +24,7 @@ static int carried(FreeFlight *o, int k, double h, const Block *now, const Block
 }
 
 /* The change of velocities by impulses on the rows, x like v. */
-static int pushed(System *s, const FreeFlight *o, const double *impulse, double *x)
+static int pushed(System *s, const ElasticContact *o, const double *impulse, double *x)
 {
     double *b = o->room, *none = b + 3 * s->nv + s->nq;
     memset(b, 0, s->nv * sizeof(double));
@@ -34,7 +34,7 @@ static int pushed(System *s, const FreeFlight *o, const double *impulse, double 
 }
 
 /* Impulses (2) on closed contacts, the only ones with forces, into P->f, over ``scale``; whether there are any. Open ones are not moved. */
-static int stop_closed(System *s, FreeFlight *o, const Persisting *at, const double *force, const Block *now, const Block *out, int *any)
+static int stop_closed(System *s, ElasticContact *o, const Persisting *at, const double *force, const Block *now, const Block *out, int *any)
 {
     const int d = o->contacts->components, m = o->count;
     Problem *P = &o->problem->all;
@@ -74,7 +74,7 @@ static int kinetic(System *s, const Block *out, const double *v, double *found)
 }
 
 /* The share (3) of a change dv of velocities, whose work on obstacles is given. */
-static int share_of(System *s, FreeFlight *o, const double *dv, double work, const Block *out, double *share)
+static int share_of(System *s, ElasticContact *o, const double *dv, double work, const Block *out, double *share)
 {
     double *sum = o->room, both, alone, fresh;
     int verdict;
@@ -87,7 +87,7 @@ static int share_of(System *s, FreeFlight *o, const double *dv, double work, con
     return DONE;
 }
 
-int persist(System *s, FreeFlight *o, const Persisting *k, const Block *now, const Block *out)
+int persist(System *s, ElasticContact *o, const Persisting *k, const Block *now, const Block *out)
 {
     Contacts *c = o->contacts;
     const int d = c->components, n = d * o->count;

@@ -17,7 +17,7 @@
 #include "contact/friction.c"
 #include "impacts/impulses.c"
 #include "impacts/flights.c"
-#include "contact/free_flight.c"
+#include "contact/elastic_books.c"
 
 enum { BOUNDED = AM }; /* of the parameters: whether obstacles are thin, so that points could pass through */
 static const double APPROACH = 1e-8, DEEP = 1e-4; /* as in moreau.py */

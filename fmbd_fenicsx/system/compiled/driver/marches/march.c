@@ -44,7 +44,7 @@ typedef struct {
     Tape *tape;
     Control *control;
     Closed *closed;
-    FreeFlight *flight;
+    ElasticContact *contact;
 } Watch;
 
 /* Keep the newest step of a ring where an instant lies in it; whether there is room for no more. */
@@ -73,7 +73,7 @@ static int judge_state(System *s, const Watch *w, double *p, const Block *past, 
     if (guarded && placed && gained(s, p, out, e)) return GAIN;
     if ((s->remembers || recorded || waits) && !placed) return LOOK;
     if (p[CHOSEN] != 0.0 && s->remembers && friction_overran(s, *out->t, *out->t - *past->t)) return LOOK;
-    if (recorded && w->flight) record_contact(w->flight, out, w->tape->contact, place_on(w->tape));
+    if (recorded && w->contact) record_contact(w->contact, out, w->tape->contact, place_on(w->tape));
     if (recorded) verdict = record(s, w->tape, out, guarded ? e : 0, w->tape->left == 1 || waits);
     else if (waits) judge_drift(s, w->tape, out);
     if (!verdict && s->remembers) verdict = keep(s, *out->t);
@@ -93,13 +93,13 @@ static void turn_ring(double **ring, double *p)
 static int one_step(System *s, int scheme, double *p, double *room, double **ring, const Watch *w, int recorded)
 {
     Block past[3], out = block_at(s, ring[3]);
-    const int known = w->flight ? 0 : (int)p[HISTORY]; /* others make some of its steps, from the state alone */
+    const int known = w->contact ? 0 : (int)p[HISTORY]; /* others make some of its steps, from the state alone */
     double before[PARAMETERS], fastest = w->closed ? w->closed->fastest : 0.0;
     memcpy(before, p, sizeof(before));
     for (int i = 0; i <= known; i++) past[i] = block_at(s, ring[i]);
 
     int verdict = MAKERS[scheme](s, p, room, past, known, out), made = !verdict;
-    if (made && w->flight) made = !(verdict = fly(s, w->flight, p[H], past, &out));
+    if (made && w->contact) made = !(verdict = book_contact(s, w->contact, p[H], past, &out));
     int rates = scheme == ALPHA && (w->control || recorded || (w->tape && awaited(w->tape, *out.t))) && rates_wait(s, p);
     if (made && rates && s->python(SAMPLE, RATES, *out.t)) return FAILED;
     if (made) verdict = judge_state(s, w, p, past, &out, recorded);
@@ -119,9 +119,9 @@ static void keep_pressures(const System *s, int back)
 
 /* Up to ``steps`` steps, as march() makes them. */
 static long march_on(System *s, int scheme, double *p, double *room, long steps, double **ring, int *verdict, Tape *tape,
-                     Control *control, Closed *closed, FreeFlight *flight)
+                     Control *control, Closed *closed, ElasticContact *contact)
 {
-    const Watch watch = {tape, control, closed, flight};
+    const Watch watch = {tape, control, closed, contact};
     *verdict = DONE;
     for (long made = 0; made < steps;) {
         int due = tape && tape->left == 1, recorded = due || (tape && tape->crossings);
@@ -132,7 +132,7 @@ static long march_on(System *s, int scheme, double *p, double *room, long steps,
         }
         if (tape) tape->left = due ? tape->every : tape->left - 1;
         turn_ring(ring, p);
-        if (flight) land(flight);
+        if (contact) pass_contact(contact);
         made++;
 
         const Block now = block_at(s, ring[0]);
@@ -147,15 +147,15 @@ static long march_on(System *s, int scheme, double *p, double *room, long steps,
 }
 
 /* Up to ``steps`` steps in a ring of four blocks: ring[0] is the newest, ring[3] free. Returns how many were made; the reason to
-   stop earlier is in ``verdict``, the state is then that of the last good step. ``tape``, ``control``, ``closed``, ``flight``: see
+   stop earlier is in ``verdict``, the state is then that of the last good step. ``tape``, ``control``, ``closed``, ``contact``: see
    Watch. */
 EXPORT long march(System *s, int scheme, double *p, double *room, long steps, double **ring, int *verdict, Tape *tape,
-                  Control *control, Closed *closed, FreeFlight *flight)
+                  Control *control, Closed *closed, ElasticContact *contact)
 {
     s->recalls = ANEW;
-    s->flight = flight;
-    const long made = march_on(s, scheme, p, room, steps, ring, verdict, tape, control, closed, flight);
+    s->contact = contact;
+    const long made = march_on(s, scheme, p, room, steps, ring, verdict, tape, control, closed, contact);
     s->recalls = FORGETS;
-    s->flight = NULL;
+    s->contact = NULL;
     return made;
 }

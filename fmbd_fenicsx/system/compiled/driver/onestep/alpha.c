@@ -48,8 +48,8 @@ int judge(double *p, const double *sizes, int done, double *error)
 static int judge_step(const System *s, double *p, const Block *now, const double *sizes, double tolerance, int done, double *error)
 {
     const int converged = judge(p, sizes, done, error);
-    if (converged || done > 1 || !s->flight) return converged;
-    *error = fmin(*error, left_as_told(s->flight, now, p[H], *sizes, tolerance));
+    if (converged || done > 1 || !s->contact) return converged;
+    *error = fmin(*error, left_as_told(s->contact, now, p[H], *sizes, tolerance));
     return *error <= 1.0;
 }
 
@@ -210,7 +210,7 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     s->led = later;
     int verdict = prepare(s, k->out.q, k->damp, k->scale, k->lam, reactions, k->t);
     s->led = 0;
-    if (k->touching) contact_factored(s, s->flight, k->out.q);
+    if (k->touching) contact_factored(s, s->contact, k->out.q);
     return verdict;
 }
 
@@ -221,7 +221,7 @@ static int solve(System *s, AlphaStep *k)
     for (const Body *o = s->body; o < end; o++)
         if (o->field) close_volume(o, o->field->force);
     const Contacting at = {k->t, k->t, *k->now.t, k->t - *k->now.t, k->scale, k->out.q, k->out.q, k->xi, NULL, NULL};
-    int verdict = k->touching ? contact_increment(s, s->flight, &at, k->x, k->y)
+    int verdict = k->touching ? contact_increment(s, s->contact, &at, k->x, k->y)
                   : k->stable ? stabilised(s, k->scale, k->damp, k->x, k->closing, k->y, k->none, k->t)
                               : increment(s, k->scale, k->x, k->y, k->t);
     if (verdict) return verdict;
@@ -327,7 +327,7 @@ static int iterate(System *s, double *p, AlphaStep *k)
         converged = judge_step(s, p, &k->now, k->sizes, k->tolerance, k->done, &k->left);
         if (k->done == 1 && k->sizes[0] <= WORTH) k->renewals = 0; /* it was not worth one */
         const int old = outworn(s, p, k);
-        if (old && k->touching && !goes_on_slowly(s->flight)) return NEWTON;
+        if (old && k->touching && !goes_on_slowly(s->contact)) return NEWTON;
         if (old && !k->touching) {
             if ((verdict = renew_tangents(s, p, k))) return verdict;
             converged = 0;
@@ -346,7 +346,7 @@ static int find_end(System *s, double *p, const Block *past, int known, AlphaSte
     const Block out = k->out;
     int verdict;
     predict(s, p, past, known, k);
-    k->touching = s->flight && start_forces(s, s->flight, past);
+    k->touching = s->contact && start_forces(s, s->contact, past);
     if ((verdict = iterate(s, p, k))) return verdict;
 
     p[ITERATIONS] += k->done;
@@ -356,7 +356,7 @@ static int find_end(System *s, double *p, const Block *past, int known, AlphaSte
         settle_angles(s, out.q);
     }
     *out.t = k->t;
-    if (s->flight) iterated(s->flight, past, &out, p[H], k->sizes, k->tolerance, k->done);
+    if (s->contact) iterated(s->contact, past, &out, p[H], k->sizes, k->tolerance, k->done);
     return DONE;
 }
 
@@ -369,14 +369,14 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
     (void)free_room; /* it works in the tables' */
 
     begin(s, p, past[0], out, &k);
-    if (s->flight && (verdict = begin_contact(s, s->flight, p[H], past))) return verdict;
+    if (s->contact && (verdict = begin_contact(s, s->contact, p[H], past))) return verdict;
     if (!rates_wait(s, p) && (verdict = sample(s, k.t, &asked))) return verdict;
     if (rates_wait(s, p)) {
         s->calls++;
         if (s->python(SAMPLE, PLACES, k.t)) return FAILED;
     }
     if ((verdict = find_end(s, p, past, known, &k))) return verdict;
-    while (s->flight && met_others(s->flight, &out, &verdict)) {
+    while (s->contact && met_others(s->contact, &out, &verdict)) {
         begin(s, p, past[0], out, &k);
         if ((verdict = find_end(s, p, past, known, &k))) return verdict;
     }
@@ -386,7 +386,7 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
     s->renewals = k.renewals;
     const double h = p[H], to_A = 1.0 / (p[GAMMA] * h);
     const Persisting end = {h, k.scale, k.scale / (p[BETA] * h) * p[GAMMA], to_A, (1 - p[AM]) / (1 - p[AF]) * to_A};
-    if (k.touching && (verdict = persist(s, s->flight, &end, past, &out))) return verdict;
+    if (k.touching && (verdict = persist(s, s->contact, &end, past, &out))) return verdict;
     for (int i = 0; i < s->nv; i++) k.x[i] = out.A[i] - k.now.A[i];
     p[LOCAL] = fmax(p[LOCAL], h * h * fabs(p[BETA] - 1.0 / 6.0) * largest_of(s->units, k.x, s->nv));
     return DONE;

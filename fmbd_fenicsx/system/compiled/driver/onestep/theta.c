@@ -55,7 +55,7 @@ static int theta_iterate(System *s, double *p, const double *room, const ThetaRo
 {
     const double h = p[H], theta = room[SHARE_OF_STEP], scale = theta * h * h;
     const Contacting at = {*now.t + theta * h, *out.t, *now.t, h, scale, o->q, out.q, o->xi, o->gap, o->sums};
-    const int touching = start_forces(s, s->flight, &now);
+    const int touching = start_forces(s, s->contact, &now);
     const int most = (int)fmin(p[MAXIT], MOST);
     double sizes[MOST], left;
     int verdict, converged = 0, done;
@@ -63,10 +63,10 @@ static int theta_iterate(System *s, double *p, const double *room, const ThetaRo
     for (done = 0; !converged;) {
         if (done == most) return NEWTON;
         if ((verdict = theta_residuals(s, o, h, theta, now, out, !done))) return verdict;
-        if (touching && !done) contact_factored(s, s->flight, o->factored);
+        if (touching && !done) contact_factored(s, s->contact, o->factored);
         for (int i = 0; i < s->nv; i++) o->sums[i] *= -scale;
         for (int i = 0; i < s->rows; i++) o->gap[i] = -o->gap[i];
-        verdict = touching ? contact_increment(s, s->flight, &at, o->x, o->y)
+        verdict = touching ? contact_increment(s, s->contact, &at, o->x, o->y)
                            : driver_solve(s, 1, o->factored, o->sums, o->gap, o->x, o->y);
         if (verdict) return verdict;
 
@@ -79,8 +79,8 @@ static int theta_iterate(System *s, double *p, const double *room, const ThetaRo
         sizes[done++] = size / tolerance;
 
         converged = judge_step(s, p, &now, sizes, tolerance, done, &left);
-        if (converged > 0) iterated(s->flight, &now, &out, h, sizes, tolerance, done);
-        if (converged < 0 || (lingers(p, done, left) && !goes_on_slowly(s->flight))) return NEWTON;
+        if (converged > 0) iterated(s->contact, &now, &out, h, sizes, tolerance, done);
+        if (converged < 0 || (lingers(p, done, left) && !goes_on_slowly(s->contact))) return NEWTON;
         p[ITERATIONS] += 1;
     }
     p[LEFT] += left;
@@ -97,12 +97,12 @@ static int theta_step(System *s, double *p, double *room, const Block *past, int
     (void)known; /* it begins with the velocity, as steps in contact do */
 
     *out.t = *now.t + h;
-    if ((verdict = begin_contact(s, s->flight, h, &now))) return verdict;
+    if ((verdict = begin_contact(s, s->contact, h, &now))) return verdict;
     do {
         memcpy(out.lam, now.lam, s->rows * sizeof(double));
         for (int i = 0; i < s->nv; i++) o.xi[i] = h * now.v[i], out.A[i] = 0.0;
         if ((verdict = theta_iterate(s, p, room, &o, now, out))) return verdict;
-    } while (met_others(s->flight, &out, &verdict));
+    } while (met_others(s->contact, &out, &verdict));
     if (verdict) return verdict;
 
     /* (1), and (4) where there is no inertia */

@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 COMPILED = "compiled; NumPy for the start and for steps it gives back"
 
 
-class FlyingStepper(ContactStepper):
+class ElasticContactStepper(ContactStepper):
     """A scheme says how its steps are called (``maker``), and what they are made by."""
 
     maker: ClassVar[str]
 
     share: float  # of a step, at which its forces act
-    keeps: ClassVar = {**ContactStepper.keeps, "flown": plain(), "confirmed": plain(Confirmed)}
+    keeps: ClassVar = {**ContactStepper.keeps, "marched": plain(), "confirmed": plain(Confirmed)}
     confirmed: Confirmed | None = None  # what the last step tells of later ones
     keeps_overlaps: bool = False  # whether those that a new pairing of surfaces finds are not pushed out
-    flown: int = 0  # steps
+    marched: int = 0  # steps
     _size: float  # s, of the steps that are asked for
     _march: ContactMarch | None = None
     _began: State | None = None  # where the newest step of a call began
@@ -61,7 +61,7 @@ class FlyingStepper(ContactStepper):
         """Algorithmic accelerations of the state."""
         return np.zeros_like(self.state.v)
 
-    def _take_flight(self, march: ContactMarch, made: int, h: float) -> None:
+    def _take_own(self, march: ContactMarch, made: int, h: float) -> None:
         """Take from the newest states what it keeps, after so many steps of size h (s)."""
 
     @cached_property
@@ -71,7 +71,7 @@ class FlyingStepper(ContactStepper):
 
     # -- steps --------------------------------------------------------------------------------------------------------------
     @cached_property
-    def flies(self) -> bool:
+    def marches(self) -> bool:
         """Whether compiled code makes steps."""
         driver = self.solver.driver
         if not isinstance(driver, FieldDriverSolver) or self.solver.core.redundant or self.problem is None:
@@ -92,7 +92,7 @@ class FlyingStepper(ContactStepper):
     def stride(self, h: float) -> float:
         """As :meth:`TimeStepper.stride`."""
         self._size = h
-        return h if self._may_fly else 0.0
+        return h if self._may_march else 0.0
 
     def _march_for(self, h: float) -> ContactMarch | None:
         """The march with the factors of steps of size h (s)."""
@@ -118,19 +118,19 @@ class FlyingStepper(ContactStepper):
         return self._began
 
     def tape(self, judged: Openness) -> Tape | None:
-        """As :meth:`TimeStepper.tape`, where a flight may begin."""
-        march = self._march_for(self._size) if self._may_fly else None
+        """As :meth:`TimeStepper.tape`, where a march may begin."""
+        march = self._march_for(self._size) if self._may_march else None
         return None if march is None else march.tape(judged)
 
     @property
-    def _may_fly(self) -> bool:
+    def _may_march(self) -> bool:
         """Whether compiled code may make the next step."""
-        return self.flies and self._refused is not self.state
+        return self.marches and self._refused is not self.state
 
     def march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         """As :meth:`TimeStepper.march`, up to one that is Python's."""
         s = self.state
-        march = self._march_for(h) if self._may_fly else None
+        march = self._march_for(h) if self._may_march else None
         if march is None:
             self._refused = s
             return 0
@@ -146,7 +146,7 @@ class FlyingStepper(ContactStepper):
         driver.begin_steps(s)
         march.load([(s.t, s.q, s.v, s.a, self._algorithmic(), s.lam)])
         march.around.begin(self, march.ring.own())
-        made, verdict = march.steps(steps, observers.tape, judged=joints is not None, flight=march.around.address)
+        made, verdict = march.steps(steps, observers.tape, judged=joints is not None, contact=march.around.address)
         driver.end_steps(None)
         march.calls.forget_error()  # a step in Python meets it again
 
@@ -163,17 +163,17 @@ class FlyingStepper(ContactStepper):
     def _take(self, march: ContactMarch, made: int, h: float) -> None:
         """The newest state, the books and what was counted."""
         p, s = march.parameters, march.state()
-        self._take_flight(march, made, h)
+        self._take_own(march, made, h)
         take_newton(p, self.newton, made)
-        self.local_error, self.flown = float(p[slots.LOCAL]), self.flown + made
+        self.local_error, self.marched = float(p[slots.LOCAL]), self.marched + made
         self.state = march.around.end(self, s, march.ring.own())
 
     @property
     def path(self) -> str:  # type: ignore[override]
         """As :attr:`TimeStepper.path`."""
-        return COMPILED if self.flies else ContactStepper.path
+        return COMPILED if self.marches else ContactStepper.path
 
     @property
     def counters(self) -> dict[str, float]:
         """With the number of compiled steps."""
-        return {**super().counters, "compiled_steps": float(self.flown)}
+        return {**super().counters, "compiled_steps": float(self.marched)}

@@ -11,7 +11,7 @@ typedef struct {
     double extent;                     /* of the body, m */
 } Nodes;
 
-typedef struct FreeFlight {
+typedef struct ElasticContact {
     Contacts *contacts;                /* candidates first, then nodes of surfaces that meet others */
     int laws, candidates;              /* pairs of candidates, and these */
     int meetings, keeps, loaded;       /* pairs of surfaces; whether overlaps found stay; whether there are force elements */
@@ -37,7 +37,7 @@ typedef struct FreeFlight {
     double *rows, *direction, *axes, *start, *change, *stopped, *rates; /* of those near, components each: WIDE; D; 2 D; 1 .. */
     double *push, *seen, *answer, *acting; /* core; columns; core; columns */
     double *reply;                     /* D of each node touched */
-} FreeFlight;
+} ElasticContact;
 
 /* What is kept with a state: works since the start as in sensors/contact.py, the total energy, that of springs, counts, what a step has
    confirmed (its size, two increments, steps that have relied on it), when forces act; of pairs, steps since they closed and impulses; of
@@ -46,7 +46,7 @@ enum { LOADS = 2, JOINTS, REST, ENERGY, SPRINGS, IMPACTS, BRIEF, IN_CONTACT, INC
 enum { FIRST_ONE = 1, SECOND, RELIES };
 
 /* All points at a configuration. */
-static int look_at_points(FreeFlight *o, const double *q, double t, Touch *out)
+static int look_at_points(ElasticContact *o, const double *q, double t, Touch *out)
 {
     Contacts *c = o->contacts;
     for (Pair *k = c->pair; k < c->pair + c->pairs; k++)
@@ -59,7 +59,7 @@ static int look_at_points(FreeFlight *o, const double *q, double t, Touch *out)
 #include "contact/persistency.c"
 
 /* Forces of a step and what they have done, with the state that it leads to; ``time``: when they act. */
-static void write_contacts(const FreeFlight *o, double h, double time, const double *xi, const Block *now, const Block *out)
+static void write_contacts(const ElasticContact *o, double h, double time, const double *xi, const Block *now, const Block *out)
 {
     const Contacts *c = o->contacts;
     const int d = c->components, m = o->candidates;
@@ -97,7 +97,7 @@ static void write_contacts(const FreeFlight *o, double h, double time, const dou
 }
 
 /* Works of a step, and energies at its end. */
-int fly(System *s, FreeFlight *o, double h, const Block *now, const Block *out)
+int book_contact(System *s, ElasticContact *o, double h, const Block *now, const Block *out)
 {
     double *xi = o->room, *part = xi + s->nv, *v = part + s->nv, *q = v + s->nv, *rows = q + s->nq, *books = out->own, e[4];
     const double t = *now->t + o->share * h, before = now->own[ENERGY];
@@ -131,7 +131,7 @@ int fly(System *s, FreeFlight *o, double h, const Block *now, const Block *out)
     return DONE;
 }
 
-void land(FreeFlight *o)
+void pass_contact(ElasticContact *o)
 {
     Contacts *c = o->contacts;
     const Touch newest = c->end;
@@ -140,7 +140,7 @@ void land(FreeFlight *o)
 }
 
 /* One array behind the other: gaps, places, normals, normal forces, forces, impulses, works, time. */
-void record_contact(const FreeFlight *o, const Block *out, double *to, long place)
+void record_contact(const ElasticContact *o, const Block *out, double *to, long place)
 {
     const Contacts *c = o->contacts;
     const int m = o->candidates, d = c->components, pushed = o->laws * D;

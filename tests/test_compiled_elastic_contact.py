@@ -12,7 +12,7 @@ from test_checkpoint import at_every_step
 from test_contact import BLOCK
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.schemes.impacts.flying_stepper import FlyingStepper
+from fmbd_fenicsx.schemes.impacts.elastic_contact_stepper import ElasticContactStepper
 
 SCHEMES = [fmbd.ContactMidpoint(), fmbd.ContactMidpoint(theta=0.6), fmbd.ContactAlpha(0.8)]
 
@@ -61,7 +61,7 @@ KINDS = ["AbsoluteBody", "FloatingBody", "FloatingBody"]
 def test_flights_are_the_steps_of_python(kind: str, scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the same records, however many of them are asked for."""
     found, some = (solved(falling(kind, all_sorts=True), scheme, output=fmbd.Output(every=n)) for n in (1, 10))
-    monkeypatch.setattr(FlyingStepper, "flies", False)
+    monkeypatch.setattr(ElasticContactStepper, "marches", False)
     alone = solved(falling(kind, all_sorts=True), scheme)
     assert found.counters["compiled_steps"] == 100 and alone.counters["contact_steps"] > 5
 
@@ -108,7 +108,7 @@ def test_steps_in_contact_are_those_of_python(kind: str, scheme: Any, monkeypatc
     """Forces, books and counts, however many are asked for at once."""
     steps: dict[str, Any] = {"t_end": 0.03, "dt": 1e-3, "scheme": scheme}
     found, some = (fmbd.solve(squeezed(kind), output=fmbd.Output(every=n), **steps) for n in (1, 10))
-    monkeypatch.setattr(FlyingStepper, "flies", False)
+    monkeypatch.setattr(ElasticContactStepper, "marches", False)
     alone = fmbd.solve(squeezed(kind), **steps)
     assert found.counters["compiled_steps"] == 30 and not alone.counters["compiled_steps"]
     for name in ("contact_steps", "impacts", "short_impacts"):
@@ -164,7 +164,7 @@ def test_surfaces_that_meet_are_those_of_python(what: Any, scheme: Any, monkeypa
     """Pairings, forces and books of two elastic surfaces; where nothing is opposite, too."""
     scene = leaned(*what[:3], hexahedra=len(what) > 3)
     found, some = (fmbd.solve(scene, t_end=0.03, dt=1e-3, scheme=scheme, output=fmbd.Output(every=n)) for n in (1, 10))
-    monkeypatch.setattr(FlyingStepper, "flies", False)
+    monkeypatch.setattr(ElasticContactStepper, "marches", False)
     alone = fmbd.solve(scene, t_end=0.03, dt=1e-3, scheme=scheme)
     assert found.counters["compiled_steps"] == 30 and not alone.counters["compiled_steps"]
     for name in ("contact_steps", "impacts", "short_impacts"):
