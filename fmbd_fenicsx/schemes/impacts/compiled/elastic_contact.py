@@ -77,7 +77,7 @@ class Encounters(PairTables):
             sways=self._zeros("sways", s.n_frames, np.int32), factored=self._zeros("factored", s.n_q),
             offset=self._zeros("offset", self.candidates),
         )  # fmt: skip
-        self.address = ctypes.addressof(self.contact)
+        self.address: int = ctypes.addressof(self.contact)
         self._first = self.c.now.gap  # of the two rooms that C takes in turn
         self._room = 0, 0  # rows that there is room for, and columns
         self._take_traces()
@@ -129,8 +129,8 @@ class Encounters(PairTables):
         self._meetings = (MEETING * len(self.meetings))(*(one.c for one in self.meetings))
         o.meetings, o.meeting = len(self.meetings), ctypes.addressof(self._meetings)
         o.means, o.surface = ctypes.addressof(self._means), self._array("surface", surface, np.int32)
-        for one, c in zip(self.meetings, self._meetings, strict=True):
-            one.c = c
+        for meeting, c in zip(self.meetings, self._meetings, strict=True):
+            meeting.c = c
             c.means = o.means + 2 * size * c.pair
             c.offset = o.offset + self.arrays["offset"].itemsize * self.pairs[c.pair].first
 
