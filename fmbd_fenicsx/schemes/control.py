@@ -117,7 +117,8 @@ class StepControl:
             raise ConvergenceError(
                 f"The step at t = {t:.9g} s cannot be made smaller: {len(self.rejections)} rejections, the last ones: {tail}. "
                 + (f"{self.fault} " if self.fault else "")
-                + "Look for a jump in a load or a singular configuration at this time, or ask for a larger rtol."
+                + "Where loads jump, or drives have kinks, tell it: Scene(breakpoints=...). Else look for a singular "
+                "configuration at this time, or ask for a larger rtol."
             )
         return new
 
