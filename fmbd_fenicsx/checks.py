@@ -213,7 +213,7 @@ def check_fields(data: Any, what: str | None = None) -> None:
     values = {name: getattr(data, name) for name, _, _ in _annotated(kind)}
     label = _label(kind.__name__, values) if what is None else what
     for name, hint, default in _annotated(kind):
-        if not _usual(values[name], hint, default):
+        if values[name] is not default and not _usual(values[name], hint):
             _check(f"{label}: {name}", values[name], hint, default=default)
 
 
@@ -251,7 +251,7 @@ def typed(make: Callable[P, T]) -> Callable[P, T]:
         for name, value in values.items():
             if name in hints:
                 hint, default = hints[name]
-                if not _usual(value, hint, default):
+                if value is not default and not _usual(value, hint):
                     _check(f"{label}: {name}", value, hint, default=default)
 
         return make(*args, **kwargs)
@@ -296,7 +296,7 @@ def _label(kind: str, values: Mapping[str, Any]) -> str:
 
 def _check(what: str, value: Any, hint: Any, *, default: Any) -> None:
     """Check one value; the default itself is always allowed, an infinite number where the default is one."""
-    if _usual(value, hint, default):
+    if value is default or _usual(value, hint):
         return
     options, _, objects = options_of(hint)
     if (
@@ -334,10 +334,8 @@ def _together(begin: str, refusals: list[str]) -> str:
     return f"{begin}{' or '.join(wanted)}."
 
 
-def _usual(value: Any, hint: Any, default: Any) -> bool:
-    """Whether a value is seen at a glance to be allowed: the default itself, or of one of the types."""
-    if value is default and default is not MISSING:
-        return True
+def _usual(value: Any, hint: Any) -> bool:
+    """Whether a value is seen at a glance to be of one of the types."""
     options, anything, _ = options_of(hint)
     return anything or _plainly(value, options) or isinstance(value, classes_of(hint))
 

@@ -41,8 +41,7 @@ ROUNDOFF = 1e-12
 
 def closed(scene: Scene, system: System) -> bool:
     """Whether nothing can put energy into a scene, no contact may take it away in impacts, and no law of an element bends."""
-    bends = not all(isinstance(law, EffortLaw) and law.conserves for law in _laws(system))
-    return not (scene.unilateral or bends) and isolated(scene, system)
+    return not scene.unilateral and isolated(scene, system) and all([law.conserves for law in _laws(system)])
 
 
 def isolated(scene: Scene, system: System) -> bool:
@@ -51,18 +50,19 @@ def isolated(scene: Scene, system: System) -> bool:
     worked = any([b.may_do_work for b in scene.bodies.values()])
     driven = any([batch.driven for batch, _ in system.batches])
     moved = any(tie.motion is not None for tie in scene.ties.values())
-    forced = any(not isinstance(f, ScalarLoads) for f in system.forces)
-    forced = forced or not all(isinstance(law, EffortLaw) and not law.gives for law in _laws(system))
+    forced = any([not isinstance(f, ScalarLoads) for f in system.forces])
+    forced = forced or any([not isinstance(law, EffortLaw) or law.gives for law in _laws(system)])
     return not (worked or driven or moved or forced or pushed or scene.gravity_changes or scene.sliders)
 
 
 def lossless(scene: Scene, system: System) -> bool:
     """Whether nothing can take energy from a scene that nothing puts any into, which has stops of an energy."""
-    bodies = all([b.keeps_energy for b in scene.bodies.values()])
+    laws = _laws(system)
+    if not laws or scene.unilateral or not isolated(scene, system):
+        return False
+    kept = all(b.keeps_energy for b in scene.bodies.values()) and not any(law.takes for law in laws)
     damped = any(type(f) is not ScalarLoads or f.c.any() for f in system.forces)
-    stopped = [not law.takes and not law.conserves for law in _laws(system) if isinstance(law, EffortLaw)]
-    taken = any(not isinstance(law, EffortLaw) or law.takes for law in _laws(system))
-    return bodies and any(stopped) and not (damped or taken or scene.unilateral) and isolated(scene, system)
+    return kept and not damped and not all(law.conserves for law in laws)
 
 
 def _laws(system: System) -> list[Any]:

@@ -176,7 +176,7 @@ class Balanced(Remembering):
         if s.n_lam:
             out += abs(ev.jacobian.core).T @ np.abs(state.lam)
         frames = out[: s.n_frames * s.motions.n_twist].reshape(s.n_frames, s.motions.n_twist)  # a view
-        if s.n_lam:
+        if s.n_lam and s.n_frames:
             frames[:, d:] += (_arms(ev) * frames[:, :d].max(axis=1, initial=0.0))[:, None]
 
         if s.forces:
@@ -197,11 +197,14 @@ def _arms(ev: Evaluation) -> Array:
     s, d = ev.system, ev.system.motions.dim
     twist, n = s.motions.n_twist, s.n_frames
     squares = sp.csr_array(ev.jacobian.core)[:, : n * twist].power(2)
+    squares.eliminate_zeros()
     column = np.arange(n * twist)
-    turns = column % twist >= d
-    of_frame = sp.csr_array((np.ones(n * twist), (column, 2 * (column // twist) + turns)), (n * twist, 2 * n))
-    push, turn = (squares @ of_frame).toarray().reshape(-1, n, 2).transpose(2, 0, 1)
-    return np.asarray(np.sqrt(np.divide(turn, push, out=np.zeros_like(turn), where=push > 0).max(axis=0)))
+    of_frame = sp.csr_array((np.ones(n * twist), (column, column // twist)), (n * twist, n))
+    turns = (column % twist >= d).astype(float)
+    push, turn = squares @ (of_frame * (1.0 - turns)[:, None]), squares @ (of_frame * turns[:, None])
+    push.eliminate_zeros()
+    push.data = 1.0 / push.data
+    return np.sqrt(turn.multiply(push).max(axis=0).toarray()).ravel()
 
 
 def _held(ev: Evaluation, A: Any, left: Array) -> Array:
