@@ -95,6 +95,23 @@ def test_columns_and_products_give_the_same(
     assert many_.counters["complementarity_residual"] < (1e-12 if friction else 1e-10)
 
 
+def test_the_order_of_bodies_does_not_count() -> None:
+    """A compliance is that of the matrix of a step also where fields without frames come first: the same increments and motion."""
+    runs = []
+    for order in (1, -1):
+        given = on_a_block("floating", 2, 0.3)
+        low = given.bodies["low"]
+        scene = fmbd.Scene("drop", gravity=(0, -9.81))
+        scene.add(*list(given.bodies.values())[::order], *given.contacts.values())
+        scene.add(fmbd.fixed("clamp", fmbd.ground, low.surface("bottom")))
+        scene.sensor("place", fmbd.position(given.bodies["block"].surface("top")))
+        runs.append(fmbd.solve(scene, t_end=0.06, dt=2e-3, scheme=fmbd.ContactMidpoint()))
+    one, other = runs
+    assert one.counters["contact_steps"] > 10
+    assert one.counters["newton_iterations"] == other.counters["newton_iterations"]
+    np.testing.assert_allclose(one["place"], other["place"], rtol=0, atol=1e-10)
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_contact_of_bodies_with_many_tie_multipliers(friction: float) -> None:
