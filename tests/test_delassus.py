@@ -96,7 +96,7 @@ def test_columns_and_products_give_the_same(
 
 
 def test_the_order_of_bodies_does_not_count() -> None:
-    """A compliance is that of the matrix of a step also where fields without frames come first: the same increments and motion."""
+    """A compliance is that of the matrix of a step, also where fields without frames come first: the same increments."""
     runs = []
     for order in (1, -1):
         given = on_a_block("floating", 2, 0.3)
