@@ -58,3 +58,22 @@ def test_modes_that_fit_their_joints(
     scene = held(rod_mesh, basis, clamp=clamp, attached=attached)
     assert not scene.check().notes
     assert not any(WORDS in line for line in fmbd.solve(scene, t_end=1e-3, dt=1e-3).warnings)
+
+
+def beam(modes: int | None, at: str) -> fmbd.Scene:
+    """A beam whose modes are those of a clamp at its start, in a clamp."""
+    section = fmbd.Section(EA=2e7, EI=1e9 * 0.02**3 / 12, rhoA=20.0)
+    rod = fmbd.Beam("rod", (0, 0), (1, 0), section, modes=modes)
+    scene = fmbd.Scene("beam")
+    scene.add(rod, fmbd.fixed("joint", fmbd.ground, rod.surface(at)))
+    return scene
+
+
+def test_beams_too(caplog: pytest.LogCaptureFixture) -> None:
+    """Four modes of a cantilever held at its other end: 25 % of the first frequency."""
+    found = fmbd.modes(beam(4, "end"), 1).frequencies[0]
+    assert found > 1.2 * 3.2307 and WORDS in caplog.text and "modes=None" in caplog.text
+    for modes, at in ((None, "end"), (4, "start")):
+        scene = beam(modes, at)
+        assert not scene.check().notes
+        assert fmbd.modes(scene, 1).frequencies[0] == pytest.approx(3.2307, rel=1e-3)

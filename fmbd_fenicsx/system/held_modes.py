@@ -7,9 +7,12 @@ right at once. What half of the modes tell shows how far all of them are off.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..matrices import dense
+from ..mechanics.bodies.beams import Beam
 from ..mechanics.reduction.craig_bampton import FrameModes, ReducedBody
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
@@ -38,9 +41,15 @@ def stiff_modes(ev: Evaluation) -> str:
             found = f"{_hertz(all_modes)} by all of them, {_hertz(half)} by half"
             return (
                 f'body "{part.name}" is stiffer between its joints by its {part.n} modes than it is: its first frequency there '
-                f"is {found}. Take reduced(basis=fmbd.CraigBampton(...)) with the surfaces that joints hold"
+                f"is {found}. {_remedy(part)}"
             )
     return ""
+
+
+def _remedy(part: ReducedPart) -> str:
+    if isinstance(part.body, Beam):
+        return "Take modes=None, which keeps all of its elements"
+    return "Take reduced(basis=fmbd.CraigBampton(...)) with the surfaces that joints hold"
 
 
 def _hertz(frequency: float) -> str:
@@ -66,4 +75,10 @@ def _turns_with(ev: Evaluation, k: int, part: ReducedPart, rows: Array, block: R
 
 def _by_frequency(part: ReducedPart) -> bool:
     """Whether a body has vibration modes alone, the lowest first."""
-    return isinstance(part.body, ReducedBody) and isinstance(part.body.basis, FrameModes) and part.n > 1
+    body = part.body
+    alone = body.modes is not None if isinstance(body, Beam) else _has_frame_modes(body)
+    return alone and part.n > 1
+
+
+def _has_frame_modes(body: Any) -> bool:
+    return isinstance(body, ReducedBody) and isinstance(body.basis, FrameModes)
