@@ -189,9 +189,8 @@ class CountingSteps:
         if not steps:
             return None
         span = self.smooth_about(t)
-        if (
-            t + 3 * STEPS[steps[0]] >= span[1]
-        ):  # on the side behind alone: so that it is seen where that is another function
+        fits_behind_alone = t + 3 * STEPS[steps[0]] >= span[1]
+        if fits_behind_alone:  # a shorter one shows where that is another function
             ahead = [n for n, h in enumerate(STEPS) if t + 6 * h < span[1]]
             steps = sorted({*steps, *ahead[-1:]})
         found = search(function, t, scale, span, steps)

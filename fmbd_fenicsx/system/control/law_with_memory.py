@@ -134,8 +134,8 @@ class LawWithMemory:
         """What a continuous law keeps of a step that ended at t with these readings."""
         (u, z, rate), kept = self.with_memory(t, y), self.kept
         past, before = (kept.followed_by(), kept.rate) if t > kept.t else (kept.past, kept.before)
-        reach = kept.reach if self.points.reach is None else np.maximum(kept.reach, self.points.reach)
-        return ControllerMemory(t, z, rate, u, 0, past, before, self.points.sizes(kept, t, z), reach)
+        points = self.points
+        return ControllerMemory(t, z, rate, u, 0, past, before, points.sizes(kept, t, z), points.widest(kept))
 
     def keep(self, t: float, y: Array) -> None:
         """Keep it: where the step ends the law has answered already."""

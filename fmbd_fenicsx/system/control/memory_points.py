@@ -62,6 +62,7 @@ class PointMemories:
     """What a law has found for the points of a step from what was ``kept``: times, readings, z, u and g; one for all who ask it.
 
     ``reach``: by how much readings that change by what they are at least change the rates; None before slopes were asked for.
+    ``lead``: by how much z answers to g where a tangent is taken, s; None: as the trapezoidal rule has it.
     """
 
     name: str
@@ -74,9 +75,7 @@ class PointMemories:
     rate: list[Array] = field(default_factory=list)
     slopes: list[Answers] | None = None  # du/dz and dg/dz at each point of this step
     reach: Array | None = None
-    lead: float | None = (
-        None  # by how much z answers to g where a tangent is taken, s; None: as the trapezoidal rule has it
-    )
+    lead: float | None = None
 
     def number(self, kept: ControllerMemory, t: float) -> int | None:
         """Which of the points a time is; None where it is none."""
@@ -135,20 +134,16 @@ class PointMemories:
         if share > LEFT:
             u = u - np.array([by_u @ x for (by_u, _), x in zip(slopes, change, strict=True)])
             rates = rates - np.array([by_rate @ x for (_, by_rate), x in zip(slopes, change, strict=True)])
-        self.kept, self.rule, self.slopes, self.t, self.z, self.u, self.rate = (
-            kept,
-            rule,
-            slopes,
-            t,
-            z,
-            list(u),
-            list(rates),
-        )
-        self.y = y
+        self.kept, self.rule, self.t, self.y = kept, rule, t, y
+        self.slopes, self.z, self.u, self.rate = slopes, z, list(u), list(rates)
+
+    def widest(self, kept: ControllerMemory) -> Array:
+        """The largest ``reach`` so far."""
+        return kept.reach if self.reach is None else np.maximum(kept.reach, self.reach)
 
     def sizes(self, kept: ControllerMemory, t: float, z: Array) -> Array:
         """What errors of a step from ``kept`` to t are measured by: the largest memories so far, and what rates add in it."""
-        grows = np.maximum(np.abs(kept.rate), kept.reach if self.reach is None else np.maximum(kept.reach, self.reach))
+        grows = np.maximum(np.abs(kept.rate), self.widest(kept))
         return np.maximum(np.maximum(kept.size, np.abs(kept.z)), np.maximum(np.abs(z), (t - kept.t) * grows))
 
     def error(self, kept: ControllerMemory, of: StepError) -> float:
