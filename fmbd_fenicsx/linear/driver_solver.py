@@ -19,6 +19,7 @@ from ..system.compiled.states.field_states import FactoredFieldStates, FieldStat
 from ..system.compiled.states.means import MeanStates
 from ..system.evaluation import Evaluation
 from ..system.layout import State, States
+from ..system.mobility import rows_are_independent
 from ..system.system import System
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .core import CoreSolver
@@ -75,8 +76,9 @@ class DriverSolver:
     def _look_at(self, ev: DriverEvaluation) -> None:
         """Find whether rows do not depend on each other, which the first state tells."""
         if self.usable is None:
-            depend = self.core.redundant
-            self.usable = not depend and self.states.factor.prepare(ev, 0.0, 0.0) and self.states.factor.independent()
+            factor = self.states.factor
+            factored = not self.core.redundant and factor.prepare(ev, 0.0, 0.0)
+            self.usable = factored and (factor.independent() or rows_are_independent(ev, even=True))
 
     def _solves(self) -> bool:
         """Whether the driver solves: rows do not depend on each other, or are known to, for the smallest multipliers then."""

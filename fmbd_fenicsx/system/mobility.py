@@ -110,9 +110,18 @@ def _masses(ev: Evaluation) -> Array:
     return np.where(mass > 0, mass, mass.max(initial=1e-300))
 
 
-def scaled_jacobian(ev: Evaluation) -> Array:
-    """G_s of (1), dense (n_lam, n_core + ports of fields)."""
-    G = dense(ev.jacobian.core) / np.sqrt(_masses(ev))
+def _even_masses(ev: Evaluation) -> Array:
+    """The same with frames of one mass, the largest, and of its moment of inertia at the length of the system."""
+    s, mass = ev.system, _masses(ev)
+    frames = mass[: s.n_frames * s.motions.n_twist].reshape(s.n_frames, s.motions.n_twist)
+    frames[:] = frames[:, : s.motions.dim].max(initial=1e-300)
+    frames[:, s.motions.dim :] *= s.length**2
+    return mass
+
+
+def scaled_jacobian(ev: Evaluation, mass: Array | None = None) -> Array:
+    """G_s of (1), dense (n_lam, n_core + ports of fields); ``mass``: the diagonal of M, where it is another."""
+    G = dense(ev.jacobian.core) / np.sqrt(_masses(ev) if mass is None else mass)
 
     # ports of fields beside the core, of its size
     typical = float(np.abs(G).max(initial=1.0))
@@ -127,16 +136,18 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
 
 
-def rows_are_independent(ev: Evaluation, above: float = 0.0) -> bool:
+def rows_are_independent(ev: Evaluation, above: float = 0.0, *, even: bool = False) -> bool:
     """Whether the constraint rows certainly do not depend on each other; False where a closer look is needed, :func:`mobility`.
-    ``above``: sigma_min / sigma_max that they certainly have.
+    ``above``: sigma_min / sigma_max that they certainly have. ``even``: with bodies of one mass, whatever they weigh, since the
+    rows on both sides of a body of hardly any mass look the same by (1).
 
     A factor of G_s G_s^T and a few inverse iterations tell its smallest eigenvalue, sigma_min^2: for chains and trees the work is
     proportional to their length. Squares hide what is below 1e-8, so only sigma_min > 1e-5 sigma_max is certain.
     """
     s, core = ev.system, ev.jacobian.core
+    mass = _even_masses(ev) if even else _masses(ev)
     if s.fields or not sp.issparse(core):
-        G: Any = scaled_jacobian(ev)
+        G: Any = scaled_jacobian(ev, mass)
         gram = G @ G.T
         factor, fault = dpotrf(gram, lower=1)
         if fault:
@@ -145,7 +156,7 @@ def rows_are_independent(ev: Evaluation, above: float = 0.0) -> bool:
         def solve(x: Array) -> Array:
             return np.asarray(dpotrs(factor, x, lower=1)[0])
     else:
-        G = core.tocsr() @ sp.diags(1.0 / np.sqrt(_masses(ev)))
+        G = core.tocsr() @ sp.diags(1.0 / np.sqrt(mass))
         size = np.sqrt(np.asarray(G.multiply(G).sum(axis=1)).ravel())
         G = sp.diags(1.0 / np.where(size > 0, size, 1.0)) @ G
         gram = (G @ G.T).tocsc()
