@@ -76,6 +76,23 @@ def test_cells_turned_inside_out_are_told(rod_mesh: Callable[..., Any]) -> None:
         fmbd.equilibrium(scene, t=1.8)
 
 
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=None), fmbd.GeneralizedAlpha(form=fmbd.GGL(), compiled=False)])
+def test_bodies_that_turn_too_far_in_a_step_are_told(scheme: Any) -> None:
+    """A fast link at 2 rad a step ends far from where it does, with joints and balance closed."""
+    scene = fmbd.Scene("link", gravity=(0.0, -9.81))
+    link = fmbd.RigidBody("link", 1.0, 1 / 12, (0.5, 0.0), velocity=(0.0, 10.0), angular_velocity=20.0)
+    scene.add(link, fmbd.revolute("pin", fmbd.ground, link, center=(0.0, 0.0)))
+    scene.sensor("end", fmbd.position(link, point=(1.0, 0.0)))
+
+    good, coarse = (
+        fmbd.solve(scene, t_end=2.0, scheme=fmbd.Radau()),
+        fmbd.solve(scene, t_end=2.0, dt=0.1, scheme=scheme),
+    )
+    assert np.linalg.norm(good["end"][-1] - coarse["end"][-1]) > 0.1 and not good.warnings
+    assert [text for text in coarse.warnings if "bodies turn by up to 2" in text]
+    assert not fmbd.solve(scene, t_end=0.5, dt=0.01, scheme=scheme).warnings
+
+
 def test_a_good_run_has_no_warnings() -> None:
     run = swing(0.01, 0.2)
     assert run.warnings == [] and "look at this" not in run.report()

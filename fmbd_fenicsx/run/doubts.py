@@ -7,6 +7,7 @@
     |g|  >  1e-3 L                                                under forms that hold no positions                 (3)
     min_dq |g + G dq|  >  1e-8 L + 10 |g|^2 / L                   the same, beside dependent rows, at the end        (4)
     halvings  >=  10, or one in twenty steps
+    h |w|  >  1                                                  what a body turns by in one of equal steps, rad       (5)
 
 Each is a warning: on standard error, and in the report under "look at this".
 """
@@ -36,15 +37,21 @@ CONTRADICTS, CURVES = 1e-8, 10.0  # of the model's length; times the square of a
 PLACES = 100 * float(np.finfo(float).eps)  # of the model's length, roundoff of places in one step
 HALVINGS = 10
 SHARE = 0.05  # of the steps
+TURN = 1.0  # rad
 LOST = 0.05  # share of the energy that one step takes from what nothing takes any
 SETTLING = 10  # records, of the first steps
 CHATTER = 0.1  # of the impacts may be short: a body that comes to rest
 
 
 def warn_of_doubts(
-    scene: Scene, solver: StepSolver, recorder: Recorder, counters: Mapping[str, float], ends: tuple[State, State]
+    scene: Scene,
+    solver: StepSolver,
+    recorder: Recorder,
+    counters: Mapping[str, float],
+    ends: tuple[State, State],
+    size: float,
 ) -> None:
-    """Say what is doubtful in a run between two states; collective."""
+    """Say what is doubtful in a run between two states; ``size``: of its equal steps (s), 0 of others; collective."""
     start, end = ends
     system = solver.system
     if recorder.energies and isolated(scene, system):
@@ -52,6 +59,7 @@ def warn_of_doubts(
     if recorder.energies and lossless(scene, system):
         _loss(recorder.energy, recorder.times)
     _halvings(counters)
+    _turns(recorder, size)
     _impacts(counters)
     _open_velocities(recorder, counters)
     _open_joints(recorder)
@@ -122,6 +130,17 @@ def _halvings(counters: Mapping[str, float]) -> None:
             "%d steps gained energy from nothing and were repeated in parts: dt is too large for a stiff part that turns",
             back,
         )
+
+
+def _turns(recorder: Recorder, size: float) -> None:
+    """(5): no polynomial over a step, and no tangent of it, follows what turns so far."""
+    turn = size * recorder.drift.turning
+    if turn > TURN:
+        log.warning(
+            "bodies turn by up to %.2g rad a step: what changes with their attitude is hardly seen, and the motion may be "
+            "another. Take dt = %.2g s or less, or a scheme with its own steps, such as fmbd.Radau()",
+            turn, 0.5 * TURN * size / turn,
+        )  # fmt: skip
 
 
 def _impacts(counters: Mapping[str, float]) -> None:

@@ -146,13 +146,14 @@ def _finished(
 
     counters = _counters(marched, task.newton, solver)
     undetermined = not_unique(solver, marched.state)
-    warn_of_doubts(task.scene, solver, marched.recorder, counters, (start.state, marched.state))
+    first = task.schedule.next(task.schedule.begin)
+    equal = first if task.schedule.steps else 0.0
+    warn_of_doubts(task.scene, solver, marched.recorder, counters, (start.state, marched.state), equal)
     warn_of_late_samples(task.scene, task.schedule)
     warn_of_short_tables(task.scene, task.schedule.begin, task.schedule.t_end)
     if task.scene.breakpoints:
         warn_of_close_break_points(task.scene, task.schedule.t_end)
     warn_of_dense_break_points(task.schedule)
-    first = task.schedule.next(task.schedule.begin)
     warn_of_turning_rows(solver, problem.said.turn_limit, (start.state, marched.state), first)
     code = None if keeper is None else keeper.exit_code
     methods = solver.elastic.methods

@@ -285,6 +285,11 @@ class Layout:
         out[:-1] = v[: self.n_frames * self.motions.n_twist].reshape(-1, self.motions.n_twist)
         return out
 
+    def turning(self, v: Array) -> Array:
+        """Angular speeds of all frames, the ground last, (n_frames + 1,), rad/s."""
+        spins = self.twists(v)[:, self.motions.dim :]
+        return np.asarray(np.sqrt((spins * spins).sum(axis=1)))
+
     def pose_of(self, q: Array, k: int) -> Array:
         """Pose of frame k, or of the ground behind the last, in arrays q (.., n_q): (.., n_pose)."""
         n = self.motions.n_pose

@@ -139,8 +139,6 @@ def _space(rows: Array) -> Array:
 
 def _fastest(system: System, state: State) -> str:
     """The body that turns fastest, quoted; of bodies without a frame all."""
-    m, n = system.motions, system.n_frames
-    if not n:
+    if not system.n_frames:
         return ", ".join(f'"{part.name}"' for part in system.parts)
-    rates = state.v[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :]
-    return f'"{system.frame_names[int(np.linalg.norm(rates, axis=1).argmax())]}"'
+    return f'"{system.frame_names[int(system.turning(state.v).argmax())]}"'

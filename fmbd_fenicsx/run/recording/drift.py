@@ -1,4 +1,4 @@
-"""How far the joints of a run were open, in the states that it has recorded."""
+"""How far the joints of a run were open, and how fast its bodies turned, in the states that it has recorded."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Drift:
     """The largest of what joints were open so far; ``closed`` refuses states in which that is too much.
 
     ``gap`` (m), ``slip`` (m/s) of all rows as lengths; ``worst_slip`` (m/s), that of angles times the model's length, beside the
-    largest velocity, ``fastest`` (m/s), both where ``closed`` looks at them.
+    largest velocity, ``fastest`` (m/s), both where ``closed`` looks at them; ``turning`` (rad/s): the fastest of a frame.
     """
 
     system: System
@@ -29,6 +29,7 @@ class Drift:
     slip: float = 0.0
     worst_slip: float = 0.0
     fastest: float = 0.0
+    turning: float = 0.0
 
     @property
     def openness(self) -> Openness:
@@ -41,6 +42,7 @@ class Drift:
             self.closed.check(ev)
         elif self.closed is not None:
             self.closed.last = state.t
+        self.turning = max(self.turning, float(self.system.turning(state.v).max()))
         if not self.system.n_lam:
             return
 
@@ -56,13 +58,12 @@ class Drift:
         """Joints in all records of compiled steps up to a time t (s), as :meth:`judge`."""
         if self.closed is not None:
             self.closed.check_tape(seen, t)
-        gap, slip, worst, fastest = seen.worst
-        self.gap, self.slip = max(self.gap, gap), max(self.slip, slip)
+        gap, slip, worst, fastest, turning = seen.worst
+        self.gap, self.slip, self.turning = max(self.gap, gap), max(self.slip, slip), max(self.turning, turning)
         if self.closed is not None:
             self.worst_slip, self.fastest = max(self.worst_slip, worst), max(self.fastest, fastest)
 
     def remember(self, m: Memory) -> None:
         """The largest so far."""
-        self.gap, self.slip, self.worst_slip, self.fastest = m(
-            "largest", (self.gap, self.slip, self.worst_slip, self.fastest)
-        )
+        known = self.gap, self.slip, self.worst_slip, self.fastest, self.turning
+        self.gap, self.slip, self.worst_slip, self.fastest, self.turning = m("largest", known)

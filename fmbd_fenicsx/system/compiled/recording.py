@@ -150,7 +150,8 @@ class Looks:
 class Recorded:
     """Records of one march, k of them: arrays with the record as their first axis. ``doubt``: the first state whose joints are
     open by more than is allowed, None where there is none. ``straight``: whether C has written series itself; ``worst``: of all
-    states the largest open constraint, the largest rate at which one opens, this as a speed, the largest speed.
+    states the largest open constraint, the largest rate at which one opens, this as a speed, the largest speed, the fastest
+    turning.
     """
 
     def __init__(self, twin: Twin, looks: Looks, arrays: dict[str, Array], doubt: State | None = None) -> None:
@@ -161,7 +162,7 @@ class Recorded:
         self.t, self.lam = arrays["block"][:, 0], arrays["lam"]
         self.count: int = len(self.t)
         self.straight: bool = False
-        self.worst: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+        self.worst: tuple[float, ...] = (0.0,) * 5
 
     def __len__(self) -> int:
         return self.count

@@ -175,7 +175,7 @@ class Tape:
         self.c.kept, self.c.judged = None, np.nan
         if self.kept is not None:
             self.kept.clear()
-        self.c.worst[:] = 0.0, 0.0, 0.0, 0.0
+        self.c.worst[:] = [0.0] * len(self.c.worst)
 
     @property
     def ended(self) -> bool:

@@ -222,10 +222,9 @@ class EnergyMomentumStepper(StepsInParts):
 
     def _warn_of_turns(self, h: float, a: Array, v: Array) -> None:
         """Say once that a body turns so far in a step that the Cayley map lags: by 2 atan(x / 2) in place of x = h |w|, rad."""
-        m, n, w = self.system.motions, self.system.n_frames, v[: self.n] + 0.5 * h * a[: self.n]
-        if self._warned or not n:
+        if self._warned or not self.system.n_frames:
             return
-        turns = h * np.linalg.norm(w[: n * m.n_twist].reshape(n, m.n_twist)[:, m.dim :], axis=1)
+        turns = h * self.system.turning(v[: self.n] + 0.5 * h * a[: self.n])
         fastest = int(turns.argmax())
         if (x := float(turns[fastest])) <= LARGE:
             return

@@ -15,7 +15,7 @@ enum { D = 3, ROT = 3, POSE = 7, TWIST = 6, PORT = 12, FRAME = 18 };
 enum { D = 2, ROT = 1, POSE = 3, TWIST = 3, PORT = 6, FRAME = 10 };
 #endif
 enum { TURN = D, SPEED = D + D * D, SPIN = SPEED + D };  /* where R, v, w begin in a frame */
-enum { WORST = 4 };                                      /* what of records only the largest is kept of */
+enum { WORST = 5 };                                      /* what of records only the largest is kept of */
 enum { ANGLE = FRAME + D, SIGHT = ANGLE + (D == 2) };     /* of a marker in records: its own frame, x'', in the plane its angle */
 
 enum { ROW, LINEAR, GIVEN, LAW, READ, FORMULA, MOUNT, WHOLE, TERM }; /* roles of items: a term of a constraint; an effort that is linear, */
@@ -425,7 +425,7 @@ typedef struct {
     double *block, *lam, *sight, *energy, *reading, *reaction; /* sight: SIGHT each */
     double *doubt;                     /* the state of the doubtful record */
     double worst[WORST], before[WORST]; /* largest of all records, and of all before the newest: open by, opening at, this as a */
-                                       /* speed, speed */
+                                       /* speed, speed, rate of turning */
     double *contact;                   /* where there are contacts: see moreau.c */
     Kept *kept;                        /* NULL: nobody waits for instants */
     double judged;                     /* when the state was whose joints were judged last, s */

@@ -119,8 +119,19 @@ double largest_of(const double *units, const double *x, int n)
     return found;
 }
 
-/* How far the constraints are open, at which rate, this as a speed, and the largest speed, of all records; the first state that is
-   open by more than is allowed is kept. */
+/* The largest angular velocity of a frame, rad/s. */
+static double fastest_turn(const System *s, const double *v)
+{
+    double found = 0.0;
+    for (int b = 0; b < s->bodies; b++) {
+        const double *w = v + TWIST * b + D;
+        found = fmax(found, dot(w, w, TWIST - D));
+    }
+    return sqrt(found);
+}
+
+/* How far the constraints are open, at which rate, this as a speed, the largest speed and rate of turning, of all records; the first
+   state that is open by more than is allowed is kept. */
 void judge_drift(System *s, Tape *tape, const Block *now)
 {
     double widest = 0.0, *open = tape->worst, speed = largest_of(s->units, now->v, s->nv);
@@ -128,6 +139,7 @@ void judge_drift(System *s, Tape *tape, const Block *now)
     memcpy(tape->before, open, sizeof(tape->before));
     tape->judged = *now->t;
     if (!(speed <= open[3])) open[3] = speed;
+    open[4] = fmax(open[4], fastest_turn(s, now->v));
     for (int i = 0; i < s->rows; i++) {
         double gap = fabs(s->gap[i]), slip = fabs(s->slip[i]), length = gap * tape->units[i];
         if (!(gap * s->row_units[i] <= open[0])) open[0] = gap * s->row_units[i]; /* nan is kept */
