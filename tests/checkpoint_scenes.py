@@ -232,8 +232,6 @@ def figures(folder: Path, taken_up: bool) -> dict[str, dict[str, Any]]:
     """Series and energies of all scenes, whole or taken up half-way; collective."""
     out = {}
     for name, make in SCENES.items():
-        if name == "modes":  # their signs belong to the ranks that computed them
-            continue
         scene, arguments = make()
         steps = round(arguments["t_end"] / arguments["dt"])
         here = folder / name

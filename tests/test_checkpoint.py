@@ -153,7 +153,7 @@ def test_a_tangent_found_indefinite_is_remembered() -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", ["floating", "past", "rubber", "glued", "impact, midpoint"])
+@pytest.mark.parametrize("name", ["floating", "past", "modes", "rubber", "glued", "impact, midpoint"])
 def test_on_another_number_of_ranks(name: str, shared_tmp: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From one rank to all, and from all to one."""
     if world_size() == 1:

@@ -19,6 +19,7 @@ from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...log import log
 from ...matrices import left_free
+from ...mechanics.elastic.modes import waves
 from ...rotations import Array
 from ...schemes.exact_tangent import exact_increment
 from ...schemes.newton import ExactTangent
@@ -302,10 +303,7 @@ def random_motion(about: Perturbation, k: int) -> Array:
     out = np.zeros(system.n_v)
     out[: system.n_core] = draw.standard_normal(system.n_core)
     for i, part in system.fields:
-        d = part.field.dim
-        turns = draw.standard_normal((d, d)) * 2.0 * np.pi / part.field.size
-        waves = np.cos(part.field.X @ turns + draw.uniform(0.0, 2.0 * np.pi, d))
-        out[system.slices[1][i]] = waves.ravel()
+        out[system.slices[1][i]] = waves(part.field, draw)
     return out / system.units
 
 

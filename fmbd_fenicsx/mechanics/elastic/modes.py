@@ -37,6 +37,7 @@ VANISHED = 1e-12  # share of mass and strain below which a direction is none
 SEEN = 0.1  # share of a square of a frequency that may be roundoff; most of it cancels
 WEIGHTLESS = 1e-13  # share of mass in both that is roundoff
 FAR_BELOW = 1e-6  # share of the largest square below which squares of frequencies are found anew
+ALIKE = 1e-6  # relative difference below which squares of frequencies are one, and roundoff turns their modes among themselves
 
 
 def rigid_fields(field: Field) -> Array:
@@ -68,6 +69,13 @@ def quadratic_fields(X: Array) -> Iterator[Array]:
             u[:, k] -= X[:, across] ** 2 / (d - 1)
             u[:, across] = 2.0 * X[:, across] * X[:, k] / (d - 1)
         yield u
+
+
+def waves(field: Any, draw: np.random.Generator) -> Array:
+    """Displacements (n d,) by waves of random lengths and phases: the same on any number of ranks, and of any mesh."""
+    d = field.dim
+    turns = draw.standard_normal((d, d)) * 2.0 * np.pi / field.size
+    return np.cos(field.X @ turns + draw.uniform(0.0, 2.0 * np.pi, d)).ravel()
 
 
 def first_eigenvalue_bound(field: Field) -> float:
@@ -114,8 +122,7 @@ def _rayleigh(field: Field) -> Callable[[Array], tuple[float, Array]]:
 def first_frequency(field: Field, conditions: Array) -> float:
     """Lowest frequency omega (rad/s) under the conditions, by inverse iteration, to about a percent; collective."""
     body = ConditionedBody(field, conditions)
-    rng = np.random.default_rng(5 + field.comm.rank)
-    u = rng.standard_normal(field.n * field.dim)
+    u = waves(field, np.random.default_rng(5))
 
     value = np.inf
     before = 0.0
@@ -215,8 +222,7 @@ class ConditionedBody:
 
         # a start without the parts that the conditions exclude
         start = M.createVecRight()
-        rng = np.random.default_rng(3 + f.comm.rank)
-        start.array[:] = self.solve_shifted(f.mass(rng.standard_normal((f.n, f.dim))).ravel())
+        start.array[:] = self.solve_shifted(f.mass(waves(f, np.random.default_rng(3)).reshape(f.n, f.dim)).ravel())
         eps.setInitialSpace(start)
         eps.solve()
 
@@ -285,7 +291,8 @@ class _Inverse:
 
 
 def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array, Array]:
-    """A basis of span V in the frame given by ``conditions``, M-orthonormal with diagonal K: omega (rad/s) and phi (n d, m).
+    """A basis of span V in the frame given by ``conditions``, M-orthonormal: K (m, m) and phi (n d, m). K is diagonal, the
+    squares of frequencies (rad/s) ascending, but for roundoff among equal ones: see :func:`_settled`.
 
     Rigid parts of V are taken out by the frame's conditions; directions that vanish with them, against the size that they had
     before, are dropped: static modes of one interface hold all rigid motions. What vanishes has neither mass nor strain; what a
@@ -326,7 +333,28 @@ def orthonormal_modes(field: Field, V: Array, conditions: Array) -> tuple[Array,
     order = np.argsort(squares)
     squares, modes = squares[order], V @ U[:, order]
     _tell_roundoff(field, float(squares[0]), modes[:, 0])
-    return np.sqrt(np.maximum(squares, 0.0)), modes
+    turns = _settled(field, squares, modes)
+    return turns.T @ (np.maximum(squares, 0.0)[:, None] * turns), modes @ turns
+
+
+def _settled(field: Field, squares: Array, modes: Array) -> Array:
+    """Turns (m, m) among modes of equal frequency, and signs, which an eigensolver leaves open: with them the modes do not depend
+    on the number of ranks. Collective.
+
+    Of c modes the first alone answers to a first wave w_1, and with a positive sign, the second to a second one beside it, ...:
+    phi_j^T M w_i = 0 for j > i, > 0 for j = i.
+    """
+    starts = np.flatnonzero(np.diff(squares, prepend=-np.inf) > ALIKE * np.abs(squares))
+    groups = np.split(np.arange(len(squares)), starts[1:])
+    draw = np.random.default_rng(11)
+    moved = [field.mass(waves(field, draw).reshape(-1, field.dim)).ravel() for _ in range(max(map(len, groups)))]
+    answers = field.total(modes.T @ np.stack(moved, axis=1))
+
+    turns = np.zeros((len(squares), len(squares)))
+    for group in groups:
+        q, r = np.linalg.qr(answers[group, : len(group)])
+        turns[np.ix_(group, group)] = q * np.where(np.diag(r) < 0, -1.0, 1.0)
+    return turns
 
 
 def _tell_roundoff(field: Field, square: float, mode: Array) -> None:

@@ -278,20 +278,24 @@ class ReducedBody(Body):
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """Constants, frequencies omega (rad/s) of the modes, and the modes phi (n d, m) on this rank's nodes of ``space``.
+    """Constants, and the modes phi (n d, m) on this rank's nodes of ``space``.
 
     ``start``: amplitudes (m,) of the initial displacement and of its rate; ``frame``: pose and twist of the frame with them;
     ``moments``: those of the surfaces. ``field``: with its factors, where these are small.
     """
 
     constants: ReducedConstants
-    omega: Array
     phi: Array
     space: Any
     start: tuple[Array, Array]
     frame: tuple[Array, Array]
     moments: dict[str, Any]
     field: Field | None = None
+
+    @property
+    def omega(self) -> Array:
+        """Frequencies of the modes, rad/s."""
+        return np.sqrt(np.diag(self.constants.K))
 
 
 def _loads(f: Field, Z: Array) -> tuple[tuple[tuple[Any, Array], ...], dict[Any, Array]]:
@@ -331,9 +335,9 @@ def reduce_body(
         stress = Stiffening(f, attachment(f, body.held_at), [s for s in f.mesh.surface_names if s != body.held_at])
         V = np.concatenate((V, stress.columns), axis=1)  # the stretch of steady rotation is then exact
 
-    omega, phi = orthonormal_modes(f, V, frame) if V.shape[1] else (np.zeros(0), np.zeros((f.n * f.dim, 0)))
+    K, phi = orthonormal_modes(f, V, frame) if V.shape[1] else (np.zeros((0, 0)), np.zeros((f.n * f.dim, 0)))
 
-    constants = _constants(body, f, omega, phi, stress)
+    constants = _constants(body, f, K, phi, stress)
 
     start = framed_start(body, f, frame)
     local = _amplitudes(f, start.U, phi), _amplitudes(f, start.Ud, phi)
@@ -341,7 +345,7 @@ def reduce_body(
     kept = f if f.kept_factors is not None else None
     if kept is None:
         f.destroy()
-    return Reduction(constants, omega, phi, f.space, local, (start.pose, start.twist), f.known_moments, kept)
+    return Reduction(constants, phi, f.space, local, (start.pose, start.twist), f.known_moments, kept)
 
 
 def _new_field(body: Any) -> Field:
@@ -352,8 +356,8 @@ def _new_field(body: Any) -> Field:
     return f
 
 
-def _constants(body: Any, f: Field, omega: Array, phi: Array, stress: Stiffening | None) -> ReducedConstants:
-    """What the time loop needs of the modes phi with frequencies omega; ``stress``: that stiffens the body. Collective."""
+def _constants(body: Any, f: Field, K: Array, phi: Array, stress: Stiffening | None) -> ReducedConstants:
+    """What the time loop needs of the modes phi with stiffness K; ``stress``: that stiffens the body. Collective."""
     d, m = f.dim, phi.shape[1]
     Z = np.concatenate((f.X[:, :, None], phi.reshape(f.n, d, m)), axis=2)
     # the undeformed body and its modes are columns of one array
@@ -361,7 +365,6 @@ def _constants(body: Any, f: Field, omega: Array, phi: Array, stress: Stiffening
     S, T = (f.total(x) for x in constants_of(Z, MZ))
     surfaces = {name: _surface(f, name, phi, stress, body.held_at) for name in f.mesh.surface_names}
 
-    K = np.diag(omega**2)
     D = body.mass_damping * np.eye(m) + body.stiffness_damping * K
     if f.D is not None and m:
         D = D + f.total(phi.T @ np.stack([f.damping(a) for a in phi.T], axis=1))

@@ -72,8 +72,7 @@ def check_effect(system: System, state: State, m: Memory, where: Any) -> None:
         if not np.abs(known - value).max(initial=0.0) <= SAME * scale:
             raise CheckpointError(
                 f"The checkpoint {where} is not of this scene: {name} in its state are {_text(known)}, this scene gives "
-                f"{_text(value)}. A form, a law, a mesh or a load has changed, or the number of ranks, on which the signs of "
-                "modes of reduced bodies depend."
+                f"{_text(value)}. A form, a law, a mesh or a load has changed."
             )
 
 
