@@ -471,7 +471,7 @@ def test_beside_rods_and_lines(
 def test_forces_that_python_gives_as_a_whole(
     rod_mesh: Callable[..., Any], skew: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Complex matrices take slopes that are symmetric; steps with others are Python's, and both are the same."""
+    """Complex matrices take their slopes, with what these lack of symmetry: compiled steps, as those of Python."""
     scene = swing(rod_mesh(h=0.5, height=0.2), 2)
     slopes = np.array(((-50.0, 30.0 * skew), (-30.0 * skew, -50.0)))
     brake = lambda t, a: (a.v @ slopes.T, 0.0 * a.w)  # noqa: E731
@@ -486,7 +486,7 @@ def test_forces_that_python_gives_as_a_whole(
         return fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=scheme, output=output, newton=fmbd.Newton(1e-10))
 
     fast = run()
-    assert len(made) == (10 if skew else 0)
+    assert not made
     monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
     slow = run()
     for name in ("q", "v", "lam"):

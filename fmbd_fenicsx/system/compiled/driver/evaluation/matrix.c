@@ -138,16 +138,14 @@ static int assemble(System *s, const double *q, double cd, double ck, double geo
     return link_efforts(s, &cd, &ck);
 }
 
-/* The same for complex weights, each by its two parts; LOOK where forces that Python gives as a whole lack symmetry. */
+/* The same for complex weights, each by its two parts. */
 int prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t)
 {
     s->imaginary = 1;
     int verdict = entries(s, q, cd[1], ck[1], ck[1], lam, 0, t);
     s->imaginary = 0;
     memcpy(s->lossy, s->L, s->storage * sizeof(double));
-    if (verdict || lacks_symmetry(s)) return verdict ? verdict : LOOK;
-    if ((verdict = entries(s, q, cd[0], ck[0], ck[0], lam, 0, t))) return verdict;
-    if (lacks_symmetry(s)) return LOOK;
+    if (verdict || (verdict = entries(s, q, cd[0], ck[0], ck[0], lam, 0, t))) return verdict;
     if ((verdict = factor_complex(s)) || !s->linkable) return verdict;
     return link_efforts(s, cd, ck);
 }

@@ -22,16 +22,6 @@ static void fold(const System *s, double *row)
     }
 }
 
-/* Whether forces that Python gives as a whole lack symmetry in the matrix assembled last. */
-static int lacks_symmetry(System *s)
-{
-    for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
-        if (k->role == WHOLE) whole_links(s, k);
-    const int found = s->links;
-    s->links = 0;
-    return found > 0;
-}
-
 /* w^T z of a row w as they stand in s->pull. */
 static double pulled(const System *s, const double *w, const double *z)
 {
@@ -56,7 +46,7 @@ static int link_efforts(System *s, const double *cd, const double *ck)
         s->links += answers;
     }
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
-        if (k->role == WHOLE) whole_links(s, k);
+        if (k->role == WHOLE) whole_links(s, k, cd, ck);
     const int count = s->links, m = parts * count;
     s->links = 0; /* until they are known */
     for (int k = 0; k < count; k++) {

@@ -153,14 +153,14 @@ static void to_frames(const System *s, const Batch *k, long i, double *C)
 }
 
 /* ck K + cd B on the twists of the markers of a force, as its symmetric part and what is left of it. */
-static void parts_of(const System *s, const Batch *k, long i, double *symmetric, double *rest)
+static void parts_of(const Batch *k, long i, double cd, double ck, double *symmetric, double *rest)
 {
     const double *K = k->K + (long)PAIR * PAIR * i, *B = k->B + (long)PAIR * PAIR * i;
     for (int r = 0; r < PAIR; r++)
         for (int c = 0; c < PAIR; c++) {
             const int one = PAIR * r + c, other = PAIR * c + r;
-            symmetric[one] = 0.5 * (s->ck * (K[one] + K[other]) + s->cd * (B[one] + B[other]));
-            rest[one] = 0.5 * (s->ck * (K[one] - K[other]) + s->cd * (B[one] - B[other]));
+            symmetric[one] = 0.5 * (ck * (K[one] + K[other]) + cd * (B[one] + B[other]));
+            rest[one] = 0.5 * (ck * (K[one] - K[other]) + cd * (B[one] - B[other]));
         }
 }
 
@@ -174,30 +174,37 @@ int whole_tangents(System *s, Batch *k, double t)
     }
     for (long i = 0; i < k->n; i++) {
         double C[PAIR * PAIR], rest[PAIR * PAIR];
-        parts_of(s, k, i, C, rest);
+        parts_of(k, i, s->cd, s->ck, C, rest);
         to_frames(s, k, i, C);
         mapped_square(s, k, i, C);
     }
     return DONE;
 }
 
-/* What is left of it, as rows of links.c behind those that are there, where these have room. */
-void whole_links(System *s, const Batch *k)
+/* What is left of it for weights by their parts, as rows of links.c behind those that are there, where these have room. */
+void whole_links(System *s, const Batch *k, const double *cd, const double *ck)
 {
-    const int wide = s->nu + TWIST * s->surfaces + 1;
+    const int wide = s->nu + TWIST * s->surfaces + 1, parts = s->parts;
     for (long i = 0; i < k->n && s->links + PAIR <= s->linkable; i++) {
-        double C[PAIR * PAIR], symmetric[PAIR * PAIR];
+        double C[2][PAIR * PAIR], symmetric[PAIR * PAIR];
         const int *at = k->at + PAIR * i;
-        parts_of(s, k, i, symmetric, C);
-        if (largest(C, PAIR * PAIR) <= SKEW * largest(symmetric, PAIR * PAIR)) continue;
-        to_frames(s, k, i, C);
-        for (int r = 0; r < PAIR; r++) {
-            double *push = s->push + (long)wide * s->links, *pull = s->pull + (long)wide * s->links;
-            if (at[r] == wide - 1 || largest(C + PAIR * r, PAIR) == 0.0) continue;
+        int lacks = 0;
+        for (int part = 0; part < parts; part++) {
+            parts_of(k, i, cd[part], ck[part], symmetric, C[part]);
+            lacks |= largest(C[part], PAIR * PAIR) > SKEW * largest(symmetric, PAIR * PAIR);
+            to_frames(s, k, i, C[part]);
+        }
+        for (int r = 0; lacks && r < PAIR; r++) {
+            double *push = s->push + (long)wide * s->links, most = 0.0;
+            for (int part = 0; part < parts; part++) most = fmax(most, largest(C[part] + PAIR * r, PAIR));
+            if (at[r] == wide - 1 || most == 0.0) continue;
             memset(push, 0, wide * sizeof(double));
-            memset(pull, 0, wide * sizeof(double));
             push[at[r]] = 1.0;
-            for (int c = 0; c < PAIR; c++) pull[at[c]] += C[PAIR * r + c];
+            for (int part = 0; part < parts; part++) {
+                double *pull = s->pull + (long)wide * parts * (s->links * parts + part);
+                memset(pull, 0, wide * sizeof(double));
+                for (int c = 0; c < PAIR; c++) pull[at[c]] += C[part][PAIR * r + c];
+            }
             s->links++;
         }
     }
