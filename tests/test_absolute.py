@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ufl import as_matrix
@@ -222,3 +223,45 @@ def test_a_linear_body_that_turns_is_told_of(rod_mesh: Callable[..., Any], compi
     assert told(speed=50.0, elastic=stiff) == 0
     assert told(gravity=-9.81, elastic=stiff) == 0
     assert told(spin=1.0, energy=saint_venant_kirchhoff(1e9, 0.3)) == 0
+
+
+def test_forms_of_small_rotations_are_told_of_when_the_body_turns(rod_mesh: Callable[..., Any]) -> None:
+    """An energy of linear strains takes the turn for a strain, a bilinear viscous form brakes it; strains of C and drag do not.
+
+    A foundation holds the body in the world, and that is meant.
+    """
+    mesh = rod_mesh(dim=2, h=0.5, height=0.2)
+    stiff, exact = linear_elastic(1e9, 0.3), saint_venant_kirchhoff(1e9, 0.3)
+
+    def of_small_strains(u: Any, dx: Any) -> Any:
+        return 0.5 * stiff(u, u, dx)
+
+    def of_right_cauchy_green(u: Any, dx: Any) -> Any:
+        F = ufl.Identity(2) + ufl.grad(u)
+        return 1e9 * ufl.inner(F.T * F - ufl.Identity(2), F.T * F - ufl.Identity(2)) * dx
+
+    def told(energy: Any, viscous: Any = None) -> list[str]:
+        rod = fmbd.AbsoluteBody("rod", mesh, density=DENSITY, energy=energy, viscous=viscous, angular_velocity=1.0)
+        scene = fmbd.Scene("turning")
+        scene.add(rod)
+        return [w for w in fmbd.solve(scene, t_end=0.1, dt=1e-2).warnings if "has turned by" in w]
+
+    assert ["energy is one of small rotations" in w for w in told(of_small_strains)] == [True]
+    assert ["viscous form is for small" in w for w in told(exact, lambda u, v, dx: 1e-6 * stiff(u, v, dx))] == [True]
+    assert not told(of_right_cauchy_green, lambda u, v, dx: 10.0 * ufl.inner(u, v) * dx)
+    assert not told(exact, fmbd.materials.kelvin_voigt(1e3))
+    assert not told(lambda u, dx: of_small_strains(u, dx) + 1e3 * ufl.inner(u, u) * dx)
+
+
+def test_an_equilibrium_tells_of_a_linear_body_that_has_turned(
+    rod_mesh: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """As a run does: a cantilever bent by a tenth of a radian is longer than it was."""
+    rod = fmbd.AbsoluteBody(
+        "rod", rod_mesh(dim=2, h=0.5, height=0.2), density=DENSITY, elastic=linear_elastic(1e9, 0.3)
+    )
+    scene = fmbd.Scene("bent")
+    scene.add(rod, fmbd.fixed("clamp", fmbd.ground, rod.surface("pin")))
+    scene.add(fmbd.force("push", rod.surface("tip"), (0.0, -2e5)))
+    fmbd.equilibrium(scene)
+    assert sum("has turned by" in message for message in caplog.messages) == 1

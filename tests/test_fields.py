@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from motion import elastic_rod
 
 import fmbd_fenicsx as fmbd
@@ -147,6 +148,19 @@ def negative(u: Any, v: Any, dx: Any) -> Any:
 def test_unusable_elastic_forms_are_refused(elastic: Any, words: str, rod_mesh: Callable[..., Any]) -> None:
     with pytest.raises(InputError, match=f'"rod".*{words}'):
         field_of(rod_mesh(dim=2, h=0.5, height=0.4), elastic=elastic)
+
+
+def test_a_form_of_the_gradient_is_told_of(rod_mesh: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
+    """It resists rotations: a pendulum of it hangs from its pin like a cantilever. Initial stress of less is meant."""
+
+    def gradient(u: Any, v: Any, dx: Any) -> Any:
+        return ufl.inner(ufl.grad(u), ufl.grad(v)) * dx
+
+    law = fmbd.materials.plane_stress(5e6, 0.3)
+    field_of(rod_mesh(dim=2, h=0.5, height=0.4), elastic=lambda u, v, dx: law(u, v, dx) + 1e4 * gradient(u, v, dx))
+    assert not caplog.messages
+    field_of(rod_mesh(dim=2, h=0.5, height=0.4), elastic=lambda u, v, dx: 1e6 * gradient(u, v, dx))
+    assert ["sym(grad(u)), not grad(u)" in message for message in caplog.messages] == [True]
 
 
 def test_a_foundation_is_no_form_of_a_body_in_a_frame(rod_mesh: Callable[..., Any]) -> None:

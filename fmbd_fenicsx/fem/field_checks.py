@@ -13,12 +13,12 @@ from ..errors import InputError
 from ..log import log
 from ..rotations import Array
 from .cell_volumes import least_volume
+from .rigid_turns import RESISTED, resistance_to_turns, resists_shifts
 
 # length over height of first-order cells above which bending is far too stiff (1:1000 measured: 280 times)
 SLENDER = 50.0
 
 LINEAR = 1e-8  # gradient of what a linear function of size 1 differs by in V_h: roundoff
-FREE = 1e-11  # forces under a translation by 1 m, of those under random displacements of that size: roundoff
 
 
 def check_field(field: Any) -> None:
@@ -29,6 +29,7 @@ def check_field(field: Any) -> None:
     """
     _check_linear_functions(field)
     _check_stiffness(field)
+    _warn_of_turning(field)
     _warn_of_locking(field)
     _warn_of_slender_cells(field)
 
@@ -58,10 +59,7 @@ def check_free(field: Any) -> None:
     Raises:
         InputError: on all ranks alike. In u, the displacement in the frame, such a form would hold nothing in the world.
     """
-    random = np.random.default_rng(7 + field.comm.rank).standard_normal(field.n * field.dim)
-    moved = [random, *(np.tile(e, field.n) for e in np.eye(field.dim))]
-    largest, *force = np.max(field.comm.allgather([np.abs(field.stiffness(u)).max(initial=0.0) for u in moved]), axis=0)
-    if max(force) > FREE * largest:
+    if resists_shifts(field):
         raise InputError(
             f'Body "{field.name}": its elastic form resists rigid motion, as a foundation does. In a floating frame it sees '
             "the displacement in the frame alone, which no foundation knows: take an AbsoluteBody, or springs and bushings "
@@ -125,6 +123,18 @@ def _check_stiffness(field: Any) -> None:
             f'Body "{field.name}": {count} of {nodes} nodes have no stiffness (one at {places[0]}): the elastic '
             "form or energy leaves out a part of the body. Give a material to each volume of the mesh."
         )
+
+
+def _warn_of_turning(field: Any) -> None:
+    """A warning for a linear form that resists rotations and no translations: most often one of grad u."""
+    if field.nonlinear or (share := resistance_to_turns(field)) <= RESISTED or resists_shifts(field):
+        return
+    log.warning(
+        'body "%s": its elastic form resists a rotation with %.2g of the energy of a shear of that size, and no translation. '
+        "Strains are sym(grad(u)), not grad(u)",
+        field.name,
+        share,
+    )
 
 
 def _warn_of_locking(field: Any) -> None:

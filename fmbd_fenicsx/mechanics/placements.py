@@ -158,9 +158,9 @@ class DistributedPart(Part, Protocol):
     shown: Bent | None = None  # the second order of the ports that the columns hold
 
     @property
-    def turns_little(self) -> bool:
-        """Whether its forces are those of small rotations in the world; it then knows its ``mean_rotation``."""
-        return False
+    def turns_little(self) -> str:
+        """Why it may turn a little only, with place for the {strain} of a turn; it knows its ``mean_rotation``. Else nothing."""
+        return ""
 
     def column_version(self, t: float) -> Any:
         """Number of the columns E^-1 H at time t (s); a new one asks for new columns."""

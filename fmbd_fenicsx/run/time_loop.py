@@ -13,13 +13,13 @@ from ..log import log
 from ..system.element_memory import next_sample, restore
 from ..system.evaluation import Evaluation
 from ..system.layout import State
+from ..system.small_turns import SmallTurns
 from ..system.spins import Spins
 from .checkpoints.progress import RunProgress
 from .compiled_calls import CHUNK, CompiledCalls
 from .judges.acceptance import accept_step, attempt_judged
 from .judges.energy_check import closed
 from .judges.prescribed_motions import PrescribedMotions
-from .judges.small_turns import SmallTurns
 from .problem import Problem, judges_of, make_stepper
 from .recording.moment import Moment
 from .recording.output import Output

@@ -20,11 +20,26 @@ from ...fem.fields import Field
 from ...fem.initial import initial_fields
 from ...fem.mean_forces import MeanForces
 from ...fem.motion_tangent import MotionTangent
+from ...fem.rigid_turns import damping_sees_turns, energy_sees_turns
 from ...rotations import Array, rotate_nodal
 from ..body import Placed, Site
 from ..frames import polar_rotation
 from ..placements import Approach, FrameMotion
 from .field_part import FieldPart, TangentPoint
+
+# forms for small rotations: what a turn does to them, and what to take
+LINEAR = (
+    "its linear form is for small rotations, and stretches it by some {strain:.1g} of its size. Take a FloatingBody, or an "
+    "energy in place of elastic="
+)
+SMALL_STRAIN = (
+    "its energy is one of small rotations, and takes the turn for a strain of some {strain:.1g}. Write it in C = F.T * F with "
+    "F = Identity(d) + grad(u)"
+)
+BRAKING = (
+    "its viscous form is for small rotations, and brakes the turn. Take viscous=fmbd.materials.kelvin_voigt(eta), or a "
+    "ViscousForm in sym(F.T * grad(rate)) with F = Identity(d) + grad(u)"
+)
 
 
 def placed_field(body: Any, site: Site) -> Placed:
@@ -72,10 +87,12 @@ class AbsoluteField(FieldPart):
             return None
         return self.mean_rotation(u) @ self.turn_at_tangent.T
 
-    @property
-    def turns_little(self) -> bool:
-        """Whether its form is linear: for small rotations."""
-        return not self.field.nonlinear
+    @cached_property
+    def turns_little(self) -> str:
+        """Which of its forms is for small rotations, and what to take; collective."""
+        if not self.field.nonlinear:
+            return LINEAR
+        return SMALL_STRAIN if energy_sees_turns(self.field) else BRAKING if damping_sees_turns(self.field) else ""
 
     def mean_rotation(self, u: Array) -> Array:
         """Mean rotation of the body at displacements u (n d,), (d, d); collective."""

@@ -1,6 +1,7 @@
-"""A look at linear bodies in absolute coordinates, x = X + u: their strains are those of small rotations.
+"""A look at bodies in absolute coordinates, x = X + u, whose forms are for small rotations.
 
-A rotation by theta stretches such a body by 1 - cos theta, and no joint or energy shows it.
+A rotation by theta strains a body of a linear form, or of an energy of linear strains, by 1 - cos theta, and no joint or
+energy shows it; a viscous form of linear strains brakes the rotation itself.
 """
 
 from __future__ import annotations
@@ -9,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from ...log import log
-from ...system.layout import State
-from ...system.system import System
+from ..log import log
+from .layout import State
+from .system import System
 
 SMALL = 0.05  # rad
 LOOKS, FEW = 128, 8  # at a run of equal steps, at least, and steps from one to the next where it is short
 
 
 class SmallTurns:
-    """Who looks at the linear ones among the bodies in absolute coordinates."""
+    """Who looks at those among the bodies in absolute coordinates that are to turn little."""
 
-    def __init__(self, system: System, *, silent: bool) -> None:
+    def __init__(self, system: System, *, silent: bool = False) -> None:
         """``silent``: of a run that warns of nothing."""
         self.system = system
         self.bodies: list[tuple[int, Any]] = [(k, p) for k, p in system.fields if p.turns_little and not silent]
@@ -38,7 +39,8 @@ class SmallTurns:
                 continue
             self.bodies.remove((k, part))
             log.warning(
-                'body "%s" has turned by %.2g rad in absolute coordinates: its linear form is for small rotations, and stretches '
-                "it by some %.1g of its size. Take a FloatingBody, or an energy in place of elastic=",
-                part.name, np.arcsin(sine), 1.0 - np.sqrt(1.0 - sine**2),
-            )  # fmt: skip
+                'body "%s" has turned by %.2g rad in absolute coordinates: %s',
+                part.name,
+                np.arcsin(sine),
+                part.turns_little.format(strain=1.0 - np.sqrt(1.0 - sine**2)),
+            )
