@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -150,6 +151,22 @@ def test_fault_in_an_array_names_its_element() -> None:
     assert together.kinds[0].takes_arrays
     with pytest.raises(CallbackError, match=r'"spring 6".*returned .*nan.* at t = 2 s'):
         together(S, RATE, 2.0)
+
+
+@pytest.mark.parametrize("value", [(1.0, 2.0), [1, 2.0], np.array([1.0, 2.0]), (1.0, 2.0, 0.0)])
+def test_a_law_of_time_is_asked_once_a_time_with_nothing_between(value: Any) -> None:
+    """What a load returns is seen at a glance: of the time that a sample took more than half went into names for its errors."""
+    asked: list[str] = []
+    law = Repeatable("The law of force", "load", lambda t: value if t < 1.0 else value[0])
+    law.numbers(2, 0.0)
+    sys.setprofile(lambda frame, event, arg: asked.append(frame.f_code.co_name) if event == "call" else None)
+    try:
+        found = law.numbers(2, 0.5)
+    finally:
+        sys.setprofile(None)
+    assert list(found) == [1.0, 2.0] and asked[:3] == ["numbers", "<lambda>", "few"] and len(asked) == 3
+    with pytest.raises(CallbackError, match=r'"load": the law returned .* at t = 1 s, expected'):
+        law.numbers(2, 1.0)
 
 
 def cable(law: Callable[[list[int]], Law]) -> tuple[fmbd.Scene, list[int]]:

@@ -25,7 +25,7 @@ from .effort_laws import EffortLaw
 from .formulas import Formula, SampledEffort, formulas_of
 from .laws_together import LawsTogether
 from .roads import Roads
-from .user_laws import Repeatable, checked_numbers
+from .user_laws import Repeatable
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class TimeLoads(Loads):
     def numbers(self, i: int, t: float) -> Sequence[float] | Array:
         """The components of :meth:`value` as numbers."""
         f = self.forces[i]
-        return checked_numbers(f.name, self.laws[i](t), self.motions.n_rot if f.turns else self.motions.dim, t)
+        return self.laws[i].numbers(self.motions.n_rot if f.turns else self.motions.dim, t)
 
     def wrenches(self, kin: Kinematics, t: float) -> tuple[Array, Array]:
         """Forces and torques prescribed in time."""

@@ -44,18 +44,19 @@ def plain(value: Any) -> float | None:
     return value if isinstance(value, float) and isfinite(value) else None
 
 
-def checked_numbers(name: str, value: Any, size: int, t: float) -> Sequence[float] | Array:
-    """The same for a few numbers, which are seen at a glance where they are a tuple or a list of floats."""
+def few(value: Any, size: int) -> Sequence[float] | None:
+    """So many finite numbers, where that is seen at a glance: a float, a tuple, a list or an array of them; None for others."""
     if size == 1 and isinstance(value, float):
-        return (checked_number(name, value, t),)
-    if isinstance(value, tuple | list) and len(value) == size:
-        try:
-            total = sum(value)
-        except TypeError:
-            return checked(name, value, size, t)
-        if isinstance(total, float) and isfinite(total):
+        return (value,) if isfinite(value) else None
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, tuple | list):
+        if len(value) == 3 and size == 2 and value[2] == 0.0:  # a vector of the plane as one of space
+            value = value[:2]
+        total = sum(value)
+        if len(value) == size and isinstance(total, float) and isfinite(total):
             return value
-    return checked(name, value, size, t)
+    return None
 
 
 class Repeatable:
@@ -87,6 +88,17 @@ class Repeatable:
             if found is not None:
                 return found
         return checked_number(self.name, self(*args), float(np.real(args[self.time])))
+
+    def numbers(self, size: int, t: float) -> Sequence[float] | Array:
+        """What it returns at a time as so many numbers, as :meth:`number` does."""
+        if self._asked and not AGREEMENTS:
+            try:
+                found = few(self.function(t), size)
+            except Exception:
+                found = None  # with a name below
+            if found is not None:
+                return found
+        return checked(self.name, self(t), size, t)
 
     def _compare(self, first: Any, second: Any, t: float) -> None:
         """Refuse two answers that differ; values that are no numbers are for others to refuse."""

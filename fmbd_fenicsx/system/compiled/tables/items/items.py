@@ -161,14 +161,14 @@ def _loads(loads: TimeLoads, dim: int) -> list[Items]:
         fits = [
             (f.turns, bool(f.follower), isinstance(f.law, Constant)) == (turns, follower, steady) for f in loads.forces
         ]
-        which = np.flatnonzero(np.array(fits))
-        if not len(which):
+        which = [i for i, fit in enumerate(fits) if fit]
+        if not which:
             continue
         kind = (("dead", "follower"), ("couple", "follower_couple"))[turns][follower]
         size = dim if not turns else 2 * dim - 3
 
-        def load(t: float, which: np.ndarray = which, size: int = size) -> dict[str, Array]:
-            return {"load": np.array([loads.numbers(i, t) for i in which], dtype=float).reshape(-1, size)}
+        def load(t: float, which: list[int] = which) -> dict[str, Array]:
+            return {"load": np.array([loads.numbers(i, t) for i in which], dtype=float)}
 
         markers = np.stack((loads.a, loads.a), axis=1)[which]
         constants = load(0.0) if steady else {"load": np.zeros((len(which), size))}
