@@ -37,7 +37,7 @@ from ..equal_steps import FEWEST
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
-from .shared_runs import Orders
+from .shared_runs import NEAREST, Orders
 from .shared_spaces import SharedSpaces
 from .shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .space_levels import UNENDED
@@ -202,6 +202,8 @@ def next_plan(
         return made, " and ".join(done)
 
     factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
+    if plan.steps and run.halved and not any(np.isfinite(run.observed_order.get(n, np.nan)) for n in tol):
+        factor = min(factor, 0.5 / NEAREST)  # larger steps tell nothing: these and their halves tell the error of the next ones
     finer = finer_steps(plan, factor)
     made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
     if not made.steps and made.scheme.rtol <= FINEST:
