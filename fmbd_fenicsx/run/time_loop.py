@@ -10,6 +10,7 @@ from ..agreement import OneAnswer
 from ..errors import ConvergenceError, LinearSolveError
 from ..linear.condensation import StepSolver
 from ..log import log
+from ..system.bends import Bends
 from ..system.element_memory import next_sample, restore
 from ..system.evaluation import Evaluation
 from ..system.layout import State
@@ -114,8 +115,7 @@ class Loop:
         # who watches
         self.judges.forecast.since = state.t
         self.motions = _motions(problem, schedule, state.t)
-        self.turns = SmallTurns(system, silent=problem.warned is None)
-        self.spins = Spins(system, silent=problem.warned is None)
+        self.watchers = [watch(system, silent=problem.warned is None) for watch in (SmallTurns, Spins, Bends)]
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
         self._sampled = False  # whether controllers have sampled in the newest state
@@ -147,12 +147,11 @@ class Loop:
         """Steps up to the end, to an event that ends the run, or to a request to stop."""
         keeper = self.keeper
         with OneAnswer(self.problem.system.comm), StopRequests() if keeper is None else keeper.listen() as stop:
-            self.spins.look(self.state)
+            self._look()
             while not self.schedule.ended(self.state.t, self.progress.done):
                 made, seen = self._equal_steps() if self.schedule.steps else self._chosen_step()
                 self._count(made)
-                self.turns.look(self.state)
-                self.spins.look(self.state)
+                self._look()
                 if self._ends_by_event():
                     break
 
@@ -167,6 +166,11 @@ class Loop:
         if keeper is not None:
             keeper.write(self.progress)
         self._arrive()
+
+    def _look(self) -> None:
+        """Those who watch the bodies look at the newest state; collective."""
+        for watcher in self.watchers:
+            watcher.look(self.state)
 
     def _arrive(self) -> None:
         """The last of equal steps ends when the run does: times are sums of steps, which roundoff takes from there."""
@@ -183,7 +187,7 @@ class Loop:
             self.motions.look(self.state.t + h)
 
         done, steps = self.progress.done, self.schedule.steps
-        most = min(self.turns.most(steps), self.spins.most(steps), self._unkept(done))
+        most = min(*(w.most(steps) for w in self.watchers), self._unkept(done))
         made, compiled = 0, bool(self.stepper.stride(h))
         if compiled:
             made = self.calls.make(done, most)

@@ -40,7 +40,7 @@ class Spins:
     def __init__(self, system: System, *, silent: bool = False) -> None:
         """``silent``: of a run that warns of nothing."""
         self.system = system
-        self.bodies: list[tuple[int, Any]] = [] if silent else _unstiffened(system)
+        self.bodies = [] if silent else [(k, part) for k, part, stiffened in in_linear_frames(system) if not stiffened]
         self._slow: dict[int, float] = {}  # of bodies that were looked at, rad/s: below it nothing is to be said of one
 
     def most(self, steps: int) -> int:
@@ -76,16 +76,18 @@ class Spins:
         return float(np.linalg.norm(state.v[part.frame * n + d : (part.frame + 1) * n]))
 
 
-def _unstiffened(system: System) -> list[tuple[int, Any]]:
-    """Linear bodies in moving frames without stiffening, with their numbers."""
-    found: list[tuple[int, Any]] = []
+def in_linear_frames(system: System) -> list[tuple[int, Any, bool]]:
+    """Bodies with a linear form in moving frames: their numbers, and whether they have stiffening."""
+    found: list[tuple[int, Any, bool]] = []
     for k, part in enumerate(system.parts):
         if isinstance(part, ReducedPart):
-            bends = part.n > 0 and part.constants.stiffening is None
+            bends, stiffening = part.n > 0, part.constants.stiffening
+        elif isinstance(part, FloatingField):
+            bends, stiffening = not part.field.nonlinear, part.stiffening
         else:
-            bends = isinstance(part, FloatingField) and not part.field.nonlinear and part.stiffening is None
+            continue
         if bends and part.frame < system.n_frames:
-            found.append((k, part))
+            found.append((k, part, stiffening is not None))
     return found
 
 

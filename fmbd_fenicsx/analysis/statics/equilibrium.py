@@ -22,6 +22,7 @@ from ...log import log
 from ...mechanics.forces.effort_laws import Friction
 from ...mechanics.forces.forces import CoordinateForce
 from ...rotations import Array
+from ...system.bends import Bends
 from ...system.compiled.choice import use_driver
 from ...system.layout import State
 from ...system.mobility import tell_of_modes
@@ -143,8 +144,8 @@ def equilibrium(
         }
 
         found = Equilibrium(scene, system, state_of(system, point, t, turning), markers, turning, made, counters)
-        Spins(system).look(found.state)
-        SmallTurns(system).look(found.state)
+        for watch in (Spins, SmallTurns, Bends):
+            watch(system).look(found.state)
         tell_of_modes(system.at(t, found.state.q))
         if made is not None:
             _read_along(found, made)
