@@ -34,6 +34,7 @@ class ElasticContactStepper(ContactStepper):
     """A scheme says how its steps are called (``maker``), and what they are made by."""
 
     maker: ClassVar[str]
+    keeps_memories = True
 
     share: float  # of a step, at which its forces act
     keeps: ClassVar = {**ContactStepper.keeps, "marched": plain(), "confirmed": plain(Confirmed)}
@@ -144,6 +145,7 @@ class ElasticContactStepper(ContactStepper):
             march.judge(joints.limits(h), np.inf)
         assert driver is not None
         driver.begin_steps(s)
+        march.tables.recall()
         march.load([(s.t, s.q, s.v, s.a, self._algorithmic(), s.lam)])
         march.around.begin(self, march.ring.own())
         made, verdict = march.steps(steps, observers.tape, judged=joints is not None, contact=march.around.address)
@@ -151,6 +153,7 @@ class ElasticContactStepper(ContactStepper):
         march.calls.forget_error()  # a step in Python meets it again
 
         if made:
+            march.tables.remember()
             self._began = s if made == 1 else march.state(1)
             self._take(march, made, h)
             take_energies(p, observers.energy)
