@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 from test_driver import compiled, driven, joint_springs, loaded, redundant, suspended, tyre
 from test_kernel import flexible
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.blocks.field_blocks import Weights
 from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.core_matrix import core_matrix
 from fmbd_fenicsx.linear.driver_solver import DriverSolver
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.schemes.consistent import accelerations, consistent
@@ -207,3 +209,33 @@ def test_compiled_steps_write_over_the_factor() -> None:
     stepper.advance(1e-3)
     assert stepper.path != "NumPy" and solver.driver is not None and solver.driver.ready
     close(first, solved(), 1e-12)
+
+
+@compiled
+def test_rows_of_long_chains_are_no_nearer_to_dependent() -> None:
+    """Eigenvalues of rows with the true inertia have a bound that does not grow with their number: starts of long chains would
+    be left to an LU, which fills.
+    """
+    bounds = []
+    for links in (6, 12, 24):
+        system, given, _ = chain(links)[0].build()
+        states = driver_states(system)
+        assert states is not None
+        bounds.append(states.tables.structure.shape.largest)
+
+        ev = system.at(0.0, given.q, given.v)
+        gram = ev.jacobian.core @ np.linalg.solve(core_matrix(ev, MASSES), ev.jacobian.core.T)
+        size = np.sqrt(gram.diagonal())
+        assert np.linalg.eigvalsh(gram / np.outer(size, size)).max() < bounds[-1]
+    assert bounds[0] == bounds[1] == bounds[2]
+
+
+@compiled
+def test_masses_of_many_bodies_are_sparse() -> None:
+    """Also where nothing holds them, so that there are no rows: memory grows with their number."""
+    scene = fmbd.Scene("free")
+    for i in range(100):
+        scene.add(fmbd.RigidBody(f"{i}", 1.0, (0.1, 0.2, 0.3), (float(i), 0.0, 0.0)))
+    system, given, _ = scene.build()
+    masses = core_matrix(system.at(0.0, given.q, given.v), MASSES)
+    assert masses.nnz < 10 * system.n_v

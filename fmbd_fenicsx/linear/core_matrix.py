@@ -33,7 +33,7 @@ class LocalBlock:
 
 
 def core_matrix(ev: Evaluation, w: Weights) -> Any:
-    """(1) in a configuration, (n_core, n_core): dense, or sparse for many rigid bodies without parts; elastic bodies at U = 0."""
+    """(1) in a configuration, (n_core, n_core): dense, or sparse for many bodies; elastic bodies at U = 0."""
     s, n = ev.system, ev.system.motions.n_twist
     on_frames = np.zeros((s.n_frames + 1, n, n))  # the ground last
     if s.rigid is not None:
@@ -49,9 +49,9 @@ def core_matrix(ev: Evaluation, w: Weights) -> Any:
             blocks.append(LocalBlock(k, part, w.cm * coupling, _local(ev, k, motion, mass, w)))
 
     frames = w.cm * on_frames[:-1]
-    if blocks or dense_core(s):
+    if dense_core(s):
         return _dense(ev, frames, blocks)
-    return sp.bsr_matrix((frames, np.arange(s.n_frames), np.arange(s.n_frames + 1))).tocsr()
+    return _sparse(ev, frames, blocks)
 
 
 def _local(ev: Evaluation, k: int, motion: FrameMotion, mass: Array, w: Weights) -> Array:
@@ -79,3 +79,25 @@ def _dense(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> Array:
             out[rows, frame] = block.coupling
             out[frame, rows] = block.coupling.T
     return out
+
+
+def _sparse(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> sp.csr_matrix:
+    """The same matrix without its zeros."""
+    s, n = ev.system, ev.system.motions.n_twist
+    of_frames = sp.bsr_matrix((frames, np.arange(s.n_frames), np.arange(s.n_frames + 1))).tocoo()
+    rows, columns, values = [of_frames.row], [of_frames.col], [of_frames.data]
+
+    def add(on: np.ndarray, across: np.ndarray, block: Array) -> None:
+        rows.append(np.repeat(on, len(across)))
+        columns.append(np.tile(across, len(on)))
+        values.append(block.ravel())
+
+    for block in blocks:
+        own = np.arange(s.n_core)[s.slices[1][block.k]]
+        add(own, own, block.local)
+        if block.part.frame < s.n_frames:
+            frame = block.part.frame * n + np.arange(n)
+            add(own, frame, block.coupling)
+            add(frame, own, block.coupling.T)
+    at = np.concatenate(rows), np.concatenate(columns)
+    return sp.csr_matrix((np.concatenate(values), at), shape=(s.n_core, s.n_core))

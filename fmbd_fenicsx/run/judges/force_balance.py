@@ -209,10 +209,10 @@ def _arms(ev: Evaluation) -> Array:
 
 def _held(ev: Evaluation, A: Any, left: Array) -> Array:
     """G^T mu of (3), (n_core,): what joints take up of ``left``. Those on fields take up nothing, nor do any in large systems."""
-    n = len(left)
-    G = dense(ev.jacobian.core)[~_on_fields(ev)]
-    if n + len(G) > LARGEST:
+    n, judged = len(left), ~_on_fields(ev)
+    if n + np.count_nonzero(judged) > LARGEST:
         return np.zeros(n)
+    G = dense(ev.jacobian.core)[judged]
 
     # units of rows and columns do not count
     unit = np.sqrt(_diagonal(A))

@@ -13,15 +13,15 @@ from ..layout import Layout
 if TYPE_CHECKING:
     from ..evaluation import Evaluation
 
-DENSE_LIMIT = 20_000  # entries of G up to which it is kept dense
+DENSE_LIMIT = 80_000  # entries of the core's saddle point up to which it is kept dense
 CORE_LIMIT = 150  # velocities of the core up to which a system with rods is kept dense
 PORT_LIMIT = 4_000_000  # the same for its part on the ports of elastic fields: ties of many multipliers make it sparse
 
 
 def dense_core(system: Layout) -> bool:
-    """Whether G of a system is kept dense on the core."""
+    """Whether masses and G of a system are kept dense on the core."""
     few = not system.elements or bool(system.fields) or system.n_core <= CORE_LIMIT
-    return few and system.n_lam * system.n_core <= DENSE_LIMIT
+    return few and (system.n_core + system.n_lam) ** 2 <= DENSE_LIMIT
 
 
 class CorePattern:

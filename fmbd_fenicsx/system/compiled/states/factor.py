@@ -173,4 +173,4 @@ class DriverFactor:
             states.library.driver_solve(states.address, 1, *places, self._given.at[2], *self._found.at)
             return np.asarray(size * found)
 
-        return certainly_regular(solve, len(size), float(len(size)))
+        return certainly_regular(solve, len(size), states.tables.structure.shape.largest)
