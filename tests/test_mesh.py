@@ -168,6 +168,16 @@ def build(gmsh, size=60.0):
 """
 
 
+def test_a_geo_file_that_does_not_mesh_itself_is_meshed(shared_tmp: Path) -> None:
+    """As by gmsh's own command line, with the sizes that it states."""
+    cells = []
+    for name, text in (("meshed.geo", ROUND), ("shape.geo", ROUND.replace("Mesh 2;\n", ""))):
+        file = shared_tmp / name
+        file.write_text(text)
+        cells.append(read_gmsh(file).dolfinx.topology.index_map(2).size_global)
+    assert cells[0] == cells[1] > 0
+
+
 @pytest.mark.parametrize(("name", "text"), [("disc.geo", ROUND), ("disc.py", SCRIPT)])
 def test_halved_edges_of_a_round_shape_in_millimetres_meet_it(name: str, text: str, shared_tmp: Path) -> None:
     """They were put on the shape in mm of a mesh in m, a disc of 98 m; scripts without a cell size ``h`` were not refined."""

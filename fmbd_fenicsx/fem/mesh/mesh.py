@@ -210,7 +210,7 @@ def read_gmsh(
     comm: Any = None,
     **parameters: Any,
 ) -> Mesh:
-    """Read one body from a mesh script (``.py``) or a ``.msh`` file; collective over ``comm`` (default COMM_WORLD).
+    """Read one body from a mesh script (``.py``), a ``.geo`` or a ``.msh`` file; collective over ``comm`` (default COMM_WORLD).
 
     Args:
         source: path of the script or file.
@@ -331,6 +331,9 @@ def _load(
         if parameters:
             raise MeshError(f"{path} is a finished mesh: parameters {sorted(parameters)} have no meaning for it.")
         gmsh.open(str(path))
+        # a .geo file may leave it to gmsh's command line
+        if not len(gmsh.model.mesh.getNodes()[0]):
+            gmsh.model.mesh.generate(gmsh.model.getDimension())
 
     halve_edges(gmsh, halvings)
     if scale != 1.0:
