@@ -195,6 +195,57 @@ def test_friction_of_any_steepness_costs_no_iterations(scheme: Any, law: str, st
     assert run.counters["newton_iterations"] < 3.5 * run.counters["steps"]
 
 
+def on_a_belt(pull: float, w: float, v: float, t: Array) -> tuple[fmbd.Scene, Array]:
+    """A mass of 1 kg between a spring and a belt with dry friction, and where it is: slides, sticks at v, breaks away again."""
+    scene = fmbd.Scene("on a belt")
+    mass, belt = (fmbd.RigidBody(name, 1.0, 1.0, (0.0, y)) for name, y in (("mass", 0.0), ("belt", -0.1)))
+    along, turns = (fmbd.prismatic(f"{b.name} on rail", fmbd.ground, b, axis=(1, 0)) for b in (mass, belt))
+    s = fmbd.displacement(along)
+    scene.add(mass, belt, along, turns, fmbd.drive("drive", fmbd.displacement(turns), lambda t: v * t))
+    scene.add(fmbd.joint_spring("spring", s, stiffness=w * w))
+    scene.add(fmbd.dry_friction("rub", s - fmbd.displacement(turns), limit=pull, stick=1e7))
+    scene.sensor("x", s)
+    scene.sensor("rub", fmbd.element_effort("rub"))
+
+    far = pull / w**2
+    sticks = np.arcsin(v / (far * w)) / w
+    held = far * (1.0 - np.cos(w * sticks))
+    breaks = sticks + (far - held) / v
+    slides = far + v / w * np.sin(w * (t - breaks))
+    return scene, np.where(
+        t < sticks, far * (1.0 - np.cos(w * t)), np.where(t < breaks, held + v * (t - sticks), slides)
+    )
+
+
+@pytest.mark.parametrize(
+    "scheme, error",
+    [(fmbd.BDF(2, rtol=1e-6), 3e-4), (fmbd.Radau(3, rtol=1e-4), 2e-4)],
+    ids=lambda x: getattr(x, "name", ""),
+)
+def test_large_steps_see_that_friction_breaks_away(scheme: Any, error: float) -> None:
+    """Where differences of a tangent led over the corner of the law, steps of 20 ms went on sticking: 1.2e-3 and 8.8e-4 m."""
+    t = np.linspace(0.0, 2.0, 101)
+    scene, x = on_a_belt(5.0, 10.0, 0.2, t)
+    run = fmbd.solve(scene, t_end=2.0, scheme=scheme, output=fmbd.Output(times=t))
+    assert np.abs(run["x"][:, 0] - x).max() < error
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "NumPy"])
+@pytest.mark.parametrize(
+    "scheme", [*OWN_STEPS[2:], fmbd.Radau(3), fmbd.GeneralizedAlpha(), fmbd.EnergyMomentum()], ids=lambda x: x.name
+)
+def test_friction_within_steps_is_that_of_their_beginning(scheme: Any, compiled: bool, monkeypatch: Any) -> None:
+    """The point where it sticks has gone ahead with the end of a step: friction pushed along, and led explicit schemes astray."""
+    if not compiled:
+        monkeypatch.setattr(MarchingStepper, "_made", lambda *x: 0)
+    t = np.linspace(0.0, 0.8, 41)
+    scene, x = on_a_belt(5.0, 10.0, 0.2, t)
+    equal = {"dt": 0.013} if getattr(scheme, "rtol", None) is None else {}
+    run = fmbd.solve(scene, t_end=0.8, scheme=scheme, output=fmbd.Output(times=t), **equal)
+    assert np.abs(run["rub"][t > 0.35] - 5.0).max() < 1e-6
+    assert np.abs(run["x"][:, 0] - x).max() < (2e-3 if equal else 3e-4)
+
+
 def test_dry_friction_survives_a_checkpoint(tmp_path: Any) -> None:
     """The point where it sticks goes into the checkpoint: the restarted run is the same to the last bit."""
 

@@ -4,6 +4,7 @@
 
 It is the set-valued law of Coulomb with a stiffness k, and a damping c, before sliding (Prandtl's element, plasticity of one
 number); inside a step (1) is the return mapping of that law, with the slopes k and c while it sticks and 0 while it slides.
+There p is that of its beginning, also where somebody looks back into a step that was accepted: p of its end lies ahead.
 """
 
 from __future__ import annotations
@@ -21,11 +22,14 @@ from .force_elements import Loads, MarkerTangent, ScalarLoads
 from .forces import Force
 from .formulas import MEMORY, Formula, table
 
+WITHIN = 1e-9  # share of the last step by which its end is not within it
 ROUNDOFF = 1e-9  # of what the ends of a joint move: rates below are those of projections onto the joints
 
 
 class DryFrictionLoads(ScalarLoads):
-    """Elements (1) of one kind of coordinate; ``kept`` (m,): the points p where they stick."""
+    """Elements (1) of one kind of coordinate; ``kept`` (m, 4): the point p where each sticks, the time (s) since which, and both
+    before the last step.
+    """
 
     by_ends = True
 
@@ -34,27 +38,32 @@ class DryFrictionLoads(ScalarLoads):
     ) -> None:
         super().__init__(motions, forces, markers, relative)
         self.limit = np.array([f.limit for f in forces])
-        self.kept: Array = np.zeros(len(forces))
+        self.kept: Array = np.zeros((len(forces), 4))
 
     def formulas(self) -> list[Formula]:
         """Dry friction, with the points where it sticks."""
 
         def kept() -> Array:
-            return np.pad(self.kept[:, None], ((0, 0), (0, MEMORY - 1)))
+            return np.pad(self.kept, ((0, 0), (0, MEMORY - 4)))
 
         def keep(memory: Array) -> None:
-            self.kept = memory[:, 0].copy()
+            self.kept = memory[:, :4].copy()
 
         numbers = table(list(zip(self.k, self.c, self.limit, strict=True)))
         return [Formula(self.relative, "DRY", np.arange(len(self.k)), numbers, kept=kept, keep=keep)]
 
     def effort(self, s: Array, rate: Array, t: float) -> Array:
         """N of (1), (m,)."""
-        return np.clip(self._trial(s, rate), -self.limit, self.limit)
+        return np.clip(self._trial(s, rate, t), -self.limit, self.limit)
 
-    def _trial(self, s: Array, rate: Array) -> Array:
+    def _stuck(self, t: float) -> Array:
+        """p at a time t, (m,): within the last step that of its beginning."""
+        p, since, before, began = self.kept.T
+        return np.where(t < since - WITHIN * (since - began), before, p)
+
+    def _trial(self, s: Array, rate: Array, t: float) -> Array:
         """N if it sticks, (m,)."""
-        return np.asarray(self.k * (s - self.kept) + self.c * rate)
+        return np.asarray(self.k * (s - self._stuck(t)) + self.c * rate)
 
     def energy(self, kin: Kinematics, t: float) -> float:
         """k (s - p)^2 / 2 with p as it would be after this step, at most F^2 / 2 k: what is stored before sliding, J.
@@ -72,31 +81,35 @@ class DryFrictionLoads(ScalarLoads):
         A point that was dragged lies on the limit: there it slides, and roundoff does not decide.
         """
         s, rate = self._state(kin)
-        sticks = np.abs(self._trial(s, rate)) <= (1.0 - 1e-9) * self.limit
+        sticks = np.abs(self._trial(s, rate, t)) <= (1.0 - 1e-9) * self.limit
         return self._tangent_of(kin, self.effort(s, rate, t), (self.k * sticks, self.c * sticks))
 
     def first(self, ev: Any, state: Any) -> Array:
         """p of a joint at rest: where it is, without a force; of one that moves: where it is dragged, the force at its limit."""
         s, rate = self._state(ev.kin)
         moves = np.abs(rate) > ROUNDOFF * self.relative.swept(ev.kin)
-        return np.asarray(s - np.where(moves, np.sign(rate) * self.limit - self.c * rate, 0.0) / self.k)
+        p = s - np.where(moves, np.sign(rate) * self.limit - self.c * rate, 0.0) / self.k
+        now = np.full(len(p), ev.t)
+        return np.column_stack((p, now, p, now))
 
     def overran(self, ev: Any, h: float) -> bool:
         """Whether friction pushes along the motion: that turned within the step, by more than the spring before sliding gives."""
         s, rate = self._state(ev.kin)
-        trial = self._trial(s, rate)
+        trial = self._trial(s, rate, ev.t)
         wrong = (np.abs(trial) > self.limit) & (trial * rate < 0) & (self.k * np.abs(rate) * h > self.limit)
         return bool(wrong.any())
 
     def accepted(self, ev: Any, state: Any) -> Array:
-        """p after a step, (m,)."""
-        return self._dragged(ev.kin, ev.t)
+        """p after a step, and what was before it."""
+        earlier = (ev.t > self.kept[:, 1])[:, None]
+        p = self._dragged(ev.kin, ev.t)
+        return np.column_stack((p, np.full(len(p), ev.t), np.where(earlier, self.kept[:, :2], self.kept[:, 2:])))
 
     def _dragged(self, kin: Kinematics, t: float) -> Array:
         """p if a step ends here, (m,)."""
         s, rate = self._state(kin)
-        slides = np.abs(self._trial(s, rate)) > self.limit
-        return np.where(slides, s - (self.effort(s, rate, t) - self.c * rate) / self.k, self.kept)
+        slides = np.abs(self._trial(s, rate, t)) > self.limit
+        return np.where(slides, s - (self.effort(s, rate, t) - self.c * rate) / self.k, self._stuck(t))
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,7 +70,7 @@ typedef struct {
     double *line;                      /* FORMULA, LAW: MOST_POINTS x n x LINE, see bridges.c; NULL for others */
     int *bridges;                      /* n: whether the law counts as its line */
     long sloped;                       /* LAW: the evaluation for which slopes were asked already */
-    double *known;                     /* LAW: n x 3, s, s' and N where the slopes were taken; WHOLE, MOUNT: see whole.c, mounts.c */
+    double *known;                     /* FORMULA, LAW: n x 3, s, s' and N where the slopes were taken; WHOLE, MOUNT: see whole.c, mounts.c */
     int *first, *second, *product_to;  /* products: pairs of live entries; n x products places in the fronts */
     int *curve, *curve_to, hessians;   /* curved: which outputs of the tangent kernel; n x curved places; outputs in all */
     double *hessian;
@@ -356,7 +356,7 @@ typedef struct {
                                        /* led, and where it is predicted; how many the last step took */
     Controllers *controllers;          /* NULL without any */
     Remembered *remembered;            /* NULL where no memory is found at points */
-    int straight;                      /* whether laws in Python count as their tangents at the last evaluation before */
+    int straight;                      /* whether laws count as their tangents at the last evaluation before */
     int linkable, links;               /* how many efforts may answer to more than their coordinate, and do; see links.c */
     double *push, *pull;               /* linkable x (nu + TWIST surfaces + 1); parts linkable x parts (nu + TWIST surfaces + 1) */
     double *answer, *mutual;           /* parts linkable x parts (nu + rows); x parts linkable */

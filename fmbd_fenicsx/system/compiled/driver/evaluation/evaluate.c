@@ -100,7 +100,7 @@ static int law_of_state(System *s, Batch *k, const void *none, double t)
     return s->python(EFFORT, k->number, t) ? FAILED : DONE;
 }
 
-/* N of laws in Python by their slopes where these were taken. */
+/* N of laws by their slopes where these were taken. */
 static int along_tangents(System *s, Batch *k, double t)
 {
     if (k->act) return control_effort(s, k, t);
@@ -111,11 +111,11 @@ static int along_tangents(System *s, Batch *k, double t)
     return DONE;
 }
 
-/* Slopes of laws in Python at the state evaluated last, and where they were taken. */
+/* Slopes of laws at the state evaluated last, those in Python by a call, and where they were taken. */
 int take_slopes(System *s, Batch *k, double t)
 {
-    if (k->role != LAW || is_held(s, k)) return DONE;
-    if (k->sloped != s->evaluations && ask_slopes(s, k, t)) return FAILED;
+    if ((k->role != LAW && k->role != FORMULA) || is_held(s, k)) return DONE;
+    if (k->role == LAW && k->sloped != s->evaluations && ask_slopes(s, k, t)) return FAILED;
     if (k->act) keep_readings(s, k);
     for (long i = 0; i < k->n; i++) {
         double *known = k->known + 3 * i;
@@ -145,8 +145,9 @@ int efforts(System *s, Batch *k, double t)
         if (k->role == LINEAR || k->role == READ) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
     }
     if (s->ties) give_efforts(s, k);
-    if (s->straight && k->role == LAW && !is_held(s, k)) return along_tangents(s, k, t);
-    return k->role == FORMULA || k->role == LAW ? ask_iterate(s, k, law_of_state, NULL, t) : DONE;
+    const int law = k->role == FORMULA || k->role == LAW;
+    if (s->straight && law && !is_held(s, k)) return along_tangents(s, k, t);
+    return law ? ask_iterate(s, k, law_of_state, NULL, t) : DONE;
 }
 
 int items(System *s, Batch *k, const double *lam, double t)

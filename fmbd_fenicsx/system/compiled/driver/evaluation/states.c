@@ -81,7 +81,7 @@ void energies(System *s, double t, const double *q, const double *v, const doubl
         if (k->role != LINEAR && k->role != FORMULA) continue;
         values(s, k);
         if (k->role == FORMULA) efforts(s, k, t);
-        for (long i = 0; k->role == FORMULA && i < k->n; i++) out[3] += stored(k, i);
+        for (long i = 0; k->role == FORMULA && i < k->n; i++) out[3] += stored(k, i, t);
         for (long i = 0; k->role == LINEAR && i < k->n; i++) {
             double stretch = k->out[i * k->outputs] - k->free[i];
             out[3] += 0.5 * k->stiffness[i] * stretch * stretch;
@@ -98,7 +98,7 @@ int friction_overran(System *s, double t, double h)
         values(s, k);
         efforts(s, k, t);
         for (long i = 0; i < k->n; i++)
-            if (overruns(k, i, h)) return 1;
+            if (overruns(k, i, t, h)) return 1;
     }
     return 0;
 }
@@ -111,8 +111,7 @@ int keep(System *s, double t)
         values(s, k);
         efforts(s, k, t);
         for (long i = 0; !k->told && i < k->n; i++) {
-            double *kept = k->kept + MEMORY * i;
-            if (k->formula == DRY) kept[0] = dragged(k, i);
+            if (k->formula == DRY) friction_keep(k, i, t);
             else pid_keep(k->constants + FORMULA_WIDTH * i, integral_of(k, i), k->s[i] - k->free[i], k->rate[i], t);
         }
     }

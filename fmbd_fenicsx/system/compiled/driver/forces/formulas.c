@@ -15,6 +15,17 @@ static double cut(double effort, double limit, double *k, double *c)
     return effort > 0 ? limit : -limit;
 }
 
+/* What dry friction keeps, as dry_friction.py: the point p where it sticks, the time since which, and both before the last step. */
+enum { STUCK, SINCE, STUCK_BEFORE, BEGAN };
+
+static const double WITHIN = 1e-9; /* share of the last step by which its end is not within it */
+
+/* p at a time t: within the last step that of its beginning. */
+static double stuck(const double *kept, double t)
+{
+    return kept[t < kept[SINCE] - WITHIN * (kept[SINCE] - kept[BEGAN]) ? STUCK_BEFORE : STUCK];
+}
+
 /* Dry friction, sticking below its limit; a point that was dragged lies on it, and roundoff does not decide: it slides. */
 static double friction(double effort, double limit, double *k, double *c)
 {
@@ -182,34 +193,47 @@ void formula(Batch *k, long i, double t)
     *slope = p[0];
     *drag = p[1];
     if (k->formula == SERVO) k->effort[i] = cut(p[0] * (x - p[4]) + p[1] * (rate - p[5]), p[2], slope, drag);
-    else k->effort[i] = friction(p[0] * (x - kept[0]) + p[1] * rate, p[2], slope, drag);
+    else k->effort[i] = friction(p[0] * (x - stuck(kept, t)) + p[1] * rate, p[2], slope, drag);
 }
 
-/* Where dry friction sticks if a step ends at the s, s' and effort of the last evaluation. */
-static double dragged(const Batch *k, long i)
+/* Where dry friction sticks if a step ends at t, at the s, s' and effort of the last evaluation. */
+static double dragged(const Batch *k, long i, double t)
 {
-    const double *p = k->constants + FORMULA_WIDTH * i, x = k->s[i] - k->free[i], was = k->kept[MEMORY * i];
+    const double *p = k->constants + FORMULA_WIDTH * i, x = k->s[i] - k->free[i], was = stuck(k->kept + MEMORY * i, t);
     if (!(fabs(p[0] * (x - was) + p[1] * k->rate[i]) > p[2])) return was;
     return x - (k->effort[i] - p[1] * k->rate[i]) / p[0];
 }
 
+/* Dry friction takes up a step that ends at t, likewise. */
+static void friction_keep(const Batch *k, long i, double t)
+{
+    double *kept = k->kept + MEMORY * i;
+    const double p = dragged(k, i, t);
+    if (t > kept[SINCE]) {
+        kept[STUCK_BEFORE] = kept[STUCK];
+        kept[BEGAN] = kept[SINCE];
+    }
+    kept[STUCK] = p;
+    kept[SINCE] = t;
+}
+
 /* Whether dry friction pushes along the motion at the end of a step of h: it turned within, by more than its spring gives. */
-static int overruns(const Batch *k, long i, double h)
+static int overruns(const Batch *k, long i, double t, double h)
 {
     const double *p = k->constants + FORMULA_WIDTH * i, rate = k->rate[i];
-    double effort = p[0] * (k->s[i] - k->free[i] - k->kept[MEMORY * i]) + p[1] * rate;
+    double effort = p[0] * (k->s[i] - k->free[i] - stuck(k->kept + MEMORY * i, t)) + p[1] * rate;
     return fabs(effort) > p[2] && effort * rate < 0.0 && p[0] * fabs(rate) * h > p[2];
 }
 
-/* What item i stores at the s, s' and effort of the last evaluation, J. */
-static double stored(const Batch *k, long i)
+/* What item i stores at a time t, at the s, s' and effort of the last evaluation, J. */
+static double stored(const Batch *k, long i, double t)
 {
     const double *p = k->constants + FORMULA_WIDTH * i;
     double x = k->s[i] - k->free[i], stretch;
     if (k->formula == STOP) return 0.5 * p[2] * depth_of(p, x) * depth_of(p, x);
     if (k->formula == POTENTIAL) return x;
     if (k->formula != DRY) return 0.0;
-    stretch = fmin(fabs(x - dragged(k, i)), p[2] / p[0]); /* while it slides p runs ahead: nothing is stored there */
+    stretch = fmin(fabs(x - dragged(k, i, t)), p[2] / p[0]); /* while it slides p runs ahead: nothing is stored there */
     return 0.5 * p[0] * stretch * stretch;
 }
 

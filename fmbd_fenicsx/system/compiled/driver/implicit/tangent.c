@@ -222,8 +222,8 @@ static void note_slopes(const System *s, double *noted)
         }
 }
 
-/* Derivatives of the lower rows: central differences by coordinates, moved by hq, forward ones by velocities, moved by hv; laws in Python
-   tell their slopes, and count as their tangents then.
+/* Derivatives of the lower rows: central differences by coordinates, moved by hq, forward ones by velocities, moved by hv; laws
+   tell their slopes, and count as their tangents then: a difference may lead over a corner, or through all of a steep one.
    ``room``: 2 n + nq + 3 size. */
 static int slopes(System *s, const Patterns *o, double t, const double *q, const double *v, const double *a, const double *lam,
                   const double *hq, const double *hv, double *by_q, double *by_v, double *noted, double *room)

@@ -108,7 +108,7 @@ def item_batch(tables: TableLayout, items: Items, number: int) -> Any:
     one.number = number
     room = store.zeros({
         "P": (n, kind.width), "out": (n, one.outputs), "hessian": (n, 0 if items.role == READ else one.hessians),
-        "known": (n, 3 if items.role == LAW else 0), "numbers": (len(OF_ITEMS), n),
+        "known": (n, 3 if items.role in (LAW, FORMULA) else 0), "numbers": (len(OF_ITEMS), n),
     })  # fmt: skip
     if items.role in (LAW, FORMULA):
         one.line = store.zeros({"line": (MOST_POINTS, n, LINE)})["line"][1]
