@@ -205,6 +205,15 @@ def test_a_drive_that_begins_elsewhere_says_where_its_coordinate_is_zero() -> No
         fmbd.solve(scene, t_end=0.1, dt=0.01)
 
 
+def test_force_and_torque_of_wrong_sizes_do_not_pass_for_their_sum() -> None:
+    """Two and four numbers are six, and were taken as a force and a torque of three."""
+    scene = law_scene(
+        lambda body, hinge: fmbd.own_force("f", body, None, lambda t, a: ((1.0, 0.0), (0.0, 0.0, 1.0, 2.0)))
+    )
+    with pytest.raises(CallbackError, match=r"returned shape \(2,\) at t = 0 s, expected \(3,\)"):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
 def test_a_road_of_many_heights_says_what_it_is_asked() -> None:
     """``x`` are coordinates of the wheel's centre, not one number."""
     scene = law_scene(lambda body, hinge: fmbd.Tyre("w", body, road=lambda x, t: 0.1 * x, stiffness=1.0, up=(0, 0, 1)))

@@ -73,9 +73,11 @@ class OwnLoads(Loads):
                 f'Force "{name}": the law returned {value!r:.80} at t = {t:g} s, expected (force ({d},), torque).'
             ) from None
         # the usual answer passes at once: this is called at every iterate
-        if found.dtype == np.float64 and found.shape == (n,) and isfinite(found.dot(found)):
+        parts = len(value) == 2
+        fits = found.shape == (n,) and (not parts or np.size(value[0]) == d)
+        if fits and found.dtype == np.float64 and isfinite(found.dot(found)):
             return found
-        if len(value) != 2:
+        if not parts:
             return checked(name, found, n, t)
         return np.concatenate((checked(name, value[0], d, t), checked(name, value[1], n - d, t)))
 

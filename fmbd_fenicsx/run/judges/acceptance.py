@@ -128,7 +128,7 @@ def _judged(system: System, stepper: Any, h: float, closed: Closed, balanced: Ba
 def diverged(t: float, h: float, why: object) -> ConvergenceError:
     """The error of a step of h (s) after t (s) that left the range of numbers."""
     return ConvergenceError(
-        f"Newton's iteration diverged after t = {t:.6g} s (h = {h:.3g} s): {why}. Take a smaller dt or rtol."
+        f"Newton's iteration diverged after t = {t:.6g} s (h = {h:.3g} s): {str(why).rstrip('.')}. Take a smaller dt or rtol."
     )
 
 
@@ -230,9 +230,9 @@ class Closed(Remembering):
         allowed = self._wide + known
         if not np.maximum.reduce(gap) <= allowed:
             raise ConvergenceError(
-                f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Look for "
-                "bodies that are much lighter or stiffer than what they are attached to, or surfaces so small that they turn as "
-                "on a hinge, or take a smaller dt."
+                f"At t = {ev.t:.6g} s {worst_block(s, gap)} is open by {gap.max():.3g} m, {allowed:.2g} m is allowed. Joints "
+                "and drives may ask for more than bodies can reach there; else look for bodies that are much lighter or stiffer "
+                "than what they are attached to, or surfaces so small that they turn as on a hinge, or take a smaller dt."
             )
         # (2), velocities
         if 1 in self.levels and ev.v is not None:
