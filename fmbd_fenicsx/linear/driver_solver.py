@@ -262,16 +262,17 @@ class FieldDriverSolver(DriverSolver):
 
     def of_steps(self, state: State, weights: Weights) -> DriverStates | None:
         """With whose tables steps with the matrix of these weights are made from a state on; None where NumPy has to make
-        them, or where rows depend on each other. Nothing is prepared then.
+        them. Nothing is prepared then.
         """
         self.ready = False
-        if self.usable is False or self.core.redundant:
+        if self.usable is False and not self.core.redundant:
             return None
         ev = self.told.at(state.t, state.q, state.v)
         self._choose(ev, weights)
         self._look_at(ev)
+        solves = self._solves()
         self.states.sway(True)
-        return self.states if self.usable else None
+        return self.states if solves else None
 
     def new_factors(self) -> int:
         """As above, those of steps of the energy-momentum scheme too."""

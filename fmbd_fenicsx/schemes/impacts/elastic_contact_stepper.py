@@ -75,7 +75,7 @@ class ElasticContactStepper(ContactStepper):
     def marches(self) -> bool:
         """Whether compiled code makes steps."""
         driver = self.solver.driver
-        if not isinstance(driver, FieldDriverSolver) or self.solver.core.redundant or self.problem is None:
+        if not isinstance(driver, FieldDriverSolver) or self.problem is None:
             return False
         looks = driver.told.tables.looks
         return looks.energies_known and not looks.stores and self._sees_surfaces
