@@ -23,6 +23,7 @@ SCHEMES = [
 ]
 AROUND, EACH = 15.0, 18.0  # calls of a step that asks for nothing, and for each time that a function is asked
 LOOKS = 60.0  # calls of a step where looks at a run, once in some hundred steps, fall into short ones
+SAMPLE = 800.0  # calls of a sample of four controllers, with the new start behind it
 DT = 2e-3  # s
 
 
@@ -104,3 +105,18 @@ def test_calls_beside_bodies_of_hardly_any_mass(scheme: Any) -> None:
     """The rows of their joints look alike in the metric of masses, and do not depend on each other."""
     found, _ = calls_a_step(links_of_hardly_any_mass, scheme, [])
     assert found < LOOKS
+
+
+def sampled_every_step() -> fmbd.Scene:
+    """Four links with a controller in each hinge, whose samples end each step."""
+    scene, _ = chain(4)
+    for name, pin in list(scene.joints.items()):
+        scene.add(fmbd.pid(f"pid {name}", fmbd.angle(pin), target=0.3, gains=(40.0, 10.0, 4.0), every=DT))
+    return scene
+
+
+@compiled
+def test_calls_of_a_sample() -> None:
+    """A sample is taken between calls of compiled code; its efforts are read there without one."""
+    found, _ = calls_a_step(sampled_every_step, SCHEMES[0], [])
+    assert found < SAMPLE

@@ -63,12 +63,12 @@ class Formula:
 
 @dataclass(frozen=True)
 class SampledEffort:
-    """An effort on one coordinate ``on`` that stays the same between samples; ``effort``: what it is now, N or N m, positive
+    """An effort on one coordinate ``on`` that stays the same between samples; ``effort`` (1,): what it is now, N or N m, positive
     where it pulls the coordinate back.
     """
 
     on: Any
-    effort: Callable[[], float]
+    effort: Array
 
 
 def table(rows: list[Any]) -> Array:

@@ -59,6 +59,7 @@ class ControlLoads(Loads):
             self.parts[r.name] = slice(self.size, self.size + r.size)
             self.size += r.size
         self.law = LawWithMemory(controller, self.parts)
+        self._held: Array = -self.law.kept.u  # between samples, as the driver reads them
 
     @property
     def kept(self) -> ControllerMemory:
@@ -68,6 +69,7 @@ class ControlLoads(Loads):
     @kept.setter
     def kept(self, memory: ControllerMemory) -> None:
         self.law.kept = memory
+        self._held[:] = -memory.u
 
     @cached_property
     def levels(self) -> np.ndarray:
@@ -184,7 +186,7 @@ class ControlLoads(Loads):
     def sampled(self) -> list[SampledEffort]:
         """The efforts between samples; none of continuous laws."""
         acting = self.acts if self.controller.every is not None else ()
-        return [SampledEffort(relative, lambda i=i: -float(self.kept.u[i])) for i, relative in enumerate(acting)]  # type: ignore[misc]
+        return [SampledEffort(relative, self._held[i : i + 1]) for i, relative in enumerate(acting)]
 
     def jumps(self, kept: ControllerMemory) -> bool:
         """A new sample has been taken."""

@@ -275,7 +275,7 @@ class Tables(TableLayout):
     def recall(self) -> None:
         """Take the memory of elements that have one."""
         for items in self.sampled:
-            items.arrays["effort"][:] = items.sampled()
+            items.arrays["effort"][:] = items.sampled
         for one in self.remembering:
             one.recall()
 

@@ -63,7 +63,7 @@ class Items:
     formula: Formula | None = None
     slot: np.ndarray | None = None  # numbers among the readings of a record, -1 for none
     table: Array = field(default_factory=lambda: np.zeros((0, 0)))  # of constants, as C reads them
-    sampled: Callable[[], float] | None = None  # an effort that stays the same between samples
+    sampled: Array | None = None  # an effort that stays the same between samples, as it is now
     told: bool = False
     quotient: int = 0  # of efforts over a step that keeps energy, as in mechanics/joints/relative.py
     linked: bool = False  # whether a law reads more than its own coordinate
