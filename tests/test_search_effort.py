@@ -32,7 +32,15 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         found.append(steps)
         return again(problem, schedule, steps, *rest)
 
+    with_half = shared_runs.SharedRuns._with_half
+
+    def whole(self: Any, solved: Any) -> Any:
+        made = with_half(self, solved)
+        found.extend(steps for _, steps in self._whole)
+        return made
+
     monkeypatch.setattr(shared_runs, "again", noted)
+    monkeypatch.setattr(shared_runs.SharedRuns, "_with_half", whole)
     return found
 
 
@@ -112,14 +120,21 @@ def test_kinks_of_larger_steps_than_those_that_tell_an_error_do_not_matter(tol: 
 def test_an_attempt_whose_error_nobody_told_tells_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """100 steps agree with 50, of which no run with other steps came to its end: one more run shows whether they do by chance."""
     shared, output = shared_runs.SharedRuns(None, None, 25), fmbd.Output(energy=False, progress=False)
-    again, lets_all = shared_runs.again, shared_runs.Allowed(("x",), lambda _: 0.0, 1.0, rough=True)
+    again, with_half = shared_runs.again, shared_runs.SharedRuns._with_half
+    lets_all = shared_runs.Allowed(("x",), lambda _: 0.0, 1.0, rough=True)
 
     def refused(problem: Any, schedule: Any, *rest: Any) -> Any:
         if schedule.steps == 50:
             raise ConvergenceError("it does not end")
         return again(problem, schedule, *rest)
 
+    def refuses(self: Any, solved: Any) -> Any:
+        if solved.compared.schedule.steps == 50:
+            raise ConvergenceError("it does not end")
+        return with_half(self, solved)
+
     monkeypatch.setattr(shared_runs, "again", refused)
+    monkeypatch.setattr(shared_runs.SharedRuns, "_with_half", refuses)
     scene, scheme = pendulum(), fmbd.GeneralizedAlpha()
     untold, told = (
         shared.time_error(shared.solve(scene, scheme, StepSchedule(1.0, n), output), shared_runs.Orders(), lets_all)
@@ -196,6 +211,28 @@ def test_half_the_step_tells_kinks_at_once(made: list[int]) -> None:
     """A run whose own records have kinks is compared with one of half its step, and with no larger one before."""
     run = fmbd.solve(at_a_stop(), t_end=2.0, tol={"x": 2e-3}, output=fmbd.Output(progress=False))
     assert run.counters["steps"] == 350 and made == [50, 700]
+
+
+def test_half_the_step_that_tells_an_error_is_the_next_attempt(
+    made: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the error is found to be too large, no further run is made in place of it, which steps of its own would have to tell.
+    What is called on the way is called by attempts alone.
+    """
+    whole: list[int] = []
+    run_once = shared_runs.run_once
+    monkeypatch.setattr(
+        shared_runs, "run_once", lambda task, *rest: (whole.append(task.schedule.steps), run_once(task, *rest))[1]
+    )
+    run = fmbd.solve(at_a_stop(), t_end=2.0, tol={"x": 5e-3}, output=fmbd.Output(every=2, progress=False))
+    assert whole == [100, 225, 450, 900] and made == [50, 450, 900]
+    assert [round(2.0 / x.step) for x in run.history] == whole[:3]
+    assert len(run.times) == 226
+
+    called: list[float] = []
+    noted = fmbd.Output(progress=False, on_step=lambda now: called.append(now.t))
+    fmbd.solve(at_a_stop(), t_end=2.0, tol={"x": 2e-3}, output=noted)
+    assert len(called) == 100 + 350  # beside 700
 
 
 def test_a_third_of_a_tolerance_tells_nothing_of_steps_that_kinks_refuse(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -34,7 +34,16 @@ FEWEST = 12  # steps of runs that tell errors by spaces and modes; fewer show an
 ROUNDOFF = 1e-9  # errors below this share of a sensor have no order
 MATTERS = 1e-6  # the same of its range, below which nobody minds which one it is
 ALIGNED = 0.5  # cosine between differences of runs below which they are not what one motion leaves by its steps
+ASTRAY = 0.1  # share of the range of a sensor by which runs differ from where on the one with larger steps follows another motion
 FURTHER = 1.5  # times what half the step tells that larger ones are believed, where they tell more
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Orders seen in runs of the same motion in other spaces: sensor -> order; ``follow``: the fewest steps that have them."""
+
+    seen: Mapping[str, float] = field(default_factory=dict)
+    follow: int = 0
 
 
 @dataclass(frozen=True)
@@ -261,3 +270,16 @@ def _deviation(fine: Recorder, coarse: Recorder, name: str) -> Deviation:
     rows = np.searchsorted(coarse.times, t - rounding).clip(max=len(coarse.times) - 1)
     common = np.abs(coarse.times[rows] - t) <= rounding
     return Deviation(t[common], x[common] - y[rows[common]])
+
+
+def astray(given: Compared, apart: Mapping[str, Deviation], share: float = ASTRAY) -> list[str]:
+    """The sensors that move in which a run is so far ``apart`` from a given one that agreement of others is chance: by more than
+    a ``share`` of the range.
+    """
+    spans = moving(given.recorder.series, given.recorder.scene.sensors)
+    return [name for name, span in spans.items() if name in apart and apart[name].size > share * span]
+
+
+def known_orders(found: TimeError) -> dict[str, float]:
+    """Orders that were seen, by sensor."""
+    return {name: p for name, p in found.orders.items() if np.isfinite(p)}

@@ -157,6 +157,12 @@ def usual_power(scheme: Any) -> float:
     return 1.0 if Declared.by(scheme).ends_ahead else min(scheme.order / (scheme.order + 1.0), STEEPEST)
 
 
+def usual_errors(made: Compared) -> dict[str, Deviation]:
+    """Errors of about the size that a scheme's tolerance has as a share of the range of sensors."""
+    times, series, rtol = made.recorder.times, made.recorder.series, made.scheme.rtol
+    return {n: Deviation(times[:1], rtol * np.ptp(x, axis=0)[None]) for n, x in series.items()}
+
+
 def _from_tolerance(
     problem: Problem, given: Compared, rtol: float, most: int = LOOKED_AT, every: int = 1, of: Built | None = None
 ) -> tuple[dict[str, Deviation], Compared]:

@@ -33,11 +33,11 @@ from ...schedule import StepSchedule, step_schedule
 from ..certificate import FLOOR, KINDS, Certificate, moving
 from ..companion_runs import UNFIT
 from ..deviation import Deviation
-from ..equal_steps import FEWEST
+from ..equal_steps import FEWEST, Orders
 from ..estimates import usual_power
 from ..jumps_in_time import jumps_about_kinks, with_break_points
 from ..orders import expected_orders, resolved, seen_by_ends
-from .shared_runs import NEAREST, Orders
+from .shared_runs import NEAREST
 from .shared_spaces import SharedSpaces
 from .shares import AIM, WHOLE, Tolerance, check_floor, largest_share, share
 from .space_levels import UNENDED
@@ -202,9 +202,9 @@ def next_plan(
         return made, " and ".join(done)
 
     factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
-    if plan.steps and run.halved and not any(np.isfinite(run.observed_order.get(n, np.nan)) for n in tol):
-        factor = min(factor, 0.5 / NEAREST)  # larger steps tell nothing: these and their halves tell the error of the next ones
     finer = finer_steps(plan, factor)
+    if run.halved and not changes:
+        finer = _as_half_tells(plan, run, tol, finer)
     made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
     if not made.steps and made.scheme.rtol <= FINEST:
         return None, "the scheme's tolerance is at roundoff"
@@ -213,6 +213,15 @@ def next_plan(
             made, schedule=made.schedule.below(max(factor, NEAR) * plan.schedule.span / run.counters["steps"])
         )
     return made, " and ".join([*done, "finer steps"])
+
+
+def _as_half_tells(plan: AttemptPlan, run: Run, tol: Tolerance, finer: AttemptPlan) -> AttemptPlan:
+    """The plan for finer steps where half of the last ones told the error: at least these, whose run is there, or, where no
+    larger ones tell anything, steps as small as both runs can tell.
+    """
+    alone = not any(np.isfinite(run.observed_order.get(n, np.nan)) for n in tol)
+    least = round(2 * plan.steps * (NEAREST if alone else 1.0))
+    return finer if finer.steps >= least else replace(finer, schedule=finer.schedule.with_steps(least))
 
 
 def _with_steps_that_end(plan: AttemptPlan, run: Run, history: Sequence[Attempt]) -> tuple[AttemptPlan | None, str]:

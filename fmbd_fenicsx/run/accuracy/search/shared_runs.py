@@ -7,11 +7,9 @@ follow the same motion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
-
-import numpy as np
 
 from ....errors import ConvergenceError
 from ....log import log
@@ -24,10 +22,23 @@ from ...recording.accompanied import Accompanied
 from ...recording.output import Output
 from ...schedule import StepSchedule
 from ...single_run import Solved, Task, run_once
-from ..certificate import kinked, moving, show_kinks
+from ..certificate import kinked, show_kinks
 from ..companion_runs import UNFIT, Compared, again, companion, steps_beside, unbegun
 from ..deviation import Deviation, at_least
-from ..equal_steps import FEWEST, FURTHER, MATTERS, TimeError, between, by_half, compare_steps, falling_slowly, of_order
+from ..equal_steps import (
+    FEWEST,
+    FURTHER,
+    MATTERS,
+    Orders,
+    TimeError,
+    astray,
+    between,
+    by_half,
+    compare_steps,
+    falling_slowly,
+    known_orders,
+    of_order,
+)
 from ..estimates import (
     LOOKED_AT,
     TELLING,
@@ -38,52 +49,21 @@ from ..estimates import (
     of_tolerances,
     run_like,
     tolerance_error,
+    usual_errors,
     usual_power,
 )
 from ..orders import REGULAR, TOO_HIGH, expected_orders, resolved, seen_by_ends
+from .shares import DOUBTED, Allowed
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
 BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
-ASTRAY = 0.1  # share of the range of a sensor by which runs differ from where on the one with larger steps follows another motion
 LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 TWICE = 2.0  # least ratio where they do not
 MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
-# times the room up to which an error that is told by chance is asked again, as it may be a tenth; and ratio of two such
-DOUBTED = 3.0
 BY_CHANCE = 0.2  # what an order is beyond that of the scheme where kinks may have made it
 PAYS = 1.5  # ratio of steps, as the order of the scheme has it, from which on a looser run is made
-
-
-@dataclass(frozen=True)
-class Orders:
-    """Orders seen in runs of the same motion in other spaces: sensor -> order; ``follow``: the fewest steps that have them."""
-
-    seen: Mapping[str, float] = field(default_factory=dict)
-    follow: int = 0
-
-
-@dataclass(frozen=True)
-class Allowed:
-    """The ``share`` of the tolerance that errors take, and the ``room`` that there is for those of time. ``rough``: what else
-    depends on the steps of a run whose error is too large is asked again later. ``sensors``: those with a tolerance. ``last``:
-    whether the run may be the last one, which other errors may forbid: about how large that of time is tells the next steps then.
-    """
-
-    sensors: tuple[str, ...]
-    share: Callable[[dict[str, Deviation]], float]
-    room: float
-    rough: bool
-    last: bool = True
-
-    def lets(self, errors: dict[str, Deviation]) -> bool:
-        """Whether errors of time have that room."""
-        return self.share(errors) <= self.room
-
-    def nearly_lets(self, errors: dict[str, Deviation]) -> bool:
-        """Whether errors of a run that may be the last one have about that room, or none where they are not what they seem."""
-        return self.last and bool(errors) and self.share(errors) <= DOUBTED * self.room
 
 
 class SharedRuns:
@@ -99,6 +79,9 @@ class SharedRuns:
         # by break points the most steps with which a run failed, or only went on in parts: so it would in finer spaces
         self._parted: dict[tuple[float, ...], int] = {}
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
+        self._whole: dict[
+            tuple[int, int], Solved
+        ] = {}  # by scene and steps: runs that told an error and may be the next attempt
         self._untold: set[int] = set()  # steps of attempts whose errors no run has told
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
@@ -131,6 +114,9 @@ class SharedRuns:
 
     def solve(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Solved:
         """One run, kept for later ones with smaller steps to be compared with; collective."""
+        there = self._whole.pop((id(scene), schedule.steps), None)
+        if there is not None:
+            return there
         before, beside = self._before(scene, scheme, schedule), steps_beside(scene, output, schedule)
         if before is not None and output.times is None:
             beside = Output(
@@ -147,6 +133,7 @@ class SharedRuns:
         """Newton's iteration to another tolerance from now on; runs with the old one are not compared with those to come."""
         self.newton = replace(self.newton.afresh(), tolerance=tolerance)
         self._runs.clear()
+        self._whole.clear()
 
     def look(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Compared:
         """A run with equal steps that tells an error only: one that is there, or a new one; collective.
@@ -235,7 +222,7 @@ class SharedRuns:
         steps, have = given.schedule.steps, self._runs[id(solved.problem.scene)]
         coarser = [have[n] for n in have if n <= steps / NEAREST][:1]
         try:
-            finer = self._with(solved, 2 * steps)
+            finer = self._with_half(solved)
         except UNFIT:
             if larger is None or not larger.unseen:
                 return larger or TimeError({}, {}, given)
@@ -375,6 +362,24 @@ class SharedRuns:
                 raise
         return have[steps]
 
+    def _with_half(self, solved: Solved) -> Compared:
+        """The run with half the step: a whole one, which may be the next attempt, where nothing is called or kept on the way."""
+        scene, given = solved.problem.scene, solved.compared
+        output, schedule = given.recorder.output, given.schedule.with_steps(2 * given.schedule.steps)
+        if (
+            output.on_step is not None
+            or output.events
+            or output.snapshots
+            or self.kept(scene, schedule.steps) is not None
+        ):
+            return self._with(solved, schedule.steps)
+        self._refuse_parted(scene, schedule.steps)
+        found = self.solve(scene, given.scheme, schedule, output)
+        if found.run.counters.get("halved_steps"):
+            raise ConvergenceError("half of the steps had to be made in parts")
+        self._whole[id(scene), schedule.steps] = found
+        return found.compared
+
     def tolerance_error(self, solved: Solved, allowed: Allowed) -> TimeError:
         """The error by the tolerance of a scheme with error control; collective.
 
@@ -422,25 +427,6 @@ class SharedRuns:
         return found
 
 
-def usual_errors(made: Compared) -> dict[str, Deviation]:
-    """Errors of about the size that a scheme's tolerance has as a share of the range of sensors."""
-    times, series, rtol = made.recorder.times, made.recorder.series, made.scheme.rtol
-    return {n: Deviation(times[:1], rtol * np.ptp(x, axis=0)[None]) for n, x in series.items()}
-
-
 def _expected(problem: Problem) -> dict[str, int]:
     """The order of the scheme in each sensor."""
     return expected_orders(problem.scheme, problem.scene, problem.system)
-
-
-def astray(given: Compared, apart: Mapping[str, Deviation], share: float = ASTRAY) -> list[str]:
-    """The sensors that move in which a run is so far ``apart`` from a given one that agreement of others is chance: by more than
-    a ``share`` of the range.
-    """
-    spans = moving(given.recorder.series, given.recorder.scene.sensors)
-    return [name for name, span in spans.items() if name in apart and apart[name].size > share * span]
-
-
-def known_orders(found: TimeError) -> dict[str, float]:
-    """Orders that were seen, by sensor."""
-    return {name: p for name, p in found.orders.items() if np.isfinite(p)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 AIM = 0.6  # share of the tolerance below which the error of space, or of modes, is brought: its estimate is the coarser one
 WHOLE, SAFE = 0.8, 0.9  # shares that all kinds together are brought below, and must be
+# times the room up to which an error that is told by chance is asked again, as it may be a tenth; and ratio of two such
+DOUBTED = 3.0
 UNKNOWN = ("", "-", "?")  # units that are none
 
 Tolerance = Mapping[str, Any]  # sensor -> number in its unit, or Relative
@@ -30,6 +32,28 @@ class Relative:
     """A share of the range (largest less smallest value) of a sensor."""
 
     share: float
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """The ``share`` of the tolerance that errors take, and the ``room`` that there is for those of time. ``rough``: what else
+    depends on the steps of a run whose error is too large is asked again later. ``sensors``: those with a tolerance. ``last``:
+    whether the run may be the last one, which other errors may forbid: about how large that of time is tells the next steps then.
+    """
+
+    sensors: tuple[str, ...]
+    share: Callable[[dict[str, Deviation]], float]
+    room: float
+    rough: bool
+    last: bool = True
+
+    def lets(self, errors: dict[str, Deviation]) -> bool:
+        """Whether errors of time have that room."""
+        return self.share(errors) <= self.room
+
+    def nearly_lets(self, errors: dict[str, Deviation]) -> bool:
+        """Whether errors of a run that may be the last one have about that room, or none where they are not what they seem."""
+        return self.last and bool(errors) and self.share(errors) <= DOUBTED * self.room
 
 
 @typed

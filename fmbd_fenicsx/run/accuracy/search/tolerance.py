@@ -33,8 +33,8 @@ from ..certificate import FLOOR, Certificate, moving, stated_of
 from ..companion_runs import UNFIT, Compared
 from ..damped import damped_vibrations
 from ..deviation import Deviation
-from ..equal_steps import TimeError
-from ..estimates import warn_of_uncertain, with_damped
+from ..equal_steps import Orders, TimeError, known_orders
+from ..estimates import usual_errors, warn_of_uncertain, with_damped
 from .next_attempt import (
     AttemptPlan,
     Known,
@@ -49,12 +49,12 @@ from .next_attempt import (
     space_first,
     space_limit,
 )
-from .shared_runs import Allowed, Orders, known_orders, usual_errors
 from .shared_spaces import SharedSpaces
 from .shares import (
     AIM,
     SAFE,
     WHOLE,
+    Allowed,
     Tolerance,
     check_tolerances,
     largest_share,
@@ -235,7 +235,7 @@ def _one_more(
     jumps = jumps_within(plan, run, tol, first=found.best is None)
     if not jumps:  # errors that others tell say nothing of these
         orders = _state_errors(plan, tol, shared, solved)
-    if output.every != wanted.every and wanted.times is None:
+    if solved.compared.recorder.output.every != wanted.every and wanted.times is None:
         _thin_out(run, solved.compared.recorder.indices, wanted.every)
     if jumps:
         found.best = np.inf, run
