@@ -93,7 +93,7 @@ def test_a_restart_begins_as_a_run_does() -> None:
         stepper = fmbd.BDF(rtol=1e-6).stepper(system, solver, fmbd.Newton(), start)
         if again:
             stepper.restart(start.t)
-        taken.append([(stepper.advance(1.0).t, stepper.k) for _ in range(40)])
+        taken.append([(stepper.advance(1.0).t, stepper.orders.k) for _ in range(40)])
     assert taken[0] == pytest.approx(taken[1], rel=1e-9) and max(k for _, k in taken[0]) > 2
 
 
@@ -108,11 +108,11 @@ def test_the_order_is_that_of_the_longest_step(errors: tuple[float, ...], order:
     stepper = fmbd.BDF(rtol=1e-6).stepper(system, solver, fmbd.Newton(), start)
     for _ in range(12):
         stepper.advance(1.0)
-    stepper.k, stepper.held, stepper.control.rejections = 3, 9, 0
-    monkeypatch.setattr(stepper, "_error", lambda h, p, of: errors[of - 1])
-    monkeypatch.setattr(stepper.amplification, "permits", lambda *given: True)
-    stepper._choose(1e-3, None, errors[2])
-    assert stepper.k == order
+    orders = stepper.orders
+    orders.k, orders.held = 3, 9
+    monkeypatch.setattr(orders.amplification, "permits", lambda *given: True)
+    orders.next_size(1e-3, errors[2], lambda k: errors[k - 1], len(stepper.past))
+    assert orders.k == order
 
 
 G = 9.81

@@ -30,6 +30,7 @@ from fmbd_fenicsx.schemes.implicit.field_stages import FieldEquations
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
 from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
 from fmbd_fenicsx.schemes.implicit.stage_krylov import FieldStages
+from fmbd_fenicsx.schemes.implicit.step_newton import StepNewton
 from fmbd_fenicsx.schemes.multistep.bdf import BDFStepper
 from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
 from fmbd_fenicsx.system.compiled.choice import use_driver
@@ -201,15 +202,15 @@ def test_a_motion_out_of_range_makes_a_step_smaller(
     tangent of a step before tries again with a new one first.
     """
     monkeypatch.setattr(ImplicitStepper, "_march_of", lambda _: None)
-    iterated, foretold = ImplicitStepper._found, iter([*before * [False], *times * [True]])
+    iterated, foretold = StepNewton.found, iter([*before * [False], *times * [True]])
 
     def out_of_range() -> Any:
         raise error("out of range")
 
-    def found(self: Any, iterate: Any) -> Any:
-        return iterated(self, out_of_range if next(foretold, False) else iterate)
+    def found(self: Any, state: Any, iterate: Any) -> Any:
+        return iterated(self, state, out_of_range if next(foretold, False) else iterate)
 
-    monkeypatch.setattr(ImplicitStepper, "_found", found)
+    monkeypatch.setattr(StepNewton, "found", found)
     run = fmbd.solve(fe_crank(2), t_end=0.005, scheme=scheme)
     assert run.status == "finished"
     assert run.counters["rejected: forces not finite, or a motion out of range"] == 1
@@ -551,10 +552,10 @@ def test_increments_of_stages_with_a_tangent_each(rod_mesh: Callable[..., Any]) 
     stepper = fmbd.Radau(2, rtol=None).stepper(system, StepSolver(system), fmbd.Newton(), start)
     h, rng = 0.01, np.random.default_rng(3)
     stepper.eq.begin(start)
-    xi, v, mult = stepper._predict(h)
+    xi, v, mult = stepper._start.predict(system, stepper.tab, h)
     bent = 1e-2 * np.sin(3.0 * np.arange(2)[:, None]) * rng.normal(size=system.n_v)
-    points = stepper._stages(h, xi + bent, v + bent / h, mult)
-    each, times = stepper._own_pencil(h, points), start.t + h * stepper.tab.c
+    points = stepper.iteration._stages(h, start, xi + bent, v + bent / h, mult)
+    each, times = stepper.iteration._own_pencil(h, start, points), start.t + h * stepper.tab.c
 
     left = []
     for solver in (each, None):

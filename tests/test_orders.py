@@ -17,7 +17,7 @@ from dae_problems import observed, pendulum, pendulum_at, spinning_top
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import plane_stress
 from fmbd_fenicsx.run.accuracy.orders import expected_orders
-from fmbd_fenicsx.schemes.implicit.implicit_march import ImplicitMarch
+from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
 from fmbd_fenicsx.schemes.own_marching import OwnMarch
 
 # scheme, orders of (q, v, lambda), steps in 1.5 s: where the error is asymptotic and above roundoff
@@ -206,7 +206,7 @@ def test_reactions_of_an_elastic_body_in_every_way(
 
     def then() -> None:
         if in_parts:
-            monkeypatch.setattr(ImplicitMarch, "_in_one_call", lambda *given: False)
+            monkeypatch.setattr(ImplicitStepper, "_in_one_call", lambda *given: False)
 
     assert worst_of_rod(rod_mesh(dim=2, h=0.25), scheme, None if scheme.rtol else 5e-3, times, then) < share
 

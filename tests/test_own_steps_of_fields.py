@@ -16,6 +16,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import frequency_solvers
 from fmbd_fenicsx.linear.frequency_solvers import DECADE, SETTLED
 from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
+from fmbd_fenicsx.schemes.implicit.step_newton import StepNewton
 from fmbd_fenicsx.schemes.multistep.bdf import BDFStepper
 from fmbd_fenicsx.schemes.onestep.radau import RadauStepper
 from fmbd_fenicsx.system.tangents.jacobian import Jacobian
@@ -107,7 +108,7 @@ def test_own_steps_of_bdf_are_calls_of_compiled_code(
     made: list[int] = []
     in_parts = BDFStepper._controlled
     monkeypatch.setattr(BDFStepper, "_controlled", lambda *given: (made.append(1), in_parts(*given))[1])
-    monkeypatch.setattr(ImplicitStepper, "_newton_tolerance", 1e-5)
+    monkeypatch.setattr(StepNewton, "tolerance", 1e-5)
 
     fast = fmbd.solve(scene, t_end=0.1, scheme=scheme, output=output)
     assert len(made) <= 2

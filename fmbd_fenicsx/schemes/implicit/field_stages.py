@@ -35,7 +35,7 @@ from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stages import StageRule
 from ...system.evaluation import Evaluation
 from ...system.layout import State
-from ...system.serialisation import Memory, plain, worker
+from ...system.serialisation import plain, worker
 from ...system.system import System
 from ..dae import Form, Points
 from .closing_motions import COLUMNS, ClosingMotions
@@ -88,24 +88,6 @@ class FieldEquations(Equations):
     def counters(self) -> dict[str, float]:
         """Iterations of the stage systems."""
         return {"stage_iterations": self.krylov}
-
-    def remember_points(self, m: Memory, last: Any) -> Any:
-        """The last step: its size, q and v at its start, and its stages, in an order that does not depend on the ranks."""
-        if not m("last", last is not None):
-            return None
-        h, q, v, p = last or (None,) * 4
-        stages = m("stages", 0 if p is None else len(p.xi))
-
-        def rows(name: str, values: Array | None) -> Array:
-            return np.array([m.like_v(f"{name} {i}", None if values is None else values[i]) for i in range(stages)])
-
-        xi = rows("xi", None if p is None else p.xi)
-        rate = rows("rate", None if p is None else p.rate)
-        vs = rows("v", None if p is None else p.v)
-        vd = rows("vd", None if p is None else p.vd)
-        mult = m("mult", None if p is None else p.mult)
-        points = Points(xi, rate, vs, vd, mult)
-        return m("h", h), m.like_q("q", q), m.like_v("v", v), points
 
     # -- residuals ----------------------------------------------------------------------------------------------
     def begin(self, state: State, *, closed: bool = True) -> None:

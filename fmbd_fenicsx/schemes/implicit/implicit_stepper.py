@@ -1,66 +1,71 @@
-"""What implicit schemes in local coordinates have in common: the equations of a step, their tangent, Newton's iteration and its
-judge, the step control.
+"""What implicit schemes in local coordinates have in common: the equations of a step, Newton's iteration, the step control.
+
+Steps are calls of compiled code (driver/implicit/implicit.c) where stage systems are sparse: constant ones, and those that error
+control chooses (driver/marches/own_steps.c). Tangent and factors are those of the room that steps made in parts use too: whoever
+comes next goes on with them. A step that fails in another way than by its error is made by Python from the same beginning, and so
+is the first of a run, whose size nobody proposes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ...errors import BalanceError, CallbackError, ConvergenceError, LinearSolveError
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
+from ...linear.implicit.sparse_pencil import SparsePencil
 from ...linear.redundancy import least
-from ...linear.residual import Judge
 from ...log import log
 from ...rotations import Array
-from ...system.compiled.states.convergence import GOES_ON, Convergence
+from ...system.compiled import implicit as slots
+from ...system.compiled.implicit import ImplicitRoom, work_of
+from ...system.compiled.march import March
+from ...system.compiled.states.convergence import Convergence
+from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.stages import StageRule
 from ...system.layout import State, States
 from ...system.serialisation import Memory, plain, worker
 from ...system.system import System
 from ...system.tangents.foretold_efforts import foretold_efforts
-from ..consistent import MASS, arrived, corrected, project, worst_block
+from ..consistent import MASS, arrived, corrected, project
 from ..consistent_states import all_corrected, metrics_of, projected
-from ..control import FALLEN, ROUNDOFF, STAGNATION, Statistics, StepControl, first_step
-from ..dae import Points
+from ..control import Statistics, StepControl, first_step
 from ..declared import Declared
 from ..error_norm import EPS, ErrorNorm
 from ..newton import Newton
+from ..own_marching import OwnMarch
 from ..prescribed_ways import time_for_way
-from .convergence import CAUSES, Rates, judge_increment
-from .implicit_march import ImplicitMarch
-from .stage_iteration import StageIteration
 from .step_equations import step_equations
+from .step_newton import StepNewton
 
-OPEN = 1e-6  # of the model's length
 FIRST_WAY = 0.5  # of what rtol lets a first step move, as first_step has it
-SPELL = 63  # steps with tangents of their own, until one tangent is tried again
-STILL = 16.0  # roundings of the model's length
 
 
-class ImplicitStepper(ImplicitMarch):
-    """Advances a consistent state by stages that Newton's iteration finds; :class:`.Radau` and :class:`.BDF` derive from it.
+class ImplicitStepper(OwnMarch):
+    """Advances a consistent state by points that Newton's iteration finds; :class:`.Radau` and :class:`.BDF` derive from it.
 
-    ``what``: what is solved, for messages. ``lost``: measured, where motions begin to differ from those of rigid links.
-    ``control``: of the step size, set by the scheme.
+    ``iteration``: Newton's, and ``control``, of the step size, are set by the scheme. ``slow``: rate of convergence above which
+    the next step takes a tangent. ``lost``: measured, where motions begin to differ from those of rigid links.
     """
 
-    what: ClassVar[str]
     lost: ClassVar[float] = 3e-4  # share of the forces that the roundoff of a spring's effort may have
+    leaves_masses = False
+    slow: float
     control: StepControl
+    iteration: StepNewton
     keeps: ClassVar = {
         "state": Memory.state,
-        **dict.fromkeys(("_fresh", "_full", "_spell", "_rest", "proposed", "local_error", "_theta"), plain()),
+        **dict.fromkeys(("proposed", "local_error"), plain()),
         "control": plain(StepControl),
         "stats": plain(Statistics),
+        "iteration": worker,
         "norm": worker,
         "eq": worker,
     }
+    _lent: ImplicitRoom | None = None
 
     def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
@@ -70,22 +75,7 @@ class ImplicitStepper(ImplicitMarch):
         self.adaptive = scheme.rtol is not None
         self.norm = ErrorNorm(system, scheme.rtol or newton.tolerance, scheme.atol, scheme.form.index)
         self.stats = Statistics()
-        self.judge = Judge(self.what)
         self.proposed: float | None = None
-        self._allowed = 0.0  # m, what an increment of a constant step may move
-
-        # the tangent is kept from step to step while Newton's iteration converges fast with it
-        self._tangent: Any = None  # of the equations' own kind
-        self._pencil: Any = None  # its factor
-        self._fresh = False  # whether the tangent is that of this step
-        self._full = False  # whether each iteration takes its own
-        self._spell = self._rest = 0  # for how many constant steps, after the last failure and from now on
-        self._theta = 1e-3  # rate of convergence
-        self._unweighted = np.ones((3, system.n_v))
-        self._roundoff = STILL * EPS * system.length  # m
-        self._still = (
-            False  # whether the last increment moved nothing beyond roundoff: multipliers may go on changing by theirs
-        )
         if not self.eq.dense:
             self._warn_of_roundoff(acceleration)
 
@@ -103,8 +93,8 @@ class ImplicitStepper(ImplicitMarch):
 
     def _begin_from(self, state: State) -> None:
         """A consistent state, without a past; equations, room and counts stay."""
-        self.state, self.proposed, self._tangent = state, None, None
-        self._full, self._spell, self._rest = False, 0, 0
+        self.state, self.proposed = state, None
+        self.iteration.forget()
         self.eq.weigh(state)
 
     def restart(self, t: float) -> None:
@@ -121,9 +111,10 @@ class ImplicitStepper(ImplicitMarch):
     @property
     def counters(self) -> dict[str, float]:
         """Work so far, for the counters of a run."""
-        eq, judge = self.eq, self.judge
-        self.stats.residuals, self.stats.jacobians, self.stats.solves = eq.residuals, eq.jacobians, judge.solves
-        return {**self.stats.as_dict(), **eq.counters}
+        stats, eq, iteration = self.stats, self.eq, self.iteration
+        stats.residuals, stats.jacobians, stats.solves = eq.residuals, eq.jacobians, iteration.judge.solves
+        stats.newton_iterations, stats.factorisations = iteration.increments, iteration.factorisations
+        return {**stats.as_dict(), **eq.counters}
 
     def _held(self, h: float, within: State) -> State:
         """A state within a step of h (s), see :meth:`_all_held`."""
@@ -162,58 +153,6 @@ class ImplicitStepper(ImplicitMarch):
         """The frequencies, (p,) in 1/s, that a step of h (s) was solved for; none where steps nearby have about the same."""
         return np.zeros(0)
 
-    def _found(self, iterate: Callable[[], Points | str]) -> Points | str:
-        """The stages that an iteration finds, or the cause of its failure."""
-        try:
-            found = iterate()
-            if isinstance(found, str):
-                self._note_open()
-            return found
-        except (LinearSolveError, np.linalg.LinAlgError):
-            return "linear solve failed"
-        except (CallbackError, ConvergenceError) as error:
-            ran_away = isinstance(error, (BalanceError, ConvergenceError))
-            if not (self.adaptive or ran_away):
-                raise
-            self.control.fault = str(error)
-            return "forces not finite, or a motion out of range"
-
-    def _with_new_tangent(self, find: Callable[[], Points | str]) -> Points | str:
-        """What is found, once more with a tangent of this step where an older one has failed."""
-        found = find()
-        if isinstance(found, str) and (not self._fresh or self.eq.renew()):
-            self._tangent = None
-            self.eq.begin(self.state)
-            found = find()
-        return found
-
-    def _begin_spell(self) -> None:
-        """Tangents of their own for this constant step, and more if it was not long ago: stiff springs that turn ask for them in
-        every step, friction that sticks in one.
-        """
-        self._full, self._tangent = True, None
-        self._spell = self._rest = min(2 * self._spell + 1, SPELL)
-
-    def _note_open(self) -> None:
-        """Where an iteration has failed: the joint that it left open by more than a rounding of steps, for messages."""
-        gaps = self.system.row_units * self.eq.left
-        gap = float(np.abs(gaps).max(initial=0.0))
-        if not gap > OPEN * self.system.length:
-            return
-        self.control.fault = (
-            f"Newton left {worst_block(self.system, gaps)} open by {gap:.1e} {self.eq.form.unit} after t = {self.state.t:.6g} s: "
-            "drives and joints may contradict each other there, or ask for more than bodies can reach."
-        )
-
-    def _failure(self, h: float, cause: str) -> ConvergenceError:
-        """The error of a step of constant size h (s) whose iteration failed."""
-        t = self.state.t + h
-        return ConvergenceError(
-            f"Newton's iteration failed at t = {t:.6g} s (h = {h:.3g} s): {cause}. "
-            + (f"{self.control.fault} " if self.control.fault else "")
-            + "Take a smaller dt."
-        )
-
     # -- steps --------------------------------------------------------------------------------------------------
     def advance(self, h: float) -> State:
         """One accepted step. Constant steps: of size h. Error control: of at most h (s), which is then hit exactly at the end.
@@ -233,13 +172,7 @@ class ImplicitStepper(ImplicitMarch):
     def _ended(self, h: float, end: State, mult: Array) -> State:
         """The end of a step of size h (s) with multipliers (n_mult,), which is accepted; with ties and constraints closed."""
         self.stats.steps += 1
-        self.control.fault = ""
-        self._fresh = False
-        if not self._full:
-            self._spell = max(self._spell - 1, 0)
-        elif self._rest:
-            self._rest -= 1
-            self._full = self._rest > 0
+        self.iteration.step_ended()
         end = self.eq.close_ties(h, end, mult)
         end = project(self.system, end, self.solver) if self.scheme.form.projected else end
         return corrected(self.system, end, self.solver, self._step_metric(h)) if self._corrects else end
@@ -251,14 +184,6 @@ class ImplicitStepper(ImplicitMarch):
         levels = least(self.solver, t, q, mult[:every].reshape(shape))
         return np.concatenate((levels.ravel(), mult[every:]))
 
-    @cached_property
-    def _newton_tolerance(self) -> float:
-        """Bound of the norm of the error left, in units of the error norm."""
-        if not self.adaptive:
-            return 1.0
-        roundoff = 10 * EPS / self.norm.rtol
-        return max(roundoff, min(0.03, self.norm.rtol**0.5))
-
     def _error_size(self, h: float, pencil: Any, e_q: Array, e_v: Array, e_a: Array | None = None) -> float:
         """Norm of errors like v; along ties velocities count by the places they lead to, as in index 3. ``pencil``: of a real
         frequency.
@@ -269,58 +194,135 @@ class ImplicitStepper(ImplicitMarch):
             return self.norm(h, e_q, e_v, e_a)
         return max(self.norm(h, e_q, *(errors - held)), self.norm.mean(held[0] * (h / self.norm.wq)))
 
-    def _size(self, h: float, dxi: Array, dv: Array, dmult: Array) -> float:
-        """Norm of an increment of the stages, (s, ...) each; the largest over the stages."""
-        push, size = self.eq.pushes(dmult), 0.0
-        # pushes also where accelerations tell multipliers: those of several levels may change while places and velocities do not
-        lengths = [0.0 if x is None else self.system.max_abs(x) for x in (dxi, dv, push)]
+    # -- what a scheme says of steps of compiled code ------------------------------------------------------------------
+    def _lend(self) -> ImplicitRoom:
+        """The room of its stages, with its coefficients."""
+        raise NotImplementedError
+
+    def _settings(self) -> tuple[Convergence, StageRule]:
+        """What it says of Newton's iteration of a constant step, and of its points."""
+        raise NotImplementedError
+
+    def _memory(self) -> Array:
+        """What it keeps with the state, behind the work."""
+        raise NotImplementedError
+
+    def _recall(self, kept: Array, factored: float) -> None:
+        """The same from the newest state of a march, and what its factors are for."""
+        raise NotImplementedError
+
+    def _factored_for(self) -> float:
+        """What its factors are for, as compiled code says it."""
+        raise NotImplementedError
+
+    def _frequencies(self, h: float) -> Array:
+        """Those of steps of constant size h (s)."""
+        raise NotImplementedError
+
+    def _lend_matrices(self, key: float) -> None:
+        """Those of what factors are for, as compiled code says it."""
+        raise NotImplementedError
+
+    @property
+    def _correctable(self) -> bool:
+        """Whether accelerations and multipliers are read that may be corrected: not with pressures that belong to them."""
+        return self.recorded > 1 and not any(part.field.carried for _, part in self.system.fields)
+
+    @property
+    def _corrects(self) -> bool:
+        """Whether those of ends of steps are corrected: they are read, and no row on accelerations tells them, nor a test of
+        errors.
+        """
+        told = 2 in self.scheme.form.levels or not self.system.n_lam
+        return self._correctable and not told
+
+    # -- steps of compiled code ---------------------------------------------------------------------------------------------
+    def _in_one_call(self, h: float) -> bool:
+        if self.solver.driver is None or self.iteration.full:
+            return False
         if self.adaptive:
-            # joints and ties apart, though they may cancel: what is left of either is noise of the next steps
-            pulls = self.eq.pulls(dmult)
-            size = self.norm(h, dxi, dv, push)
-            if push is not None and self.scheme.form.index == 1:  # no part of an error, but of what is recorded
-                size = max(size, self.norm.pushed(h, push))
-            if pulls is not None:
-                size = max(size, self.norm.mean(pulls * (h * h / self.norm.wq)))
-        places, speeds, pushes = lengths
-        moved = max(places, h * speeds)
-        self._still = moved <= self._roundoff
-        return size if self.adaptive else max(moved, h * h * pushes) / self._allowed
+            return self._chooses_alike
+        return not self.system.fields or (self.eq.compiled and self.eq.solves_for(self._frequencies(h)))
 
-    def _iteration(self, h: float, t: Array, points: Points, rule: StageRule) -> StageIteration:
-        """Newton's iteration for the points of a step of size h (s)."""
-        self._allow(h)
-        weights = self.norm.weights(h) if self.adaptive else self._unweighted
-        return StageIteration(self.eq, t, points, rule, weights)
+    def _march_of(self) -> March | None:
+        return super()._march_of() if self.eq.compiled else None
 
-    def _allow(self, h: float) -> None:
-        """Find what increments of a constant step of size h (s) may move."""
-        if not self.adaptive:
-            self._allowed = self.norm.constant(h, self.state)
+    def _tables_of_steps(self) -> DriverStates | None:
+        found: DriverStates | None = self.eq.whole_steps(self.state)
+        return found
 
-    def _convergence(self, h: float, rates: Rates, first: float) -> Convergence:
-        """Of an iteration in a step of h (s) of which nothing is done so far; ``first``: share that one increment leaves."""
-        return Convergence(
-            most=self.newton.max_iterations, adaptive=self.adaptive, h=h, allowed=self._allowed, still=self._roundoff,
-            tolerance=self._newton_tolerance, limit=rates.limit, largest=rates.largest, before=rates.before,
-            least=rates.least, averaged=rates.averaged, foresees=rates.foresees, calm=ROUNDOFF, stagnation=STAGNATION,
-            fallen=FALLEN, first=first, theta=self._theta,
-        )  # fmt: skip
+    def _room(self, states: DriverStates) -> int:
+        self._lent = self._lend()
+        return 1
 
-    def _iterated(self, h: float, iteration: StageIteration, convergence: Convergence, until: int) -> str:
-        """Increments up to number ``until`` of the iteration, or to its end; why it has failed, "" where it has not."""
-        before = convergence.done
-        try:
-            iteration.follow(self._pencil, convergence, until)
-            while convergence.outcome == GOES_ON and convergence.done < until:
-                size = self._size(h, *iteration.increment(self._pencil))
-                judge_increment(convergence, size, still=self._still)
-        finally:
-            self._count(convergence.done - before)
-        self._theta = convergence.theta
-        return CAUSES.get(convergence.outcome, "")
+    def _own(self, *, factored: bool) -> Array:
+        iteration = self.iteration
+        work = work_of(iteration.theta, known=self.eq.serves(iteration.tangent))
+        return np.concatenate((work, self._memory()))[None]
 
-    def _count(self, increments: int) -> None:
-        """So many increments more."""
-        self.newton.iterations += increments
-        self.stats.newton_iterations += increments
+    def _prepare_room(self, room: Array, *, alone: bool) -> None:
+        lent, iteration = self._lent, self.iteration
+        assert lent is not None
+        stages, pencil = lent.stages, iteration.pencil
+        factored = isinstance(pencil, SparsePencil) and pencil.room is stages
+
+        lent.c.projects, lent.c.corrects = self.scheme.form.projected, self._corrects
+        lent.c.factored = self._factored_for() if factored else 0.0
+        self.eq.lend(stages, self.state, iteration.tangent, self._lend_matrices)
+
+        convergence, rule = self._settings()
+        convergence.accurate = iteration.judge.tolerance
+        stages.lend(rule, np.ones((3, 1)))
+        floor = 64 * EPS * self.system.length
+        lent.settle(convergence, {"rtol": self.norm.rtol, "floor": floor, "slow": self.slow})
+
+        room.view(np.uintp)[0] = lent.address
+        if lent.own is not None:
+            self._lend_own(lent.own)
+
+    def _take_march(self, march: March, made: int) -> None:
+        own, iteration = march.ring.own().copy(), self.iteration
+        work = own[: slots.WORK]
+        self._count_increments(march.parameters, made)
+        self._count_solves(int(work[slots.INCREMENTS]))
+        self.stats.steps += made
+        iteration.factorisations += int(work[slots.FACTORED])
+        self.eq.jacobians += int(work[slots.TANGENTS])
+        # those of increments have been counted
+        iteration.judge.check(float(work[slots.RESIDUAL]), float(work[slots.RESIDUAL_SCALE]), solves=0)
+
+        iteration.steps_ended(made)
+        self._take_kept(own)
+        if self._lent is not None and self._lent.own is not None:
+            self._take_own(self._lent.own, made)
+
+    def _take_kept(self, own: Array) -> None:
+        """What a state of a march keeps."""
+        lent, iteration = self._lent, self.iteration
+        assert lent is not None
+        work = own[: slots.WORK]
+        iteration.theta, known = float(work[slots.RATE]), bool(work[slots.KNOWN])
+        iteration.tangent, iteration.pencil = self.eq.kept(lent.stages, iteration.judge, known=known)
+        self._recall(own[slots.WORK :], float(lent.c.factored))
+
+    def _count_solves(self, increments: int) -> None:
+        """Evaluations and solves of so many increments."""
+        assert self._lent is not None
+        stages = self._lent.stages
+        self.iteration.increments += increments
+        self.eq.residuals += increments * stages.c.points
+        self.iteration.judge.solves += increments * stages.shared
+
+    def _refuse(self, h: float) -> None:
+        super()._refuse(h)
+        lent, iteration = self._lent, self.iteration
+        assert lent is not None
+        failed, lent.c.failed = int(lent.c.failed), 0.0
+        if self.adaptive:  # it fails there too
+            if lent.c.fresh:  # compiled code took a tangent in its place
+                iteration.tangent = iteration.pencil = None
+            return
+        self._count_solves(failed)
+        self.newton.iterations += failed
+        self.eq.refused(lent.stages)
+        iteration.tangent = iteration.pencil = None  # parts of the step begin with their own

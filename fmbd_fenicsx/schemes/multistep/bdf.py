@@ -19,33 +19,39 @@ ODEs II, sections III.5 and VII.3, doi:10.1007/978-3-642-05221-7; Gear, Gupta an
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from ...checks import check_fields
 from ...errors import require
 from ...linear.condensation import StepSolver
-from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.compiled.implicit import WORK, ImplicitRoom, OrdersOfBDF
+from ...system.compiled.own_steps import OwnRoom
+from ...system.compiled.states.convergence import Convergence
+from ...system.compiled.states.stages import StageRule
 from ...system.control.memory_points import StepError
 from ...system.element_memory import memory_error
-from ...system.layout import State
+from ...system.layout import State, States
 from ...system.scene.contents import Contents
-from ...system.serialisation import Memory, plain, worker
+from ...system.serialisation import worker
 from ...system.system import System
-from ...system.tangents.step_tangent import StepTangent
 from ..control import StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_tolerance
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from ..onestep.radau import Radau
-from .amplification import STABLE, Amplification
-from .corrector import Corrector
-from .multistep_march import CALM, HIGHER, LOWER, SLOW, growth_of, within
-from .past import LONGEST, Past, before, local, slopes, weights
+from .amplification import STABLE
+from .corrector import ALONE, NEAR, RATES, Corrector
+from .order_choice import CALM, HIGHER, LEAST, LOWER, SAFETY, WITHIN, OrderChoice
+from .past import LONGEST, Past, all_weights, before, increments, keep_past, local, slopes, slopes_at_first, weights
 
+if TYPE_CHECKING:
+    from ...system.compiled.kept import KeptSteps
+
+SLOW = 0.2  # rate of convergence above which the next step takes a tangent, with error control
 SUDDEN = 0.05  # share of the last step below which a step is behind a bend of forces, as in bdf.c
 
 
@@ -91,38 +97,25 @@ class BDF(OfForm):
         return BDFStepper(self, system, solver, newton, state)
 
 
-def _keep_past(m: Memory, name: str, past: list[Past]) -> list[Past]:
-    """Past values, in an order that does not depend on the ranks."""
-    items = [] if m.reading else [(p.t, p.q, p.v, p.mult) for p in past]
-    return [
-        Past(i("t", t), i.like_q("q", q), i.like_v("v", v), i("mult", mult))
-        for i, (t, q, v, mult) in m.each(name, items, 4)
-    ]
+class BDFStepper(ImplicitStepper):
+    """Advances a consistent state; holds the past values, newest first, and the choice of step and order."""
 
-
-class BDFStepper(Corrector):
-    """Advances a consistent state; holds the past values, tangent, factor and the choice of step and order."""
-
-    what = "a BDF step"
+    maker = "BDF"
+    slow = 0.05
     lost = 1e-5
-    keeps: ClassVar = {
-        **ImplicitStepper.keeps,
-        "past": _keep_past,
-        **dict.fromkeys(("k", "held"), plain()),
-        "amplification": worker,
-        "_starter": worker,
-    }
+    iteration: Corrector
+    keeps: ClassVar = {**ImplicitStepper.keeps, "past": keep_past, "orders": worker, "_starter": worker}
 
     def __init__(self, scheme: BDF, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(scheme, system, solver, newton, state)
         self.control = StepControl(2.0)
+        self.iteration = Corrector(self.eq, self.norm, newton, adaptive=self.adaptive)
+        self.orders = OrderChoice(solver, min(scheme.order, STABLE) if system.fields else scheme.order)
         if self.adaptive:
             self.slow = SLOW
-        self.amplification = Amplification(solver)
-        if not self.adaptive:  # with variable ones frequencies hardly come back
+        else:  # with variable ones frequencies hardly come back
             self.eq.keep_sizes(equal=True)
 
-        self.highest = min(scheme.order, STABLE) if system.fields else scheme.order
         self._starter: Any = None
         if not self.adaptive and scheme.order > 1:  # a Radau method makes the first steps
             self._starter = Radau(stages=3, form=scheme.form, rtol=None).stepper(system, solver, newton, state)
@@ -131,32 +124,18 @@ class BDFStepper(Corrector):
     def _begin_from(self, state: State) -> None:
         super()._begin_from(state)
         self.past = [Past(state.t, state.q, state.v, self.eq.multipliers(state))]
-        # the order, and for how many steps it was held with one size
-        self.k, self.held = (1, 0) if self.adaptive else (self.scheme.order, 0)
-        self.amplification.forget()
+        self.orders.begin(1 if self.adaptive else self.scheme.order)
         if self._starter is not None:
             self._starter.begin_anew(lambda: state)
 
-    def remember(self, m: Memory) -> None:
-        """With the tangent, whose factor is made again; of elastic fields every step takes its own."""
-        kept = self._pencil if self.eq.dense else None
-        self._tangent, self.judge = m("tangent", (self._tangent, self.judge), StepTangent, Judge)
-        factored = m("factored", None if kept is None else (kept.t, kept.s), StepTangent)
-        if m.reading:
-            self._pencil = None if factored is None else self.eq.pencil(factored[0], factored[1], self.judge)
-        super().remember(m)
+    @property
+    def _starting(self) -> bool:
+        """Whether a Radau method makes the next constant step."""
+        return self._starter is not None and len(self.past) < self.scheme.order
 
-    def between(self, t: float) -> State | None:
-        """The state at a time t (s) within the last step, on the polynomials through the newest k + 1 past values."""
-        count = min(self.k + 1, len(self.past))
-        if count < 2 or not self.past[count - 1].t <= t <= self.state.t:
-            return None
-        times, xis, vs = local(self.system, self.state.q, self.past[:count])
-        w = weights(times, t)
-        m, s = self.system.n_lam, self.state
-        mult = w @ np.array([p.mult for p in self.past[:count]])
-        within = State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, np.array(t)) @ vs, mult[:m])
-        return self._held(s.t - self.past[1].t, within)
+    def stride(self, h: float) -> float:
+        """As :meth:`TimeStepper.stride`."""
+        return float(self._starter.stride(h)) if self._starting else super().stride(h)
 
     def note(self) -> bool:
         """As :meth:`TimeStepper.note`, also of the first steps, which another scheme makes."""
@@ -166,9 +145,9 @@ class BDFStepper(Corrector):
     # -- steps --------------------------------------------------------------------------------------------------
     def _controlled(self, limit: float) -> State:
         """A step of at most ``limit`` (s) that passes the error test."""
-        s = self.state
-        self.amplification.look(self._next_order, s)
-        farthest = turn_limit(self.system, s, steps=self.k + 1)
+        s, orders, iteration = self.state, self.orders, self.iteration
+        orders.look(s)
+        farthest = turn_limit(self.system, s, steps=orders.k + 1)
         self.control.span = max(self.control.span, limit)
         if self.proposed is None:
             self.proposed = 0.1 * self._first_size(2.0, limit)
@@ -177,49 +156,47 @@ class BDFStepper(Corrector):
 
         while True:
             h = self._landing(min(self.proposed, farthest), limit)
-            moves(s.t, h, self.control.fault)
+            moves(s.t, h, iteration.fault)
             self.solver.near_singular.begin_trial()
             self.norm.update(s, h)
 
-            found = self._newton(h, self.k)
+            found = iteration.find(h, s, self.past, orders.k)
             if not isinstance(found, str) and turns_too_far(self.system, found.xi):
                 found = "turns too far"
 
             if isinstance(found, str):
                 cause, error = found, np.inf
-                stale = self._tangent is not None and not self._fresh
-                self._tangent = None
-                if stale or self.eq.renew():
+                if iteration.renews():
                     continue  # once more with a new tangent
-                if cause.startswith("Newton") and self.eq.dense and not self._full:
-                    self._full = True
+                if cause.startswith("Newton") and self.eq.dense and not iteration.full:
+                    iteration.full = True
                     continue  # and with one for each iteration, before the step is made smaller
             else:
-                error, cause = self._error(h, found, self.k), "error estimate"
+                error, cause = self._error(h, found, orders.k), "error estimate"
                 if error <= 1.0:
                     break
             self._reject(h, error, cause)
 
         self.solver.near_singular.accept_trial()
         self.local_error = error
-        new = self._choose(h, found, error)
+        new = self._next_size(h, found, error)
         self.control.rejections.clear()
         self.proposed = new if h >= min(self.proposed, limit) * (1 - 1e-9) or new < h else self.proposed
         return self._accept(h, found)
 
     def _reject(self, h: float, error: float, cause: str) -> None:
-        """A smaller step next; after several rejections a lower order, whose past is shorter."""
-        self._full = False
+        """A smaller step next."""
+        self.iteration.full = False
         self.stats.rejected[cause] += 1
-        self.control.order = self.k + 1.0
+        self.control.order, self.control.fault = self.orders.k + 1.0, self.iteration.fault
         self.proposed = self.control.rejected(self.state.t, h, error, cause)
-        self.held = 0
+        self.orders.refused(len(self.control.rejections))
 
-        rejections = len(self.control.rejections)
-        if rejections > 5:
-            self.k = 1
-        elif rejections > 2:
-            self.k = max(1, self.k - 1)
+    def _next_size(self, h: float, p: Points, error: float) -> float:
+        """The size (s) that is proposed after a step of size h; sets the next order."""
+        if self.control.rejections:
+            return self.orders.size_after_refusals(h, error)
+        return self.orders.next_size(h, error, lambda order: self._error(h, p, order), len(self.past))
 
     def _constant(self, h: float) -> State:
         """A step of size h; the first ones by a Radau method, until the past is long enough."""
@@ -230,35 +207,36 @@ class BDFStepper(Corrector):
             self.eq.weigh(self.state)
             return self.state
 
-        found = self._with_new_tangent(lambda: self._newton(h, self.scheme.order))
+        s, order, iteration = self.state, self.scheme.order, self.iteration
+        found = iteration.with_new_tangent(s, lambda: iteration.find(h, s, self.past, order))
         if isinstance(found, str):
             # Newton's own tangent in each iteration, from now on where that is cheap: one tangent moves next to nothing across a
             # stiff spring that turns, and two of its increments look like an end
             if self.eq.dense:
-                self._full, self._tangent = True, None
+                iteration.full, iteration.tangent = True, None
             else:
-                self._begin_spell()
-            found = self._newton(h, self.scheme.order)
+                iteration.begin_spell()
+            found = iteration.find(h, s, self.past, order)
         if isinstance(found, str):
-            raise self._failure(h, found)
+            raise iteration.failure(s.t + h, h, found)
         return self._accept(h, found)
 
     def _accept(self, h: float, p: Points) -> State:
-        s, t = self.state, self.state.t + h
+        s, t, iteration = self.state, self.state.t + h, self.iteration
         q = self.system.compose(s.q, p.xi[0])
         mult = self._smallest(t, q, p.mult[0])
         end = State(t, q, p.v[0], self.eq.end_acceleration(t, p), mult[: self.system.n_lam])
         self.state = self._ended(h, end, mult)
         self._remember(self.state, mult)
-        if self._theta > self.slow or self._full or not self.eq.dense:
-            self._tangent = None
-        self._full = self._full and not self.adaptive
+        if iteration.theta > self.slow or iteration.full or not self.eq.dense:
+            iteration.tangent = None
+        iteration.full = iteration.full and not self.adaptive
         return self.state
 
     def _remember(self, state: State, mult: Array) -> None:
         self.past = [Past(state.t, state.q, state.v, mult), *self.past][:LONGEST]
 
-    # -- error and order ----------------------------------------------------------------------------------------
+    # -- error --------------------------------------------------------------------------------------------------
     def _error(self, h: float, p: Points, k: int) -> float:
         """Error of a step if it had been taken with order ``k``: of what the past foretold wrongly the share of smooth motion.
 
@@ -273,47 +251,111 @@ class BDFStepper(Corrector):
         if h < SUDDEN * (times[0] - times[1]):
             share = max(share, 1.0 / (k + 1))
         of_memories = StepError(np.array([share]), -share * w, times, 0.0, 0.0, *self.norm.tolerances)
-        motion = self._error_size(h, self._pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
+        motion = self._error_size(h, self.iteration.pencil, share * (p.xi[0] - w @ xis), share * (p.v[0] - w @ vs))
         return max(motion, memory_error(self.system, of_memories))
 
-    def _choose(self, h: float, p: Points, error: float) -> float:
-        """The next step; sets the next order. Changes only after k + 1 steps of one size and order."""
-        self.held += 1
-        stay = growth_of(error, self.k)
-        if self.control.rejections:
-            return self._after_rejections(h * min(stay, 1.0))
-        calm, pays = CALM
-        if self.held <= self.k and stay > calm:
-            return h
+    # -- what a march begins with -----------------------------------------------------------------------------------
+    def _in_one_call(self, h: float) -> bool:
+        return not self._starting and len(self.past) > 1 and super()._in_one_call(h)
 
-        order, best = self._best_order(h, p, stay)
-        if order == self.k and calm <= best <= pays:
-            return h
-        self.k, self.held = order, 0
-        return h * within(best)
+    def _lend(self) -> ImplicitRoom:
+        stages, order = self.eq.room(1, 1), self.scheme.order
+        if not self.adaptive:
+            return ImplicitRoom(stages, {}, order)
+        (shrink, grow), (keep, calm), (nearest, farthest) = WITHIN, CALM, NEAR
+        orders = OrdersOfBDF(
+            highest=self.orders.highest, safety=SAFETY, least=LEAST, shrink=shrink, grow=grow, keep=keep, calm=calm,
+            lower=LOWER, higher=HIGHER, nearest=nearest, farthest=farthest, **self.eq.frequency_grid,
+        )  # fmt: skip
+        return ImplicitRoom(stages, {}, order, own=self._own_room(orders=orders))
 
-    def _after_rejections(self, h: float) -> float:
-        """The next step where this one was made at last, not longer; with an order that is stable with it."""
-        self.held = 0
-        if not self.amplification.permits(self.k, h):
-            self.k = STABLE
-        return h
+    def _settings(self) -> tuple[Convergence, StageRule]:
+        return self.iteration.convergence(0.0, RATES, 1.0), StageRule(ALONE, ALONE, ALONE)
 
-    def _best_order(self, h: float, p: Points, stay: float) -> tuple[int, float]:
-        """The order with the longest stable step, one more or less at most, and its growth; ``stay``: that of the same order."""
-        k = self.k
-        order, best = k, stay
-        if k > 1:
-            lower = growth_of(self._error(h, p, k - 1), k - 1)
-            if lower > LOWER * best:
-                order, best = k - 1, lower
-        if k < self.highest and len(self.past) >= k + 2:
-            higher = growth_of(self._error(h, p, k + 1), k + 1)
-            if higher > HIGHER * best:
-                order, best = k + 1, higher
+    def _memory(self) -> Array:
+        (newest, *older), twin = self.past[: self.scheme.order + 1], self._twin
+        values = np.zeros((self.scheme.order, 1 + twin.system.n_q + twin.system.n_v + len(newest.mult)))
+        for row, x in zip(values, older, strict=False):
+            np.concatenate(([x.t], twin.configurations(x.q), twin.velocities(x.v), x.mult), out=row)
+        head = self.orders.k, self.orders.held, self.proposed or 0.0
+        return np.concatenate((head, newest.mult, [len(older)], values.ravel()))
 
-        # orders above two amplify vibrations that the step does not resolve
-        while not self.amplification.permits(order, h * within(best)):
-            order -= 1
-            best = growth_of(self._error(h, p, order), order)
-        return order, best
+    def _factored_for(self) -> float:
+        return float(self.iteration.pencil.s[0])
+
+    def _frequencies(self, h: float) -> Array:
+        times = self.state.t + h, *(x.t for x in self.past[: self.scheme.order])
+        return slopes_at_first(np.array(times))[:1]
+
+    def _lend_matrices(self, frequency: float) -> None:
+        assert self._lent is not None
+        if not self.adaptive:
+            self.eq.expect(np.array([frequency]))
+        self.eq.lend_matrices(self._lent.stages, self.state, np.array([frequency]))
+
+    def _lend_own(self, own: OwnRoom) -> None:
+        super()._lend_own(own)
+        assert own.orders is not None
+        self.orders.look(self.state)
+        known = self.orders.amplification
+        own.orders.lend(known.spans, known.uses, known.most)
+
+    # -- what it leaves ---------------------------------------------------------------------------------------------
+    def _take_own(self, own: OwnRoom, made: int) -> None:
+        super()._take_own(own, made)
+        assert own.orders is not None
+        self.orders.amplification.uses = int(own.orders.uses)
+
+    def _recall(self, kept: Array, factored: float) -> None:
+        s = self.state
+        (k, held, proposed), mult, count, (t, q, v, mults) = self._told(kept)
+        if self.adaptive:
+            self.orders.k, self.orders.held, self.proposed = int(k), int(held), float(proposed)
+        older = [Past(float(t[i]), q[i], v[i], mults[i]) for i in range(int(count[0]))]
+        self.past = [Past(s.t, s.q, s.v, mult), *older]
+
+    def _told(self, kept: Array) -> tuple[Array, Array, Array, tuple[Array, Array, Array, Array]]:
+        """Numbers, multipliers, how many older values there are, and their t, q, v and multipliers, of what a state keeps; of
+        many with these as first axis.
+        """
+        width, twin, lead = self.eq.n_mult, self._twin, kept.shape[:-1]
+        head, mult, count, values = np.split(kept, np.cumsum([3, width, 1]), axis=-1)
+        ends = np.cumsum([1, twin.system.n_q, twin.system.n_v])
+        t, q, v, mults = np.split(values.reshape(*lead, self.scheme.order, -1), ends, axis=-1)
+        return head, mult, count, (t[..., 0], twin.places(q), twin.forces(v), mults)
+
+    # -- states within steps ----------------------------------------------------------------------------------------
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step, on the polynomials through the newest k + 1 past values."""
+        count = min(self.orders.k + 1, len(self.past))
+        if count < 2 or not self.past[count - 1].t <= t <= self.state.t:
+            return None
+        times, xis, vs = local(self.system, self.state.q, self.past[:count])
+        w = weights(times, t)
+        m, s = self.system.n_lam, self.state
+        mult = w @ np.array([p.mult for p in self.past[:count]])
+        within = State(t, self.system.compose(s.q, w @ xis), w @ vs, slopes(times, np.array(t)) @ vs, mult[:m])
+        return self._held(s.t - self.past[1].t, within)
+
+    def within(self, steps: KeptSteps) -> States:
+        """As :meth:`TimeStepper.within`: those of one order together."""
+        h, (head, _, count, _) = steps.h[:, 0], self._told(steps.own[:, WORK:])  # whose ends are written over
+        order = head[:, 0].astype(int) if self.adaptive else np.full(len(head), self.scheme.order)
+        through, found = np.minimum(order, count[:, 0].astype(int)), steps.after
+        for k in np.unique(through):
+            which = through == k
+            found.put(which, self._through(steps.chosen(which), int(k)))
+        return self._all_held(h, found)
+
+    def _through(self, steps: KeptSteps, k: int) -> States:
+        """The same on the polynomials through the newest of k + 1 values."""
+        end, (_, mult, _, older) = steps.after, self._told(steps.own[:, WORK:])
+        newest = end.t[:, 0], end.q, end.v, mult
+        t, q, v, mult = (np.concatenate((x[:, None], y[:, :k]), axis=1) for x, y in zip(newest, older, strict=True))
+        xi = increments(self.system, np.broadcast_to(end.q[:, None], q.shape), (t, q, v))
+
+        at = steps.t[:, 0]
+        w, rates = all_weights(t, at)[:, None], slopes(t, at)[:, None]
+        place = self.system.compose(end.q, (w @ xi)[:, 0])
+        lam = (w @ mult)[:, 0, : self.system.n_lam]
+        return States(steps.t, place, (w @ v)[:, 0], (rates @ v)[:, 0], lam)

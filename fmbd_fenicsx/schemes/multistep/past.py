@@ -16,6 +16,7 @@ import numpy as np
 
 from ...rotations import Array
 from ...system.layout import State
+from ...system.serialisation import Memory
 from ...system.system import System
 
 LONGEST = 8  # values that are kept
@@ -29,6 +30,15 @@ class Past:
     q: Array
     v: Array
     mult: Array
+
+
+def keep_past(m: Memory, name: str, past: list[Past]) -> list[Past]:
+    """Past values, in an order that does not depend on the ranks."""
+    items = [] if m.reading else [(p.t, p.q, p.v, p.mult) for p in past]
+    return [
+        Past(i("t", t), i.like_q("q", q), i.like_v("v", v), i("mult", mult))
+        for i, (t, q, v, mult) in m.each(name, items, 4)
+    ]
 
 
 def before(system: System, state: State, h: float, mult: Array) -> Past:

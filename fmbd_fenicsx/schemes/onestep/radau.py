@@ -19,28 +19,34 @@ doi:10.1007/BFb0093947; local coordinates: Munthe-Kaas, doi:10.1007/BF02510919.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from ...errors import require
 from ...linear.condensation import StepSolver
-from ...linear.implicit.sparse_pencil import SparsePencil
-from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.compiled.implicit import WORK, ImplicitRoom
+from ...system.compiled.march import March
+from ...system.compiled.own_steps import OwnRoom
+from ...system.compiled.states.convergence import Convergence
+from ...system.compiled.states.stages import StageRule
 from ...system.control.memory_points import StepError
 from ...system.element_memory import memory_error
-from ...system.layout import State
-from ...system.serialisation import Memory, plain
+from ...system.layout import State, States
+from ...system.serialisation import plain
 from ...system.system import System
-from ...system.tangents.step_tangent import StepTangent
 from ..control import StepControl, moves, turn_limit, turns_too_far
 from ..dae import GGL, Form, OfForm, Points
 from ..error_norm import check_controlled
 from ..implicit.implicit_stepper import ImplicitStepper
 from ..newton import Newton
 from .collocation import Tableau, controlled, tableau
-from .stage_newton import StageNewton
+from .last_step import LastStep, StageStart, keep_last
+from .stage_newton import LEAST_SHARE, LONGER, RATES, StageNewton
+
+if TYPE_CHECKING:
+    from ...system.compiled.kept import KeptSteps
 
 
 @dataclass(frozen=True)
@@ -88,23 +94,22 @@ class Radau(OfForm):
         return RadauStepper(self, system, solver, newton, state)
 
 
-class RadauStepper(StageNewton):
-    """Advances a consistent state; holds tangent, factors, the last collocation polynomial and the step control."""
+class RadauStepper(ImplicitStepper):
+    """Advances a consistent state; holds the multipliers at its end, (levels n_lam,), the last step and the step control."""
 
-    what = "a Radau step"
-    keeps: ClassVar = {**ImplicitStepper.keeps, **dict.fromkeys(("mult", "_trouble", "_eta", "_h_rate"), plain())}
+    maker = "RADAU"
+    slow = 1e-2
+    iteration: StageNewton
+    keeps: ClassVar = {**ImplicitStepper.keeps, "_last": keep_last, **dict.fromkeys(("mult", "_trouble"), plain())}
 
     def __init__(self, scheme: Radau, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         super().__init__(scheme, system, solver, newton, state)
         self.tab = self._coefficients()
         self.control = StepControl(scheme.stages + 1.0)
+        self.iteration = StageNewton(self.eq, self.norm, newton, self.tab, adaptive=self.adaptive)
         self.mult: Array = self.eq.multipliers(state)
-
-        self._filter: Any = None  # of the error estimate
-        self._h_factor = 0.0  # size of the step that the factor is for, s
+        self._last: LastStep | None = None
         self._trouble = 0  # two for each failure of Newton's iteration, less one for each step
-        self._eta, self._h_rate = 1.0, 0.0
-        self._last: tuple[float, Array, Array, Points] | None = None
         self.eq.weigh(state)
         self.eq.keep_sizes(equal=not self.adaptive)
 
@@ -113,42 +118,42 @@ class RadauStepper(StageNewton):
         real = self.adaptive or (self.eq.levels > 1 and not self.eq.dense)
         return (controlled if real else tableau)(self.scheme.stages)
 
-    def remember(self, m: Memory) -> None:
-        """With the last collocation polynomial and the tangent, whose factors are made again."""
-        if self.eq.dense:
-            self._last, self._tangent = m("last", (self._last, self._tangent), Points, StepTangent)
-        else:  # every step takes its own derivatives
-            self._last = self.eq.remember_points(m.inside("last"), self._last)
-        made = m("made", (self._pencil is not None, self._filter is not None))
-        self.judge, self._h_factor = m("judge", (self.judge, self._h_factor), Judge)
-        if m.reading:
-            self._pencil = self._filter = None
-            if self._tangent is not None and made[0]:
-                self._factor(self._h_factor)
-                self._filter = self._error_filter(self._h_factor) if made[1] else None
-        super().remember(m)
+    def _begin_from(self, state: State) -> None:
+        super()._begin_from(state)
+        self.mult, self._last, self.control.h_old = self.eq.multipliers(state), None, 0.0
+
+    @property
+    def _turning(self) -> int:
+        """By how much less than others steps may turn: many stages share one tangent that long."""
+        return 2 if self.scheme.form.frozen or self.scheme.stages > 3 else 1
+
+    @property
+    def _start(self) -> StageStart:
+        """Where the next step begins."""
+        return StageStart(self.state, self.mult, self._last)
 
     # -- one accepted step --------------------------------------------------------------------------------------
     def _constant(self, h: float) -> State:
         """A step of size h; where the tangent of the step fails, with one for each stage."""
-        self.eq.begin(self.state)
-        point = "full" if self._full else self._with_new_tangent(lambda: self._newton(h))
-        if isinstance(point, str):
-            if not self._full:
-                self._begin_spell()
-            self.eq.begin(self.state)
-            point = self._found(lambda: self._full_newton(h))
-        if isinstance(point, str):
-            self._full = False  # parts of the step begin like others
-            raise self._failure(h, point)
-        return self._accept(h, point)
+        s, start, iteration = self.state, self._start, self.iteration
+        self.eq.begin(s)
+        found = "full" if iteration.full else iteration.with_new_tangent(s, lambda: iteration.find(h, start))
+        if isinstance(found, str):
+            if not iteration.full:
+                iteration.begin_spell()
+            self.eq.begin(s)
+            found = iteration.found(s, lambda: iteration.iterate_full(h, start))
+        if isinstance(found, str):
+            iteration.full = False  # parts of the step begin like others
+            raise iteration.failure(s.t + h, h, found)
+        return self._accept(h, found)
 
     def _controlled(self, limit: float) -> State:
         """A step of at most ``limit`` (s) that passes the error test."""
         s = self.state
         self.control.span = max(self.control.span, limit)
         # coordinates on the tangent space of the start end after a quarter turn; many stages share one tangent that long
-        farthest = turn_limit(self.system, s, steps=self.turning)
+        farthest = turn_limit(self.system, s, steps=self._turning)
         if self.proposed is None:
             self.proposed = self._first_size(self.control.order, limit)
 
@@ -159,7 +164,7 @@ class RadauStepper(StageNewton):
 
     def _passing(self, limit: float, farthest: float) -> tuple[float, Points, float]:
         """The first step, of ever smaller ones, that passes the error test: its size (s), stages and error."""
-        s = self.state
+        s, start, iteration = self.state, self._start, self.iteration
         assert self.proposed is not None
         while True:
             h = self._landing(self.eq.step_size(min(self.proposed, farthest)), limit)
@@ -168,38 +173,37 @@ class RadauStepper(StageNewton):
             self.norm.update(s, h)
             self.eq.begin(s)
 
-            points = self._newton(h)
+            points = iteration.find(h, start)
             if not isinstance(points, str) and turns_too_far(self.system, points.xi):
                 points = "turns too far"
             if isinstance(points, str):
                 cause, error = points, np.inf
-                stale = self._tangent is not None and not self._fresh
-                self._tangent = None
-                if stale or self.eq.renew():
+                if iteration.renews():
                     continue  # once more with a new tangent
                 self._trouble += 2
                 # on the way through a singular configuration smaller steps fail alike
                 if self._trouble > 4:
-                    points = self._own_tangents(h)
+                    points = iteration.find_singular(h, start)
                     # masses and directions of constraints are those of stages that ran away
                     if isinstance(points, str):
-                        self._tangent = None
+                        iteration.tangent = None
 
             if not isinstance(points, str):
                 error, cause = self._estimate(h, points), "error estimate"
                 if error <= 1.0:
                     self.solver.near_singular.accept_trial()
                     return h, points, error
-                self._theta = max(self._theta, 1e-3)
+                iteration.theta = max(iteration.theta, 1e-3)
             self.stats.rejected[cause] += 1
+            self.control.fault = iteration.fault
             self.proposed = self.control.rejected(s.t, h, error, cause)
 
     def _next_size(self, h: float, limit: float, error: float) -> float:
         """The size (s) that is proposed after a step of size h: smaller where Newton's iteration had to work hard."""
         most = 2 * self.newton.max_iterations
-        effort = (most + 1) / (most + self._iterations)
+        effort = (most + 1) / (most + self.iteration.done)
         new = self.control.accepted(h, error, effort)
-        if self._theta < 1e-2 and 1.0 <= new / h <= 1.2:
+        if self.iteration.theta < 1e-2 and 1.0 <= new / h <= 1.2:
             new = h  # keep the factors
 
         # a step cut short by the end tells nothing of the next one
@@ -207,21 +211,10 @@ class RadauStepper(StageNewton):
         assert self.proposed is not None
         return max(new, self.proposed) if cut_short else new
 
-    def between(self, t: float) -> State | None:
-        """The state at a time t (s) within the last step, by its collocation polynomial; None after a new start."""
-        if self._last is None:
-            return None
-        h, q, v, points = self._last
-        x = 1.0 - (self.state.t - t) / h
-        return self._held(h, State(t, *self._polynomial(np.array(x), np.array(h), (q, v), points)))
-
-    def _begin_from(self, state: State) -> None:
-        super()._begin_from(state)
-        self.mult, self._last, self.control.h_old = self.eq.multipliers(state), None, 0.0
-
     def _accept(self, h: float, points: Points) -> State:
         s, m = self.state, self.system.n_lam
         t = s.t + h
+        acceleration = self.eq.end_acceleration(t, points)
         if self.solver.core.redundant:
             mult = points.mult.copy()
             for i, share in enumerate(self.tab.c):
@@ -230,30 +223,19 @@ class RadauStepper(StageNewton):
             points = replace(points, mult=mult)
 
         # stiffly accurate: the last stage is the new state
-        self._last = (h, s.q, s.v, points)
+        self._last = LastStep(h, s.q, s.v, points)
         self.mult = points.mult[-1]
-        end = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], self._acceleration, self.mult[:m])
+        end = State(t, self.system.compose(s.q, points.xi[-1]), points.v[-1], acceleration, self.mult[:m])
         self.state = self._ended(h, end, self.mult)
         self._trouble = max(self._trouble - 1, 0)
-        if self._theta > self.slow or not self.eq.dense:
-            self._tangent = None
+        if self.iteration.theta > self.slow or not self.eq.dense:
+            self.iteration.tangent = None
         return self.state
 
     # -- error --------------------------------------------------------------------------------------------------
-    def _error_filter(self, h: float) -> Any:
-        """The solver for gamma_0 / h, the first of the frequencies."""
-        assert self._tangent is not None
-        if isinstance(self._pencil, SparsePencil) and self._h_factor == h:
-            return self._pencil
-        self.stats.factorisations += 1
-        return self.eq.pencil(self._tangent, np.array([self.tab.gamma / h]), self.judge)
-
     def _estimate(self, h: float, points: Points) -> float:
-        s = self.state
-        tab = self.tab
-        assert self._tangent is not None
-        if self._filter is None:
-            self._filter = self._error_filter(h)
+        s, tab, iteration = self.state, self.tab, self.iteration
+        pencil = iteration.filter()
 
         # what the start of the step leaves of the constraints is no error of the step
         dq, v, a = self.eq.consistent_start(s)
@@ -265,15 +247,102 @@ class RadauStepper(StageNewton):
 
         # filtered: components that the step does not resolve would be overestimated
         no_rows = np.zeros(self.eq.n_mult)
-        low = np.concatenate((-self.eq.inertia(self._tangent, push), no_rows))
-        errors, _ = self._filter.solve(-kin[None], low[None])
+        low = np.concatenate((-self.eq.inertia(iteration.tangent, push), no_rows))
+        errors, _ = pencil.solve(-kin[None], low[None])
         e_q, e_v = errors.reshape(2, -1)
         # what forces are off by pushes; multipliers turn with their joints, whose errors light bodies would tell as huge ones
         pushed = push - tab.gamma / h * e_v if self.eq.levels and self.eq.dense else None
-        return max(self._error_size(h, self._filter, e_q, e_v, pushed), self._memory_error(h))
+        return max(self._error_size(h, pencil, e_q, e_v, pushed), self._memory_error(h))
 
     def _memory_error(self, h: float) -> float:
         """The same of the memories of elements."""
         weights, begun = self.tab.error / h, np.array([self.state.t])
         of_step = StepError(weights, -weights.sum(keepdims=True), begun, 1.0, self.tab.gamma / h, *self.norm.tolerances)
         return memory_error(self.system, of_step)
+
+    # -- what a march begins with -----------------------------------------------------------------------------------
+    def _lend(self) -> ImplicitRoom:
+        tab = self.tab
+        coefficients = {name: getattr(tab, name) for name in ("c", "W", "values", "middle", "basis", "stage_basis")}
+        stages = self.eq.room(len(tab.values), len(tab.c))
+        own = None
+        if self.adaptive:
+            own = self._own_room(
+                error=tab.error, places=0 in self.scheme.form.levels, turning=self._turning,
+                most=2.0 * self.newton.max_iterations, **self.eq.size_grid,
+            )  # fmt: skip
+        room = ImplicitRoom(stages, coefficients, own=own)
+        room.c.longer, room.c.least_share = LONGER, LEAST_SHARE
+        return room
+
+    def _settings(self) -> tuple[Convergence, StageRule]:
+        tab = self.tab
+        return self.iteration.convergence(0.0, RATES[self.adaptive], 1.0), StageRule(tab.W, tab.inverse, tab.vectors)
+
+    def _memory(self) -> Array:
+        s, k, control, twin, iteration = self.state, len(self.tab.c), self.control, self._twin, self.iteration
+        none: Array = np.zeros((k, len(s.v)))
+        last = self._last or LastStep(0.0, s.q, s.v, Points(none, none, none, none, np.tile(self.mult, k)))
+        head = iteration.eta, iteration.h_rate, self.proposed or 0.0, control.h_old, control.error_old, last.h
+        q, v, xi, vs = twin.configurations(last.q), *map(twin.velocities, (last.v, last.points.xi, last.points.v))
+        return np.concatenate((head, q, v, xi.ravel(), vs.ravel(), last.points.mult.ravel()))
+
+    def _factored_for(self) -> float:
+        return self.iteration.h_factor
+
+    def _frequencies(self, h: float) -> Array:
+        return self.tab.frequencies(h)
+
+    def _solved_for(self, h: float) -> Array:
+        return self._frequencies(h)
+
+    def _lend_matrices(self, h: float) -> None:
+        assert self._lent is not None
+        self.eq.lend_matrices(self._lent.stages, self.state, self._frequencies(h))
+
+    # -- what it leaves ---------------------------------------------------------------------------------------------
+    def _take_march(self, march: March, made: int) -> None:
+        super()._take_march(march, made)
+        self._trouble = max(self._trouble - made, 0)
+
+    def _take_own(self, own: OwnRoom, made: int) -> None:
+        super()._take_own(own, made)
+        self.iteration.judge.solves += made + int(own.c.refused)  # of the estimates
+
+    def _recall(self, kept: Array, factored: float) -> None:
+        head, last = self._told(kept)
+        iteration, control = self.iteration, self.control
+        iteration.eta, iteration.h_rate, proposed, h_old, error_old = map(float, head[:-1])
+        iteration.take_factors(factored)
+        if self.adaptive:
+            self.proposed, control.h_old, control.error_old = proposed, h_old, error_old
+        self._last, self.mult = replace(last, h=float(last.h)), last.points.mult[-1]
+
+    def _told(self, kept: Array) -> tuple[Array, LastStep]:
+        """Numbers, and the step, of what the end of one keeps; of many likewise."""
+        assert self._lent is not None
+        twin, k = self._twin, len(self.tab.c)
+        n, n_q = self._lent.stages.c.n, twin.system.n_q
+        head, q, v, *stages = np.split(kept, np.cumsum([6, n_q, n, k * n, k * n]), axis=-1)
+        xi, vs, mult = (x.reshape(*kept.shape[:-1], k, -1) for x in stages)
+        q, (v, xi, vs) = twin.places(q), map(twin.forces, (v, xi, vs))
+        h = head[..., -1]
+        W = self.tab.W / h[..., None, None]
+        return head, LastStep(h, q, v, Points(xi, W @ xi, vs, W @ (vs - v[..., None, :]), mult))
+
+    # -- states within steps ----------------------------------------------------------------------------------------
+    def between(self, t: float) -> State | None:
+        """The state at a time t (s) within the last step, by its collocation polynomial; None after a new start."""
+        last = self._last
+        if last is None:
+            return None
+        h = float(last.h)
+        x = np.array(1.0 - (self.state.t - t) / h)
+        return self._held(h, State(t, *last.at(self.system, self.tab, x)))
+
+    def within(self, steps: KeptSteps) -> States:
+        """As :meth:`TimeStepper.within`."""
+        _, made = self._told(steps.own[:, WORK:])
+        h = np.asarray(made.h)
+        x = 1.0 - (steps.after.t - steps.t)[:, 0] / h
+        return self._all_held(h, States(steps.t, *made.at(self.system, self.tab, x)))

@@ -1,0 +1,82 @@
+"""The last step of a collocation method, whose polynomial foretells the stages of the next one and gives states within it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...rotations import Array
+from ...system.layout import State
+from ...system.serialisation import Memory
+from ...system.system import System
+from ..dae import Points
+from .collocation import Tableau
+
+Stages = tuple[Array, Array, Array]  # xi, v and multipliers of each
+
+
+@dataclass(frozen=True)
+class LastStep:
+    """Its size h (s), q and v at its start, and its stages; of many steps with these as first axis."""
+
+    h: float | Array
+    q: Array
+    v: Array
+    points: Points
+
+    def foretell(self, system: System, tab: Tableau, h: float, q: Array) -> Stages:
+        """The stages of a step of size h (s) from its end, q, on."""
+        powers = (1.0 + tab.c * h / self.h)[:, None] ** np.arange(len(tab.c) + 1)
+        basis = (powers @ tab.basis)[:, 1:]
+        ahead = basis @ self.points.xi
+        moved = system.difference(q, system.compose(self.q, ahead), near=ahead - self.points.xi[-1])
+        mult = powers[:, :-1] @ tab.stage_basis @ self.points.mult
+        return moved, self.v + basis @ (self.points.v - self.v), mult
+
+    def at(self, system: System, tab: Tableau, x: Array) -> tuple[Array, Array, Array, Array]:
+        """q, v, a and lambda at the share x of the step."""
+        k, points = len(tab.c), self.points
+
+        # values and slopes of the polynomial through the start and the stages
+        powers = x[..., None] ** np.arange(k + 1)
+        slopes = np.arange(k + 1) * np.roll(powers, 1, axis=-1) / np.asarray(self.h)[..., None]
+        values, rates = ((y @ tab.basis)[..., None, 1:] for y in (powers, slopes))
+
+        change = points.v - self.v[..., None, :]
+        lam = (powers[..., None, :-1] @ tab.stage_basis @ points.mult)[..., 0, : system.n_lam]
+        q = system.compose(self.q, (values @ points.xi)[..., 0, :])
+        return q, self.v + (values @ change)[..., 0, :], (rates @ change)[..., 0, :], lam
+
+
+def keep_last(m: Memory, name: str, last: LastStep | None) -> LastStep | None:
+    """For checkpoints, in an order that does not depend on the ranks."""
+    m = m.inside(name)
+    if not m("known", last is not None):
+        return None
+    h, q, v, p = (None,) * 4 if last is None else (last.h, last.q, last.v, last.points)
+    stages = m("stages", 0 if p is None else len(p.xi))
+
+    def rows(name: str, values: Array | None) -> Array:
+        return np.array([m.like_v(f"{name} {i}", None if values is None else values[i]) for i in range(stages)])
+
+    each = ((x, None if p is None else getattr(p, x)) for x in ("xi", "rate", "v", "vd"))
+    points = Points(*(rows(x, values) for x, values in each), m("mult", None if p is None else p.mult))
+    return LastStep(m("h", h), m.like_q("q", q), m.like_v("v", v), points)
+
+
+@dataclass(frozen=True)
+class StageStart:
+    """Where a step begins: a state, its multipliers (n_mult,), and the step before, None after a new start."""
+
+    state: State
+    mult: Array
+    last: LastStep | None
+
+    def predict(self, system: System, tab: Tableau, h: float) -> Stages:
+        """The stages of a step of size h (s): on the polynomial of the step before, or on the parabola at the start."""
+        if self.last is not None:
+            return self.last.foretell(system, tab, h, self.state.q)
+        s, x = self.state, (tab.c * h)[:, None]
+        xi = x * s.v + 0.5 * x * x * s.a
+        return xi, s.v + x * s.a, np.repeat(self.mult[None], len(tab.c), axis=0)
