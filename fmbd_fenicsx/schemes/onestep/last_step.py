@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ Stages = tuple[Array, Array, Array]  # xi, v and multipliers of each
 class LastStep:
     """Its size h (s), q and v at its start, and its stages; of many steps with these as first axis."""
 
-    h: float | Array
+    h: Any
     q: Array
     v: Array
     points: Points
@@ -60,8 +61,8 @@ def keep_last(m: Memory, name: str, last: LastStep | None) -> LastStep | None:
     def rows(name: str, values: Array | None) -> Array:
         return np.array([m.like_v(f"{name} {i}", None if values is None else values[i]) for i in range(stages)])
 
-    each = ((x, None if p is None else getattr(p, x)) for x in ("xi", "rate", "v", "vd"))
-    points = Points(*(rows(x, values) for x, values in each), m("mult", None if p is None else p.mult))
+    xi, rate, vs, vd = (rows(x, None if p is None else getattr(p, x)) for x in ("xi", "rate", "v", "vd"))
+    points = Points(xi, rate, vs, vd, m("mult", None if p is None else p.mult))
     return LastStep(m("h", h), m.like_q("q", q), m.like_v("v", v), points)
 
 

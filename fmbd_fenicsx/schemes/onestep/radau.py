@@ -336,13 +336,11 @@ class RadauStepper(ImplicitStepper):
         last = self._last
         if last is None:
             return None
-        h = float(last.h)
-        x = np.array(1.0 - (self.state.t - t) / h)
-        return self._held(h, State(t, *last.at(self.system, self.tab, x)))
+        x = np.array(1.0 - (self.state.t - t) / last.h)
+        return self._held(last.h, State(t, *last.at(self.system, self.tab, x)))
 
     def within(self, steps: KeptSteps) -> States:
         """As :meth:`TimeStepper.within`."""
         _, made = self._told(steps.own[:, WORK:])
-        h = np.asarray(made.h)
-        x = 1.0 - (steps.after.t - steps.t)[:, 0] / h
-        return self._all_held(h, States(steps.t, *made.at(self.system, self.tab, x)))
+        x = 1.0 - (steps.after.t - steps.t)[:, 0] / made.h
+        return self._all_held(made.h, States(steps.t, *made.at(self.system, self.tab, x)))
