@@ -115,7 +115,8 @@ class Loop:
         # who watches
         self.judges.forecast.since = state.t
         self.motions = _motions(problem, schedule, state.t)
-        self.watchers = [watch(system, silent=problem.warned is None) for watch in (SmallTurns, Spins, Bends)]
+        watchers = () if problem.warned is None else (SmallTurns(system), Spins(system), Bends(system))
+        self.watchers = [watcher for watcher in watchers if watcher.bodies]
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
         self._sampled = False  # whether controllers have sampled in the newest state
@@ -187,7 +188,7 @@ class Loop:
             self.motions.look(self.state.t + h)
 
         done, steps = self.progress.done, self.schedule.steps
-        most = min(*(w.most(steps) for w in self.watchers), self._unkept(done))
+        most = min([w.most(steps) for w in self.watchers] + [self._unkept(done)])
         made, compiled = 0, bool(self.stepper.stride(h))
         if compiled:
             made = self.calls.make(done, most)

@@ -25,10 +25,9 @@ LOOKS = 8  # at a run of equal steps, at least
 class Bends:
     """Who looks at the linear bodies of a system in moving frames."""
 
-    def __init__(self, system: System, *, silent: bool = False) -> None:
-        """``silent``: of a run that warns of nothing."""
+    def __init__(self, system: System) -> None:
         self.system = system
-        self.bodies = [] if silent else in_linear_frames(system)
+        self.bodies = in_linear_frames(system)
 
     def most(self, steps: int) -> int:
         """So many of all steps at most between two looks."""

@@ -288,7 +288,7 @@ class Layout:
     def turning(self, v: Array) -> Array:
         """Angular speeds of all frames, the ground last, (n_frames + 1,), rad/s."""
         spins = self.twists(v)[:, self.motions.dim :]
-        return np.asarray(np.sqrt((spins * spins).sum(axis=1)))
+        return np.asarray(np.sqrt(np.add.reduce(spins * spins, axis=1)))
 
     def pose_of(self, q: Array, k: int) -> Array:
         """Pose of frame k, or of the ground behind the last, in arrays q (.., n_q): (.., n_pose)."""

@@ -21,10 +21,9 @@ LOOKS, FEW = 128, 8  # at a run of equal steps, at least, and steps from one to 
 class SmallTurns:
     """Who looks at those among the bodies in absolute coordinates that are to turn little."""
 
-    def __init__(self, system: System, *, silent: bool = False) -> None:
-        """``silent``: of a run that warns of nothing."""
+    def __init__(self, system: System) -> None:
         self.system = system
-        self.bodies: list[tuple[int, Any]] = [(k, p) for k, p in system.fields if p.turns_little and not silent]
+        self.bodies: list[tuple[int, Any]] = [(k, p) for k, p in system.fields if p.turns_little]
 
     def most(self, steps: int) -> int:
         """So many of all steps at most between two looks."""

@@ -37,10 +37,9 @@ DEPENDENT = 1e-12
 class Spins:
     """Who looks at the linear bodies of a system that may spin."""
 
-    def __init__(self, system: System, *, silent: bool = False) -> None:
-        """``silent``: of a run that warns of nothing."""
+    def __init__(self, system: System) -> None:
         self.system = system
-        self.bodies = [] if silent else [(k, part) for k, part, stiffened in in_linear_frames(system) if not stiffened]
+        self.bodies = [(k, part) for k, part, stiffened in in_linear_frames(system) if not stiffened]
         self._slow: dict[int, float] = {}  # of bodies that were looked at, rad/s: below it nothing is to be said of one
 
     def most(self, steps: int) -> int:

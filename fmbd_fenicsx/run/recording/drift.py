@@ -42,7 +42,7 @@ class Drift:
             self.closed.check(ev)
         elif self.closed is not None:
             self.closed.last = state.t
-        self.turning = max(self.turning, float(self.system.turning(state.v).max()))
+        self.turning = max(self.turning, float(np.maximum.reduce(self.system.turning(state.v))))
         if not self.system.n_lam:
             return
 
