@@ -64,11 +64,10 @@ class OneAnswer:
         except Exception as found:  # told to all ranks
             error = found
         try:
-            together(self.comm, error)
+            values = together(self.comm, error, value)
         except Exception as common:
             raise common from (error and error.__cause__)
 
-        values = self.comm.allgather(value)
         for rank, other in enumerate(values):
             if differ(values[0], other):
                 raise InputError(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -39,33 +39,57 @@ def world_rank() -> int:
 
 
 def rank_sum(comm: Any, x: Any) -> Any:
-    """Sum of arrays over ranks in the order of ranks: the same bits everywhere; collective."""
-    if comm.size == 1:
-        return x
+    """Sum of arrays of numbers, of one shape on all ranks, in the order of ranks: the same bits everywhere; collective."""
+    return x if comm.size == 1 else _of_each(comm, x).sum(axis=0)
+
+
+def rank_sums(comm: Any, arrays: Sequence[Any]) -> list[Any]:
+    """:func:`rank_sum` of each of several arrays, in one message; collective."""
+    if comm is None or comm.size == 1 or not arrays:
+        return list(arrays)
     import numpy as np
 
-    return np.sum(comm.allgather(x), axis=0)
+    sums = rank_sum(comm, np.concatenate([np.ravel(x) for x in arrays]))
+    ends = np.cumsum([x.size for x in arrays])
+    return [part.reshape(x.shape) for part, x in zip(np.split(sums, ends[:-1]), arrays, strict=True)]
 
 
-def together(comm: Any, error: BaseException | None) -> None:
-    """Raise on all ranks when one rank has an error; collective over ``comm`` (None: this process alone).
+def rank_max(comm: Any, x: Any) -> Any:
+    """Largest entries of arrays of numbers, of one shape on all ranks; not a number where one of them is none; collective."""
+    return x if comm.size == 1 else _of_each(comm, x).max(axis=0)
+
+
+def _of_each(comm: Any, x: Any) -> Any:
+    """The arrays of all ranks, (ranks, ...), in one message: pickled ones would go in two, their sizes before them."""
+    import numpy as np
+
+    own = np.array(x, dtype=np.result_type(x, float), order="C")
+    out = np.empty((comm.size, *own.shape), own.dtype)
+    comm.Allgather(own, out)
+    return out
+
+
+def together(comm: Any, error: BaseException | None, value: Any = None) -> list[Any]:
+    """Raise on all ranks when one rank has an error, or give the values of all; collective over ``comm`` (None: this process
+    alone).
 
     The error of the lowest failing rank is raised everywhere, so that messages are printed once.
     """
     if comm is None or comm.size == 1:
         if error is not None:
             raise error
-        return
-    errors = comm.allgather(None if error is None else (type(error), str(error)))
-    for found in errors:
-        if found is not None:
-            kind, text = found
+        return [value]
+    found = comm.allgather((None if error is None else (type(error), str(error)), value))
+    for failed, _ in found:
+        if failed is not None:
+            kind, text = failed
             try:
                 common = kind(text)
             except TypeError:
                 common = RuntimeError(text)
             common.common = True
             raise common
+    return [given for _, given in found]
 
 
 def on_root(comm: Any, action: Callable[[], Any]) -> None:

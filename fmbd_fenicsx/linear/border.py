@@ -64,8 +64,9 @@ class Border:
         """R^T v, (r,); collective."""
         s, n = self.system, self.system.n_core
         y: Array = self.right[:n].T @ v[:n]
-        for k, p in s.fields:
-            y = y + self.right[n:][s.port_slice(k)].T @ tangent_ports(p, s.local_v(v, k), self.t)
+        local = [s.local_v(v, k) for k, _ in s.fields]
+        for (k, _), ports in zip(s.fields, tangent_ports(s, local, self.t), strict=True):
+            y = y + self.right[n:][s.port_slice(k)].T @ ports
         return y
 
 

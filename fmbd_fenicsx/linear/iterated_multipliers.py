@@ -104,8 +104,7 @@ class IteratedMultipliers:
     def _gap(self, x: Array, c: Array) -> tuple[Array, float]:
         """G x - c of the ties, and the size of the terms that cancel in it; collective."""
         s = self.system
-        parts = [np.asarray(self.G.core @ x[: s.n_core]), -c]
-        parts += [self.G.port[:, s.port_slice(k)] @ self.G.ports_of(k, p, s.local_v(x, k)) for k, p in s.fields]
+        parts = [np.asarray(self.G.core @ x[: s.n_core]), -c, *self.G.openings(x)]
         return np.sum(parts, axis=0)[self.rows], float(sum(np.linalg.norm(y[self.rows]) for y in parts))
 
     def _count(self, _: float) -> None:

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..matrices import dense
-from ..mechanics.placements import DistributedPart
+from ..ranks import rank_sums
 from ..rotations import Array, rotate_nodal
 from ..system.layout import Layout
 from ..system.system import System
 from ..system.tangents.foreshortened_ports import tangent_ports
-from .blocks.field_blocks import FactoredField
 from .border import AroundSolver, Border
 from .core import CoreSolver
 from .field_couplings import FieldCouplings
@@ -93,10 +92,11 @@ class Condensed(Prepared):
         first = np.zeros((n, *columns)) if b is None else b[:n]
         rhs = np.concatenate((first, c, np.zeros((self.fields.border.count, *columns))))
         zs: list[Any] = [0.0] * len(blocks)
-        for i, ((k, f), block) in enumerate(zip(s.fields, blocks, strict=True)):
-            if b is not None:
-                zs[i] = block.factor.solve(rotate_nodal(s.local_v(b, k), turns[i], back=True))
-                rhs -= self.back_couplings[i].T @ self._project(f, block, zs[i])
+        if b is not None:
+            local = [rotate_nodal(s.local_v(b, k), T, back=True) for (k, _), T in zip(s.fields, turns, strict=True)]
+            zs = [block.factor.solve(x) for block, x in zip(blocks, local, strict=True)]
+            for S, seen in zip(self.back_couplings, self._projected(zs), strict=True):
+                rhs -= S.T @ seen
         x = np.concatenate(core(rhs[:n], rhs[n:]))
         parts = [z - block.Y @ (S @ x) for S, block, z in zip(self.couplings, blocks, zs, strict=True)]
 
@@ -111,11 +111,15 @@ class Condensed(Prepared):
         local = [rotate_nodal(part, T) for part, T in zip(parts, turns, strict=True)]
         return np.concatenate([x[:n], *local]), x[n : n + len(c)]
 
-    def _project(self, f: DistributedPart, block: FactoredField, z: Array) -> Array:
-        """H^T z of a field."""
-        ports = tangent_ports(f, z, self.fields.jacobian.t)
-        q = ports[: f.n_frame_rows] if f.shared_columns else f.field.total(f.inertia_columns.T @ z)
-        return np.concatenate((q, ports[block.used]))
+    def _projected(self, zs: list[Array]) -> list[Array]:
+        """H^T z of each field."""
+        s, fields = self.system, [f for _, f in self.system.fields]
+        ports = tangent_ports(s, zs, self.fields.jacobian.t)
+        apart = [f.inertia_columns.T @ z for f, z in zip(fields, zs, strict=True) if not f.shared_columns]
+        sums = iter(rank_sums(s.comm, apart))
+        rows = [p[: f.n_frame_rows] if f.shared_columns else next(sums) for f, p in zip(fields, ports, strict=True)]
+        used = [block.used for block in self.fields.blocks]
+        return [np.concatenate((q, p[own])) for q, p, own in zip(rows, ports, used, strict=True)]
 
     def _moments_left_out(self, increments: list[Array]) -> Array | None:
         """Moments, (n_core, ..), that increments dU of fields have about their frames by M (e x U): -cm (M U) x dU.
@@ -126,10 +130,12 @@ class Condensed(Prepared):
             return None
         s, m = self.system, self.system.motions
         out: Array = np.zeros((s.n_core, *increments[0].shape[1:]), np.result_type(*increments))
-        for (_, f), rows, dU in zip(s.fields, self.momenta, increments, strict=True):
-            if rows is not None:
-                at = f.frame * m.n_twist
-                out[at + m.dim : at + m.n_twist] -= self.fields.weights.cm * f.field.total(rows @ dU)
+        left = [
+            (f, MU, dU) for (_, f), MU, dU in zip(s.fields, self.momenta, increments, strict=True) if MU is not None
+        ]
+        for (f, _, _), sums in zip(left, rank_sums(s.comm, [MU @ dU for _, MU, dU in left]), strict=True):
+            at = f.frame * m.n_twist
+            out[at + m.dim : at + m.n_twist] -= self.fields.weights.cm * sums
         return out
 
 

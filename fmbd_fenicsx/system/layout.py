@@ -24,7 +24,7 @@ from ..mechanics.frames import Markers
 from ..mechanics.joints.constraints import Batch
 from ..mechanics.joints.counted import CountedAngles
 from ..mechanics.placements import DistributedPart, FrameElements, Part, RigidBlock, is_distributed
-from ..ranks import rank_sum
+from ..ranks import rank_sum, rank_sums
 from ..rotations import Array, Motions
 from .gravity import Gravity
 
@@ -314,11 +314,19 @@ class Layout:
         """Ports of all parts at time t (s) for an array like q, or their ``rates`` for one like v; collective."""
         out = np.zeros(self.n_port)
         in_q, in_v, in_p = self.slices
-        for f, s, p in zip(self.parts, in_v if rates else in_q, in_p, strict=True):
-            out[p] = f.ports_of(x[s], t)
-            if not rates:
+        local = [x[s] for s in (in_v if rates else in_q)]
+        for k, f in self.core_parts:
+            out[in_p[k]] = f.ports_of(local[k], t)
+        for (k, _), ports in zip(self.fields, self.field_ports([local[k] for k, _ in self.fields], t), strict=True):
+            out[in_p[k]] = ports
+        if not rates:
+            for f, p in zip(self.parts, in_p, strict=True):
                 out[p] += f.reference
         return out
+
+    def field_ports(self, local: Sequence[Array], t: float) -> list[Array]:
+        """Ports without their reference part for local vectors of all fields, in one sum over the ranks; collective."""
+        return rank_sums(self.comm, [p.port_shares(w, t) for (_, p), w in zip(self.fields, local, strict=True)])
 
     def port_slice(self, k: int) -> slice:
         """Ports of part k."""

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..ranks import rank_sum
+from ..ranks import rank_max, rank_sum
 from ..rotations import Array
 from .layout import Layout
 
@@ -61,12 +61,12 @@ class Measured(Layout):
     def largest(self, x: Array) -> float:
         """Largest entry of an array like v as they are; collective: a rank sees the nodes that it owns."""
         local = float(np.maximum.reduce(np.abs(x), axis=None, initial=0.0))
-        return local if not self.fields or self.comm.size == 1 else float(np.max(self.comm.allgather(local)))
+        return float(rank_max(self.comm, local)) if self.fields else local
 
     def each_max_abs(self, x: Array) -> Array:
         """:meth:`max_abs` of each of several arrays like v, (..., n_v) -> (...); collective."""
         local = np.abs(self.units * x).max(axis=-1, initial=0.0)
-        return local if not self.fields or self.comm.size == 1 else np.max(self.comm.allgather(local), axis=0)
+        return np.asarray(rank_max(self.comm, local)) if self.fields else local
 
     def typical(self, x: Array) -> float:
         """The largest entry of the core, or root mean square of a field that no frame carries, as lengths; collective."""

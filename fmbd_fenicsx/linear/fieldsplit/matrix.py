@@ -71,11 +71,7 @@ class StepMatrix:
     def _openings(self, v: Array) -> list[Array]:
         """Terms of G v: of the core, and of each field, which meets G through its ports."""
         s = self.layout.system
-        rows = [np.asarray(self.G.core @ v[: s.n_core])]
-        for k, p in s.fields:
-            ports = self.G.ports_of(k, p, s.local_v(v, k))
-            rows.append(np.asarray(self.G.port[:, s.port_slice(k)] @ ports))
-        return rows
+        return [np.asarray(self.G.core @ v[: s.n_core]), *self.G.openings(v)]
 
     # -- residual -----------------------------------------------------------------------------------------------
     def relative_residual(self, x: Array, b: Array, *, bounds: Array, tolerance: float) -> float:

@@ -253,7 +253,7 @@ class WiresPart(FieldPart):
         self.field.free_factors()
 
     # -- mechanics ----------------------------------------------------------------------------------------------
-    def ports_of(self, w: Array, t: float) -> Array:
+    def port_shares(self, w: Array, t: float) -> Array:
         """w, w_x, w_xx, 0 at each sliding point."""
         return np.concatenate([np.zeros(0), *(np.append(table @ w[dofs], 0.0) for dofs, table in self._tables(t))])
 

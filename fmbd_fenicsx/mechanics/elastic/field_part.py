@@ -73,11 +73,15 @@ class FieldPart(DistributedPart):
     # -- ports --------------------------------------------------------------------------------------------------
     def ports_of(self, w: Array, t: float) -> Array:
         """Port values of a nodal vector without its reference part, (n d,) -> (n_port,); collective."""
+        return self.field.total(self.port_shares(w, t))
+
+    def port_shares(self, w: Array, t: float) -> Array:
+        """What this rank's nodes have in :meth:`ports_of`."""
         d = self.field.dim
         W = w.reshape(-1, d)
         parts = [self.conditions.T @ w] + [(s.weights.T @ W[s.nodes]).ravel() for s in self.surfaces]
         parts += [B @ w for B in self.traces]
-        return self.field.total(np.concatenate(parts))
+        return np.concatenate(parts)
 
     def port_force(self, f: Array, t: float) -> Array:
         """Nodal forces of port forces, the transpose of :meth:`ports_of`; (n_port,) -> (n d,)."""

@@ -5,7 +5,8 @@ See ``mechanics.elastic.foreshortening``. A system without such parts has none o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -42,10 +43,11 @@ def pulls(ev: Evaluation, lam: Array) -> dict[int, Array]:
     return {k: p.shortening.N.T @ port[s.port_slice(k)] for k, p in s.curved}
 
 
-def tangent_ports(part: Any, w: Array, t: float) -> Array:
-    """Rates of the ports for rates w of a field, with the columns that its tangent holds; collective."""
-    ports: Array = part.ports_of(w, t)
-    return ports if part.shown is None else ports + part.shown.along(w)
+def tangent_ports(system: Layout, local: Sequence[Array], t: float) -> list[Array]:
+    """Rates of the ports of all fields for rates of their coordinates, with the columns that their tangents hold; collective."""
+    ports = system.field_ports(local, t)
+    shown = [p.shown for _, p in system.fields]
+    return [p if x is None else p + x.along(w) for p, x, w in zip(ports, shown, local, strict=True)]
 
 
 def port_bias(ev: Evaluation) -> Array:

@@ -180,14 +180,17 @@ class Jacobian:
         """G v, (n_lam,); collective."""
         s = self.system
         out = np.asarray(self.core @ v[: s.n_core])
-        for k, p in s.fields:
-            out = out + self.port[:, s.port_slice(k)] @ self.ports_of(k, p, s.local_v(v, k))
-        return out
+        return sum(self.openings(v), out)
 
-    def ports_of(self, k: int, part: Any, w: Array) -> Array:
-        """Rates of the ports of part k for rates w of its coordinates; collective."""
-        ports = part.ports_of(w, self.t)
-        return ports + self.bent[k].along(w) if k in self.bent else ports
+    def openings(self, v: Array) -> list[Array]:
+        """What each field, which meets the constraints through its ports, gives to G v, (n_lam,); collective."""
+        s = self.system
+        local = [s.local_v(v, k) for k, _ in s.fields]
+        found = []
+        for (k, _), w, ports in zip(s.fields, local, s.field_ports(local, self.t), strict=True):
+            rates = ports + self.bent[k].along(w) if k in self.bent else ports
+            found.append(np.asarray(self.port[:, s.port_slice(k)] @ rates))
+        return found
 
     def transposed(self, lam: Array) -> Array:
         """G^T lambda, like v."""
