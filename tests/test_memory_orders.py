@@ -12,8 +12,10 @@ from scipy.integrate import solve_ivp
 from test_compiled_evaluation import compiled
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import CallbackError
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.system.compiled import choice
+from fmbd_fenicsx.system.control.control_laws import unfelt
 
 END = 2.0
 TIMES = np.linspace(0.0, END, 11)
@@ -214,3 +216,55 @@ def test_a_tolerance_is_met_with_memories() -> None:
 def test_explicit_schemes_say_that_their_error_control_sees_no_memory(caplog: pytest.LogCaptureFixture) -> None:
     fmbd.solve(wheel("maxwell"), t_end=0.1, scheme=fmbd.schemes.ExplicitRungeKutta(rtol=1e-6))
     assert 'memory of controller "motor"' in caplog.text
+
+
+@pytest.mark.parametrize("way", ["PID", "integral", "lag"])
+def test_a_memory_that_begins_at_zero_holds_no_step_back(way: str) -> None:
+    """A block that is caught from its own target on: what begins at zero is weighed by what the motion feels of it."""
+
+    def run(law: Any, memory: tuple[float, ...] = ()) -> fmbd.Run:
+        block = fmbd.RigidBody("block", 1.0, 0.1, velocity=(3.0, 0.0))
+        slide = fmbd.prismatic("slide", fmbd.ground, block, axis=(1, 0), center=(0, 0))
+        scene, x = fmbd.Scene("caught"), fmbd.displacement(slide)
+        reads = {"s": x, "v": fmbd.joint_rate(x)}
+        if law is None:
+            acting = fmbd.pid("catch", x, target=0.0, gains=(2.0, 0.5, 1.0))
+        else:
+            acting = fmbd.controller("catch", reads=reads, acts=x, law=law, memory=memory)
+        scene.add(block, slide, acting)
+        scene.sensor("x", fmbd.position(block))
+        return fmbd.solve(scene, t_end=2.0, scheme=fmbd.BDF(rtol=1e-6))
+
+    laws: dict[str, Any] = {
+        "PID": None,
+        "integral": lambda t, y, z: (-2.0 * y["s"][0] + 0.5 * z[0] - y["v"][0], -y["s"][0]),
+        "lag": lambda t, y, z: (z[0] - y["v"][0], (-2.0 * y["s"][0] - z[0]) / 0.2),
+    }
+    without = run(lambda t, y, z: -2.0 * y["s"][0] - y["v"][0])
+    found = run(laws[way], (0.0,))
+    assert found.counters["steps"] < 1.6 * without.counters["steps"] and found.times[1] == without.times[1]
+
+    # x''' + x'' + 2 x' + x / 2 = 0; of the lag x''' / 5 + 6 / 5 x'' + x' + 2 x = 0
+    (p, q, r), a = ((6.0, 5.0, 10.0), -3.0) if way == "lag" else ((1.0, 2.0, 0.5), -3.0)
+    exact = solve_ivp(
+        lambda t, x: (x[1], x[2], -p * x[2] - q * x[1] - r * x[0]), (0, 2), (0.0, 3.0, a), rtol=1e-11, atol=1e-12
+    )
+    assert np.abs(found["x"][-1, 0] - exact.y[0, -1]) < 1e-5
+
+
+def test_what_is_far_from_linear_has_no_size() -> None:
+    """By what memories are measured: a law that is linear, one with a square, and one that has no value for what is far."""
+
+    def sizes(law: Any) -> Array:
+        return unfelt(law, np.array([0.3, 2.0]), np.zeros(1), np.array([10.0, 0.0]))
+
+    assert sizes(lambda y, z: (np.array([4.0 * y[0] + y[1] + 8.0 * z[0]]), -y[:1])) == pytest.approx(5.0)
+    assert sizes(lambda y, z: (z, 3.0 * y[:1] - 2.0 * z)) == pytest.approx(15.0)
+    assert sizes(lambda y, z: (y[:1] + z + z**2, -y[:1])) == 0.0
+
+    def bounded(y: Array, z: Array) -> tuple[Array, Array]:
+        if z[0] > 1.0:
+            raise CallbackError("no value")
+        return y[:1] + z, y[:1]
+
+    assert sizes(bounded) == 0.0

@@ -35,6 +35,7 @@ def numbers_of(name: str, what: str, value: Any, wanted: tuple[int, float]) -> A
 
 
 Answers = tuple[Array, Array]
+FAR = 0.5  # share of what a law changes by: it is not linear any more
 
 
 def differences(
@@ -54,6 +55,32 @@ def differences(
     return np.array([one for one, _ in found]).T, np.array([other for _, other in found]).T
 
 
+def unfelt(ask: Callable[[Array, Array], Answers], y: Array, z: Array, places: Array) -> Array:
+    """By what errors of a memory z (m,) are measured at least, (m,), from readings y that may change by ``places`` (size,):
+
+        |du/dy| places / |du/dz|,     what changes the efforts as much;     |dg/dy| places / |dg/dz|,     what z would follow to
+
+    the larger of both, and 0 where the law, (y, z) -> (u, g), is far from linear up to there, or has no value.
+    """
+    m, answers = len(z), np.concatenate(ask(y, z))
+    changes = np.abs(np.concatenate(differences(y, places, lambda y: ask(y, z)))) @ places
+    slopes = np.concatenate(differences(z, np.zeros(m), lambda z: ask(y, z)))
+    found = np.zeros(m)
+    for k in range(m):
+        felt = np.abs(slopes[:, k])
+        efforts, own = np.flatnonzero(felt[:-m]), len(felt) - m + k
+        sizes = [*(changes[own : own + 1] / felt[own] if felt[own] else ()), 0.0]
+        sizes += [np.min(changes[efforts] / felt[efforts])] if len(efforts) else []
+        step = max(sizes) * (np.arange(m) == k)
+        try:
+            ahead, behind = (np.concatenate(ask(y, z + way * step)) - answers for way in (1, -1))
+        except CallbackError:
+            continue
+        off = np.maximum(np.abs(ahead - slopes @ step), np.abs(behind + slopes @ step))
+        found[k] = step[k] if np.all(off <= FAR * (changes + np.abs(slopes) @ step)) else 0.0
+    return found
+
+
 @dataclass(frozen=True)
 class PidLaw:
     """See :func:`pid`; ``target`` gives (s, s', s'')."""
@@ -62,6 +89,11 @@ class PidLaw:
     target: Callable[[float], tuple[float, float, float]]
     limit: float
     every: float | None
+
+    def unfelt(self, places: Array) -> Array:
+        """As :func:`unfelt`, (1,): the integral with the effort of an error that is ``places[0]`` (m or rad)."""
+        kp, ki, _ = self.gains
+        return np.array([kp * places[0] / ki if ki else 0.0])
 
     def __call__(self, t: float, y: Mapping[str, Array], z: Array) -> tuple[float, float]:
         """The effort, and how the integral grows or its next value."""

@@ -43,6 +43,7 @@ from .law_with_memory import LawWithMemory
 from .memory_points import PointRule, StepError
 from .readings import KINEMATIC, Reading
 
+FELT = 0.1  # of sizes in the model: what errors of memories may be to the motion, beside its own
 _AT = 1e-9  # share of the sampling period by which a step may end before its sample
 
 
@@ -86,6 +87,12 @@ class ControlLoads(Loads):
     def spans(self) -> Array:
         """What each number of y is at least for differences, as of laws on coordinates, (size,)."""
         return LEAST * np.repeat([r.span(self.length) for r in self.readings], [r.size for r in self.readings])
+
+    @cached_property
+    def places(self) -> Array:
+        """By what each number of y may change that is a place or a turn, 0 of rates, before memories count, (size,)."""
+        each = [0.0 if r.fast else FELT * r.span(self.length) for r in self.readings]
+        return np.repeat(each, [r.size for r in self.readings])
 
     @property
     def called(self) -> bool:
@@ -162,7 +169,7 @@ class ControlLoads(Loads):
             return []
 
         def kept() -> Array:
-            return integral_of(self.kept, self.law.points, float(self.spans[0]))
+            return integral_of(self.kept, self.law.points, float(self.spans[0]), float(law.unfelt(self.places)[0]))
 
         def keep(memory: Array) -> None:
             self.kept = memory_of(memory, self.kept.u)
@@ -174,7 +181,8 @@ class ControlLoads(Loads):
     # -- memory -----------------------------------------------------------------------------------------------------
     def first(self, ev: Any, state: Any) -> ControllerMemory:
         """Memory at the start, with the first sample taken."""
-        self.kept, self.law.points.lead = self.law.begun(state.t), None
+        points = self.law.points
+        self.kept, points.lead, points.least = self.law.begun(state.t), None, None
         return self.accepted(ev, state)
 
     @property
@@ -209,7 +217,7 @@ class ControlLoads(Loads):
         """Find z at the points of a step."""
         if self.law.stated:
             self.law.points.reach = self.spans[:1]  # z' = target - s
-        self.law.collocate(rule, np.array([self.read(kin) for kin in kins]))
+        self.law.collocate(rule, np.array([self.read(kin) for kin in kins]), self.places)
 
     def lead(self, share: float) -> None:
         """Where a tangent of the step is taken z answers to g by so much (s)."""
@@ -217,7 +225,9 @@ class ControlLoads(Loads):
 
     def memory_error(self, of: StepError) -> float:
         """The error of z in the step whose points were found last, over the tolerance."""
-        return self.law.points.error(self.kept, of)
+        law = self.controller.law
+        felt = not isinstance(law, PidLaw) or law.gains[1] > 0
+        return self.law.points.error(self.kept, of) if felt else 0.0
 
     def memory_rates(self, ev: Any, t: float) -> Array:
         """g of (1), (m,)."""

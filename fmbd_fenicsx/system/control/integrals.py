@@ -13,10 +13,12 @@ HEAD = 7  # numbers before those of the past
 STAGES = 7  # points at most
 
 
-def integral_of(kept: ControllerMemory, points: PointMemories, reach: float) -> Array:
-    """The numbers (1, MEMORY) of a memory, with what is known at points of the step under way; ``reach``: of its rate."""
+def integral_of(kept: ControllerMemory, points: PointMemories, reach: float, least: float) -> Array:
+    """The numbers (1, MEMORY) of a memory, with what is known at points of the step under way; ``reach``: of its rate,
+    ``least``: of its size.
+    """
     out, count, past = np.zeros(MEMORY), len(kept.past), HEAD + 2 * PAST
-    out[:HEAD] = (*_numbers(kept.z, kept.rate), kept.t, kept.size[0], reach, count, kept.before[0])
+    out[:HEAD] = (*_numbers(kept.z, kept.rate), kept.t, max(kept.size[0], least), reach, count, kept.before[0])
     out[HEAD : HEAD + count] = [t for t, _ in kept.past]
     out[HEAD + PAST : HEAD + PAST + count] = [z[0] for _, z in kept.past]
     if points.kept is kept:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import CallbackError, LawError, named
 from ...rotations import Array
-from .control_laws import PidLaw, differences, numbers_of
+from .control_laws import PidLaw, differences, numbers_of, unfelt
 from .control_memory import ControllerMemory, StepMemory
 from .memory_points import PointMemories, PointRule
 from .readings import Readings
@@ -95,10 +95,17 @@ class LawWithMemory:
             found = self._answers[key] = self._within.at(t, partial(self.asked, t, y), start, rule)
         return found
 
-    def collocate(self, rule: PointRule, readings: Array) -> None:
-        """The memory at the points of a step, of readings (k, size) there."""
+    def collocate(self, rule: PointRule, readings: Array, places: Array) -> None:
+        """The memory at the points of a step, of readings (k, size) there; ``places``: as of :func:`.unfelt`."""
+        points = self.points
+        if points.least is None and not self.kept.past:
+            law, ask = self.controller.law, partial(self.asked, float(rule.t[0]))
+            if isinstance(law, PidLaw):
+                points.least = law.unfelt(places)
+            else:
+                points.least = unfelt(ask, readings[0], self.kept.z, places)
         if self.controller.memory:
-            self.points.find(self.kept, rule, readings, self.asked)
+            points.find(self.kept, rule, readings, self.asked)
             self._answers = {}  # of points that were somewhere else
 
     def slopes(self, t: float, y: Array, spans: Array, *, quick: bool = False) -> Array:

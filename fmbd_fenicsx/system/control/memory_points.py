@@ -5,7 +5,8 @@ With the memories z_i at the points, and those z_(n-l) where the last steps ende
     sum_j couple_ij z_j + sum_l past_il z_(n-l) = g(t_i, y_i, z_i)                                                     (1)
 
 is the rule that the scheme has for its motion: collocation of Radau, differences of BDF. So memories are of the order of the
-scheme. The error of a step, in the same form, is weighed by rtol times the largest memory so far.
+scheme. The error of a step, in the same form, is weighed by rtol times the largest memory so far. A memory that begins at zero
+has no size yet: what the motion feels of it as a tenth of its own tolerance is one, :func:`.unfelt`.
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ class PointMemories:
     """What a law has found for the points of a step from what was ``kept``: times, readings, z, u and g; one for all who ask it.
 
     ``reach``: by how much readings that change by what they are at least change the rates; None before slopes were asked for.
+    ``least``: what sizes are at least; None before the first step.
     ``lead``: by how much z answers to g where a tangent is taken, s; None: as the trapezoidal rule has it.
     """
 
@@ -75,6 +77,7 @@ class PointMemories:
     rate: list[Array] = field(default_factory=list)
     slopes: list[Answers] | None = None  # du/dz and dg/dz at each point of this step
     reach: Array | None = None
+    least: Array | None = None
     lead: float | None = None
 
     def number(self, kept: ControllerMemory, t: float) -> int | None:
@@ -144,7 +147,8 @@ class PointMemories:
     def sizes(self, kept: ControllerMemory, t: float, z: Array) -> Array:
         """What errors of a step from ``kept`` to t are measured by: the largest memories so far, and what rates add in it."""
         grows = np.maximum(np.abs(kept.rate), self.widest(kept))
-        return np.maximum(np.maximum(kept.size, np.abs(kept.z)), np.maximum(np.abs(z), (t - kept.t) * grows))
+        size = kept.size if self.least is None else np.maximum(kept.size, self.least)
+        return np.maximum(np.maximum(size, np.abs(kept.z)), np.maximum(np.abs(z), (t - kept.t) * grows))
 
     def error(self, kept: ControllerMemory, of: StepError) -> float:
         """The largest error of a step that was found last, over the tolerance."""

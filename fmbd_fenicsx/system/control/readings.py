@@ -41,6 +41,11 @@ class Reading:
         return self.sensor.coordinate if isinstance(self.sensor, JointReading) else None
 
     @property
+    def fast(self) -> bool:
+        """Whether it is a rate."""
+        return bool(self.level) or isinstance(self.sensor, Velocity | AngularVelocity)
+
+    @property
     def size(self) -> int:
         """How many numbers a continuous law reads there."""
         if self.relative is not None:
@@ -67,13 +72,13 @@ class Reading:
         d, n = kin.x.shape[1], kin.jac_frame.shape[1]
         if self.relative is not None:
             each = zip(self.relative.markers, self.relative.rows(kin), strict=True)
-            return [(int(m[0]), r, bool(self.level)) for m, r in each]
+            return [(int(m[0]), r, self.fast) for m, r in each]
         if isinstance(self.sensor, Position | Velocity):
-            return [(self.marker, np.eye(d, n), isinstance(self.sensor, Velocity))]
+            return [(self.marker, np.eye(d, n), self.fast)]
         turning = np.eye(n)[d:]
         if isinstance(self.sensor, Rotation) and d == 3:  # of the columns r of R: theta x r
             turning = (-hat(kin.R[self.marker].T)).swapaxes(0, 1).reshape(self.size, d) @ turning
-        return [(self.marker, turning, isinstance(self.sensor, AngularVelocity))]
+        return [(self.marker, turning, self.fast)]
 
 
 class Readings(dict[str, Array]):

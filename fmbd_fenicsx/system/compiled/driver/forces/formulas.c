@@ -111,12 +111,12 @@ static double integral_size(const PidMemory *m, double t, double z)
     return fmax(fmax(m->size, fabs(m->z)), fmax(fabs(z), (t - m->t) * fmax(fabs(m->rate), m->reach)));
 }
 
-/* Its error in the step under way, over the tolerance. */
-static double integral_error(const PidMemory *m, const Remembered *r)
+/* Its error in the step under way, over the tolerance; none where no effort feels it. */
+static double integral_error(const double *p, const PidMemory *m, const Remembered *r)
 {
     const int last = (int)m->points - 1;
     double off = r->of_rate * m->rate, allowed;
-    if (last < 0) return 0.0;
+    if (last < 0 || p[3] == 0.0) return 0.0;
     for (int j = 0; j <= last; j++) off += r->of_points[j] * m->then[j];
     for (int l = 0; l < r->ends; l++) off += r->of_ends[l] * integral_behind(m, r->end[l]);
     if (r->frequency > 0.0) off /= r->frequency - m->slope;

@@ -193,7 +193,7 @@ class Listening:
         for one in self.listeners:
             count = len(one.y)
             if one.remembers:
-                one.law.collocate(rule, self._y[:k, first : first + count])
+                one.law.collocate(rule, self._y[:k, first : first + count], one.loads.places)
             first += count
 
     def lead(self) -> None:
