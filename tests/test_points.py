@@ -10,6 +10,7 @@ import pytest
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.fem.material_points import distance_to
 from fmbd_fenicsx.materials import linear_elastic, neo_hookean
 from fmbd_fenicsx.rotations import Array
 from fmbd_fenicsx.system.layout import State
@@ -159,3 +160,20 @@ def test_points_outside_and_bodies_without_a_mesh_are_refused(rod_mesh: Callable
         fmbd.sensors.strain(fmbd.RigidBody("r", 1.0, 1.0), point=(0.5, 0.0))
     with pytest.raises(InputError, match="attach to a surface"):
         fmbd.position(rod)
+
+
+@pytest.mark.mpi
+def test_a_point_of_several_cells_is_in_the_first_of_the_mesh(rod_mesh: Callable[..., Any]) -> None:
+    """On any number of ranks: strains jump at the sides of cells."""
+    msh = rod_mesh(dim=2, h=0.05).dolfinx
+    places = msh.topology.original_cell_index
+    cells = msh.geometry.dofmap[: msh.topology.index_map(2).size_local]
+    parts = msh.comm.allgather([(places[c], *msh.geometry.x[n, :2]) for c, nodes in enumerate(cells) for n in nodes])
+    first: dict[tuple[float, ...], int] = {}
+    for place, *x in sorted(sum(parts, [])):
+        first.setdefault(tuple(np.round(x, 12)), int(place))
+
+    for x, expected in list(first.items())[::7]:
+        distance, owner, cell = distance_to(msh, np.array(x))
+        found = msh.comm.bcast(int(places[cell]), root=owner)
+        assert distance < 1e-9 and found == expected

@@ -15,9 +15,10 @@ import numpy as np
 
 from .. import dolfinx_compat as compat
 from ..errors import InputError
-from ..ranks import rank_sum
+from ..ranks import rank_max, rank_sum
 from ..rotations import Array
 
+SAME = 1e-10  # of the mesh's largest coordinate: distances that differ by less are the same
 CLOSE = 1e-6  # of the mesh's extent: a point so far outside of the mesh counts as on its boundary
 
 
@@ -48,7 +49,11 @@ class MaterialPoint:
 
 
 def distance_to(msh: Any, point: Array) -> tuple[float, int, int]:
-    """Distance (m) of a point to a mesh, the rank with the nearest cell, its number there (-1 elsewhere); collective."""
+    """Distance (m) of a point to a mesh, the rank with the nearest cell, its number there (-1 elsewhere); collective.
+
+    Of several cells that share the point it is the first of the mesh as it was read: strains jump from one to the next, and
+    may not depend on how the mesh is distributed.
+    """
     from dolfinx import geometry
 
     tdim = msh.topology.dim
@@ -56,17 +61,27 @@ def distance_to(msh: Any, point: Array) -> tuple[float, int, int]:
     x = np.zeros((1, 3))
     x[0, : len(point)] = point
 
-    distance, cell = np.inf, -1
+    same = SAME * float(rank_max(msh.comm, np.abs(msh.geometry.x).max(initial=0.0)))
+    distance, place, cell = np.inf, -1, -1
     if len(cells):
-        tree = geometry.bb_tree(msh, tdim, entities=cells)
+        tree = geometry.bb_tree(msh, tdim, entities=cells, padding=same)
         middles = geometry.create_midpoint_tree(msh, tdim, cells)
-        cell = int(geometry.compute_closest_entity(tree, middles, msh, x)[0])
-        distance = float(np.sqrt(geometry.squared_distance(msh, tdim, np.array([cell], np.int32), x)[0]))
+        nearest = geometry.compute_closest_entity(tree, middles, msh, x)
+        near = np.append(nearest, geometry.compute_collisions_points(tree, x).array).astype(np.int32)
+        apart = np.sqrt(geometry.squared_distance(msh, tdim, near, np.repeat(x, len(near), axis=0)))
+        places = np.asarray(msh.topology.original_cell_index)[near]
+        distance, place, cell = _first(apart, places, near, same)
 
-    # ties go to the lowest rank, so that all ranks choose alike
-    found = msh.comm.allgather(distance)
-    owner = int(np.argmin(found))
-    return found[owner], owner, cell if msh.comm.rank == owner else -1
+    found = msh.comm.allgather((distance, place))
+    distance, _, owner = _first(*map(np.array, zip(*found, strict=True)), np.arange(len(found)), same)
+    return distance, owner, cell if msh.comm.rank == owner else -1
+
+
+def _first(distances: Array, places: Array, names: Array, same: float) -> tuple[float, int, int]:
+    """Distance, place and name of what has the lowest place among the nearest."""
+    nearest = np.flatnonzero(distances <= distances.min() + same)
+    k = nearest[np.argmin(places[nearest])]
+    return float(distances[k]), int(places[k]), int(names[k])
 
 
 def check_point(mesh: Any, point: Sequence[float] | Array, what: str) -> None:
