@@ -12,6 +12,7 @@ from profiled import calls_of
 from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.schemes.own_marching import OwnMarch
 
 SCHEMES = [
     fmbd.GeneralizedAlpha(),
@@ -21,9 +22,11 @@ SCHEMES = [
     fmbd.HalfExplicit(rtol=None),
     fmbd.EnergyMomentum(),
 ]
+OWN = [fmbd.Radau(3, rtol=1e-6), fmbd.BDF(rtol=1e-6), fmbd.HalfExplicit(rtol=1e-6)]
 AROUND, EACH = 15.0, 18.0  # calls of a step that asks for nothing, and for each time that a function is asked
 LOOKS = 60.0  # calls of a step where looks at a run, once in some hundred steps, fall into short ones
 SAMPLE = 800.0  # calls of a sample of four controllers, with the new start behind it
+BETWEEN = 150.0  # calls of one of ten steps and more of a scheme's own choice a sample
 DT = 2e-3  # s
 
 
@@ -107,16 +110,34 @@ def test_calls_beside_bodies_of_hardly_any_mass(scheme: Any) -> None:
     assert found < LOOKS
 
 
-def sampled_every_step() -> fmbd.Scene:
-    """Four links with a controller in each hinge, whose samples end each step."""
+def sampled(every: float, count: int = 4) -> fmbd.Scene:
+    """Four links with controllers in the first hinges, of this period (s)."""
     scene, _ = chain(4)
-    for name, pin in list(scene.joints.items()):
-        scene.add(fmbd.pid(f"pid {name}", fmbd.angle(pin), target=0.3, gains=(40.0, 10.0, 4.0), every=DT))
+    for name, pin in list(scene.joints.items())[:count]:
+        scene.add(fmbd.pid(f"pid {name}", fmbd.angle(pin), target=0.3, gains=(40.0, 10.0, 4.0), every=every))
     return scene
 
 
 @compiled
 def test_calls_of_a_sample() -> None:
     """A sample is taken between calls of compiled code; its efforts are read there without one."""
-    found, _ = calls_a_step(sampled_every_step, SCHEMES[0], [])
+    found, _ = calls_a_step(lambda: sampled(DT), SCHEMES[0], [])
     assert found < SAMPLE
+
+
+@compiled
+@pytest.mark.parametrize("scheme", OWN, ids=lambda s: s.name)
+def test_calls_of_own_steps_between_samples(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled code makes all but those that end with a sample, as Python makes them."""
+
+    def run(t_end: float) -> fmbd.Run:
+        output = fmbd.Output(times=(0.0, t_end), energy=False, progress=False)
+        return fmbd.solve(sampled(0.2, 1), t_end=t_end, scheme=scheme, output=output)
+
+    ends = run(0.2), run(1.0)
+    short, long = (calls_of(lambda t=t: run(t)) for t in (0.2, 1.0))
+    assert (long - short) / (ends[1].counters["steps"] - ends[0].counters["steps"]) < BETWEEN
+    monkeypatch.setattr(OwnMarch, "_chooses_alike", False)
+    alone = run(1.0)
+    assert alone.counters["steps"] == ends[1].counters["steps"]
+    assert ends[1].state.q == pytest.approx(alone.state.q, rel=1e-9, abs=1e-9)

@@ -13,7 +13,7 @@ import numpy as np
 from ..rotations import Array
 from ..system.compiled.march import CHOSEN
 from ..system.compiled.own_steps import OwnRoom
-from ..system.element_memory import whole_steps
+from ..system.element_memory import next_sample
 from .control import LEAST_ERROR, PATIENCE, REFUSED, TURN, Statistics, StepControl, lands
 from .error_norm import ErrorNorm
 from .marching import MarchingStepper
@@ -33,6 +33,7 @@ class OwnMarch(MarchingStepper):
     proposed: float | None
     longest_stable: float = np.inf  # s, the most that its steps may be to be stable
     _ahead: tuple[float, int]  # s that the steps of a call may take, and how many these are at most
+    _alone_now = False  # whether a step is made by itself, which may end where a controller samples
 
     def _take_kept(self, own: Array) -> None:
         """What a state of a march keeps."""
@@ -41,7 +42,10 @@ class OwnMarch(MarchingStepper):
     def stride(self, h: float) -> float:
         """As :meth:`TimeStepper.stride`."""
         found = super().stride(h)
-        return min(found, self.proposed, self.longest_stable) if self.adaptive and self.proposed is not None else found
+        if not self.adaptive or self.proposed is None:
+            return found
+        size = min(found, self.proposed, self.longest_stable)
+        return size if self.state.t + size < next_sample(self.system) else 0.0
 
     def _landing(self, h: float, limit: float) -> float:
         """The size (s) of a step for which so much is proposed, of at most ``limit``, on the way to where steps have to end."""
@@ -61,9 +65,7 @@ class OwnMarch(MarchingStepper):
     @property
     def _chooses_alike(self) -> bool:
         """Whether compiled code may choose the next step."""
-        # samples of controllers are taken between steps
-        sampled = whole_steps(self.system, self.state.t, 1.0) < np.inf
-        return self.proposed is not None and not sampled and not self._failed_here
+        return self.proposed is not None and not self._failed_here
 
     @property
     def _failed_here(self) -> bool:
@@ -73,6 +75,13 @@ class OwnMarch(MarchingStepper):
     def _left(self, h: float, begun: float) -> float:
         """As :meth:`MarchingStepper._left`: steps of its own choice take so much in all."""
         return h - (self.state.t - begun) if self.adaptive else h
+
+    def _step_in_one_call(self, h: float) -> bool:
+        self._alone_now = True
+        try:
+            return super()._step_in_one_call(h)
+        finally:
+            self._alone_now = False
 
     def _made(self, h: float, count: int, most: float, observers: Observers) -> int:
         self._ahead = h, count
@@ -97,6 +106,7 @@ class OwnMarch(MarchingStepper):
         control.span = max(control.span, limit)
         own.lend(norm.q_size, norm.v_size, norm.deflections)
         own.pass_by(self.ends[:-1])
+        own.c.sample = np.inf if self._alone_now else next_sample(self.system)
         own.c.until, own.c.longest, own.c.tiny = self._end(limit), min(self.longest, self.longest_stable), control.tiny
         own.c.worst, own.c.refused, own.c.failed[:] = 0.0, 0.0, [0.0] * len(own.c.failed)
         own.c.last = t + (count - 1) * min(limit, self.proposed)  # whoever begins later passes what somebody waits for

@@ -265,7 +265,7 @@ static int passing_point(System *s, double *p, Implicit *o, const Block *now, Bl
     int verdict;
     for (;;) {
         const int k = (int)*made.order;
-        if (!(p[H] = own_size(c, now, found->proposed, most))) return NEWTON;
+        if ((verdict = own_size(c, now, found->proposed, most, p + H))) return verdict;
         g->span = p[H];
         const Norm norm = norm_of(g);
         take_sizes(s, c, &norm, now);

@@ -270,7 +270,7 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
     double *work = out.own;
     int verdict, cause;
     for (;;) {
-        if (!(p[H] = own_size(c, now, found->proposed, most))) return NEWTON;
+        if ((verdict = own_size(c, now, found->proposed, most, p + H))) return verdict;
         g->span = p[H];
         const Norm norm = norm_of(g);
         take_sizes(s, c, &norm, now);

@@ -18,6 +18,7 @@ typedef struct OwnSteps {
     const double *mark;                /* times on the way there that are hit, too, rising (s); how many, and how many were passed */
     int marks, passed;
     double ahead;                      /* the next of all these, s */
+    double sample;                     /* when a controller samples: who takes the sample makes the step that ends there, s */
     double worst, refused;             /* of a march: the largest error, and how many were too large */
     double failed[FAILING];            /* how many tries at a step had no end, by cause */
     double order, shrink, grow, least; /* of the controller; least error that it remembers */
@@ -43,9 +44,9 @@ static double left_for(OwnSteps *c, const Block *now)
     return fmin(c->ahead - *now->t, c->longest);
 }
 
-/* The size of the next step from a state on, where so much is proposed and no more than ``most`` possible; 0: it is none. What is left
-   to the time that is hit is no step of its own where it is roundoff. */
-static double own_size(const OwnSteps *c, const Block *now, double proposed, double most)
+/* The size of the next step from a state on, where so much is proposed and no more than ``most`` possible. What is left to the time
+   that is hit is no step of its own where it is roundoff. NEWTON where there is none, SIZE where Python makes that step. */
+static int own_size(const OwnSteps *c, const Block *now, double proposed, double most, double *size)
 {
     const double left = c->ahead - *now->t;
     double h = fmin(proposed, most);
@@ -53,7 +54,9 @@ static double own_size(const OwnSteps *c, const Block *now, double proposed, dou
     h = fmin(h, c->longest);
     if (h >= left * (1.0 - 1e-10)) h = left;
     else if (h > 0.5 * left) h = 0.5 * left;
-    return *now->t + h == *now->t ? 0.0 : h;
+    *size = h;
+    if (*now->t + h == *now->t) return NEWTON;
+    return *now->t + h >= c->sample ? SIZE : DONE;
 }
 
 /* By how much a step with this error over the tolerance may grow, where errors fall like h^order. */

@@ -137,7 +137,7 @@ static int passing_slopes(System *s, double *p, Explicit *o, const Method *metho
     int verdict = take_bases(s, &o->norm, now->q, now->v);
     if (verdict) return verdict;
     for (;;) {
-        if (!(p[H] = own_size(c, now, found->proposed, most))) return NEWTON;
+        if ((verdict = own_size(c, now, found->proposed, most, p + H))) return verdict;
         o->norm.h = p[H];
         take_sizes(s, c, &o->norm, now);
         if ((verdict = where_stages_lead(s, p, o, method, now, e, out)) == NEWTON && failed_size(p[H], DIVERGES, found)) continue;
