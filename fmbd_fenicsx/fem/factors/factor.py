@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass
 from functools import cache
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -100,7 +101,7 @@ class Factor:
         """E x - b, of one solution or of columns."""
         f = self.field
         if self._E is None:
-            r: Array = f.mass(x.reshape(len(x) // f.dim, -1)).reshape(x.shape)
+            r: Array = f.mass(x.reshape(-1, f.dim * prod(x.shape[1:]))).reshape(x.shape)
             r *= self.cm
             r += self.ck * f.tangent(x)
             if self.cd:

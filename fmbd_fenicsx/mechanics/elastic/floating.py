@@ -349,7 +349,7 @@ def moment_columns(field: Field, surface: str) -> Array:
 
     C = np.zeros((field.n, d, 1 + d, d))
     C[moments.nodes[:, None], range(d), :, range(d)] = moments.weights[:, None, :]
-    return C.reshape(field.n * d, -1)
+    return C.reshape(-1, (1 + d) * d)
 
 
 def frame_conditions(field: Field, frame: MeanAxis | Attached | Chord) -> Array:

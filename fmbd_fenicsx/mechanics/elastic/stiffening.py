@@ -68,7 +68,7 @@ def resultant_columns(field: Field, surface: str) -> Array:
     out[moments.nodes[:, None], range(d), range(d)] = moments.weights[:, :1]
     for k in range(m.n_rot):
         out[moments.nodes, :, d + k] = moments.weights[:, 1:] @ m.spin(Z[k : k + 1], np.eye(d))
-    return out.reshape(field.n * d, -1)
+    return out.reshape(-1, d + m.n_rot)
 
 
 def products(matrices: Sequence[Any], d: int, U: Array) -> Array:
@@ -82,7 +82,7 @@ def products(matrices: Sequence[Any], d: int, U: Array) -> Array:
             out[:, c, k] = y.array
     x.destroy()
     y.destroy()
-    return out.reshape(len(U), -1)
+    return out.reshape(len(U), len(matrices))
 
 
 class Stiffening:
@@ -204,7 +204,7 @@ class Stiffening:
         f, d = self.field, self.field.dim
         one, MX = f.mass(np.ones((f.n, d)))[:, :1], f.mass(f.X)
         weights = np.concatenate((one, MX), axis=1)
-        return np.einsum("nk,ce->nekc", weights, np.eye(d)).reshape(f.n * d, -1)
+        return np.einsum("nk,ce->nekc", weights, np.eye(d)).reshape(-1, (1 + d) * d)
 
     def moments(self, bent: Array, local: Sequence[Array]) -> DisplacementMoments:
         """Of ``mechanics.elastic.second_order`` and their rates, from :meth:`bent` of the first of local; collective."""

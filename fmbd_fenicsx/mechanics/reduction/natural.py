@@ -38,7 +38,7 @@ def natural_frequencies(body: Any, count: int, held: Sequence[str]) -> Array:
     field = make_field(body.name, body.mesh, body.forms())
     try:
         # mean axes: no rigid motion is left
-        columns = [attachment(field, name) for name in names] or [field.Q.reshape(field.n * field.dim, -1)]
+        columns = [attachment(field, name) for name in names] or [field.Q]
         conditioned = ConditionedBody(field, independent(field, [_as_motions(field, x) for x in columns]))
         try:
             return np.asarray(conditioned.vibration_modes(count)[0] / (2.0 * np.pi))

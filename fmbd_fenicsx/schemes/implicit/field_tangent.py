@@ -37,8 +37,8 @@ class FieldTangent:
         """
         system, s = self.system, self.state
         direction = np.array((dq, dv, da))
-        count, wide = direction[0].size // system.n_v, direction.dtype.kind == "c"
-        parts = direction.reshape(3, count, -1)
+        parts = direction if direction.ndim == 3 else direction[:, None]
+        count, wide = parts.shape[1], direction.dtype.kind == "c"
         parts = np.concatenate((parts.real, parts.imag), axis=1) if wide else parts
         sizes = system.each_max_abs(parts)
         eps = np.array([[self._shift(*map(float, each))] for each in sizes.T])

@@ -71,7 +71,7 @@ def find(system: Layout, body: Any, X: Array) -> PointOfBody:
         # modes at the nodes of the point's cell: (nodes, components, modes)
         phi = part.body.reduction.phi
         d = len(X)
-        modes = found.nodal(phi.reshape(len(phi) // d, -1)).reshape(len(found.shape), d, -1)
+        modes = found.nodal(phi.reshape(-1, d * phi.shape[1])).reshape(len(found.shape), d, -1)
     return PointOfBody(number, space, found, modes, X - origin)
 
 
