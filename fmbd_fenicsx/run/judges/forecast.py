@@ -99,7 +99,7 @@ class Forecast:
         """Why steps of error control stay as small as they are, as sentences, or nothing; collective."""
         fallen = needed > HOPELESS and pace < FALLEN * self.pace
         if fallen and (near := singular(self.solver, state)):
-            return f"{near} A form that holds positions passes more easily, such as fmbd.GGL()."
+            return f"{near} fmbd.BDF() passes more easily, and so do forms that hold positions, such as fmbd.GGL()."
         return drowned(self.solver, state)
 
     def _grown(self, state: State) -> bool:
