@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from profiled import calls_of
-from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
@@ -221,3 +221,38 @@ def test_tables_that_end_before_the_run_are_told(made: Any) -> None:
         run = fmbd.solve(scene, t_end=t_end, dt=0.01)
         assert any('"short" goes from 0 to 0.05 s, the run from 0 to 0.1 s' in line for line in run.warnings) == told
         assert len(run.warnings) == told
+
+
+RAMP = (0.25, 0.75)  # s
+
+
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha(), fmbd.GeneralizedAlpha(form=fmbd.GGL())])
+def test_accelerations_that_jump_are_told(scheme: Any) -> None:
+    """A velocity that rises and falls in ramps: at a jump of 8 rad/s^2 the torque is off by that without break points."""
+
+    def ramps(t: Any) -> Any:
+        low, high = RAMP
+        return 4.0 * (np.minimum(t, low) ** 2 + 2 * low * np.maximum(t - low, 0) - np.maximum(t - high, 0) ** 2)
+
+    def run(motion: Any, stops: tuple[float, ...] = ()) -> tuple[float, list[str]]:
+        arm = fmbd.RigidBody("arm", 1.0, 0.1, (0.5, 0.0))
+        pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+        scene = fmbd.Scene("arm", breakpoints=stops)
+        scene.add(arm, pin, fmbd.drive("ramps", fmbd.angle(pin), motion))
+        scene.sensor("torque", fmbd.reaction("ramps"))
+        found = fmbd.solve(scene, t_end=1.0, dt=0.01, scheme=scheme)
+        due = -0.35 * 8.0 * np.where(found.times < RAMP[0], 1.0, np.where(found.times < RAMP[1], 0.0, -1.0))
+        far = np.abs(found.times[:, None] - RAMP).min(axis=1) > 0.005
+        return float(np.abs(found["torque"][:, 0] - due)[far].max()) / 2.8, [
+            x for x in found.warnings if "acceleration of" in x
+        ]
+
+    off, said = run(ramps)
+    assert off > 0.8 and len(said) == 1 and 'drive "ramps" jumps at t = 0.25, 0.75 s' in said[0]
+    off, said = run(ramps, RAMP)
+    assert off < 0.01 and not said
+
+    # a table by cubics, smooth or not
+    knots = np.linspace(0.0, 1.0, 11)
+    assert not run(CubicSpline(knots, np.sin(5 * knots)))[1]
+    assert "and 3 more" in run(PchipInterpolator(knots, np.sin(5 * knots)))[1][0]

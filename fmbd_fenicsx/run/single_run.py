@@ -17,6 +17,7 @@ from ..schemes.newton import Newton
 from ..system.element_memory import memories
 from ..system.scene.plan import make_plan
 from ..system.scene.scene import Scene
+from .acceleration_jumps import warn_of_acceleration_jumps
 from .accuracy.companion_runs import Compared
 from .built import Built, ConsistentStart
 from .doubts import warn_of_doubts
@@ -154,6 +155,8 @@ def _finished(
     if task.scene.breakpoints:
         warn_of_close_break_points(task.scene, task.schedule.t_end)
     warn_of_dense_break_points(task.schedule)
+    if problem.said.carries_accelerations:
+        warn_of_acceleration_jumps(problem.system, task.schedule)
     warn_of_turning_rows(solver, problem.said.turn_limit, (start.state, marched.state), first)
     code = None if keeper is None else keeper.exit_code
     methods = solver.elastic.methods

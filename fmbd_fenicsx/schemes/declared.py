@@ -29,6 +29,7 @@ class Declared:
     ``finds_memories``: memories of continuous laws are found as the motion is, in the order of positions; else they go by the
     trapezoidal rule.
     ``looks_ahead``: under error control it looks for loads that come within a step before it tries one.
+    ``carries_accelerations``: those of a step are told by those of the step before.
     ``timeless``: no scheme in time at all, as the pictures of a mode. ``compiled``: whether compiled code may evaluate.
     """
 
@@ -46,6 +47,7 @@ class Declared:
     forgets: bool = False
     finds_memories: bool = False
     looks_ahead: bool = False
+    carries_accelerations: bool = False
     timeless: bool = False
     compiled: bool = True
 

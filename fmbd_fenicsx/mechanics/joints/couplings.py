@@ -53,6 +53,11 @@ class SmoothMotion:
         self._require(len(s) == 3, s, t)
         return float(s[0]), float(s[1]), float(s[2])
 
+    @property
+    def by_differences(self) -> bool:
+        """Whether differences have told its rates."""
+        return bool(self.steps.intervals)
+
     def moving(self, t: float) -> tuple[float, float]:
         """s and s' at a time."""
         if self.complete:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -30,6 +31,19 @@ SEEN = 1e-7  # change over the largest force, speed or acceleration below which 
 UNEVEN = 0.3  # share of the change in an interval that its neighbours do not tell, from which on it may hold a jump
 SAMPLED = 8  # one in so many of the others is looked at, too
 AT_ONCE = 2e6  # numbers of an evaluation at many instants
+
+
+class TimeRows(Protocol):
+    """What is looked at for jumps: functions of time, their scale, and how much they change by it, as :class:`HeldState`."""
+
+    def rows(self, times: Array) -> Array:
+        """All of them at given times, (n,) -> (n, rows)."""
+
+    def scale(self, rows: Array) -> Array:
+        """For each of the rows."""
+
+    def change(self, a: Array, b: Array, scale: Array) -> Array:
+        """The largest change of each of several rows."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +92,7 @@ class HeldState:
         return np.max(self.system.comm.allgather(x), axis=0) if self.system.fields else x  # type: ignore[no-any-return]
 
 
-def jumps_in_time(held: HeldState, stretches: Iterable[Array]) -> tuple[float, ...]:
+def jumps_in_time(held: TimeRows, stretches: Iterable[Array]) -> tuple[float, ...]:
     """Instants (s) at which forces or drives jump, between the times of each of some stretches, ascending (n,); collective."""
     return tuple(t for times in stretches for t in _within(held, times))
 
@@ -92,7 +106,7 @@ def all_along(schedule: StepSchedule) -> list[Array]:
     return found
 
 
-def _within(held: HeldState, times: Array) -> list[float]:
+def _within(held: TimeRows, times: Array) -> list[float]:
     """The same in the intervals between some times, one in each at most.
 
     Those that change as their neighbours do are looked at one in :data:`SAMPLED` only, and all where that shows a jump: steps of
@@ -142,7 +156,7 @@ class Intervals:
         return Intervals(*(x[kept] for x in (self.at, self.low, self.high, self.before, self.behind)))
 
 
-def _halved(held: HeldState, x: Intervals, scale: Array) -> dict[int, float]:
+def _halved(held: TimeRows, x: Intervals, scale: Array) -> dict[int, float]:
     """Number of an interval with a jump -> when (s)."""
     whole = held.change(x.before, x.behind, scale)
     for _ in range(HALVINGS):

@@ -283,7 +283,7 @@ class PrescribedMotions:
         self.time, self.every = t, max(1, planned // MOST)
         stated = tuple(scene.breakpoints)
         found: dict[int, Follower] = {}
-        for motion, length in _motions(system):
+        for motion, length in prescribed(system):
             if isinstance(motion, SmoothMotion):
                 found.setdefault(id(motion), Follower(motion, length, stated))
 
@@ -340,7 +340,7 @@ def _rivals(scene: Scene) -> list[tuple[int, int, str]]:
     return [(id(one.motion), id(other.motion), one.terms[0][0].joint.name) for one, other in pairs]
 
 
-def _motions(system: System) -> list[tuple[Any, float]]:
+def prescribed(system: System) -> list[tuple[Any, float]]:
     """Motions and what jumps of them are measured by, m or rad; all ranks alike."""
     out: list[tuple[Any, float]] = []
     for batch, _ in system.batches:

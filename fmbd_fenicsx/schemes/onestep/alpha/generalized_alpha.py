@@ -72,6 +72,7 @@ class GeneralizedAlpha:
 
     order = 2
     looks_ahead = True  # :mod:`.look_ahead`
+    carries_accelerations = True
 
     @property
     def forgets(self) -> bool:
