@@ -224,10 +224,19 @@ def test_half_the_step_that_tells_an_error_is_the_next_attempt(
     monkeypatch.setattr(
         shared_runs, "run_once", lambda task, *rest: (whole.append(task.schedule.steps), run_once(task, *rest))[1]
     )
+    beside: list[tuple[int, list[int]]] = []
+    by_half = shared_runs.by_half
+
+    def told(expected: Any, given: Any, finer: Any, *, coarser: Any, **more: Any) -> Any:
+        beside.append((given.schedule.steps, [x.schedule.steps for x in coarser]))
+        return by_half(expected, given, finer, coarser=coarser, **more)
+
+    monkeypatch.setattr(shared_runs, "by_half", told)
     run = fmbd.solve(at_a_stop(), t_end=2.0, tol={"x": 5e-3}, output=fmbd.Output(every=2, progress=False))
     assert whole == [100, 225, 450, 900] and made == [50, 450, 900]
     assert [round(2.0 / x.step) for x in run.history] == whole[:3]
     assert len(run.times) == 226
+    assert beside == [(225, [100]), (450, [225])]  # orders are seen with the next larger steps, not with the first ones
 
     called: list[float] = []
     noted = fmbd.Output(progress=False, on_step=lambda now: called.append(now.t))

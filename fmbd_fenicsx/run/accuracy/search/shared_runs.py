@@ -220,7 +220,7 @@ class SharedRuns:
         """
         given = solved.compared
         steps, have = given.schedule.steps, self._runs[id(solved.problem.scene)]
-        coarser = [have[n] for n in have if n <= steps / NEAREST][:1]
+        coarser = [have[n] for n in sorted(have) if n <= steps / NEAREST][-1:]
         try:
             finer = self._with_half(solved)
         except UNFIT:
