@@ -403,7 +403,54 @@ def test_fronts_solve_and_fill_nothing_where_bodies_form_a_tree(shape: str) -> N
         assert sum(f.pivots for f in fronts.fronts) == 3 * n + 2 * len(groups)
         storage.append(fronts.storage)
     assert storage[1] < 2.3 * storage[0]
-    assert len(Elimination([3] * n, groups, set()).run()) == len(fronts.fronts)
+
+
+def fronts_of(bodies: int, groups: list[RowGroup], pairs: set[tuple[int, int]]) -> Fronts:
+    """Fronts of bodies in the plane."""
+    unknowns = [3 * i + np.arange(3) for i in range(bodies)]
+    unknowns += [3 * bodies + np.array(g.rows) for g in groups]
+    return Fronts(unknowns, groups, pairs)
+
+
+def test_wheels_geared_to_one_fill_nothing() -> None:
+    """A row of two joints' coordinates is eliminated with the wheel that has no other."""
+    n = 100
+    hinges = [RowGroup((i,), (2 * i, 2 * i + 1), False, frozenset([(0, 1 + i)])) for i in range(n)]
+    gears = [RowGroup((0, i), (2 * n + i - 1,), True, frozenset([(0, 1), (0, 1 + i)])) for i in range(1, n)]
+    largest = max(len(f.unknowns) for f in fronts_of(n, hinges + gears, set()).fronts)
+    assert largest <= 9
+
+
+def test_coupled_joints_that_leave_nothing_free_come_after_their_bodies() -> None:
+    """A coupling of coordinates of other joints, or of one that leaves no more, has no pivot on its body alone."""
+    one = RowGroup((0,), (0, 1), False, frozenset([(0, 1)]))
+    held = RowGroup((1,), (2, 3, 4), False, frozenset([(0, 2)]))
+    for ends in ([(0, 2)], [(5, 6)]):
+        coupling = RowGroup((0, 1), (5,), True, frozenset(ends))
+        steps = Elimination([3, 3], [one, held, coupling], set()).run()
+        assert steps[-1][0] == [4]
+
+
+def test_bodies_with_many_joints_lead() -> None:
+    """Rods between one shaft and sliders, which the ground leads to first: loops close beside the shaft, in small fronts."""
+    n = 60
+    guides = [RowGroup((1 + i,), (2 * i, 2 * i + 1), False) for i in range(n)]
+    rods = [
+        RowGroup((a, 1 + n + i), (2 * (n * (1 + k) + i), 2 * (n * (1 + k) + i) + 1), False)
+        for i in range(n)
+        for k, a in enumerate((1 + i, 0))
+    ]
+    shaft = RowGroup((0,), (6 * n, 6 * n + 1), False)
+    assert max(len(f.unknowns) for f in fronts_of(1 + 2 * n, [*guides, *rods, shaft], set()).fronts) <= 15
+
+
+def test_nets_have_few_large_fronts() -> None:
+    """Storage of a net of 20 by 20 bodies: fronts of one node each take four times as much."""
+    n = 20
+    pairs = {(i, i + 1) for i in range(n * n - 1) if (i + 1) % n} | {(i, i + n) for i in range(n * n - n)}
+    fronts = fronts_of(n * n, [], pairs)
+    needed = sum(len(f.unknowns) * f.pivots for f in fronts.fronts)
+    assert fronts.storage < 5 * needed
 
 
 def sampled(dim: int) -> fmbd.Scene:

@@ -104,7 +104,15 @@ class Tables(TableLayout):
     def _connections(self) -> tuple[Any, ...]:
         """What acts between which frames, and on which rows: all that the structure depends on."""
         acting = (
-            (x.role == ROW, x.frames.shape[1], _bytes(x.frames), _bytes(x.row)) for x in self.items if x.role != READ
+            (
+                x.role == ROW,
+                x.frames.shape[1],
+                _bytes(x.frames),
+                _bytes(x.row),
+                _bytes(x.markers) if x.role == ROW else b"",
+            )
+            for x in self.items
+            if x.role != READ
         )
         whole = ((_bytes(self.frame[f.a]), _bytes(self.frame[f.b])) for f in (*self.loads, *self.mounts))
         rods = frozenset(rod_pairs(self.system.elements)) if self.system.elements else frozenset()
@@ -114,14 +122,16 @@ class Tables(TableLayout):
     def _shape(self) -> MatrixShape:
         """Groups of rows, and the bodies that are coupled."""
         touched: list[set[int]] = [set() for _ in range(self.rows)]
+        ends: list[set[tuple[int, ...]]] = [set() for _ in range(self.rows)]
         terms = np.zeros(self.rows, int)
         pairs = rod_pairs(self.system.elements)
         for items in (x for x in self.items if x.role != READ):
             bodies: Any = self.body_of(items.frames)
             if items.role == ROW:
                 assert items.row is not None
-                for number, pair in zip(items.row, bodies.tolist(), strict=True):
+                for number, pair, end in zip(items.row, bodies.tolist(), items.markers, strict=True):
                     touched[int(number)] |= {x for x in pair if x >= 0}
+                    ends[int(number)].add(tuple(map(int, end)))
                     terms[int(number)] += 1
             pairs |= {(a, b) for x in bodies.tolist() for a, b in combinations(sorted({*x} - {-1}), 2)}
         for f in (*self.loads, *self.mounts):
@@ -131,7 +141,9 @@ class Tables(TableLayout):
         found: dict[tuple[tuple[int, ...], bool], list[int]] = {}
         for row in range(self.rows):
             found.setdefault((tuple(sorted(touched[row])), bool(terms[row] > 1)), []).append(row)
-        groups = [RowGroup(near, tuple(rows), coupling) for (near, coupling), rows in found.items()]
+        groups = []
+        for (near, coupling), rows in found.items():
+            groups.append(RowGroup(near, tuple(rows), coupling, frozenset(end for row in rows for end in ends[row])))
         return MatrixShape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs))
 
     def renew_fields(self, t: float, *, predicted: bool) -> None:
