@@ -40,11 +40,12 @@ static int take_tangent(System *s, Implicit *o, double t, const double *q, const
     return driver_stage_tangent(s, o->patterns, length, t, q, v, a, lam, o->masses, o->stages->W.data, o->room, o->data);
 }
 
-/* Whether what has failed is tried once more: the tangent was that of an older step. */
+/* Whether what has failed is tried once more, with a tangent of its own: the tangent was that of an older step, or new ones of fields
+   are asked for. */
 static int tried_anew(const Implicit *o, int verdict, double *work)
 {
-    if (tried_renewed(o->stages, verdict)) return 1;
-    if (o->fresh || (verdict != NEWTON && verdict != SINGULAR)) return 0;
+    const int renewed = tried_renewed(o->stages, verdict);
+    if (!renewed && (o->fresh || (verdict != NEWTON && verdict != SINGULAR))) return 0;
     work[KNOWN] = 0.0;
     return 1;
 }
