@@ -193,6 +193,34 @@ def test_surfaces_that_meet_cost_few_calls() -> None:
     assert calls(80) - calls(40) < 40 * 60
 
 
+@pytest.mark.parametrize(
+    ("cells", "friction", "scheme"), [(320, 0.0, SCHEMES[0]), (120, 0.3, SCHEMES[0]), (120, 0.3, SCHEMES[2])], ids=str
+)
+def test_many_candidates_stay_compiled(
+    cells: int, friction: float, scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A slab that lands on many nodes, and slides: by products of the compliance, with few calls and the motion of Python."""
+    mesh = fmbd.read_gmsh(BLOCK, size=(1.0, 0.2), counts=(cells, 2), quads=True, origin=(-0.5, 5e-4))
+    elastic = fmbd.materials.linear_elastic(50.0, 0.2)
+    slab = fmbd.AbsoluteBody("slab", mesh, degree=1, density=1.0, elastic=elastic, velocity=(0.2, -0.2))
+    scene = fmbd.Scene("slab", gravity=(0, -9.81))
+    scene.add(slab, fmbd.contact("floor", slab.surface("bottom"), fmbd.HalfSpace((0, 0), (0, 1)), friction=friction))
+
+    def run(steps: int) -> Any:
+        output = fmbd.Output(every=steps, energy=False, progress=False)
+        return fmbd.solve(scene, t_end=1e-3 * steps, dt=1e-3, scheme=scheme, output=output)
+
+    found = run(10)
+    assert found.counters["compiled_steps"] == 10 and found.counters["compliance_products"] > 8
+    calls = [calls_of(lambda steps=steps: run(steps), "fmbd_fenicsx") for steps in (10, 20)]
+    assert calls[1] - calls[0] < 10 * 60
+    monkeypatch.setattr(ElasticContactStepper, "marches", False)
+    alone = run(10)
+    np.testing.assert_allclose(found.state.q, alone.state.q, rtol=0, atol=1e-10)
+    impulse = alone.state.contact.impulse
+    np.testing.assert_allclose(found.state.contact.impulse, impulse, rtol=0, atol=1e-9 * np.abs(impulse).max())
+
+
 @pytest.mark.parametrize("scheme", SCHEMES[::2], ids=lambda s: s.name)
 def test_two_bars_exchange_their_velocities(scheme: Any) -> None:
     """Bars of length L and wave speed c = 1 hit each other: for 2 L / c they press each other by rho c v / 2."""

@@ -25,7 +25,7 @@ SHIFT = 1e-8  # of the diagonal of W, before pivoting
 @dataclass
 class ContactCounts:
     """Statistics of a run: active-set iterations, changes of the set between them, cycles broken, worst
-    residual.
+    residual; products of the compliance that compiled code has made.
     """
 
     iterations: int = 0
@@ -34,6 +34,7 @@ class ContactCounts:
     most: int = 0
     solves: int = 0
     residual: float = 0.0
+    products: int = 0
 
 
 class Dense:

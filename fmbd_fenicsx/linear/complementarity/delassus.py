@@ -27,6 +27,7 @@ from ..prepared import Condensed
 from .delassus_matrix_free import MANY, Applied, SlaveBlocks
 
 CHUNK = 64  # columns solved together
+PRODUCTS = 3e3  # operations of a problem by products for each unknown: measured
 
 
 class Compliance(Remembering):
@@ -64,6 +65,13 @@ class Compliance(Remembering):
     def most(self) -> int:
         """Candidates of which W is stored; those of more are an :class:`Applied`."""
         return MANY
+
+    def most_stored(self, components: int) -> int:
+        """Candidates with so many components of which compiled code stores W: its factor of W costs (m d)^3 there, the products
+        of a problem as much as some thousand times the unknowns.
+        """
+        unknowns = sum(part.field.n_global for _, part in self.solver.system.fields)
+        return min(self.most, int(np.cbrt(PRODUCTS * unknowns) / components))
 
     def matrix(self, rows: LinearRows) -> Array:
         """W, (m, m), for the configuration the solver was last prepared for."""

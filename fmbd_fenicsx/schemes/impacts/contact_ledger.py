@@ -166,5 +166,5 @@ class ContactLedger(Remembering):
             "cycles_broken": n.cycles,
             "complementarity_residual": n.residual,
             "compliance_columns": columns,
-            "compliance_products": products,
+            "compliance_products": products + n.products,
         }

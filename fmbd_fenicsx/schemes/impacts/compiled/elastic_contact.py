@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from ....kernel_cache import address_of
 from ....linear.complementarity.delassus import Compliance
@@ -72,7 +73,8 @@ class Encounters(PairTables):
             linear=int(not any(part.field.nonlinear for _, part in system.fields)),
             search=self._array("search", [np.nan if pair.search is None else pair.search for pair in laws]),
             room=self._zeros("room", 3 * s.n_v + s.n_q + 4 * s.n_lam), margin=MARGIN, relies=RELIED, brief=SHORT,
-            problem=ctypes.addressof(self.problem.c), most=self.compliance.most,
+            problem=ctypes.addressof(self.problem.c), most=self.compliance.most_stored(self.c.components),
+            utmost=self.compliance.most,
             listed=self._zeros("listed", m, np.int32), near=self._zeros("near", m, np.int32),
             sways=self._zeros("sways", s.n_frames, np.int32), factored=self._zeros("factored", s.n_q),
             offset=self._zeros("offset", self.candidates),
@@ -216,6 +218,9 @@ class Encounters(PairTables):
     def _make_ready(self, count: int) -> None:
         """Compliances of the nodes that those near act on, and room for so many."""
         o, blocks, system, a = self.contact, self.driver.blocks, self.system, self.arrays
+        if o.applied:
+            self._take_lumped(count)
+            return
         self.problem.take_size(count)
         first = np.cumsum([0, *(block.Y.shape[1] for block in blocks)])
         for i, one in zip(self.traces, self._nodes_of_traces, strict=True):
@@ -230,6 +235,44 @@ class Encounters(PairTables):
         o.coupled = int(moving or o.columns > 0 or self._on_core)
 
         self._make_room(count * self.c.components, o.columns)
+
+    def _take_lumped(self, count: int) -> None:
+        """What is nearly the inverse of the compliance of so many that are near, and room for them."""
+        coupled: Any = sp.csr_matrix((count, count))
+        for i, one in zip(self.traces, self._nodes_of_traces, strict=True):
+            acts = self._acting(i, count)
+            if not acts.nnz:
+                continue
+            E, d = self.compliance.blocks.of(i), self.tables.dim
+            blocks = sp.bsr_matrix(E, blocksize=(d, d))
+            blocks.sort_indices()
+            one.start, one.column = (
+                self._array(f"{name} of E {i}", x, np.int32)
+                for name, x in (("start", blocks.indptr), ("column", blocks.indices))
+            )
+            one.E = self._array(f"E {i}", blocks.data.ravel())
+            beside = sp.csr_matrix((np.ones(len(blocks.indices)), blocks.indices, blocks.indptr), shape=(one.size,) * 2)
+            coupled = coupled + acts @ beside @ acts.T
+        self.problem.take_lumped(sp.csr_matrix(coupled + sp.identity(count)))
+        self._make_room(count * self.c.components, 0)
+
+    def _acting(self, i: int, count: int) -> Any:
+        """Which nodes of a trace carry the multipliers of so many that are near, (count, n) sparse, with ones."""
+        near, surface = self.arrays["near"][:count], self.arrays["surface"].reshape(-1, 2)[:, 0]
+        n = self._nodes_of_traces[self.traces.index(i)].size
+        found = sp.csr_matrix((count, n))
+        for law, points in enumerate(map(int, surface)):
+            if self.traces[self.arrays["nodes of"][points]] != i:
+                continue
+            mean, one, law_of = self._means[2 * law], self.pairs[points], self.pairs[law]
+            first = np.array((ctypes.c_int * (law_of.count + 1)).from_address(mean.first))
+            local = np.array((ctypes.c_int * int(first[-1])).from_address(mean.node), dtype=int)
+            node = self.arrays["node"][one.first + local]
+            acts = sp.csr_matrix((np.ones(len(node)), node, first), shape=(law_of.count, n))
+            mine = np.flatnonzero((near >= law_of.first) & (near < law_of.first + law_of.count))
+            chosen = sp.csr_matrix((np.ones(len(mine)), (mine, near[mine] - law_of.first)), shape=(count, law_of.count))
+            found = found + chosen @ acts
+        return sp.csr_matrix(found)
 
     @property
     def _on_core(self) -> bool:

@@ -15,17 +15,21 @@ import numpy as np
 from ....kernel_cache import address_of
 from ....linear.complementarity.active_set import ContactCounts
 from ....rotations import Array
+from ....system.compiled.declarations import enumeration
 from ....system.compiled.library import CONTACT, driver_library
 from ....system.compiled.states.evaluation import DriverStates
 from ....system.system import System
 from .structures import Blocks, Contacts, Problem, Tally
+
+VECTORS = 16 + 2 * enumeration("DIRECTIONS", "contact/friction.c")["DIRECTIONS"]  # of forces, that its iteration works with
 
 
 class CompiledProblem:
     """Forces of points in d components, whose openings are q + W f; room for as many points as were asked for so far."""
 
     def __init__(self, library: Any, d: int) -> None:
-        self.library, self.d, self.room = library, d, 0
+        self.library, self.d = library, d
+        self.room = self.room_applied = 0
         self.arrays: dict[str, np.ndarray] = {}
         self.everyone = _everyone(0)
         self.c = Contacts(components=d)
@@ -35,7 +39,7 @@ class CompiledProblem:
         starts; None where it does not end.
         """
         m, d = force.shape
-        if m != self.c.all.m:
+        if m != self.c.all.m or self.c.all.lumped:
             self.take_size(m)
         row, near, _ = self.everyone
         blocks, x = W.reshape(m, d, m, d), self.arrays
@@ -67,6 +71,7 @@ class CompiledProblem:
         tally = self.c.tally
         counts.solves, counts.iterations = counts.solves + tally.solves, counts.iterations + tally.iterations
         counts.changes, counts.residual = counts.changes + tally.changes, max(counts.residual, tally.residual)
+        counts.products += tally.products
         self.c.tally = Tally()
 
     def take_size(self, m: int) -> None:
@@ -77,13 +82,26 @@ class CompiledProblem:
         places = {name: self.arrays[name] for name in ("own", "W", "q", "u", "f", "mu")} | self.everyone[2]
         self.c.all = Problem(m=m, **{name: address_of(one) for name, one in places.items()})
 
-    def _make_room(self, m: int) -> None:
-        """Arrays for m points."""
-        self.room, d = m, self.d
-        square, pairs = d * d, m * (m - 1)
+    def take_lumped(self, near: Any) -> None:
+        """Problems come next whose matrix is known by its products; ``near``: as of :meth:`.LumpedInverse.take`."""
+        from .lumped import LumpedInverse
+
+        m = near.shape[0]
+        if m > self.room_applied:
+            self._make_room(m, applied=True)
+        self.lumped = LumpedInverse(self.d)  # C reads it
+        self.lumped.take(near)
+        places = {name: address_of(self.arrays[name]) for name in ("own", "q", "u", "f", "mu")}
+        self.c.all = Problem(m=m, lumped=ctypes.addressof(self.lumped.c), **places)
+
+    def _make_room(self, m: int, *, applied: bool = False) -> None:
+        """Arrays for m points, all of which move each other; ``applied``: the matrix is known by its products."""
+        self.room, self.room_applied = (0, m) if applied else (m, 0)
+        d = self.d
+        square, pairs = d * d, 0 if applied else m * (m - 1)
         sizes = {"own": m * square, "W": pairs * square, "q": m * d, "u": m * d, "f": m * d, "mu": m}
         sizes |= {"inner": m * square, "size": m, "upper": pairs // 2 * square, "lower": pairs // 2 * square}
-        sizes |= {"least": (3 + 2 * d) * m * d}
+        sizes |= {"least": (VECTORS + 3 * d if applied else 3 + 2 * d) * m * d}
         x = self.arrays = {name: np.zeros(size) for name, size in sizes.items()}
         x["states"], x["known"] = np.zeros(2 * m, np.int32), np.ones(1, np.int32)
         self.c.blocks = Blocks(*(address_of(x[name]) for name in ("inner", "size", "upper", "lower")))

@@ -11,6 +11,7 @@ SOURCE, PARTS = "contact/contact.c", "parts.h"
 Touch, Tally, Problem, Graph, Blocks = (
     structure_of(SOURCE, name) for name in ("Touch", "Tally", "Problem", "Graph", "Blocks")
 )
+Lumped = structure_of(SOURCE, "Lumped", Problem=Problem, Blocks=Blocks)
 Tree, Block = (structure_of(PARTS, name) for name in ("Tree", "Block"))
 Contacts = structure_of(
     SOURCE, "Contacts", Touch=Touch, Block=Block, Problem=Problem, Graph=Graph, Blocks=Blocks, Tally=Tally

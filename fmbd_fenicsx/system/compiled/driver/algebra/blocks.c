@@ -12,6 +12,10 @@ static void moved_at(const Problem *o, int d, int i, const double *x, double *y)
 /* y = W x */
 static void moved_by(const Problem *o, int d, const double *x, double *y)
 {
+    if (o->lumped) {
+        o->lumped->times(o->lumped->by, x, y);
+        return;
+    }
     for (int i = 0; i < o->m; i++) moved_at(o, d, i, x, y + i * d);
 }
 
@@ -109,4 +113,43 @@ static void solve_blocks(const Problem *o, int d, const Blocks *b, double *x)
             for (int i = 0; i < d; i++) left[i] += dot(b->upper + (e - base) * square + i * d, x + o->behind[e] * d, d);
         for (int i = 0; i < d; i++) x[k * d + i] = dot(b->own + k * square + i * d, left, d);
     }
+}
+
+/* ---- P W + B: as it stands, or nearly, by what is nearly the inverse of W ---- */
+
+/* Vectors, or blocks, of m contacts in the order of an elimination; or back, added with a factor. */
+static void put_in_order(const Lumped *o, int size, const double *x, double *y)
+{
+    for (int i = 0; i < o->inverse.m; i++) memcpy(y + (long)o->place[i] * size, x + (long)i * size, size * sizeof(double));
+}
+
+/* P W + B, P and B m x d x d on the diagonal, ready to be solved; 1 as factor_blocks. With H nearly W^-1 that is P + B H on what W
+   moves. */
+static int factor_slope(const Problem *o, int d, Blocks *b, const double *P, const double *B, double share)
+{
+    Lumped *l = o->lumped;
+    const long size = (long)o->m * d * d;
+    if (!l) {
+        load_blocks(o, d, b, P, NULL, B);
+        return factor_blocks(o, d, b, share);
+    }
+    put_in_order(l, d * d, B, l->work);
+    put_in_order(l, d * d, P, l->work + size);
+    load_blocks(&l->inverse, d, &l->blocks, l->work, NULL, l->work + size);
+    return factor_blocks(&l->inverse, d, &l->blocks, share);
+}
+
+/* The solution in place of the right-hand side x, the exact one where W is stored. */
+static void solve_slope(const Problem *o, int d, const Blocks *b, double *x)
+{
+    const Lumped *l = o->lumped;
+    if (!l) {
+        solve_blocks(o, d, b, x);
+        return;
+    }
+    double *y = l->work, *z = y + o->m * d;
+    put_in_order(l, d, x, y);
+    solve_blocks(&l->inverse, d, &l->blocks, y);
+    moved_by(&l->inverse, d, y, z);
+    for (int i = 0; i < o->m; i++) memcpy(x + i * d, z + l->place[i] * d, d * sizeof(double));
 }

@@ -97,6 +97,7 @@ static int contact_forces(Contacts *c, const Problem *o, int g)
             return 0;
         }
         if (!isfinite(residual)) return 1;
+        if (o->lumped) return 1; /* see friction.c */
         if (!round) know_group(c, g);
         if (round == SOON) {
             sweep_forces(o, d, o->f);

@@ -38,7 +38,7 @@ typedef struct {
 
 /* What is counted of contacts; a step that is given back counts nothing. */
 typedef struct {
-    long solves, iterations, changes, cycles, steps, newton, impacts;
+    long solves, iterations, changes, cycles, steps, newton, impacts, products;
     double residual;
 } Tally;
 
@@ -49,6 +49,7 @@ typedef struct {
     int *start, *behind;                      /* of each those behind it in a factor */
     double *own, *W;                          /* blocks on the diagonal, and beside it */
     double *q, *u, *f, *mu;
+    struct Lumped *lumped;                    /* where W is known by its products: what is nearly its inverse; else NULL */
 } Problem;
 
 /* Closed contacts in the order of their groups, see graph.c. */
@@ -64,6 +65,16 @@ typedef struct {
 typedef struct {
     double *own, *size, *upper, *lower;
 } Blocks;
+
+/* What is nearly W^-1, (2) of linear/complementarity/delassus_matrix_free.py, and who makes products of W. */
+typedef struct Lumped {
+    Problem inverse;                          /* its blocks and those that fill, in an order of elimination */
+    Blocks blocks;
+    int *place, *of, *still;                  /* of contacts: where they are in that order, and back; whether they stay where they are */
+    double *work, scale;                      /* 2 m d (1 + d); W = scale N A^-1 N^T */
+    void (*times)(const void *by, const double *x, double *y);
+    const void *by;
+} Lumped;
 
 typedef struct {
     int pairs, points, components, known;     /* known: whether ``now`` is that of the newest state */

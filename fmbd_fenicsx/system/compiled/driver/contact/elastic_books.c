@@ -9,6 +9,8 @@ typedef struct {
     const double *C, *Y;               /* size x size; size x columns */
     int begin, end;                    /* among those touched */
     double extent;                     /* of the body, m */
+    const int *start, *column;         /* of E there, by blocks D x D: where each row begins, and nodes of its blocks */
+    const double *E;
 } Nodes;
 
 typedef struct ElasticContact {
@@ -22,7 +24,8 @@ typedef struct ElasticContact {
     const double *search;              /* laws: gaps below this, where it was chosen, else nan */
     double *room;                      /* 3 nv + nq + 4 rows */
     Contacts *problem;                 /* of forces on those near */
-    int smooth, linear, most, coupled, columns; /* see elastic_step.py; fields with one tangent; most near at once; whether the core moves them; columns of all fields */
+    int smooth, linear, coupled, columns; /* see elastic_step.py; fields with one tangent; whether the core moves them; of all fields */
+    int most, utmost, applied;         /* near of which W is stored, and where laws share nodes; whether it is known by its products */
     double margin, relies, brief, length; /* of elastic_step.py; steps of a short impact; of the model, m */
     int at_since, at_impulse, at_held, at_near; /* in what is kept with a state */
     int traces;

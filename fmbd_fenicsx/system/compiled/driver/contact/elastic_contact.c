@@ -5,19 +5,24 @@ enum { ROUNDS_OF_STEP = 4 };        /* how often points join in */
 static const double OVERLAP = 1e-9; /* of the model's length: what a point passes into an obstacle before it joins in */
 
 #include "contact/elastic_rows.c"
+#include "contact/products.c"
 
 /* ---- which contacts take part ---- */
 
-/* List the nodes that those near act on, trace by trace; whether C is known at all of them. */
-static void list_nodes(ElasticContact *o, int *known)
+/* List the nodes that those near act on, trace by trace; whether C is known at all of them, and whether contacts of two laws share one. */
+static void list_nodes(ElasticContact *o, int *known, int *shared)
 {
     int count = 0;
-    *known = 1;
+    *known = 1, *shared = 0;
     for (Nodes *k = o->nodes; k < o->nodes + o->traces; k++)
         for (int n = 0; n < k->size; n++) o->place[k->first + n] = -1;
     for (int j = 0; j < 2 * o->count; j++) {
         const Side k = side_of(o, o->near[j / 2], j % 2);
-        for (int e = 0; e < k.count; e++) o->place[k.nodes->first + number_of(&k, e)] = 0;
+        for (int e = 0; e < k.count; e++) {
+            int *at = o->place + k.nodes->first + number_of(&k, e), law = o->contacts->of[o->near[j / 2]];
+            *shared |= *at >= 0 && *at != law;
+            *at = law;
+        }
     }
     for (Nodes *k = o->nodes; k < o->nodes + o->traces; k++) {
         k->begin = count;
@@ -34,19 +39,21 @@ static void list_nodes(ElasticContact *o, int *known)
 static int gather_near(ElasticContact *o)
 {
     Contacts *c = o->contacts;
-    int count = 0, same = 1, known;
+    int count = 0, same = 1, known, shared;
+    const Problem *P = &o->problem->all;
     for (int i = 0; i < o->candidates; i++)
         if (o->listed[i]) {
             same = same && count < o->count && o->near[count] == i;
             o->near[count++] = i;
         }
-    if (!same || count != o->count) o->known_scale = 0.0;
+    same = same && count == o->count;
+    if (!same) o->known_scale = 0.0;
     o->count = count;
     if (!count) return DONE;
-    list_nodes(o, &known);
-    if (o->ready && known && o->problem->all.m == count) return DONE;
+    list_nodes(o, &known, &shared);
+    o->applied = count > (shared ? o->utmost : o->most); /* products do not tell forces on a node that is held twice */
+    if (o->ready && P->m == count && !P->lumped == !o->applied && (o->applied ? same : known)) return DONE;
     o->ready = o->known_scale = 0;
-    if (count > o->most) return LOOK;
     if (c->python(NEARBY, count, 0.0)) return FAILED;
     o->ready = 1;
     return DONE;
@@ -74,6 +81,7 @@ static int pair_surfaces(ElasticContact *o, double h, const Block *now)
     for (int k = 0; k < o->meetings; k++)
         if (pair_facets(c, o->meeting + k, k, 4.0 * h * fastest, o->keeps, &c->now)) return FAILED;
     o->known_scale = 0.0;
+    if (o->problem->all.lumped) o->ready = 0;
     return DONE;
 }
 
@@ -186,9 +194,10 @@ static void push_residuals(System *s, const ElasticContact *o, const double *f)
         }
 }
 
-/* The solution with more forces on the rows. */
-static int solve_pushed(System *s, const ElasticContact *o, const Contacting *k, const double *f, double *x, double *y)
+/* The solution with the forces on the rows so far. */
+static int solve_so_far(System *s, const ElasticContact *o, const Contacting *k, double *x, double *y)
 {
+    const double *f = o->problem->all.f;
     if (k->b) {
         add_pushes(o, k->scale, f, k->b);
         return driver_solve(s, 1, o->factored, k->b, k->open, x, y);
@@ -197,13 +206,14 @@ static int solve_pushed(System *s, const ElasticContact *o, const Contacting *k,
     return increment(s, k->scale, x, y, k->t);
 }
 
-/* Forces that the law asks for; Python finds those of hard problems. */
+/* Forces that the law asks for; Python finds those of hard problems, and makes the step where W is known by its products. */
 static int find_forces(const ElasticContact *o)
 {
     const Problem *P = &o->problem->all;
     const int d = o->contacts->components, n = d * o->count;
     memcpy(o->start, P->f, n * sizeof(double));
-    if (contact_forces(o->problem, P, 0)) {
+    if (contact_forces(o->problem, P, 0) && (!P->lumped || frictional_forces(o->problem, P))) {
+        if (P->lumped) return LOOK;
         memcpy(P->f, o->start, n * sizeof(double));
         if (o->contacts->python(COMPLEMENTARITY, o->count, 0.0)) return FAILED;
     }
@@ -231,7 +241,7 @@ int contact_increment(System *s, ElasticContact *o, const Contacting *k, double 
     elastic_rows(o, k->q, &c->aside);
 
     /* the increment without a change of the contact forces */
-    if ((verdict = solve_pushed(s, o, k, P->f, x, y))) return verdict;
+    if ((verdict = solve_so_far(s, o, k, x, y))) return verdict;
     if (!o->matrix && (verdict = take_compliance(s, o, k->scale))) return verdict;
     if (find_openings(o, k, &c->aside, end, x)) return FAILED;
 
@@ -242,7 +252,12 @@ int contact_increment(System *s, ElasticContact *o, const Contacting *k, double 
         changed |= o->change[r] != 0.0;
     }
     o->increments++;
-    return changed ? solve_pushed(s, o, k, o->change, x, y) : DONE;
+    if (!changed) return DONE;
+    double *more = o->room + s->nv, *also = more + 2 * s->nv + s->nq + s->rows;
+    if ((verdict = pushed(s, o, k->scale, o->change, more, also))) return verdict;
+    add(x, 1.0, more, s->nv);
+    add(y, 1.0, also, s->rows);
+    return DONE;
 }
 
 /* ---- what steps tell of later ones: schemes/impacts/elastic_step.py ---- */

@@ -106,6 +106,16 @@ static void add_pushes(const ElasticContact *o, double factor, const double *f, 
         }
 }
 
+/* The answers x, like v, and y of multipliers to forces on the rows times a scale; NULL: not wanted. Residuals are lost. */
+static int pushed(System *s, const ElasticContact *o, double scale, const double *f, double *x, double *y)
+{
+    double *b = o->room, *none = b + 3 * s->nv + s->nq;
+    memset(b, 0, s->nv * sizeof(double));
+    memset(none, 0, s->rows * sizeof(double));
+    add_pushes(o, scale, f, b);
+    return driver_solve(s, 1, o->factored, b, none, x, y ? y : none + s->rows);
+}
+
 /* ---- how contacts answer: (1) and (2) of linear/complementarity/delassus.py ---- */
 
 /* Rows at nodes in the axes of the factors of their fields, into ``axes``; whether they are what they were. */
@@ -184,15 +194,22 @@ static double *block_of(const Problem *P, int d, int i, int j)
     return i == j ? P->own + i * d * d : P->W + ((long)i * (P->m - 1) + j - (j > i)) * d * d;
 }
 
+static void take_lumped(const ElasticContact *o, double scale);
+
 /* W, for forces that a solution weights by ``scale``: symmetric but for roundoff. */
 static int take_compliance(System *s, ElasticContact *o, double scale)
 {
     const int d = o->contacts->components, m = o->count, coupled = o->coupled;
     const Problem *P = &o->problem->all;
-    int verdict, same = turn_rows(o) && !coupled && o->known_scale == scale;
+    int verdict, same = turn_rows(o) && (P->lumped || !coupled) && o->known_scale == scale;
     o->matrix = 1;
     if (same) return DONE;
     o->known_scale = 0.0;
+    if (P->lumped) {
+        take_lumped(o, scale);
+        o->known_scale = scale;
+        return DONE;
+    }
     if (coupled && (verdict = ask_core(s, o))) return verdict;
     memset(P->own, 0, (long)m * d * d * sizeof(double));
     memset(P->W, 0, (long)m * (m - 1) * d * d * sizeof(double));

@@ -31,6 +31,11 @@ static const Attempt ATTEMPTS[] = {{LAST, 1e-6, SHORT, FEW, 3},
                                    {NONE, 1e-6, LONG, MANY, 12}};
 enum { TRIES = sizeof ATTEMPTS / sizeof *ATTEMPTS, SHARPENING = 2 }; /* behind so many what is accepted ends the search */
 
+/* Where W is known by its products a solution is some of them: the plain problem first, and no step behind a whole one. */
+static const Attempt APPLIED[] = {{LAST, 0.0, PLAIN, 1, 1}, {LAST, 1e-4, LONG, MANY, 1}};
+enum { TRIES_APPLIED = sizeof APPLIED / sizeof *APPLIED };
+static const double EXACT = 1e-8, ROUGHLY = 1e-3; /* of what is left: solutions by blocks of W, and by products */
+
 static double accepted_in(int m) { return m > SMALL ? SETTLED : ACCEPTED; }
 
 /* A problem (3) with the compliance and the friction of ``of``, and the iterate that was evaluated last. */
@@ -125,18 +130,18 @@ static void least_of(const Krylov *o, int count, const double *Z, int n, double 
 static int force_step(const Contacts *c, const Friction *o, double *s, double *work)
 {
     const int d = c->components, n = o->n;
+    const double enough = o->of->lumped ? ROUGHLY : EXACT;
     double *own = work, *moved = own + n * d, *Z = moved + n, *V = Z + DIRECTIONS * n, size = sqrt(dot(o->F, o->F, n));
     Blocks blocks = c->blocks;
     Krylov least = {.left = {size}};
     for (int i = 0; i < n * d; i++) own[i] = o->dx[i] + o->du[i] * o->shift[i / (d * d) * d + i % d];
-    load_blocks(o->of, d, &blocks, o->du, NULL, own);
-    if (factor_blocks(o->of, d, &blocks, 0.0)) return 1;
+    if (factor_slope(o->of, d, &blocks, o->du, own, 0.0)) return 1;
     for (int i = 0; i < n; i++) V[i] = -o->F[i] / fmax(size, 1e-300);
 
     for (int k = 0; k < DIRECTIONS; k++, Z += n, V += n) {
         double *h = least.H + k * (DIRECTIONS + 1), *next = V + n;
         memcpy(Z, V, n * sizeof(double));
-        solve_blocks(o->of, d, &blocks, Z);
+        solve_slope(o->of, d, &blocks, Z);
         slope_times(o, d, own, Z, moved, next);
         for (int i = 0; i <= k; i++) {
             h[i] = dot(V + (i - k) * n, next, n);
@@ -147,9 +152,9 @@ static int force_step(const Contacts *c, const Friction *o, double *s, double *w
         turn_column(&least, k);
         least_of(&least, k + 1, Z - k * n, n, s);
         if (!isfinite(least.left[k + 1])) return 1;
-        if (fabs(least.left[k + 1]) <= fmax(1e-8 * size, 1e-12 * largest(s, n))) return 0;
+        if (fabs(least.left[k + 1]) <= fmax(enough * size, 1e-12 * largest(s, n))) return 0;
     }
-    return 1;
+    return !o->of->lumped; /* the search of a line takes what there is */
 }
 
 /* The iterate at forces o->x, whose squared residual is returned. */
@@ -239,7 +244,7 @@ static double attempt(Contacts *c, const Problem *problem, const Attempt *with, 
         }
         /* what has been found gets as sharp as it does at once, what is accepted as it does soon */
         idle = size > 0.5 * before ? idle + 1 : 0;
-        if (size <= ENOUGH || !isfinite(size) || (idle && least <= FOUND) || (idle > (m <= SMALL ? STAYS : 1) && least <= accepted_in(m))) break;
+        if (size <= ENOUGH || !isfinite(size) || (idle && least <= FOUND) || (problem->lumped && idle > STAYS) || (idle > (m <= SMALL ? STAYS : 1) && least <= accepted_in(m))) break;
         rho = found ? 0.1 * rho : 10.0 * rho;
         rho = rho > 1.0 ? with->rho : rho;
     }
@@ -271,18 +276,29 @@ static int within_rates(const Contacts *c, const Problem *o, const double *x, do
     return 1;
 }
 
+/* No force where contacts are open: a rough solution leaves roundoff, which would count as a closed one. */
+static void leave_open(const Problem *o, int d)
+{
+    for (int i = 0; i < o->m; i++) {
+        double cn, ct;
+        scales(o, i, d, &cn, &ct);
+        if (!(o->f[i * d] > cn * o->u[i * d])) memset(o->f + i * d, 0, d * sizeof(double));
+    }
+}
+
 /* Forces of a group from those in the problem, and what opens under them; 1 where none of the attempts finds them, with nothing counted.
    Where the step's iteration goes on they are made sharper at once, or serve as they are while they miss the law by rates only that it
    does not know. */
 static int frictional_forces(Contacts *c, const Problem *o)
 {
     const int d = c->components, n = o->m * d;
-    const Attempt *begin = ATTEMPTS + (o->m > SMALL && !c->done), *sharp = ATTEMPTS + SHARPENING;
+    const Attempt *all = o->lumped ? APPLIED : ATTEMPTS, *end = all + (o->lumped ? TRIES_APPLIED : TRIES);
+    const Attempt *begin = all + (!o->lumped && o->m > SMALL && !c->done), *sharp = all + SHARPENING;
     Tally before = c->tally;
     double *last = c->least, *within = last + n, *best = within + n, *work = best + n, size = INFINITY;
     int known = 0, found = 0;
     memcpy(last, o->f, n * sizeof(double));
-    for (const Attempt *k = begin; k < ATTEMPTS + TRIES && !found; k++) {
+    for (const Attempt *k = begin; k < end && !found; k++) {
         c->tally.cycles += k > begin;
         if (k->from == WITHIN && !known) {
             inner_forces(c, o, work);
@@ -303,6 +319,7 @@ static int frictional_forces(Contacts *c, const Problem *o)
         c->tally = before;
         return 1;
     }
+    if (o->lumped) leave_open(o, d);
     c->tally.residual = fmax(c->tally.residual, size);
     c->tally.solves++;
     return 0;

@@ -23,16 +23,6 @@ static int carried(ElasticContact *o, int k, double h, const Block *now, const B
     return DONE;
 }
 
-/* The change of velocities by impulses on the rows, x like v. */
-static int pushed(System *s, const ElasticContact *o, const double *impulse, double *x)
-{
-    double *b = o->room, *none = b + 3 * s->nv + s->nq;
-    memset(b, 0, s->nv * sizeof(double));
-    memset(none, 0, s->rows * sizeof(double));
-    add_pushes(o, 1.0, impulse, b);
-    return driver_solve(s, 1, o->factored, b, none, x, none + s->rows);
-}
-
 /* Impulses (2) on closed contacts, the only ones with forces, into P->f, over ``scale``; whether there are any. Open ones are not moved. */
 static int stop_closed(System *s, ElasticContact *o, const Persisting *at, const double *force, const Block *now, const Block *out, int *any)
 {
@@ -55,6 +45,8 @@ static int stop_closed(System *s, ElasticContact *o, const Persisting *at, const
         memset(P->u + d * k, 0, d * sizeof(double));
         P->u[d * k] = most;
         o->known_scale = 0.0;
+        if (P->lumped) P->lumped->still[k] = 1;
+        if (P->lumped) continue;
         for (int j = 0; j < m; j++) {
             if (j == k) continue;
             memset(P->W + ((long)k * (m - 1) + j - (j > k)) * d * d, 0, d * d * sizeof(double));
@@ -62,7 +54,9 @@ static int stop_closed(System *s, ElasticContact *o, const Persisting *at, const
         }
     }
     memcpy(P->q, P->u, d * m * sizeof(double));
-    return find_forces(o);
+    verdict = find_forces(o);
+    if (P->lumped) memset(P->lumped->still, 0, m * sizeof(int));
+    return verdict;
 }
 
 static int kinetic(System *s, const Block *out, const double *v, double *found)
@@ -104,7 +98,7 @@ int persist(System *s, ElasticContact *o, const Persisting *k, const Block *now,
     if ((verdict = stop_closed(s, o, k, force, now, out, &any))) return verdict;
     if (any) {
         for (int r = 0; r < n; r++) f[r] *= k->scale, stopped[r] += f[r] / k->h;
-        if ((verdict = pushed(s, o, f, dv))) return verdict;
+        if ((verdict = pushed(s, o, 1.0, f, dv, NULL))) return verdict;
         add(out->v, 1.0, dv, s->nv);
     }
 
@@ -115,7 +109,7 @@ int persist(System *s, ElasticContact *o, const Persisting *k, const Block *now,
             if (carried(o, j, k->h, now, out, carry)) return FAILED;
             work += dot(f + d * j, carry, d);
         }
-        if ((verdict = pushed(s, o, f, dv)) || (verdict = share_of(s, o, dv, work, out, &share))) return verdict;
+        if ((verdict = pushed(s, o, 1.0, f, dv, NULL)) || (verdict = share_of(s, o, dv, work, out, &share))) return verdict;
         add(out->v, share, dv, s->nv);
         add(out->A, share * k->to_A, dv, s->nv);
         add(out->a, share * k->to_a, dv, s->nv);
