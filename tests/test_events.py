@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
+from fmbd_fenicsx.mechanics.frames import Markers
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 
@@ -152,6 +153,27 @@ def test_bounces_within_steps(compiled: bool, monkeypatch: pytest.MonkeyPatch) -
     assert len(seen) == 4
     assert [fallen(t)[0] for t in seen] == pytest.approx([0.01] * 4, abs=1e-8)
     assert [np.sign(fallen(t)[1]) for t in seen] == [-1, 1, -1, 1]
+
+
+def test_states_within_a_step_are_evaluated_once_for_all_events(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A further event costs no evaluation of a state."""
+    asked = 0
+
+    def markers(*given: Any) -> Any:
+        nonlocal asked
+        asked += 1
+        return evaluate(*given)
+
+    evaluate = Markers.evaluate
+    monkeypatch.setattr(Markers, "evaluate", markers)
+    counts = []
+    for count in (1, 5):
+        asked = 0
+        events = [fmbd.Event("ball z", -100.0 - k) for k in range(count)]
+        output = fmbd.Output(every=10**9, events=events, progress=False)
+        fmbd.solve(ball(), t_end=0.5, scheme=fmbd.Radau(3), output=output)
+        counts.append(asked)
+    assert counts[1] == counts[0] > 10
 
 
 def test_events_that_are_none_are_refused() -> None:

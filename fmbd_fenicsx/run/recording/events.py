@@ -86,10 +86,10 @@ class EventWatch:
 
     def start(self, state: State) -> None:
         """The state that the first step begins from; collective."""
-        now = Moment(self.scene, self.system, self.markers, state, 0)
+        now = self._moment(state)
         self.columns = [component(self.scene, now, e.sensor) for e in self.events]
         self.before = state
-        self.crossings["before"] = [self._value(k, state) for k in range(len(self.events))]
+        self.crossings["before"] = [self._value(k, now) for k in range(len(self.events))]
         self.read = [(self.scene.sensors[name], self.markers[name], column or 0) for name, column in self.columns]
 
     def rides(self, tape: Tape) -> bool:
@@ -114,12 +114,12 @@ class EventWatch:
 
         # with error control steps are long: a value may cross and come back within one
         # and at an impact it turns
-        inner = [at(t) for t in sorted((*(before.t + x * span for x in self.places), *stepper.unwrapped.kinks))]
+        inner = sorted((*(before.t + x * span for x in self.places), *stepper.unwrapped.kinks))
+        seen = [*(self._moment(at(t)) for t in inner), self._moment(after, told)]  # each evaluated once for all events
 
         found: list[tuple[float, int]] = []
         for k, event in enumerate(self.events):
-            points = [(before.t, float(self.crossings["before"][k])), *((s.t, self._value(k, s)) for s in inner)]
-            points.append((after.t, self._value(k, after, told)))
+            points = [(before.t, float(self.crossings["before"][k])), *((x.t, self._value(k, x)) for x in seen)]
             found += [(self._locate(k, at, a, b), k) for a, b in pairwise(points) if _crosses(a[1], b[1], event)]
             self.crossings["before"][k] = points[-1][1]
         self.before = after
@@ -140,17 +140,21 @@ class EventWatch:
             return b[0]
 
         def value(t: float) -> float:
-            return self._value(k, at(t))
+            return self._value(k, self._moment(at(t)))
 
         begin = value(a[0])
         if begin * b[1] > 0.0:
             return b[0] if abs(begin - b[1]) < abs(begin - a[1]) else a[0]
         return float(brentq(value, a[0], b[0], xtol=ROUNDOFF * max(b[0], 1e-300), rtol=ROUNDOFF))
 
-    def _value(self, k: int, state: State, told: Recorded | None = None) -> float:
+    def _moment(self, state: State, told: Recorded | None = None) -> Moment:
+        """What sensors read from; ``told``: what compiled code told of the state."""
+        return Moment(self.scene, self.system, self.markers, state, 0, told)
+
+    def _value(self, k: int, now: Moment) -> float:
         """Value less level of an event's sensor."""
         (name, column), event = self.columns[k], self.events[k]
-        read = Moment(self.scene, self.system, self.markers, state, 0, told)[name]
+        read = now[name]
         if column is None and len(read) != 1:
             labels = [*self.scene.sensors[name].labels, *range(1, len(read) + 1)][: len(read)]
             listed = ", ".join(f'"{name} {x}"' for x in labels)
