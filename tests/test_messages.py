@@ -44,3 +44,20 @@ def test_ports_of_all_bodies_go_in_one_message(rod_mesh: Callable[..., Any], mon
         sent.clear()
         action()
         assert (1 if shared else 0) <= len(sent) <= (at_most if shared else 0)
+
+
+@pytest.mark.mpi
+def test_wires_that_each_rank_holds_whole_count_once(rod_mesh: Callable[..., Any]) -> None:
+    """Beside a body that the ranks share."""
+    wires = fmbd.Wires("wires", 20.0, 10, (fmbd.Wire(1.0, 1e4),))
+    pan = fmbd.CoordinateBody("pan", np.eye(2), lambda q, v, t: np.array([50.0, 0.0]), np.zeros(2))
+    rod = fmbd.FloatingBody("rod", rod_mesh(dim=2, h=0.25), density=1e3, elastic=fmbd.materials.plane_stress(5e6, 0.3))
+    scene = fmbd.Scene("wires and rod")
+    scene.add(rod, wires, pan, fmbd.SlidingContact("slide", wires, pan, start=9.3, idle=1))
+    system, state, _ = scene.build()
+
+    k, part = next((k, p) for k, p in system.fields if p.name == "wires")
+    q = np.random.default_rng(1).standard_normal(system.n_q)
+    own = part.ports_of(system.local_q(q, k), 0.0)
+    assert np.abs(own).max() > 0
+    np.testing.assert_array_equal(system.ports(q, 0.0)[system.port_slice(k)], own + part.reference)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..matrices import dense
-from ..ranks import rank_sums
 from ..rotations import Array, rotate_nodal
 from ..system.layout import Layout
 from ..system.system import System
@@ -115,8 +114,8 @@ class Condensed(Prepared):
         """H^T z of each field."""
         s, fields = self.system, [f for _, f in self.system.fields]
         ports = tangent_ports(s, zs, self.fields.jacobian.t)
-        apart = [f.inertia_columns.T @ z for f, z in zip(fields, zs, strict=True) if not f.shared_columns]
-        sums = iter(rank_sums(s.comm, apart))
+        apart = [(f, f.inertia_columns.T @ z) for f, z in zip(fields, zs, strict=True) if not f.shared_columns]
+        sums = iter(s.field_sums([f for f, _ in apart], [x for _, x in apart]))
         rows = [p[: f.n_frame_rows] if f.shared_columns else next(sums) for f, p in zip(fields, ports, strict=True)]
         used = [block.used for block in self.fields.blocks]
         return [np.concatenate((q, p[own])) for q, p, own in zip(rows, ports, used, strict=True)]
@@ -133,7 +132,9 @@ class Condensed(Prepared):
         left = [
             (f, MU, dU) for (_, f), MU, dU in zip(s.fields, self.momenta, increments, strict=True) if MU is not None
         ]
-        for (f, _, _), sums in zip(left, rank_sums(s.comm, [MU @ dU for _, MU, dU in left]), strict=True):
+        for (f, _, _), sums in zip(
+            left, s.field_sums([f for f, _, _ in left], [MU @ dU for _, MU, dU in left]), strict=True
+        ):
             at = f.frame * m.n_twist
             out[at + m.dim : at + m.n_twist] -= self.fields.weights.cm * sums
         return out
