@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from dae_problems import parallelograms
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, LinearSolveError
-from fmbd_fenicsx.linear import configuration_warnings
+from fmbd_fenicsx.linear import condensation, configuration_warnings
 from fmbd_fenicsx.linear.configuration_warnings import CLOSE, NearSingular
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.system.mobility import Mobility, nearly_dependent, rows_are_independent
@@ -427,6 +428,26 @@ def test_elastic_body_almost_without_mass(rod_mesh: Any) -> None:
     assert np.abs(run["clamp"][:, 0] - k * x).max() < 1e-6 * k * x.max()
     with pytest.raises(LinearSolveError, match='body "rod"'):
         fmbd.solve(bob_on_elastic_rod(mesh, 1e-13), t_end=0.2, dt=2e-3)
+
+
+def test_many_dependent_rows_move_as_few_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows that are too many to be looked at, of four-bars in space with four hinges each, whose sparse factor is singular."""
+    scene = fmbd.Scene("four-bars", gravity=(0, 0, -9.81))
+    for i in range(8):
+        corners = np.array([(i, 0, 0), (i + 0.1, 0, 0.2), (i + 0.4, 0, 0.25), (i + 0.3, 0, 0)], float)
+        bars = [
+            fmbd.RigidBody(f"{i} {k}", 1.0, (0.01, 0.01, 0.01), (corners[k] + corners[k + 1]) / 2) for k in range(3)
+        ]
+        scene.add(*bars)
+        for k, (a, b) in enumerate(pairwise([fmbd.ground, *bars, fmbd.ground])):
+            scene.add(fmbd.revolute(f"hinge {i} {k}", a, b, center=corners[k], axis=(0, 1, 0)))
+    scene.sensor("coupler", fmbd.position(bars[1]))
+    few = fmbd.solve(scene, t_end=0.02, dt=1e-3)["coupler"]
+    monkeypatch.setattr(configuration_warnings, "LOOK_LIMIT", 100)
+    monkeypatch.setattr(condensation, "LOOK_LIMIT", 100)
+    many = fmbd.solve(scene, t_end=0.02, dt=1e-3)["coupler"]
+    assert np.ptp(few[:, 0]) > 1e-4
+    np.testing.assert_allclose(many, few, rtol=0.0, atol=1e-9)
 
 
 def test_mobility_of_the_flat_double_four_bar() -> None:

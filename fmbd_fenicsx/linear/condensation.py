@@ -26,12 +26,13 @@ from ..mechanics.placements import Approach
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.evaluator import Evaluator
+from ..system.mobility import rows_are_independent
 from ..system.system import System
 from ..system.tangents.force_tangent import force_tangent
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from .border import Border
-from .configuration_warnings import CLOSE, NearSingular, rows_depend
+from .configuration_warnings import CLOSE, LOOK_LIMIT, NearSingular, rows_depend
 from .core import ADVICE, TIE_LIMIT, CoreSolver
 from .core_matrix import core_matrix
 from .driver_solver import DriverSolver, driver_solver
@@ -220,7 +221,7 @@ class StepSolver:
         s, w = self.system, self.weights
         A, border = self._core_with_forces(ev)
         if not s.fields:
-            self.core.factor(A, ev.jacobian.core)
+            self._factor_core(A, ev)
             return CoreAlone(s, self.core)
 
         self.corotations = self._turned(ev)
@@ -240,6 +241,16 @@ class StepSolver:
         corrected = w.ck and s.contacts is None
         momenta = [f.missing_momentum(s.local_q(ev.q, k)) if corrected else None for k, f in s.fields]
         return Condensed(fields, self.core, A, slice(None), momenta)
+
+    def _factor_core(self, A: Any, ev: Evaluation) -> None:
+        """Factor A and G; rows that were too many to be looked at depend on each other where that is singular."""
+        try:
+            self.core.factor(A, ev.jacobian.core)
+        except LinearSolveError:
+            if self.core.redundant or self.system.n_lam <= LOOK_LIMIT or rows_are_independent(ev):
+                raise
+            self.core.redundant = True
+            self.core.factor(A, ev.jacobian.core)
 
     def _turned(self, ev: Evaluation) -> list[Any]:
         """Rotations of the factors of fields at a configuration, None for those that do not turn."""
