@@ -255,3 +255,28 @@ def test_floating_and_nonlinear_solid_agree_at_spin(rod_mesh: Callable[..., Any]
     size = np.abs(reference).max()
     assert size > 0.03
     np.testing.assert_allclose(found, reference, atol=0.01 * size)
+
+
+def test_energy_momentum_knows_the_shortening_of_its_ports(rod_mesh: Callable[..., Any]) -> None:
+    """A spring pulls at the end of a pendulum that pressure bends: as generalized-alpha, with an error of second order."""
+    mesh = rod_mesh(dim=2, h=0.25, height=0.1)
+    rod = fmbd.FloatingBody(
+        "rod", mesh, density=DENSITY, elastic=plane_stress(2e7, 0.3), frame=Attached("pin"), stiffening=True,
+        stiffness_damping=2e-4, loads=[fmbd.body_force((0.0, 3e4), time=lambda t: np.sin(20.0 * t))],
+    ).reduced(basis=fmbd.CraigBampton(("pin", "tip"), 4))  # fmt: skip
+    scene = fmbd.Scene("pulled", gravity=(0.0, -9.81))
+    scene.add(rod, fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0.0, 0.0)))
+    scene.add(
+        fmbd.Spring("spring", fmbd.ground, rod.surface("tip"), (1.0, -0.5), (1.0, 0.0), stiffness=2e3, length=0.2)
+    )
+    scene.sensor("tip", fmbd.position(rod.surface("tip")))
+
+    def off(h: float) -> float:
+        schemes = fmbd.EnergyMomentum(), fmbd.GeneralizedAlpha(0.9)
+        found, other = (
+            fmbd.solve(scene, t_end=0.2, dt=h, scheme=scheme, output=QUIET)["tip"][-1] for scheme in schemes
+        )
+        return float(np.abs(found - other).max())
+
+    coarse, fine = off(4e-3), off(2e-3)
+    assert fine < 0.4 * coarse

@@ -29,6 +29,7 @@ from ....mechanics.placements import FrameMotion
 from ....rotations import Array
 from ....system.evaluation import Evaluation
 from ....system.system import System
+from ....system.tangents.foreshortened_ports import port_forces
 
 
 class GradientEnd(Evaluation):
@@ -40,6 +41,8 @@ class GradientEnd(Evaluation):
         self.port = port.copy()
         for k, part in system.core_parts:
             self.port[system.port_slice(k)] = part.ports_of(system.local_q(q, k), t) + part.reference
+        for k, bent in self.bent.items():
+            self.port[system.port_slice(k)] += bent.values(system.local_q(q, k))
 
 
 class Mean(Evaluation):
@@ -52,7 +55,6 @@ class Mean(Evaluation):
         self.port = 0.5 * (old.port + new.port)
         self.port_rate = (new.port - old.port) / h
         self.twist = self.system.twists(self.v)
-        self.bent = {}  # bodies in floating frames are not taken here
 
     @cached_property
     def kin(self) -> Kinematics:
@@ -154,7 +156,8 @@ class Mean(Evaluation):
         if s.forces:
             push, pull = self.on_ports(self.wrenches())
             port -= pull
-            out -= np.concatenate((push, *(p.port_force(pull[s.port_slice(k)], self.t) for k, p in s.core_parts)))
+            forces = port_forces(self, pull)
+            out -= np.concatenate((push, *(forces[k] for k, _ in s.core_parts)))
         return out, port
 
     def moved(self) -> Array:
