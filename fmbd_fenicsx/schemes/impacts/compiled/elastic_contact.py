@@ -66,7 +66,7 @@ class Encounters(PairTables):
             python=self.function, system=ctypes.addressof(tables.c),
         )  # fmt: skip
         system = self.system
-        self.contact = ELASTIC_CONTACT(
+        self.structure = ELASTIC_CONTACT(
             contacts=ctypes.addressof(self.c), laws=self.laws, candidates=self.candidates, share=stepper.share,
             keeps=int(stepper.keeps_overlaps), least=NEAREST * system.length, loaded=int(bool(system.forces)),
             smooth=int(stepper.smooth), length=system.length,
@@ -79,7 +79,7 @@ class Encounters(PairTables):
             sways=self._zeros("sways", s.n_frames, np.int32), factored=self._zeros("factored", s.n_q),
             offset=self._zeros("offset", self.candidates),
         )  # fmt: skip
-        self.address: int = ctypes.addressof(self.contact)
+        self.address: int = ctypes.addressof(self.structure)
         self._first = self.c.now.gap  # of the two rooms that C takes in turn
         self._room = 0, 0  # rows that there is room for, and columns
         self._take_traces()
@@ -89,7 +89,7 @@ class Encounters(PairTables):
     # -- what rows act on ----------------------------------------------------------------------------------------------------
     def _take_traces(self) -> None:
         """The nodes of all traces."""
-        contacts, o = self.contacts, self.contact
+        contacts, o = self.contacts, self.structure
         self.traces = list(contacts.on_fields)
         self._nodes_of_traces = (NODES * len(self.traces))()
         first = 0
@@ -127,7 +127,7 @@ class Encounters(PairTables):
             surface[k] = slave, slave + 1
             self.meetings.append(FacingSurfaces(self.listed[k], number, (k, slave, slave + 1), self._array))
 
-        o, size = self.contact, ctypes.sizeof(MEANS)
+        o, size = self.structure, ctypes.sizeof(MEANS)
         self._meetings = (MEETING * len(self.meetings))(*(one.c for one in self.meetings))
         o.meetings, o.meeting = len(self.meetings), ctypes.addressof(self._meetings)
         o.means, o.surface = ctypes.addressof(self._means), self._array("surface", surface, np.int32)
@@ -139,7 +139,7 @@ class Encounters(PairTables):
     # -- what is kept with a state -------------------------------------------------------------------------------------------
     def _share_out(self) -> None:
         """Where it stands."""
-        m, d, o = self.candidates, self.tables.dim, self.contact
+        m, d, o = self.candidates, self.tables.dim, self.structure
         shapes = {
             "since": (self.laws,),
             "impulse": (self.laws, d),
@@ -161,7 +161,7 @@ class Encounters(PairTables):
 
     def begin(self, stepper: ElasticContactStepper, own: Array) -> None:
         """A march begins from the newest state of a stepper; with that are kept ``own``."""
-        self.c.known = self.contact.ready = 0
+        self.c.known = self.structure.ready = 0
         self.arrays["answered"][:] = 0
         books, known = stepper.ledger, stepper.confirmed
         self.counts = books.counts
@@ -217,7 +217,7 @@ class Encounters(PairTables):
 
     def _make_ready(self, count: int) -> None:
         """Compliances of the nodes that those near act on, and room for so many."""
-        o, blocks, system, a = self.contact, self.driver.blocks, self.system, self.arrays
+        o, blocks, system, a = self.structure, self.driver.blocks, self.system, self.arrays
         if o.applied:
             self._take_lumped(count)
             return
@@ -287,7 +287,7 @@ class Encounters(PairTables):
         sizes = {"rows": 2 * (d + self.tables.twist), "direction": d, "axes": 2 * d}
         sizes |= dict.fromkeys(("start", "change", "stopped", "rates"), 1) | dict.fromkeys(("push", "answer"), core)
         for name, size in (sizes | dict.fromkeys(("seen", "acting"), columns)).items():
-            setattr(self.contact, name, self._zeros(name, rows * size))
+            setattr(self.structure, name, self._zeros(name, rows * size))
 
 
 class EncounterTape(ContactTape):
