@@ -73,11 +73,12 @@ def distance_to(msh: Any, point: Array) -> tuple[float, int, int]:
         distance, place, cell = _first(apart, places, near, same)
 
     found = msh.comm.allgather((distance, place))
-    distance, _, owner = _first(*map(np.array, zip(*found, strict=True)), np.arange(len(found)), same)
+    distances, places = (np.array(x) for x in zip(*found, strict=True))
+    distance, _, owner = _first(distances, places, np.arange(len(found)), same)
     return distance, owner, cell if msh.comm.rank == owner else -1
 
 
-def _first(distances: Array, places: Array, names: Array, same: float) -> tuple[float, int, int]:
+def _first(distances: Array, places: np.ndarray, names: np.ndarray, same: float) -> tuple[float, int, int]:
     """Distance, place and name of what has the lowest place among the nearest."""
     nearest = np.flatnonzero(distances <= distances.min() + same)
     k = nearest[np.argmin(places[nearest])]

@@ -326,7 +326,7 @@ class Layout:
 
     def field_ports(self, local: Sequence[Array], t: float) -> list[Array]:
         """Ports without their reference part for local vectors of all fields, in one sum over the ranks; collective."""
-        parts = [p for _, p in self.fields]
+        parts: list[Any] = [p for _, p in self.fields]
         return self.field_sums(parts, [p.port_shares(w, t) for p, w in zip(parts, local, strict=True)])
 
     def field_sums(self, parts: Sequence[Any], shares: Sequence[Array]) -> list[Array]:

@@ -80,13 +80,13 @@ def in_linear_frames(system: System) -> list[tuple[int, Any, bool]]:
     found: list[tuple[int, Any, bool]] = []
     for k, part in enumerate(system.parts):
         if isinstance(part, ReducedPart):
-            bends, stiffening = part.n > 0, part.constants.stiffening
+            bends, stiffens = part.n > 0, part.constants.stiffening is not None
         elif isinstance(part, FloatingField):
-            bends, stiffening = not part.field.nonlinear, part.stiffening
+            bends, stiffens = not part.field.nonlinear, part.stiffening is not None
         else:
             continue
         if bends and part.frame < system.n_frames:
-            found.append((k, part, stiffening is not None))
+            found.append((k, part, stiffens))
     return found
 
 
