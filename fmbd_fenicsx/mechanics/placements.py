@@ -171,6 +171,9 @@ class DistributedPart(Part, Protocol):
         """Number of the tangent that the field holds; a new one asks for a new factor."""
         return 0
 
+    def port_shares(self, w: Array, t: float) -> Array:
+        """What this rank's coordinates have in ``ports_of``."""
+
     def port_columns(self, used: np.ndarray, t: float) -> Array:
         """Columns (n, count) of ``port_force`` for the port numbers ``used``."""
 
