@@ -241,9 +241,12 @@ def _values_of(what: str, function: Callable[..., Any], places: list[tuple[float
 
 
 def floats(value: Any) -> Any:
-    """An array of what a user's function returned; TypeError for texts, and for complex numbers, which NumPy would cut."""
+    """An array of what a user's function returned; TypeError for texts, for complex numbers, which NumPy would cut, and for None,
+    which it would take for nan.
+    """
     found = np.asarray(value)
-    if found.dtype.kind in "cSU":
+    nothing = found.dtype.kind == "O" and None in found.ravel().tolist()
+    if nothing or found.dtype.kind in "cSU":
         raise TypeError("no real numbers")
     return found.astype(float)
 

@@ -174,6 +174,14 @@ def test_readings_that_a_law_asks_for_in_vain() -> None:
         fmbd.solve(law_scene(motor), t_end=0.1, dt=0.01)
 
 
+@pytest.mark.parametrize("returned", [None, [None], "no"])
+def test_laws_that_return_no_numbers(returned: Any) -> None:
+    """A function without a return statement gives None, which is no nan."""
+    scene = law_scene(lambda body, hinge: fmbd.joint_spring("mine", fmbd.angle(hinge), law=lambda s, rate, t: returned))
+    with pytest.raises(CallbackError, match=r'"mine": the law returned .*(None|no).* at t = 0 s, expected numbers'):
+        fmbd.solve(scene, t_end=0.1, dt=0.01)
+
+
 @pytest.mark.parametrize("returned", [None, "no"])
 def test_own_joints_that_return_no_numbers(returned: Any) -> None:
     scene = law_scene(lambda body, hinge: fmbd.own_joint("mine", fmbd.ground, body, lambda xa, Ra, xb, Rb, t: returned))
