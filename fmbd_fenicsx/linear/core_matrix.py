@@ -84,7 +84,8 @@ def _dense(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> Array:
 def _sparse(ev: Evaluation, frames: Array, blocks: list[LocalBlock]) -> sp.csr_matrix:
     """The same matrix without its zeros."""
     s, n = ev.system, ev.system.motions.n_twist
-    of_frames = sp.bsr_matrix((frames, np.arange(s.n_frames), np.arange(s.n_frames + 1))).tocoo()
+    given = frames, np.arange(s.n_frames), np.arange(s.n_frames + 1)
+    of_frames = sp.bsr_matrix(given, shape=(n * s.n_frames,) * 2).tocoo()  # there may be no frames
     rows, columns, values = [of_frames.row], [of_frames.col], [of_frames.data]
 
     def add(on: np.ndarray, across: np.ndarray, block: Array) -> None:
