@@ -7,7 +7,7 @@ rho_inf = 0.8 the effort of the drive is off by J times its inertia at the jump,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,17 +22,21 @@ from .schedule import StepSchedule, far_side, near_side
 
 SHARE = 0.05  # of the largest acceleration: a jump that is told
 NAMED = 6  # instants in a message
+LOOKS = 200  # intervals between two break points that are looked at, at most
 
 
 @dataclass(frozen=True)
 class Accelerations:
-    """s'' of one motion, as :class:`.HeldState` tells forces."""
+    """s'' of one motion, as :class:`.HeldState` tells forces; ``known`` at the times (s) that were asked for."""
 
     motion: SmoothMotion
+    known: dict[float, float] = field(default_factory=dict)
 
     def rows(self, times: Array) -> Array:
         """At given times (s), (n, 1)."""
-        return np.array([self.motion(float(t))[2:] for t in times]).reshape(-1, 1)
+        at = times.tolist()
+        self.known.update((t, self.motion(t)[2]) for t in at if t not in self.known)
+        return np.array([[self.known[t]] for t in at]).reshape(-1, 1)
 
     def scale(self, rows: Array) -> Array:
         """The largest of all times, (1,)."""
@@ -49,7 +53,7 @@ def warn_of_acceleration_jumps(system: System, schedule: StepSchedule) -> None:
     known = (x for x, _ in prescribed(system) if isinstance(x, SmoothMotion) and not x.by_differences)
     for motion in {id(x): x for x in known}.values():
         try:
-            found = _jumps(Accelerations(motion), all_along(schedule))
+            found = _jumps(Accelerations(motion), all_along(schedule, LOOKS))
         except FmbdError:  # beyond where a run has ended that was to be longer
             continue
         if not found:

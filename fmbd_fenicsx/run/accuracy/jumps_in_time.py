@@ -97,11 +97,13 @@ def jumps_in_time(held: TimeRows, stretches: Iterable[Array]) -> tuple[float, ..
     return tuple(t for times in stretches for t in _within(held, times))
 
 
-def all_along(schedule: StepSchedule) -> list[Array]:
-    """Ends of steps, or :data:`USUAL` instants where a scheme chooses them, between the break points that are known, s."""
+def all_along(schedule: StepSchedule, most: int = MOST) -> list[Array]:
+    """Ends of steps, or :data:`USUAL` instants where a scheme chooses them, between the break points that are known, s; so many
+    at ``most`` between two of these.
+    """
     found = []
     for begin, end in schedule.stretches:
-        count = int(np.clip(round((schedule.steps or USUAL) * (end - begin) / schedule.t_end), 1, MOST))
+        count = int(np.clip(round((schedule.steps or USUAL) * (end - begin) / schedule.t_end), 1, most))
         found.append(np.linspace(far_side(begin) if begin else 0.0, near_side(end), count + 1))
     return found
 
