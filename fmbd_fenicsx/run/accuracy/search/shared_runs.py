@@ -79,9 +79,8 @@ class SharedRuns:
         # by break points the most steps with which a run failed, or only went on in parts: so it would in finer spaces
         self._parted: dict[tuple[float, ...], int] = {}
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
-        self._whole: dict[
-            tuple[int, int], Solved
-        ] = {}  # by scene and steps: runs that told an error and may be the next attempt
+        # by scene and steps: whole runs that told an error, and may be the next attempt
+        self._whole: dict[tuple[int, int], Solved] = {}
         self._untold: set[int] = set()  # steps of attempts whose errors no run has told
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
@@ -366,12 +365,8 @@ class SharedRuns:
         """The run with half the step: a whole one, which may be the next attempt, where nothing is called or kept on the way."""
         scene, given = solved.problem.scene, solved.compared
         output, schedule = given.recorder.output, given.schedule.with_steps(2 * given.schedule.steps)
-        if (
-            output.on_step is not None
-            or output.events
-            or output.snapshots
-            or self.kept(scene, schedule.steps) is not None
-        ):
+        acts = output.on_step is not None or output.events or output.snapshots
+        if acts or self.kept(scene, schedule.steps) is not None:
             return self._with(solved, schedule.steps)
         self._refuse_parted(scene, schedule.steps)
         found = self.solve(scene, given.scheme, schedule, output)
