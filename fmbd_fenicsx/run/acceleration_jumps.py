@@ -16,13 +16,13 @@ from ..log import log
 from ..mechanics.joints.couplings import SmoothMotion
 from ..rotations import Array
 from ..system.system import System
-from .accuracy.jumps_in_time import all_along, jumps_in_time
+from .accuracy.jumps_in_time import instants, jumps_in_time
 from .judges.prescribed_motions import prescribed
 from .schedule import StepSchedule, far_side, near_side
 
 SHARE = 0.05  # of the largest acceleration: a jump that is told
 NAMED = 6  # instants in a message
-LOOKS = 200  # intervals between two break points that are looked at, at most
+LOOKS = 200  # intervals of a run that are looked at
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def warn_of_acceleration_jumps(system: System, schedule: StepSchedule) -> None:
     known = (x for x, _ in prescribed(system) if isinstance(x, SmoothMotion) and not x.by_differences)
     for motion in {id(x): x for x in known}.values():
         try:
-            found = _jumps(Accelerations(motion), all_along(schedule, LOOKS))
+            found = _jumps(Accelerations(motion), instants(schedule, LOOKS))
         except FmbdError:  # beyond where a run has ended that was to be longer
             continue
         if not found:

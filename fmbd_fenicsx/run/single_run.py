@@ -155,7 +155,7 @@ def _finished(
     if task.scene.breakpoints:
         warn_of_close_break_points(task.scene, task.schedule.t_end)
     warn_of_dense_break_points(task.schedule)
-    if problem.said.carries_accelerations:
+    if problem.said.carries_accelerations and problem.system.prescribes:
         warn_of_acceleration_jumps(problem.system, task.schedule)
     warn_of_turning_rows(solver, problem.said.turn_limit, (start.state, marched.state), first)
     code = None if keeper is None else keeper.exit_code

@@ -115,7 +115,8 @@ class Loop:
         # who watches
         self.judges.forecast.since = state.t
         self.motions = _motions(problem, schedule, state.t)
-        watchers = () if problem.warned is None else (SmallTurns(system), Spins(system), Bends(system))
+        watched = problem.warned is not None and system.parts
+        watchers = (SmallTurns(system), Spins(system), Bends(system)) if watched else ()
         self.watchers = [watcher for watcher in watchers if watcher.bodies]
         self.events = _events(problem, schedule, output, state)
         self.event_met = False

@@ -317,8 +317,10 @@ class Layout:
         local = [x[s] for s in (in_v if rates else in_q)]
         for k, f in self.core_parts:
             out[in_p[k]] = f.ports_of(local[k], t)
-        for (k, _), ports in zip(self.fields, self.field_ports([local[k] for k, _ in self.fields], t), strict=True):
-            out[in_p[k]] = ports
+        if self.fields:
+            ports = self.field_ports([local[k] for k, _ in self.fields], t)
+            for (k, _), own in zip(self.fields, ports, strict=True):
+                out[in_p[k]] = own
         if not rates:
             for f, p in zip(self.parts, in_p, strict=True):
                 out[p] += f.reference

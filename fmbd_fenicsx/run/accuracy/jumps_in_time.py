@@ -97,13 +97,16 @@ def jumps_in_time(held: TimeRows, stretches: Iterable[Array]) -> tuple[float, ..
     return tuple(t for times in stretches for t in _within(held, times))
 
 
-def all_along(schedule: StepSchedule, most: int = MOST) -> list[Array]:
-    """Ends of steps, or :data:`USUAL` instants where a scheme chooses them, between the break points that are known, s; so many
-    at ``most`` between two of these.
-    """
+def all_along(schedule: StepSchedule) -> list[Array]:
+    """Ends of steps, or :data:`USUAL` instants where a scheme chooses them, between the break points that are known, s."""
+    return instants(schedule, schedule.steps or USUAL)
+
+
+def instants(schedule: StepSchedule, intervals: int) -> list[Array]:
+    """The ends of so many intervals in all, :data:`MOST` at most between two break points that are known, s."""
     found = []
     for begin, end in schedule.stretches:
-        count = int(np.clip(round((schedule.steps or USUAL) * (end - begin) / schedule.t_end), 1, most))
+        count = int(np.clip(round(intervals * (end - begin) / schedule.t_end), 1, MOST))
         found.append(np.linspace(far_side(begin) if begin else 0.0, near_side(end), count + 1))
     return found
 
