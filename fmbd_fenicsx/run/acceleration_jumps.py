@@ -34,7 +34,7 @@ class Accelerations:
 
     def rows(self, times: Array) -> Array:
         """At given times (s), (n, 1)."""
-        at = times.tolist()
+        at = [float(t) for t in times]
         self.known.update((t, self.motion(t)[2]) for t in at if t not in self.known)
         return np.array([[self.known[t]] for t in at]).reshape(-1, 1)
 
