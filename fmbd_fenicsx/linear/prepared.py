@@ -114,11 +114,13 @@ class Condensed(Prepared):
         """H^T z of each field."""
         s, fields = self.system, [f for _, f in self.system.fields]
         ports = tangent_ports(s, zs, self.fields.jacobian.t)
-        apart = [(f, f.inertia_columns.T @ z) for f, z in zip(fields, zs, strict=True) if not f.shared_columns]
-        sums = iter(s.field_sums([f for f, _ in apart], [x for _, x in apart]))
-        rows = [p[: f.n_frame_rows] if f.shared_columns else next(sums) for f, p in zip(fields, ports, strict=True)]
-        used = [block.used for block in self.fields.blocks]
-        return [np.concatenate((q, p[own])) for q, p, own in zip(rows, ports, used, strict=True)]
+        apart = [None if f.shared_columns else f.inertia_columns.T @ z for f, z in zip(fields, zs, strict=True)]
+
+        projected = []
+        for f, block, p, moments in zip(fields, self.fields.blocks, ports, s.field_sums(apart), strict=True):
+            rows = p[: f.n_frame_rows] if f.shared_columns else moments
+            projected.append(np.concatenate((rows, p[block.used])))
+        return projected
 
     def _moments_left_out(self, increments: list[Array]) -> Array | None:
         """Moments, (n_core, ..), that increments dU of fields have about their frames by M (e x U): -cm (M U) x dU.
@@ -129,14 +131,11 @@ class Condensed(Prepared):
             return None
         s, m = self.system, self.system.motions
         out: Array = np.zeros((s.n_core, *increments[0].shape[1:]), np.result_type(*increments))
-        left = [
-            (f, MU, dU) for (_, f), MU, dU in zip(s.fields, self.momenta, increments, strict=True) if MU is not None
-        ]
-        for (f, _, _), sums in zip(
-            left, s.field_sums([f for f, _, _ in left], [MU @ dU for _, MU, dU in left]), strict=True
-        ):
-            at = f.frame * m.n_twist
-            out[at + m.dim : at + m.n_twist] -= self.fields.weights.cm * sums
+        shares = [None if MU is None else MU @ dU for MU, dU in zip(self.momenta, increments, strict=True)]
+        for (_, f), moment in zip(s.fields, s.field_sums(shares), strict=True):
+            if moment is not None:
+                at = f.frame * m.n_twist
+                out[at + m.dim : at + m.n_twist] -= self.fields.weights.cm * moment
         return out
 
 

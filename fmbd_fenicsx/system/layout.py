@@ -328,15 +328,17 @@ class Layout:
 
     def field_ports(self, local: Sequence[Array], t: float) -> list[Array]:
         """Ports without their reference part for local vectors of all fields, in one sum over the ranks; collective."""
-        parts: list[Any] = [p for _, p in self.fields]
-        return self.field_sums(parts, [p.port_shares(w, t) for p, w in zip(parts, local, strict=True)])
+        return self.field_sums([p.port_shares(w, t) for (_, p), w in zip(self.fields, local, strict=True)])
 
-    def field_sums(self, parts: Sequence[Any], shares: Sequence[Array]) -> list[Array]:
-        """Sums over the ranks of what their nodes of some fields have, in one message; of a field that each rank holds whole, as
-        wires are, it is all there is. Collective.
+    def field_sums(self, shares: Sequence[Array | None]) -> list[Any]:
+        """Sums over the ranks of what their nodes of each field have, in one message, None of those without; of a field that each
+        rank holds whole, as wires are, it is all there is. Collective.
         """
-        sums = iter(rank_sums(self.comm, [x for p, x in zip(parts, shares, strict=True) if p.comm.size > 1]))
-        return [next(sums) if p.comm.size > 1 else x for p, x in zip(parts, shares, strict=True)]
+        sums = list(shares)
+        apart = [i for i, (_, p) in enumerate(self.fields) if p.comm.size > 1 and shares[i] is not None]
+        for i, total in zip(apart, rank_sums(self.comm, [shares[i] for i in apart]), strict=True):
+            sums[i] = total
+        return sums
 
     def port_slice(self, k: int) -> slice:
         """Ports of part k."""

@@ -53,10 +53,9 @@ class StepNewton(Remembering):
         self.eq, self.norm, self.settings, self.adaptive = equations, norm, settings, adaptive
         self.system = system = norm.system
         self.judge = Judge(self.what)
-        self.tangent: Any = None
+        self.forget()
         self.pencil: Any = None
-        self.fresh = self.full = self.still = False
-        self.spell = self.rest = 0
+        self.fresh = self.still = False
         self.theta = 1e-3
         self.fault = ""
         self.increments = self.factorisations = 0
@@ -68,7 +67,8 @@ class StepNewton(Remembering):
     # -- from step to step ----------------------------------------------------------------------------------------
     def forget(self) -> None:
         """Begin as if there were no steps before."""
-        self.tangent, self.full, self.spell, self.rest = None, False, 0, 0
+        self.tangent: Any = None
+        self.full, self.spell, self.rest = False, 0, 0
 
     def step_ended(self) -> None:
         """A step is accepted."""
