@@ -12,6 +12,8 @@ from scipy.integrate import solve_ivp
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
+from fmbd_fenicsx.schemes.impacts.compiled.trees import trees_of
+from fmbd_fenicsx.system.compiled.tables.tables import Tables
 
 G = 9.81
 PLACES = np.array([(1.0, 0.0, 0.0), (2.0, 0.3, 0.0), (2.5, 1.0, 0.2)])  # m
@@ -190,6 +192,16 @@ def test_bounce_and_slide() -> None:
         assert run["x"][-1] == pytest.approx((0.5**2 / (2 * 0.2 * G), radius), abs=1e-5)
 
 
+def test_a_ball_that_lands_on_a_rough_floor_stays_there() -> None:
+    """It does not roll on."""
+    mass = fmbd.PointMass("mass", 3.0, (0.0, 0.0, 0.3), velocity=(0.3, 0.1, 0.0))
+    scene = fmbd.Scene("landing", gravity=(0, 0, -G))
+    floor = fmbd.HalfSpace((0, 0, 0), (0, 0, 1))
+    scene.add(mass, fmbd.contact("floor", fmbd.contacts.ball(mass, 0.1), floor, friction=0.9))
+    scene.sensor("v", fmbd.velocity(mass))
+    assert np.abs(fmbd.solve(scene, t_end=0.3, dt=1e-3)["v"][-1]).max() < 1e-9
+
+
 def test_beads_hit_each_other() -> None:
     """Two balls of masses 1 and 3 in line, e = 1: the velocities of a central impact."""
     a, b = (
@@ -231,6 +243,48 @@ def test_laws_at_the_place() -> None:
     assert rest["x"] == pytest.approx((3.0 / 560.0, 0.3 - 2 * G / 2e3), abs=1e-9)
     run = fmbd.solve(scene, t_end=0.1, dt=1e-3)
     assert run.counters["newton_iterations"] <= 3 * run.counters["steps"]
+
+
+def net(n: int, *, other: bool = False) -> fmbd.Scene:
+    """n x n masses on springs that hang from the ground; ``other``: beside a body with arms and a law of a user's own."""
+    scene = fmbd.Scene("net", gravity=(0.0, 0.0, -G))
+    at: dict[tuple[int, int], Any] = {(i, -1): fmbd.ground for i in range(n)}
+    for i, j in np.ndindex(n, n):
+        at[i, j] = fmbd.PointMass(f"{i} {j}", 0.1 + 0.01 * i, (0.1 * i, 0.1 * j, 0.0))
+        scene.add(at[i, j])
+        for a, b in ((i, j - 1), (i - 1, j)):
+            if (a, b) in at:
+                ends = (0.1 * a, 0.1 * b, 0.0), (0.1 * i, 0.1 * j, 0.0)
+                scene.add(
+                    fmbd.Spring(f"{a} {b} {i} {j}", at[a, b], at[i, j], *ends, stiffness=300.0, damping=0.2, length=0.1)
+                )
+    scene.sensor("corner", fmbd.position(at[n - 1, n - 1]))
+    if other:
+        body = fmbd.RigidBody("body", 0.5, (1e-3, 2e-3, 2e-3), (0.1 * n, 0.1, 0.0))
+        ends = (0.1 * (n - 1), 0.1 * (n - 1), 0.0), (0.1 * n, 0.15, 0.02)
+        scene.add(body, fmbd.Spring("arm", at[n - 1, n - 1], body, *ends, stiffness=200.0, damping=0.1, length=0.05))
+        scene.add(fmbd.own_force("drag", at[0, n - 1], None, lambda t, a: (-0.1 * a.v, np.zeros(3))))
+        scene.add(fmbd.distance("rod", at[n - 1, 0], body, point_b=(0.1 * n, 0.05, 0.01)))
+    return scene
+
+
+def test_a_net_has_three_unknowns_for_each_mass() -> None:
+    """What holds attitudes meets nothing else in the matrix of a step: the last front has the unknowns of a row of masses."""
+    n = 6
+    tables = Tables(net(n).build()[0], redundant=False)
+    fronts = tables.fronts.fronts
+    lots = [f for f in fronts if f.pivots == len(f.unknowns) == 6]
+    assert len(lots) >= n * n
+    assert max(len(f.unknowns) for f in fronts) <= 3 * (2 * n)
+    # forces on a mass move the whole net, its attitude with it
+    assert [len(x) for x in trees_of(tables).fronts] == [len(fronts)]
+
+
+def test_masses_beside_bodies_move_in_compiled_code_as_in_python() -> None:
+    schemes = [fmbd.GeneralizedAlpha(compiled=compiled) for compiled in (True, False)]
+    ends = [fmbd.solve(net(3, other=True), t_end=0.1, dt=2e-3, scheme=scheme)["corner"] for scheme in schemes]
+    assert np.abs(ends[0][-1] - ends[0][0]).max() > 1e-3
+    assert np.allclose(*ends, atol=1e-9)
 
 
 def refused() -> dict[str, Callable[[fmbd.Scene, Any, Any], Any]]:

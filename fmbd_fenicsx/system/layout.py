@@ -82,6 +82,9 @@ class States:
             getattr(self, name)[which] = getattr(others, name)
 
 
+ATTITUDE = "attitude"  # the kind of rows that hold the attitude of a body without any
+
+
 @dataclass(frozen=True)
 class RowBlock:
     """Names a block of constraint rows: the joint (or body frame) it comes from, and the joint's two markers; ``narrow``: size

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -197,9 +197,16 @@ class Fronts:
     """The fronts of a matrix, and where its entries go.
 
     ``unknowns``: of each node (bodies, then groups of rows). Storage: columns of one front after another, ``place`` of an entry.
+    ``apart``: unknowns whose entries with all others are zero, a front for each lot; these entries go behind the storage.
     """
 
-    def __init__(self, unknowns: list[np.ndarray], groups: list[RowGroup], pairs: set[tuple[int, int]]) -> None:
+    def __init__(
+        self,
+        unknowns: list[np.ndarray],
+        groups: list[RowGroup],
+        pairs: set[tuple[int, int]],
+        apart: Sequence[np.ndarray] = (),
+    ) -> None:
         n = len(unknowns) - len(groups)
         steps = merged(
             Elimination([len(x) for x in unknowns[:n]], groups, pairs).run(),
@@ -207,18 +214,23 @@ class Fronts:
         )
         order = {node: (k, i) for k, (unit, _) in enumerate(steps) for i, node in enumerate(unit)}
 
-        self.fronts: list[Front] = []
+        self.fronts: list[Front] = [Front(lot, len(lot), -1) for lot in apart]
+        first = len(self.fronts)
         for unit, around in steps:
             rest = sorted(around, key=order.__getitem__)
             rows = np.concatenate([unknowns[x] for x in (*unit, *rest)])
             pivots = sum(len(unknowns[x]) for x in unit)
-            self.fronts.append(Front(rows, pivots, order[rest[0]][0] if rest else -1))
+            self.fronts.append(Front(rows, pivots, first + order[rest[0]][0] if rest else -1))
 
         sizes = [len(f.unknowns) for f in self.fronts]
         self.ld = [-(-size // LANES) * LANES for size in sizes]
         lengths = [ld * size for ld, size in zip(self.ld, sizes, strict=True)]
         self.start = np.concatenate(([0], np.cumsum(lengths))).astype(np.int64)
-        self._index(sum(len(x) for x in unknowns))
+        self._index(sum(len(x) for x in (*unknowns, *apart)))
+        self.apart = bool(apart)
+        self.lot = np.zeros(self.size, np.int64)  # of each unknown, 0: those that are not apart
+        for number, lot in enumerate(apart):
+            self.lot[lot] = 1 + number
 
     @property
     def storage(self) -> int:
@@ -258,6 +270,10 @@ class Fronts:
         i, j = np.broadcast_arrays(np.asarray(i, np.int64), np.asarray(j, np.int64))
         if not i.size:
             return np.zeros(i.shape, np.int64)
+        if self.apart and (far := self.lot[i] != self.lot[j]).any():
+            out = np.full(i.shape, self.storage)
+            out[~far] = self.place(i[~far], j[~far])
+            return out
         swap = self.position[i] < self.position[j]
         late, early = np.where(swap, j, i), np.where(swap, i, j)
         front = self.front_of[early]

@@ -16,7 +16,7 @@ from ...mechanics.joints.couplings import CouplingBatch
 from ...mechanics.joints.joints import Joint, ground
 from ...mechanics.kinds.evaluation import KindItems
 from ...rotations import Array
-from ..layout import RowBlock
+from ..layout import ATTITUDE, RowBlock
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -32,7 +32,7 @@ def attitude_of(body: Any) -> Joint:
     """What holds the attitude of a body that does not turn, against the ground: rows beside which nothing acts on it."""
     e, place = np.eye(body.dim), body.start_pose()[: body.dim]
     rows = tuple(ct.Row(ct.Perpendicular, e[i], e[j]) for i, j in combinations(range(body.dim), 2))
-    return Joint(f"attitude of {body.name}", ground, body, rows, place, place, kind="attitude")
+    return Joint(f"attitude of {body.name}", ground, body, rows, place, place, kind=ATTITUDE)
 
 
 def at_its_place(body: Any, point: Array, length: float) -> Array:
@@ -75,7 +75,7 @@ def refuse_turning(
 ) -> None:
     """Refuse joints and forces that would turn bodies without an attitude; ``bodies``: the rigid one of each marker, or None."""
     still = [None if body is None or body.turns else body.name for body in bodies]
-    names = {row: b.name for b in blocks for row in range(b.rows.start, b.rows.stop) if b.kind != "attitude"}
+    names = {row: b.name for b in blocks for row in range(b.rows.start, b.rows.stop) if b.kind != ATTITUDE}
     for items, rows in _rows_of(batches):
         for i, side in zip(*np.nonzero(items.turning), strict=True):
             body, name = still[items.pair[i, side]], names.get(int(rows[i]))

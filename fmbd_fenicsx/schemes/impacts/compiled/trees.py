@@ -31,6 +31,9 @@ def trees_of(tables: Tables) -> Trees:
     if tables.c.linkable:
         root[:] = 0
 
+    # attitudes that nothing but rows of their own acts on go with their bodies
+    root[fronts.front_of[tables.at_u + tables.twist - 1]] = root[fronts.front_of[tables.at_u]]
+
     _, tree = np.unique(root, return_inverse=True)
     tree_of = tree[fronts.front_of[tables.at_u]]
     count = int(tree.max(initial=-1)) + 1

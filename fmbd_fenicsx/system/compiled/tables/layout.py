@@ -33,6 +33,7 @@ class TableLayout:
     surfaces: np.ndarray  # markers on surfaces that something acts on, each a frame behind the ground
     frame: np.ndarray  # of all markers
     nothing: int  # place of what the ground would have
+    held: dict[int, np.ndarray]  # bodies on whose attitude nothing but rows of their own acts, and these, see apart.py
     structure: Structure
     fronts: Fronts
     sources: list[Items]

@@ -6,8 +6,8 @@ Such scenes differ in their data only, and share one :class:`Structure`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -21,11 +21,15 @@ STRUCTURES = 16  # that are kept
 
 @dataclass(frozen=True)
 class MatrixShape:
-    """The structure of a scene's matrix: widths of the bodies' blocks, groups of rows, ``pairs`` of bodies that forces couple."""
+    """The structure of a scene's matrix: widths of the bodies' blocks, groups of rows, ``pairs`` of bodies that forces couple.
+
+    ``apart``: the group of rows that holds the last unknowns of a body, as many, on which nothing else acts.
+    """
 
     widths: tuple[int, ...]
     groups: tuple[RowGroup, ...]
     pairs: frozenset[tuple[int, int]]
+    apart: Mapping[int, RowGroup] = field(default_factory=dict)
 
     @cached_property
     def largest(self) -> float:
@@ -41,9 +45,14 @@ class Structure:
         ends = np.cumsum(shape.widths, dtype=int)
         count = int(ends[-1]) if len(ends) else 0
         unknowns = [np.arange(end - width, end) for end, width in zip(ends, shape.widths, strict=True)]
-        unknowns += [count + np.array(group.rows) for group in shape.groups]
+        apart = []
+        for body, group in shape.apart.items():
+            unknowns[body], held = np.split(unknowns[body], [-len(group.rows)])
+            apart.append(np.append(held, count + np.array(group.rows)))
+        groups = [group for group in shape.groups if group not in shape.apart.values()]
+        unknowns += [count + np.array(group.rows) for group in groups]
         self.shape = shape
-        self.fronts = Fronts(unknowns, list(shape.groups), set(shape.pairs))
+        self.fronts = Fronts(unknowns, groups, set(shape.pairs), apart)
         self.store = Store()
         self._found: dict[Any, Any] = {}
 

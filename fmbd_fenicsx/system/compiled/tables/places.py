@@ -35,8 +35,10 @@ def _batch(tables: TableLayout, items: Items, frames: np.ndarray) -> Any:
     store = tables.structure.store
     mapped = bool((frames > tables.nb).any())
     components = np.array(kind.entries, dtype=int)
-    ground = np.repeat((frames[0] == tables.nb), tables.twist) & (not mapped)
-    live = np.flatnonzero(~ground[components])
+    still = np.repeat((frames[0] == tables.nb), tables.twist) & (not mapped)
+    if tables.held and not mapped:
+        still |= _held(tables, items, frames[0])
+    live = np.flatnonzero(~still[components])
     places = tables.twist_places(frames).reshape(n, -1)
 
     one = structure("Batch", tables.dim)(
@@ -60,8 +62,18 @@ def _batch(tables: TableLayout, items: Items, frames: np.ndarray) -> Any:
     if mapped:
         _mapped_places(tables, one, (items, frames))
     else:
-        _plain_places(tables, one, (items, frames), places, live)
+        _plain_places(tables, one, (items, frames), places, still)
     return one
+
+
+def _held(tables: TableLayout, items: Items, frames: np.ndarray) -> np.ndarray:
+    """Which components of the twists of an item's frames its row and its tangent leave out: angular velocities of bodies whose
+    attitude is held by rows that meet nothing else; not these rows themselves.
+    """
+    apart = [int(frame) in tables.held for frame in frames]
+    if items.row is not None and any(items.row[0] in tables.held[int(frame)] for frame in frames[apart]):
+        apart = [False] * len(frames)
+    return np.repeat(apart, tables.twist) & (np.arange(len(frames) * tables.twist) % tables.twist >= tables.dim)
 
 
 def _pattern(kind: Kind) -> np.ndarray:
@@ -70,14 +82,17 @@ def _pattern(kind: Kind) -> np.ndarray:
 
 
 def _plain_places(
-    tables: TableLayout, one: Any, batch: tuple[Items, np.ndarray], places: np.ndarray, live: np.ndarray
+    tables: TableLayout, one: Any, batch: tuple[Items, np.ndarray], places: np.ndarray, still: np.ndarray
 ) -> None:
-    """Where the entries of a batch go in the fronts: of rows, of products of rows, of geometric stiffness."""
-    (items, frames), store, fronts = batch, tables.structure.store, tables.fronts
-    components = np.array(items.kind.entries, dtype=int)[live]
+    """Where the entries of a batch go in the fronts: of rows, of products of rows, of geometric stiffness; ``still``: components
+    of twists that leave them out.
+    """
+    (items, _), store, fronts = batch, tables.structure.store, tables.fronts
+    entries = np.array(items.kind.entries, dtype=int)
+    live = np.flatnonzero(~still[entries])
+    components = entries[live]
     pattern = _pattern(items.kind)
-    moving = np.repeat(frames[0] != tables.nb, tables.twist)
-    curve = np.flatnonzero(moving[pattern].all(axis=1))
+    curve = np.flatnonzero(~still[pattern].any(axis=1))
     one.curved, one.curve = len(curve), store.integers(curve)
     one.curve_to = store.integers(fronts.place(places[:, pattern[curve, 0]], places[:, pattern[curve, 1]]))
 

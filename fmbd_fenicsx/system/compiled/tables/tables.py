@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 
 from ....errors import ConvergenceError
+from ....mechanics.forces.force_elements import Loads
 from ....mechanics.joints.relative import RelativeCoordinates
 from ....mechanics.kinds.frames import FRAME
 from ....mechanics.placements import Approach
 from ...system import System
 from ..order import RowGroup
+from .apart import attitudes_apart
 from .bodies.bodies import reduced_body, rigid_bodies, surface
 from .bodies.fields import Block, FieldTable
 from .bodies.rods import RodTable, rod_pairs
@@ -67,15 +69,16 @@ class Tables(TableLayout):
         self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
         self.floating = {field.part.frame: field for field in self.fields}
         self.listening = Listening(self)
-        self.items = self.tied.items + items_of(system, self.looks, self.listening.items, coordinates)
-        self.loads = other_loads(system)
-        self.mounts = [f for f in system.forces if f.mounts() is not None]
+        self.items: list[Items] = self.tied.items + items_of(system, self.looks, self.listening.items, coordinates)
+        self.loads: list[Loads] = other_loads(system)
+        self.mounts: list[Loads] = [f for f in system.forces if f.mounts() is not None]
         self._lay_out()
         self._place_surfaces(self._acted_on())
         for items in self.items:
             items.frames = self._frames_of(items)
         if self.listening.links * self.nu > LINKS_LIMIT:
             self.listening.unlink()
+        self.held = attitudes_apart(self)
         self.structure = structure_of(self._connections(), self._shape)
         self.fronts = self.structure.fronts
 
@@ -117,7 +120,7 @@ class Tables(TableLayout):
         whole = ((_bytes(self.frame[f.a]), _bytes(self.frame[f.b])) for f in (*self.loads, *self.mounts))
         rods = frozenset(rod_pairs(self.system.elements)) if self.system.elements else frozenset()
         on = _bytes(self.system.markers.frame[self.surfaces])
-        return self.dim, self.rows, _bytes(self.width), on, tuple(acting), tuple(whole), rods
+        return self.dim, self.rows, _bytes(self.width), on, tuple(acting), tuple(whole), rods, tuple(self.held)
 
     def _shape(self) -> MatrixShape:
         """Groups of rows, and the bodies that are coupled."""
@@ -144,7 +147,9 @@ class Tables(TableLayout):
         groups = []
         for (near, coupling), rows in found.items():
             groups.append(RowGroup(near, tuple(rows), coupling, frozenset(end for row in rows for end in ends[row])))
-        return MatrixShape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs))
+        firsts = {int(rows[0]): body for body, rows in self.held.items()}
+        apart = {firsts[group.rows[0]]: group for group in groups if group.rows[0] in firsts}
+        return MatrixShape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs), apart)
 
     def renew_fields(self, t: float, *, predicted: bool) -> None:
         """New tangents of the fields at the state that C evaluated last, where an increment led or a step is ``predicted``;

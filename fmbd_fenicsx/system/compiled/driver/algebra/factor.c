@@ -29,18 +29,26 @@ static inline void eliminate(double *F, int ld, int end, int k, double inverse)
     }
 }
 
-/* The columns behind a panel that begins at the pivot k less the products of all its pivots, one after another. */
+/* The columns behind a panel that begins at the pivot k less the products of all its pivots, one after another; two columns together,
+   as what is read of the panel serves both. The last of an odd number goes with itself. */
 static void eliminate_panel(double *F, int ld, int rows, int k, const double *inverse)
 {
     const double *column = F + (long)ld * k;
     const lanes *a = (const lanes *)column, *b = (const lanes *)(column + ld), *c = (const lanes *)(column + 2L * ld),
                 *d = (const lanes *)(column + 3L * ld);
-    for (int j = k + PANEL; j < rows; j++) {
-        double x[PANEL];
-        for (int p = 0; p < PANEL; p++) x[p] = column[(long)ld * p + j] * inverse[p];
-        if (x[0] == 0.0 && x[1] == 0.0 && x[2] == 0.0 && x[3] == 0.0) continue;
-        lanes *to = (lanes *)(F + (long)ld * j);
-        for (int i = j / LANES; i < ld / LANES; i++) to[i] = to[i] - a[i] * x[0] - b[i] * x[1] - c[i] * x[2] - d[i] * x[3];
+    for (int j = k + PANEL; j < rows; j += 2) {
+        const int second = j + 1 < rows ? j + 1 : j;
+        double x[PANEL], y[PANEL];
+        for (int p = 0; p < PANEL; p++) {
+            x[p] = column[(long)ld * p + j] * inverse[p];
+            y[p] = column[(long)ld * p + second] * inverse[p];
+        }
+        lanes *one = (lanes *)(F + (long)ld * j), *two = (lanes *)(F + (long)ld * second);
+        for (int i = j / LANES; i < ld / LANES; i++) {
+            const lanes A = a[i], B = b[i], C = c[i], E = d[i], X = one[i], Y = two[i];
+            one[i] = X - A * x[0] - B * x[1] - C * x[2] - E * x[3];
+            two[i] = Y - A * y[0] - B * y[1] - C * y[2] - E * y[3];
+        }
     }
 }
 
@@ -104,7 +112,7 @@ static int factor(System *s)
 }
 
 /* A solution goes forward through fronts and backward again. Forward, whole lanes of a column are used: those above the diagonal change
-   only what has been stored. Backward, what is known last comes last into a sum, so that sums overlap. */
+   only what has been stored. Backward, what is known last comes last into a sum, by itself, so that sums overlap. */
 static inline void forward(System *s, const Front *f, double *b)
 {
     const double *F = s->L + f->start;
@@ -126,11 +134,15 @@ static inline void backward(System *s, const Front *f, double *b)
     const double *F = s->L + f->start;
     double *x = s->local;
     for (int i = f->pivots; i < f->rows; i++) x[i] = b[f->unknown[i]];
+    for (int i = f->rows; i < f->ld; i++) x[i] = 0.0;
     for (int k = f->pivots - 1; k >= 0; k--) {
         const double *column = F + (long)f->ld * k;
-        int u = f->unknown[k];
-        double sum = 0.0;
-        for (int i = f->rows - 1; i > k; i--) sum += column[i] * x[i];
+        const lanes *whole = (const lanes *)column, *known = (const lanes *)x;
+        const int near = k / LANES + 2, u = f->unknown[k];
+        lanes sums = {0.0};
+        for (int i = f->ld / LANES - 1; i >= near; i--) sums += whole[i] * known[i];
+        double sum = sums[0] + sums[1] + sums[2] + sums[3];
+        for (int i = (near * LANES < f->rows ? near * LANES : f->rows) - 1; i > k; i--) sum += column[i] * x[i];
         b[u] = x[k] = (b[u] - sum) * s->inverse[u];
     }
 }

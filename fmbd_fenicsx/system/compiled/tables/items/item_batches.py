@@ -30,7 +30,7 @@ MOUNT = enumeration("ROW")["MOUNT"]  # the role
 def of_one_sort(tables: TableLayout, items: Items) -> list[Items]:
     """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces. Terms stand before their sums."""
     key = "sorts", items.frames.shape[1], items.frames.tobytes()
-    sorts = tables.structure.once(key, lambda: _sorts(tables.nb, items.frames))
+    sorts = tables.structure.once(key, lambda: _sorts(tables, items.frames))
     parts = [items] if len(sorts) == 1 else [items.part(which) for which in sorts]
     for part in parts:
         if part.terms:
@@ -38,11 +38,12 @@ def of_one_sort(tables: TableLayout, items: Items) -> list[Items]:
     return [one for part in parts for one in (*part.terms, part)]
 
 
-def _sorts(ground: int, frames: np.ndarray) -> list[np.ndarray]:
+def _sorts(tables: TableLayout, frames: np.ndarray) -> list[np.ndarray]:
     """Numbers of the items of each sort, which have the same frames in common."""
-    sort = np.where(
-        (frames > ground).any(axis=1), 1 << frames.shape[1], (frames == ground) @ (1 << np.arange(frames.shape[1]))
-    )
+    sides = frames == tables.nb
+    if tables.held:
+        sides = np.where(np.isin(frames, list(tables.held)), 2, sides)
+    sort = np.where((frames > tables.nb).any(axis=1), -1, sides @ (3 ** np.arange(frames.shape[1])))
     _, number = np.unique(np.column_stack((sort, _first_alike(frames))), axis=0, return_inverse=True)
     return [np.flatnonzero(number.ravel() == k) for k in range(number.max(initial=-1) + 1)]
 
