@@ -120,6 +120,18 @@ def test_a_scene_that_cannot_move_says_so() -> None:
     assert any("0 degrees of freedom" in text for text in run.warnings)
 
 
+def test_what_moves_on_redundant_rows_moves_in_every_attempt() -> None:
+    """A door on two hinges, ten rows of rank five; later attempts find their start where dependent rows are known."""
+    door = fmbd.RigidBody("door", 2.0, (0.2, 0.3, 0.1), (0.5, 0.0, 0.0))
+    scene = fmbd.Scene("door", gravity=(0.0, -9.81, 0.0))
+    for name, height in (("low", 0.0), ("high", 1.0)):
+        scene.add(fmbd.revolute(name, fmbd.ground, door, center=(0.0, 0.0, height)))
+    scene.add(door)
+    scene.sensor("x", fmbd.position(door))
+    run = fmbd.solve(scene, t_end=1.0, tol={"x": 1e-4})
+    assert len(run.history) > 1 and run.warnings == []
+
+
 def test_open_velocities_are_warned_of() -> None:
     def jolting(t: Any) -> Any:
         return np.where(np.real(t) < 0.05, 0.0, 3.0 * (t - 0.05))

@@ -32,7 +32,7 @@ from ..system.tangents.force_tangent import force_tangent
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from .border import Border
-from .configuration_warnings import CLOSE, LOOK_LIMIT, NearSingular, rows_depend
+from .configuration_warnings import CLOSE, LOOK_LIMIT, NearSingular, dependent_rows
 from .core import ADVICE, TIE_LIMIT, CoreSolver
 from .core_matrix import core_matrix
 from .driver_solver import DriverSolver, driver_solver
@@ -188,12 +188,14 @@ class StepSolver:
         return True
 
     def look_for_dependent_rows(self, ev: Evaluation) -> None:
-        """Whether constraint rows depend on each other, unless that is known; collective.
+        """How many constraint rows depend on others, unless that is known; collective.
 
         A solver whose start was found by another one has prepared nothing when schemes ask it.
         """
         if self._look:
-            self.core.redundant = rows_depend(ev)
+            dependent = dependent_rows(ev)
+            self.core.redundant = dependent > 0
+            self.core.rank = self.system.n_lam - dependent if dependent else None
         self._look = False
 
     def note_lost_gaps(self, ev: Evaluation) -> None:

@@ -14,26 +14,26 @@ CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
 LOOK_LIMIT = 600  # constraint rows up to which dependent ones are looked for
 
 
-def rows_depend(ev: Evaluation) -> bool:
-    """Whether constraint rows depend on each other in a configuration, with a word on ties that do; collective.
+def dependent_rows(ev: Evaluation) -> int:
+    """How many constraint rows depend on others in a configuration, with a word on ties that do; collective.
 
     The configuration looked at last is kept with the system: runs with other steps begin in the same one.
     """
-    known = ev.system.cache.get("rows depend")
+    known = ev.system.cache.get("dependent rows")
     if known is not None and _same_everywhere(ev, *known[:2]):
-        return bool(known[2])
+        return int(known[2])
     found = _look(ev)
-    ev.system.cache["rows depend"] = ev.t, ev.q.copy(), found
+    ev.system.cache["dependent rows"] = ev.t, ev.q.copy(), found
     return found
 
 
-def _look(ev: Evaluation) -> bool:
-    """See :func:`rows_depend`."""
+def _look(ev: Evaluation) -> int:
+    """See :func:`dependent_rows`."""
     if not 0 < ev.system.n_lam <= LOOK_LIMIT or rows_are_independent(ev):
-        return False
+        return 0
     found = mobility(ev)
     warn_of_ties(ev.system, found.shares)
-    return found.redundant > 0
+    return found.redundant
 
 
 def _same_everywhere(ev: Evaluation, t: float, q: Array) -> bool:
