@@ -75,14 +75,19 @@ class DryFrictionLoads(ScalarLoads):
         stretch = np.minimum(offset, self.limit / self.k)
         return 0.5 * float((self.k * stretch**2).sum())
 
-    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
-        """k and c where it sticks, 0 where it slides; the geometric stiffness of N.
+    def slopes(self, which: np.ndarray, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
+        """k and c where it sticks, 0 where it slides.
 
         A point that was dragged lies on the limit: there it slides, and roundoff does not decide.
         """
+        k, c = self.k[which], self.c[which]
+        sticks = np.abs(k * (s - self._stuck(t)[which]) + c * rate) <= (1.0 - 1e-9) * self.limit[which]
+        return k * sticks, c * sticks
+
+    def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
+        """With :meth:`slopes`, and the geometric stiffness of N."""
         s, rate = self._state(kin)
-        sticks = np.abs(self._trial(s, rate, t)) <= (1.0 - 1e-9) * self.limit
-        return self._tangent_of(kin, self.effort(s, rate, t), (self.k * sticks, self.c * sticks))
+        return self._tangent_of(kin, self.effort(s, rate, t), self.slopes(np.arange(len(s)), s, rate, t))
 
     def first(self, ev: Any, state: Any) -> Array:
         """p of a joint at rest: where it is, without a force; of one that moves: where it is dragged, the force at its limit."""

@@ -95,6 +95,10 @@ class Equations(Remembering):
     def follow(self, dxi: Array, rule: StageRule) -> None:
         """Move what is eliminated from them along with increments (k, n_v) of the points of :meth:`residual`."""
 
+    def creeps(self, tangent: Any, t: Array, p: Points, dxi: Array, dv: Array) -> bool:
+        """Whether increments (k, n_v) to points at the times t (k,) moved on by slopes that laws have at the tangent alone."""
+        return False
+
     def aligned(self, t: Array, W: Array, p: Points) -> Points:
         """Foretold stages at the times t (k,) as an iteration wants to begin; d rate = W dxi."""
         return p

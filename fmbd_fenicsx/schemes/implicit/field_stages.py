@@ -37,6 +37,7 @@ from ...system.evaluation import Evaluation
 from ...system.layout import State
 from ...system.serialisation import plain, worker
 from ...system.system import System
+from ...system.tangents.creep import creeps
 from ..dae import Form, Points
 from .closing_motions import COLUMNS, ClosingMotions
 from .equations import Equations, Start
@@ -293,6 +294,12 @@ class FieldEquations(Equations):
         self.renewals.count(1)
         if self.pressures.fields:
             self.pressures.move(dxi + rule.relax * (rule.vectors @ self.left_motions).real, rule.relax)
+
+    def creeps(self, tangent: FieldTangent, t: Array, p: Points, dxi: Array, dv: Array) -> bool:
+        """As :meth:`Equations.creeps`."""
+        q = self.system.compose(self.origin, p.xi)
+        points = ((self.system.at(float(t[i]), q[i], p.v[i]), dxi[i], dv[i]) for i in range(len(t)))
+        return creeps(self.system, tangent.ev, points)
 
     def accelerations(self, p: Points) -> Array:
         """a = v' + N e, (k, n_v)."""

@@ -58,6 +58,10 @@ class StageIteration:
         self._points = Points(p.xi + dxi, p.rate + couple @ dxi, p.v + dv, p.vd + couple @ dv, p.mult + mult)
         return dxi, dv, mult
 
+    def creeps(self, pencil: Any, moved: Increments) -> bool:
+        """Whether the last increment is one of a tangent with other slopes of laws."""
+        return bool(self.eq.creeps(pencil.t, self.t, self.points, *moved[:2]))
+
     def _solved(self, pencil: Any, kin: Array, low: Array) -> tuple[Array, Array]:
         """(1): increments of xi and v side by side, and of the multipliers."""
         rule = self.rule

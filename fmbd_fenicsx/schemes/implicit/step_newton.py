@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import BalanceError, CallbackError, ConvergenceError, LinearSolveError
 from ...linear.residual import Judge
 from ...rotations import Array
-from ...system.compiled.states.convergence import GOES_ON, Convergence
+from ...system.compiled.states.convergence import CONVERGED, GOES_ON, TOO_SLOW, Convergence
 from ...system.compiled.states.stages import StageRule
 from ...system.layout import State
 from ...system.serialisation import Remembering, plain
@@ -195,8 +195,10 @@ class StepNewton(Remembering):
         try:
             iteration.follow(self.pencil, convergence, until)
             while convergence.outcome == GOES_ON and convergence.done < until:
-                size = self.size(h, *iteration.increment(self.pencil))
-                judge_increment(convergence, size, still=self.still)
+                moved = iteration.increment(self.pencil)
+                judge_increment(convergence, self.size(h, *moved), still=self.still)
+                if convergence.outcome == CONVERGED and iteration.creeps(self.pencil, moved):
+                    convergence.outcome = TOO_SLOW
         finally:
             self.count(convergence.done - before)
         self.theta = convergence.theta

@@ -63,7 +63,7 @@ class ForetoldEfforts:
         """N' of (1) for increments like v of a configuration, (m,) of each kind of springs; N of laws of a user's own."""
         if not self.linear:
             return {}
-        moved, faster = self._twists(ev, dq), self._twists(ev, dv)
+        moved, faster = self.twists(ev, dq), self.twists(ev, dv)
         return {
             f: f.scalar(ev.kin, ev.t)[2] + linear * self._change(ev, f, moved, faster)
             for f, linear in self.linear.items()
@@ -84,7 +84,7 @@ class ForetoldEfforts:
                 worst = max(worst, ck / self.lightest * float(np.abs(f.relative.geometric(ev.kin, change)).max()))
         return worst
 
-    def _twists(self, ev: Evaluation, v: Array) -> Array:
+    def twists(self, ev: Evaluation, v: Array) -> Array:
         """Twists of all markers for velocities v, (n_markers, d + n_rot)."""
         s = self.system
         assert ev.kin.moving is not None

@@ -30,13 +30,15 @@ class FieldStageRoom(PointRoom):
         self.states, self.shape, self.twin = states, shape, states.twin
         n, m, frames = system.n_v, system.n_lam, system.n_frames
         size, width = n + len(levels) * m, len(levels) * m
+        formulas = states.tables.formulas
         sizes: Sizes = {
             "s": (p, 2), "t": k, "q0": system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n), "mult": (k, width),
             "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "past": k * ENDINGS, "ends": ENDINGS,
             "kin": (k, n), "low": (k, size), "dxi": (k, n),
             "dv": (k, n), "dmult": (k, width), "push": (2 * k, n), "weigh": (3, n),
             "moved": 6, "judged": 2, "local": system.n_q + 2 * n,
-            "sampled": (k, states.calls.written),
+            "sampled": (k, states.calls.written), "slopes": 2 * formulas,
+            "given": k * (n + size) + n if formulas else 0,
         }  # fmt: skip
         made = zeros_of(sizes)
         self.arrays = {name: x for name, (x, _) in made.items()}
@@ -60,7 +62,8 @@ class FieldStageRoom(PointRoom):
         )  # fmt: skip
         self.c = Stages(
             n=n, m=m, size=size, levels=len(levels), frequencies=p, points=k, first=levels[0] if levels else 0, relax=1.0,
-            s=made["s"][1], fields=ctypes.addressof(self.fields), **{name: made[name][1] for name in POINTS},
+            s=made["s"][1], fields=ctypes.addressof(self.fields),
+            **{name: made[name][1] for name in (*POINTS, "given", "slopes")},
         )  # fmt: skip
         self.address = ctypes.addressof(self.c)
 

@@ -19,7 +19,6 @@ from ....rotations import Array
 from ...sparsity import Pattern, Product
 from ...tangents.step_tangent import StepTangent
 from ..declarations import structure_of
-from ..tables.items.items import FORMULA
 from .couplings import Couplings
 from .exchange import Exchange
 from .tied_items import TiedItems
@@ -76,7 +75,7 @@ class StageStructure:
         blocks = [self.low, across, self.crossed.pattern, self.crossed.pattern][: 1 + count]
         behind = [self.behind, self.behind]
         self._lay_out([pulling, efforts, *blocks, diagonal], behind + [0, n, n + m, n + 2 * m][: 1 + count] + [n])
-        formulas = sum([len(x) for x in states.tables.sources if x.role == FORMULA])
+        formulas = states.tables.formulas
         self.laws = Pattern.of((formulas, 2), *np.indices((formulas, 2)).reshape(2, -1))
         self.frozen = np.zeros(len(self.normal.pattern))  # data of U where a step began
 

@@ -11,7 +11,7 @@ from ....rotations import Array
 from ...system import System
 from ..order import Fronts
 from ..recording import Looks
-from .items.items import Items
+from .items.items import FORMULA, Items
 from .items.tied import TiedPoints
 from .matrix_structure import Structure
 from .resting import twin_of
@@ -64,6 +64,11 @@ class TableLayout:
         self.width = self.twist + self.modes
         self.at_u = np.cumsum(self.width) - self.width
         self.nu, self.rows = int(self.width.sum()), self.system.n_lam
+
+    @property
+    def formulas(self) -> int:
+        """How many efforts are by formulas with a name."""
+        return sum([len(items) for items in self.sources if items.role == FORMULA])
 
     @cached_property
     def sampled(self) -> list[Any]:

@@ -192,14 +192,19 @@ EXPORT int driver_batch(System *s, long count, const double *t, const double *q,
     return DONE;
 }
 
-/* ``factor`` times a row on the rates of a body, its twist in world axes first, into one like v. */
-static void add_row(const System *s, int body, const double *rates, int modes, double factor, double *row)
+/* ``factor`` times a row on the rates of a body, its twist in world axes first, into one like v; the rates are lost. */
+static void add_row(const System *s, int body, double *rates, int modes, double factor, double *row)
 {
+    const Body *o = s->body + body;
     double turning[ROT];
     to_body(s->frames + FRAME * body + TURN, rates + D, turning);
     add(row + TWIST * body, factor, rates, D);
     add(row + TWIST * body + D, factor, turning, ROT);
-    add(row + s->body[body].at_v, factor, rates + TWIST, modes);
+    if (!o->field) add(row + o->at_v, factor, rates + TWIST, modes);
+    else if (modes) { /* what acts on its columns */
+        for (int i = 0; i < modes; i++) rates[TWIST + i] *= factor;
+        add_columns(o, rates + TWIST, row + o->at_v);
+    }
 }
 
 /* The row of one item, as its kernel left it, on the rates of the body of one of its frames, into s->big; how many, 0: the ground. */

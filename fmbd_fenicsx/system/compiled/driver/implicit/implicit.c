@@ -141,18 +141,20 @@ static int iterate_points(System *s, Implicit *o, double length, double *work)
     Stages *g = o->stages;
     Convergence *c = o->convergence;
     Bend none[MOST_BENT];
+    if (g->fields) return driver_stage_iterate(s, g, c, c->most);
     s->bent = 0;
     g->hesitations = 0;
-    g->iterate = g->fields || bends_of(s, g, 0, none) < 0 ? ON_ITS_OWN : FIRST;
-    int verdict = driver_stage_iterate(s, g, c, c->most);
+    g->crosses = 1;
+    g->iterate = bends_of(s, g, 0, none) < 0 ? ON_ITS_OWN : FIRST;
+    int verdict = increments_until(s, g, c, c->most);
     if (verdict == BENT && !(verdict = take_straight(s, o, length, work))) {
         s->bent = 1;
         g->iterate = AGAIN;
-        verdict = driver_stage_iterate(s, g, c, c->most);
+        verdict = increments_until(s, g, c, c->most);
         o->factored = 0.0; /* the next step takes slopes as they are */
     }
     g->iterate = ON_ITS_OWN;
-    s->bent = 0;
+    g->crosses = s->bent = 0;
     return verdict;
 }
 

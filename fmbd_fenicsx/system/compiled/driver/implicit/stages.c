@@ -45,6 +45,7 @@ typedef struct {
     double *given;                  /* points x (n + size) + n + nq: work beside laws that bend, see bends.c, and ties */
     int iterate, swings, hesitations; /* what points are: ON_ITS_OWN ..; whether efforts of these laws changed much in an increment, */
                                     /* and how often they have been waited for */
+    int crosses;                    /* whether an iteration crosses bends of laws */
     double *bases, *bent, span;     /* of rods and frames whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
     struct FieldStages *fields;     /* of elastic fields, whose systems have no such K; NULL for others */
 } Stages;
@@ -401,7 +402,7 @@ static double size_moved(const System *s, const Stages *o, const Convergence *c)
 
 /* Newton's iteration up to increment number ``until``, as far as solutions are accurate; what depends on time only is sampled at the
    last of the points then. */
-EXPORT int driver_stage_iterate(System *s, Stages *o, Convergence *c, int until)
+static int increments_until(System *s, Stages *o, Convergence *c, int until)
 {
     const int before = c->done;
     o->judged[0] = o->judged[1] = 0.0;
@@ -411,11 +412,24 @@ EXPORT int driver_stage_iterate(System *s, Stages *o, Convergence *c, int until)
         if (verdict) return verdict;
         if (s->bridged) pass_increment(c, size_moved(s, o, c));
         else judge_increment(c, size_moved(s, o, c), fmax(o->moved[0], c->h * o->moved[1]) <= c->still);
-        if (o->iterate != ON_ITS_OWN) o->iterate = FOLLOWING;
+        if (o->crosses && o->iterate != ON_ITS_OWN) o->iterate = FOLLOWING;
         if (c->outcome != CONVERGED || c->done >= c->most) continue;
         const int crept = creeps(s, o);
-        if (crept || hesitates(s, o)) c->outcome = GOES_ON;
+        if (crept || (o->crosses && hesitates(s, o))) c->outcome = GOES_ON;
         if (crept) return BENT;
     }
     return o->ties && c->outcome == CONVERGED ? close_ties(s, o, c) : DONE;
+}
+
+/* The same with a tangent that stays: where what slides creeps on its slopes of what stuck, the iteration has failed. */
+EXPORT int driver_stage_iterate(System *s, Stages *o, Convergence *c, int until)
+{
+    Bend none[MOST_BENT];
+    if (o->fields) note_slopes(o->fields->by[0], o->slopes);
+    o->iterate = bends_of(s, o, 0, none) < 0 ? ON_ITS_OWN : FIRST;
+    const int verdict = increments_until(s, o, c, until);
+    o->iterate = ON_ITS_OWN;
+    if (verdict != BENT) return verdict;
+    c->outcome = TOO_SLOW;
+    return DONE;
 }
