@@ -24,7 +24,7 @@ import numpy as np
 from ...rotations import Array
 from .definitions import COORDINATES, FLOWS, IN_SPACE, Definition
 from .expressions import ZERO, Expression, Program, c_lines, gradient, rebuilt, symbol, symbols_of
-from .frames import FRAME, AskedConstants, SymbolicFrame, twist_gradient, twist_of
+from .frames import FRAME, PLACES, AskedConstants, SymbolicFrame, twist_gradient, twist_of
 
 KERNELS = ("value", "rates", "tangent")
 WEIGHT = symbol("weight")
@@ -52,6 +52,7 @@ class Kind:
     frames: tuple[SymbolicFrame, SymbolicFrame]
     flow: bool = False  # a speed, which is no rate of a coordinate
     sides: Mapping[str, int] = field(default_factory=dict)  # of constants that are fixed in A (0) or B (1)
+    definition: Definition | None = None
     asked: ClassVar[bool] = False  # whether its kernels are told by Python
 
     @cached_property
@@ -82,17 +83,23 @@ class Kind:
         """Where compiled code finds a kernel that is told by Python; 0 for kinds that are compiled."""
         return 0
 
+    @cached_property
+    def between_origins(self) -> Kind:
+        """The same between the origins of both frames, with the same table of constants: what arms add is not computed."""
+        assert self.definition is not None
+        return derive(self.name, self.dim, self.definition, flow=self.flow, arms=False)
+
     def symbols(self) -> list[str]:
         """Names of all constants, component by component."""
         return [f"P_{name}_{i}" for name, size in self.constants.items() for i in range(size)]
 
 
-def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -> Kind:
+def derive(name: str, dim: int, definition: Definition, *, flow: bool = False, arms: bool = True) -> Kind:
     """Rows, rates and tangent of a definition; ``flow``: it gives a speed, linear in the twists or beside a given speed, and no
-    coordinate.
+    coordinate; ``arms``: whether points lie beside the origins of their frames.
     """
     frames = SymbolicFrame("A", dim), SymbolicFrame("B", dim)
-    constants = AskedConstants(dim)
+    constants = AskedConstants(dim, zero=() if arms else PLACES)
     # flows are linear in the twist already, but for what they give to bodies at rest; others get their row by (1)
     y = definition(*frames, constants)
     sizes = dict(constants.sizes)
@@ -121,7 +128,9 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
         "tangent": [WEIGHT * h for h in lower.values()],
     }
     given = [(u, value) for f in frames for us, values in f.arms for u, value in zip(us, values, strict=True)]
-    return Kind(name, dim, sizes, entries, tuple(lower), outputs, given, frames, flow, constants.sides(frames))
+    return Kind(
+        name, dim, sizes, entries, tuple(lower), outputs, given, frames, flow, constants.sides(frames), definition
+    )
 
 
 def _lower_half(H: list[list[Expression]]) -> dict[tuple[int, int], Expression]:

@@ -21,6 +21,7 @@ from typing import Any
 from .expressions import ZERO, Expression, as_expression, gradient, symbol
 
 FRAME = {2: 10, 3: 18}  # numbers of a frame
+PLACES = {"p": 0, "q": 1}  # constants that are places of markers in the frames A and B
 
 
 class Vector(tuple[Expression, ...]):
@@ -86,6 +87,8 @@ class SymbolicFrame:
 
     def axis(self, e: Sequence[Any]) -> Vector:
         """The direction with components ``e`` in the frame, in world axes."""
+        if all(x is ZERO for x in e):
+            return Vector(e)
         values = self._turned(e)
         for known, found in self.arms:
             if found == values:
@@ -111,10 +114,10 @@ class SymbolicFrame:
 
 
 class AskedConstants:
-    """Names the constants of a definition as it asks for them, in this order."""
+    """Names the constants of a definition as it asks for them, in this order; ``zero``: of vectors that are."""
 
-    def __init__(self, dim: int) -> None:
-        self.dim = dim
+    def __init__(self, dim: int, zero: Sequence[str] = ()) -> None:
+        self.dim, self.zero = dim, zero
         self.sizes: dict[str, int] = {}
         self.symbols: list[Expression] = []
 
@@ -124,7 +127,8 @@ class AskedConstants:
 
     def vector(self, name: str, size: int | None = None) -> Vector:
         """A vector of each item, ``dim`` components by default."""
-        return Vector(self._more(name, self.dim if size is None else size))
+        found = self._more(name, self.dim if size is None else size)
+        return Vector([ZERO] * len(found) if name in self.zero else found)
 
     def sides(self, frames: Sequence[SymbolicFrame]) -> dict[str, int]:
         """Numbers of the frames in whose axes constants are directions, or places; of those that are fixed in one."""

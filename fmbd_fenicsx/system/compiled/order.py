@@ -38,11 +38,14 @@ class RowGroup:
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """Unknowns of a dense part of the factor, the ``pivots`` eliminated there first; ``following``: the front it is added to."""
+    """Unknowns of a dense part of the factor, the ``pivots`` eliminated there first; ``following``: the front it is added to;
+    ``apart``: of a lot that meets no other unknowns.
+    """
 
     unknowns: np.ndarray
     pivots: int
     following: int
+    apart: bool = False
 
 
 def joint_tree(n_bodies: int, groups: list[RowGroup]) -> dict[int, list[int]]:
@@ -214,7 +217,7 @@ class Fronts:
         )
         order = {node: (k, i) for k, (unit, _) in enumerate(steps) for i, node in enumerate(unit)}
 
-        self.fronts: list[Front] = [Front(lot, len(lot), -1) for lot in apart]
+        self.fronts: list[Front] = [Front(lot, len(lot), -1, apart=True) for lot in apart]
         first = len(self.fronts)
         for unit, around in steps:
             rest = sorted(around, key=order.__getitem__)

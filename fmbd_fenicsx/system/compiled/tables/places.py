@@ -135,7 +135,7 @@ def _fronts(tables: TableLayout) -> Any:
         to = fronts.row_in(np.full(len(rest), f.following), rest) if len(rest) else rest
         one = kind(
             pivots=f.pivots, rows=len(f.unknowns), ld=fronts.ld[k], next=f.following, start=int(fronts.start[k]),
-            unknown=store.integers(f.unknowns), to=store.integers(to),
+            apart=int(f.apart), unknown=store.integers(f.unknowns), to=store.integers(to),
         )  # fmt: skip
         made.append(one)
     return (kind * max(len(made), 1))(*made)

@@ -88,6 +88,7 @@ static int factor(System *s)
     soften(s);
 
     for (Front *f = s->front; f < s->front + s->fronts; f++) {
+        if (f->apart) continue;
         double *F = s->L + f->start, inverse[PANEL];
         int ld = f->ld, panels = f->pivots - f->pivots % PANEL;
         for (int k = 0; k < f->pivots; k++) {
@@ -109,49 +110,6 @@ static int factor(System *s)
         }
     }
     return DONE;
-}
-
-/* A solution goes forward through fronts and backward again. Forward, whole lanes of a column are used: those above the diagonal change
-   only what has been stored. Backward, what is known last comes last into a sum, by itself, so that sums overlap. */
-static inline void forward(System *s, const Front *f, double *b)
-{
-    const double *F = s->L + f->start;
-    double *x = s->local;
-    for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
-    for (int k = 0; k < f->pivots; k++) {
-        const lanes *column = (const lanes *)(F + (long)f->ld * k);
-        lanes *to = (lanes *)x;
-        int u = f->unknown[k];
-        double c = x[k] * s->inverse[u];
-        b[u] = x[k];
-        for (int i = k / LANES; i < f->ld / LANES; i++) to[i] -= column[i] * c;
-    }
-    for (int i = f->pivots; i < f->rows; i++) b[f->unknown[i]] = x[i];
-}
-
-static inline void backward(System *s, const Front *f, double *b)
-{
-    const double *F = s->L + f->start;
-    double *x = s->local;
-    for (int i = f->pivots; i < f->rows; i++) x[i] = b[f->unknown[i]];
-    for (int i = f->rows; i < f->ld; i++) x[i] = 0.0;
-    for (int k = f->pivots - 1; k >= 0; k--) {
-        const double *column = F + (long)f->ld * k;
-        const lanes *whole = (const lanes *)column, *known = (const lanes *)x;
-        const int near = k / LANES + 2, u = f->unknown[k];
-        lanes sums = {0.0};
-        for (int i = f->ld / LANES - 1; i >= near; i--) sums += whole[i] * known[i];
-        double sum = sums[0] + sums[1] + sums[2] + sums[3];
-        for (int i = (near * LANES < f->rows ? near * LANES : f->rows) - 1; i > k; i--) sum += column[i] * x[i];
-        b[u] = x[k] = (b[u] - sum) * s->inverse[u];
-    }
-}
-
-/* b <- solution for the right-hand side b, in the order of the unknowns. */
-static void back_solve(System *s, double *b)
-{
-    for (Front *f = s->front; f < s->front + s->fronts; f++) forward(s, f, b);
-    for (Front *f = s->front + s->fronts - 1; f >= s->front; f--) backward(s, f, b);
 }
 
 static void swap(double *a, double *b, int n)
@@ -194,4 +152,66 @@ int solve_dense(double *A, int n, double *B, long ld, int columns, double share)
         for (int i = 0; i < columns; i++) right[i] /= A[k * n + k];
     }
     return 0;
+}
+
+/* What holds an attitude and meets nothing else is not factored: mostly nothing acts on it. */
+static void solve_apart(const System *s, const Front *f, double *b)
+{
+    double A[4 * ROT * ROT], x[2 * ROT];
+    int acts = 0;
+    for (int i = 0; i < f->rows; i++) acts |= (x[i] = b[f->unknown[i]]) != 0.0;
+    if (!acts) return;
+
+    for (int j = 0; j < f->rows; j++)
+        for (int i = j; i < f->rows; i++) A[f->rows * i + j] = A[f->rows * j + i] = s->L[f->start + (long)f->ld * j + i];
+    solve_dense(A, f->rows, x, 1, 1, 0.0);
+    for (int i = 0; i < f->rows; i++) b[f->unknown[i]] = x[i];
+}
+
+/* A solution goes forward through fronts and backward again. Forward, whole lanes of a column are used: those above the diagonal change
+   only what has been stored. Backward, what is known last comes last into a sum, by itself, so that sums overlap. */
+static inline void forward(System *s, const Front *f, double *b)
+{
+    if (f->apart) return;
+    const double *F = s->L + f->start;
+    double *x = s->local;
+    for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
+    for (int k = 0; k < f->pivots; k++) {
+        const lanes *column = (const lanes *)(F + (long)f->ld * k);
+        lanes *to = (lanes *)x;
+        int u = f->unknown[k];
+        double c = x[k] * s->inverse[u];
+        b[u] = x[k];
+        for (int i = k / LANES; i < f->ld / LANES; i++) to[i] -= column[i] * c;
+    }
+    for (int i = f->pivots; i < f->rows; i++) b[f->unknown[i]] = x[i];
+}
+
+static inline void backward(System *s, const Front *f, double *b)
+{
+    if (f->apart) {
+        solve_apart(s, f, b);
+        return;
+    }
+    const double *F = s->L + f->start;
+    double *x = s->local;
+    for (int i = f->pivots; i < f->rows; i++) x[i] = b[f->unknown[i]];
+    for (int i = f->rows; i < f->ld; i++) x[i] = 0.0;
+    for (int k = f->pivots - 1; k >= 0; k--) {
+        const double *column = F + (long)f->ld * k;
+        const lanes *whole = (const lanes *)column, *known = (const lanes *)x;
+        const int near = k / LANES + 2, u = f->unknown[k];
+        lanes sums = {0.0};
+        for (int i = f->ld / LANES - 1; i >= near; i--) sums += whole[i] * known[i];
+        double sum = sums[0] + sums[1] + sums[2] + sums[3];
+        for (int i = (near * LANES < f->rows ? near * LANES : f->rows) - 1; i > k; i--) sum += column[i] * x[i];
+        b[u] = x[k] = (b[u] - sum) * s->inverse[u];
+    }
+}
+
+/* b <- solution for the right-hand side b, in the order of the unknowns. */
+static void back_solve(System *s, double *b)
+{
+    for (Front *f = s->front; f < s->front + s->fronts; f++) forward(s, f, b);
+    for (Front *f = s->front + s->fronts - 1; f >= s->front; f--) backward(s, f, b);
 }

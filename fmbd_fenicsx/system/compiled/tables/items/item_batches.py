@@ -8,6 +8,7 @@ import numpy as np
 
 from .....mechanics.forces.force_elements import Loads
 from .....mechanics.forces.formulas import MEMORY
+from .....mechanics.kinds.frames import PLACES
 from .....mechanics.kinds.sums import sum_kind
 from .....rotations import Array
 from ...declarations import enumeration
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 FORMULAS = enumeration("SERVO", "forces/formulas.c")
 LINE, MOST_POINTS = enumeration("LINE").values()  # numbers that stand for a law, at each of so many points
-PLACES = {"p": 0, "q": 1}  # constants that are places of markers in their frames
 TURNS = {"turn_a": 0, "turn_b": 1}  # those that turn from the axes of a marker into those of its frame
 OF_ITEMS = "s rate effort foretold weight slope stiffness damping free".split()  # a number for each item
 MOUNT = enumeration("ROW")["MOUNT"]  # the role
@@ -35,6 +35,8 @@ def of_one_sort(tables: TableLayout, items: Items) -> list[Items]:
     for part in parts:
         if part.terms:
             _share_frames(part)
+        elif tables.held and all(int(frame) in tables.held for frame in part.frames[0]):
+            part.kind = part.kind.between_origins
     return [one for part in parts for one in (*part.terms, part)]
 
 
