@@ -23,7 +23,7 @@ from fmbd_fenicsx.mechanics.kinds.expressions import (
     symbol,
     tanh,
 )
-from fmbd_fenicsx.mechanics.kinds.frames import FRAME
+from fmbd_fenicsx.mechanics.kinds.frames import FRAME, PLACES
 from fmbd_fenicsx.mechanics.kinds.library import kernel
 
 FLOWS = tuple(name for name, kind in kinds(3).items() if kind.flow)
@@ -112,6 +112,22 @@ def test_derivatives_are_those_of_differences(name: str, dim: int) -> None:
     for seed in (1, 2):
         for what, missed in defects(kinds(dim)[name], seed).items():
             assert missed < 3e-7, (what, missed)
+
+
+@BOTH
+def test_kernels_between_origins_leave_out_what_arms_add(dim: int) -> None:
+    for kind in (x for x in kinds(dim).values() if not PLACES.keys().isdisjoint(x.constants)):
+        plain = kind.between_origins
+        assert plain.constants == kind.constants and set(plain.entries) <= set(kind.entries), kind.name
+        A, B, P = item(kind, 3)
+        for name in PLACES.keys() & kind.constants.keys():
+            P[kind.place(name)] = 0.0
+        for which, places in (("value", (None, *kind.entries)), ("rates", (0, 1)), ("tangent", kind.pattern)):
+            some = {"value": (None, *plain.entries), "rates": (0, 1), "tangent": plain.pattern}[which]
+            full = dict(zip(places, kind.run(which, A, B, P, 1.3), strict=True))
+            found = dict(zip(some, plain.run(which, A, B, P, 1.3), strict=True))
+            assert full.keys() >= found.keys()
+            assert max(abs(full[x] - found.get(x, 0.0)) for x in full) < 1e-13 if full else True, (kind.name, which)
 
 
 @BOTH

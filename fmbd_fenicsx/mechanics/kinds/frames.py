@@ -15,7 +15,7 @@ stay small.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from .expressions import ZERO, Expression, as_expression, gradient, symbol
@@ -116,7 +116,7 @@ class SymbolicFrame:
 class AskedConstants:
     """Names the constants of a definition as it asks for them, in this order; ``zero``: of vectors that are."""
 
-    def __init__(self, dim: int, zero: Sequence[str] = ()) -> None:
+    def __init__(self, dim: int, zero: Collection[str] = ()) -> None:
         self.dim, self.zero = dim, zero
         self.sizes: dict[str, int] = {}
         self.symbols: list[Expression] = []

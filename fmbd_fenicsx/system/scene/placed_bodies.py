@@ -76,6 +76,7 @@ class PlacedBodies:
         self.scene = scene
         self.m: Motions = motions(scene.dim)
         self.frame_of: dict[str, int] = {}
+        self._length: float | None = None
         self.poses: list[Array] = []
         self.twists: list[Array] = []
         self.part_of: dict[str, int] = {}
@@ -160,8 +161,11 @@ class PlacedBodies:
         return self.nodes.mass + sum(b.mass for b in rigid) + sum(p.mass_total for p in self.parts)
 
     def length(self) -> float:
-        """The characteristic length of the model, m."""
-        return model_length(self.scene, [q[: self.m.dim] for q in self.poses], [p.size for p in self.parts])
+        """The characteristic length of the model, m, once all bodies are placed."""
+        if self._length is None:
+            sizes = [p.size for p in self.parts]
+            self._length = model_length(self.scene, [q[: self.m.dim] for q in self.poses], sizes)
+        return self._length
 
     def state(self, system: System) -> State:
         """The state of a system of them as given."""

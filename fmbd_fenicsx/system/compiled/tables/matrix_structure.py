@@ -49,7 +49,8 @@ class Structure:
         for body, group in shape.apart.items():
             unknowns[body], held = np.split(unknowns[body], [-len(group.rows)])
             apart.append(np.append(held, count + np.array(group.rows)))
-        groups = [group for group in shape.groups if group not in shape.apart.values()]
+        taken = {group.rows for group in shape.apart.values()}
+        groups = [group for group in shape.groups if group.rows not in taken]
         unknowns += [count + np.array(group.rows) for group in groups]
         self.shape = shape
         self.fronts = Fronts(unknowns, groups, set(shape.pairs), apart)
