@@ -275,6 +275,12 @@ class NormOfWays(ErrorNorm):
         """(1) of the base, without what frames do beside the mass of their bodies; collective."""
         return super().__call__(h, e_q if self.rigid is None else e_q - self.rigid.rest(e_q), e_v, e_a)
 
+    def of_speeds(self, h: float, e_v: Array) -> float:
+        """Errors of velocities over tolerances of their own; collective."""
+        if self.rigid is not None:
+            e_v = e_v - self.rigid.rest(e_v)
+        return self.mean(e_v / self.wv)
+
     def look_ahead(self, state: State, span: float) -> None:
         """Take notice of what prescribed motions move within ``span`` (s): by how much they open constraints of a state that is
         held; collective.

@@ -67,6 +67,11 @@ class Loads:
         return None if f.law is None else Repeatable(f"The law of {f.kind}", f.name, f.law)
 
     @property
+    def follows_laws(self) -> bool:
+        """Whether laws of the motion tell some of them, whose stiffness may not last."""
+        return self.stiff and any(law is not None for law in self.laws)
+
+    @property
     def markers(self) -> tuple[np.ndarray, ...]:
         """All markers that they act on, (m,) each."""
         return self.a, self.b

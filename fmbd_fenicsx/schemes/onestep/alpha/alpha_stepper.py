@@ -289,6 +289,23 @@ class AlphaStepper(TimeStepper):
         across[held] = free[held]
         return self.solver.solve(scale * change, across)[0]
 
+    def missed_speeds(self, h: float) -> Array | None:
+        """What the last step, of size h (s), misses of velocities by (3) of :mod:`.variable_alpha`, not filtered, (n_v,); None
+        where no two states lead to its end.
+        """
+        past, s = self._past, self.state
+        if len(past) < 2:
+            return None
+        return h * h / (6.0 * (s.t - past[1][0])) * (s.a - _led(past, s.t)[0])
+
+    def filtered(self, h: float, missed: Array, s: State) -> Array:
+        """Velocities without vibrations that a step of size h (s) damps by what is stiff at a state, (n_v,); collective."""
+        ev = self.system.at(s.t, s.q, s.v)
+        scale = self.system.max_abs(missed)
+        change = ev.balance(s.a + missed / scale, s.lam) - ev.balance(s.a, s.lam)
+        self.solver.prepare(ev, self.scheme.rule(h).weights)
+        return self.solver.solve(scale * change, ev.jacobian.times(missed))[0]
+
     def _of_error(self, h: float) -> tuple[State, float, Array, float]:
         """The newest state, h^2 (beta - 1/6), the jump of A, and how long velocities open constraints (s), 0 where they hold."""
         assert self.begun is not None

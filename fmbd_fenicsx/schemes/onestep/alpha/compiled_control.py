@@ -45,7 +45,8 @@ class Stay:
 class CompiledControl:
     """``Control`` of tables.h for one norm and one controller, of a system whose local coordinates are all deformations."""
 
-    def __init__(self, norm: NormOfWays, control: StepControl) -> None:
+    def __init__(self, norm: NormOfWays, control: StepControl, *, laws: bool) -> None:
+        """``laws``: whether forces follow laws."""
         self.norm, self.control, self.store = norm, control, Store()
         self.twin = twin_of(norm.system)
         s, dim = self.twin.system, norm.system.motions.dim
@@ -53,10 +54,12 @@ class CompiledControl:
         self.deflections = deflections_of(s, norm.deforming, self.store)
 
         # tolerances and arrays that C works in
-        work = self.store.zeros({"e": s.n_v, "y": s.n_lam, "a": s.n_v, "missed": s.n_v})
+        sizes = {"e": s.n_v, "y": s.n_lam, "a": s.n_v, "missed": s.n_v, "fastest": 2, "faster": 2}
+        work = self.store.zeros(sizes)
+        self._fastest = work["fastest"][0]
         self.c = structure("Control", dim)(
             rtol=norm.rtol, atol=norm.atol or 0.0, length=s.length, least=norm.least, floor=LEAST_ERROR, turn=TURN, fading=FADING,
-            frames=norm.system.n_frames, core=norm.system.n_core,
+            frames=norm.system.n_frames, core=norm.system.n_core, laws=laws,
             deforming=len(norm.deforming), deflection=self.store.structure(self.deflections),
             **{name: address for name, (_, address) in work.items()},
         )  # fmt: skip
@@ -76,6 +79,7 @@ class CompiledControl:
             c.origin = self.store.address(self.twin.configurations(norm.origin[None])[0])
         for one, largest in zip(self.deflections, norm.deflections, strict=True):
             one.size = largest
+        self._fastest[:] = [norm.v_size[block].max(initial=0.0) for block in norm.sizes.blocks]
         c.way, c.error, c.largest, c.peak = norm.way, control.error_old, 0.0, stay.peak
 
         c.place, c.count, c.stretch, c.end = stay.place, stay.count, stay.stretch, stay.end
@@ -87,4 +91,6 @@ class CompiledControl:
         """Take back what :meth:`lend` gave."""
         norm, c = self.norm, self.c
         norm.deflections = np.array([one.size for one in self.deflections])
+        for block, speed in zip(norm.sizes.blocks, self._fastest, strict=True):
+            norm.v_size[block] = speed
         norm.way, self.control.error_old = c.way, c.before

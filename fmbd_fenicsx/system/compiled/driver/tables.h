@@ -452,6 +452,7 @@ typedef struct {
     double rtol, atol, length, least, way, reached;
     const double *origin;              /* the configuration that ways are measured from */
     long frames, core;                 /* that move, and entries like v of these and of what is no field */
+    long laws;                         /* whether forces follow laws, whose stiffness may not last */
     long deforming, place, ratio;      /* place: in steps of this size; ratio: of the next larger one, 0: there is none */
     Deflection *deflection;
     double high, low;                  /* pressures above which steps shrink, and up to which they grow */
@@ -460,6 +461,7 @@ typedef struct {
     double calm, floor, turn, until;   /* error below which nothing happens; least error that is remembered; rad; s */
     double quiet;                      /* up to when loads have been looked at, s */
     double error, before, largest;     /* of the newest step, of the one before, of all of a march */
+    double *fastest, *faster;          /* speed and spin of frames so far, m/s and rad/s, and with the newest state, 2 each */
     double peak, fading;               /* the largest of late, which fades by this factor from step to step */
     double *e, *y, *a, *missed;        /* work: like v, the rows, like v twice */
 } Control;

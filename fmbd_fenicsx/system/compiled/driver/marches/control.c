@@ -19,9 +19,15 @@ static double turned(const double *q0, const double *q)
 static double turned(const double *q0, const double *q) { return fabs(q[2] - q0[2]); }
 #endif
 
-/* Sizes with those of a state, which may still be refused. */
-static void reach(Control *c, const double *q)
+/* Sizes with those of a state after a step of h, which may still be refused. */
+static void reach(Control *c, double h, const Block *now)
 {
+    const double *q = now->q;
+    memcpy(c->faster, c->fastest, 2 * sizeof(double));
+    for (int i = 0; c->laws && i < TWIST * c->frames; i++) {
+        double *known = c->faster + (i % TWIST >= D);
+        *known = fmax(*known, fmax(fabs(now->v[i]), h * fabs(now->a[i])));
+    }
     c->reached = c->way;
     for (int b = 0; c->way < 1.0 && b < c->frames; b++) { /* longer ways count as one */
         const double *from = c->origin + POSE * b, *to = q + POSE * b;
@@ -42,10 +48,18 @@ static double squares(const double *e, int n, double tolerance)
     return sum;
 }
 
-/* Root mean square of the core, or that of the worst field; of frames without what they do beside the mass of their body. */
-static double error_norm(const System *s, const Control *c, const double *q, const double *e)
+/* What an entry of an error of places, or of velocities after a step of h (0: of places), may be: see ErrorNorm.update. */
+static double allowed_error(const Control *c, double size, double fastest, double h)
 {
-    double share = c->rtol * fmax(fmin(c->reached, 1.0), c->least), core = 0.0, worst = 0.0;
+    const double places = c->rtol * size + c->atol;
+    return h > 0.0 ? c->rtol * fastest + 1e-4 * places / h : places;
+}
+
+/* Root mean square of the core, or that of the worst field; of frames without what they do beside the mass of their body. ``h``: as above. */
+static double error_norm(const System *s, const Control *c, const double *q, const double *e, double h)
+{
+    const double share = fmax(fmin(c->reached, 1.0), c->least), per = h > 0.0 ? h : 1.0;
+    double core = 0.0, worst = 0.0;
     for (int b = 0; b < c->frames; b++) {
         double own[TWIST], R[D * D], bent[TWIST] = {0.0};
         if (hangs(s->body + b)) {
@@ -53,22 +67,48 @@ static double error_norm(const System *s, const Control *c, const double *q, con
             bend_frame(s->body + b, R, e, e + TWIST * b, bent);
         }
         for (int i = 0; i < TWIST; i++) own[i] = e[TWIST * b + i] - bent[i];
-        core += squares(own, D, share * c->length + c->atol);
-        core += squares(own + D, ROT, share + c->atol);
+        core += squares(own, D, allowed_error(c, share * c->length, c->faster[0], h));
+        core += squares(own + D, ROT, allowed_error(c, share, c->faster[1], h));
     }
     for (const Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
         for (int i = 0; x->rms && i < x->n; i++)
-            core += squares(e + x->at_v + i, 1, c->rtol * x->reached / x->rms[i] + c->atol);
-        double mean = x->rms ? 0.0 : squares(e + x->at_v, x->n, c->rtol * x->reached + c->atol) / x->n;
+            core += squares(e + x->at_v + i, 1, (c->rtol * x->reached / x->rms[i] + c->atol) / per);
+        double mean = x->rms ? 0.0 : squares(e + x->at_v, x->n, (c->rtol * x->reached + c->atol) / per) / x->n;
         if (!(mean <= worst)) worst = mean; /* nan stays */
     }
     if (c->core && !(core / c->core <= worst)) worst = core / c->core;
     return sqrt(worst);
 }
 
-/* The error of a step from ``now`` to ``out``; SIZE where it is refused, and sizes are as before. */
-static int judged(System *s, const double *p, Control *c, const Block *now, const Block *out)
+/* The error with that of (3) of variable_alpha.py, filtered with what is stiff at both ends of a step, where it may be the larger. */
+static int with_speeds(System *s, const double *p, Control *c, const Block *past, const Block *out, double *error)
 {
+    const double h = p[H], before = *past[0].t - *past[1].t, scale = h * h / (6.0 * (h + before));
+    const double share = h * (1.0 - p[AF]) / (1.0 - p[AM]), weights[] = {share * p[GAMMA], share * h * p[BETA]};
+    const Block *ends[] = {past, out}; /* memories go on from the evaluation at the end */
+    double asked = NAN;
+    int verdict;
+    for (int i = 0; i < s->nv; i++) {
+        double led = past[0].a[i] + h / before * (past[0].a[i] - past[1].a[i]);
+        c->missed[i] = scale * (out->a[i] - led);
+    }
+    double found = *error;
+    if (!(error_norm(s, c, out->q, c->missed, h) > found)) return DONE;
+    for (int k = 0; k < 2; k++) {
+        const Block *at = ends[k];
+        for (int i = 0; i < s->nv; i++) c->a[i] = at->a[i] + c->missed[i] / scale;
+        if ((verdict = sample(s, *at->t, &asked))) return verdict;
+        if ((verdict = filtered(s, scale, 0.0, weights, at->q, at->v, c->a, at->lam, *at->t, c->missed, c->e, c->y))) return verdict;
+        found = fmax(found, error_norm(s, c, out->q, c->e, h));
+    }
+    *error = found;
+    return DONE;
+}
+
+/* The error of a step from the newest of ``past`` to ``out``; SIZE where it is refused, and sizes are as before. */
+static int judged(System *s, const double *p, Control *c, const Block *past, const Block *out)
+{
+    const Block *now = past;
     const double scale = p[H] * p[H] * (p[BETA] - 1.0 / 6.0);
     for (int i = 0; i < s->nv; i++) {
         double jump = out->A[i] - now->A[i];
@@ -79,14 +119,16 @@ static int judged(System *s, const double *p, Control *c, const Block *now, cons
     int verdict = driver_error(s, scale, span, out->q, out->v, c->a, out->lam, *out->t, c->missed, c->e, c->y);
     if (verdict) return verdict;
 
-    reach(c, out->q);
-    double error = error_norm(s, c, out->q, c->e);
+    reach(c, p[H], out);
+    double error = error_norm(s, c, out->q, c->e, 0.0);
+    if (error <= 1.0 && c->laws && p[HISTORY] >= 1.0 && (verdict = with_speeds(s, p, c, past, out, &error))) return verdict;
     if (!(error <= 1.0)) return SIZE;
     c->before = fmax(c->error, c->floor);
     c->error = error;
     c->largest = fmax(c->largest, error);
     c->peak = fmax(error, c->fading * c->peak);
     c->way = c->reached;
+    memcpy(c->fastest, c->faster, 2 * sizeof(double));
     for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) x->size = x->reached;
     return DONE;
 }

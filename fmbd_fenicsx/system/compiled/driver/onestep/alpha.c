@@ -392,14 +392,15 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
     return DONE;
 }
 
-/* The error (2) of schemes/onestep/alpha/variable_alpha.py with the factor of the step that led to a state, e like v: ``a`` has the jump of
-   accelerations, which ``scale`` weights and which ``missed`` is, so weighted; velocities open constraints for ``span`` (s), 0 where they hold them.
-   y: its multipliers. */
-EXPORT int driver_error(System *s, double scale, double span, const double *q, const double *v, const double *a, const double *lam,
-                        double t, const double *missed, double *e, double *y)
+/* The error (2) of schemes/onestep/alpha/variable_alpha.py, e like v, with the factor at hand, that of the step which led to a state, or with
+   one of the matrix there where ``weights`` of C and K are given: ``a`` has the jump of accelerations, which ``scale`` weights and which
+   ``missed`` is, so weighted; velocities open constraints for ``span`` (s), 0 where they hold them. y: its multipliers. */
+static int filtered(System *s, double scale, double span, const double *weights, const double *q, const double *v, const double *a,
+                    const double *lam, double t, const double *missed, double *e, double *y)
 {
     int verdict;
     if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
+    if (weights && (verdict = prepare(s, q, weights[0], weights[1], lam, 0, t))) return verdict;
     slips(s, 1);
     for (int i = 0; i < s->rows; i++) s->gap[i] = -span * s->slip[i];
     turn_velocity(s, missed);
@@ -408,4 +409,11 @@ EXPORT int driver_error(System *s, double scale, double span, const double *q, c
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++) /* rows on velocities hold no places */
         for (long i = 0; k->role == ROW && k->flow && i < k->n; i++) s->gap[k->row[i]] = -s->slip[k->row[i]];
     return increment(s, -scale, e, y, t);
+}
+
+/* The same with the factor at hand, for Python. */
+EXPORT int driver_error(System *s, double scale, double span, const double *q, const double *v, const double *a, const double *lam,
+                        double t, const double *missed, double *e, double *y)
+{
+    return filtered(s, scale, span, NULL, q, v, a, lam, t, missed, e, y);
 }
