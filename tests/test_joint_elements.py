@@ -239,7 +239,11 @@ def add_rod(scene: fmbd.Scene) -> None:
 
 @pytest.mark.parametrize(
     "scheme, beside, compiled",
-    [(fmbd.Radau(2, rtol=1e-5), True, True), (fmbd.Radau(2, rtol=1e-5), True, False), (fmbd.BDF(5, rtol=1e-5), False, False)],
+    [
+        (fmbd.Radau(2, rtol=1e-5), True, True),
+        (fmbd.Radau(2, rtol=1e-5), True, False),
+        (fmbd.BDF(5, rtol=1e-5), False, False),
+    ],
     ids=["rod", "rod, NumPy", "NumPy"],
 )
 def test_what_breaks_away_does_not_creep(scheme: Any, beside: bool, compiled: bool, monkeypatch: Any) -> None:

@@ -12,6 +12,8 @@ import pytest
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.materials import linear_elastic
+from fmbd_fenicsx.schemes.impacts.compiled import driver
+from fmbd_fenicsx.schemes.impacts.compiled.stepper import CompiledMoreauStepper
 
 G = 9.81
 BLOCK = Path(__file__).resolve().parents[1] / "meshes/block.py"
@@ -70,6 +72,32 @@ def test_hinge_between_two_stops(dim: int) -> None:
     exact = np.where(t > 2.95, 7 - 5.12 * (t - 2.95), exact)
     assert np.allclose(run["phi"][:, 0], exact, atol=1e-9)
     assert run["rate"][-1, 0] == pytest.approx(-5.12, rel=1e-9)
+
+
+@pytest.mark.parametrize("calls", ["many", "one", "none"])
+def test_dry_friction_turns_with_the_impact(calls: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slide between two stops: friction pushed along from each impact to the end of its step, 3.5e-2 m off at rest."""
+    if calls == "none":
+        monkeypatch.setattr(driver, "contact_driver", lambda *_, **__: None)
+    if calls == "one":
+        monkeypatch.setattr(CompiledMoreauStepper, "march", lambda *_, **__: 0)
+    slide = fmbd.RigidBody("slide", 2.0, 1.0, (0.0, 0.0), velocity=(5.0, 0.0))
+    rail = fmbd.prismatic("rail", fmbd.ground, slide, axis=(1, 0))
+    x, scene = fmbd.displacement(rail), fmbd.Scene("to and fro", gravity=(0.0, 0.0))
+    scene.add(slide, rail, fmbd.joint_limit("stops", x, lower=-0.5, upper=0.5, restitution=0.8))
+    scene.add(fmbd.dry_friction("rub", x, limit=4.0, stick=1e7))
+    scene.sensor("x", x)
+    scene.sensor("v", fmbd.sensors.joint_rate(x))
+    scene.sensor("rub", fmbd.element_effort("rub"))
+    run = fmbd.solve(scene, t_end=2.0, dt=0.02, output=fmbd.Output(times=np.linspace(0.0, 2.0, 401)))
+
+    # half the square of the speed falls by 2 m/s^2 times the way; an impact leaves 0.64 of it
+    stop, left = 0.5, 0.64 * (12.5 - 2.0 * 0.5)
+    while left > 2.0:
+        stop, left = -stop, 0.64 * (left - 2.0)
+    assert run["x"][-1, 0] == pytest.approx(stop - np.sign(stop) * left / 2.0, abs=1e-4)
+    slides = np.abs(run["v"][:, 0]) > 0.05
+    assert (run["v"] * run["rub"])[slides].max() < 0.0
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-3])

@@ -92,7 +92,7 @@ class CompiledSteps(TimeStepper):
         if q is not self.state.q:
             return False
         if tables.sampled:  # a new sample is a jump, which who called has to know
-            tables.remember_points(memories)
+            tables.remember_within(memories, "PID")
             return False
         tables.remember(memories)
         return True

@@ -71,6 +71,15 @@ def accept(system: System, state: State) -> bool:
     return jumped
 
 
+def drag(system: System, state: State) -> None:
+    """What is moved by ends of steps is moved by the end of a part, before an impact, too; collective."""
+    dragged = [loads for loads in system.keepers if loads.by_ends]
+    if dragged:
+        ev = system.at(state.t, state.q, state.v)
+        for loads in dragged:
+            loads.kept = loads.accepted(ev, state)
+
+
 def collocated(system: System) -> list[Any]:
     """The elements whose memory is found at the points of an implicit step together."""
     return [loads for loads in system.forces if loads.collocates]

@@ -28,7 +28,7 @@ ROUNDOFF = 1e-9  # of what the ends of a joint move: rates below are those of pr
 
 class DryFrictionLoads(ScalarLoads):
     """Elements (1) of one kind of coordinate; ``kept`` (m, 4): the point p where each sticks, the time (s) since which, and both
-    before the last step.
+    before the last step, or before the last part of a step with impacts.
     """
 
     by_ends = True
@@ -63,7 +63,10 @@ class DryFrictionLoads(ScalarLoads):
 
     def _trial(self, s: Array, rate: Array, t: float) -> Array:
         """N if it sticks, (m,)."""
-        return np.asarray(self.k * (s - self._stuck(t)) + self.c * rate)
+        trial = np.asarray(self.k * (s - self._stuck(t)) + self.c * rate)
+        # an earlier part of the step slid to where the next one began
+        elsewhere = (t < self.kept[:, 3]) & (np.abs(trial) > self.limit)
+        return np.where(elsewhere, np.copysign(trial, rate), trial)
 
     def energy(self, kin: Kinematics, t: float) -> float:
         """k (s - p)^2 / 2 with p as it would be after this step, at most F^2 / 2 k: what is stored before sliding, J.

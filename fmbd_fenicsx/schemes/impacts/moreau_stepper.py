@@ -16,6 +16,7 @@ from ...mechanics.contact.obstacles import way_over
 from ...mechanics.contact.rows import Rows
 from ...rotations import Array
 from ...system.compiled.declarations import constants, enumeration
+from ...system.element_memory import drag, memories, restore
 from ...system.layout import State
 from ...system.sensors.contact import forces_of
 from ...system.serialisation import Memory, plain
@@ -64,6 +65,7 @@ class MoreauStepper(ContactStepper):
         unchanged.
         """
         before = self.state, self.carried, self.carrying, copy(self.ledger)
+        remembered = memories(self.system)
         self._stations = [self.state]
         self._pressing = self.state.a
         end = self.state.t + h
@@ -78,6 +80,8 @@ class MoreauStepper(ContactStepper):
                 part = self._part(end - self.state.t, h, rested, classical=parts >= 2 * self.impacts)
                 self._take(part)
                 self._stations.append(self.state)
+                if part.h > 2 * IMPACT * h and end - self.state.t > 2 * IMPACT * h:
+                    drag(self.system, self.state)
                 # forces of the parts, weighted by their shares of the step
                 found = forces_of(self.state)
                 share = part.h / h
@@ -87,6 +91,7 @@ class MoreauStepper(ContactStepper):
                 iterations += part.iterations
         except FmbdError:
             self.state, self.carried, self.carrying, self.ledger = before
+            restore(self.system, remembered)
             raise
 
         self.state = self.ledger.averaged(self.state, end, (force, normal))

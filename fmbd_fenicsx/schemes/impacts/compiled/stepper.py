@@ -55,6 +55,8 @@ class CompiledMoreauStepper(CompiledSteps, MoreauStepper):
     def advance(self, h: float) -> State:
         """One step of size h (s), as :meth:`Stepper.advance`; NumPy would not find forces that compiled code has not found."""
         if self._march(h, 1):
+            tables = self.driver.tables
+            tables.remember_within(tables.memories(), "DRY")
             return self.state  # who called moves memories on
         if self.driver.unsolved is not None:
             raise self.driver.unsolved

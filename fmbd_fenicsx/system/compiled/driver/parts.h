@@ -92,6 +92,8 @@ void note_readings(System *s, int j);
 int find_memories(System *s);
 int memory_error(System *s, double *error);
 int friction_overran(System *s, double t, double h);
+void hold_friction(System *s, int back);
+void drag_friction(System *s, double t);
 double largest(const double *x, int n);
 double largest_of(const double *units, const double *x, int n);
 double small(const System *s, const double *p, const double *q, double accelerated);

@@ -305,8 +305,8 @@ class Tables(TableLayout):
         for one, memory in zip(self.remembering, self.memories() if memories is None else memories, strict=True):
             one.remember(memory)
 
-    def remember_points(self, memories: list[Any]) -> None:
-        """The same of what compiled steps have found at points of a step, whose end Python takes up."""
+    def remember_within(self, memories: list[Any], kind: str) -> None:
+        """The same of what compiled steps have found within a step, whose end Python takes up, of formulas of one kind."""
         for one, memory in zip(self.remembering, memories, strict=True):
-            if isinstance(one, Items) and one.formula is not None and one.formula.kind == "PID":
+            if isinstance(one, Items) and one.formula is not None and one.formula.kind == kind:
                 one.remember(memory)

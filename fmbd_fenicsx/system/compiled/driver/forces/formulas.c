@@ -15,8 +15,9 @@ static double cut(double effort, double limit, double *k, double *c)
     return effort > 0 ? limit : -limit;
 }
 
-/* What dry friction keeps, as dry_friction.py: the point p where it sticks, the time since which, and both before the last step. */
-enum { STUCK, SINCE, STUCK_BEFORE, BEGAN };
+/* What dry friction keeps, as dry_friction.py: the point p where it sticks, the time since which, and both before the last step, or the
+   last part of it; and here the same as it was when a step began. */
+enum { STUCK, SINCE, STUCK_BEFORE, BEGAN, DRAGGED };
 
 static const double WITHIN = 1e-9; /* share of the last step by which its end is not within it */
 
@@ -193,7 +194,11 @@ void formula(Batch *k, long i, double t)
     *slope = p[0];
     *drag = p[1];
     if (k->formula == SERVO) k->effort[i] = cut(p[0] * (x - p[4]) + p[1] * (rate - p[5]), p[2], slope, drag);
-    else k->effort[i] = friction(p[0] * (x - stuck(kept, t)) + p[1] * rate, p[2], slope, drag);
+    else {
+        const double trial = p[0] * (x - stuck(kept, t)) + p[1] * rate;
+        const int elsewhere = t < kept[BEGAN] && fabs(trial) > p[2]; /* an earlier part of the step slid to where the next one began */
+        k->effort[i] = friction(elsewhere ? copysign(trial, rate) : trial, p[2], slope, drag);
+    }
 }
 
 /* Where dry friction sticks if a step ends at t, at the s, s' and effort of the last evaluation. */
@@ -215,6 +220,27 @@ static void friction_keep(const Batch *k, long i, double t)
     }
     kept[STUCK] = p;
     kept[SINCE] = t;
+}
+
+/* What dry friction keeps where a step begins: kept, or put back. */
+void hold_friction(System *s, int back)
+{
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++)
+        for (long i = 0; k->role == FORMULA && k->formula == DRY && i < k->n; i++) {
+            double *kept = k->kept + MEMORY * i;
+            memcpy(kept + (back ? STUCK : DRAGGED), kept + (back ? DRAGGED : STUCK), DRAGGED * sizeof(double));
+        }
+}
+
+/* Dry friction takes up a part of a step that ends at t, before an impact; frames are placed. */
+void drag_friction(System *s, double t)
+{
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->told || k->role != FORMULA || k->formula != DRY) continue;
+        values(s, k);
+        efforts(s, k, t);
+        for (long i = 0; i < k->n; i++) friction_keep(k, i, t);
+    }
 }
 
 /* Whether dry friction pushes along the motion at the end of a step of h: it turned within, by more than its spring gives. */

@@ -269,7 +269,12 @@ static int whole_step(System *s, Contacts *c, double *p, double **ring, int *new
         from = to;
         to = 3 - to;
         note_part(s, c, done + 1, ring[from]);
-        if (*block_at(s, ring[from]).t - *now.t > 2 * INSTANT * h) c->flown = done + 1;
+        const Block made = block_at(s, ring[from]);
+        if (*made.t - *now.t <= 2 * INSTANT * h) continue;
+        c->flown = done + 1;
+        if (!s->remembers || end - *made.t <= 2 * INSTANT * h) continue;
+        if ((verdict = place(s, made.q, made.v))) return verdict;
+        drag_friction(s, *made.t);
     }
     *block_at(s, ring[from]).t = end;
     for (int k = 0; k < c->candidates; k++) {
@@ -338,11 +343,13 @@ EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double *
         double theta = p[THETA], iterations = p[ITERATIONS], left = p[LEFT];
         Tally tally = c->tally;
         keep_books(c, 0);
+        if (s->remembers) hold_friction(s, 0);
         if ((*verdict = whole_step(s, c, p, ring, &newest))) {
             p[THETA] = theta, p[ITERATIONS] = iterations, p[LEFT] = left;
             c->tally = tally;
             c->known = 0;
             keep_books(c, 1);
+            if (s->remembers) hold_friction(s, 1);
             break;
         }
         double *last = ring[newest];
