@@ -90,6 +90,31 @@ def test_drive_that_starts_with_a_speed(rod_mesh: Callable[..., Any], kind: Any,
     assert not run.counters.get("halved_steps")
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_load_at_once_on_a_body_that_keeps_its_volume(rod_mesh: Callable[..., Any], compiled: bool) -> None:
+    """A light strip creeps as sigma L / (4 mu) (1 - exp(-t / beta)), in plane strain, and its clamp holds the load at once."""
+    E, beta, sigma = 1e6, 0.05, 2e4
+    body = fmbd.AbsoluteBody(
+        "strip",
+        rod_mesh(dim=2, h=0.2, height=0.1),
+        density=1.0,
+        energy=fmbd.materials.neo_hookean_incompressible(E),
+        stiffness_damping=beta,
+        loads=[fmbd.loads.traction("tip", (sigma, 0.0))],
+    )
+    scene = fmbd.Scene("creep")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("pin")))
+    scene.sensor("tip", fmbd.position(body.surface("tip")))
+    scene.sensor("clamp", fmbd.reaction_force("clamp"))
+    run = solved(scene, 0.08, 8e-3, compiled=compiled)
+    assert run.counters["damped_steps"] >= 1
+    assert not run.counters.get("halved_steps")
+    assert run["tip"][:, 1] == pytest.approx(0.0, abs=1e-6)
+    stretch = run["tip"][:, 0] - 1.0
+    assert stretch == pytest.approx(sigma / (4 / 3 * E) * (1.0 - np.exp(-run.times / beta)), abs=3e-4)
+    assert np.abs(run["clamp"][2:, 0]) == pytest.approx(sigma * 0.1, rel=2e-3)
+
+
 @pytest.mark.parametrize("t_load", [0.0, 0.1])
 def test_load_at_once_on_a_stiff_panel(rod_mesh: Callable[..., Any], t_load: float) -> None:
     """A step of a hundred periods: the panel goes to its equilibrium, within a fifth of the deflection, and stays."""

@@ -228,9 +228,9 @@ class AlphaStep:
         return Increment(*self.solver.step(ev, -self.scale * r, -g))
 
     def _on_both_levels(self, ev: Evaluation, r: Array, g: Array) -> Increment:
-        """Multipliers keep velocities on their constraints; a correction along M^-1 G^T closes positions."""
+        """Multipliers keep velocities on their constraints; a correction along M^-1 G^T closes positions. Volumes are kept."""
         slip = ev.opening()
-        dq, dlam = self.solver.solve(-self.scale * r, -self.scale / self.weights.cd * slip)
+        dq, dlam = self.solver.step(ev, -self.scale * r, -self.scale / self.weights.cd * slip)
         # what the velocities leave open in the positions is closed across the rows
         still_open = -g - ev.jacobian.times(dq)
         still_open[speed_rows(self.system)] = 0.0  # these have no g: the correction rolls

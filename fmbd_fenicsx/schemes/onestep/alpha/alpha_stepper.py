@@ -93,7 +93,7 @@ class AlphaStepper(TimeStepper):
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.counters = {}
         pushes = system.parts or system.elements or system.forces
-        if not pushes or any(part.field.carried for _, part in system.fields):  # pressures know no stabilised form
+        if not pushes:
             self.damps = False
         self._begin_from(state)
 
