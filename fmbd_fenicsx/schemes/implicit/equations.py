@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,8 +10,7 @@ from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...linear.residual import Judge
 from ...rotations import Array
-from ...system.compiled.states.evaluation import DriverStates
-from ...system.compiled.states.stages import PointRoom, StageRule
+from ...system.compiled.states.stages import StageRule
 from ...system.control.memory_points import PointRule
 from ...system.element_memory import collocate, collocated
 from ...system.layout import State
@@ -20,6 +18,7 @@ from ...system.serialisation import Remembering
 from ...system.system import System
 from ..consistent import MASS
 from ..dae import Form, Points, Unconstrained
+from .whole_steps import WholeSteps
 
 Start = tuple[Array, Array, Array]  # an increment of q, v and a
 
@@ -30,6 +29,7 @@ class Equations(Remembering):
     """
 
     dense: ClassVar[bool]  # whether a tangent is a matrix, which serves several steps
+    whole: WholeSteps  # in compiled code
 
     def __init__(self, system: System, form: Form, solver: StepSolver) -> None:
         self.system, self.solver = system, solver
@@ -163,45 +163,6 @@ class Equations(Remembering):
         ev = s.at(state.t, q, v)
         a = state.a + closed(ev.jacobian.times(state.a) + ev.gamma())
         return dq, v, a
-
-    # -- whole steps in compiled code -----------------------------------------------------------------------------
-    @property
-    def compiled(self) -> bool:
-        """Whether whole steps of constant size are compiled."""
-        raise NotImplementedError
-
-    def whole_steps(self, state: State) -> DriverStates | None:
-        """With whose tables they are made from a state on; None where they are made in parts."""
-        driver = self.solver.driver
-        return driver.whole_steps(state) if driver is not None and driver.states.same_rows else None
-
-    def solves_for(self, s: Array) -> bool:
-        """Whether compiled code has matrices of the frequencies s (p,)."""
-        return True
-
-    def room(self, frequencies: int, points: int) -> PointRoom:
-        """Room for so many points of them."""
-        raise NotImplementedError
-
-    def lend(self, room: Any, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
-        """What they begin with in a state: the tangent that serves on, None without any; ``matrices``: who lends those that
-        compiled code asks for.
-        """
-        raise NotImplementedError
-
-    def lend_matrices(self, room: Any, state: State, s: Array) -> None:
-        """Give compiled code the matrices of the frequencies s (p,) at a state; LinearSolveError where it goes without."""
-
-    def kept(self, room: Any, judge: Judge, *, known: bool) -> tuple[Any, Any]:
-        """Tangent and factors that they have left, where they are ``known`` to serve on."""
-        return None, None
-
-    def serves(self, tangent: Any) -> bool:
-        """Whether compiled steps go on with a tangent that steps in parts have taken."""
-        return tangent is not None
-
-    def refused(self, room: Any) -> None:
-        """Take notice of what they have tried in a step that they have not made."""
 
     # -- tangents -----------------------------------------------------------------------------------------------
     def refresh(self, state: State, mult: Array) -> Any:

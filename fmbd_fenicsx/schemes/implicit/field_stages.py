@@ -17,13 +17,11 @@ Source of the forms: :mod:`..dae`. Newton-Krylov methods: Knoll and Keyes, doi:1
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from ...errors import LinearSolveError
 from ...linear.blocks.field_blocks import Weights
 from ...linear.condensation import StepSolver
 from ...linear.frequency_solvers import DECADE, FrequencySolver, FrequencySolvers
@@ -43,8 +41,9 @@ from .closing_motions import COLUMNS, ClosingMotions
 from .equations import Equations, Start
 from .field_renewals import FieldRenewals
 from .field_tangent import FieldTangent
-from .stage_krylov import FieldStages, shares
+from .stage_krylov import FieldStages
 from .stage_pressures import StagePressures
+from .whole_field_steps import WholeFieldSteps
 
 ROUNDED_UP = 1.1  # what a step may be longer than the one proposed, whose safety allows it
 ROUNDOFF = 1e-14  # of rates, over their largest
@@ -57,9 +56,7 @@ class FieldEquations(Equations):
     """
 
     keeps: ClassVar = {
-        **dict.fromkeys(
-            ("residuals", "jacobians", "krylov", "trusted", "size_anchor", "_equal", "_estimates"), plain()
-        ),
+        **dict.fromkeys(("residuals", "jacobians", "krylov", "trusted", "size_anchor", "_equal", "estimates"), plain()),
         "solvers": worker,
         "_last_metric": plain(Weights),
         **dict.fromkeys(("closing", "renewals"), worker),
@@ -74,7 +71,7 @@ class FieldEquations(Equations):
 
         self.size_anchor: float | None = None  # first step of the grid, s
         self._equal = False  # whether all steps, of which none was made so far, are to have one size
-        self._estimates = False  # whether steps end with :meth:`consistent_start`
+        self.estimates = False  # whether steps end with :meth:`consistent_start`
 
         self.closing = ClosingMotions(solver)
         self._begun: State | None = None
@@ -83,7 +80,7 @@ class FieldEquations(Equations):
         self.renewals = FieldRenewals(system)
         self.left_motions: Array = np.zeros((1, 0))  # of frequencies, what iterations have left, as pressures see it
 
-        self._lent: list[FrequencySolver] = []  # who solves in whole steps, and for which frequencies
+        self.whole = WholeFieldSteps(self)
 
     @property
     def counters(self) -> dict[str, float]:
@@ -101,7 +98,7 @@ class FieldEquations(Equations):
             self.renewals.begin()
             self.closing.begin(state)
             self._last_metric = self.closing.metric
-            if self._estimates and closed:  # while the matrix is at hand
+            if self.estimates and closed:  # while the matrix is at hand
                 self.consistent_start(state)
         self.origin = state.q
 
@@ -198,20 +195,14 @@ class FieldEquations(Equations):
     def stage_room(self, frequencies: int, points: int, square: Array) -> FieldStageRoom | None:
         """Room of compiled code for increments of so many points, their lengths squared by these weights; None without any."""
         states, shape = self.system.evaluator, (frequencies, points)
-        if not self._covered or not isinstance(states, DriverStates):
+        if not self.covered or not isinstance(states, DriverStates):
             return None
         if self._room is None or self._room.states is not states or self._room.shape != shape:
             self._room = FieldStageRoom(states, self.form.levels, shape, square)
         return self._room
 
-    # -- whole steps --------------------------------------------------------------------------------------------
     @property
-    def compiled(self) -> bool:
-        """As :attr:`Equations.compiled`: where solutions need no iteration."""
-        return isinstance(self.system.evaluator, DriverStates) and self.trusted and self._covered
-
-    @property
-    def _covered(self) -> bool:
+    def covered(self) -> bool:
         """Whether compiled code adds increments of these forms."""
         return self.system.n_lam <= COLUMNS and self._known
 
@@ -220,74 +211,12 @@ class FieldEquations(Equations):
         """Whether compiled code evaluates points of these forms."""
         return 2 not in self.form.levels
 
-    def whole_steps(self, state: State) -> DriverStates | None:
-        """As :meth:`Equations.whole_steps`: matrices have tables of their own."""
-        states = self.system.evaluator
-        if not isinstance(states, DriverStates) or self.solver.driver is None:
-            return None
-        if self.solver.core.redundant:
-            states.let_depend()
-        return states
-
-    def solves_for(self, s: Array) -> bool:
-        """As :meth:`Equations.solves_for`: matrices are those of the frequencies, in tables of their own; N is of a real one."""
-        self._lent = self._solvers_of(s)
-        real = sum(by.weights.real for by in self._lent)
-        apart = real <= 1 and (self.levels < 2 or real == 1)
-        return apart and all(by.exact for by in self._lent)
-
-    def _solvers_of(self, s: Array) -> list[FrequencySolver]:
+    def solvers_of(self, s: Array) -> list[FrequencySolver]:
         """Who solves for the frequencies s (p,)."""
         if self._equal:
             self.solvers.expect(s)
             self._equal = False
         return self.solvers.of_all(s)
-
-    def room(self, frequencies: int, points: int) -> FieldStageRoom:
-        """As :meth:`Equations.room`."""
-        room = self.stage_room(frequencies, points, shares(self.system) ** 2)
-        assert room is not None
-        return room
-
-    def lend(self, room: FieldStageRoom, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
-        """As :meth:`Equations.lend`: steps take derivatives of their own, and ask for the matrices of their frequencies."""
-        self.begin(state, closed=False)
-        self.renewals.lend(room)
-        room.begin(matrices, self.consistent_start(state) if self._estimates else None)
-
-    def kept(self, room: FieldStageRoom, judge: Judge, *, known: bool) -> tuple[Any, Any]:
-        """As :meth:`Equations.kept`: nothing, but whether new tangents are due."""
-        self.renewals.follow(room)
-        return super().kept(room, judge, known=known)
-
-    def refused(self, room: FieldStageRoom) -> None:
-        """As :meth:`Equations.refused`."""
-        self.renewals.tried(room)
-
-    def lend_matrices(self, room: FieldStageRoom, state: State, s: Array) -> None:
-        """As :meth:`Equations.lend_matrices`. Solutions are not iterated on there: an increment more is cheaper."""
-        if not (all(self.solvers.settled(complex(x)) for x in s) and self.solves_for(s)):
-            raise LinearSolveError("frequencies that come once have no factors.")
-
-        evaluator = self.system.evaluator
-        if isinstance(evaluator, DriverStates):  # elements remember the steps of the march, not where it began
-            evaluator.tables.remember()
-        if (at := room.take_outworn()) is not None:
-            self.renewals.take_predicted(self._evaluation(at), room.origin)
-
-        ev = self.system.at(state.t, state.q, state.v)
-        ev.balance(state.a, state.lam)
-        for by in reversed(self._lent):  # complex ones look at rows with the tables of real ones
-            by.prepare(ev)
-            if by.weights.real:
-                self.closing.metric = by.weights
-
-        ready = [tables for by in self._lent if (tables := by.tables) is not None]
-        if len(ready) < len(s):
-            raise LinearSolveError("the matrix of a frequency is NumPy's.")
-        room.solve_by(ready, np.zeros(len(s)), np.inf)
-        for states in ready:
-            states.factor.hold(None)
 
     def follow(self, dxi: Array, rule: StageRule) -> None:
         """As :meth:`Equations.follow`: pressures move along, and take what iterations have left of the balance."""
@@ -312,7 +241,7 @@ class FieldEquations(Equations):
 
     def consistent_start(self, state: State) -> Start:
         """With the matrix of the step, which is at hand when the next one begins."""
-        self._estimates = True
+        self.estimates = True
         return super().consistent_start(state)
 
     # -- derivatives --------------------------------------------------------------------------------------------
@@ -320,7 +249,7 @@ class FieldEquations(Equations):
         """Derivatives at a state with multipliers (n_mult,) from now on."""
         self.jacobians += 1
         state = replace(state, lam=mult[: self.system.n_lam])
-        ev = self._evaluation(state)
+        ev = self.evaluation(state)
         self.closing.take(ev)
         with self.pressures.held(self.pressures.start):
             self.renewals.take(ev, self.origin)
@@ -328,7 +257,7 @@ class FieldEquations(Equations):
             low = self.form.lower(ev.balance(state.a, state.lam), ev, state.a)
         return FieldTangent(self.system, self.form, state, ev, low, self.pressures)
 
-    def _evaluation(self, state: State) -> Evaluation:
+    def evaluation(self, state: State) -> Evaluation:
         """The system in a state with its accelerations and multipliers, whose stresses tangents take."""
         ev = self.system.at(state.t, state.q, state.v)
         ev.forces = state.a, state.lam
@@ -350,4 +279,4 @@ class FieldEquations(Equations):
 
     def pencil(self, tangent: FieldTangent, s: Array, judge: Judge, points: int = 1) -> FieldStages:
         """Solver of (2) for the frequencies s, (p,)."""
-        return FieldStages(self, tangent, s, self._solvers_of(s), judge, points)
+        return FieldStages(self, tangent, s, self.solvers_of(s), judge, points)

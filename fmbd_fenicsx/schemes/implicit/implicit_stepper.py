@@ -242,13 +242,13 @@ class ImplicitStepper(OwnMarch):
             return False
         if self.adaptive:
             return self._chooses_alike
-        return not self.system.fields or (self.eq.compiled and self.eq.solves_for(self._frequencies(h)))
+        return not self.system.fields or (self.eq.whole.ready and self.eq.whole.solves_for(self._frequencies(h)))
 
     def _march_of(self) -> March | None:
-        return super()._march_of() if self.eq.compiled else None
+        return super()._march_of() if self.eq.whole.ready else None
 
     def _tables_of_steps(self) -> DriverStates | None:
-        found: DriverStates | None = self.eq.whole_steps(self.state)
+        found: DriverStates | None = self.eq.whole.tables(self.state)
         return found
 
     def _room(self, states: DriverStates) -> int:
@@ -257,7 +257,7 @@ class ImplicitStepper(OwnMarch):
 
     def _own(self, *, factored: bool) -> Array:
         iteration = self.iteration
-        work = work_of(iteration.theta, known=self.eq.serves(iteration.tangent))
+        work = work_of(iteration.theta, known=self.eq.whole.serves(iteration.tangent))
         return np.concatenate((work, self._memory()))[None]
 
     def _prepare_room(self, room: Array, *, alone: bool) -> None:
@@ -268,7 +268,7 @@ class ImplicitStepper(OwnMarch):
 
         lent.c.projects, lent.c.corrects = self.scheme.form.projected, self._corrects
         lent.c.factored = self._factored_for() if factored else 0.0
-        self.eq.lend(stages, self.state, iteration.tangent, self._lend_matrices)
+        self.eq.whole.lend(stages, self.state, iteration.tangent, self._lend_matrices)
 
         convergence, rule = self._settings()
         convergence.accurate = iteration.judge.tolerance
@@ -302,7 +302,7 @@ class ImplicitStepper(OwnMarch):
         assert lent is not None
         work = own[: slots.WORK]
         iteration.theta, known = float(work[slots.RATE]), bool(work[slots.KNOWN])
-        iteration.tangent, iteration.pencil = self.eq.kept(lent.stages, iteration.judge, known=known)
+        iteration.tangent, iteration.pencil = self.eq.whole.kept(lent.stages, iteration.judge, known=known)
         self._recall(own[slots.WORK :], float(lent.c.factored))
 
     def _count_solves(self, increments: int) -> None:
@@ -324,5 +324,5 @@ class ImplicitStepper(OwnMarch):
             return
         self._count_solves(failed)
         self.newton.iterations += failed
-        self.eq.refused(lent.stages)
+        self.eq.whole.refused(lent.stages)
         iteration.tangent = iteration.pencil = None  # parts of the step begin with their own

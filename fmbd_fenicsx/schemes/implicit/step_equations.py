@@ -6,7 +6,6 @@ They are (1), (2) of :mod:`..dae`, with efforts of stiff springs as unknowns bes
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -24,7 +23,6 @@ from ...system.compiled.states.couplings import Couplings
 from ...system.compiled.states.evaluation import DriverStates
 from ...system.compiled.states.points import PointsTold
 from ...system.compiled.states.stage_patterns import StageStructure
-from ...system.compiled.states.stages import StageRoom
 from ...system.evaluation_batch import EvaluationBatch
 from ...system.layout import State
 from ...system.serialisation import Memory, plain, worker
@@ -34,6 +32,7 @@ from ..consistent import arrived
 from ..dae import Form, Points
 from .equations import Equations, Start
 from .step_tangents import DenseTangents, RestingTangents, SparseTangents
+from .whole_steps import WholeMatrixSteps
 
 CLOSINGS = 2  # corrections that bring an elongation from Newton's tolerance to roundoff
 
@@ -52,13 +51,14 @@ class StepEquations(Equations):
         self.n_mult += len(self.stiff)
 
         self.tangents: DenseTangents | SparseTangents = DenseTangents(system, self.form, self.stiff)
-        self._resting: RestingTangents | None = None  # where parts rest on the ground
+        self.resting: RestingTangents | None = None  # where parts rest on the ground
+        self.whole = WholeMatrixSteps(self)
         self._chosen: Any = None  # who evaluated the system when these were chosen
         self._weighed: State | None = None  # whose masses are to be taken
 
     def remember(self, m: Memory) -> None:
         """With the tangents of the kind that the system has."""
-        self._choose()
+        self.choose()
         super().remember(m)
 
     def _structure(self) -> StageStructure | None:
@@ -69,63 +69,22 @@ class StepEquations(Equations):
         couplings = Couplings(states.tables)
         return StageStructure(couplings, states, form.levels, self.stiff, pulls=form.pulls, frozen=form.frozen)
 
-    def _choose(self) -> None:
+    def choose(self) -> None:
         """Take notice of who evaluates the system by now, and of a state whose masses are to be taken."""
         if not isinstance(self.tangents, SparseTangents) and self._chosen is not self.system.evaluator:
             structure = self._structure()
             if structure is not None and structure.states.same_rows:
                 self.tangents = SparseTangents(self.system, structure, self.stiff)
             elif structure is not None:
-                self._resting = RestingTangents(self.system, structure)
+                self.resting = RestingTangents(self.system, structure)
             self._chosen = self.system.evaluator
         if self._weighed is not None:
             state, self._weighed = self._weighed, None
             self.tangents.weigh(self.solver.masses(self.system.at(state.t, state.q, state.v)))
 
-    @property
-    def compiled(self) -> bool:
-        """As :attr:`Equations.compiled`."""
-        self._choose()
-        return isinstance(self.tangents, SparseTangents) or self._resting is not None
-
-    def room(self, frequencies: int, points: int) -> StageRoom:
-        """As :meth:`Equations.room`."""
-        return self._of_march.room(frequencies, points)
-
-    @property
-    def _of_march(self) -> SparseTangents | RestingTangents:
-        """The tangents of whole steps in compiled code."""
-        if self._resting is not None:
-            return self._resting
-        assert isinstance(self.tangents, SparseTangents)
-        return self.tangents
-
-    def serves(self, tangent: Any) -> bool:
-        """As :meth:`Equations.serves`."""
-        return tangent is not None and self._resting is None
-
-    def whole_steps(self, state: State) -> DriverStates | None:
-        """As :meth:`Equations.whole_steps`."""
-        driver = self.solver.driver
-        return None if driver is None else driver.whole_steps(state)
-
-    def lend(self, room: StageRoom, state: State, tangent: Any, matrices: Callable[[float], None]) -> None:
-        """As :meth:`Equations.lend`."""
-        if self.serves(tangent) and tangent is not room.tangent:
-            room.structure.data(tangent, room.data)
-        self._of_march.weigh_once(self.solver, state)
-        room.let_depend(redundant=self.solver.core.redundant)
-
-    def kept(self, room: StageRoom, judge: Judge, *, known: bool) -> tuple[Any, Any]:
-        """As :meth:`Equations.kept`."""
-        if not isinstance(self.tangents, SparseTangents):
-            return None, None
-        self.tangents.take_directions(room.tangent)
-        return (room.tangent, SparsePencil(room.tangent, room.frequencies, judge, room)) if known else (None, None)
-
     def begin(self, state: State) -> None:
         """Local coordinates about the state."""
-        self._choose()
+        self.choose()
         self.origin = state.q
         if self.form.frozen:
             self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
@@ -293,7 +252,7 @@ class StepEquations(Equations):
 
     def pencil(self, tangent: Any, s: Array, judge: Judge, points: int = 1) -> Pencil | SparsePencil | WholePencil:
         """Solver of so many stages for the frequencies s, (p,)."""
-        self._choose()  # a checkpoint asks before any step
+        self.choose()  # a checkpoint asks before any step
         return self.tangents.pencil(tangent, s, judge, redundant=self.solver.core.redundant, points=points)
 
     def weigh(self, state: State) -> None:

@@ -259,7 +259,7 @@ class BDFStepper(ImplicitStepper):
         return not self._starting and len(self.past) > 1 and super()._in_one_call(h)
 
     def _lend(self) -> ImplicitRoom:
-        stages, order = self.eq.room(1, 1), self.scheme.order
+        stages, order = self.eq.whole.room(1, 1), self.scheme.order
         if not self.adaptive:
             return ImplicitRoom(stages, {}, order)
         (shrink, grow), (keep, calm), (nearest, farthest) = WITHIN, CALM, NEAR
@@ -291,7 +291,7 @@ class BDFStepper(ImplicitStepper):
         assert self._lent is not None
         if not self.adaptive:
             self.eq.expect(np.array([frequency]))
-        self.eq.lend_matrices(self._lent.stages, self.state, np.array([frequency]))
+        self.eq.whole.lend_matrices(self._lent.stages, self.state, np.array([frequency]))
 
     def _lend_own(self, own: OwnRoom) -> None:
         super()._lend_own(own)

@@ -264,7 +264,7 @@ class RadauStepper(ImplicitStepper):
     def _lend(self) -> ImplicitRoom:
         tab = self.tab
         coefficients = {name: getattr(tab, name) for name in ("c", "W", "values", "middle", "basis", "stage_basis")}
-        stages = self.eq.room(len(tab.values), len(tab.c))
+        stages = self.eq.whole.room(len(tab.values), len(tab.c))
         own = None
         if self.adaptive:
             own = self._own_room(
@@ -298,7 +298,7 @@ class RadauStepper(ImplicitStepper):
 
     def _lend_matrices(self, h: float) -> None:
         assert self._lent is not None
-        self.eq.lend_matrices(self._lent.stages, self.state, self._frequencies(h))
+        self.eq.whole.lend_matrices(self._lent.stages, self.state, self._frequencies(h))
 
     # -- what it leaves ---------------------------------------------------------------------------------------------
     def _take_march(self, march: March, made: int) -> None:
