@@ -5,10 +5,10 @@
     v_n+1 <- v_n+1 - s dv,   A <- A - s dv / (gamma h)       where contacts have closed                     (3)
 
 (1) is the step of :mod:`..onestep.alpha.generalized_alpha` with unilateral rows beside the joints; (2) removes the approach
-velocity of closed contacts (lambda g' = 0, persistency), in the metric A of the step, with the friction that goes with P: L has
-the rows of normals and tangents. Contact nodes carry no inertia, so Lambda is bounded and the recursion of accelerations stays
-smooth; rigid impacts belong to :mod:`.moreau`. Energy is damped at high frequencies and at impacts; see :mod:`.contact_midpoint`
-for the rule that conserves it.
+velocity of closed contacts (lambda g' = 0, persistency), in the metric A of the step where it is predicted, with the friction
+that goes with P: L has the rows of normals and tangents. Contact nodes carry no inertia, so Lambda is bounded and the recursion
+of accelerations stays smooth; rigid impacts belong to :mod:`.moreau`. Energy is damped at high frequencies and at impacts; see
+:mod:`.contact_midpoint` for the rule that conserves it.
 
 A body that is stiff for the step stops in no time, and a gap that is closed at the end of a step says nothing of the velocity
 there. The forces of (1) turn a velocity v, a share x of the step before the impact, into
@@ -57,6 +57,7 @@ from .elastic_contact_stepper import ElasticContactStepper
 from .elastic_step import ElasticStep
 
 if TYPE_CHECKING:
+    from ...system.evaluation import Evaluation
     from .compiled.elastic_contact import ContactMarch
 
 FINER = 1e-2  # of Newton's tolerance, where increments count by accelerations
@@ -187,6 +188,9 @@ class ContactAlphaStepper(ElasticContactStepper):
         if rows is None or not closed.any():
             return v, force
 
+        # the metric of the step's beginning, whichever tangents its iteration has taken since
+        assert step.begun is not None
+        self.solver.prepare_once(step.begun, self._weights(step.h))
         rate = self.contacts.gap_rate(self.system, self.state.t + step.h, step.end.q, step.h)[step.near]
         stopped = force.copy()
         on = rows if closed.all() else rows.take(closed)
@@ -248,6 +252,7 @@ class _Step(ElasticStep):
         self.fixed = h * s.v + h * h * (0.5 - self.beta) * stepper.A
         self.xi = self.fixed + h * h * self.beta * self.A
         self.scale = self.beta * h * h * (1 - self.af) / (1 - self.am)
+        self.begun: Evaluation | None = None  # where the first increment began
 
     def _algorithmic(self) -> Array:
         s = self.p.state
@@ -283,6 +288,7 @@ class _Step(ElasticStep):
         q = system.compose(s.q, self.xi)
         weights = p._weights(h)
         balance = self.balance((s.t + h, q, self.v), self.a, weights)
+        self.begun = self.begun or self.ev
         volumes = volume_gaps(self.ev)
         if volumes:
             balance = balance + volume_push(solver, volumes) / self.scale
