@@ -27,6 +27,9 @@ from .user_laws import Repeatable
 
 FEW = 8  # numbers: below it Python is faster with each of them
 STEP = 1e-6  # of differences, relative to s and s'
+ASIDE = np.array(((1.0, -1.0, 0.0, 0.0), (0.0, 0.0, 1.0, -1.0)))[
+    :, :, None
+]  # where differences ask: steps of s, and of s'
 LEAST = 1e-3  # size of these (of the model, and that a second)
 SAME = 1e-9  # relative, of arrays against numbers: their functions may round in other ways
 GAUSS = (0.5 - 0.15**0.5, 5 / 18), (0.5, 4 / 9), (0.5 + 0.15**0.5, 5 / 18)  # points and weights, of means over a step
@@ -69,10 +72,11 @@ class LawsTogether:
             at = zip(self.laws, map(float, s), map(float, rate), strict=True)
             each = [_slopes(law.number, (x, v, t), self.least) for law, x, v in at]
             return tuple(np.array(each).T)  # type: ignore[return-value]
-        hs, hv = STEP * np.maximum(np.abs(s), self.least), STEP * np.maximum(np.abs(rate), self.least)
-        asked = np.array((s + hs, s - hs, s, s)), np.array((rate, rate, rate + hv, rate - hv))
-        longer, shorter, faster, slower = self(*asked, t)
-        return (longer - shorter) / (2 * hs), (faster - slower) / (2 * hv)
+        here = np.array((s, rate))
+        steps = STEP * np.maximum(np.abs(here), self.least)
+        efforts = self(*(here[:, None] + ASIDE * steps[:, None]), t)
+        along, of_rate = (efforts[::2] - efforts[1::2]) / (2 * steps)
+        return along, of_rate
 
 
 class OneKind:
@@ -107,7 +111,8 @@ class OneKind:
         self.turn = (self.turn + 1) % len(self.laws)
         at = (0,) * (s.ndim - 1) + (self.turn,)
         one = self.laws[self.turn].number(float(s[at]), float(rate[at]), t)
-        self.takes_arrays = bool(abs(one - found[at]) <= SAME * max(abs(one), 1e-3 * float(np.abs(found).max())))
+        off = abs(one - found[at])
+        self.takes_arrays = bool(off <= SAME * abs(one) or off <= SAME * 1e-3 * float(np.abs(found).max()))
         if not self.takes_arrays and single is None:
             log.warning(
                 'the law of "%s" gives %.9g with numbers and %.9g with arrays at t = %g s, although it agreed before: it is '
@@ -118,14 +123,16 @@ class OneKind:
 
     def _together(self, s: Array, rate: Array, t: float) -> Array | None:
         """The same by arrays; None where there is no such answer."""
-        s, rate = s.copy(), rate.copy()
+        s, rate = s.view(), rate.view()
         s.flags.writeable = rate.flags.writeable = False  # numbers cannot be changed by a law either
         try:
             found = self.function(s, rate, t)
-            good = isinstance(found, np.ndarray) and found.shape == s.shape and isfinite(found.sum())
+            good = (
+                isinstance(found, np.ndarray) and found.shape == s.shape and isfinite(np.add.reduce(found, axis=None))
+            )
         except Exception:
             return None  # alone it says who failed
-        return found.astype(float) if good else None
+        return np.asarray(found, dtype=float) if good else None
 
 
 def _alone(laws: Sequence[Repeatable], s: Array, rate: Array, t: float) -> Array:
