@@ -32,6 +32,7 @@ LOW = 0.05  # of the first frequency of a free body, below which no support brin
 LOOKS = 8  # at a run of equal steps, at least
 RIGID = 1e-9  # omega^2 below this share of the largest: a rigid motion
 DEPENDENT = 1e-12
+ALIKE = 1e-6  # square of the sine between spaces of conditions that are one
 
 
 class Spins:
@@ -105,7 +106,7 @@ def held_frequency(ev: Evaluation, k: int, part: Any) -> float:
     )
     if isinstance(part, ReducedPart):
         return frequency_by_modes(ev, k, part, dense(ev.jacobian.core[rows]), part.n)
-    return _of_field(ev, part, ev.jacobian.port[rows][:, s.port_slice(k)])
+    return _of_field(ev, k, part, ev.jacobian.port[rows][:, s.port_slice(k)])
 
 
 def frequency_by_modes(ev: Evaluation, k: int, part: ReducedPart, rows: Array, count: int) -> float:
@@ -128,8 +129,11 @@ def frequency_by_modes(ev: Evaluation, k: int, part: ReducedPart, rows: Array, c
     return float(np.sqrt(bends[0])) if len(bends) else np.inf
 
 
-def _of_field(ev: Evaluation, part: FloatingField, on_ports: Array) -> float:
-    """(1) of a displacement field, which holds rigid motions too: rows on its ports."""
+def _of_field(ev: Evaluation, k: int, part: FloatingField, on_ports: Array) -> float:
+    """(1) of the displacement field of body k, which holds rigid motions too: rows on its ports.
+
+    What was found last is kept with the system: in its own axes a body is held alike as long as its joints turn with it.
+    """
     f = part.field
     Z = rigid_fields(f)
     used = np.flatnonzero(np.abs(on_ports).max(axis=0, initial=0.0) > 0)
@@ -148,7 +152,17 @@ def _of_field(ev: Evaluation, part: FloatingField, on_ports: Array) -> float:
     conditions = conditions / size
     values, U = np.linalg.eigh(f.total(conditions.T @ conditions))
     keep = values > DEPENDENT * values.max()
-    return first_frequency(f, conditions @ (U[:, keep] / np.sqrt(values[keep])))
+    conditions = conditions @ (U[:, keep] / np.sqrt(values[keep]))
+
+    known = ev.system.cache.get(("held", k))
+    if known is None or not _span_one_space(f, known[0], conditions):
+        known = ev.system.cache["held", k] = conditions, first_frequency(f, conditions)
+    return float(known[1])
+
+
+def _span_one_space(field: Any, A: Array, B: Array) -> bool:
+    """Whether orthonormal columns on the nodes of a field span the same; collective."""
+    return A.shape == B.shape and A.shape[1] - float(np.square(field.total(A.T @ B)).sum()) < ALIKE
 
 
 def _of_length_one(rows: Array) -> Array:
