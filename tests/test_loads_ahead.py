@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,29 @@ def test_what_changes_all_the_time_has_no_marks() -> None:
     assert marks(lambda t: np.sin(9.0 * t)) == ()
     rises = marks(lambda t: max(t - 0.3, 0.0))
     assert len(rises) == 1 and 0.3 < rises[0] < 0.32
+
+
+def test_attempts_of_a_search_look_for_loads_once() -> None:
+    """Runs with another tolerance begin in the same state: they know what comes. From another state it is looked for again."""
+    from fmbd_fenicsx.run.loads_ahead import seeing_loads
+    from fmbd_fenicsx.run.schedule import step_schedule
+
+    asked: list[float] = []
+
+    def knock(t: float) -> tuple[float, float]:
+        asked.append(t)
+        return float(np.exp(-(((t - COMES) / WIDTH) ** 2))), 0.0
+
+    scene, body = fmbd.Scene("knocked"), fmbd.RigidBody("body", 2.0, 0.1, (0.0, 0.0))
+    scene.add(body, fmbd.force("knock", body, knock))
+    system, state, _ = scene.build()
+    marks, counts = [], []
+    for rtol, begun in ((1e-4, state), (1e-6, state), (1e-6, replace(state))):
+        scheme, before = fmbd.HalfExplicit(rtol), len(asked)
+        marks.append(seeing_loads(step_schedule(scene, scheme, T_END, None), scheme, scene, system, begun).marks)
+        counts.append(len(asked) - before)
+    assert marks[0] and marks[0] == marks[1] == marks[2]
+    assert counts[0] > 100 and counts[1] == 0 and counts[2] > 100
 
 
 def test_loads_may_begin_below_the_smallest_number() -> None:

@@ -60,22 +60,30 @@ class Coming:
 def seeing_loads(schedule: StepSchedule, scheme: Any, scene: Scene, system: System, state: State) -> StepSchedule:
     """A schedule whose steps, of a scheme's own choice, end where loads come; ``state``: the consistent start; collective.
 
-    Schemes that look ahead themselves see what lasts: they are told of what comes and goes at named instants.
+    Schemes that look ahead themselves see what lasts: they are told of what comes and goes at named instants. What was found is
+    kept with the system: runs with other tolerances begin in the same state.
     """
     if schedule.steps or closed(scene, system):
         return schedule
+    told, known = Declared.by(scheme).looks_ahead, system.cache.get("loads to come")
+    asked = told, schedule.stretches
+    if known is None or known[0] is not state or known[1] != asked:
+        known = system.cache["loads to come"] = state, asked, _marks(schedule, scheme, scene, system, state)
+    return replace(schedule, marks=tuple(sorted({*schedule.marks, *known[2]})))
+
+
+def _marks(schedule: StepSchedule, scheme: Any, scene: Scene, system: System, state: State) -> list[float]:
+    """Where steps of a scheme's own choice end beside break points, s; see :func:`seeing_loads`."""
     said = Declared.by(scheme)
-    told = said.looks_ahead
     if said.compiled:  # as its steps do
         use_driver(system)
     try:
         even = OF_FIELDS if system.fields else LOOKED_AT
-        found = _all_comings(scene, HeldState(system, state), schedule, even, by_names=told)
+        found = _all_comings(scene, HeldState(system, state), schedule, even, by_names=said.looks_ahead)
     except UNFIT as error:
         log.info("loads to come are not looked for: %s", error)
-        return schedule
-    marks = [t for x in found if x.goes or not told for t in x.marks]
-    return replace(schedule, marks=tuple(sorted({*schedule.marks, *marks})))
+        return []
+    return [t for x in found if x.goes or not said.looks_ahead for t in x.marks]
 
 
 def loads_ahead(
