@@ -55,6 +55,20 @@ def test_timoshenko_static_tip() -> None:
     np.testing.assert_allclose(tip, 27 / 6 + 3 / 5, rtol=1e-12)
 
 
+def test_force_beside_its_surface() -> None:
+    """As on a rigid arm from the end: f across bends by f L^3 / (3 EI), the moment of a force at (x, y) by M L^2 / (2 EI)."""
+    f, x, y = np.array([0.5, 2.0]), 0.4, 0.2
+    beam = fmbd.Beam("b", (0.0, 0.0), (L, 0.0), fmbd.Section(EA=1e6, EI=1e3, rhoA=RHO_A), elements=2)
+    scene = fmbd.Scene("arm")
+    scene.add(beam, fmbd.fixed("clamp", fmbd.ground, beam.surface("start")))
+    scene.add(fmbd.force("pull", beam.surface("end"), f, point=(x, y)))
+    scene.sensor("end", fmbd.position(beam.surface("end")))
+    scene.sensor("moment", fmbd.reaction_torque("clamp"))
+    found, moment = fmbd.equilibrium(scene), (x - L) * f[1] - y * f[0]
+    assert found["end"][1] == pytest.approx(f[1] * L**3 / 3e3 + moment * L**2 / 2e3, rel=2e-3)
+    assert abs(float(found["moment"][0])) == pytest.approx(abs(x * f[1] - y * f[0]), rel=2e-3)
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_rigid_inertia_and_momentum(dim: int) -> None:
     """A beam without modes is a rod with mass rhoA L and inertia rhoA L^3 / 12 + rhoI L; its sections are where they are."""

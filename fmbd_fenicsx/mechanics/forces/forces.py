@@ -283,7 +283,9 @@ def in_time(what: str, law: Any) -> Callable[[Any], Any]:
 def force(name: str, on: Any, law: Any, *, point: Point = None, follower: bool = False) -> PointForce:
     """A force law(t) -> (d,) N, or a constant (d,), on a rigid body's point (world, initial configuration) or elastic surface.
 
-    World axes; with ``follower`` the world axes of the start, turned with the body since, whatever its attitude there.
+    World axes; with ``follower`` the world axes of the start, turned with the body since, whatever its attitude there. A
+    ``point`` of an elastic body is held by the mean motion of the surface as if by a rigid arm, wherever it lies; else the
+    force acts at the centroid.
     """
     return PointForce(name, on, None, point, None, in_time(f'Force "{name}"', law), follower)
 
