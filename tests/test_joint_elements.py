@@ -293,6 +293,28 @@ def test_friction_within_steps_is_that_of_their_beginning(scheme: Any, compiled:
     assert np.abs(run["x"][:, 0] - x).max() < (2e-3 if equal else 3e-4)
 
 
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "NumPy"])
+@pytest.mark.parametrize(
+    "scheme, told",
+    [
+        (fmbd.Rattle(), True), (fmbd.HalfExplicit(rtol=None), True), (fmbd.ExplicitRungeKutta(rtol=None), True),
+        (fmbd.GeneralizedAlpha(), False), (fmbd.Radau(3, rtol=None), False), (fmbd.BDF(2, rtol=None), False),
+    ],
+    ids=lambda x: getattr(x, "name", ""),
+)  # fmt: skip
+def test_friction_that_does_not_hold_is_told(scheme: Any, told: bool, compiled: bool, monkeypatch: Any) -> None:
+    """A brake that slid to rest crept under explicit steps of 4 ms: its stiff friction goes from limit to limit."""
+    if not compiled:
+        monkeypatch.setattr(MarchingStepper, "_made", lambda *x: 0)
+    scene, phi = wheel(rate=2.5)
+    scene.add(fmbd.dry_friction("brake", phi, limit=5.0, stick=1e7))
+    scene.add(fmbd.effort("motor", phi, lambda t: 2.0 + 0.8 * t))
+    run = fmbd.solve(scene, t_end=1.5, dt=4e-3, scheme=scheme)
+    creep = abs(run["phi"][-1, 0] - run["phi"][len(run.times) * 3 // 4, 0])
+    assert (creep > 1e-3) == told, creep
+    assert any('"brake": dry friction goes from limit' in text for text in run.warnings) == told
+
+
 def test_dry_friction_survives_a_checkpoint(tmp_path: Any) -> None:
     """The point where it sticks goes into the checkpoint: the restarted run is the same to the last bit."""
 

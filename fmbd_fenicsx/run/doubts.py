@@ -60,6 +60,8 @@ def warn_of_doubts(
         _loss(recorder.energy, recorder.times)
     _halvings(counters)
     _turns(recorder, size)
+    if system.keepers:
+        _chatter(system)
     _impacts(counters)
     _open_velocities(recorder, counters)
     _open_joints(recorder)
@@ -140,6 +142,17 @@ def _turns(recorder: Recorder, size: float) -> None:
             "bodies turn by up to %.2g rad a step: what changes with their attitude is hardly seen, and the motion may be "
             "another. Take dt = %.2g s or less, or a scheme with its own steps, such as fmbd.Radau()",
             turn, 0.5 * TURN * size / turn,
+        )  # fmt: skip
+
+
+def _chatter(system: System) -> None:
+    """Dry friction that no step holds: its point goes to and fro over the limits."""
+    if names := [name for loads in system.keepers for name in loads.chattering]:
+        log.warning(
+            "%s: dry friction goes from limit to limit and back from step to step where it should hold, and may creep: steps do "
+            "not resolve its stiffness before sliding, sqrt(stick / mass) dt > 2. Take a smaller dt or stick, or an implicit "
+            "scheme, such as fmbd.GeneralizedAlpha() or fmbd.Radau()",
+            ", ".join(f'"{name}"' for name in names),
         )  # fmt: skip
 
 

@@ -23,12 +23,16 @@ from .forces import Force
 from .formulas import MEMORY, Formula, table
 
 WITHIN = 1e-9  # share of the last step by which its end is not within it
+KEPT = 7  # numbers of each
+AT_ONCE = 2.0  # steps
+CHATTERS = 3  # turns that are no motion
 ROUNDOFF = 1e-9  # of what the ends of a joint move: rates below are those of projections onto the joints
 
 
 class DryFrictionLoads(ScalarLoads):
-    """Elements (1) of one kind of coordinate; ``kept`` (m, 4): the point p where each sticks, the time (s) since which, and both
-    before the last step, or before the last part of a step with impacts.
+    """Elements (1) of one kind of coordinate; ``kept`` (m, 7): the point p where each sticks, the time (s) since which, both
+    before the last step, or before the last part of one with impacts; on which side it slid last, steps since then, how often
+    it went back at once.
     """
 
     by_ends = True
@@ -38,16 +42,16 @@ class DryFrictionLoads(ScalarLoads):
     ) -> None:
         super().__init__(motions, forces, markers, relative)
         self.limit = np.array([f.limit for f in forces])
-        self.kept: Array = np.zeros((len(forces), 4))
+        self.kept: Array = np.zeros((len(forces), KEPT))
 
     def formulas(self) -> list[Formula]:
         """Dry friction, with the points where it sticks."""
 
         def kept() -> Array:
-            return np.pad(self.kept, ((0, 0), (0, MEMORY - 4)))
+            return np.pad(self.kept, ((0, 0), (0, MEMORY - KEPT)))
 
         def keep(memory: Array) -> None:
-            self.kept = memory[:, :4].copy()
+            self.kept = memory[:, :KEPT].copy()
 
         numbers = table(list(zip(self.k, self.c, self.limit, strict=True)))
         return [Formula(self.relative, "DRY", np.arange(len(self.k)), numbers, kept=kept, keep=keep)]
@@ -58,7 +62,7 @@ class DryFrictionLoads(ScalarLoads):
 
     def _stuck(self, t: float) -> Array:
         """p at a time t, (m,): within the last step that of its beginning."""
-        p, since, before, began = self.kept.T
+        p, since, before, began = self.kept.T[:4]
         return np.where(t < since - WITHIN * (since - began), before, p)
 
     def _trial(self, s: Array, rate: Array, t: float) -> Array:
@@ -98,7 +102,7 @@ class DryFrictionLoads(ScalarLoads):
         moves = np.abs(rate) > ROUNDOFF * self.relative.swept(ev.kin)
         p = s - np.where(moves, np.sign(rate) * self.limit - self.c * rate, 0.0) / self.k
         now = np.full(len(p), ev.t)
-        return np.column_stack((p, now, p, now))
+        return np.column_stack((p, now, p, now, np.zeros((len(p), 3))))
 
     def overran(self, ev: Any, h: float) -> bool:
         """Whether friction pushes along the motion: that turned within the step, by more than the spring before sliding gives."""
@@ -111,7 +115,20 @@ class DryFrictionLoads(ScalarLoads):
         """p after a step, and what was before it."""
         earlier = (ev.t > self.kept[:, 1])[:, None]
         p = self._dragged(ev.kin, ev.t)
-        return np.column_stack((p, np.full(len(p), ev.t), np.where(earlier, self.kept[:, :2], self.kept[:, 2:])))
+        points = np.column_stack((p, np.full(len(p), ev.t), np.where(earlier, self.kept[:, :2], self.kept[:, 2:4])))
+
+        # those that slide back at once: p moves by more than their springs give
+        N, (side, ago, chattered) = self.effort(*self._state(ev.kin), ev.t), self.kept.T[4:]
+        slid = self.k * np.abs(p - self.kept[:, 0]) > self.limit
+        back = slid & (side * N < 0.0)
+        chattered = chattered + (back & (ago <= AT_ONCE))
+        turned = np.column_stack((np.where(slid, np.sign(N), side), np.where(back, 1.0, ago + 1.0), chattered))
+        return np.concatenate((points, np.where(earlier, turned, self.kept[:, 4:])), axis=1)
+
+    @property
+    def chattering(self) -> list[str]:
+        """Names of those that went from limit to limit and back in one or two steps, again and again: they hold nothing."""
+        return [f.name for f, count in zip(self.forces, self.kept[:, 6], strict=True) if count >= CHATTERS]
 
     def _dragged(self, kin: Kinematics, t: float) -> Array:
         """p if a step ends here, (m,)."""

@@ -120,6 +120,11 @@ class Loads:
         return False
 
     @property
+    def chattering(self) -> list[str]:
+        """Names of elements whose memory tells that steps did not follow them."""
+        return []
+
+    @property
     def due(self) -> float:
         """When the memory jumps next, s."""
         return np.inf

@@ -16,8 +16,10 @@ static double cut(double effort, double limit, double *k, double *c)
 }
 
 /* What dry friction keeps, as dry_friction.py: the point p where it sticks, the time since which, and both before the last step, or the
-   last part of it; and here the same as it was when a step began. */
-enum { STUCK, SINCE, STUCK_BEFORE, BEGAN, DRAGGED };
+   last part of it; on which side it slid last, steps since it came there, and how often it went back at once; and here the same as it was
+   when a step began. */
+enum { STUCK, SINCE, STUCK_BEFORE, BEGAN, SIDE, AGO, CHATTERED, DRAGGED };
+static const double AT_ONCE = 2.0; /* steps */
 
 static const double WITHIN = 1e-9; /* share of the last step by which its end is not within it */
 
@@ -214,6 +216,11 @@ static void friction_keep(const Batch *k, long i, double t)
 {
     double *kept = k->kept + MEMORY * i;
     const double p = dragged(k, i, t);
+    const double *c = k->constants + FORMULA_WIDTH * i; /* where it slid p moved by more than its spring gives */
+    const int slid = c[0] * fabs(p - kept[STUCK]) > c[2], back = slid && kept[SIDE] * k->effort[i] < 0.0;
+    if (back && kept[AGO] <= AT_ONCE) kept[CHATTERED] += 1.0;
+    kept[AGO] = back ? 1.0 : kept[AGO] + 1.0;
+    if (slid) kept[SIDE] = copysign(1.0, k->effort[i]);
     if (t > kept[SINCE]) {
         kept[STUCK_BEFORE] = kept[STUCK];
         kept[BEGAN] = kept[SINCE];
