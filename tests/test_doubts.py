@@ -37,6 +37,14 @@ def test_energy_that_grows_beside_a_floor_is_told(monkeypatch: pytest.MonkeyPatc
     assert said and "Radau" not in said[0]
 
 
+def test_large_turns_beside_a_floor_are_told_of_no_scheme_without_contact() -> None:
+    disk = fmbd.RigidBody("disk", 1.0, 0.005, (0.0, 0.1), angular_velocity=-120.0, velocity=(12.0, 0.0))
+    scene = fmbd.Scene("rolling", gravity=(0.0, -9.81))
+    scene.add(disk, fmbd.contact("floor", fmbd.ball(disk, 0.1), fmbd.HalfSpace((0, 0), (0, 1)), friction=0.3))
+    said = [text for text in fmbd.solve(scene, t_end=0.1, dt=0.01).warnings if "turn by up to 1.2 rad" in text]
+    assert said and "Radau" not in said[0]
+
+
 def test_an_overshoot_of_the_first_steps_is_told_from_growth() -> None:
     """A slender rod bent without the contraction across that belongs to it: h omega of that vibration is near 100."""
     mesh = fmbd.read_gmsh("meshes/rod.py", dim=2, h=0.1, height=0.02)

@@ -59,7 +59,7 @@ def warn_of_doubts(
     if recorder.energies and lossless(scene, system):
         _loss(recorder.energy, recorder.times)
     _halvings(counters)
-    _turns(recorder, size)
+    _turns(system, recorder, size)
     if system.keepers:
         _chatter(system)
     _impacts(counters)
@@ -134,14 +134,15 @@ def _halvings(counters: Mapping[str, float]) -> None:
         )
 
 
-def _turns(recorder: Recorder, size: float) -> None:
+def _turns(system: System, recorder: Recorder, size: float) -> None:
     """(5): no polynomial over a step, and no tangent of it, follows what turns so far."""
     turn = size * recorder.drift.turning
     if turn > TURN:
         log.warning(
             "bodies turn by up to %.2g rad a step: what changes with their attitude is hardly seen, and the motion may be "
-            "another. Take dt = %.2g s or less, or a scheme with its own steps, such as fmbd.Radau()",
+            "another. Take dt = %.2g s or less%s",
             turn, 0.5 * TURN * size / turn,
+            ", or a scheme with its own steps, such as fmbd.Radau()" if system.contacts is None else "",
         )  # fmt: skip
 
 
