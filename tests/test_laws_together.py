@@ -18,6 +18,8 @@ from fmbd_fenicsx.mechanics.forces import laws_together
 from fmbd_fenicsx.mechanics.forces.laws_together import LawsTogether
 from fmbd_fenicsx.mechanics.forces.user_laws import Repeatable
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
+from fmbd_fenicsx.system.compiled.tables.items.items import LAW
+from fmbd_fenicsx.system.compiled.tables.tables import Tables
 
 N = 9
 RNG = np.random.default_rng(3)
@@ -258,3 +260,28 @@ def test_slopes_of_few_laws_are_made_of_plain_numbers(count: int, monkeypatch: p
     k, c = together.slopes(S[:count], RATE[:count], 0.3)
     np.testing.assert_allclose(k, 2 * NUMBERS[:count] * S[:count], rtol=1e-6)
     np.testing.assert_allclose(c, 3.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("scheme", [fmbd.GeneralizedAlpha, fmbd.Radau], ids=["alpha", "Radau"])
+@pytest.mark.parametrize("space", [False, True], ids=["bodies", "masses"])
+def test_springs_to_the_ground_are_asked_with_all_others(space: bool, scheme: Any) -> None:
+    """One call of Python an evaluation, whatever a law acts between; the motion is that of formulas."""
+    ends = []
+    for law in ({"law": lambda s, rate, t: 200.0 * s + 0.5 * rate}, {"stiffness": 200.0, "damping": 0.5}):
+        scene = fmbd.Scene("mixed", gravity=(0.0, -9.81, 0.0) if space else (0.0, -9.81))
+        last: Any = fmbd.ground
+        for i in range(3):
+            place = (0.3 + 0.4 * i, 0.1 * i, 0.0)
+            body = fmbd.PointMass(f"{i}", 0.2, place) if space else fmbd.RigidBody(f"{i}", 0.2, 1e-3, place[:2])
+            own = place if space else (place[0] + 0.05, place[1])
+            before = (0.0, 0.0, 0.0) if i == 0 else (place[0] - 0.4, place[1] - 0.1, 0.0)
+            scene.add(body, fmbd.Spring(f"a{i}", last, body, before[: len(own)], own, length=0.4, **law))
+            scene.add(fmbd.Spring(f"b{i}", fmbd.ground, body, (0.5 * i, 0.7, 0.1)[: len(own)], own, length=0.3, **law))
+            last = body
+        scene.sensor("end", fmbd.position(last))
+        if "law" in law:
+            made = [x for x in Tables(scene.build()[0], redundant=False).sources if x.role == LAW]
+            assert [len(x) for x in made] == [6]
+        ends.append(fmbd.solve(scene, t_end=0.1, dt=1e-3, scheme=scheme())["end"])
+    assert np.abs(ends[0][-1] - ends[0][0]).max() > 1e-2
+    assert np.allclose(*ends, atol=1e-8)

@@ -74,7 +74,8 @@ class LawsTogether:
             return tuple(np.array(each).T)  # type: ignore[return-value]
         here = np.array((s, rate))
         steps = STEP * np.maximum(np.abs(here), self.least)
-        efforts = self(*(here[:, None] + ASIDE * steps[:, None]), t)
+        places, rates = here[:, None] + ASIDE * steps[:, None]
+        efforts = self(places, rates, t)
         along, of_rate = (efforts[::2] - efforts[1::2]) / (2 * steps)
         return along, of_rate
 

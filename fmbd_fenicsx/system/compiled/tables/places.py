@@ -7,6 +7,7 @@ put their own data in. C only reads what is shared.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from ....mechanics.kinds.derivation import KERNELS, Kind
 from ....mechanics.kinds.library import kernel_address
 from ....mechanics.kinds.sums import SumKind
-from .items.items import GIVEN, READ, ROW, TERM, Items
+from .items.items import GIVEN, LAW, READ, ROW, TERM, Items
 from .layout import TableLayout
 from .structures import structure
 
@@ -35,9 +36,11 @@ def _batch(tables: TableLayout, items: Items, frames: np.ndarray) -> Any:
     store = tables.structure.store
     mapped = bool((frames > tables.nb).any())
     components = np.array(kind.entries, dtype=int)
-    still = np.repeat((frames[0] == tables.nb), tables.twist) & (not mapped)
+    # laws have frames of several sorts
+    ground = (frames == tables.nb).all(axis=0) if items.role == LAW else frames[0] == tables.nb
+    still = np.repeat(ground, tables.twist) & (not mapped)
     if tables.held and not mapped:
-        still |= _held(tables, items, frames[0])
+        still |= _held(tables, items, frames)
     live = np.flatnonzero(~still[components])
     places = tables.twist_places(frames).reshape(n, -1)
 
@@ -67,13 +70,14 @@ def _batch(tables: TableLayout, items: Items, frames: np.ndarray) -> Any:
 
 
 def _held(tables: TableLayout, items: Items, frames: np.ndarray) -> np.ndarray:
-    """Which components of the twists of an item's frames its row and its tangent leave out: angular velocities of bodies whose
-    attitude is held by rows that meet nothing else; not these rows themselves.
+    """Which components of the twists of the frames (n, k) of items their rows and tangents leave out: angular velocities of
+    bodies whose attitude is held by rows that meet nothing else; not these rows themselves.
     """
-    apart = [int(frame) in tables.held for frame in frames]
-    if items.row is not None and any(items.row[0] in tables.held[int(frame)] for frame in frames[apart]):
-        apart = [False] * len(frames)
-    return np.repeat(apart, tables.twist) & (np.arange(len(frames) * tables.twist) % tables.twist >= tables.dim)
+    apart = np.isin(frames, list(tables.held))
+    if items.row is not None and any(items.row[0] in tables.held[int(frame)] for frame in frames[0, apart[0]]):
+        apart[:] = False
+    sides = (apart | (frames == tables.nb)).all(axis=0)
+    return np.repeat(sides, tables.twist) & (np.arange(len(sides) * tables.twist) % tables.twist >= tables.dim)
 
 
 def _pattern(kind: Kind) -> np.ndarray:
@@ -94,7 +98,7 @@ def _plain_places(
     pattern = _pattern(items.kind)
     curve = np.flatnonzero(~still[pattern].any(axis=1))
     one.curved, one.curve = len(curve), store.integers(curve)
-    one.curve_to = store.integers(fronts.place(places[:, pattern[curve, 0]], places[:, pattern[curve, 1]]))
+    one.curve_to = store.integers(_pairs(tables, items, places, tuple(pattern[curve].T)))
 
     if items.role == ROW:
         rows = tables.nu + np.asarray(items.row)
@@ -103,7 +107,19 @@ def _plain_places(
         first, second = np.tril_indices(len(live))
         one.products = len(first)
         one.first, one.second = store.integers(1 + live[first]), store.integers(1 + live[second])
-        one.product_to = store.integers(fronts.place(places[:, components[first]], places[:, components[second]]))
+        one.product_to = store.integers(_pairs(tables, items, places, (components[first], components[second])))
+
+
+def _pairs(tables: TableLayout, items: Items, places: np.ndarray, pair: Sequence[np.ndarray]) -> np.ndarray:
+    """Places of the entries of pairs of twist components, whose unknowns are ``places``; of the ground behind all others."""
+    i, j = places[:, pair[0]], places[:, pair[1]]
+    if items.role != LAW:
+        return tables.fronts.place(i, j)
+    away = np.repeat(items.frames == tables.nb, tables.twist, axis=1)
+    none = away[:, pair[0]] | away[:, pair[1]]
+    out = np.full(i.shape, tables.fronts.storage)
+    out[~none] = tables.fronts.place(i[~none], j[~none])
+    return out
 
 
 def _mapped_places(tables: TableLayout, one: Any, batch: tuple[Items, np.ndarray]) -> None:

@@ -28,22 +28,26 @@ MOUNT = enumeration("ROW")["MOUNT"]  # the role
 
 
 def of_one_sort(tables: TableLayout, items: Items) -> list[Items]:
-    """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces. Terms stand before their sums."""
-    key = "sorts", items.frames.shape[1], items.frames.tobytes()
-    sorts = tables.structure.once(key, lambda: _sorts(tables, items.frames))
+    """Items whose frames are of one sort: bodies, the ground on one side, or some on surfaces. Terms stand before their sums.
+
+    Laws in Python are asked together, on bodies and against the ground.
+    """
+    together = items.role == LAW and not items.terms
+    key = "sorts", together, items.frames.shape[1], items.frames.tobytes()
+    sorts = tables.structure.once(key, lambda: _sorts(tables, items.frames, together))
     parts = [items] if len(sorts) == 1 else [items.part(which) for which in sorts]
     for part in parts:
         if part.terms:
             _share_frames(part)
-        elif tables.held and all(int(frame) in tables.held for frame in part.frames[0]):
+        elif tables.held and np.isin(part.frames, list(tables.held)).all():
             part.kind = part.kind.between_origins
     return [one for part in parts for one in (*part.terms, part)]
 
 
-def _sorts(tables: TableLayout, frames: np.ndarray) -> list[np.ndarray]:
-    """Numbers of the items of each sort, which have the same frames in common."""
-    sides = frames == tables.nb
-    if tables.held:
+def _sorts(tables: TableLayout, frames: np.ndarray, together: bool) -> list[np.ndarray]:
+    """Numbers of the items of each sort, which have the same frames in common; ``together``: one sort but for surfaces."""
+    sides = (frames == tables.nb) & (not together)
+    if tables.held and not together:
         sides = np.where(np.isin(frames, list(tables.held)), 2, sides)
     sort = np.where((frames > tables.nb).any(axis=1), -1, sides @ (3 ** np.arange(frames.shape[1])))
     _, number = np.unique(np.column_stack((sort, _first_alike(frames))), axis=0, return_inverse=True)
