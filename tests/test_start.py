@@ -29,6 +29,21 @@ def started(scene: fmbd.Scene) -> tuple[System, State, Any]:
     return system, made, correction
 
 
+@pytest.mark.parametrize(("gap", "factors"), [(0.0, 1), (1e-5, 2)])
+def test_a_start_factors_its_matrix_once_where_no_body_moves(
+    gap: float, factors: int, rod_mesh: Callable[..., Any]
+) -> None:
+    """Accelerations beside fields take the matrix of velocities; a joint that is open has one of its own."""
+    scene, rod, _ = elastic_scene(rod_mesh(dim=2, h=0.5, height=0.4))
+    scene.add(fmbd.revolute("pin", fmbd.ground, rod.surface("pin"), center=(0, 0)))
+    system, state, _ = scene.build()
+    solver, q = StepSolver(system), state.q.copy()
+    q[0] += gap
+    consistent(system, replace(state, q=q), solver)
+    assert solver.counters["core_factorisations"] == factors
+    solver.destroy()
+
+
 def jointed(dim: int, gap: float = 0.0, kick: bool = True) -> fmbd.Scene:
     """Ground, hinge, body, hinge, body; the second body displaced by ``gap``, velocities that break the
     joints.

@@ -158,7 +158,7 @@ def accelerations(system: System, state: State, solver: StepSolver) -> State:
     ev = system.at(state.t, state.q, state.v)
     h = ev.balance(np.zeros(system.n_v))
     ev.take_tangents(kept)
-    solver.prepare(ev, MASS)
+    solver.prepare_once(ev, MASS)  # of velocities on the constraints, which moved no body
     held = kept_volumes(solver)
 
     start = _volume_accelerations(system, state, solver)
