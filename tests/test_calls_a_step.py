@@ -26,7 +26,7 @@ OWN = [fmbd.Radau(3, rtol=1e-6), fmbd.BDF(rtol=1e-6), fmbd.HalfExplicit(rtol=1e-
 AROUND, EACH = 15.0, 18.0  # calls of a step that asks for nothing, and for each time that a function is asked
 LOOKS = 60.0  # calls of a step where looks at a run, once in some hundred steps, fall into short ones
 SAMPLE = 800.0  # calls of a sample of four controllers, with the new start behind it
-BETWEEN = 150.0  # calls of one of ten steps and more of a scheme's own choice a sample
+BETWEEN = 150.0  # calls of one of ten steps and more of a scheme's own choice a sample, or under an event
 DT = 2e-3  # s
 
 
@@ -141,3 +141,20 @@ def test_calls_of_own_steps_between_samples(scheme: Any, monkeypatch: pytest.Mon
     alone = run(1.0)
     assert alone.counters["steps"] == ends[1].counters["steps"]
     assert ends[1].state.q == pytest.approx(alone.state.q, rel=1e-9, abs=1e-9)
+
+
+@compiled
+@pytest.mark.parametrize("scheme", [*OWN, fmbd.GeneralizedAlpha(rtol=1e-5)], ids=lambda s: s.name)
+def test_calls_of_own_steps_with_events(scheme: Any) -> None:
+    """Steps are looked into for crossings many at a time."""
+
+    def run(t_end: float) -> fmbd.Run:
+        scene, last = chain(4)
+        scene.sensor("tip", fmbd.position(last))
+        event = fmbd.Event("tip y", 1e3)
+        output = fmbd.Output(times=(0.0, t_end), energy=False, progress=False, events=[event])
+        return fmbd.solve(scene, t_end=t_end, scheme=scheme, output=output)
+
+    ends = run(0.2), run(1.5)
+    short, long = (calls_of(lambda t=t: run(t)) for t in (0.2, 1.5))
+    assert (long - short) / (ends[1].counters["steps"] - ends[0].counters["steps"]) < BETWEEN

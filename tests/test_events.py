@@ -6,13 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chains import chain
 from dae_problems import pendulum as point_pendulum
 from dae_problems import pendulum_at
 from scipy.optimize import brentq
+from test_driver import compiled
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError
 from fmbd_fenicsx.mechanics.frames import Markers
+from fmbd_fenicsx.run.recording.events import EventWatch
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 
@@ -170,7 +173,8 @@ def test_states_within_a_step_are_evaluated_once_for_all_events(monkeypatch: pyt
     for count in (1, 5):
         asked = 0
         events = [fmbd.Event("ball z", -100.0 - k) for k in range(count)]
-        output = fmbd.Output(every=10**9, events=events, progress=False)
+        alone = lambda now: None  # noqa: E731
+        output = fmbd.Output(every=10**9, events=events, on_step=alone, progress=False)
         fmbd.solve(ball(), t_end=0.5, scheme=fmbd.Radau(3), output=output)
         counts.append(asked)
     assert counts[1] == counts[0] > 10
@@ -206,6 +210,59 @@ def test_a_value_that_is_passed_twice_within_a_step() -> None:
     event = fmbd.Event("ball z", level, then=lambda now: seen.append(now.t))
     fmbd.solve(ball(), t_end=0.8, scheme=fmbd.Radau(3), output=fmbd.Output(events=[event]))
     assert seen == pytest.approx(np.sort(np.roots((-0.5 * 9.81, 5.0, -level))), rel=1e-6)
+
+
+OWN = [
+    fmbd.Radau(3, rtol=1e-5),
+    fmbd.BDF(rtol=1e-5),
+    fmbd.HalfExplicit(rtol=1e-5),
+    fmbd.ExplicitRungeKutta(rtol=1e-3),
+    fmbd.GeneralizedAlpha(rtol=1e-3),
+]
+
+
+@compiled
+@pytest.mark.parametrize("times", [None, np.linspace(0.0, 3.0, 77)], ids=["ends", "times"])
+@pytest.mark.parametrize("scheme", OWN, ids=lambda s: s.name)
+def test_many_steps_in_a_call_are_looked_into(scheme: Any, times: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Levels next to the highest and the lowest angle are passed twice within a step in the middle of a call: that is made again
+    up to there, and the run is that of steps that are looked at one by one, to the last bit.
+    """
+
+    def run(levels: Any, end: float | None = None, at: Any = times) -> tuple[fmbd.Run, list[tuple[float, float]]]:
+        scene, last = chain(2)
+        bend = fmbd.angle(scene.joints["pin 1"])
+        scene.add(fmbd.joint_spring("spring", bend, stiffness=40.0, damping=0.05))
+        scene.sensor("bend", bend)
+        scene.sensor("tip", fmbd.position(last))
+        seen: list[tuple[float, float]] = []
+        events = [fmbd.Event("bend", x, then=lambda now: seen.append((now.t, float(now["bend"][0])))) for x in levels]
+        events += [] if end is None else [fmbd.Event("tip x", end)]
+        return fmbd.solve(scene, t_end=3.0, scheme=scheme, output=fmbd.Output(events=events, times=at)), seen
+
+    bend = run((), at=np.linspace(0.0, 3.0, 3001))[0]["bend"][:, 0]
+    turns = np.flatnonzero(np.diff(bend[:-1]) * np.diff(bend[1:]) < 0) + 1
+    levels = bend[turns][:6] * (1 - 1e-5)
+
+    met: list[int] = []
+    inside = EventWatch.met_inside
+
+    def noted(*given: Any) -> int:
+        met.append(inside(*given))
+        return met[-1]
+
+    monkeypatch.setattr(EventWatch, "met_inside", noted)
+    many = [run(levels, end) for end in (None, -0.9)]
+    assert any(met)
+    monkeypatch.setattr(EventWatch, "rides", lambda *given: False)
+    for (once, seen), end in zip(many, (None, -0.9), strict=True):
+        turn, told = run(levels, end)
+        assert seen == told and len(seen) > 10
+        assert np.array_equal(once.times, turn.times) and once["bend"] == pytest.approx(
+            turn["bend"], rel=1e-12, abs=1e-12
+        )
+        assert np.array_equal(once.state.q, turn.state.q) and once.state.t == turn.state.t
+        assert once.counters["steps"] == turn.counters["steps"]
 
 
 def test_components_without_names_are_counted_from_one() -> None:

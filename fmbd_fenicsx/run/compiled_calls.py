@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
 import time as clock
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..schemes.stepping import Observers, TimeStepper
+from ..system.serialisation import Memory
 from .judges.acceptance import Closed
 from .judges.force_balance import next_look
 from .recording.recorder import Recorder
@@ -15,6 +19,7 @@ from .schedule import StepSchedule
 if TYPE_CHECKING:
     from ..system.compiled.tape import Tape
     from ..system.layout import State
+    from .checkpoints.progress import RunProgress
     from .recording.events import EventWatch
 
 CHUNK = 0.1  # s: longer calls into compiled code would not hear of a request to stop
@@ -26,7 +31,7 @@ class CompiledCalls:
 
     ``closed``: judges the joints of steps of a scheme's own choice; one that does not pass is made by itself. ``refuses``: looks
     at the newest of steps of so many seconds, which is taken back where it says so. ``events``: who looks for those of the run;
-    compiled steps that can tell them end where one is met.
+    compiled steps that can tell them end where one is met. ``steps``: all that these are made by.
     """
 
     def __init__(
@@ -38,10 +43,12 @@ class CompiledCalls:
         closed: Closed,
         refuses: Callable[[float], bool],
         events: EventWatch | None = None,
+        steps: RunProgress,
     ) -> None:
         self.stepper, self.schedule, self.recorder = stepper, schedule, recorder
         self.closed, self.refuses, self.events = closed, refuses, events
         self.equal = bool(schedule.steps)
+        self.steps = steps
         self.shown = recorder.output.on_step is not None
         self.local_error = 0.0  # the largest that the stepper told after a call of the newest march
         self._began: State | None = None  # where the step before did, where forces are smooth since then
@@ -51,7 +58,7 @@ class CompiledCalls:
         """How many steps, at most so many, were made behind those that are done; 0 where they have to be made one by one."""
         watched = self.shown or self.events is not None
         self._bound()
-        if watched and not self.equal:
+        if self.shown and not self.equal:
             return 0
         t = self.stepper.state.t
         h = self.stepper.stride(self._limit(t))
@@ -60,6 +67,8 @@ class CompiledCalls:
 
         tape = self._tape()
         alone = watched and not self._told_of_events(tape)  # each is looked at
+        if alone and not self.equal:
+            return 0
         steps = min(self._unseen(done, h, tape), 1 if alone else most)
         if steps == 1 and tape is None and self.equal and not alone:
             return 0
@@ -71,7 +80,8 @@ class CompiledCalls:
             now = min(chunk, steps - made, self.next_look(done + made) - done - made)
             if tape is not None:
                 now = self._begin(tape, done + made, now, alone)
-            now, more = self._march(done + made, h, now, tape)
+            inside = self.events is not None and not self.equal
+            now, more = (self._looked_into if inside else self._march)(done + made, h, now, tape)
             if now and tape is not None:
                 more = self._take(tape, done + made, alone) and more
                 if not alone:
@@ -138,8 +148,10 @@ class CompiledCalls:
         tape.begin(every, every - done % every)
         if many:
             recorder.straight.lead(tape, steps // every + 1)
-        if recorder.wanted is not None:
-            tape.wait(recorder.wanted, recorder.rounding, self._began)
+        each = self.events is not None and not self.equal
+        if each or recorder.wanted is not None:
+            wanted = np.zeros(0) if recorder.wanted is None else recorder.wanted
+            tape.wait(wanted, recorder.rounding, self._began, each=each)
         return min(steps, tape.room * every)
 
     def _march(self, done: int, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:
@@ -162,6 +174,24 @@ class CompiledCalls:
             return made - 1, False
 
         return made, bool(made) and (self.equal or not self._over(h))
+
+    def _looked_into(self, done: int, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:
+        """The same with a look into the steps for events: where one is met inside of one, the call is made anew up to it."""
+        events = self.events
+        assert events is not None and tape is not None
+        kept, begun, error = Memory(self.steps.system), events.crossings["before"].copy(), self.local_error
+        self.steps.remember_steps(kept)
+        before = pickle.dumps(kept.values)  # steps write over arrays
+
+        made, more = self._march(done, h, steps, tape)
+        met = events.met_inside(tape, self.stepper, begun, self.recorder.rounding)
+        if not met:
+            return made, more
+        self.steps.remember_steps(Memory(kept.system, pickle.loads(before)))
+        events.crossings["before"], self.local_error = begun, error
+        self._begin(tape, done, steps, alone=False)
+        tape.c.meets = met
+        return self._march(done, h, steps, tape)
 
     def _over(self, h: float) -> bool:
         """Whether steps with error control, counted with a size of h (s), are to be counted anew: behind a break point, where the

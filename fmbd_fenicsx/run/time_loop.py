@@ -122,7 +122,13 @@ class Loop:
         self.event_met = False
         self._sampled = False  # whether controllers have sampled in the newest state
         self.calls = CompiledCalls(
-            self.stepper, schedule, self.recorder, closed=self.judges.closed, refuses=self._refuses, events=self.events
+            self.stepper,
+            schedule,
+            self.recorder,
+            closed=self.judges.closed,
+            refuses=self._refuses,
+            events=self.events,
+            steps=self.progress,
         )
         # whether somebody looks at every step, or ranks have to agree on how many they make
         self._shown = output.on_step is not None or self.events is not None

@@ -38,9 +38,21 @@ class RunProgress:
 
     def remember(self, m: Memory, where: Any = "") -> None:
         """Write all of it, or read it from the checkpoint ``where``; see :mod:`fmbd_fenicsx.system.serialisation`. Collective."""
+        from .fingerprint import check_effect
+
+        self.remember_steps(m)
+        self.recorder.remember(m.inside("recorder"))
+        self.done, self.local_error, self.first = m("course", (self.done, self.local_error, self.first))
+        now = clock.perf_counter()
+        spent = m("seconds", self.earlier + now - self.begun)
+        if m.reading:
+            self.earlier, self.begun = spent, now
+        check_effect(self.system, self.stepper.state, m.inside("effect"), where)
+
+    def remember_steps(self, m: Memory) -> None:
+        """The same of what the next steps are made by, and judged."""
         from ...linear.blocks.solver_memory import remember_solver
         from ...system.element_memory import memories, memory_types, restore
-        from .fingerprint import check_effect
 
         restore(self.system, m("elements", memories(self.system), *memory_types(self.system)))
         for k, part in enumerate(self.system.parts):
@@ -49,12 +61,5 @@ class RunProgress:
         remember_solver(self.solver, m.inside("solver"), self.stepper.state)
         n = self.newton
         n.iterations, n.theta, n.renewals = m("Newton", (n.iterations, n.theta, n.renewals))
-        self.recorder.remember(m.inside("recorder"))
         worker(m, "balanced", self.balanced)
         worker(m, "closed", self.recorder.drift.closed)
-        self.done, self.local_error, self.first = m("course", (self.done, self.local_error, self.first))
-        now = clock.perf_counter()
-        spent = m("seconds", self.earlier + now - self.begun)
-        if m.reading:
-            self.earlier, self.begun = spent, now
-        check_effect(self.system, self.stepper.state, m.inside("effect"), where)

@@ -3,8 +3,8 @@
 After each step the value at its end is compared with that at its start, in compiled steps by C where the value is a number of
 the record; where the sign of (value - level) has changed, the
 instant is located on the dense output of the step (:mod:`.between`) by Brent's method, to the accuracy of that polynomial. Steps
-of schemes with error control are large: there values at quarters of the step are looked at too. Two crossings closer than that
-cancel out.
+of schemes with error control are large: there values at quarters of the step are looked at too, of all steps of a compiled call
+at once. Two crossings closer than that cancel out.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from scipy.optimize import brentq
 
 from ...checks import check_fields, number
 from ...errors import InputError, near, require
+from ...rotations import Array
 from ...schemes.stepping import TimeStepper
 from ...system.compiled.recording import Recorded
 from ...system.compiled.tape import CROSSING, Tape
 from ...system.layout import State
 from ...system.scene.scene import Scene
 from ...system.system import System
-from .between import state_between
+from .between import state_between, states_within
 from .moment import Moment
 
 QUARTERS = (0.25, 0.5, 0.75)
@@ -94,7 +95,30 @@ class EventWatch:
 
     def rides(self, tape: Tape) -> bool:
         """Whether compiled steps end where an event is met: what is between has been looked at then."""
+        if self.places and (tape.kept is None or not tape.kept.many):
+            return False
         return tape.stops_at(self.crossings, self.read)
+
+    def met_inside(self, tape: Tape, stepper: TimeStepper, begun: Array, roundoff: float) -> int:
+        """Which of the steps that a march has kept is the first in which an event is met, 0 if in none, looked at inside: a value
+        may cross and come back. ``begun``: values less levels where it began. Values behind the last step are kept; collective.
+        """
+        assert tape.kept is not None
+        values, levels = begun[None], self.crossings["level"]
+        directions = self.crossings["direction"]
+        for steps in tape.kept.inside(stepper.state.t, np.array([*self.places, 1.0])):
+            seen = tape.kept.told_of(states_within(steps, stepper, roundoff), steps)
+            if seen is None:  # NumPy has something to say of it
+                return int(steps.number[0])
+            told = [(sensor.numbers(seen, marker), column) for sensor, marker, column in self.read]
+            after = np.column_stack([scale * x[:, column] for (x, scale), column in told]) - levels
+            points = np.concatenate((values[-1:], after))
+            found = _crosses(points[:-1], points[1:], directions).any(axis=1)
+            if found.any():
+                return int(steps.number[np.argmax(found)])
+            values = after
+        self.crossings["before"] = values[-1]
+        return 0
 
     def passed(self, stepper: TimeStepper, told: Recorded | None) -> None:
         """Take note that nothing is met in compiled steps, but in the newest one where C has ``told`` of it."""
@@ -120,7 +144,9 @@ class EventWatch:
         found: list[tuple[float, int]] = []
         for k, event in enumerate(self.events):
             points = [(before.t, float(self.crossings["before"][k])), *((x.t, self._value(k, x)) for x in seen)]
-            found += [(self._locate(k, at, a, b), k) for a, b in pairwise(points) if _crosses(a[1], b[1], event)]
+            found += [
+                (self._locate(k, at, a, b), k) for a, b in pairwise(points) if _crosses(a[1], b[1], event.direction)
+            ]
             self.crossings["before"][k] = points[-1][1]
         self.before = after
 
@@ -162,8 +188,8 @@ class EventWatch:
         return float(read[column or 0]) - event.level
 
 
-def _crosses(before: float, after: float, event: Event) -> bool:
-    """Whether two values of (sensor - level) lie on both sides of zero, in the direction that was asked for."""
-    rises = before < 0.0 <= after
-    falls = before > 0.0 >= after
-    return (rises and event.direction >= 0) or (falls and event.direction <= 0)
+def _crosses(before: Any, after: Any, direction: Any) -> Any:
+    """Whether two values of (sensor - level) lie on both sides of zero, in the direction that was asked for; of many likewise."""
+    rises = (before < 0.0) & (after >= 0.0)
+    falls = (before > 0.0) & (after <= 0.0)
+    return rises & (direction >= 0) | falls & (direction <= 0)

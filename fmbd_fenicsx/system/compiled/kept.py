@@ -72,8 +72,8 @@ class Kept:
         self.library, self.tables, self.calls, self._tape = library, tables, calls, tape
         size = block_size(tables.system)
         # a memory of elements is that of the newest step
-        alone = tables.c.remembers or tables.sampled
-        most = parts if alone else min(max(BYTES // (8 * (3 * size + own)), FEW + parts), CAPACITY + parts)
+        self.many = not (tables.c.remembers or tables.sampled)
+        most = min(max(BYTES // (8 * (3 * size + own)), FEW + parts), CAPACITY + parts) if self.many else parts
         sizes = {"newest": (most, size + own), "begin": (most, size), "earlier": (most, size), "last": (size,)}
         room = zeros_of(sizes)
         self._room = {name: x for name, (x, _) in room.items()}
@@ -93,13 +93,14 @@ class Kept:
         """Nothing is kept."""
         self.c.count = 0
 
-    def begin(self, instants: Array, roundoff: float, began: State | None) -> None:
-        """The next march keeps steps in which one of these lies (s, rising), but for so much roundoff (s); ``began``: where the
-        step before it did, None where forces jump between.
+    def begin(self, instants: Array, roundoff: float, began: State | None, *, each: bool) -> None:
+        """The next march keeps steps in which one of these lies (s, rising), but for so much roundoff (s), or ``each``;
+        ``began``: where the step before it did, None where forces jump between.
         """
         self._instants, c = np.ascontiguousarray(instants), self.c
         c.instant, c.instants, c.roundoff = address_of(self._instants), len(instants), roundoff
         c.passed = c.steps = c.count = 0
+        c.each = each
         self._room["last"][:] = np.nan if began is None else _blocks_of(self.tables.twin, States.of([began]))[0]
 
     @property
@@ -110,14 +111,26 @@ class Kept:
 
     def steps(self, t: float) -> Iterator[KeptSteps]:
         """The steps of all instants up to a time t (s), a state of the march, some at a time."""
-        roundoff, room = self.c.roundoff, self._room
-        ends = room["newest"][: self.c.count, 0]
-        ends = ends[: np.searchsorted(ends, t, side="right")]  # the newest step may have been taken back
-        if not len(ends):
-            return
+        roundoff, ends = self.c.roundoff, self._ends(t)
+        if len(ends):
+            instants = self._instants[: np.searchsorted(self._instants, ends[-1] + roundoff, side="right")]
+            yield from self._some(np.searchsorted(ends + roundoff, instants), instants)
 
-        instants = self._instants[: np.searchsorted(self._instants, ends[-1] + roundoff, side="right")]
-        every, size, twin = np.searchsorted(ends + roundoff, instants), block_size(self.tables.system), self.tables.twin
+    def inside(self, t: float, places: Array) -> Iterator[KeptSteps]:
+        """The steps up to a time t (s), a state of the march, some at a time, each at these ``places``: shares of it."""
+        ends = self._ends(t)
+        begins = self._room["begin"][: len(ends), 0]
+        instants = begins[:, None] + places * (ends - begins)[:, None]
+        yield from self._some(np.repeat(np.arange(len(ends)), len(places)), instants.ravel())
+
+    def _ends(self, t: float) -> Array:
+        """When the steps that are kept end, s: the newest one may have been taken back."""
+        ends = self._room["newest"][: self.c.count, 0]
+        return ends[: np.searchsorted(ends, t, side="right")]
+
+    def _some(self, every: np.ndarray, instants: Array) -> Iterator[KeptSteps]:
+        """The steps with these places in the room, at an instant (s) each."""
+        room, size, twin = self._room, block_size(self.tables.system), self.tables.twin
         for first in range(0, len(instants), self.most):
             which = every[first : first + self.most]
             newest = room["newest"][which]

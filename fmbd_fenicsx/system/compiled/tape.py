@@ -171,7 +171,7 @@ class Tape:
         if self.c.count == self.capacity < self.most and not self.c.single:
             self._make_room(min(4 * self.capacity, self.most))
         self.c.every, self.c.left, self.c.count, self.c.doubtful, self.c.crossed = every, left, 0, -1, 0
-        self.c.straight = self.c.single = 0
+        self.c.straight = self.c.single = self.c.meets = 0
         self.c.kept, self.c.judged = None, np.nan
         if self.kept is not None:
             self.kept.clear()
@@ -182,10 +182,10 @@ class Tape:
         """Whether the march has ended because of an event, or for want of room."""
         return bool(self.c.crossed) or (self.kept is not None and self.kept.full)
 
-    def wait(self, instants: Array, roundoff: float, began: State | None) -> None:
-        """The next march keeps the steps of these instants, see :meth:`.Kept.begin`."""
+    def wait(self, instants: Array, roundoff: float, began: State | None, *, each: bool) -> None:
+        """The next march keeps the steps of these instants, or ``each``, see :meth:`.Kept.begin`."""
         assert self.kept is not None
-        self.kept.begin(instants, roundoff, began)
+        self.kept.begin(instants, roundoff, began, each=each)
         self.c.kept = self.kept.address
 
     def step_back(self, t: float) -> None:
@@ -196,6 +196,7 @@ class Tape:
             self.c.worst[:] = self.c.before
         if self.c.doubtful >= 0 and self.doubt[0] == t:
             self.c.doubtful = -1
+        self.c.crossed = 0
 
     def recorded(self) -> Recorded:
         """What was recorded, until the tape begins anew; where all is in series the newest of it."""

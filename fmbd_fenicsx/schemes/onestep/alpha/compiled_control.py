@@ -43,11 +43,11 @@ class Stay:
 
 
 class CompiledControl:
-    """``Control`` of tables.h for one norm and one controller, of a system whose local coordinates are all deformations."""
+    """``Control`` of tables.h for one norm, of a system whose local coordinates are all deformations."""
 
-    def __init__(self, norm: NormOfWays, control: StepControl, *, laws: bool) -> None:
+    def __init__(self, norm: NormOfWays, *, laws: bool) -> None:
         """``laws``: whether forces follow laws."""
-        self.norm, self.control, self.store = norm, control, Store()
+        self.norm, self.store = norm, Store()
         self.twin = twin_of(norm.system)
         s, dim = self.twin.system, norm.system.motions.dim
 
@@ -70,9 +70,9 @@ class CompiledControl:
         """For C."""
         return ctypes.addressof(self.c)
 
-    def lend(self, stay: Stay) -> None:
+    def lend(self, control: StepControl, stay: Stay) -> None:
         """Sizes and errors so far, and up to when steps keep their size."""
-        norm, control, c = self.norm, self.control, self.c
+        norm, c = self.norm, self.c
         if self._origin is not norm.origin:
             assert norm.origin is not None
             self._origin = norm.origin
@@ -87,10 +87,10 @@ class CompiledControl:
         c.high = min(control.pressure(stay.keeps), 1.0)
         c.low = control.pressure(stay.ratio) if stay.ratio else 0.0
 
-    def take(self) -> None:
+    def take(self, control: StepControl) -> None:
         """Take back what :meth:`lend` gave."""
         norm, c = self.norm, self.c
         norm.deflections = np.array([one.size for one in self.deflections])
         for block, speed in zip(norm.sizes.blocks, self._fastest, strict=True):
             norm.v_size[block] = speed
-        norm.way, self.control.error_old = c.way, c.before
+        norm.way, control.error_old = c.way, c.before

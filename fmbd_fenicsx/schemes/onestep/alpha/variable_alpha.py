@@ -314,11 +314,11 @@ class VariableAlpha(TimeStepper):
     def _compiled_steps(self, level: int, steps: int, observers: Observers) -> int:
         """Up to so many accepted steps of a level in one call of compiled code."""
         size, control = self.stretch.size(level), self._control()
-        control.lend(self._stay(level))
+        control.lend(self.control, self._stay(level))
         made: int = self.inner.controlled(size, steps, control, observers)
         if made:
             self.size = size
-            control.take()
+            control.take(self.control)
             self.peak = control.c.peak
             self.local_error = max(self.local_error, control.c.largest)
             self._count(size, control.c.error, made)
@@ -329,7 +329,7 @@ class VariableAlpha(TimeStepper):
         if self._compiled is None:
             from .compiled_control import CompiledControl
 
-            self._compiled = CompiledControl(self.norm, self.control, laws=self.laws)
+            self._compiled = CompiledControl(self.norm, laws=self.laws)
         return self._compiled
 
     def _stay(self, level: int) -> Stay:

@@ -399,14 +399,14 @@ typedef struct {
     double *to;
 } Series;
 
-/* Steps in which somebody waits for an instant, or for more of them: copies of the states at their ends, for polynomials through these.
+/* Steps in which somebody waits for an instant, or ``each``: copies of the states at their ends, for polynomials through these.
    Python takes them when the march has ended; it does where there is no room for one more. */
 typedef struct {
     const double *instant;             /* rising, s */
     long instants, passed;             /* how many, and how many of them are not behind the newest step */
     double roundoff;                   /* s */
     long steps, capacity, count, own;  /* of the march; kept ones at most, and so far; numbers that a scheme keeps with a state */
-    long most;                         /* of them that one step may take */
+    long most, each;                   /* of them that one step may take; whether all are kept */
     long *number;                      /* of each, which step of the march it is */
     double *newest, *begin, *earlier;  /* at its end, with what the scheme keeps, at its beginning, and at that of the step before, nan */
                                        /* where forces jump between */
@@ -415,9 +415,9 @@ typedef struct {
 
 /* Records of accepted steps; every array holds as many as a march makes and one more, which steps that are only looked at are written
    to, or where all is in ``series`` (``single``) the newest alone. ``left``: steps up to the next; ``crossed``: whether a march ends
-   because of an event. */
+   because of an event; ``meets``: steps up to one in which it is known that one is met, 0 where none is. */
 typedef struct {
-    long every, left, count, crossings, crossed, straight, single;
+    long every, left, count, crossings, crossed, meets, straight, single;
     Crossing *crossing;
     Series *series;                    /* straight of them */
     long whole, rows, doubtful;        /* whether states and multipliers are kept; first record whose joints are open, or -1 */

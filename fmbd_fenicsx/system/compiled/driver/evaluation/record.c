@@ -156,6 +156,7 @@ void judge_drift(System *s, Tape *tape, const Block *now)
 /* Whether an event is met in the newest step, record k: then values are kept as they were before. */
 static int crossed(Tape *tape, long k)
 {
+    if (tape->meets && !--tape->meets) return 1;
     for (const Crossing *c = tape->crossing; c < tape->crossing + tape->crossings; c++) {
         double before = c->before, after = c->scale * c->at[c->stride * k] - c->level;
         if (before < 0.0 && after >= 0.0 && c->direction >= 0) return 1;

@@ -47,13 +47,13 @@ typedef struct {
     ElasticContact *contact;
 } Watch;
 
-/* Keep the newest step of a ring where an instant lies in it; whether there is room for no more. */
+/* Keep the newest step of a ring where an instant lies in it, or all are asked for; whether there is room for no more. */
 static int keep_step(const System *s, Tape *tape, double **ring)
 {
     Kept *o = tape->kept;
     const long size = 1 + s->nq + 3 * (long)s->nv + s->rows;
     o->steps++;
-    if (awaited(tape, *ring[0]) && !tape->crossed)
+    if ((o->each || awaited(tape, *ring[0])) && !tape->crossed)
         memcpy(keep_between(s, o, ring[1], ring[0], *ring[0] + o->roundoff), ring[0] + size, o->own * sizeof(double));
     if (!tape->crossed) memcpy(o->last, ring[1], size * sizeof(double));
     return is_full(o);
