@@ -417,3 +417,14 @@ def test_gyroscopic_forces_hold_what_spins_fast(caplog: pytest.LogCaptureFixture
     found = fmbd.equilibrium(scene, spin=fmbd.Spin(25.0))
     assert np.sort(fmbd.modes(scene, 3, at=found).omega)[:2] == pytest.approx([15.0, np.sqrt(1e3)])
     assert "unstable" not in caplog.text
+
+
+def test_nothing_is_told_of_roundoff_where_nothing_displaces(rod_mesh, caplog):
+    """A thin strip of aluminium, clamped, without a load: places are known to roundoff, displacements are none."""
+    energy = fmbd.materials.saint_venant_kirchhoff(7e10, 0.3)
+    strip = fmbd.AbsoluteBody("strip", rod_mesh(dim=2, h=0.1, height=0.002), density=2700.0, energy=energy)
+    scene = fmbd.Scene("idle")
+    scene.add(strip, fmbd.fixed("clamp", fmbd.ground, strip.surface("pin")))
+    scene.sensor("tip", fmbd.position(strip.surface("tip")))
+    assert fmbd.equilibrium(scene)["tip"] == pytest.approx([1.0, 0.0], abs=1e-12)
+    assert "roundoff" not in caplog.text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -455,6 +456,7 @@ def test_skin_follows_the_sections():
 # -- bad input ------------------------------------------------------------------------------------------------------
 SKEW = COMPOSITE + 100.0 * np.eye(6, k=1)
 STRAIGHT = [(0, 0, 0), (1, 0, 0)]
+OWN = partial(fmbd.RodSection, None, 1.0, (1, 1, 1))  # of an energy
 
 
 @pytest.mark.parametrize(
@@ -465,6 +467,8 @@ STRAIGHT = [(0, 0, 0), (1, 0, 0)]
         (lambda: fmbd.RodSection((1, 1, 1, 1, 1, 1), 0.0, (1, 1, 1)), "at s = 0 m: mass 0.0 kg/m must be a positive number"),
         (lambda: fmbd.RodSection((1, 1, 1, 1, 1, 1), 1.0, (1, 0, 1)), "inertia at s = 0 m is not positive"),
         (lambda: fmbd.RodSection(), "either its stiffness"),
+        (lambda: fmbd.Rod("rod", STRAIGHT, OWN(lambda g, k, s: g)), r"must return a scalar .* found the shape \(3,\)"),
+        (lambda: fmbd.Rod("rod", STRAIGHT, OWN(lambda g, k, s: None)), "must return a scalar .* None"),
         (lambda: fmbd.Rod("rod", [(0, 0, 0), (0, 0, 0)], UNIT), "no tangent"),
         (lambda: fmbd.Rod("rod", [(0, 0, 0), (1, 0, 0), (1, 1, 0)], UNIT), "90 degrees at point 2.*kink"),
         (lambda: fmbd.Rod("rod", lambda u: (abs(u - 0.3), u, 0), UNIT), "not smooth near u = 0.3.*kink"),

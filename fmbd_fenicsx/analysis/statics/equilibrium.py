@@ -186,7 +186,7 @@ def _tell_roundoff(newton: StaticNewton, point: StaticPoint, t: float, given: St
         own = system.slices[1][k]
         displaced[own] = np.maximum(np.abs(displaced[own]), np.abs(system.local_q(point.q, k)))
     size = system.max_abs(displaced)
-    if not size > 0.0:
+    if not size > newton.tolerance * system.length:  # nothing displaces them
         return
 
     lost = newton.roundoff(point, t, size)

@@ -33,7 +33,9 @@ class OwnLaw:
         gamma = ufl.as_vector([e[0], e[1], e[2]])
         kappa = ufl.as_vector([e[3], e[4], e[5]])
         try:
-            W = energy(gamma, kappa, place)
+            W = ufl.as_ufl(energy(gamma, kappa, place))
+            if W.ufl_shape:
+                raise ValueError(f"found the shape {W.ufl_shape}")
             stress = ufl.diff(W, e)
             expressions = (W, stress, ufl.diff(stress, e))
             middle = np.array([[0.5]])
