@@ -157,7 +157,9 @@ class Entries:
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("make", SCENES, ids=NAMES)
 def test_same_steps_in_one_call_and_one_by_one(make: Any, way: str) -> None:
-    """The same sizes and refusals; values to roundoff, which stiff forces and short steps amplify."""
+    """The same sizes and refusals; values to roundoff, which stiff forces and short steps amplify. Errors of velocities are
+    second differences of accelerations, which Newton's iteration leaves to its tolerance.
+    """
     with pytest.MonkeyPatch.context() as patch:
         entries = Entries(patch)
         fast = solve(make(), SCENES[make], **WAYS[way])
@@ -172,7 +174,7 @@ def test_same_steps_in_one_call_and_one_by_one(make: Any, way: str) -> None:
     assert fast.counters["newton_iterations"] == pytest.approx(slow.counters["newton_iterations"], rel=0.02)
     assert np.allclose(fast.times, slow.times, rtol=1e-12, atol=1e-14)
     for t, seen in entries.seen.items():
-        assert seen == pytest.approx(single.seen[t], rel=1e-5, abs=1e-9), t
+        assert seen == pytest.approx(single.seen[t], rel=1e-5, abs=1e-6), t
     assert fast.local_error == pytest.approx(slow.local_error, rel=1e-5)
     for name in fast.scene.sensors:
         assert np.abs(fast[name] - slow[name]).max() < 1e-7 * np.abs(slow[name]).max(), name

@@ -86,17 +86,28 @@ class AlphaDriver(March):
         self.calls.raise_error()
         return made, verdict
 
-    def error(self, scale: float, span: float, arrays: Sequence[Array], t: float, missed: Array) -> Array | None:
-        """``driver_error`` of alpha.c for q, v, a and lambda; None where NumPy has to do."""
+    def error(
+        self,
+        sizes: tuple[float, float],
+        arrays: Sequence[Array],
+        t: float,
+        missed: Array,
+        weights: Weights | None = None,
+    ) -> Array | None:
+        """``driver_error`` of alpha.c for its scale and span, and for q, v, a and lambda, with a matrix of these weights, or with
+        that at hand; None where NumPy has to do.
+        """
         twin = self.tables.twin
         e, y = np.zeros(self.system.n_v), np.zeros(self.system.n_lam)
         q, v, a, lam = arrays
         v, a, missed = twin.velocities(np.stack((v, a, missed)))
         kept = [np.ascontiguousarray(x) for x in (twin.configurations(q[None])[0], v, a, lam, missed)]
         *at, missing = [address_of(x) for x in kept]
-        if self.tables.c.samples > 1:
+        if self.tables.c.samples > (1 if weights is None else 0):
             self.calls.sample(t)  # a step may have left out the rates of motions
-        verdict = self.library.driver_error(self.address, scale, span, *at, t, missing, address_of(e), address_of(y))
+        kept.append(np.zeros(0) if weights is None else np.array([weights.cd, weights.ck]))
+        shares = None if weights is None else address_of(kept[-1])
+        verdict = self.library.driver_error(self.address, *sizes, shares, *at, t, missing, address_of(e), address_of(y))
         self.calls.raise_error()
         return None if verdict else twin.forces(e[None])[0]
 

@@ -12,6 +12,7 @@ import numpy as np
 from ....errors import BalanceError
 from ....rotations import Array
 from ....system.compiled import march as slots
+from ....system.compiled.declarations import constants
 from ....system.compiled.tape import on_the_way
 from ....system.layout import State, States
 from ...dae import GGL
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from ....system.compiled.tape import Openness, Tape
     from .compiled_control import CompiledControl
     from .generalized_alpha import GeneralizedAlpha
+
+
+(FAR_JUMP,) = constants("marches/control.c", "FAR_JUMP")
 
 
 class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
@@ -114,8 +118,19 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         if not self._ahead:
             return super().error(h)
         s, scale, jump, span = self._of_error(h)
-        found = self.driver.error(scale, span, (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump)
+        found = self.driver.error((scale, span), (s.q, s.v, s.a + jump, s.lam), s.t, scale * jump)
         return super().error(h) if found is None else found
+
+    def filtered(self, h: float, missed: Array, s: State) -> Array:
+        """As :meth:`AlphaStepper.filtered`, by the driver where it made the last step, with memories as before that."""
+        if not self._driven:
+            return super().filtered(h, missed, s)
+        system, driver = self.system, self.driver
+        part = system.max_abs(missed) / (FAR_JUMP * max(system.typical(x.a) for x in (self.state, self.origin)))
+        driver.tables.recall()
+        arrays = s.q, s.v, s.a + missed / part, s.lam
+        found = driver.error((part, 0.0), arrays, s.t, missed, self.scheme.rule(h).weights)
+        return super().filtered(h, missed, s) if found is None else found
 
     def within(self, steps: KeptSteps) -> States:
         """As :meth:`TimeStepper.within`."""

@@ -413,7 +413,7 @@ class VariableAlpha(TimeStepper):
         self.norm.update(self.state, h)  # the way of this step counts
         error = self.norm(h, e, np.zeros_like(e))
         missed = self.inner.missed_speeds(h) if self.laws and error <= 1.0 else None
-        if missed is None or not self.norm.of_speeds(h, missed) > error:
-            return error
+        if missed is None or not self.norm.of_speeds(h, missed) > max(error, CALM):
+            return error  # less is what Newton's iteration leaves of accelerations
         ends = self.inner.begun[0], self.state
         return max(error, *(self.norm.of_speeds(h, self.inner.filtered(h, missed, s)) for s in ends))

@@ -80,6 +80,8 @@ static double error_norm(const System *s, const Control *c, const double *q, con
     return sqrt(worst);
 }
 
+static const double FAR_JUMP = 1e6; /* times accelerations of a state */
+
 /* The error with that of (3) of variable_alpha.py, filtered with what is stiff at both ends of a step, where it may be the larger. */
 static int with_speeds(System *s, const double *p, Control *c, const Block *past, const Block *out, double *error)
 {
@@ -92,13 +94,15 @@ static int with_speeds(System *s, const double *p, Control *c, const Block *past
         double led = past[0].a[i] + h / before * (past[0].a[i] - past[1].a[i]);
         c->missed[i] = scale * (out->a[i] - led);
     }
+    /* the balance is linear in accelerations: a jump that is large beside what Newton's iteration leaves of them */
+    const double jump = FAR_JUMP * fmax(typical(s, past->a), typical(s, out->a)), part = largest_of(s->units, c->missed, s->nv) / jump;
     double found = *error;
-    if (!(error_norm(s, c, out->q, c->missed, h) > found)) return DONE;
+    if (!(error_norm(s, c, out->q, c->missed, h) > fmax(found, c->calm))) return DONE; /* less is what Newton's iteration leaves */
     for (int k = 0; k < 2; k++) {
         const Block *at = ends[k];
-        for (int i = 0; i < s->nv; i++) c->a[i] = at->a[i] + c->missed[i] / scale;
+        for (int i = 0; i < s->nv; i++) c->a[i] = at->a[i] + c->missed[i] / part;
         if ((verdict = sample(s, *at->t, &asked))) return verdict;
-        if ((verdict = filtered(s, scale, 0.0, weights, at->q, at->v, c->a, at->lam, *at->t, c->missed, c->e, c->y))) return verdict;
+        if ((verdict = filtered(s, part, 0.0, weights, at->q, at->v, c->a, at->lam, *at->t, c->missed, c->e, c->y))) return verdict;
         found = fmax(found, error_norm(s, c, out->q, c->e, h));
     }
     *error = found;
@@ -116,7 +120,7 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
         c->missed[i] = scale * jump;
     }
     const double span = p[STABILISED] != 0.0 ? 0.0 : 0.5 * p[H];
-    int verdict = driver_error(s, scale, span, out->q, out->v, c->a, out->lam, *out->t, c->missed, c->e, c->y);
+    int verdict = filtered(s, scale, span, NULL, out->q, out->v, c->a, out->lam, *out->t, c->missed, c->e, c->y);
     if (verdict) return verdict;
 
     reach(c, p[H], out);

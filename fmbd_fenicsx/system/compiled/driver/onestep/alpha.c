@@ -411,9 +411,9 @@ static int filtered(System *s, double scale, double span, const double *weights,
     return increment(s, -scale, e, y, t);
 }
 
-/* The same with the factor at hand, for Python. */
-EXPORT int driver_error(System *s, double scale, double span, const double *q, const double *v, const double *a, const double *lam,
-                        double t, const double *missed, double *e, double *y)
+/* The same for Python. */
+EXPORT int driver_error(System *s, double scale, double span, const double *weights, const double *q, const double *v, const double *a,
+                        const double *lam, double t, const double *missed, double *e, double *y)
 {
-    return filtered(s, scale, span, NULL, q, v, a, lam, t, missed, e, y);
+    return filtered(s, scale, span, weights, q, v, a, lam, t, missed, e, y);
 }
