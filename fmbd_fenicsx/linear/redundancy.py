@@ -16,7 +16,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sl
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from ..matrices import dense
@@ -45,11 +47,37 @@ def null_space(ev: Evaluation) -> Array:
     scale = 1.0 / np.where(size > 0, size, 1.0)
 
     # rows of one size: singular values tell dependence, not units
-    U, stretch, _ = np.linalg.svd(scale[:, None] * rows)
-    rank = int((stretch > DEPENDENT * stretch[0]).sum())
+    rows = scale[:, None] * rows
+    parts = rows_together(rows)
+    found = [np.linalg.svd(rows[np.ix_(*part)]) for part in parts]
+    least_stretch = DEPENDENT * max(stretch[0] for _, stretch, _ in found)
+
     # orthonormal in forces, so that moments and forces share alike
-    null = scale[:, None] * U[:, rank:]
-    return np.asarray(np.linalg.qr(null / s.multiplier_units[:, None])[0])
+    bases = []
+    for (own, _), (U, stretch, _) in zip(parts, found, strict=True):
+        null = scale[own, None] * U[:, int((stretch > least_stretch).sum()) :]
+        bases.append(np.linalg.qr(null / s.multiplier_units[own, None])[0])
+    N = np.zeros((s.n_lam, sum(Q.shape[1] for Q in bases)))
+    N[np.concatenate([own for own, _ in parts])] = sl.block_diag(*bases)
+    return N
+
+
+def rows_together(rows: Array) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Numbers of the rows that have columns in common, directly or by others, and those of all their columns.
+
+    Joints of loops that only springs couple have none in common.
+    """
+    m, n = rows.shape
+    i, j = np.nonzero(rows)
+    graph = sp.coo_matrix((np.ones(len(i), dtype=bool), (i, m + j)), shape=(m + n, m + n))
+    _, label = connected_components(graph, directed=False)
+    parts: list[tuple[np.ndarray, np.ndarray]] = []
+    for one in np.unique(label[:m]):
+        own = np.flatnonzero(label == one)
+        at = np.searchsorted(own, m)
+        # a row of zeros holds nothing, whatever its column
+        parts.append((own[:at], own[at:] - m if len(own) > at else np.zeros(1, int)))
+    return parts
 
 
 def least(solver: StepSolver, t: float, q: Array, lam: Array) -> Array:
