@@ -138,7 +138,7 @@ def _name(contact: Any) -> str:
 
 
 def contact_force(contact: Any) -> Sensor:
-    """Resultant force of a pair on its slave, world axes, N, (d,); it acts in the middle of the last step, so that there is none at
+    """Resultant force of a pair on its slave, world axes, N, (d,); it acts in the middle of the last step, so there is none at
     the start.
     """
     return ContactSensor(None, "N", None, _name(contact), "force")
