@@ -13,6 +13,7 @@ import numpy as np
 from ...errors import BalanceError, CallbackError, ConvergenceError, LinearSolveError
 from ...linear.residual import Judge
 from ...rotations import Array
+from ...system.compiled.declarations import constants
 from ...system.compiled.states.convergence import CONVERGED, GOES_ON, TOO_SLOW, Convergence
 from ...system.compiled.states.stages import StageRule
 from ...system.layout import State
@@ -27,6 +28,9 @@ from .stage_iteration import StageIteration
 
 OPEN = 1e-6  # of the model's length
 SPELL = 63  # steps with tangents of their own, until one tangent is tried again
+(FALLS,) = constants(
+    "implicit/stages.c", "FALLS"
+)  # rate up to which an iteration goes on where laws are still to settle
 STILL = 16.0  # roundings of the model's length
 
 
@@ -198,7 +202,8 @@ class StepNewton(Remembering):
                 moved = iteration.increment(self.pencil)
                 judge_increment(convergence, self.size(h, *moved), still=self.still)
                 if convergence.outcome == CONVERGED and iteration.creeps(self.pencil, moved):
-                    convergence.outcome = TOO_SLOW
+                    falls = convergence.theta <= FALLS and convergence.done < convergence.most
+                    convergence.outcome = GOES_ON if falls else TOO_SLOW
         finally:
             self.count(convergence.done - before)
         self.theta = convergence.theta

@@ -400,6 +400,8 @@ static double size_moved(const System *s, const Stages *o, const Convergence *c)
     return fmax(fmax(moved[0], c->h * moved[1]), c->h * c->h * moved[2]) / c->allowed;
 }
 
+static const double FALLS = 0.5; /* rate up to which an iteration with the tangent at hand goes on where laws are still to settle */
+
 /* Newton's iteration up to increment number ``until``, as far as solutions are accurate; what depends on time only is sampled at the
    last of the points then. */
 static int increments_until(System *s, Stages *o, Convergence *c, int until)
@@ -416,7 +418,7 @@ static int increments_until(System *s, Stages *o, Convergence *c, int until)
         if (c->outcome != CONVERGED || c->done >= c->most) continue;
         const int crept = creeps(s, o);
         if (crept || (o->crosses && hesitates(s, o))) c->outcome = GOES_ON;
-        if (crept) return BENT;
+        if (crept && (o->crosses || c->theta > FALLS)) return BENT;
     }
     return o->ties && c->outcome == CONVERGED ? close_ties(s, o, c) : DONE;
 }
