@@ -148,7 +148,7 @@ def _turns(system: System, recorder: Recorder, size: float) -> None:
 
 def _chatter(system: System) -> None:
     """Dry friction that no step holds: its point goes to and fro over the limits."""
-    if names := [name for loads in system.keepers for name in loads.chattering]:
+    if names := [name for loads in system.forces for name in loads.chattering]:
         log.warning(
             "%s: dry friction goes from limit to limit and back from step to step where it should hold, and may creep: steps do "
             "not resolve its stiffness before sliding, sqrt(stick / mass) dt > 2. Take a smaller dt or stick, or an implicit "
