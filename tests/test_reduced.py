@@ -292,3 +292,18 @@ def test_moduli_whose_roundoff_hides_modes_are_told(ratio: float, told: bool, ca
     body = fmbd.FloatingBody("beam", mesh, density=1.0, elastic=elastic)
     assert len(body.reduced(basis=fmbd.CraigBampton(("left", "right"), 4)).reduction.omega) >= 4
     assert ("roundoff of its stiffness" in caplog.text) is told
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_inertia_modes_hold_a_steady_spin(rod_mesh: Callable[..., Any], dim: int) -> None:
+    """Without one vibration mode the stretch under the centrifugal forces is that of the field."""
+    elastic = linear_elastic(MODULUS, 0.3)
+    whole = fmbd.FloatingBody("rod", rod_mesh(dim=dim, h=0.2), density=DENSITY, elastic=elastic)
+    places = []
+    for body in (whole, whole.reduced(basis=fmbd.CraigBampton(("pin",), 0, inertia=True))):
+        scene = fmbd.Scene("spin")
+        scene.add(body, fmbd.revolute("pin", fmbd.ground, body.surface("pin")))
+        scene.sensor("tip", fmbd.position(body.surface("tip")))
+        places.append(np.linalg.norm(fmbd.equilibrium(scene, spin=fmbd.Spin(0.5))["tip"]) - 1.0)
+    assert places[0] > 1e-5
+    assert places[1] == pytest.approx(places[0], rel=1e-3)

@@ -3,7 +3,7 @@
     rod.reduced(modes=20)                                    free-free modes (mean axes) or clamped ones (attached frame)
     rod.reduced(frequency=500.0)                             all modes up to 500 Hz
     rod.reduced(basis=CraigBampton(("pin", "tip"), 10))      static interface modes and 10 modes with fixed interfaces
-    rod.reduced(basis=CraigBampton(("pin", "tip"), 10, inertia=True))    ... and the static sag under rigid accelerations
+    rod.reduced(basis=CraigBampton(("pin", "tip"), 10, inertia=True))    ... and the static sag under inertia forces
 
 For a jointed body take CraigBampton with the surfaces that its joints hold: beside their static modes few others are enough.
 A body with geometric stiffening keeps the static displacements under its inertia forces beside the modes.
@@ -61,8 +61,8 @@ class FrameModes:
 class CraigBampton:
     """Static modes of the moments of the ``interfaces`` (surfaces), and vibration modes with these moments at rest.
 
-    ``inertia`` adds the static displacements under rigid accelerations, one for each rigid motion, interfaces at rest: weight and
-    slow inertia forces are then exact, and stresses converge fast.
+    ``inertia`` adds the static displacements under the inertia forces M (a + L X) of rigid motion, d + d^2, interfaces at rest:
+    weight, slow inertia forces and those of a steady spin are then exact, and stresses converge fast.
     """
 
     interfaces: tuple[str, ...]
@@ -85,7 +85,7 @@ class CraigBampton:
             fixed = _vibrations(body, self)
             static = [body.static_modes()]
             if self.inertia:
-                static.append(body.solve_static(field.Q))
+                static.append(body.solve_static(np.stack(_inertia_patterns(field), axis=1)))
         finally:
             body.destroy()
         return np.concatenate((*static, fixed), axis=1)
