@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -31,7 +32,7 @@ DT = 2e-3  # s
 
 
 def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
-    """Four links that fall, with elements that ask functions ``of time``, ``of motion``, or of the ``road``."""
+    """Four links that fall, with elements that ask functions ``of time``, ``of motion``, of the ``road`` or of a ``curve``."""
     scene, last = chain(4)
     s = [fmbd.angle(scene.joints[f"pin {k}"]) for k in range(4)]
 
@@ -53,6 +54,10 @@ def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
             fmbd.joint_spring("law", s[0], law=lambda x, rate, t: noted(20 * np.sin(x) + rate)),
             fmbd.controller("pd", reads=reads, acts=s[1], law=lambda t, y, z: noted(-20 * y["s"][0] - y["tip"][1])),
         )
+    elif kind == "curve":
+        height = lambda x: 0.1 * (math.cos(float(x)) - math.cos(4.0))  # noqa: E731
+        law = lambda xa, Ra, xb, Rb, t: noted([xb[1] - height(xb[0])])  # noqa: E731
+        scene.add(fmbd.own_joint("curve", fmbd.ground, last, law, center=(4.0, 0.0)))
     else:
         road = lambda x, t: noted(-0.29 + 0.01 * np.sin(5 * x[0] + t))  # noqa: E731
         scene.add(
@@ -82,7 +87,7 @@ def calls_a_step(scene: Callable[[], fmbd.Scene], scheme: Any, asked: list[float
 
 
 @compiled
-@pytest.mark.parametrize("kind", ["of time", "of motion", "road"])
+@pytest.mark.parametrize("kind", ["of time", "of motion", "road", "curve"])
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 def test_calls_a_step(scheme: Any, kind: str) -> None:
     """All evaluations beside the functions' own are compiled code's."""

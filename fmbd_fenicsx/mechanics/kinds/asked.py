@@ -70,7 +70,9 @@ class AskedFunction:
 
     def checked(self, value: Any, t: float) -> Array:
         """What it returned, (m,)."""
-        found: Array = np.atleast_1d(np.asarray(value))
+        found: Array = np.asarray(value)
+        if not found.ndim:
+            found = found.reshape(1)
         if found.ndim != 1 or not found.size or found.dtype.kind not in "iufc" or not np.isfinite(found).all():
             raise CallbackError(
                 f'Joint "{self.name}": its function returned {value!r} at t = {np.real(t):g} s, expected finite numbers.'
@@ -152,7 +154,7 @@ class AskedFunction:
         turned = R[..., None] + np.einsum("sijk,sjl->silk", self.spin, R) * step
         if not together:
             each = [self.at((moved[..., k], turned[..., k]), t) for k in range(self.width)]
-            return np.stack(each, axis=-1)
+            return np.array(each).T.copy()
 
         found = np.asarray(self.raw(moved[0], turned[0], moved[1], turned[1], t))
         if found.shape != (self.count, self.width) or found.dtype.kind not in "fc" or not np.isfinite(found).all():
@@ -252,13 +254,18 @@ class AskedKind(Kind):
 
         return told
 
+    @cached_property
+    def _markers(self) -> tuple[list[slice], list[slice]]:
+        """Where the constants have the arms of both markers, and their rotations."""
+        return [self.place(name) for name in ("p", "q")], [self.place(name) for name in ("turn_a", "turn_b")]
+
     def _poses(self, at: tuple[Array, ...], frames: Sequence[tuple[Array, Array]]) -> Poses:
         """Markers on frames with places and rotations (x, R)."""
         d = self.dim
-        arms, turns = (("p", "q"), ("turn_a", "turn_b"))
-        x = [o + R @ at[2][self.place(name)] for (o, R), name in zip(frames, arms, strict=True)]
-        R = [R @ at[2][self.place(name)].reshape(d, d) for (_, R), name in zip(frames, turns, strict=True)]
-        return np.stack(x), np.stack(R)
+        arms, turns = self._markers
+        x = [o + R @ at[2][arm] for (o, R), arm in zip(frames, arms, strict=True)]
+        R = [R @ at[2][turn].reshape(d, d) for (_, R), turn in zip(frames, turns, strict=True)]
+        return np.array(x), np.array(R)
 
     def _frames(self, at: tuple[Array, ...]) -> list[tuple[Array, Array]]:
         d = self.dim
