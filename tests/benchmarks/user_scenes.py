@@ -219,6 +219,58 @@ class FourBarExudyn:
         return spent, np.array(e.mbs.GetMarkerOutput(ends[3], e.exu.OutputVariableType.Position))
 
 
+NET = (500.0, 0.5, 0.05)  # N/m, N s/m, kg
+
+
+def net(shape):
+    """Places of masses 0.1 m apart, and the pairs of neighbours; those of the first row are held."""
+    numbers = np.arange(np.prod(shape)).reshape(shape)
+    places = 0.1 * np.array([(*i, 0, 0)[:3] for i in np.ndindex(*shape)])
+    axes = range(len(shape))
+    pairs = [(np.delete(numbers, -1, k).ravel(), np.delete(numbers, 0, k).ravel()) for k in axes]
+    held = set(np.take(numbers, 0, axis=0).ravel().tolist())
+    both = np.concatenate([np.stack(x, axis=1) for x in pairs]).tolist()
+    return places, [(a, b) for a, b in both if not {a, b} <= held], held
+
+
+def masses(shape, law=False):
+    """Point masses on springs and dampers, which may be laws in Python."""
+    k, c, m = NET
+    places, pairs, held = net(shape)
+    scene, at = fmbd.Scene("net", gravity=(0, 0, -G)), {}
+    for i, place in enumerate(places):
+        at[i] = fmbd.ground if i in held else fmbd.PointMass(f"{i}", m, tuple(place))
+        if i not in held:
+            scene.add(at[i])
+    of = {"law": lambda s, rate, t: k * s + c * rate} if law else {"stiffness": k, "damping": c}
+    for a, b in pairs:
+        scene.add(fmbd.Spring(f"{a} {b}", at[a], at[b], places[a], places[b], length=0.1, **of))
+    return scene, at[len(places) - 1], np.zeros(3)
+
+
+def masses_exudyn(shape, law=False):
+    k, c, m = NET
+    places, pairs, held = net(shape)
+    e, marks = Exudyn(), []
+    for i, place in enumerate(places):
+        if i in held:
+            marks.append(e.marker(e.ground, place))
+            continue
+        node = e.mbs.AddNode(e.items.NodePoint(referenceCoordinates=list(place)))
+        body = e.mbs.AddObject(e.items.MassPoint(physicsMass=m, nodeNumber=node))
+        marks.append(e.marker(body, [0, 0, 0]))
+        e.mbs.AddLoad(e.items.Force(markerNumber=marks[-1], loadVector=[0, 0, -m * G]))
+
+    def effort(mbs, t, i, u, v, stiffness, damping, force):
+        return k * u + c * v
+
+    of = {"springForceUserFunction": effort} if law else {}
+    for a, b in pairs:
+        ends = [marks[a], marks[b]]
+        e.mbs.AddObject(e.items.SpringDamper(markerNumbers=ends, referenceLength=0.1, stiffness=k, damping=c, **of))
+    return e, body, [0.0, 0.0, 0.0]
+
+
 HERE = Path(__file__).parent
 ABOVE = (1.0, 0.0, 0.5)  # m, where the spring of the bar hangs
 
@@ -263,6 +315,16 @@ SCENES = {  # name: ours, theirs, steps, goal of the ratio, sparse solver there
     "Bricard": (*model(bricard), 1000, 0.5, False),
     "16 modes, spring and damper": (modes, lambda: (ModesExudyn(), None, None), 500, 0.5, False),
     "elastic four-bar": (four_bar, lambda: (FourBarExudyn(), None, None), 500, 0.5, False),
+    "string of 10 masses": (lambda: masses((11,)), lambda: masses_exudyn((11,)), 1000, 0.5, False),
+    "string of 10 masses, Python laws": (
+        lambda: masses((11,), True),
+        lambda: masses_exudyn((11,), True),
+        500,
+        1.5,
+        False,
+    ),
+    "cloth of 90 masses": (lambda: masses((10, 10)), lambda: masses_exudyn((10, 10)), 200, 0.5, True),
+    "lattice of 100 masses": (lambda: masses((5, 5, 5)), lambda: masses_exudyn((5, 5, 5)), 100, 0.5, True),
     "sphere bouncing on a plane": (sphere, sphere_exudyn, 1000, 0.5, False),
 }
 # m, where it is not 1e-4: a penalty takes its time to turn a sphere around
