@@ -48,7 +48,7 @@ def at_end(scene: fmbd.Scene, form: Any, rounds: int, t_end: float) -> Any:
     stepper = stepper_of(scene, form)
     for _ in range(rounds):
         for share in PATTERN:
-            stepper.step(share * t_end / (rounds * len(PATTERN)))
+            stepper.resized.step(share * t_end / (rounds * len(PATTERN)))
     return stepper.state
 
 
@@ -124,7 +124,7 @@ def test_a_step_and_its_error_share_a_factor(rod_mesh: Callable[..., Any]) -> No
     stepper = stepper_of(knocked(rod_mesh(dim=2, h=0.5, height=0.1)), fmbd.Index3())
     before, solver = stepper.solver.elastic.factorisations, stepper.solver
     for h in (1e-3, 0.3 / 7, 0.02):
-        stepper.step(h)
+        stepper.resized.step(h)
         stepper._error(h)
         before += 1
         assert solver.elastic.factorisations == before, h

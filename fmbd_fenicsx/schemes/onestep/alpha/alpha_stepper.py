@@ -114,6 +114,21 @@ class AlphaStepper(TimeStepper):
         self._begin_from(start())
         return True
 
+    def go_on_from(self, state: State, A: Array | None = None) -> None:
+        """Take a state, and an algorithmic acceleration, in the place of its own; the past stays."""
+        A = self.A if A is None else A
+        past = self._past
+        self.state, self.A, self._past = state, A, past
+
+    @property
+    def held(self) -> tuple[State, Array, list[tuple[float, Array, Array]], bool]:
+        """What the next step begins with, to be kept and put back."""
+        return self.state, self.A.copy(), list(self._past), self.fresh
+
+    @held.setter
+    def held(self, kept: tuple[State, Array, list[tuple[float, Array, Array]], bool]) -> None:
+        self.state, self.A, self._past, self.fresh = kept
+
     def _predict(self, rule: Rule, *, evens: bool = True) -> tuple[Array, Array]:
         """a and lambda by the parabola through the last steps (less at the start); where a of bodies with an energy leaps, places
         go on with v.

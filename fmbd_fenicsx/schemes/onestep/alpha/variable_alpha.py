@@ -41,7 +41,6 @@ import numpy as np
 from ....errors import ConvergenceError, LinearSolveError
 from ....linear.blocks.field_blocks import Weights
 from ....linear.condensation import StepSolver
-from ....rotations import Array
 from ....system.element_memory import whole_steps
 from ....system.evaluation import Evaluation
 from ....system.layout import State
@@ -49,12 +48,12 @@ from ....system.serialisation import plain, worker
 from ....system.system import System
 from ...consistent import consistent
 from ...control import FADING, Statistics, StepControl, first_step, moves, turn_limit
-from ...dae import GGL
 from ...error_norm import NormOfWays
 from ...newton import Newton
 from ...stepping import UNOBSERVED, Observers, TimeStepper
 from .look_ahead import LookAhead
 from .quiet_times import CALM, QuietTimes
+from .resized_steps import ResizedSteps
 from .size_change import SizeChange
 from .stretch import Stretch, parts
 
@@ -71,16 +70,16 @@ KEEPS = 0.93
 
 
 class VariableAlpha(TimeStepper):
-    """Drives a stepper of constant steps: chooses its steps, and moves its memory from one size to another."""
+    """Chooses the sizes of steps, and asks whether these pass; :class:`.resized_steps.ResizedSteps` makes them."""
 
     keeps: ClassVar = {
-        "inner": worker,
+        "resized": worker,
         "norm": worker,
         "control": plain(StepControl),
         "stats": plain(Statistics),
         "stretch": worker,
         "quiet": worker,
-        **dict.fromkeys(("proposed", "size", "local_error", "error", "peak"), plain()),
+        **dict.fromkeys(("proposed", "local_error", "error", "peak"), plain()),
     }
 
     def __init__(
@@ -89,7 +88,6 @@ class VariableAlpha(TimeStepper):
         assert scheme.rtol is not None
         self.scheme, self.system, self.solver, self.newton = scheme, system, solver, newton
         self.constant = replace(scheme, rtol=None, atol=None)
-        self.inner: Any = self._steps(state)
 
         self.norm = NormOfWays(system, scheme.rtol, scheme.atol, 3)
         self.stretch = Stretch()
@@ -97,7 +95,9 @@ class VariableAlpha(TimeStepper):
         self.look = LookAhead(system, solver, self.norm, self._weights)
         self.quiet = QuietTimes(self.look)
         bends = bool(self.norm.deforming or system.elements)
-        self.change = SizeChange(system, solver, self.stretch, self._weights, bends)
+        change = SizeChange(system, solver, self.stretch, self._weights, bends)
+        self.inner: Any = self._steps(state)
+        self.resized = ResizedSteps(self.inner, change)
         self.control = StepControl(3.0)
         self.stats = Statistics()
         self.local_error = self.error = 0.0  # the largest since :meth:`advance`, and that of the newest step
@@ -105,7 +105,6 @@ class VariableAlpha(TimeStepper):
         self._compiled: CompiledControl | None = None
 
         self.proposed: float | None = None
-        self.size: float | None = None  # of the last step, s
         self._seen: tuple[State, Evaluation] | None = None
 
         # sizes come back: factors of the last few are kept
@@ -149,9 +148,9 @@ class VariableAlpha(TimeStepper):
 
     def restart(self, t: float) -> None:
         """Go on behind a jump of forces: consistent accelerations and multipliers, a new stretch, small steps at first."""
-        here, h = replace(self.state, t=t), self.size or 0.0
+        here, h = replace(self.state, t=t), self.resized.size or 0.0
         self.inner.begin_anew(lambda: consistent(self.system, here, self.solver, h=h)[0])
-        self.size = self.proposed = None
+        self.resized.size = self.proposed = None
         self.stretch.forget()
         self.control.h_old = self.peak = 0.0
 
@@ -245,18 +244,6 @@ class VariableAlpha(TimeStepper):
         self.stretch.lose(h, self.state.t)
         return "linear solve failed"
 
-    def _arrive(self, done: Fraction) -> None:
-        """Give the state at the end of a step the time that the parts tell."""
-        t = self.stretch.time(done)
-        if self.state.t != t:
-            self._move(replace(self.state, t=t))
-
-    def _move(self, state: State, A: Array | None = None) -> None:
-        """Give the stepper a state and an algorithmic acceleration in the place of its own."""
-        kept = self.inner.A if A is None else A
-        past = self.inner._past
-        self.inner.state, self.inner.A, self.inner._past = state, kept, past
-
     # -- many steps in compiled code ------------------------------------------------------------------------------------
     def stride(self, h: float) -> float:
         """Size (s) of the steps that :meth:`march` makes next, where h is the most; 0 where :meth:`advance` has to."""
@@ -267,7 +254,7 @@ class VariableAlpha(TimeStepper):
         """The parts of the stretch that these steps are; None where there are none."""
         s = self.state
         self.stretch.follow(s.t, h)
-        if self.proposed is None or self.size is None or not (self._marches and self.inner.is_driven):
+        if self.proposed is None or self.resized.size is None or not (self._marches and self.inner.is_driven):
             return None
         level = self.stretch.coarsest(min(self.proposed, turn_limit(self.system, s)), s.t)
         return level if whole_steps(self.system, s.t, self.stretch.size(level)) > 0 else None
@@ -291,24 +278,24 @@ class VariableAlpha(TimeStepper):
         if steps <= 0:
             return 0
 
-        made = self._compiled_steps(level, steps, observers) if size == self.size else self._changed(level, observers)
+        same = size == self.resized.size
+        made = self._compiled_steps(level, steps, observers) if same else self._changed(level, observers)
         if made:
             self.solver.near_singular.accept_trial()
             self.stretch.go_on(made, level)
-            self._arrive(self.stretch.done)
+            self.resized.arrive(self.stretch.time(self.stretch.done))
         return made
 
     def _changed(self, level: int, observers: Observers) -> int:
         """The first step of another size; 0, and all as before, where it is refused."""
-        inner, kept = self.inner, (self.inner.state, self.inner.A, list(self.inner._past))
+        kept = self.resized.held
         try:
-            self._resize(self.stretch.size(level))
+            self.resized.resize(self.stretch.size(level))
             made = self._compiled_steps(level, 1, observers)
         except LinearSolveError:
             made = 0
         if not made:
-            inner.state, inner.A, inner._past = kept
-            self.newton.theta = 0.5
+            self.resized.held, self.newton.theta = kept, 0.5
         return made
 
     def _compiled_steps(self, level: int, steps: int, observers: Observers) -> int:
@@ -317,7 +304,7 @@ class VariableAlpha(TimeStepper):
         control.lend(self.control, self._stay(level))
         made: int = self.inner.controlled(size, steps, control, observers)
         if made:
-            self.size = size
+            self.resized.size = size
             control.take(self.control)
             self.peak = control.c.peak
             self.local_error = max(self.local_error, control.c.largest)
@@ -367,13 +354,11 @@ class VariableAlpha(TimeStepper):
     # -- attempts -----------------------------------------------------------------------------------------------------
     def _attempt(self, h: float, level: int) -> tuple[float, str]:
         """A step of size h, one of the parts of a level, and its error; where this is above one, the stepper is as before."""
-        inner, size, largest = self.inner, self.size, self.norm.largest
-        kept = inner.state, inner.A.copy(), list(inner._past), inner.fresh, self.solver.pressures
-
+        kept, largest = self.resized.held, self.norm.largest
         try:
-            self.step(h)
+            self.resized.step(h)
             error, cause = self._error(h), "error estimate"
-            self._arrive(self.stretch.done + Fraction(1, parts(level)))
+            self.resized.arrive(self.stretch.time(self.stretch.done + Fraction(1, parts(level))))
         except LinearSolveError as failure:
             error, cause = np.inf, self._losing(h, failure)
         except ConvergenceError as failure:
@@ -384,28 +369,9 @@ class VariableAlpha(TimeStepper):
 
         # also where the error is no number
         if not error <= 1.0:
-            inner.state, inner.A, inner._past, inner.fresh, self.solver.pressures = kept
-            self.size, self.newton.theta = size, 0.5
+            self.resized.held, self.newton.theta = kept, 0.5
             self.norm.take_back(largest, error)
         return error, cause
-
-    def step(self, h: float) -> State:
-        """One step of size h (s) without a look at its error; collective."""
-        self._resize(h)
-        self.inner.advance(h)
-        self.size = h
-        return self.state
-
-    def _resize(self, h: float) -> None:
-        """What belongs to a size, where that changes."""
-        inner, s = self.inner, self.state
-        if inner.fresh or self.size is None or self.size == h:
-            return
-        r = h / self.size
-        v = s.v
-        if self.system.n_lam and not isinstance(self.scheme.form, GGL):
-            v = v + self.change.opened(s, h, r * r - 1.0)
-        self._move(replace(s, v=v), s.a + r * (inner.A - s.a))
 
     def _error(self, h: float) -> float:
         """The norm of (2), or that of (3) where it is larger."""
