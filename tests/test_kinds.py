@@ -23,8 +23,9 @@ from fmbd_fenicsx.mechanics.kinds.expressions import (
     symbol,
     tanh,
 )
-from fmbd_fenicsx.mechanics.kinds.frames import FRAME, PLACES
+from fmbd_fenicsx.mechanics.kinds.frames import FRAME, PLACES, AskedConstants, SymbolicFrame
 from fmbd_fenicsx.mechanics.kinds.library import kernel
+from fmbd_fenicsx.mechanics.kinds.own import markers_of, own_term
 
 FLOWS = tuple(name for name, kind in kinds(3).items() if kind.flow)
 BOTH = pytest.mark.parametrize("dim", [2, 3])
@@ -116,7 +117,10 @@ def test_derivatives_are_those_of_differences(name: str, dim: int) -> None:
 
 @BOTH
 def test_kernels_between_origins_leave_out_what_arms_add(dim: int) -> None:
-    for kind in (x for x in kinds(dim).values() if not PLACES.keys().isdisjoint(x.constants)):
+    a, b = (SymbolicFrame(name, dim) for name in "AB")
+    near, far = markers_of((a, b), AskedConstants(dim))
+    own = own_term("own", (near.x @ near.x) * (far.R[0] @ near.x), dim).kind  # no difference of places
+    for kind in (x for x in (*kinds(dim).values(), own) if not PLACES.keys().isdisjoint(x.constants)):
         plain = kind.between_origins
         assert plain.constants == kind.constants and set(plain.entries) <= set(kind.entries), kind.name
         A, B, P = item(kind, 3)

@@ -14,7 +14,7 @@ everywhere, ``rates`` writes (2) and (3), ``tangent`` writes the entries of the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
 from itertools import accumulate
 from typing import Any, ClassVar
@@ -52,7 +52,6 @@ class Kind:
     frames: tuple[SymbolicFrame, SymbolicFrame]
     flow: bool = False  # a speed, which is no rate of a coordinate
     sides: Mapping[str, int] = field(default_factory=dict)  # of constants that are fixed in A (0) or B (1)
-    definition: Definition | None = None
     asked: ClassVar[bool] = False  # whether its kernels are told by Python
 
     @cached_property
@@ -86,20 +85,38 @@ class Kind:
     @cached_property
     def between_origins(self) -> Kind:
         """The same between the origins of both frames, with the same table of constants: what arms add is not computed."""
-        assert self.definition is not None
-        return derive(self.name, self.dim, self.definition, flow=self.flow, arms=False)
+        at = {symbol(f"P_{name}_{i}"): ZERO for name in PLACES for i in range(self.constants.get(name, 0))}
+        arms = rebuilt([value for _, value in self.given], symbols=at)
+        given = [(arm, value) for (arm, _), value in zip(self.given, arms, strict=True)]
+        at |= {arm: ZERO for arm, value in given if value is ZERO}
+        found = {which: rebuilt(outputs, symbols=at) for which, outputs in self.outputs.items()}
+
+        y, *row = found["value"]
+        tangent = found["tangent"]
+        outputs = {
+            "value": [y, *(r for r in row if r is not ZERO)],
+            "rates": found["rates"],
+            "tangent": [h for h in tangent if h is not ZERO],
+        }
+        return replace(
+            self,
+            entries=tuple(i for i, r in zip(self.entries, row, strict=True) if r is not ZERO),
+            pattern=tuple(pair for pair, h in zip(self.pattern, tangent, strict=True) if h is not ZERO),
+            outputs=outputs,
+            given=[(arm, value) for arm, value in given if value is not ZERO],
+        )
 
     def symbols(self) -> list[str]:
         """Names of all constants, component by component."""
         return [f"P_{name}_{i}" for name, size in self.constants.items() for i in range(size)]
 
 
-def derive(name: str, dim: int, definition: Definition, *, flow: bool = False, arms: bool = True) -> Kind:
+def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -> Kind:
     """Rows, rates and tangent of a definition; ``flow``: it gives a speed, linear in the twists or beside a given speed, and no
-    coordinate; ``arms``: whether points lie beside the origins of their frames.
+    coordinate.
     """
     frames = SymbolicFrame("A", dim), SymbolicFrame("B", dim)
-    constants = AskedConstants(dim, zero=() if arms else PLACES)
+    constants = AskedConstants(dim)
     # flows are linear in the twist already, but for what they give to bodies at rest; others get their row by (1)
     y = definition(*frames, constants)
     sizes = dict(constants.sizes)
@@ -128,9 +145,7 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False, a
         "tangent": [WEIGHT * h for h in lower.values()],
     }
     given = [(u, value) for f in frames for us, values in f.arms for u, value in zip(us, values, strict=True)]
-    return Kind(
-        name, dim, sizes, entries, tuple(lower), outputs, given, frames, flow, constants.sides(frames), definition
-    )
+    return Kind(name, dim, sizes, entries, tuple(lower), outputs, given, frames, flow, constants.sides(frames))
 
 
 def _lower_half(H: list[list[Expression]]) -> dict[tuple[int, int], Expression]:

@@ -15,7 +15,7 @@ stay small.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from .expressions import ZERO, Expression, as_expression, gradient, symbol
@@ -87,8 +87,6 @@ class SymbolicFrame:
 
     def axis(self, e: Sequence[Any]) -> Vector:
         """The direction with components ``e`` in the frame, in world axes."""
-        if all(x is ZERO for x in e):
-            return Vector(e)
         values = self._turned(e)
         for known, found in self.arms:
             if found == values:
@@ -114,10 +112,10 @@ class SymbolicFrame:
 
 
 class AskedConstants:
-    """Names the constants of a definition as it asks for them, in this order; ``zero``: of vectors that are."""
+    """Names the constants of a definition as it asks for them, in this order."""
 
-    def __init__(self, dim: int, zero: Collection[str] = ()) -> None:
-        self.dim, self.zero = dim, zero
+    def __init__(self, dim: int) -> None:
+        self.dim = dim
         self.sizes: dict[str, int] = {}
         self.symbols: list[Expression] = []
 
@@ -127,8 +125,7 @@ class AskedConstants:
 
     def vector(self, name: str, size: int | None = None) -> Vector:
         """A vector of each item, ``dim`` components by default."""
-        found = self._more(name, self.dim if size is None else size)
-        return Vector([ZERO] * len(found) if name in self.zero else found)
+        return Vector(self._more(name, self.dim if size is None else size))
 
     def sides(self, frames: Sequence[SymbolicFrame]) -> dict[str, int]:
         """Numbers of the frames in whose axes constants are directions, or places; of those that are fixed in one."""
