@@ -138,10 +138,10 @@ def load_library(library: Library, *, beside: Sequence[Library] = ()) -> ctypes.
 
 
 def _reason(error: Exception) -> str:
-    """Why a library cannot be had, in one line: what the compiler said first, where it is that."""
+    """Why a library cannot be had, in one line: the compiler's first error, where it is that."""
     said = getattr(error, "stderr", None)
     lines = said.decode(errors="replace").strip().splitlines() if said else []
-    return lines[0] if lines else str(error)
+    return next((line for line in lines if "error:" in line), lines[0] if lines else str(error))
 
 
 def _bytes(text: str | bytes) -> bytes:

@@ -190,8 +190,8 @@ int side_row(System *s, const Batch *k, long i, int side, int *body);
 void item_row(System *s, const Batch *k, long i, double factor, double *row);
 void all_rows(System *s, const double *mu, double *G);
 EXPORT int driver_solve(System *s, long count, const double *q, const double *b, const double *c, double *x, double *y);
-EXPORT int driver_columns(System *s, long count, const double *q, const double *still, const double *b, const double *pz, double *x,
-                          double *f);
+EXPORT int driver_columns(System *s, long count, long columns, const double *q, const double *still, const double *b, const double *pz,
+                          double *x, double *f);
 EXPORT int driver_balances(System *s, long count, const double *t, const double *q, const double *v, const double *a,
                            const double *lam, double *out);
 EXPORT int driver_constraints(System *s, long count, const double *t, const double *q, const double *v, double *gap, double *slip,

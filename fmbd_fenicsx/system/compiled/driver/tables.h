@@ -192,6 +192,7 @@ typedef struct {
     long n, nodes;
     int solved, frames, row, sways, number; /* columns of H in the factor; frame conditions and their first row; whether the */
                                        /* moments of M U act on the frame's inertia; for the call into Python */
+    int column;                        /* the first of these columns, among those of all fields in the order of their numbers */
     int inertial, turns;               /* columns of inertia: TWIST, none where the frame rests; whether the factor turns with U */
     double *X;                         /* nodes x D, at rest */
     double *Q, *port;                  /* H: inertial x n columns of inertia, then the entries of columns of ports */

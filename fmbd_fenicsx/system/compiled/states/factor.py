@@ -151,7 +151,7 @@ class DriverFactor:
         acting = np.empty_like(seen_at)
         at_rest = self._given.put(self._placed(self.held[1]), np.zeros(states.tables.system.n_v))
         states.library.driver_columns(
-            states.address, len(core), *at_rest, *map(address_of, (forces, seen_at, found, acting))
+            states.address, *seen_at.shape, *at_rest, *map(address_of, (forces, seen_at, found, acting))
         )
         ends = list(accumulate((x.shape[1] for x in seen), initial=0))
         return states.twin.forces(found), [acting[:, a:b] for a, b in pairwise(ends)]

@@ -63,10 +63,11 @@ class Tables(TableLayout):
         """
         super().__init__(system)
         system = self.system
-        numbered = enumerate(zip(system.fields, blocks, strict=True))
         self.blocks = blocks
         self.user: Any = None  # the stepper whose steps were made last
-        self.fields: list[FieldTable] = [FieldTable(self, number, k, block) for number, ((k, _), block) in numbered]
+        self.fields: list[FieldTable] = []
+        for (k, _), block in zip(system.fields, blocks, strict=True):
+            self.fields.append(FieldTable(self, self.fields, k, block))
         self.floating = {field.part.frame: field for field in self.fields}
         self.listening = Listening(self)
         self.items: list[Items] = self.tied.items + items_of(system, self.looks, self.listening.items, coordinates)

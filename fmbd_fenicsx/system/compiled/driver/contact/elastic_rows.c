@@ -40,42 +40,46 @@ static void mean_row(const double *pose, double weight, const double *mean, cons
     for (int j = 0; j < D; j++) row[j] *= weight;
 }
 
-/* Rows of those near, at a configuration where they touch like this: directions at nodes, in the axes of their bodies, and rows on the
-   frames of these, or on that of an obstacle. */
-static void elastic_rows(ElasticContact *o, const double *q, const Touch *at)
+/* What one side of candidate i gives its rows, which hold zeros, along the directions e: on the frame of an obstacle; or on nodes, in the
+   axes of their body, and on its frame. */
+static void rows_of_side(const ElasticContact *o, int i, int side, const double *q, const Touch *at, const double *e, double *row)
 {
     const Contacts *c = o->contacts;
-    const int d = c->components;
+    const double sign = side ? -1.0 : 1.0, *pose = q + POSE * c->on[2 * i + side];
+    const Side k = side_of(o, i, side);
+    double *local = row + D * side, *twist = row + 2 * D + TWIST * side, mean[D] = {0.0}, weight = 0.0, R[D * D];
+    if (!k.points) {
+        for (int a = 0; a < c->components; a++) frame_row(pose, at->x + D * i, e + D * a, sign, twist + WIDE * a);
+        return;
+    }
+
+    for (int n = 0; n < k.count; n++) {
+        add(mean, k.weight[n], at->x + D * (k.points->first + k.node[n]), D);
+        weight += k.weight[n];
+    }
+    rotation(pose, R);
+    for (int a = 0; a < c->components; a++) {
+        transposed(R, e + D * a, local + WIDE * a);
+        for (int j = 0; j < D; j++) local[WIDE * a + j] *= sign;
+        if (!rests(k.body)) mean_row(pose, weight, mean, e + D * a, sign, twist + WIDE * a);
+    }
+}
+
+/* Rows of those near, at a configuration where they touch like this. */
+static void elastic_rows(ElasticContact *o, const double *q, const Touch *at)
+{
+    const int d = o->contacts->components;
     for (int k = 0; k < o->count; k++) {
         const int i = o->near[k];
-        double e[D * D], R[D * D], *row = o->rows + WIDE * d * k;
+        double e[D * D], *row = o->rows + WIDE * d * k, *before = o->direction + D * d * k;
         memcpy(e, at->normal + D * i, D * sizeof(double));
         if (d > 1) across(e, e + D);
-        o->turned |= o->increments && memcmp(o->direction + D * d * k, e, D * sizeof(double));
-        memcpy(o->direction + D * d * k, e, D * d * sizeof(double));
+        o->turned |= o->increments && memcmp(before, e, D * sizeof(double));
+        memcpy(before, e, D * d * sizeof(double));
+
         memset(row, 0, d * WIDE * sizeof(double));
-        for (int side = 0; side < 2; side++) {
-            const int b = c->on[2 * i + side];
-            const double sign = side ? -1.0 : 1.0;
-            const Side m = side_of(o, i, side);
-            double mean[D] = {0.0}, weight = 0.0;
-            if (b < 0) continue;
-            for (int n = 0; n < m.count; n++) {
-                add(mean, m.weight[n], at->x + D * (m.points->first + m.node[n]), D);
-                weight += m.weight[n];
-            }
-            rotation(q + POSE * b, R);
-            for (int a = 0; a < d; a++) {
-                double *local = row + WIDE * a + D * side, *twist = row + WIDE * a + 2 * D + TWIST * side;
-                if (!m.points) {
-                    frame_row(q + POSE * b, at->x + D * i, e + D * a, sign, twist);
-                    continue;
-                }
-                transposed(R, e + D * a, local);
-                for (int j = 0; j < D; j++) local[j] *= sign;
-                if (!rests(m.body)) mean_row(q + POSE * b, weight, mean, e + D * a, sign, twist);
-            }
-        }
+        for (int side = 0; side < 2; side++)
+            if (o->contacts->on[2 * i + side] >= 0) rows_of_side(o, i, side, q, at, e, row);
     }
 }
 
@@ -152,7 +156,7 @@ static int ask_core(System *s, ElasticContact *o)
                     k.nodes->Y + (long)k.nodes->columns * (D * number_of(&k, e) + j), k.nodes->columns);
     }
     memset(o->room, 0, s->nv * sizeof(double));
-    return driver_columns(s, n, o->factored, o->room, o->push, o->seen, o->answer, o->acting);
+    return driver_columns(s, n, o->columns, o->factored, o->room, o->push, o->seen, o->answer, o->acting);
 }
 
 /* How the nodes touched answer to forces on the rows of the i-th candidate near, row by row; C is symmetric. */
@@ -196,41 +200,54 @@ static double *block_of(const Problem *P, int d, int i, int j)
 
 static void take_lumped(const ElasticContact *o, double scale);
 
-/* W, for forces that a solution weights by ``scale``: symmetric but for roundoff. */
-static int take_compliance(System *s, ElasticContact *o, double scale)
+/* How the rows of the i-th move under forces on those of the j-th, of which the nodes touched have answered, into both blocks of W. */
+static void couple_rows(const System *s, const ElasticContact *o, double scale, int i, int j)
 {
-    const int d = o->contacts->components, m = o->count, coupled = o->coupled;
+    const int d = o->contacts->components;
     const Problem *P = &o->problem->all;
-    int verdict, same = turn_rows(o) && (P->lumped || !coupled) && o->known_scale == scale;
-    o->matrix = 1;
-    if (same) return DONE;
-    o->known_scale = 0.0;
-    if (P->lumped) {
-        take_lumped(o, scale);
-        o->known_scale = scale;
-        return DONE;
-    }
-    if (coupled && (verdict = ask_core(s, o))) return verdict;
+    double w[D * D], *block = block_of(P, d, i, j), *across = block_of(P, d, j, i);
+    answers_on(o, i, w);
+    for (int a = 0; a < d; a++)
+        for (int b = 0; b < d; b++) {
+            const long r = d * i + a, l = d * j + b;
+            double part = w[d * a + b];
+            if (o->coupled) { /* by the core */
+                part -= dot(o->seen + o->columns * r, o->acting + o->columns * l, o->columns);
+                part += dot(o->push + s->core * r, o->answer + s->core * l, s->core);
+            }
+            block[d * a + b] += 0.5 * scale * part;
+            across[d * b + a] += 0.5 * scale * part;
+        }
+}
+
+/* W of bodies whose nodes are coupled. */
+static int take_coupled(System *s, ElasticContact *o, double scale)
+{
+    const int d = o->contacts->components, m = o->count;
+    const Problem *P = &o->problem->all;
+    int verdict;
+    if (o->coupled && (verdict = ask_core(s, o))) return verdict;
+
     memset(P->own, 0, (long)m * d * d * sizeof(double));
     memset(P->W, 0, (long)m * (m - 1) * d * d * sizeof(double));
     for (int j = 0; j < m; j++) {
         ask_fields(o, j);
-        for (int i = 0; i < m; i++) {
-            double w[D * D], *block = block_of(P, d, i, j), *across = block_of(P, d, j, i);
-            answers_on(o, i, w);
-            for (int a = 0; a < d; a++)
-                for (int b = 0; b < d; b++) {
-                    const long r = d * i + a, l = d * j + b;
-                    double part = w[d * a + b];
-                    if (coupled) {
-                        part -= dot(o->seen + o->columns * r, o->acting + o->columns * l, o->columns);
-                        part += dot(o->push + s->core * r, o->answer + s->core * l, s->core);
-                    }
-                    block[d * a + b] += 0.5 * scale * part;
-                    across[d * b + a] += 0.5 * scale * part;
-                }
-        }
+        for (int i = 0; i < m; i++) couple_rows(s, o, scale, i, j);
     }
+    return DONE;
+}
+
+/* W, for forces that a solution weights by ``scale``: symmetric but for roundoff. */
+static int take_compliance(System *s, ElasticContact *o, double scale)
+{
+    const Problem *P = &o->problem->all;
+    int verdict, same = turn_rows(o) && (P->lumped || !o->coupled) && o->known_scale == scale;
+    o->matrix = 1;
+    if (same) return DONE;
+
+    o->known_scale = 0.0; /* where that fails */
+    if (P->lumped) take_lumped(o, scale);
+    else if ((verdict = take_coupled(s, o, scale))) return verdict;
     o->known_scale = scale;
     return DONE;
 }

@@ -307,36 +307,32 @@ EXPORT int driver_solve(System *s, long count, const double *q, const double *b,
     return verdict;
 }
 
-/* How many columns the fields have that are numbered before one. */
-static int columns_before(const System *s, int number)
+/* A right-hand side on the core, like its velocities, with what the factors of fields have found of theirs. */
+static void load_core(System *s, const double *b, const double *pz)
 {
-    int columns = 0;
-    for (const Body *o = s->body; o < s->body + s->bodies; o++)
-        if (o->field && o->field->number < number) columns += o->field->solved;
-    return columns;
+    memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
+    for (int k = 0; k < s->bodies; k++) {
+        const Body *o = s->body + k;
+        double *to = s->b + o->at_u;
+        memcpy(to, b + TWIST * k, D * sizeof(double));
+        to_world(s->frames + FRAME * k + TURN, b + TWIST * k + D, to + D);
+        if (!o->field) memcpy(to + TWIST, b + o->at_v, o->modes * sizeof(double));
+        else {
+            memcpy(o->field->pz, pz + o->field->column, o->field->solved * sizeof(double));
+            condense(s, o);
+        }
+    }
 }
 
 /* Answers to ``count`` right-hand sides with the factor of this configuration: b on the core, like its velocities, and on nodes, of which
-   the factors of the fields, in the order of their numbers, have found H^T z = pz, in their axes; into x what the core does, into f what
-   acts on the columns. */
-EXPORT int driver_columns(System *s, long count, const double *q, const double *still, const double *b, const double *pz, double *x,
-                          double *f)
+   the factors of the fields, in the order of their numbers, have found H^T z = pz, in their axes, of so many ``columns``; into x what
+   the core does, into f what acts on the columns. */
+EXPORT int driver_columns(System *s, long count, long columns, const double *q, const double *still, const double *b, const double *pz,
+                          double *x, double *f)
 {
-    const int columns = columns_before(s, s->fields);
     int verdict = place(s, q, still);
     for (long i = 0; i < count; i++, b += s->core, x += s->core, pz += columns, f += columns) {
-        memset(s->b, 0, (s->nu + s->rows) * sizeof(double));
-        for (int k = 0; k < s->bodies; k++) {
-            const Body *o = s->body + k;
-            double *to = s->b + o->at_u;
-            memcpy(to, b + TWIST * k, D * sizeof(double));
-            to_world(s->frames + FRAME * k + TURN, b + TWIST * k + D, to + D);
-            if (!o->field) memcpy(to + TWIST, b + o->at_v, o->modes * sizeof(double));
-            else {
-                memcpy(o->field->pz, pz + columns_before(s, o->field->number), o->field->solved * sizeof(double));
-                condense(s, o);
-            }
-        }
+        load_core(s, b, pz);
         solve_core(s);
         for (int k = 0; k < s->bodies; k++) {
             const Body *o = s->body + k;
@@ -344,7 +340,7 @@ EXPORT int driver_columns(System *s, long count, const double *q, const double *
             if (!o->field) memcpy(x + o->at_v, s->b + o->at_u + TWIST, o->modes * sizeof(double));
             else {
                 field_answers(s, o);
-                memcpy(f + columns_before(s, o->field->number), o->field->f, o->field->solved * sizeof(double));
+                memcpy(f + o->field->column, o->field->f, o->field->solved * sizeof(double));
             }
         }
     }

@@ -253,22 +253,36 @@ static void note_part(const System *s, Contacts *c, int parts, const double *sta
     c->parts = parts;
 }
 
+/* What the step leaves of each candidate and of the work, when its last part is made. */
+static void end_of_parts(Contacts *c, double *p)
+{
+    int acts = 0;
+    for (int k = 0; k < c->candidates; k++) {
+        const int i = c->candidate[k];
+        acts |= c->normal[i] != 0.0;
+        if (c->hits[i]) c->python(RESTED, i, c->rested[i]);
+    }
+    if (acts) c->tally.steps++, c->tally.newton += c->total;
+    p[LOCAL] = fmax(p[LOCAL], c->last);
+}
+
 /* A whole step from ring[0], in parts; where the newest state is then. */
 static int whole_step(System *s, Contacts *c, double *p, double **ring, int *newest)
 {
     const double h = p[H], end = *block_at(s, ring[0]).t + h;
-    int from = 0, to = 1, verdict, acts = 0;
+    int from = 0, to = 1, verdict;
     c->total = c->flown = 0;
     c->here = block_at(s, ring[0]);
     if (begin_list(c, h, p[LENGTH])) return LOOK;
     note_part(s, c, 0, ring[0]);
+
     for (int done = 0; end - *block_at(s, ring[from]).t > 2 * INSTANT * h; done++) {
         Block now = block_at(s, ring[from]);
-        if ((verdict = part(s, c, p, now, block_at(s, ring[to]), end - *now.t, h, done >= c->most)))
-            return verdict;
+        if ((verdict = part(s, c, p, now, block_at(s, ring[to]), end - *now.t, h, done >= c->most))) return verdict;
         from = to;
         to = 3 - to;
         note_part(s, c, done + 1, ring[from]);
+
         const Block made = block_at(s, ring[from]);
         if (*made.t - *now.t <= 2 * INSTANT * h) continue;
         c->flown = done + 1;
@@ -277,13 +291,7 @@ static int whole_step(System *s, Contacts *c, double *p, double **ring, int *new
         drag_friction(s, *made.t);
     }
     *block_at(s, ring[from]).t = end;
-    for (int k = 0; k < c->candidates; k++) {
-        const int i = c->candidate[k];
-        acts |= c->normal[i] != 0.0;
-        if (c->hits[i]) c->python(RESTED, i, c->rested[i]);
-    }
-    if (acts) c->tally.steps++, c->tally.newton += c->total;
-    p[LOCAL] = fmax(p[LOCAL], c->last);
+    end_of_parts(c, p);
     *newest = from;
     return DONE;
 }

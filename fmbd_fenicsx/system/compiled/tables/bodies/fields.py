@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -47,9 +48,10 @@ class FieldTable:
     Columns of H: those of inertia, the ports that the factor has solved for, then ports that are only read.
     """
 
-    def __init__(self, tables: TableLayout, number: int, k: int, block: Block) -> None:
+    def __init__(self, tables: TableLayout, before: Sequence[FieldTable], k: int, block: Block) -> None:
+        """Of part k; ``before``: the fields that are numbered before it, and so are their columns in arrays of all."""
         system = tables.system
-        self.tables, self.number, self.k, self.block = tables, number, k, block
+        self.tables, self.number, self.k, self.block = tables, len(before), k, block
         self.parts = parts_of(block)
         self.part: Any = system.parts[k]
         self.rows = system.frame_rows[k]
@@ -66,6 +68,7 @@ class FieldTable:
         self.ports = np.concatenate((block.used, np.setdiff1d(seen, block.used))).astype(int)
         inertial = self.inertial = self.part.inertia_columns.shape[1]
         self.solved, self.count = inertial + len(block.used), inertial + len(self.ports)
+        self.column = sum(field.solved for field in before)
         conditions = np.arange(self.part.n_frame_rows)
         places = inertial + np.searchsorted(block.used, conditions)
         self.frame_slots = conditions if self.part.shared_columns else places
@@ -232,7 +235,7 @@ class FieldTable:
         self.sums, sums = store.array(np.zeros(max(tables.twist, 3)))
 
         self.c = structure("Field", d)(
-            n=n, nodes=n // d, solved=self.solved, frames=part.n_frame_rows, row=self.rows.start,
+            n=n, nodes=n // d, solved=self.solved, column=self.column, frames=part.n_frame_rows, row=self.rows.start,
             wide=self.wide, elastic=store.address(np.zeros(self.wide)), pressure=self._pressure(), rhs=rhs, solution=solution,
             one_b=one_b, one_z=one_z, one_rhs=one_rhs, one_solution=one_solution,
             direct=address_of_solve(), asked_at=np.nan, number=self.number, b=b, z=z,
