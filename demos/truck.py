@@ -66,7 +66,7 @@ for (name, pinned), expected in zip(SUSPENSIONS.items(), model.NINE_AT[t_end], s
     far = [deviation(drive(model.elastic_load(E, h=size), pinned, E), rigid) for E in (1e9, 1e10)]
     checks.append(Check(f"{name}: rigid limit, deviations of E and 10 E", far[0] / far[1], 10.0, 0.5))
     errors = []
-    for modes in (0, 6, 24):
+    for modes in (0, 2, 6):  # what more leave is less than what Newton's iteration does
         few = drive(soft.reduced(basis=fmbd.CraigBampton(("rear", "front"), modes, inertia=True)), pinned)
         errors.append(deviation(full, few, "stress"))
         say(f"{name}, static and {modes:2d} more modes: cab {deviation(full, few):.1e} m, stress {errors[-1]:.1e} N/m")

@@ -15,7 +15,7 @@ from test_line_body import line
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic
-from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
+from fmbd_fenicsx.schemes.implicit.whole_steps import WholeMatrixSteps
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.march import March
@@ -151,7 +151,7 @@ def test_implicit_schemes_march_beside_parts(make: Any, scheme: Any, monkeypatch
     calls = [calls_of(lambda steps=steps: run(steps), "/fmbd_fenicsx/") for steps in (10, 30)]
     assert calls[1] - calls[0] < 20 * 140
 
-    monkeypatch.setattr(StepEquations, "compiled", property(lambda eq: eq._choose()))
+    monkeypatch.setattr(WholeMatrixSteps, "ready", property(lambda whole: whole.eq.choose()))
     run(30)
     for name in ("q", "v"):
         wanted = getattr(runs[3].state, name)
