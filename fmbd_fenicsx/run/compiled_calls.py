@@ -48,6 +48,7 @@ class CompiledCalls:
         self.stepper, self.schedule, self.recorder = stepper, schedule, recorder
         self.closed, self.refuses, self.events = closed, refuses, events
         self.equal = bool(schedule.steps)
+        self.looks_inside = events is not None and not self.equal  # values may cross and come back
         self.steps = steps
         self.shown = recorder.output.on_step is not None
         self.local_error = 0.0  # the largest that the stepper told after a call of the newest march
@@ -80,8 +81,8 @@ class CompiledCalls:
             now = min(chunk, steps - made, self.next_look(done + made) - done - made)
             if tape is not None:
                 now = self._begin(tape, done + made, now, alone)
-            inside = self.events is not None and not self.equal
-            now, more = (self._looked_into if inside else self._march)(done + made, h, now, tape)
+            march = self._looked_into if self.looks_inside else self._march
+            now, more = march(done + made, h, now, tape)
             if now and tape is not None:
                 more = self._take(tape, done + made, alone) and more
                 if not alone:
@@ -148,10 +149,9 @@ class CompiledCalls:
         tape.begin(every, every - done % every)
         if many:
             recorder.straight.lead(tape, steps // every + 1)
-        each = self.events is not None and not self.equal
-        if each or recorder.wanted is not None:
+        if self.looks_inside or recorder.wanted is not None:
             wanted = np.zeros(0) if recorder.wanted is None else recorder.wanted
-            tape.wait(wanted, recorder.rounding, self._began, each=each)
+            tape.wait(wanted, recorder.rounding, self._began, each=self.looks_inside)
         return min(steps, tape.room * every)
 
     def _march(self, done: int, h: float, steps: int, tape: Tape | None) -> tuple[int, bool]:
