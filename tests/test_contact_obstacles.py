@@ -121,6 +121,19 @@ def test_fast_sliding_is_no_passing_through() -> None:
     assert abs(run.state.q[1]) < 1e-3
 
 
+@pytest.mark.parametrize(("inset", "told"), [(0.0, True), (1e-3, False)])
+def test_points_on_an_edge_are_told_of(inset: float, told: bool, caplog: pytest.LogCaptureFixture) -> None:
+    """Equal blocks on each other: roundoff decides which side corners touch that stand on edges."""
+    low, high = (fmbd.RigidBody(name, 1.0, 0.01, position=(0.0, y)) for name, y in (("low", 0.1), ("high", 0.3)))
+    feet = fmbd.corners(high, [(inset - 0.1, -0.1), (0.1 - inset, -0.1)])
+    scene = fmbd.Scene("stack", gravity=(0.0, -9.81))
+    scene.add(low, high, fmbd.fixed("bolt", fmbd.ground, low))
+    scene.add(fmbd.contact("on", feet, fmbd.Obstacle("low", fmbd.Box((0.2, 0.2)), on=low)))
+    with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
+        fmbd.solve(scene, t_end=1e-3, dt=1e-3, scheme=fmbd.Moreau())
+    assert ("[-0.1, 0.2] stands on an edge of its obstacle" in caplog.text) is told
+
+
 # -- grazing -------------------------------------------------------------------------------------------------
 def impacts(h: float, distance: float, restitution: float) -> int:
     """Impacts of x'' + x = F sin(3 t) / 2 on its periodic orbit of amplitude 1 with a wall at a distance."""

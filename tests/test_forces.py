@@ -290,3 +290,11 @@ def test_a_road_is_asked_for_its_rate_by_dampers_only() -> None:
     for scheme in (fmbd.GeneralizedAlpha(), fmbd.Radau(2, rtol=None), fmbd.HalfExplicit()):
         fmbd.solve(scene, t_end=0.02, dt=1e-3, scheme=scheme)
     assert asked == {float}
+
+
+def test_a_spring_without_length_names_what_takes_its_place() -> None:
+    body = fmbd.RigidBody("body", 1.0, 1.0)
+    scene = fmbd.Scene("spring")
+    scene.add(body, fmbd.Spring("s", fmbd.ground, body, stiffness=1.0))
+    with pytest.raises(InputError, match='Spring "s": its two points coincide.*force_element'):
+        fmbd.solve(scene, t_end=0.1, dt=0.1)

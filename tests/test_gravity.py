@@ -136,3 +136,9 @@ def test_functions_that_are_none(gravity: Any, words: str) -> None:
     """One error that says what."""
     with pytest.raises(fmbd.errors.InputError, match=words):
         fmbd.solve(pendulum(gravity), t_end=0.2, dt=0.01)
+
+
+@pytest.mark.parametrize("given", [(0.0, 0.0, 0.0, -9.81), (-9.81,)])
+def test_gravity_of_no_dimension_is_refused_where_it_is_given(given: Any) -> None:
+    with pytest.raises(fmbd.errors.InputError, match="must be 2 or 3 finite numbers"):
+        fmbd.Scene("scene", gravity=given)

@@ -466,6 +466,7 @@ OWN = partial(fmbd.RodSection, None, 1.0, (1, 1, 1))  # of an energy
         (lambda: fmbd.RodSection((1, 1, 1, -1, 1, 1), 1.0, (1, 1, 1)), "not positive"),
         (lambda: fmbd.RodSection((1, 1, 1, 1, 1, 1), 0.0, (1, 1, 1)), "at s = 0 m: mass 0.0 kg/m must be a positive number"),
         (lambda: fmbd.RodSection((1, 1, 1, 1, 1, 1), 1.0, (1, 0, 1)), "inertia at s = 0 m is not positive"),
+        (lambda: fmbd.RodSection((1, 1, 1, 1, 1, 1), 1.0, (1, 1, 3)), r"\[1. 1. 3.\] at s = 0 m violate J1 \+ J2 >= J3"),
         (lambda: fmbd.RodSection(), "either its stiffness"),
         (lambda: fmbd.Rod("rod", STRAIGHT, OWN(lambda g, k, s: g)), r"must return a scalar .* found the shape \(3,\)"),
         (lambda: fmbd.Rod("rod", STRAIGHT, OWN(lambda g, k, s: None)), "must return a scalar .* None"),

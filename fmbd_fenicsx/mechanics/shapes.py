@@ -40,6 +40,13 @@ class Shape:
         """Distances (n,) and unit gradients (n, d) at points y (n, d)."""
         return self.distance(y, self.numbers(y.shape[1]))
 
+    def edged(self, y: Array, reach: float) -> Array:
+        """Which of the points y (n, d) have an edge within ``reach`` (m), (n,) bool: normals beside them differ by 45 degrees."""
+        n, d = y.shape
+        beside = np.concatenate([y + sign * reach * e for e in np.eye(d) for sign in (1.0, -1.0)])
+        here, there = self.evaluate(y)[1], self.evaluate(beside)[1].reshape(2 * d, n, d)
+        return np.asarray((here * there).sum(2).min(axis=0) < np.cos(np.pi / 4) + 1e-6)
+
     def numbers(self, dim: int) -> tuple[Any, ...]:
         """What :meth:`distance` reads, in the order in which the compiled driver reads it."""
         raise NotImplementedError

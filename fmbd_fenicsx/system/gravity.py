@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..checks import function, vector
+from ..checks import function, refuse, vector
 from ..errors import named, require
 from ..rotations import Array
 
@@ -43,8 +43,8 @@ def check_gravity(what: str, given: GivenGravity) -> None:
     """Refuse what is neither a vector nor a function of time."""
     if callable(given):
         function(what, given, "t", named="t")
-    elif given is not None:
-        vector(what, given, other=", or a function of time t (s)")
+    elif given is not None and len(vector(what, given, other=", or a function of time t (s)")) not in (2, 3):
+        refuse(what, "2 or 3 finite numbers, or a function of time t (s)", given)
 
 
 def gravity_of(name: str, given: GivenGravity, ramp: float, dim: int, begins: float) -> Gravity:

@@ -214,7 +214,8 @@ class ScalarLoads(Loads):
         s = self.relative.values(kin)
         if isinstance(self.relative, Separation) and not s.all():
             raise InputError(
-                f'Spring "{self.forces[int(np.argmin(s))].name}": its two points coincide, so it has no direction.'
+                f'Spring "{self.forces[int(np.argmin(s))].name}": its two points coincide, so it has no direction. One that '
+                "has no length at rest is fmbd.force_element(name, a, b, lambda a, b, t: 0.5 * k * (b.x - a.x) @ (b.x - a.x))."
             )
 
         return s - self.free, self.relative.rates(kin)

@@ -130,6 +130,11 @@ class RodSection:
         found = np.array([_matrix(x, 3, "inertia", at) for x, at in zip(_along(self.inertia, s), places, strict=True)])
         for J, at in zip(found, places, strict=True):
             check_matrix(J, "inertia", at)
+            p = np.linalg.eigvalsh(J)
+            require(
+                p[0] + p[1] >= p[2] * (1 - 1e-9),
+                f"Section: principal inertias {p} at s = {at:g} m violate J1 + J2 >= J3; no cross-section has them.",
+            )
         return found
 
     def arms(self, s: Array) -> Arms | None:

@@ -9,6 +9,7 @@ import numpy as np
 from ...errors import ConvergenceError, InputError
 from ...log import log
 from ...mechanics.contact.contact_set import ContactSet
+from ...mechanics.contact.obstacle_pair import ObstaclePair
 from ...mechanics.contact.rows import Rows, Touch, tangents_of
 from ...rotations import Array
 from ...system.layout import State
@@ -58,6 +59,21 @@ def refuse_penetration(system: System, contacts: ContactSet, state: State) -> No
     if depth > ALLOWED * system.length:
         pair = contacts.pairs[contacts.pair[worst]]
         raise InputError(pair.overlap(system, depth, rows.x[worst], rows.normal[worst]))
+    _tell_edges(contacts, rows, ALLOWED * system.length)
+
+
+def _tell_edges(contacts: ContactSet, touch: Touch, reach: float) -> None:
+    """Warn of points that stand on an edge of their obstacle, to a distance (m): roundoff decides which side they touch."""
+    touching = touch.geometric < reach
+    for k in np.unique(contacts.pair[touching]):
+        pair, at = contacts.pairs[k], np.flatnonzero(touching & (contacts.pair == k))
+        if isinstance(pair, ObstaclePair) and (edged := pair.shape.edged(touch.relative[at], reach)).any():
+            log.warning(
+                'contact "%s": a point at %s stands on an edge of its obstacle, where roundoff decides which side it touches; '
+                "it may fall past it. Set such points a little inside of the body",
+                pair.name,
+                np.round(touch.x[at[edged]][0], 6).tolist(),
+            )
 
 
 def tell_rest(contacts: ContactSet, point: int, t: float) -> None:
