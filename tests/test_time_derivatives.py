@@ -164,6 +164,31 @@ def test_rates_of_a_table_of_straight_lines(places: tuple[float, ...]) -> None:
     assert np.abs(found[:, 1]).max() < 1e-7
 
 
+@pytest.mark.parametrize(
+    ("law", "exact"),
+    [
+        (lambda u: 2.0 * abs(u), lambda u: (math.copysign(2.0, u), 0.0)),
+        (lambda u: abs(math.sin(u)), lambda u: (math.copysign(math.cos(u), u), -abs(math.sin(u)))),
+    ],
+)
+def test_beside_a_kink_steps_are_tried_from_the_longest_on(law: Any, exact: Any) -> None:
+    """A run of its own steps creeps up to a kink that nobody named: all steps of differences were 120 values at each time."""
+    asked, kink = 0, 0.2
+
+    def counted(t: Any) -> float:
+        nonlocal asked
+        asked += 1
+        return float(law(float(t) - kink))
+
+    kept = CountingSteps()
+    rates(counted, 0.19, kept=kept)  # looks for the steps of the interval
+    for apart in np.geomspace(1e-5, 1e-2, 10):
+        for t in (kink - apart, kink + apart):
+            asked = 0
+            assert rates(counted, t, kept=kept) == pytest.approx(exact(t - kink), abs=1e-15 / apart**2 + 1e-6)
+            assert asked < 60
+
+
 def test_a_side_that_is_another_function_is_not_asked() -> None:
     """Steps that are too long for the smooth side ahead of t = 0 went to the constant one behind."""
     for times, places in (([0.0, 0.3, 1.0], [0.0, 0.6, 0.0]), ([0.0, 0.4, 0.8, 1.2], [1.0, 0.8, 0.9, 0.9])):

@@ -12,7 +12,8 @@ or -6 ... -1. The step counts whose error, by its difference from the formula of
 Longer steps are tried as long as they agree with what shorter ones have found: a whole period would else look like rest. Across
 a kink formulas of s'' may agree by chance: a step counts for s'' where its s' is that of the step before. At a kink rates are
 those behind it: where no polynomial joins both sides, the side ahead is asked alone. The steps that count at a few places of an
-interval of time serve all of it, where they do not contradict each other: two to four in place of some fifteen
+interval of time serve all of it, where they do not contradict each other: two to four in place of some fifteen. Where they do,
+beside a kink, the longest of the shorter ones counts that roundoff alone limits and the next shorter one agrees with
 (:class:`CountingSteps`).
 """
 
@@ -22,6 +23,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from operator import mul
 from typing import Any
 
@@ -134,30 +136,30 @@ SIDES = tuple(
 class Best:
     """Of estimates with their errors, by longer and longer steps, the most accurate one before the first that contradicts it.
 
-    ``number``: of its step; ``parted``: no polynomial joins its values. One alone may be misled by roundoff of terms that
-    cancel, of which values tell nothing; two steps in turn that agree to :data:`SMOOTH` of a rate are ``sure``, and only these
-    can be contradicted.
+    ``number``: of its step; ``parted``: no polynomial joins its values; ``rounded``: roundoff is what limits it. One alone may be
+    misled by roundoff of terms that cancel, of which values tell nothing; two steps in turn that agree to :data:`SMOOTH` of a
+    rate are ``sure``, and only these can be contradicted. ``agrees``: the newest one with those before.
     """
 
-    __slots__ = ("contradicted", "error", "number", "parted", "sharp", "sure", "value")
+    __slots__ = ("agrees", "contradicted", "error", "number", "parted", "rounded", "sharp", "sure", "value")
 
     def __init__(self) -> None:
         self.value, self.error, self.number = math.nan, math.inf, 0
-        self.sharp = self.sure = self.contradicted = self.parted = False
+        self.sharp = self.sure = self.contradicted = self.parted = self.rounded = self.agrees = False
 
-    def take(self, value: float, doubt: float, number: int) -> None:
-        """Look at the estimate by the next longer step."""
+    def take(self, value: float, doubt: float, number: int, roundoff: float) -> None:
+        """Look at the estimate by the next longer step, and at what roundoff has of its doubt."""
         if self.contradicted:
             return
         sharp = doubt <= SMOOTH * abs(value)
-        agrees = math.isnan(self.value) or abs(value - self.value) <= AGREES * (self.error + doubt)
+        self.agrees = agrees = math.isnan(self.value) or abs(value - self.value) <= AGREES * (self.error + doubt)
         if not agrees and self.sure:
             self.contradicted = True
             return
         self.sure |= agrees and sharp and self.sharp
         self.sharp = sharp
         if doubt < self.error:
-            self.value, self.error, self.number = value, doubt, number
+            self.value, self.error, self.number, self.rounded = value, doubt, number, doubt <= AGREES * roundoff
 
 
 class CountingSteps:
@@ -195,7 +197,9 @@ class CountingSteps:
             steps = sorted({*steps, *ahead[-1:]})
         found = search(function, t, scale, span, steps)
         good = all(not x.contradicted and x.error <= AGREES * error for x, error in zip(found, errors, strict=True))
-        return (found[0].value, found[1].value) if good else None
+        if not good:
+            found = shorter_steps(function, t, scale, span, steps[0])
+        return None if found is None else (found[0].value, found[1].value)
 
     def _interval(self, function: Callable[[Any], Any], t: float, scale: float) -> tuple[list[int], list[float]]:
         """The steps that count in the interval around t, with the next shorter ones, and the errors of both rates there."""
@@ -242,6 +246,7 @@ def _smooth_step(function: Callable[[Any], Any]) -> float:
 
 def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: CountingSteps | None) -> Rates:
     """(1) for m = 1 and 2, each with the step that suits it best; NaN where the function is known at t alone."""
+    function = cache(function)  # steps are looked at again beside others
     few = None if kept is None else kept.by_few(function, t, scale)
     if few is not None:
         return few
@@ -251,6 +256,17 @@ def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: C
         ahead = search(function, t, scale, (t, span[1]))
         found = ahead if ahead[1].error < SMOOTH * found[1].error else found
     return found[0].value, found[1].value
+
+
+def shorter_steps(
+    function: Callable[[Any], Any], t: float, scale: float, span: Span, number: int
+) -> tuple[Best, Best] | None:
+    """Both rates by the longest step, shorter than one of a number, that roundoff limits and the next shorter one agrees with."""
+    for n in range(number - 1, 0, -1):
+        found = search(function, t, scale, span, (n - 1, n))
+        if all(best.number == n and best.rounded and best.agrees for best in found):
+            return found
+    return None
 
 
 def search(
@@ -286,11 +302,11 @@ def search(
         if side is not None and side is not formulas and not _agree(rate, doubt, first.value, first.error):
             break
         side = formulas
-        first.take(rate, doubt, number)
+        first.take(rate, doubt, number, blur / h)
         # across a kink both formulas of s'' may agree by chance, but s' leaps
         if shorter is None or _agree(rate, doubt, *shorter):
             apart = abs(curve - rough_curve)
-            second.take(curve / (h * h), (apart + blurred) / (h * h), number)
+            second.take(curve / (h * h), (apart + blurred) / (h * h), number, blurred / (h * h))
             if second.number == number:
                 second.parted = apart > SMOOTH * most + blurred
         else:
