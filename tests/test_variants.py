@@ -51,6 +51,25 @@ def test_faults_name_the_variant() -> None:
         fmbd.study.map(make, [1.0], t_end=0.01, dt=1e-3)["top"]
 
 
+def test_failures_are_kept_beside_the_others() -> None:
+    def make(length: float) -> fmbd.Scene:
+        if length > 5:
+            raise ZeroDivisionError("of mine")
+        return pendulum(length if length > 0 else float("nan"))
+
+    lengths, settings = [-1.0, 1.0, 0.5, 7.0, -2.0, 0.7], {"t_end": 0.01, "dt": 1e-3}
+    found = fmbd.study.map(make, lengths, keep_failures=True, **settings)
+    assert [variant.parameter for variant in found.failed] == [-1.0, 7.0, -2.0]
+    assert [type(variant.error).__name__ for variant in found.failed] == ["InputError", "LawError", "InputError"]
+    assert found["tip"].shape == (6, 11, 2)
+    assert np.array_equal(np.isnan(found["tip"][:, -1, 0]), [x < 0 or x > 5 for x in lengths])
+    assert np.array_equal(found[5]["tip"], fmbd.solve(pendulum(0.7), **settings)["tip"])
+    with pytest.raises(fmbd.errors.InputError, match="Variant -2"):
+        found[4]["tip"]
+    with pytest.raises(fmbd.errors.InputError, match="Variant -1"):
+        fmbd.study.map(make, [-1.0, -2.0], keep_failures=True, **settings)["tip"]
+
+
 def test_other_exceptions_of_a_variant_name_its_parameter() -> None:
     def make(length: float) -> fmbd.Scene:
         if length < 0:

@@ -31,7 +31,10 @@ FEW = 50_000  # objects between two collections in a copy
 
 @dataclass(frozen=True, repr=False)
 class Variant:
-    """What one variant left: times (n,) s, series (n, size) by sensor, energies (n,) J by kind, q and v at the end, counters."""
+    """What one variant left: times (n,) s, series (n, size) by sensor, energies (n,) J by kind, q and v at the end, counters.
+
+    ``error``: why it failed, where failures are kept; it then left nothing else.
+    """
 
     parameter: Any
     times: Array
@@ -39,14 +42,25 @@ class Variant:
     energy: dict[str, Array]
     end: tuple[Array, Array]
     counters: dict[str, float]
+    error: FmbdError | None = None
+
+    @classmethod
+    def failed(cls, parameter: Any, error: FmbdError) -> Variant:
+        """One that failed."""
+        nothing = np.zeros(0)
+        return cls(parameter, nothing, {}, {}, (nothing, nothing), {}, error)
 
     def __getitem__(self, sensor: str) -> Array:
         """Series of a sensor, (n, size)."""
+        if self.error is not None:
+            raise self.error
         if sensor not in self.series:
             raise InputError(f'No sensor "{sensor}". {near(sensor, self.series)}')
         return self.series[sensor]
 
     def __repr__(self) -> str:
+        if self.error is not None:
+            return f"<variant {self.parameter!r:.60}: {type(self.error).__name__}>"
         return (
             f"<variant {self.parameter!r:.60}: {len(self.times)} records, sensors {', '.join(self.series) or 'none'}>"
         )
@@ -54,9 +68,16 @@ class Variant:
 
 @dataclass(frozen=True, repr=False)
 class Variants:
-    """The variants in the order of their parameters; ``variants["tip"]`` is the series of a sensor of all, (B, n, size)."""
+    """The variants in the order of their parameters; ``variants["tip"]`` is the series of a sensor of all, (B, n, size), with
+    nan for those that failed.
+    """
 
     variants: tuple[Variant, ...]
+
+    @property
+    def failed(self) -> tuple[Variant, ...]:
+        """Those that failed, each with its ``error``."""
+        return tuple(variant for variant in self if variant.error is not None)
 
     def __len__(self) -> int:
         return len(self.variants)
@@ -68,25 +89,30 @@ class Variants:
         """One variant by its number, or a sensor of all."""
         if not isinstance(what, str):
             return self.variants[what]
-        shapes = {variant[what].shape for variant in self.variants}
+        ran = [variant for variant in self if variant.error is None] or self.variants
+        shapes = {variant[what].shape for variant in ran}
         require(
             len(shapes) == 1,
             f'Sensor "{what}" has other numbers of records in some variants, {sorted(shapes)}: take them one by one, '
             'variants[i]["..."].',
         )
-        return np.stack([variant[what] for variant in self.variants])
+        missing = np.full(*shapes, np.nan)
+        return np.stack([missing if variant.error is not None else variant[what] for variant in self])
 
     def __repr__(self) -> str:
         return f"<{len(self)} variants>"
 
 
-def run_variants(make: Callable[[Any], Scene], parameters: Sequence[Any], **settings: Any) -> Variants:
+def run_variants(
+    make: Callable[[Any], Scene], parameters: Sequence[Any], *, keep_failures: bool = False, **settings: Any
+) -> Variants:
     """Run ``make(parameter)`` for every parameter, on all cores of this machine.
 
         study.map(lambda k: suspension(stiffness=k), [1e4, 2e4, 4e4], t_end=2.0, dt=1e-3)["wheel"]    # (3, n, 3)
 
     Args:
         make: parameter -> scene.
+        keep_failures: a variant that fails keeps its ``error``, and the others are run; else the first error is raised.
         settings: of :func:`~fmbd_fenicsx.solve`, the same for all.
 
     Raises:
@@ -104,13 +130,14 @@ def run_variants(make: Callable[[Any], Scene], parameters: Sequence[Any], **sett
         f"study.map uses all cores by itself, found {world_size()} MPI ranks. Start it without mpirun, or loop over solve().",
     )
     settings.setdefault("output", Output(progress=False))
-    first = _one(make, given[0], settings)
+    one = _kept if keep_failures else _one
+    first = one(make, given[0], settings)
 
     rest = given[1:]
     workers = min(cores(), len(rest))
     if workers < 2 or not hasattr(os, "fork"):
-        return Variants((first, *(_one(make, parameter, settings) for parameter in rest)))
-    pipes = [_start(make, rest[i::workers], settings) for i in range(workers)]
+        return Variants((first, *(one(make, parameter, settings) for parameter in rest)))
+    pipes = [_start(one, make, rest[i::workers], settings) for i in range(workers)]
     found: list[Any] = [None] * len(rest)
     answers = [_answer(*pipe) for pipe in pipes]
     for i, answer in enumerate(answers):
@@ -138,7 +165,17 @@ def _one(make: Callable[[Any], Scene], parameter: Any, settings: dict[str, Any])
     return Variant(parameter, run.times, run.series, run.energy, end, run.counters)
 
 
-def _start(make: Callable[[Any], Scene], parameters: list[Any], settings: dict[str, Any]) -> tuple[int, int]:
+def _kept(make: Callable[[Any], Scene], parameter: Any, settings: dict[str, Any]) -> Variant:
+    """The run of one parameter, or its error."""
+    try:
+        return _one(make, parameter, settings)
+    except FmbdError as error:
+        return Variant.failed(parameter, pickle.loads(_packed(error)))
+
+
+def _start(
+    one: Callable[..., Variant], make: Callable[[Any], Scene], parameters: list[Any], settings: dict[str, Any]
+) -> tuple[int, int]:
     """A copy of this process that runs some variants: its number, and the pipe on which it answers."""
     reading, writing = os.pipe()
     child = os.fork()
@@ -152,7 +189,7 @@ def _start(make: Callable[[Any], Scene], parameters: list[Any], settings: dict[s
         try:
             gc.freeze()  # what there is will stay: collections need not look at it
             gc.set_threshold(FEW)
-            answer = [_one(make, parameter, settings) for parameter in parameters]
+            answer = [one(make, parameter, settings) for parameter in parameters]
             text = pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
         except BaseException as error:
             text = _packed(error)
