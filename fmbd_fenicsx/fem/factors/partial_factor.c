@@ -118,6 +118,7 @@ static void forward(const double *restrict L, int64_t columns, int64_t height, d
         w[c] = p, w[c + 1] = q, w[c + 2] = r, w[c + 3] = s;
         for (int64_t i = c + 4; i < height; i++) w[i] -= a[i] * p + b[i] * q + d[i] * r + e[i] * s;
     }
+
     for (; c < columns; c++) {
         const double *restrict a = L + c * height, p = w[c] /= a[c];
         for (int64_t i = c + 1; i < height; i++) w[i] -= a[i] * p;
@@ -128,6 +129,7 @@ static void backward(const double *restrict L, int64_t columns, int64_t height, 
     int64_t c = columns;
     for (; c >= 4;) {
         c -= 4;
+
         const double *restrict a = L + c * height, *restrict b = a + height, *restrict d = b + height, *restrict e = d + height;
         double p = 0, q = 0, r = 0, s = 0;
 #pragma omp simd reduction(+ : p, q, r, s)
@@ -137,6 +139,7 @@ static void backward(const double *restrict L, int64_t columns, int64_t height, 
         w[c + 1] = (w[c + 1] - q - b[c + 2] * w[c + 2] - b[c + 3] * w[c + 3]) / b[c + 1];
         w[c] = (w[c] - p - a[c + 1] * w[c + 1] - a[c + 2] * w[c + 2] - a[c + 3] * w[c + 3]) / a[c];
     }
+
     while (c > 0) {
         c--;
         const double *restrict a = L + c * height;
@@ -154,6 +157,7 @@ static void half_of_one(const cholmod_factor *F, int transposed, double *x, doub
         int64_t j = transposed ? count - 1 - k : k, columns = super[j + 1] - super[j], height = pi[j + 1] - pi[j];
         const int64_t *at = rows + pi[j];
         for (int64_t i = 0; i < height; i++) w[i] = x[at[i]];
+
         if (transposed) {
             backward((double *)F->x + px[j], columns, height, w);
             for (int64_t i = 0; i < columns; i++) x[at[i]] = w[i];
@@ -209,11 +213,13 @@ EXPORT void trailing(Partial *p, int64_t interior, double *LG, int64_t *unknowns
         unknowns[count] = order[i] - interior;
         place[i] = count++;
     }
+
     for (int64_t i = 0; i < k * k; i++) LG[i] = 0.0;
     for (size_t j = 0; j < L->nsuper; j++) {
         int64_t height = pi[j + 1] - pi[j];
         for (int64_t c = super[j]; c < super[j + 1]; c++) {
             if (place[c] < 0) continue;
+
             const double *column = x + px[j] + (c - super[j]) * height;
             for (int64_t r = c - super[j]; r < height; r++) {
                 int64_t row = place[s[pi[j] + r]];

@@ -36,6 +36,7 @@ static void load_blocks(const Problem *o, int d, Blocks *b, const double *P, con
     const long square = d * d, base = o->start[0], filled = o->start[o->m] - base;
     memset(b->upper, 0, filled * square * sizeof(double));
     memset(b->lower, 0, filled * square * sizeof(double));
+
     for (int i = 0; i < o->m; i++) {
         const double *left = P + i * square;
         double *own = b->own + i * square;

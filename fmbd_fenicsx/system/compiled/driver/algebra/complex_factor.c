@@ -23,6 +23,7 @@ static int factor_complex(System *s)
     double *other = s->inverse + s->nu + s->rows;
     s->factors++;
     soften(s);
+
     for (Front *f = s->front; f < s->front + s->fronts; f++) {
         double *F = s->L + f->start, *E = s->lossy + f->start;
         for (int k = 0; k < f->pivots; k++) {
@@ -53,6 +54,7 @@ static void back_solve_complex(System *s, double *b)
 {
     const int wide = s->nu + s->rows;
     double *x = s->local, *y = x + wide, *below = b + wide, *other = s->inverse + wide;
+
     for (Front *f = s->front; f < s->front + s->fronts; f++) {
         const double *F = s->L + f->start, *E = s->lossy + f->start;
         for (int k = 0; k < f->pivots; k++, F += f->ld, E += f->ld) {
@@ -75,6 +77,7 @@ static void back_solve_complex(System *s, double *b)
                 c -= F[i] * x[i] - E[i] * y[i];
                 d -= F[i] * y[i] + E[i] * x[i];
             }
+
             b[u] = x[k] = c * s->inverse[u] - d * other[u];
             below[u] = y[k] = c * other[u] + d * s->inverse[u];
         }

@@ -43,6 +43,7 @@ static void eliminate_panel(double *F, int ld, int rows, int k, const double *in
             x[p] = column[(long)ld * p + j] * inverse[p];
             y[p] = column[(long)ld * p + second] * inverse[p];
         }
+
         lanes *one = (lanes *)(F + (long)ld * j), *two = (lanes *)(F + (long)ld * second);
         for (int i = j / LANES; i < ld / LANES; i++) {
             const lanes A = a[i], B = b[i], C = c[i], E = d[i], X = one[i], Y = two[i];
@@ -89,6 +90,7 @@ static int factor(System *s)
 
     for (Front *f = s->front; f < s->front + s->fronts; f++) {
         if (f->apart) continue;
+
         double *F = s->L + f->start, inverse[PANEL];
         int ld = f->ld, panels = f->pivots - f->pivots % PANEL;
         for (int k = 0; k < f->pivots; k++) {
@@ -138,6 +140,7 @@ int solve_dense(double *A, int n, double *B, long ld, int columns, double share)
             swap(row, A + p * n, n);
             swap(right, B + p * ld, columns);
         }
+
         for (int i = k + 1; i < n; i++) {
             double factor = A[i * n + k] / row[k];
             if (factor == 0.0) continue;
@@ -176,6 +179,7 @@ static inline void forward(System *s, const Front *f, double *b)
     const double *F = s->L + f->start;
     double *x = s->local;
     for (int i = 0; i < f->rows; i++) x[i] = b[f->unknown[i]];
+
     for (int k = 0; k < f->pivots; k++) {
         const lanes *column = (const lanes *)(F + (long)f->ld * k);
         lanes *to = (lanes *)x;
@@ -193,10 +197,12 @@ static inline void backward(System *s, const Front *f, double *b)
         solve_apart(s, f, b);
         return;
     }
+
     const double *F = s->L + f->start;
     double *x = s->local;
     for (int i = f->pivots; i < f->rows; i++) x[i] = b[f->unknown[i]];
     for (int i = f->rows; i < f->ld; i++) x[i] = 0.0;
+
     for (int k = f->pivots - 1; k >= 0; k--) {
         const double *column = F + (long)f->ld * k;
         const lanes *whole = (const lanes *)column, *known = (const lanes *)x;

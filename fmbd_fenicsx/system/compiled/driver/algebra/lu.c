@@ -10,10 +10,12 @@ static int NAME(reach)(const Stages *o, const Lower *f, int row, int mark, int t
     o->stack[0] = row;
     o->mark[row] = mark;
     o->next[0] = f->place[row] < 0 ? 0 : f->L_start[f->place[row]];
+
     while (depth >= 0) {
         int at = o->stack[depth], column = f->place[at];
         long end = column < 0 ? 0 : f->L_start[column + 1], p = o->next[depth];
         while (p < end && o->mark[f->L_row[p]] == mark) p++;
+
         if (p < end) {
             int below = f->L_row[p];
             o->next[depth] = p + 1;
@@ -38,6 +40,7 @@ static int NAME(decompose)(const Stages *o, const NUMBER *A, Lower *f)
         f->place[i] = o->mark[i] = -1;
         x[i] = 0.0;
     }
+
     for (int k = 0; k < n; k++) {
         int column = o->order[k], top = n, best = -1;
         f->L_start[k] = lower;
@@ -57,6 +60,7 @@ static int NAME(decompose)(const Stages *o, const NUMBER *A, Lower *f)
                 if (size > largest) largest = size, best = row;
                 continue;
             }
+
             f->U_row[upper] = known;
             U[upper++] = u;
             for (long p = f->L_start[known]; p < f->L_start[known + 1]; p++) x[f->L_row[p]] -= L[p] * u;
@@ -75,6 +79,7 @@ static int NAME(decompose)(const Stages *o, const NUMBER *A, Lower *f)
             }
             x[row] = 0.0;
         }
+
         f->L_start[k + 1] = lower;
     }
     f->U_start[n] = upper;
@@ -92,6 +97,7 @@ static void NAME(substitute)(const Stages *o, const Lower *f, const NUMBER *b, N
         NUMBER c = x[k];
         for (long p = f->L_start[k]; p < f->L_start[k + 1]; p++) x[f->L_row[p]] -= L[p] * c;
     }
+
     for (int k = o->size - 1; k >= 0; k--) {
         NUMBER c = x[k] / pivots[k];
         y[o->order[k]] = c;
@@ -120,6 +126,7 @@ static int NAME(factorise)(const Stages *o, int f, NUMBER s, NUMBER *A, double *
         A[p] = o->K0[p] + s * (o->K1[p] + s * o->K2[p]);
         if (!(MAGNITUDE(A[p]) < INFINITY)) return NEWTON;
     }
+
     if (o->units) NAME(soften)(o, s, A, soft);
     for (long p = 0; p < o->entries; p++) o->sizes[p] = ABSOLUTE(A[p]);
     balance(o, rows, columns);
@@ -153,6 +160,7 @@ static double NAME(remainder)(const Stages *o, const NUMBER *A, const NUMBER *ri
         given = fmax(given, ABSOLUTE(right[i]));
         found = fmax(found, ABSOLUTE(y[i]));
     }
+
     *scale = given + found;
     return most;
 }
@@ -216,6 +224,7 @@ static void NAME(contribute)(const Stages *o, int f, double *judged)
         for (int i = 0; i < n; i++) kin[i] += share * o->kin[j * n + i];
         for (int i = 0; i < size; i++) low[i] += share * o->low[j * size + i];
     }
+
     NAME(resolve)(o, f, kin, low, change, mult, judged);
     for (int j = 0; j < k; j++) {
         NUMBER share = FREQUENCY(o->vectors + 2 * (j * o->frequencies + f));

@@ -245,6 +245,7 @@ static int polar_from(const double *b, double *turn, double *Z)
             moment(w, u, uu);
             for (int i = 0; i < 3; i++) X[3 * k + i] = turn[3 * k + i] - sine * u[i] + rest * uu[i];
         }
+
         memcpy(turn, X, sizeof X);
         if (t < 1e-13) return 0;
     }

@@ -27,12 +27,14 @@ static void rigid_block(System *s, const Body *o, const double *R)
         s->L[dest[i]] += o->mass;
         diagonal[i] = o->mass;
     }
+
     dest += D;
 #if DIM == 3
     double T[9], J[9];
     for (int c = 0; c < 3; c++) times(R, o->inertia + 3 * c, T + 3 * c); /* J R^T by rows, J symmetric */
     for (int a = 0; a < 3; a++)
         for (int c = 0; c <= a; c++) J[3 * a + c] = T[a] * R[3 * c] + T[3 + a] * R[3 * c + 1] + T[6 + a] * R[3 * c + 2];
+
     for (int a = 0; a < 3; a++) {
         for (int c = 0; c <= a; c++) s->L[*dest++] += J[3 * a + c];
         diagonal[3 + a] = J[4 * a];

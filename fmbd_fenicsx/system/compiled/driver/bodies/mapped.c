@@ -49,6 +49,7 @@ static void mapped_rows(System *s, const Batch *k)
                 square += entry * entry / s->diagonal[*on];
             }
         }
+
         s->weight[k->row[i]] += square;
     }
 }
@@ -87,6 +88,7 @@ void mapped_square(System *s, const Batch *k, long i, const double *C)
             row += width[side];
         }
     }
+
     const int *to = k->square_to + k->square_start[i], *on = k->row_on + k->row_start[i];
     for (int c = 0; c < total; c++) {
         double y[2 * TWIST], *out = column;
@@ -112,6 +114,7 @@ static void mapped_tangents(System *s, const Batch *k, const double *slope)
             C[2 * TWIST * a + b] += h;
             if (a != b) C[2 * TWIST * b + a] += h;
         }
+
         mapped_square(s, k, i, C);
     }
 }

@@ -49,6 +49,7 @@ static void moments_of(const Body *o, const double **local, int count, Moments *
         for (int i = 0; i < D; i++) z->s[r][i] += dot(o->S + k * i + 1, local[r], m);
         for (int b = 0; b < m; b++) add(z->T[r], local[r][b], o->T + size * (b + 1), DD);
     }
+
     for (int c = 0; c < D + DD; c++) {
         const double *bent = o->bent + m * c;
         for (int r = 0; r < count; r++) *moment_at(z, r, c) = (r ? 1.0 : 0.5) * dot(bent, local[r], m);
@@ -97,6 +98,7 @@ static void frame_columns(const Body *o, const Moments *z, const double *R, int 
     for (int j = 0; j < TWIST; j++) {
         double unit[TWIST] = {0.0}, c[TWIST], W[D * D];
         double g[D] = {0.0}, G[D * D] = {0.0}, h[D] = {0.0}, H[D * D] = {0.0};
+
         unit[j] = 1.0;
         transposed(R, unit, c);
         to_body(R, unit + D, c + D);
@@ -119,6 +121,7 @@ static void mode_columns(const Body *o, int n, double *A, double *B)
 #else
     static const int pair[1] = {2}, other[1] = {1};
 #endif
+
     for (int c = 0; c < m; c++) {
         for (int i = 0; i < D; i++) A[n * i + TWIST + c] = o->S[k * i + c + 1], B[n * i + TWIST + c] = o->bent[m * i + c];
         for (int i = 0; i < ROT; i++) {
@@ -186,6 +189,7 @@ static double modal_rows(const Body *o, const double **local, const double *acc,
         add(elastic, local[0][c], o->K + m * c, m);
         add(elastic, local[1][c], o->C + m * c, m);
     }
+
     for (int i = 0; i < m; i++) {
         double force = dot(o->U + DD * (i + 1), L, DD) + 2.0 * dot(Vp + ROT * (i + 1), w, ROT) + elastic[i];
         for (int j = 0; j < D; j++) force += acc[j] * o->S[k * j + i + 1];
@@ -250,6 +254,7 @@ static void reduced_masses(const Body *o, const double *R, const double *eta)
     for (int i = 0; i < D; i++) {
         arm[i] = o->S[k * i] + dot(o->S + k * i + 1, eta, m);
     }
+
     for (int i = 0; i < D; i++) trace += T0[(D + 1) * i];
     for (int i = 0; i < D; i++) A[(n + 1) * i] = o->mass;
 #if DIM == 3
@@ -261,6 +266,7 @@ static void reduced_masses(const Body *o, const double *R, const double *eta)
     static const int pair[1] = {2}, other[1] = {1};
 #endif
     turning_rows(R, arm, J, A, n);
+
     for (int i = 0; i < m; i++) {
         double *row = A + n * (TWIST + i), turning[ROT];
         for (int j = 0; j < D; j++)
@@ -308,6 +314,7 @@ void reduced_energies(const Body *o, const double *R, const double *q, const dou
         add(T0, eta[c], o->U + DD * (c + 1), DD);
         add(T1, rate[c], o->U + DD * (c + 1), DD);
     }
+
     for (int i = 0; i < D; i++) {
         arm[i] = o->S[k * i] + dot(o->S + k * i + 1, eta, m);
         drift[i] = dot(o->S + k * i + 1, rate, m);
@@ -325,6 +332,7 @@ void reduced_energies(const Body *o, const double *R, const double *q, const dou
             kinetic += 0.5 * WT[D * i + j] * W[D * i + j];
             kinetic += W[D * i + j] * T1[D * i + j];
         }
+
     if (o->stress) {
         const double *both[] = {eta, rate};
         Rest rest = rest_of(o);
@@ -334,6 +342,7 @@ void reduced_energies(const Body *o, const double *R, const double *q, const dou
         kinetic += second_energy(&rest, &z, local, W);
         add(arm, 1.0, z.m[0], D);
     }
+
     for (int i = 0; i < m; i++) {
         kinetic += 0.5 * rate[i] * dot(o->modal + m * i, rate, m);
         elastic += 0.5 * eta[i] * dot(o->K + m * i, eta, m);

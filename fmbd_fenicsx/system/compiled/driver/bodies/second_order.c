@@ -118,6 +118,7 @@ static double second_energy(const Rest *o, const Moments *z, const double *v, co
 {
     double one[D * D] = {0.0}, g[D] = {0.0}, G[D * D] = {0.0}, h[D] = {0.0}, H[D * D] = {0.0}, e[TWIST], x[TWIST], y[TWIST];
     for (int i = 0; i < D; i++) one[(D + 1) * i] = 1.0;
+
     const double *speeds[] = {W, one};
     collect(z->s, z->T, speeds, 2, g, G);
     carry(o, v, g, G);

@@ -44,10 +44,12 @@ static void surface_row(const System *s, Surface *k, int i)
     const double *ports = k->bends ? k->now : k->ports;
     for (int j = 0; i < D && j < D; j++) add(row + TWIST, local[j], ports + m * j, m);
     if (k->sort == INTEGRAL) return;
+
     for (int r = 0; r < k->bends; r++) {
         k->bend_map[k->bends * i + r] = 0.0;
         for (int j = 0; j < D; j++) k->bend_map[k->bends * i + r] += local[j] * k->N[k->bends * j + r];
     }
+
     if (k->sort == SECTION) add(row + TWIST, t[0], ports + m * D, m);
     for (int c = 0; k->sort == MEAN && c < D; c++) {
         spin(z, k->turn + D * c, slope);
@@ -80,6 +82,7 @@ int place_surface(System *s, int number, const double *q)
         b[j] = k->reference[j] + dot(k->ports + m * j, eta, m);
         if (k->bends) b[j] = 0.5 * (b[j] + k->reference[j] + dot(k->now + m * j, eta, m)); /* the mean of both rates */
     }
+
     if (k->sort == SECTION) turned_by(b[D], k->turn);
     else if (k->sort == MEAN && polar(b + D, k->turn, k->Z)) return LOOK; /* integrals keep turn = 1 */
     for (int j = 0; j < D; j++)
@@ -126,6 +129,7 @@ static void own_turn(const Surface *k, const double *first, const double *second
         if (k->sort == SECTION) w[0] = first[D], rate[0] = second[D];
         return;
     }
+
     for (int c = 0; c < D; c++) {
         moment(k->turn + D * c, first + D * (1 + c), one);
         add(sum, 1.0, one, ROT);
@@ -139,11 +143,13 @@ static void own_turn(const Surface *k, const double *first, const double *second
         add(sum, 1.0, one, ROT);
         moment(k->turn + D * c, second + D * (1 + c), one);
         add(sum, 1.0, one, ROT);
+
         for (int i = 0; i < D; i++) {
             add(Sd + D * i, first[D * (1 + c) + i], k->turn + D * c, D);
             add(Sd + D * i, k->b[D * (1 + c) + i], turned, D);
         }
     }
+
     for (int i = 0; i < D; i++) trace += Sd[(D + 1) * i];
     for (int i = 0; i < ROT; i++) {
         sum[i] -= trace * w[i];

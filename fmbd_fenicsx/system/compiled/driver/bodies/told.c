@@ -41,6 +41,7 @@ int told_force(System *s, int b, const double *q, const double *v, const double 
         along_part(o, q, v, f + TWIST);
         return DONE;
     }
+
     Motion m = motion_of(o, b, q, v, a);
     int verdict = tell(s, PART_FORCES, e->number, o->modes, e->state, R, &m, s->gravity, t);
     if (verdict) return verdict;

@@ -60,6 +60,7 @@ static int list_single(Contacts *c, const double *q, double t)
             least = INFINITY;
             for (int i = o->first; i < o->first + o->count; i++) least = fmin(least, c->aside.gap[i]);
         }
+
         if (!(least > c->skin)) list_pair(c, *k);
     }
     return 0;
@@ -193,6 +194,7 @@ static int begin_list(Contacts *c, double h, double length)
     const int lasts = c->known && 2.0 * (wandered(c, c->here.q) + 2.0 * way) <= c->skin;
     const int before = c->known ? c->nears : c->pairs;
     int kept = 0;
+
     for (int k = 0; k < before; k++) {
         const int pair = c->known ? c->near[k] : k;
         const Pair *o = c->pair + pair;
@@ -201,6 +203,7 @@ static int begin_list(Contacts *c, double h, double length)
         if (lasts) begin_pair(c, pair);
         else if ((c->listed[pair] = pressed(c, o))) c->near[kept++] = pair;
     }
+
     if (lasts) return 0;
     c->nears = kept;
     return list_near(c, c->here.q, *c->here.t, fmax(2.0 * LASTS * way, least));

@@ -15,6 +15,7 @@ static int coulomb(const double *x, const double *u, double cn, double ct, doubl
     F[0] = on ? cn * u[0] : x[0];
     if (on) du[0] = cn;
     else dx[0] = 1.0;
+
     for (int i = 1; i < d; i++) {
         y[i - 1] = x[i] - ct * u[i];
         size += y[i - 1] * y[i - 1];
@@ -28,6 +29,7 @@ static int coulomb(const double *x, const double *u, double cn, double ct, doubl
         else dx[i * d + i] = 1.0;
     }
     if (!on || stick) return on;
+
     for (int i = 1; i < d; i++) {
         double e = y[i - 1] / size;
         F[i] = x[i] - radius * e;
@@ -88,6 +90,7 @@ static int contact_forces(Contacts *c, const Problem *o, int g)
             c->tally.changes += round && status != before[i];
             before[i] = status;
         }
+
         const double force = largest(x, n), residual = largest(F, n) / fmax(free + fmin(force, 1e3 * free), 1e-300);
         if (residual <= least) {
             memcpy(o->f, x, n * sizeof(double));
@@ -96,9 +99,11 @@ static int contact_forces(Contacts *c, const Problem *o, int g)
             c->tally.solves++;
             return 0;
         }
+
         if (!isfinite(residual)) return 1;
         if (o->lumped) return 1; /* see friction.c */
         if (!round) know_group(c, g);
+
         if (round == SOON) {
             sweep_forces(o, d, o->f);
             memcpy(x, o->f, n * sizeof(double));
@@ -109,6 +114,7 @@ static int contact_forces(Contacts *c, const Problem *o, int g)
             add(x, -1.0, F, n);
             c->tally.iterations++;
         }
+
         moved_by(o, d, x, u);
         add(u, 1.0, o->q, n);
     }

@@ -27,6 +27,7 @@ static double answer_of(const System *s, const Contacts *c, int k, int l)
     trees_of(c, c->closed[l / c->components], trees);
     for (int side = 0; side < 2; side++, row += c->wide) {
         if (on[side] < 0) continue;
+
         const int tree = c->tree_of[on[side]];
         const Body *body = s->body + on[side];
         if (tree != trees[0] && tree != trees[1]) continue;
@@ -50,6 +51,7 @@ static void own_compliance(System *s, Contacts *c, int m)
         for (int side = 0; side < 2; side++)
             if (trees[side] >= 0) tree_solution(s, c->tree + trees[side], c->Y + (long)s->nv * k);
     }
+
     for (int i = 0; i < m; i++) {
         double *own = c->all.own + i * d * d;
         for (int a = 0; a < d; a++)

@@ -151,6 +151,7 @@ static double cylinder(const double *data, const double *y, double *n)
         side[i] /= rho > 0 ? rho : 1.0;
         cap[i] = (z > 0) - (z < 0) ? ((z > 0) - (z < 0)) * data[i] : 0.0;
     }
+
     double radius = data[6], length = data[7];
     if (isfinite(length)) return rounded(rho - radius, fabs(z) - 0.5 * length, side, cap, n);
     memcpy(n, side, D * sizeof(double));
@@ -171,6 +172,7 @@ static double box(const double *data, const double *y, double *n)
         outside[i] = fmax(over, 0.0);
         if (over > inner) inner = over, nearest = i;
     }
+
     far = length_of(outside);
     memset(n, 0, D * sizeof(double));
     for (int i = 0; i < D; i++) {
@@ -213,8 +215,10 @@ static int obstacle(const Contacts *c, Pair *o, const double *q, double t, doubl
             o->asked[k] = t;
             memcpy(o->told + POSE * k, o->pose, POSE * sizeof(double));
         }
+
         pose = o->told + POSE * k;
     }
+
     memcpy(r, pose, D * sizeof(double));
     rotation(pose, R);
     return 0;
@@ -231,6 +235,7 @@ static void stand(const Contacts *c, const Pair *o, Touch *out)
     double *s = k->out + k->outputs * o->item, y[2 * TWIST];
     k->value(1, k->pair + 2 * o->item, frames, k->P + k->width * o->item, 0, s);
     twist_row(k, o->item, y);
+
     for (int side = 0; side < o->count; side++) {
         int i = o->first + side;
         double *x = out->x + D * i, *n = out->normal + D * i;
@@ -277,6 +282,7 @@ static int touch_pair(const Contacts *c, Pair *o, const double *q, double t, Tou
         return 0;
     }
     if (obstacle(c, o, q, t, r, R)) return 1;
+
     for (int i = o->first; i < o->first + o->count; i++) {
         const double *pose = q + POSE * c->on[2 * i];
         double *x = out->x + D * i, P[D], Rb[D * D], way[D];

@@ -9,6 +9,7 @@ static void across(const double *n, double *e)
 #else
     double pick[3] = {0.0, 0.0, 0.0};
     int least = 0;
+
     for (int i = 1; i < 3; i++)
         if (fabs(n[i]) < fabs(n[least])) least = i;
     pick[least] = 1.0;
@@ -38,6 +39,7 @@ static void stop_row(const Contacts *c, int i, const Pair *o, double *row)
     double y[2 * TWIST], factor = o->lever * o->side[i - o->first], *rates = s->big;
     twist_row(k, o->item, y);
     memset(row, 0, 2 * c->wide * sizeof(double));
+
     for (int side = 0; side < 2; side++, row += c->wide) {
         const double *map;
         int body = c->on[2 * i + side], width = side_map(s, k->pair[2 * o->item + side], &map);
@@ -73,6 +75,7 @@ static void contact_rows(const Contacts *c, int i, const double *q, const Touch 
             stop_row(c, i, o, row);
             continue;
         }
+
         memset(row, 0, 2 * c->wide * sizeof(double));
         frame_row(q + POSE * c->on[2 * i], at->x + D * i, e + D * k, 1.0, row);
         if (o->modes) modal_row(c, i, o, q, e + D * k, row);
@@ -133,6 +136,7 @@ static int drifts(const Contacts *c, int i, const double *q, double time, Way wa
     for (int j = 0; j < D; j++) arm[j] = at->x[D * i + j] - r[j];
     transposed(R, arm, y);
     across(at->normal + D * i, e + D);
+
     for (int part = 0; part < way.parts; part++) {
         if (obstacle(c, o, q, way.time[part], r, R)) return 1;
         times(R, y, arm);
@@ -156,6 +160,7 @@ static int start_rates(Contacts *c, Block now, int m, double length)
         for (int a = 1; a < c->components; a++)
             c->before[c->components * k + a] = along(c, c->closed[k], c->rows + 2 * c->wide * a, now.v) - c->drift[a] / length;
     }
+
     for (int part = 0; c->moving && part < way.parts; part++) {
         if (touch(c, now.q, way.time[part], &c->aside)) return 1;
         for (int k = 0; k < m; k++) c->rebound[k] += way.weight[part] * c->aside.gap[c->closed[k]] / length;

@@ -91,6 +91,7 @@ static void write_contacts(const ElasticContact *o, double h, double time, const
             since[p] += 1.0, acts = 1;
             continue;
         }
+
         own[IMPACTS] += since[p] > 0.0;
         own[BRIEF] += since[p] > 0.0 && since[p] <= o->brief;
         since[p] = 0.0;
@@ -113,12 +114,14 @@ int book_contact(System *s, ElasticContact *o, double h, const Block *now, const
         part[i] = o->share * xi[i];
         v[i] = o->share < 1.0 ? xi[i] / h : out->v[i];
     }
+
     write_contacts(o, h, t, xi, now, out);
     configuration(s, now->q, part, q);
     if (o->loaded) {
         if ((verdict = driver_work(s, t, q, v, xi, e))) return verdict;
         books[LOADS] += *e;
     }
+
     if (s->rows) {
         double *slip = rows + s->rows, *partial = slip + s->rows;
         if ((verdict = driver_constraints(s, 1, &t, q, xi, rows, slip, partial, partial + s->rows))) return verdict;

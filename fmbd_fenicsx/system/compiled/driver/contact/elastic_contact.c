@@ -16,6 +16,7 @@ static void list_nodes(ElasticContact *o, int *known, int *shared)
     *known = 1, *shared = 0;
     for (Nodes *k = o->nodes; k < o->nodes + o->traces; k++)
         for (int n = 0; n < k->size; n++) o->place[k->first + n] = -1;
+
     for (int j = 0; j < 2 * o->count; j++) {
         const Side k = side_of(o, o->near[j / 2], j % 2);
         for (int e = 0; e < k.count; e++) {
@@ -24,6 +25,7 @@ static void list_nodes(ElasticContact *o, int *known, int *shared)
             *at = law;
         }
     }
+
     for (Nodes *k = o->nodes; k < o->nodes + o->traces; k++) {
         k->begin = count;
         for (int n = k->first; n < k->first + k->size; n++) {
@@ -46,6 +48,7 @@ static int gather_near(ElasticContact *o)
             same = same && count < o->count && o->near[count] == i;
             o->near[count++] = i;
         }
+
     same = same && count == o->count;
     if (!same) o->known_scale = 0.0;
     o->count = count;
@@ -65,9 +68,11 @@ static int pair_surfaces(ElasticContact *o, double h, const Block *now)
     Contacts *c = o->contacts;
     double fastest = 0.0;
     if (!o->meetings) return DONE;
+
     for (int p = 0; p < c->pairs; p++) {
         const Pair *k = c->pair + p;
         if (k->shape == MEETING) continue;
+
         const int b = c->on[2 * k->first];
         const Body *body = c->system->body + b;
         double turning = 0.0, speed = 0.0;
@@ -78,6 +83,7 @@ static int pair_surfaces(ElasticContact *o, double h, const Block *now)
         for (int i = 0; i < k->count; i++) most = fmax(most, length_of(now->v + k->node[i] - body->at_q + body->at_v));
         fastest = fmax(fastest, most + carried);
     }
+
     for (int k = 0; k < o->meetings; k++)
         if (pair_facets(c, o->meeting + k, k, 4.0 * h * fastest, o->keeps, &c->now)) return FAILED;
     o->known_scale = 0.0;
@@ -96,6 +102,7 @@ static int take_near(ElasticContact *o, int number, const Touch *from, const Tou
         double way[D];
         o->listed[i] = from->gap[i] < reach || to->gap[i] < reach;
         if (!isfinite(k->thickness)) continue;
+
         memcpy(way, to->relative + D * i, D * sizeof(double));
         add(way, -1.0, from->relative + D * i, D);
         const double size = length_of(way), both = fmax(from->gap[i], 0.0) + fmax(to->gap[i], 0.0);
@@ -163,6 +170,7 @@ static int find_openings(ElasticContact *o, const Contacting *k, const Touch *at
         const int i = o->near[j];
         double drift[D];
         if (drifts(c, i, k->q, k->t, way_over(k->from, k->span), at, drift)) return FAILED;
+
         for (int a = 0; a < d; a++) {
             const double *row = o->rows + WIDE * (d * j + a);
             P->u[d * j + a] = row_times(o, i, row, x) + (a ? row_times(o, i, row, k->xi) - drift[a] : end->gap[i]);
@@ -179,12 +187,14 @@ static void push_residuals(System *s, const ElasticContact *o, const double *f)
 {
     const Contacts *c = o->contacts;
     const double *row = o->rows;
+
     for (int r = 0; r < c->components * o->count; r++, row += WIDE)
         for (int side = 0; side < 2; side++) {
             const int i = o->near[r / c->components], on = c->on[2 * i + side];
             const Side k = side_of(o, i, side);
             const double *twist = row + 2 * D + side * TWIST;
             double turning[ROT];
+
             for (int e = 0; e < k.count; e++)
                 add(k.body->field->force + node_at(&k, e) - k.body->at_v, -f[r] * k.weight[e], row + D * side, D);
             if (on < 0) continue;
@@ -253,6 +263,7 @@ int contact_increment(System *s, ElasticContact *o, const Contacting *k, double 
     }
     o->increments++;
     if (!changed) return DONE;
+
     double *more = o->room + s->nv, *also = more + 2 * s->nv + s->nq + s->rows;
     if ((verdict = pushed(s, o, k->scale, o->change, more, also))) return verdict;
     add(x, 1.0, more, s->nv);

@@ -131,6 +131,7 @@ static int turn_rows(ElasticContact *o)
     for (int r = 0; r < 2 * d * o->count; r++) {
         const Side k = side_of(o, o->near[r / 2 / d], r % 2);
         double y[D];
+
         memcpy(y, o->rows + WIDE * (r / 2) + D * (r % 2), sizeof y);
         if (k.count && k.body->field->turns) transposed(k.body->field->T, o->rows + WIDE * (r / 2) + D * (r % 2), y);
         same = same && !memcmp(y, o->axes + D * r, sizeof y);
@@ -146,6 +147,7 @@ static int ask_core(System *s, ElasticContact *o)
     const int d = c->components, n = d * o->count;
     memset(o->push, 0, (long)n * s->core * sizeof(double));
     memset(o->seen, 0, (long)n * o->columns * sizeof(double));
+
     for (int r = 0; r < 2 * n; r++) {
         const int i = o->near[r / 2 / d], side = r % 2, on = c->on[2 * i + side];
         const Side k = side_of(o, i, side);
@@ -155,6 +157,7 @@ static int ask_core(System *s, ElasticContact *o)
                 add(o->seen + (long)o->columns * (r / 2) + k.nodes->at, k.weight[e] * o->axes[D * r + j],
                     k.nodes->Y + (long)k.nodes->columns * (D * number_of(&k, e) + j), k.nodes->columns);
     }
+
     memset(o->room, 0, s->nv * sizeof(double));
     return driver_columns(s, n, o->columns, o->factored, o->room, o->push, o->seen, o->answer, o->acting);
 }
@@ -164,6 +167,7 @@ static void ask_fields(const ElasticContact *o, int i)
 {
     const int d = o->contacts->components, touched = o->nodes[o->traces - 1].end;
     memset(o->reply, 0, (long)d * D * touched * sizeof(double));
+
     for (int side = 0; side < 2; side++) {
         const Side k = side_of(o, o->near[i], side);
         for (int e = 0; e < k.count; e++)
@@ -207,6 +211,7 @@ static void couple_rows(const System *s, const ElasticContact *o, double scale, 
     const Problem *P = &o->problem->all;
     double w[D * D], *block = block_of(P, d, i, j), *across = block_of(P, d, j, i);
     answers_on(o, i, w);
+
     for (int a = 0; a < d; a++)
         for (int b = 0; b < d; b++) {
             const long r = d * i + a, l = d * j + b;

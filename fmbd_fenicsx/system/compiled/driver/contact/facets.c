@@ -81,6 +81,7 @@ static void lay_facets(const Contacts *c, const Facets *k, const double *x)
         double e[ACROSS][D], *n = k->normal + D * f;
         for (int a = 0; a < ACROSS; a++)
             for (int j = 0; j < D; j++) e[a][j] = node_of(c, k, x, f, a + 1)[j] - node_of(c, k, x, f, 0)[j];
+
 #if DIM == 2
         n[0] = e[0][1], n[1] = -e[0][0];
 #else
@@ -103,6 +104,7 @@ static void place_under(const Contacts *c, const Facets *k, const double *x, int
         b[a] = dot(e[a], way, D);
         for (int i = 0; i <= a; i++) G[a][i] = G[i][a] = dot(e[a], e[i], D);
     }
+
 #if DIM == 2
     place[0] = b[0] / G[0][0];
 #else
@@ -123,6 +125,7 @@ static double opposite(const Contacts *c, const Meeting *o, const double *x, int
         for (int k = 0; k < ACROSS; k++) point[j] += at[k] * (node_of(c, a, x, f, k + 1)[j] - origin[j]);
         gap += m[j] * (far[j] - point[j]);
     }
+
     gap /= dot(n, m, D);
     add(point, gap, n, D);
     place_under(c, b, x, g, point, there);
@@ -139,6 +142,7 @@ static int integrate(const Contacts *c, const Meeting *o, const double *x, int f
 #endif
     share = fabs(share);
     if (!(share > EMPTY)) return 0;
+
     for (int sum = 0; sum < 2; sum++)
         for (int q = 0; q < o->points; q++) {
             for (int k = 0; k < ACROSS; k++) {
@@ -146,6 +150,7 @@ static int integrate(const Contacts *c, const Meeting *o, const double *x, int f
                 for (int i = 0; i < ACROSS; i++)
                     at[k] += o->place[ACROSS * q + i] * (corner[ACROSS * (i + 1) + k] - corner[k]);
             }
+
             const double gap = opposite(c, o, x, f, g, at, there), part = share * a->size[f] * o->part[q];
             if (!sum && !(fabs(gap) <= o->sight[f])) return 0;
             if (!sum) continue;
@@ -169,6 +174,7 @@ static int clip(double v[CLIPPED][2], int count, int side)
         const int j = (i + 1) % count;
         if (height[i] >= 0.0) memcpy(kept[made++], v[i], sizeof *kept);
         if (height[i] * height[j] >= 0.0) continue;
+
         const double s = height[i] / (height[i] - height[j]);
         for (int k = 0; k < 2; k++) kept[made][k] = (1 - s) * v[i][k] + s * v[j][k];
         made++;
@@ -189,6 +195,7 @@ static int overlap(const Contacts *c, const Meeting *o, const double *x, int f, 
 #else
     int count = D, seen = 0;
     for (int side = 0; side < D; side++) count = clip(v, count, side);
+
     for (int k = 1; k + 1 < count; k++) {
         const double corner[] = {v[0][0], v[0][1], v[k][0], v[k][1], v[k + 1][0], v[k + 1][1]};
         seen |= integrate(c, o, x, f, g, corner, own, other);
@@ -207,6 +214,7 @@ static void meet(const Contacts *c, Meeting *o, const double *x, int f, int p)
     memset(own, 0, psi * a * sizeof(double));
     memset(other, 0, psi * b * sizeof(double));
     if (!overlap(c, o, x, f, g, own, other)) return;
+
     o->used[p] = 1;
     memset(block, 0, r * (a + b) * sizeof(double));
     for (int i = 0; i < r; i++)
@@ -225,6 +233,7 @@ static double sum_row(Meeting *o, int side, int j)
     Means *m = o->means + side;
     int count = 0, *last = m->first + j;
     double total = 0.0;
+
     for (int e = o->held[j]; e < o->held[j + 1]; e++) {
         const int f = o->holder[e] / r, i = o->holder[e] % r;
         for (int p = o->begin[f]; p < o->begin[f + 1]; p++)
@@ -234,6 +243,7 @@ static double sum_row(Meeting *o, int side, int j)
                 o->sum[node] += o->block[(long)p * step + behind + n * i + l];
             }
     }
+
     last[1] = *last;
     for (int e = 0; e < count; e++) {
         const double weight = o->sum[o->touched[e]];
@@ -278,6 +288,7 @@ static void touch_facets(const Contacts *c, const Meeting *o, Touch *out)
     for (int j = 0; j < k->count; j++) {
         const int i = k->first + j;
         double *between = out->relative + D * i, other[D];
+
         mean_place(c, o->means, a, j, out->x, between);
         mean_place(c, o->means + 1, b, j, out->x, other);
         add(between, -1.0, other, D);
@@ -300,6 +311,7 @@ static double apart(const Pair *a, const Pair *b, const double *x)
                 low[j] = fmin(low[j], x[D * i + k]);
                 high[j] = fmax(high[j], x[D * i + k]);
             }
+
         gap[k] = fmax(0.0, fmax(low[0] - high[1], low[1] - high[0]));
     }
     return length_of(gap);
@@ -353,6 +365,7 @@ static int pair_facets(Contacts *c, Meeting *o, int number, double reach, int ke
         lay_facets(c, o->side + side, at->x);
         memset(o->means[side].first, 0, (k->count + 1) * sizeof(int));
     }
+
     for (int f = 0; f < o->side[0].facets; f++) {
         const double size = D == 3 ? sqrt(o->side[0].size[f]) : o->side[0].size[f];
         o->sight[f] = isnan(o->search) ? fmax(reach, 0.5 * size) : o->search;
@@ -371,10 +384,12 @@ static int pair_facets(Contacts *c, Meeting *o, int number, double reach, int ke
             if (c->python(FACETS, number, 0.0)) return FAILED;
             o->listed = 1;
         }
+
         for (int f = 0; f < o->side[0].facets; f++)
             for (int p = o->begin[f]; p < o->begin[f + 1]; p++) meet(c, o, at->x, f, p);
         take_means(o, k->count);
     }
+
     touch_facets(c, o, at);
     for (int j = 0; keep && j < k->count; j++) {
         double *gap = at->gap + k->first + j;

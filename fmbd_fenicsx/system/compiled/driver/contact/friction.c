@@ -105,6 +105,7 @@ static void turn_column(Krylov *o, int k)
         h[i] = o->cosine[i] * above + o->sine[i] * below;
         h[i + 1] = o->cosine[i] * below - o->sine[i] * above;
     }
+
     const double size = fmax(hypot(h[k], h[k + 1]), 1e-300);
     o->cosine[k] = h[k] / size;
     o->sine[k] = h[k + 1] / size;
@@ -147,6 +148,7 @@ static int force_step(const Contacts *c, const Friction *o, double *s, double *w
             h[i] = dot(V + (i - k) * n, next, n);
             add(next, -h[i], V + (i - k) * n, n);
         }
+
         h[k + 1] = sqrt(dot(next, next, n));
         for (int i = 0; i < n; i++) next[i] /= fmax(h[k + 1], 1e-300);
         turn_column(&least, k);
@@ -202,6 +204,7 @@ static int searched(Contacts *c, Friction *o, double *work)
             evaluated(c, o);
             if (sqrt(dot(o->F, o->F, n)) <= (1.0 - 1e-4 * share) * sqrt(norm) || share < SHORTEST) break;
         }
+
         for (int i = 0; i < o->m; i++) changes += o->state[i] != o->before[i];
         c->tally.iterations++;
         c->tally.changes += changes;
@@ -217,6 +220,7 @@ static double attempt(Contacts *c, const Problem *problem, const Attempt *with, 
     double *none = best + n, *work = none + n;
     Friction o = {.of = problem, .m = m, .n = n, .with = with, .state = c->states, .before = c->states + m}, whole;
     double **places[] = {&o.q, &o.shift, &o.x, &o.u, &o.F};
+
     for (int k = 0; k < 5; k++, work += n) *places[k] = work;
     o.dx = work;
     o.du = o.dx + n * d;
@@ -234,6 +238,7 @@ static double attempt(Contacts *c, const Problem *problem, const Attempt *with, 
             o.shift[i] = rho / (i % d ? ct : cn);
             o.q[i] = problem->q[i] - o.shift[i] * o.x[i];
         }
+
         const int found = searched(c, &o, work);
         gaps_under(&whole, d, o.x, o.u);
         evaluated(c, &whole);
@@ -272,6 +277,7 @@ static int within_rates(const Contacts *c, const Problem *o, const double *x, do
             if (!(fabs(F[k]) <= c->rough * (k ? ct : cn))) return 0;
         most = fmax(most, largest(F, d));
     }
+
     *size = most / size_of(o, d, o->q, x);
     return 1;
 }
@@ -298,6 +304,7 @@ static int frictional_forces(Contacts *c, const Problem *o)
     double *last = c->least, *within = last + n, *best = within + n, *work = best + n, size = INFINITY;
     int known = 0, found = 0;
     memcpy(last, o->f, n * sizeof(double));
+
     for (const Attempt *k = begin; k < end && !found; k++) {
         c->tally.cycles += k > begin;
         if (k->from == WITHIN && !known) {
@@ -306,6 +313,7 @@ static int frictional_forces(Contacts *c, const Problem *o)
             memcpy(within, o->f, n * sizeof(double));
             known = 1;
         }
+
         if (k->from == NONE) memset(o->f, 0, n * sizeof(double));
         else memcpy(o->f, k->from == WITHIN ? within : last, n * sizeof(double));
         size = attempt(c, o, k, best, size);
@@ -313,6 +321,7 @@ static int frictional_forces(Contacts *c, const Problem *o)
         found = size <= (suffices ? accepted_in(o->m) : FOUND) || (suffices && within_rates(c, o, best, &size));
         if (!found && k == begin && c->done && (found = within_rates(c, o, last, &size))) memcpy(best, last, n * sizeof(double));
     }
+
     memcpy(o->f, found ? best : last, n * sizeof(double));
     open_under(o, d, o->f, o->u);
     if (!found) {

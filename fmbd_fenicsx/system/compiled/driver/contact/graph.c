@@ -71,6 +71,7 @@ static void eliminate_group(Graph *g, int count, int words, int from)
             for (int w = 0; w < words; w++) degree += __builtin_popcountl(row[w] & left[w]);
             if (degree < fewest) least = i, fewest = degree;
         }
+
         const int one = g->order[least];
         g->order[least] = g->order[p];
         g->order[p] = one;
@@ -124,6 +125,7 @@ static void add_group(Contacts *c, int count, int from, int *stamp)
         qsort(list, near, sizeof(int), ascending);
         g->first[from + p + 1] = g->first[from + p] + near;
     }
+
     for (int p = 0; p < count; p++)
         for (int e = g->first[from + p]; e < g->first[from + p + 1]; e++) {
             const int low = from + (g->near[e] < p ? g->near[e] : p), high = g->near[e] < p ? p : g->near[e];
@@ -137,6 +139,7 @@ static void arrange(Contacts *c, int m)
     Graph *g = &c->graph;
     const size_t size = m * sizeof(int);
     if (m == g->m && !memcmp(c->closed, g->arranged, size)) return;
+
     if (m != g->m || memcmp(c->closed, g->gathered, size)) {
         int from = 0, stamp = 0;
         g->m = m;
@@ -147,6 +150,7 @@ static void arrange(Contacts *c, int m)
         list_trees(c, m);
         for (int k = 0; k < m; k++) {
             if (g->taken[k]) continue;
+
             int count = 1;
             g->member[0] = k;
             g->taken[k] = 1;
@@ -155,6 +159,7 @@ static void arrange(Contacts *c, int m)
                 for (int i = 0; i < near; i++)
                     if (!g->taken[g->found[i]]) g->taken[g->found[i]] = 1, g->member[count++] = g->found[i];
             }
+
             add_group(c, count, from, &stamp);
             g->group[g->groups++] = from;
             from += count;

@@ -50,6 +50,7 @@ static void scaling(const double *x, const double *u, int d, double *N, double *
     const double size = sqrt(2.0 * (v[0] + 1.0));
     v[0] += 1.0;
     for (int i = 0; i < d; i++) v[i] /= size;
+
     for (int i = 0; i < d; i++)
         for (int j = 0; j < d; j++) {
             const double mirror = i != j ? 0.0 : i ? -1.0 : 1.0, sign = (i ? -1.0 : 1.0) * (j ? -1.0 : 1.0);
@@ -113,6 +114,7 @@ static int begin_steps(const Problem *of, Interior *o)
             for (int k = 0; k < d; k++) o->own[(i * d + k) * d + j] = column[k];
         }
     }
+
     load_blocks(of, d, o->blocks, o->scale, o->T, o->own);
     return factor_blocks(of, d, o->blocks, 0.0);
 }
@@ -129,6 +131,7 @@ static void take_step(const Problem *of, Interior *o, double *right)
         without_slip(o->u + i * d, d, b);
         add(b, 1.0, o->r + i * d, d);
     }
+
     solve_blocks(of, d, o->blocks, o->dx);
     for (int i = 0; i < o->m; i++) {
         double once[D], twice[D];
@@ -172,6 +175,7 @@ static int inner_step(const Problem *of, Interior *o, double gap, double most, d
         product_of_cone(o->near + i, o->near + i, d, a);
         for (int k = 0; k < d; k++) right[i + k] = -a[k] - second[k] + (k ? 0.0 : share * gap);
     }
+
     take_step(of, o, right);
     length = step_length(o, NEARLY);
     add(o->x, length, o->dx, n);

@@ -37,9 +37,11 @@ static int stop_closed(System *s, ElasticContact *o, const Persisting *at, const
             P->u[d * k + a] = row_times(o, o->near[k], o->rows + WIDE * (d * k + a), out->v) + carry[a];
         if (force[d * k] > 0.0) most = fmax(most, fabs(P->u[d * k])), *any |= P->u[d * k] < 0.0;
     }
+
     memset(P->f, 0, d * m * sizeof(double));
     if (!*any) return DONE;
     if ((verdict = take_compliance(s, o, at->scale))) return verdict;
+
     for (int k = 0; k < m; k++) {
         if (force[d * k] > 0.0) continue;
         memset(P->u + d * k, 0, d * sizeof(double));
@@ -47,6 +49,7 @@ static int stop_closed(System *s, ElasticContact *o, const Persisting *at, const
         o->known_scale = 0.0;
         if (P->lumped) P->lumped->still[k] = 1;
         if (P->lumped) continue;
+
         for (int j = 0; j < m; j++) {
             if (j == k) continue;
             memset(P->W + ((long)k * (m - 1) + j - (j > k)) * d * d, 0, d * d * sizeof(double));
@@ -91,11 +94,13 @@ int persist(System *s, ElasticContact *o, const Persisting *k, const Block *now,
         any |= f[r] > 0.0;
         fresh |= f[r] > 0.0 && now->own[o->at_held + d * o->near[r / d]] <= 0.0;
     }
+
     if (!any) return DONE;
     memcpy(force, f, n * sizeof(double));
     memcpy(stopped, f, n * sizeof(double));
     if (take_rates(o, k->h, out)) return FAILED;
     if ((verdict = stop_closed(s, o, k, force, now, out, &any))) return verdict;
+
     if (any) {
         for (int r = 0; r < n; r++) f[r] *= k->scale, stopped[r] += f[r] / k->h;
         if ((verdict = pushed(s, o, 1.0, f, dv, NULL))) return verdict;
@@ -109,6 +114,7 @@ int persist(System *s, ElasticContact *o, const Persisting *k, const Block *now,
             if (carried(o, j, k->h, now, out, carry)) return FAILED;
             work += dot(f + d * j, carry, d);
         }
+
         if ((verdict = pushed(s, o, 1.0, f, dv, NULL)) || (verdict = share_of(s, o, dv, work, out, &share))) return verdict;
         add(out->v, share, dv, s->nv);
         add(out->A, share * k->to_A, dv, s->nv);

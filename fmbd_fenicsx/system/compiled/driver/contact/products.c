@@ -15,6 +15,7 @@ static void answered_by(const void *by, const double *f, double *u)
         memset(u, 0, d * o->count * sizeof(double));
         return;
     }
+
     o->problem->tally.products++;
     const int failed = pushed(s, o, l->scale, f, x, NULL);
     for (int r = 0; r < d * o->count; r++) u[r] = failed ? NAN : l->still[r / d] ? 0.0 : row_times(o, o->near[r / d], o->rows + WIDE * r, x);
@@ -49,6 +50,7 @@ static void lumped_block(const ElasticContact *o, int i, int j, double scale, do
     take_shares(o, i, left);
     take_shares(o, j, right);
     memset(block, 0, d * d * sizeof(double));
+
     for (int e = 0; e < k.count; e++)
         for (int g = 0; g < l.count; g++) {
             const double *E = stiffness_between(k.nodes, number_of(&k, e), number_of(&l, g));
@@ -67,6 +69,7 @@ static void take_lumped(const ElasticContact *o, double scale)
     Lumped *l = P->lumped;
     const Problem *H = &l->inverse;
     l->times = answered_by, l->by = o, l->scale = scale;
+
     for (int i = 0; i < m; i++) {
         double *own = P->own + i * d * d;
         const int p = l->place[i];

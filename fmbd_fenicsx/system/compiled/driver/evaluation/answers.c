@@ -31,6 +31,7 @@ int sample(System *s, double t, double *last)
             *last = t;
             return DONE;
         }
+
     s->calls++;
     if (s->python(SAMPLE, WHOLE_SAMPLE, t)) return FAILED;
     *last = t;
@@ -107,6 +108,7 @@ void derivatives_in_time(System *s, double *partial, double *second)
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
         k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
+
         for (long i = 0; i < k->n; i++) {
             partial[k->row[i]] += k->factor[i] * k->out[2 * i];
             second[k->row[i]] += k->factor[i] * k->out[2 * i + 1];
@@ -160,6 +162,7 @@ EXPORT int driver_look(System *s, double t, double length, const double *units, 
     double last = NAN;
     int verdict = sample(s, t, &last);
     if (verdict || (verdict = sums ? evaluate(s, q, v, a, lam, t) : place(s, q, v))) return verdict;
+
     if (sums) like_v(s, s->residual, sums);
     derivatives_in_time(s, room, room + s->rows);
     drift(s);
@@ -277,6 +280,7 @@ static int load_nodes(System *s, const double *b, int part)
     for (int k = 0; s->fields && k < s->bodies; k++) {
         const Body *o = s->body + k;
         if (!o->field) continue;
+
         double *force = o->field->force + part * o->field->n;
         memset(s->b + part * (s->nu + s->rows) + o->at_u + TWIST, 0, o->modes * sizeof(double));
         for (long i = 0; i < o->field->n; i++) {
@@ -302,6 +306,7 @@ EXPORT int driver_solve(System *s, long count, const double *q, const double *b,
             memcpy(to + s->nu, c, s->rows * sizeof(double));
             loaded |= load_nodes(s, b, part);
         }
+
         if ((failed = with_all_rows(s, loaded, x, y, 0.0))) return failed;
     }
     return verdict;
@@ -316,6 +321,7 @@ static void load_core(System *s, const double *b, const double *pz)
         double *to = s->b + o->at_u;
         memcpy(to, b + TWIST * k, D * sizeof(double));
         to_world(s->frames + FRAME * k + TURN, b + TWIST * k + D, to + D);
+
         if (!o->field) memcpy(to + TWIST, b + o->at_v, o->modes * sizeof(double));
         else {
             memcpy(o->field->pz, pz + o->field->column, o->field->solved * sizeof(double));
@@ -334,6 +340,7 @@ EXPORT int driver_columns(System *s, long count, long columns, const double *q, 
     for (long i = 0; i < count; i++, b += s->core, x += s->core, pz += columns, f += columns) {
         load_core(s, b, pz);
         solve_core(s);
+
         for (int k = 0; k < s->bodies; k++) {
             const Body *o = s->body + k;
             take_twist(s, k, 0, x);

@@ -13,6 +13,7 @@ int place(System *s, const double *q, const double *v)
         rotation(pose, x + TURN);
         memcpy(x + SPEED, twist, D * sizeof(double));
         to_world(x + TURN, twist + D, x + SPIN);
+
 #if DIM == 2
         x[FRAME - 1] = pose[2];
 #endif
@@ -22,10 +23,12 @@ int place(System *s, const double *q, const double *v)
     }
     for (Batch *k = s->batch; k < s->batch + s->batches; k++)
         for (long i = 0; k->theta && i < k->n; i++) k->P[i * k->width + k->near] = q[k->theta[i]];
+
     for (int k = 0; k < s->surfaces; k++) {
         int verdict = place_surface(s, k, q);
         if (verdict) return verdict;
     }
+
 #if DIM == 2
     for (int i = 0; i < s->angles; i++) { /* surfaces that turn as a whole are known up to whole turns */
         const Angle *o = s->angle + i;
@@ -49,6 +52,7 @@ void turn_velocity(System *s, const double *v)
         if (o->field) field_rates(o, v);
         memcpy(to + TWIST, o->field ? o->field->rates : v + o->at_v, o->modes * sizeof(double));
     }
+
     for (int i = 0; i < s->surfaces; i++) {
         const Surface *k = s->surface + i;
         const Body *o = s->body + k->body;
@@ -66,12 +70,14 @@ int body_forces(System *s, const double *q, const double *v, const double *a, do
         const double *R = s->frames + FRAME * b + TURN, *w = v + TWIST * b + D, *accel = a + TWIST * b;
         double *f = s->residual + o->at_u;
         int found = DONE;
+
         if (o->field) {
             memset(f + TWIST, 0, o->modes * sizeof(double));
             found = field_force(s, b, q, v, a, f, t);
         } else if (o->T) found = reduced_force(o, R, q, v, a, w, s->gravity, accel, f, f + TWIST);
         else if (o->inertia) rigid_force(o, R, w, accel, s->gravity, f);
         else memset(f, 0, TWIST * sizeof(double));
+
         if (o->told) found = told_force(s, b, q, v, a, f, t);
         if (found == FAILED) return FAILED;
         if (found) verdict = found;
@@ -144,6 +150,7 @@ int efforts(System *s, Batch *k, double t)
         k->rate[i] = rate;
         if (k->role == LINEAR || k->role == READ) k->effort[i] = k->stiffness[i] * (out[0] - k->free[i]) + k->damping[i] * rate;
     }
+
     if (s->ties) give_efforts(s, k);
     const int law = k->role == FORMULA || k->role == LAW;
     if (s->straight && law && !is_held(s, k)) return along_tangents(s, k, t);
@@ -174,6 +181,7 @@ int items(System *s, Batch *k, const double *lam, double t)
             s->gap[k->row[i]] += k->factor[i] * open;
             force = k->factor[i] * lam[k->row[i]];
         } else force = k->effort[i];
+
         for (int e = 0; e < k->live; e++) s->residual[at[e]] += force * out[k->entry[e]];
     }
     return DONE;

@@ -92,6 +92,7 @@ static int tangents(System *s, Batch *k, double cd, double ck, double geometric,
     if (curved) k->tangent(k->n, k->pair, s->frames, k->P, k->weight, k->hessian);
     else if (k->curved) memset(k->hessian, 0, k->n * k->hessians * sizeof(double));
     if (!slope && !curved) return DONE;
+
     if (k->mapped) mapped_tangents(s, k, slope);
     else {
         if (slope) plain_squares(s, k, slope);
@@ -109,6 +110,7 @@ static int entries(System *s, const double *q, double cd, double ck, double geom
     s->links = 0;
     s->cd = cd;
     s->ck = ck;
+
     for (int b = 0; b < s->bodies; b++) {
         const Body *o = s->body + b;
         const double *R = s->frames + FRAME * b + TURN;
@@ -118,6 +120,7 @@ static int entries(System *s, const double *q, double cd, double ck, double geom
         else if (o->inertia && !s->imaginary) rigid_block(s, o, R);
         if (o->told && (verdict = told_block(s, o, t))) return verdict;
     }
+
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role == READ || k->role == TERM) continue;
         if (k->role == ROW && k->mapped && !s->imaginary) mapped_rows(s, k);
@@ -254,6 +257,7 @@ static void add_softness(System *s, double times, double *x, double *y)
         for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++) /* conditions of frames are not softened */
             if (o->field) memset(open + o->field->row, 0, o->field->frames * sizeof(double));
     }
+
     for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
         if (o->field) field_without_load(o);
     solution(s, more, left);
@@ -285,12 +289,14 @@ void slips(System *s, int rates)
     for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
         for (int i = 0; o->field && i < o->field->frames; i++)
             s->slip[o->field->row + i] = s->velocity[o->at_u + TWIST + o->field->frame_slot[i]];
+
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
         if (rates && k->driven && !k->flow) {
             k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
             for (long i = 0; i < k->n; i++) s->slip[k->row[i]] += k->factor[i] * k->out[2 * i];
         }
+
         if (rates) k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         const double *out = k->out;
         const int *at = k->at;
@@ -329,6 +335,7 @@ static void foretell(System *s, const double *x)
         turned = 1;
         const double *out = k->out;
         const int *at = k->at;
+
         for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
             double change = 0.0;
             for (int e = 0; e < k->live; e++) change += out[k->entry[e]] * s->velocity[at[e]];
@@ -364,6 +371,7 @@ double other_pulls(System *s, const double *x)
     foretell(s, x);
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != LINEAR || !(k->curved || k->turning)) continue;
+
         for (long i = 0; i < k->n; i++) {
             double pull = s->ck * k->foretold[i], other = pull - k->weight[i], inertia = INFINITY;
             if (!(fabs(other) > SAME_PULL * fmax(fabs(pull), fabs(k->weight[i])))) continue;

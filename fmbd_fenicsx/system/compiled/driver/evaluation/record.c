@@ -20,6 +20,7 @@ static int readings(System *s, double t, double *found)
         values(s, k);
         int verdict = efforts(s, k, t);
         if (verdict) return verdict;
+
         for (long i = 0; i < k->n; i++) {
             if (k->slot[i] < 0) continue;
             double *one = found + 3 * k->slot[i];
@@ -37,6 +38,7 @@ static void sights(System *s, const Block *now, double *out)
     double arm[D], way[D];
     double *one = out;
     const double *p = s->seen_place;
+
     for (int i = 0; i < s->seen; i++, one += SIGHT, p += D + D * D) {
         const double *frame = s->frames + FRAME * s->seen_frame[i];
         memcpy(one, frame, FRAME * sizeof(double));
@@ -57,6 +59,7 @@ static void sights(System *s, const Block *now, double *out)
         double *accel = one + FRAME, turning[D];
         memset(accel, 0, D * sizeof(double));
         if (body == s->bodies) continue; /* the ground */
+
         const double *frame = s->frames + FRAME * body, *second = s->velocity + (on < 0 ? s->body[body].at_u : s->nu + TWIST * on);
         times(frame + TURN, p, arm);
         spin(second + D, arm, accel);
@@ -76,6 +79,7 @@ static void reaction(const System *s, const Reaction *o, const double *lam, doub
     const double *frame = s->frames + FRAME * o->frame;
     double lever[D], turning[ROT];
     memset(wrench, 0, TWIST * sizeof(double));
+
     for (int i = 0; i < o->items; i++) {
         const Batch *k = s->batch + o->batch[i];
         const double *out = k->out + k->outputs * o->item[i] + 1;
@@ -86,6 +90,7 @@ static void reaction(const System *s, const Reaction *o, const double *lam, doub
             if (component >= 0 && component < TWIST) wrench[component] -= pull * out[e];
         }
     }
+
     times(frame + TURN, o->p, lever);
     moment(lever, wrench, turning);
     for (int i = 0; i < ROT; i++) wrench[D + i] -= turning[i];
@@ -140,6 +145,7 @@ void judge_drift(System *s, Tape *tape, const Block *now)
     tape->judged = *now->t;
     if (!(speed <= open[3])) open[3] = speed;
     open[4] = fmax(open[4], fastest_turn(s, now->v));
+
     for (int i = 0; i < s->rows; i++) {
         double gap = fabs(s->gap[i]), slip = fabs(s->slip[i]), length = gap * tape->units[i];
         if (!(gap * s->row_units[i] <= open[0])) open[0] = gap * s->row_units[i]; /* nan is kept */
@@ -147,6 +153,7 @@ void judge_drift(System *s, Tape *tape, const Block *now)
         if (!(slip * tape->units[i] <= open[2])) open[2] = slip * tape->units[i];
         if (!(length <= widest)) widest = length;
     }
+
     if (tape->doubtful >= 0 || widest <= tape->allowed) return;
     if (widest <= tape->allowed + tape->roundoff * far_from_origin(s, now->q, tape->length)) return;
     tape->doubtful = tape->count;

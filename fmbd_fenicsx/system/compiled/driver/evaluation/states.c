@@ -29,6 +29,7 @@ static void count_angles(const System *s, const double *q0, const double *xi, do
             double sign = side ? 1.0 : -1.0;
             for (int k = 0; k < D; k++) at[side][TURN + (D + 1) * k] = 1.0; /* the ground */
             if (b >= s->bodies) continue;
+
 #if DIM == 3
             ahead += sign * dot(side ? o->eb : o->ea, xi + TWIST * b + D, 3);
 #else
@@ -76,12 +77,14 @@ void energies(System *s, double t, const double *q, const double *v, const doubl
         else body_energies(o, s->frames + FRAME * b + TURN, q, v, q + POSE * b, v + TWIST * b, gravity, out);
         if (o->told) told_energies(s, b, t, q, v, gravity, out);
     }
+
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role == MOUNT) out[3] += mount_energy(s, k);
         if (k->role != LINEAR && k->role != FORMULA) continue;
         values(s, k);
         if (k->role == FORMULA) efforts(s, k, t);
         for (long i = 0; k->role == FORMULA && i < k->n; i++) out[3] += stored(k, i, t);
+
         for (long i = 0; k->role == LINEAR && i < k->n; i++) {
             double stretch = k->out[i * k->outputs] - k->free[i];
             out[3] += 0.5 * k->stiffness[i] * stretch * stretch;
@@ -115,6 +118,7 @@ int keep(System *s, double t)
             else pid_keep(k->constants + FORMULA_WIDTH * i, integral_of(k, i), k->s[i] - k->free[i], k->rate[i], t);
         }
     }
+
     for (Rod *k = s->rod; k < s->rod + s->rods; k++) rod_keep(s, k, t);
     if (s->remembers < 2) return DONE;
     read_all(s);
@@ -135,6 +139,7 @@ void note_readings(System *s, int j)
             integral_of(k, i)->speed[j] = p[5] - k->rate[i];
         }
     }
+
     if (!r->asked) return;
     read_all(s);
     memcpy(r->y + (long)j * r->asked, s->controllers->y, r->asked * sizeof(double));

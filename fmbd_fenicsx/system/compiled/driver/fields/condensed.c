@@ -86,6 +86,7 @@ static void symmetric_solve(const Symmetric *o, const double *b, double *x)
         for (int p = o->start[k]; p < o->start[k + 1]; p++) y[o->row[p]] -= L[p] * c;
         y[k] = c * inverse[k];
     }
+
     for (long k = n - 1; k >= 0; k--) {
         double complex sum = 0.0;
         for (int p = o->start[k]; p < o->start[k + 1]; p++) sum += L[p] * y[o->row[p]];
@@ -114,11 +115,13 @@ static void take_residual(const Field *e, int part)
     scaled(e, part, e->of_mass, e->n, x);
     for (long i = 0; i < e->nodes; i++)
         for (int k = e->M_start[i]; k < e->M_start[i + 1]; k++) add(r + D * i, e->M[k], x + D * e->M_column[k], D);
+
     for (int j = 0; !e->by_component && j < DAMPINGS; j++) {
         if (!e->damping[j]) continue;
         scaled(e, part, e->of_damping + 2 * j, e->n, x);
         blocks_times(e->nodes, e->damping[j], x, x, 0.0, r);
     }
+
     if (!e->by_component) {
         scaled(e, part, e->of_stiffness, e->wide, x);
         blocks_times(e->nodes, &K, x, x, 0.0, r);
@@ -162,6 +165,7 @@ static int solved_here(const Field *e)
 {
     double residual = 0.0, scale = 0.0;
     if (!e->factor || !*e->factor || refined(e)) return 0;
+
     for (int part = 0; part < e->parts; part++) {
         const double *b = e->b + part * e->wide;
         take_residual(e, part);
@@ -260,6 +264,7 @@ void field_answers(System *s, const Body *o)
         turn_nodes(e, rest, k, 1);
         for (int i = 0; i < k; i++) rest[i] = e->pz[part * k + i] - rest[i];
     }
+
     apply(e, e->S, k, k, e->rest, e->f);
     apply(e, e->G, m, k, e->f, reaction);
     for (int part = 0; part < e->parts; part++)
@@ -275,6 +280,7 @@ void field_increment(System *s, const Body *o, double *x)
     const Field *e = o->field;
     const int k = e->solved;
     field_answers(s, o);
+
     for (int part = 0; part < e->parts; part++) {
         double *dU = x + part * s->nv + o->at_v;
         memcpy(dU, e->z + part * e->wide, e->n * sizeof(double));
@@ -308,6 +314,7 @@ void field_sway(System *s, const Body *o, const double *R, const double *x)
             moment(e->MU + D * i, dU + D * i, one);
             add(local, -1.0, one, ROT);
         }
+
         to_world(R, local, turned);
         add(s->b + part * (s->nu + s->rows) + o->at_u + D, 1.0, turned, ROT);
     }

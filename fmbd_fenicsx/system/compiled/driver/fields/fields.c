@@ -81,6 +81,7 @@ static int held_force(System *s, const Body *o, const double *R, const Motion *m
         same = same && !memcmp(asked, known[i], sizes[i] * sizeof(double));
         if (!same) memcpy(asked, known[i], sizes[i] * sizeof(double));
     }
+
     if (same) return DONE;
     e->asked_at = NAN;
     if (e->own) {
@@ -91,6 +92,7 @@ static int held_force(System *s, const Body *o, const double *R, const Motion *m
         memset(e->held_force, 0, e->n * sizeof(double));
         if ((verdict = material_force(e, m->U, m->Ud, e->held_force))) return verdict;
     }
+
     e->asked_at = t;
     return DONE;
 }
@@ -135,6 +137,7 @@ static int nodal_force(System *s, const Body *o, const double *R, const Motion *
         add(sum, 1.0, e->held_sums, D);
         add(local, 1.0, e->held_sums + D, ROT);
     }
+
     if (means) mean_material_force(e, U, Ud, s->span, e->force);
     else if (held) add(e->force, 1.0, e->held_force, e->n);
     else if ((verdict = material_force(e, U, Ud, e->force))) return verdict;
@@ -157,6 +160,7 @@ int field_force(System *s, int b, const double *q, const double *v, const double
     if (e->whole || (means && !e->means))
         verdict = tell(s, s->from ? FIELD_MEANS : FIELD_FORCES, e->number, e->n, e->state, R, &m, s->gravity, t);
     if (verdict) return verdict;
+
     if (e->whole || (means && !e->means)) { /* else Python has lent them */
         memcpy(f, e->sums, D * sizeof(double));
         to_world(R, e->sums + D, f + D);

@@ -62,6 +62,7 @@ static int add_rest_damping(const Field *e, const double *U, const double *Ud, d
     for (long i = 0; i < e->n; i += D) times(turn, Ud + i, rates + i);
     memset(force, 0, e->n * sizeof(double));
     blocks_times(e->nodes, &K, rates, rates, 0.0, force);
+
     for (long i = 0; i < e->n; i += D) {
         transposed(turn, force + i, world);
         add(F + i, e->beta, world, D);
@@ -149,6 +150,7 @@ static void add_loads(const Field *e, const double *R, const double *U, double *
             for (int c = 0; c < D; c++) N[D * j + c] += (e->X[i + j] + U[i + j]) * outer[c];
         }
     }
+
     axial(N, moment);
     add(local, -1.0, moment, ROT);
 }

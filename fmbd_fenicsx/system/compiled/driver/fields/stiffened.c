@@ -23,6 +23,7 @@ static void bend_field(const Field *e, const double *U, const double *Ud)
             for (int j = 0; j < D; j++) add(bent + k * j, u[j], G, k);
             add(second, dot(Ud + D * i, Ud + D * e->stress_column[p], D), G, k);
         }
+
         for (int j = 0; j < D; j++) {
             add(stretch, U[D * i + j], bent + k * j, k);
             add(rate, Ud[D * i + j], bent + k * j, k);
@@ -91,6 +92,7 @@ static void moments_of(const Field *e, const double **local, int count, Moments 
     memset(z, 0, sizeof *z);
     memcpy(z->s[0], e->first, D * sizeof(double));
     memcpy(z->T[0], e->first + D, D * D * sizeof(double));
+
     for (int r = 0; r < count; r++) {
         for (long i = 0; i < e->nodes; i++) {
             const double *u = local[r] + D * i;

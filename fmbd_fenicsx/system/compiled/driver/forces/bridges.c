@@ -53,6 +53,7 @@ static int touch(System *s, Batch *k, long i, Law *law, const void *how, double 
     double from = 0.0, to = 1.0, missed = INFINITY;
     int verdict;
     k->aside = 1;
+
     for (int tries = 0; tries < BISECTIONS && fabs(missed) > MIDDLE; tries++) {
         const double share = 0.5 * (from + to);
         k->s[i] = began[0] + share * (x - began[0]);
@@ -62,6 +63,7 @@ static int touch(System *s, Batch *k, long i, Law *law, const void *how, double 
         if (missed < 0.0) from = share;
         else to = share;
     }
+
     if (!(fabs(missed) <= MIDDLE)) return DONE; /* it jumps, there is no line */
     if ((verdict = ask_slopes(s, k, t))) return verdict;
     line[3] = k->stiffness[i];
@@ -79,6 +81,7 @@ static int ask_again(System *s, Batch *k, Law *law, const void *how, double t)
 {
     int verdict = DONE, asks = s->bent && k->role == LAW;
     if (asks && ((verdict = law(s, k, how, t)) || (verdict = ask_slopes(s, k, t)))) return verdict;
+
     for (long i = 0; i < k->n; i++) {
         double *line = line_of(k, s->point, i);
         if (asks && line[2] == k->effort[i]) {
@@ -108,6 +111,7 @@ static int cross_hidden(System *s, Batch *k, Law *law, const void *how, double t
     int verdict = ask_slopes(s, k, t);
     for (long i = 0; !verdict && i < k->n; i++) {
         if (!is_hidden(s, k, i, 1)) continue;
+
         const double x = k->s[i], rate = k->rate[i];
         verdict = touch(s, k, i, law, how, t);
         k->aside = 0;
@@ -129,11 +133,13 @@ static void keep_lines(System *s, Batch *k)
         const double here[LINE] = {k->s[i], k->rate[i], k->effort[i], k->stiffness[i], k->damping[i]};
         const double along = k->stiffness[i] * (here[0] - line[0]) + k->damping[i] * (here[1] - line[1]);
         const double foretold = line[2] + (k->role == LAW ? along : 0.0); /* by slopes that the tangent has */
+
         if (s->iterate == FOLLOWING && fabs(foretold - k->effort[i]) > known) s->swung = 1;
         if (!k->bridges[i]) {
             memcpy(line, here, (sloped ? 5 : 3) * sizeof(double));
             continue;
         }
+
         k->effort[i] = line[2];
         k->stiffness[i] = line[3];
         k->damping[i] = line[4];
@@ -172,6 +178,7 @@ int undecided(System *s, double unit, const double *x)
         turned = 1;
         const double *out = k->out, known = OF_THE_LAW * largest(k->effort, (int)k->n);
         const int *at = k->at;
+
         for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {
             double change = 0.0;
             for (int e = 0; e < k->live; e++) change += out[k->entry[e]] * s->velocity[at[e]];

@@ -22,16 +22,19 @@ static void read_all(const System *s)
             *y = r->what == ITS_RATE ? *k->rate : *k->s;
             continue;
         }
+
         if (r->what == ANGULAR) {
             memcpy(y, frame + SPIN, ROT * sizeof(double));
             continue;
         }
+
         if (r->what == TURNED_BY) {
             product(frame + TURN, r->turn, R);
             if (D == 2) *y = atan2(R[2], R[0]);
             else memcpy(y, R, sizeof R);
             continue;
         }
+
         lever_of(s, r, lever);
         if (r->what == PLACE_OF) memcpy(y, frame, D * sizeof(double));
         else {
@@ -71,6 +74,7 @@ int control_effort(System *s, Batch *k, double t)
         c->fresh = !k->aside;
         if (k->aside) c->sloped = 0;
     }
+
     *k->effort = s->straight ? foretold_effort(s, k) : -c->u[o->number];
     return DONE;
 }
@@ -106,12 +110,14 @@ static void add_answer(const System *s, const Reading *r, int i, double factor, 
         for (int e = 0; e < k->live; e++) row[k->at[e]] += factor * k->out[k->entry[e]];
         return;
     }
+
     if (r->frame == s->bodies) return; /* the ground */
     double *on = row + (r->frame < s->bodies ? s->body[r->frame].at_u : s->nu + TWIST * (r->frame - s->bodies - 1));
     if (r->what == ANGULAR || (r->what == TURNED_BY && D == 2)) {
         on[D + i] += factor;
         return;
     }
+
     if (r->what == TURNED_BY) { /* of the columns r of R: w x r */
         product(s->frames + FRAME * r->frame + TURN, r->turn, R);
         for (int j = 0; j < D; j++) column[j] = R[D * j + i % D];
@@ -135,6 +141,7 @@ static int control_link(const System *s, const Batch *k, double *push, double *p
     memset(push, 0, wide * sizeof(double));
     memset(pull, 0, wide * sizeof(double));
     for (int e = 0; e < k->live; e++) push[k->at[e]] += k->out[k->entry[e]];
+
     for (const Reading *r = s->controllers->reading; r < s->controllers->reading + s->controllers->readings; r++) {
         const int from = r->first - o->first, fast = r->what == ITS_RATE || r->what == VELOCITY_OF || r->what == ANGULAR;
         for (int i = 0; from >= 0 && from < o->count && i < r->count; i++) {

@@ -88,21 +88,25 @@ static int find_integral(const double *p, PidMemory *m, const Remembered *r)
         m->when[j] = r->t[j];
         m->then[j] = m->z + (r->t[j] - m->t) * m->rate;
     }
+
     for (int tries = 0, same = 0; tries < 8 && !same; tries++) {
         same = tries > 0;
         for (int j = 0; j < n; j++) {
             b[j] = integral_rate(p, m->then[j], m->error[j], m->speed[j], slope + j);
             same &= slope[j] == before[j];
             before[j] = slope[j];
+
             for (int i = 0; i < n; i++) {
                 A[j * n + i] = r->couple[j * n + i] - (i == j ? slope[j] : 0.0);
                 b[j] -= r->couple[j * n + i] * m->then[i];
             }
             for (int l = 0; l < r->ends; l++) b[j] -= r->past[j * r->ends + l] * integral_behind(m, r->end[l]);
         }
+
         if (solve_dense(A, n, b, 1, 1, 0.0)) return SINGULAR;
         for (int j = 0; j < n; j++) m->then[j] += b[j];
     }
+
     m->points = n;
     m->slope = slope[n - 1];
     return DONE;
@@ -132,6 +136,7 @@ static void pid_keep(const double *p, PidMemory *m, double x, double rate, doubl
 {
     double half = 0.5 * (t - m->t), k, c, error = p[4] - x, z, slope, growth = error;
     int point = m->points > 0.0 && m->when[(int)m->points - 1] == t;
+
     if (point) {
         z = m->then[(int)m->points - 1];
         growth = integral_rate(p, z, error, p[5] - rate, &slope);
@@ -143,6 +148,7 @@ static void pid_keep(const double *p, PidMemory *m, double x, double rate, doubl
             growth = error + (u - push - p[3] * z) / p[0];
         }
     }
+
     m->size = integral_size(m, t, z);
     if (t > m->t) {
         for (int i = PAST - 1; i > 0; i--) {
@@ -154,6 +160,7 @@ static void pid_keep(const double *p, PidMemory *m, double x, double rate, doubl
         m->before = m->rate;
         m->count = fmin(m->count + 1.0, PAST);
     }
+
     m->z = z;
     m->rate = growth;
     m->t = t;
@@ -195,6 +202,7 @@ void formula(Batch *k, long i, double t)
     }
     *slope = p[0];
     *drag = p[1];
+
     if (k->formula == SERVO) k->effort[i] = cut(p[0] * (x - p[4]) + p[1] * (rate - p[5]), p[2], slope, drag);
     else {
         const double trial = p[0] * (x - stuck(kept, t)) + p[1] * rate;
@@ -221,6 +229,7 @@ static void friction_keep(const Batch *k, long i, double t)
     if (back && kept[AGO] <= AT_ONCE) kept[CHATTERED] += 1.0;
     kept[AGO] = back ? 1.0 : kept[AGO] + 1.0;
     if (slid) kept[SIDE] = copysign(1.0, k->effort[i]);
+
     if (t > kept[SINCE]) {
         kept[STUCK_BEFORE] = kept[STUCK];
         kept[BEGAN] = kept[SINCE];

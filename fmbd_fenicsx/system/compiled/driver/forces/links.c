@@ -45,10 +45,12 @@ static int link_efforts(System *s, const double *cd, const double *ck)
         }
         s->links += answers;
     }
+
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
         if (k->role == WHOLE) whole_links(s, k, cd, ck);
     const int count = s->links, m = parts * count;
     s->links = 0; /* until they are known */
+
     for (int k = 0; k < count; k++) {
         double *push = s->push + k * wide, *first = s->pull + k * parts * row, *second = first + row;
         fold(s, push);
@@ -57,6 +59,7 @@ static int link_efforts(System *s, const double *cd, const double *ck)
             first[wide + i] = -second[i];
             second[wide + i] = first[i];
         }
+
         for (int part = 0; part < parts; part++) {
             double *answer = s->answer + (k * parts + part) * size;
             memset(answer, 0, size * sizeof(double));

@@ -116,6 +116,7 @@ void mount_forces(System *s, const Batch *k)
         moment(m->arm, m->force, on_a);
         moment(m->lever, m->force, on_b);
         for (int j = 0; j < D; j++) s->residual[at[j]] -= m->force[j], s->residual[bt[j]] += m->force[j];
+
         for (int j = 0; j < ROT; j++) {
             s->residual[at[D + j]] -= on_a[j] + m->torque[j];
             s->residual[bt[D + j]] += on_b[j] + m->torque[j];
@@ -161,6 +162,7 @@ static void torque_turns(const Mount *m, double *M)
             G[3 * i + j] = c * (theta[i] * tau[j] - 2 * tau[i] * theta[j]) + 2 * slope * bent * theta[j] - 0.5 * G[3 * i + j];
             if (i == j) G[3 * i + j] += c * along;
         }
+
     product(G, m->turning, GT);
     product(m->axes, GT, full);
     for (int i = 0; i < 3; i++)
@@ -195,6 +197,7 @@ static void mount_stiffness(const Mount *m, const double *P, double cd, double c
             else if (r < D) up[ROT * r + c - D] = w;
             else if (c >= D) pp[ROT * (r - D) + c - D] = w;
         }
+
     product(m->axes, uu, half);
     product_transposed(half, m->axes, U);
     multiply(m->axes, up, half, D, D, ROT);
@@ -238,6 +241,7 @@ static void mount_block(const Mount *m, const double *P, double cd, double ck, d
         for (int i = 0; i < ROT; i++)
             for (int j = 0; j < ROT; j++)
                 part[ROT * i + j] += more[ROT * i + j] + Z[ROT * i + j] - 0.5 * geometric * (turn[ROT * i + j] + turn[ROT * j + i]);
+
         put(C, XB, XB, U, D, D, 1.0);
         put(C, XB, PB, across, D, ROT, 1.0);
         put(C, PB, PB, part, ROT, ROT, 1.0);

@@ -10,6 +10,7 @@ void add_terms(const Batch *k, const double *shares)
         const int *to = k->into;
         memset(out, 0, k->outputs * sizeof(double));
         out[0] = k->shift[i];
+
         for (int j = 0; j < k->terms; j++, c++) {
             const Batch *term = k - k->terms + j;
             const double *from = term->out + i * term->outputs, share = shares ? shares[j * k->n + i] : 1.0;
@@ -52,6 +53,7 @@ static void mapped_squares(System *s, const Batch *k, const double *slope)
             if (width) through(map, width, y, r + total);
             total += width;
         }
+
         for (int c = 0; c < total; c++)
             for (int d = 0; d <= c; d++, to++) s->L[*to] += slope[i] * r[c] * r[d] * times_there(on, d, c);
     }

@@ -94,6 +94,7 @@ static int surprised(const System *s, const Batch *k, long i)
         int frame = k->pair[2 * i + side];
         double on_body[TWIST], lever[D];
         if (frame == s->bodies) continue;
+
         if (frame > s->bodies) {
             if (missed > 4e-4 * change) return 1;
             continue;
@@ -144,6 +145,7 @@ static void to_frames(const System *s, const Batch *k, long i, double *C)
         for (int r = 0; r < ROT; r++) {
             double axis[ROT] = {0.0}, swing[D];
             int to = TWIST * side + D + r;
+
             axis[r] = 1.0;
             spin(axis, lever, swing);
             for (int j = 0; j < PAIR; j++) C[PAIR * j + to] += dot(C + PAIR * j + TWIST * side, swing, D);
@@ -172,6 +174,7 @@ int whole_tangents(System *s, Batch *k, double t)
         if (s->python(WHOLE_SLOPES, k->number, t)) return FAILED;
         *k->astray = 0;
     }
+
     for (long i = 0; i < k->n; i++) {
         double C[PAIR * PAIR], rest[PAIR * PAIR];
         parts_of(k, i, s->cd, s->ck, C, rest);
@@ -194,6 +197,7 @@ void whole_links(System *s, const Batch *k, const double *cd, const double *ck)
             lacks |= largest(C[part], PAIR * PAIR) > SKEW * largest(symmetric, PAIR * PAIR);
             to_frames(s, k, i, C[part]);
         }
+
         for (int r = 0; lacks && r < PAIR; r++) {
             double *push = s->push + (long)wide * s->links, most = 0.0;
             for (int part = 0; part < parts; part++) most = fmax(most, largest(C[part] + PAIR * r, PAIR));
@@ -205,6 +209,7 @@ void whole_links(System *s, const Batch *k, const double *cd, const double *ck)
                 memset(pull, 0, wide * sizeof(double));
                 for (int c = 0; c < PAIR; c++) pull[at[c]] += C[part][PAIR * r + c];
             }
+
             s->links++;
         }
     }

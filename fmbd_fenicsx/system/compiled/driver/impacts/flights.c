@@ -12,6 +12,7 @@ static void take_forces(Contacts *c, int m, double length, double h)
         if (!impact) memset(c->held + d * c->candidate[k], 0, d * sizeof(double));
         c->carrying[c->candidate[k]] = 0;
     }
+
     for (int k = 0; k < m; k++) {
         int i = c->closed[k];
         const double *f = c->all.f + d * k, *n = c->end.normal + D * i;
@@ -21,6 +22,7 @@ static void take_forces(Contacts *c, int m, double length, double h)
         c->normal[i] += f[0] / h;
         const int slides = c->pair[c->of[i]].shape != LIMIT;
         if (slides) across(n, e);
+
         for (int j = 0; j < D; j++) {
             double world = f[0] * n[j];
             for (int a = 1; slides && a < d; a++) world += f[a] * e[D * (a - 1) + j];
@@ -44,12 +46,14 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
         if (touch(c, c->ahead, t + 0.5 * length, &c->end)) return LOOK;
         if (gap_rates(c, c->ahead, t + 0.5 * length, span, c->rate)) return LOOK;
     }
+
     for (int k = 0; k < m; k++) {
         int i = c->closed[k];
         const Pair *o = c->pair + c->of[i];
         double *rows = c->rows + 2 * c->wide * d * k;
         contact_rows(c, i, c->ahead, &c->end, rows);
         if (drifts(c, i, c->ahead, t + 0.5 * length, way_over(t, span), &c->end, c->drift + d * k)) return LOOK;
+
         if (flight && !c->bouncing[i]) turn_slips(c, i, length, rows, now, c->before + d * k, c->drift + d * k);
         for (int a = 0; a < d; a++) c->all.f[d * k + a] = length * c->held[d * i + a];
         c->all.mu[k] = o->friction;
@@ -59,6 +63,7 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
         c->rebound[k] = c->bouncing[i] ? back * c->before[d * k] : !flight ? 0.0 : c->before[d * k] - (c->rebound[k] > STILL * p[LENGTH] / length ? 0.0 : c->rebound[k]);
         c->rate[i] += c->rebound[k];
     }
+
     if (s->samples && s->python(SAMPLE, 0, t + 0.5 * length)) return FAILED;
     return velocities(s, c, p, now, out, m, length, span);
 }
@@ -95,6 +100,7 @@ static int closing_share(System *s, Contacts *c, Block now, Block out, int i, do
             upper = *share, shut = gap;
             if (side < 0) open *= 0.5;
         }
+
         side = gap > 0.0 ? 1 : -1;
     }
     return DONE;
@@ -124,6 +130,7 @@ static int next_touch(
         }
         if (!left) break;
     }
+
     if ((*held = left)) return DONE;
     *which = -1;
     for (int k = 0; k < c->candidates; k++) {
@@ -144,6 +151,7 @@ static int located(System *s, Contacts *c, double *p, Block now, Block out, int 
     near = c->aside.gap[which];
     if (along_parabola(s, c, now, out, whole, share)) return LOOK;
     slope = (c->aside.gap[which] - near) / (1e-3 * share);
+
     for (int k = 0; k < LOCATING; k++) {
         *length = share * whole;
         if ((verdict = solved(s, c, p, now, out, m, *length, *length))) return verdict;
@@ -151,6 +159,7 @@ static int located(System *s, Contacts *c, double *p, Block now, Block out, int 
         configuration(s, now.q, c->xi, out.q);
         if ((verdict = closed_rows(s, c, p, out.q, out.v, *now.t + *length))) return verdict;
         if (touch(c, out.q, *now.t + *length, &c->aside)) return LOOK;
+
         double gap = c->aside.gap[which];
         if ((gap >= -deepest && gap <= 0.5 * TOUCHING * p[LENGTH]) || !(slope < 0.0)) break;
         share = fmin(fmax(share - gap / slope, 0.5 * share), fmin(2 * share, 1.0));
@@ -169,6 +178,7 @@ static int taken(System *s, Contacts *c, double *p, Block now, Block out, int m,
         c->xi[i] = 0.5 * (now.v[i] + out.v[i]);
         out.a[i] = (out.v[i] - now.v[i]) / length;
     }
+
     memcpy(c->kept, out.lam, s->rows * sizeof(double));
     for (int i = 0; i < s->nv; i++) s->work[i] = 0.5 * length * c->xi[i];
     configuration(s, now.q, s->work, out.q);

@@ -107,6 +107,7 @@ static int lawful_impulses(Contacts *c, const double *start, double t)
         share = next;
         if (impulses(c, start, t)) return 1;
         work = work_of_impact(c, share, &size);
+
         if (!round) {
             least = work;
             if (work > -CLOSE * size) break;
@@ -121,6 +122,7 @@ static int lawful_impulses(Contacts *c, const double *start, double t)
             side = -1;
         }
     }
+
     if (share != lower) {
         for (int k = 0; k < m; k++) open_by(c, k, shared(c, k, lower) - shared(c, k, share));
         if (impulses(c, start, t)) return 1;
@@ -156,6 +158,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         }
         configuration(s, now.q, xi, out.q);
         if ((verdict = evaluate_iterate(s, done, out.q, vm, out.a, out.lam, middle))) return verdict;
+
         if (!done || anew || (s->stiff && (s->bridged || other_slopes(s, 0.5 * h, 0.25 * h * h)))) {
             if ((verdict = prepare(s, out.q, 0.5 * h, 0.25 * h * h, now.lam, 0, middle))) return verdict;
             if (m) own_compliance(s, c, m);
@@ -169,6 +172,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         for (int i = 0; i < s->nu; i++) s->b[i] = -h * s->residual[i];
         for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 * s->slip[i];
         solution(s, x, y);
+
         for (int k = 0; k < n; k++) {
             int i = closed[k / d];
             const double *row = c->rows + 2 * c->wide * k;
@@ -198,6 +202,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
             converged = 0;
             p[THETA] = 0.1;
         }
+
         if (converged < 0) return NEWTON;
     }
     p[ITERATIONS] += done;
@@ -212,6 +217,7 @@ static int closed_rows(System *s, Contacts *c, double *p, double *q, const doubl
     double *x = s->work, *y = x + s->nv, *moved = c->ahead;
     if (!s->rows) return DONE;
     if (s->samples && s->python(SAMPLE, 0, t)) return FAILED;
+
     for (int round = 0; round < 3; round++) {
         double widest = 0.0;
         int verdict = place(s, q, v);
@@ -222,6 +228,7 @@ static int closed_rows(System *s, Contacts *c, double *p, double *q, const doubl
             k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
             for (long i = 0; i < k->n; i++) s->gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
         }
+
         for (int i = 0; i < s->rows; i++) widest = fmax(widest, fabs(s->gap[i]));
         if (widest <= 1e-13 * p[LENGTH]) break;
         memset(s->b, 0, s->nu * sizeof(double));
@@ -263,6 +270,7 @@ static void add_works(System *s, Contacts *c, Block now, Block out, const double
         own = dot(s->residual, s->velocity, s->nu);
         work[2] = h * (own - total);
     }
+
     for (int i = 0; i < 4; i++) c->works[i] += work[i];
     c->works[4] -= work[0] + work[1] + work[2] + work[3];
 }

@@ -47,6 +47,7 @@ static int taking_part(Contacts *c, const double *p, Block now, double h, int *h
         double rate = 0.0;
         c->bouncing[i] = 0;
         if (c->now.gap[i] > (c->carrying[i] ? DRIFTING : TOUCHING) * p[LENGTH]) continue;
+
         if (!c->carrying[i]) {
             contact_rows(c, i, now.q, &c->now, c->rows);
             rate = along(c, i, c->rows, now.v) + c->rate[i];
@@ -148,6 +149,7 @@ static int slow_touches(System *s, Contacts *c, double *p, Block now, Block out,
     if (along_parabola(s, c, now, out, length, 1.0)) return -1;
     for (int k = 0; k < c->candidates; k++) closed[c->candidate[k]] = 0;
     for (int k = 0; k < m; k++) closed[c->closed[k]] = 1;
+
     for (int k = 0; k < c->candidates; k++) {
         const int i = c->candidate[k];
         const double from = c->now.gap[i], to = c->aside.gap[i];
@@ -187,6 +189,7 @@ static int classical(System *s, Contacts *c, double *p, Block now, Block out, do
         if ((verdict = solved(s, c, p, now, out, m, left, left))) return verdict;
         if (!c->most) break;
         if (along_parabola(s, c, now, out, left, 1.0)) return LOOK;
+
         for (int k = 0; k < c->candidates; k++) {
             const int i = c->candidate[k];
             if (closed[i] <= 0 && c->aside.gap[i] < -DRIFTING * p[LENGTH]) through = closed[i] = c->bouncing[i] = 1;
@@ -216,6 +219,7 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
             m += held;
             continue;
         }
+
         if ((verdict = next_touch(s, c, now, out, m, length, &share, &which, &held))) return verdict;
         if (!held) break;
         if ((m = holding(s, c, p, now, m, h, &hit)) < 0) return LOOK;
@@ -328,6 +332,7 @@ static int accepted(System *s, Contacts *c, Block now, Tape *tape)
         if ((recorded || waits) && s->samples && s->python(SAMPLE, 0, *now.t)) return FAILED;
     }
     if ((recorded || waits) && touch_others(c, now.q, *now.t)) return LOOK;
+
     if (recorded) {
         const long size = c->points * (2 + 3 * D) + c->pairs * D + 6;
         record_contacts(c, tape->contact + size * place_on(tape));
@@ -352,6 +357,7 @@ EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double *
         Tally tally = c->tally;
         keep_books(c, 0);
         if (s->remembers) hold_friction(s, 0);
+
         if ((*verdict = whole_step(s, c, p, ring, &newest))) {
             p[THETA] = theta, p[ITERATIONS] = iterations, p[LEFT] = left;
             c->tally = tally;
@@ -360,6 +366,7 @@ EXPORT long moreau_march(System *s, Contacts *c, double *p, long steps, double *
             if (s->remembers) hold_friction(s, 1);
             break;
         }
+
         double *last = ring[newest];
         ring[newest] = ring[0];
         ring[0] = last;

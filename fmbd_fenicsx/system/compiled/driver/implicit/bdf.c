@@ -49,6 +49,7 @@ static Values local_values(const System *s, const Implicit *o, const Block *now,
     double *guess = *rest = e.xi + (long)e.count * n;
     memset(guess, 0, n * sizeof(double));
     memset(e.xi, 0, n * sizeof(double));
+
     for (int j = 1; j < e.count; j++) {
         const double *value = m->values + (j - 1) * size, *q = value + 1;
         e.t[j] = value[0];
@@ -103,6 +104,7 @@ static double foretell_point(Stages *g, int k, Values *e, double t)
         g->rate[i] = c0 * g->xi[i];
         g->vd[i] = c0 * g->v[i];
     }
+
     for (int j = 0; j < k; j++) {
         add(g->rate, c[j], e->xi + (long)j * n, n);
         add(g->vd, c[j], e->v[j], n);
@@ -157,6 +159,7 @@ static int point_of_step(System *s, double *p, Implicit *o, const Block *now, in
         configuration(s, now->q, g->xi, q);
         if ((verdict = take_tangent(s, o, t, q, g->v, g->vd, g->mult, p[LENGTH], work))) return verdict;
     }
+
     if ((verdict = point_factors(s, o, g->couple[0], work))) return verdict;
     if ((verdict = iterate_step(s, o, p, now, 1.0, work))) return verdict;
     return s->remembered ? remember_points(s, g, 1) : DONE;
@@ -188,6 +191,7 @@ static double point_error(System *s, const Implicit *o, int k, Values *e, double
     add_foretold(g, k + 1, e, t, -1.0, room, room + n);
     const double *parts[2] = {room, room + n};
     double share = (t - e->t[0]) / (t - e->t[k]), w[ENDINGS];
+
     if (t - e->t[0] < SUDDEN * (e->t[0] - e->t[1])) share = fmax(share, 1.0 / (k + 1));
     double error = share * step_error(s, o, parts, 2, room + 2 * n);
     if (!s->remembered) return error;
@@ -221,6 +225,7 @@ static int best_order(System *s, const Implicit *o, int k, double h, Values *e, 
         double less = grown(r, point_error(s, o, k - 1, e, room), k - 1);
         if (less > r->lower * *growth) order = k - 1, *growth = less;
     }
+
     if (k < r->highest && e->count >= k + 2) {
         double more = grown(r, point_error(s, o, k + 1, e, room), k + 1);
         if (more > r->higher * *growth) order = k + 1, *growth = more;
@@ -263,6 +268,7 @@ static int passing_point(System *s, double *p, Implicit *o, const Block *now, Bl
     const double most = farthest_turn(s->bodies, c->turn, *made.order + 1.0, now);
     double *work = out.own;
     int verdict;
+
     for (;;) {
         const int k = (int)*made.order;
         if ((verdict = own_size(c, now, found->proposed, most, p + H))) return verdict;
@@ -273,6 +279,7 @@ static int passing_point(System *s, double *p, Implicit *o, const Block *now, Bl
             verdict = point_of_step(s, p, o, now, k, e, work, room);
             if (!verdict && turn_too_far(s, c, g->points, g->xi)) verdict = NEWTON;
         } while (tried_anew(o, verdict, work));
+
         if (verdict) return verdict;
         found->error = point_error(s, o, k, e, room);
         if (found->error <= 1.0) return DONE;
@@ -295,6 +302,7 @@ static int own_bdf_step(System *s, double *p, Implicit *o, const Block *now, Blo
     Passing found = {.proposed = *m.next};
     int verdict;
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
+
     if (fmin(*m.order + 1.0, c->orders->highest) > STABLE && c->orders->uses >= c->orders->most) return SIZE;
     *made.order = *m.order;
     *made.held = *m.held;

@@ -31,6 +31,7 @@ static int bends_of(const System *s, const Stages *o, int differ, Bend *bends)
     int count = 0, laws = 0;
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) laws += k->line && !k->linked ? k->n : 0;
     if (laws * o->points > MOST_BENT) return -1;
+
     for (int j = 0; j < o->points; j++) {
         const double *had = o->slopes; /* by the tangent */
         for (Batch *k = s->batch; k < s->batch + s->batches; k++)
@@ -123,6 +124,7 @@ static int across_bends(System *s, Stages *o)
     memcpy(given, o->kin, kin * sizeof(double));
     memcpy(given + kin, o->low, low * sizeof(double));
     if ((verdict = changes_of(s, o, count, bends, change))) return verdict;
+
     for (int j = 0; j < count; j++) {
         double answers[MOST_BENT];
         memset(o->kin, 0, kin * sizeof(double));

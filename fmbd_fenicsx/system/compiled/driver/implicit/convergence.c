@@ -44,6 +44,7 @@ EXPORT void judge_increment(Convergence *o, double size, int still)
         o->outcome = DIVERGED;
         return;
     }
+
     if (told) {
         double ratio = last > 0.0 ? fmin(size / last, o->largest) : 0.0;
         o->theta = k > 1 && o->averaged ? sqrt(ratio * fmax(o->theta, 1e-10)) : ratio;

@@ -84,6 +84,7 @@ static void move_points(const Stages *o)
 {
     const FieldStages *e = o->fields;
     const System *by = e->by[0];
+
     for (int j = 0; j < o->points && e->pressures; j++) {
         double *opened = e->opened + (long)j * e->pressures, *pressure = e->pressure + (long)j * e->pressures;
         for (int i = 0; i < e->pressures; i++) opened[i] *= o->relax;
@@ -148,12 +149,14 @@ static void lacking(System *s, const Stages *o)
     for (int j = 0; j < k; j++) {
         double *kin = o->kin + j * n;
         const double *c = o->mult + j * (o->size - n) + o->m;
+
         if (o->levels > 1) {
             memset(closed, 0, n * sizeof(double));
             add_closing(o, c, closed);
             for (int b = 0; b < s->bodies; b++) rate_of(o->xi + j * n + TWIST * b, closed + TWIST * b);
             add(kin, 1.0, closed, n);
         }
+
         for (int i = 0; i < n; i++)
             if (!(fabs(kin[i]) > least)) kin[i] = 0.0;
     }
@@ -180,6 +183,7 @@ static int add_along(System *s, const Stages *o, int parts, const double *rate, 
     const FieldStages *f = o->fields;
     const int n = o->n, size = o->size;
     double *v = f->room, *a = v + n, *found = a + n;
+
     for (int part = 0; part < parts; part++, rate += n, push += n, low += size) {
         double speed = largest_of(s->units, rate, n), pushed = largest_of(s->units, push, n), still = largest_of(s->units, f->a, n), e;
         if (speed == 0.0) e = (still > 0.0 ? still : 1.0) / (pushed > 0.0 ? pushed : 1.0);
@@ -190,6 +194,7 @@ static int add_along(System *s, const Stages *o, int parts, const double *rate, 
         add(a, e, push, n);
         int verdict = evaluate(s, f->q, v, a, f->lam, f->t);
         if (verdict) return verdict;
+
         const Form form = form_of(o);
         like_v(s, s->residual, found);
         level_rows(s, &form, a, found);
@@ -217,6 +222,7 @@ static int known_parts(System *s, const Stages *o, int f, double *acts)
             slip[i] = frequency[0] * at[i] - at[m + i];
             if (parts > 1) slip[i] += (part ? 1.0 : -1.0) * frequency[1] * other[i];
         }
+
         if (moves) {
             if ((verdict = place(s, e->q, kin + part * n))) return verdict;
             slips(s, 1); /* rows where derivatives are taken */
@@ -247,10 +253,12 @@ static int field_solution(System *s, const Stages *o, int f, int known)
         if ((verdict = sample_middle(s, o, s))) return verdict;
         if ((verdict = add_along(s, o, parts, e->rate + (long)f * 2 * n, e->push + (long)f * 2 * n, low))) return verdict;
     }
+
     for (int part = 0; part < parts; part++) {
         memcpy(e->c + part * n, low + part * size, n * sizeof(double));
         if (o->levels) memcpy(e->given + part * m, low + part * size + n, m * sizeof(double));
     }
+
     scaled(minus, parts, n, e->c, e->b);
     memset(e->c, 0, parts * m * sizeof(double));
     if (o->levels) scaled(scale, parts, m, e->given, e->c);
@@ -342,6 +350,7 @@ static int field_increments(System *s, const Stages *o)
         field_velocities(s, o, f, dxi, dv);
         coupled(o, f, n, dxi, o->dxi);
         coupled(o, f, n, dv, o->dv);
+
         for (int level = 0; level < o->levels; level++)
             for (int j = 0; j < o->points; j++) {
                 const double *share = o->vectors + 2 * (j * o->frequencies + f), *z = y + level * parts * m;

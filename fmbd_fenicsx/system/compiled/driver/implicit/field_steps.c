@@ -21,6 +21,7 @@ static int field_matrices(System *s, const Stages *o, double key)
     int verdict = ask_matrices(s, o, key);
     if (verdict) return verdict;
     memset(e->before, 0, o->frequencies * sizeof(double));
+
     for (int f = 0; f < o->frequencies; f++) {
         System *by = e->by[f];
         const double *frequency = o->s + 2 * f, square = dot(frequency, frequency, 2);
@@ -28,6 +29,7 @@ static int field_matrices(System *s, const Stages *o, double key)
         const double bent[2] = {damped[0] * damped[0] - damped[1] * damped[1], 2.0 * damped[0] * damped[1]};
         share_memory(s, by);
         if ((verdict = sample_middle(s, o, by))) return verdict;
+
         verdict = evaluate(by, e->q, e->v, e->a, e->lam, e->t);
         if (verdict && verdict != LOOK) return verdict;
         verdict = parts_of(o, f) > 1 ? prepare_complex(by, e->q, damped, bent, e->lam, e->t)
@@ -86,6 +88,7 @@ static int align_stages(System *s, const Stages *o)
         if ((verdict = place(s, q, o->v + (long)j * n))) return verdict;
         level_rows(s, &both, NULL, low);
     }
+
     o->fields->aligned = o->levels > 1;
     for (int j = 0; o->levels > 1 && j < k; j++) {
         double *slip = o->mult + (long)j * (o->size - n) + m, *low = o->low + (long)j * o->size + n, *moved = o->dv + (long)j * n;
@@ -96,6 +99,7 @@ static int align_stages(System *s, const Stages *o)
         add_closing(o, opened, moved);
         add_closing(o, opened, o->v + (long)j * n);
     }
+
     for (int j = 0; j < k; j++)
         for (int i = 0; i < k; i++) add(o->vd + (long)j * n, o->couple[j * k + i], o->dv + (long)i * n, n);
     return DONE;
@@ -201,6 +205,7 @@ static void columns_of_rows(System *s, double *A)
     const int m = s->rows;
     const double *units = s->multiplier_units;
     memset(A, 0, (size_t)s->nu * m * sizeof(double));
+
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
         k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
@@ -212,12 +217,14 @@ static void columns_of_rows(System *s, double *A)
                     A[(long)(o->at_u + j) * m + row] += units[row] * k->factor[i] * s->big[j];
             }
     }
+
     for (const Body *o = s->body; o < s->body + s->bodies; o++) {
         double *own = A + (long)o->at_u * m, largest = 0.0;
         for (int i = 0; o->field && i < o->field->frames; i++) {
             const int row = o->field->row + i;
             own[(long)(TWIST + o->field->frame_slot[i]) * m + row] = units[row];
         }
+
         for (int j = 0; j < TWIST + o->modes; j++) largest = fmax(largest, dot(own + j * m, own + j * m, m));
         for (int j = 0; j < TWIST + o->modes; j++) {
             const double square = dot(own + j * m, own + j * m, m);
@@ -237,12 +244,14 @@ static int basis_of(int n, int m, double *A)
             const double square = dot(x, x, m);
             if (square > most) most = square, found = x;
         }
+
         if (!(most > DEPENDENT * DEPENDENT)) break;
         for (int i = 0; i < m; i++) {
             const double kept = next[i];
             next[i] = found[i];
             found[i] = kept;
         }
+
         for (const double *x = A; x < next; x += m) add(next, -dot(x, next, m), x, m); /* once more: what is left is small */
         const double size = sqrt(dot(next, next, m));
         for (int i = 0; i < m; i++) next[i] /= size;
@@ -262,6 +271,7 @@ static int least_on_fields(System *s, const Stages *o, int j, const double *q, d
     int verdict = sample_point(s, o, j, 1);
     memset(e->room, 0, o->n * sizeof(double));
     if (verdict || (verdict = place(s, q, e->room))) return verdict;
+
     columns_of_rows(s, e->columns);
     const int rank = basis_of(s->nu, m, e->columns);
     for (int level = 0; level < o->levels; level++, mult += m) {
@@ -283,6 +293,7 @@ static int field_errors(System *s, const Stages *o, const double *kin, const dou
     memcpy(e->kin + (long)f * 2 * n, kin, n * sizeof(double));
     memset(low, 0, o->size * sizeof(double));
     if ((verdict = sample_middle(s, o, s))) return verdict;
+
     memset(e->c, 0, n * sizeof(double));
     memset(e->b, 0, n * sizeof(double));
     add(e->b, -1.0, push, n);

@@ -78,6 +78,7 @@ static int held_by_ties(const System *s, const Implicit *o, const double *v, dou
         for (int p = R->start[number]; p < R->start[number + 1]; p++) rate += R->data[p] * v[R->on[p]];
         low[g->n + g->levels * g->m + number] = -(k->stiffness[i] / *g->s + k->damping[i]) * rate;
     }
+
     resolve_real(g, 0, kin, low, held, mult, judged);
     return judged[0] <= o->convergence->accurate * judged[1];
 }
@@ -92,6 +93,7 @@ static double step_error(const System *s, const Implicit *o, const double *const
     double *held = room, *left = held + 2 * n, *rest = left + 2 * n, along = 0.0;
     const double *others[3] = {parts[0], left, left + n};
     if (!g->ties) return own_norm(s, &norm, parts, kinds);
+
     for (int kind = 1; kind < kinds; kind++) {
         if (!held_by_ties(s, o, parts[kind], held, rest)) return INFINITY;
         for (int i = 0; i < n; i++) left[(kind - 1) * n + i] = parts[kind][i] - held[n + i];
@@ -142,6 +144,7 @@ static int iterate_points(System *s, Implicit *o, double length, double *work)
     Convergence *c = o->convergence;
     Bend none[MOST_BENT];
     if (g->fields) return driver_stage_iterate(s, g, c, c->most);
+
     s->bent = 0;
     g->hesitations = 0;
     g->crosses = 1;
@@ -153,6 +156,7 @@ static int iterate_points(System *s, Implicit *o, double length, double *work)
         verdict = increments_until(s, g, c, c->most);
         o->factored = 0.0; /* the next step takes slopes as they are */
     }
+
     g->iterate = ON_ITS_OWN;
     g->crosses = s->bent = 0;
     return verdict;
@@ -183,6 +187,7 @@ static int iterate_step(System *s, Implicit *o, double *p, const Block *now, dou
         o->failed += c->done;
         return verdict;
     }
+
     if (o->stages->fields) wear_tangents(o->stages, c->done);
     farthest_apart(judged, work + RESIDUAL);
     work[KNOWN] = c->theta <= o->slow && !o->stages->fields && o->factored != 0.0;
@@ -221,6 +226,7 @@ static int end_motion(System *s, const Implicit *o, const double *p, const Block
     memcpy(out.a, g->vd + (long)last * n, n * sizeof(double));
     memset(out.A, 0, n * sizeof(double));
     if (!along.tau) return DONE;
+
     int verdict = place(s, out.q, out.v);
     if (!verdict) add_normal(s, &along, 1.0, along.tau, g->local, out.a);
     return verdict;
@@ -234,6 +240,7 @@ static int end_implicit(System *s, const Implicit *o, const double *p, const dou
     memcpy(out.lam, mult, s->rows * sizeof(double));
     if (g->fields) exchange_pressures(s, OUT_OF, 0, g->fields->pressure + (long)(g->points - 1) * g->fields->pressures);
     if (o->projects && (verdict = driver_close(s, 1, *out.t, p[LENGTH], 0.0, 0.0, out.q, out.v, o->mixed))) return verdict;
+
     if (turns_freely(s)) {
         if ((verdict = place(s, out.q, out.v))) return verdict;
         settle_angles(s, out.q);

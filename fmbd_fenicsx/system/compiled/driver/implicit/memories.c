@@ -12,6 +12,7 @@ static int remember_points(System *s, const Stages *o, int known)
     memcpy(r->couple, o->couple, o->points * o->points * sizeof(double));
     memcpy(r->past, o->past, o->points * o->behind * sizeof(double));
     memcpy(r->end, o->ends, o->behind * sizeof(double));
+
     for (int j = 0; j < o->points; j++) {
         if ((verdict = sample_point(s, o, j, known))) return verdict;
         configuration(s, o->q0, o->xi + (long)j * o->n, q);

@@ -36,8 +36,10 @@ static void foretell_stages(const System *s, Implicit *o, double h, const Block 
             }
             memcpy(g->mult + j * width, last->mult + (k - 1) * width, width * sizeof(double));
         }
+
         return;
     }
+
     double *ahead = o->mixed, *there = ahead + n;
     for (int j = 0; j < k; j++) {
         double term[8], basis[8], levels[8], x = 1.0 + o->c[j] * h / *last->h, *xi = g->xi + j * n, *v = g->v + j * n;
@@ -78,6 +80,7 @@ static int middle_tangent(System *s, Implicit *o, const double *p, const Block *
     memset(a, 0, n * sizeof(double));
     memset(mult, 0, width * sizeof(double));
     combine(1, k, o->middle, n, g->xi, xi);
+
     for (int j = 0; j < k; j++) {
         add(v, o->middle[j], change + j * n, n);
         add(a, 1.0 / k, g->vd + j * n, n);
@@ -116,6 +119,7 @@ static int stages_of_step(System *s, double *p, Implicit *o, const Block *now, B
     foretell_stages(s, o, h, now, &last);
     rates_of_stages(o, now, change);
     if ((verdict = lead_memories(s, 1.0 / hypot(g->s[0], g->s[1])))) return verdict;
+
     if (work[KNOWN] == 0.0 && (verdict = middle_tangent(s, o, p, now, change, work))) return verdict;
     if ((verdict = take_factors(s, o, h, work))) return verdict;
     if (g->fields && (verdict = align_stages(s, g))) return verdict;
@@ -145,6 +149,7 @@ static int end_radau(System *s, Implicit *o, const double *p, const Block *now, 
     *made.h = p[H];
     rates_of_stages(o, now, o->mixed);
     if ((verdict = end_motion(s, o, p, now, out))) return verdict;
+
     for (int j = 0; s->redundant && j < k; j++) {
         double *q = o->mixed, *rest = q + s->nq;
         configuration(s, now->q, g->xi + j * n, q);
@@ -169,12 +174,14 @@ static int start_on_rows(System *s, const Implicit *o, const Block *now, const d
     memcpy(a, now->a, n * sizeof(double));
     memset(dq, 0, n * sizeof(double));
     if (c->index == 1 || !g->levels) return DONE;
+
     if (g->fields) {
         memcpy(dq, g->fields->closed, n * sizeof(double));
         memcpy(v, g->fields->closed + n, n * sizeof(double));
         memcpy(a, g->fields->closed + 2 * n, n * sizeof(double));
         return DONE;
     }
+
     memcpy(q, now->q, s->nq * sizeof(double));
     give(s, g->ties, mult + g->levels * g->m); /* places tell them to roundoff times k only */
     int verdict = driver_arrive(s, c->places, *now->t, c->length, q, v, a, lam, lam + s->rows);
@@ -237,6 +244,7 @@ static int own_error(System *s, Implicit *o, double h, const Block *now, const d
             push[i] += share * (g->v[j * n + i] - v[i] - slope * dq[i]);
         }
     }
+
     for (int i = 0; i < n; i++) kin[i] = -kin[i];
     if (g->levels > 1 && g->fields) add_closing(g, mult + g->m, kin);
     else if (g->levels > 1) {
@@ -269,11 +277,13 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
     const double *mult = collocation_at(s, g, now->own).mult + (g->points - 1) * (g->size - g->n);
     double *work = out.own;
     int verdict, cause;
+
     for (;;) {
         if ((verdict = own_size(c, now, found->proposed, most, p + H))) return verdict;
         g->span = p[H];
         const Norm norm = norm_of(g);
         take_sizes(s, c, &norm, now);
+
         do {
             verdict = stages_of_step(s, p, o, now, out);
             cause = o->convergence->outcome == TOO_SLOW ? IS_SLOW : DIVERGES;
@@ -282,6 +292,7 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
                 cause = TURNS_FAR;
             }
         } while (tried_anew(o, verdict, work));
+
         if ((verdict == NEWTON || verdict == SINGULAR) && failed_size(p[H], cause, found)) {
             work[KNOWN] = 1.0; /* of this state */
             continue;

@@ -65,6 +65,7 @@ static void balance(const Stages *o, double *rows, double *columns)
         for (int j = 0; j < o->size; j++)
             for (int p = o->start[j]; p < o->start[j + 1]; p++) most[o->row[p]] = fmax(most[o->row[p]], o->sizes[p]);
         for (int i = 0; i < o->size; i++) rows[i] /= most[i] = power(sweep < 2 ? sqrt(most[i]) : most[i]);
+
         for (int j = 0; sweep < 2 && j < o->size; j++) {
             double largest = 0.0;
             for (int p = o->start[j]; p < o->start[j + 1]; p++) largest = fmax(largest, o->sizes[p] /= most[o->row[p]]);
@@ -147,6 +148,7 @@ EXPORT int driver_stage_solve(Stages *o, int count, const double *kin, const dou
                             (double complex *)mult, judged);
             continue;
         }
+
         double *k = o->mixed, *l = k + n, *x = l + size, *y = x + 2 * n, least[2] = {0.0, 0.0};
         for (int part = 0; part < 2; part++) {
             for (int i = 0; i < n; i++) k[i] = kin[2 * i + part];
@@ -191,6 +193,7 @@ static int local_point(System *s, const Normal *along, double t, const double *q
         if (!along->frozen && (verdict = place(s, q, v))) return verdict;
         add_normal(s, along, 1.0, along->tau, push, pushed);
     }
+
     if ((verdict = evaluate(s, q, v, pushed, lam, t))) return verdict;
     like_v(s, s->residual, sums);
     memcpy(rates, v, s->nv * sizeof(double));
@@ -210,6 +213,7 @@ EXPORT int driver_points(System *s, long count, const double *t, const double *q
     for (long i = 0; i < count; i++, xi += s->nv, v += s->nv, a += s->nv, rates += s->nv, sums += s->nv) {
         long at = i * s->rows;
         if ((verdict = sample(s, t[i], &last))) return verdict;
+
         const Normal along = {&metric, NULL, mu ? mu + at : NULL, NULL};
         if ((verdict = local_point(s, &along, t[i], q0, xi, v, a, lam + at, rates, sums, room))) return verdict;
         drift(s);
@@ -260,11 +264,13 @@ static int stage_residuals(System *s, const Stages *o, int increments)
         if ((verdict = remember_points(s, o, known))) return verdict;
         known = 1;
     }
+
     s->bridged = s->swung = 0;
     if (o->fields) o->fields->aligned = 0;
     for (int j = 0; j < o->points; j++) {
         double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
         if ((verdict = sample_point(s, o, j, known))) return verdict;
+
         const Normal along = normal_at(o, &frozen, j);
         const int carried = o->fields ? o->fields->pressures : 0;
         s->point = j;
@@ -275,14 +281,17 @@ static int stage_residuals(System *s, const Stages *o, int increments)
         if (carried) close_point(s, o, j, low);
         s->iterate = ON_ITS_OWN;
         s->point = 0;
+
         for (int i = 0; i < n && !verdict; i++) {
             kin[i] = o->rate[j * n + i] - kin[i];
             if (!(fabs(low[i]) < INFINITY)) verdict = NEWTON;
         }
+
         if (!verdict) level_rows(s, &form, o->local + s->nq, low);
         give(s, NULL, NULL);
         if (verdict) return verdict;
     }
+
     if (o->fields) lacking(s, o);
     return DONE;
 }
@@ -334,6 +343,7 @@ static int solve_points(System *s, Stages *o)
     memset(o->dv, 0, (size_t)k * n * sizeof(double));
     memset(o->dmult, 0, (size_t)k * multipliers * sizeof(double));
     if (o->fields && (verdict = field_increments(s, o))) return verdict;
+
     for (int f = 0; f < o->frequencies && !o->fields; f++) {
         if (!shared(o, f)) continue;
         if (o->s[2 * f + 1] == 0.0) contribute_real(o, f, judged);
@@ -378,6 +388,7 @@ static int stage_increment(System *s, Stages *o, int increments)
     for (int i = 0; i < acts; i++)
         for (int j = 0; j < k; j++)
             apply_real(&directions, 1.0, o->dmult + j * multipliers + 2 * i * o->m, o->push + (long)(i * k + j) * n);
+
     const double *moved[3] = {o->dxi, o->dv, o->push};
     for (int i = 0; i < 3; i++) {
         const int count = i == 2 && acts > 1 ? 2 * k : k;
@@ -416,6 +427,7 @@ static int increments_until(System *s, Stages *o, Convergence *c, int until)
         else judge_increment(c, size_moved(s, o, c), fmax(o->moved[0], c->h * o->moved[1]) <= c->still);
         if (o->crosses && o->iterate != ON_ITS_OWN) o->iterate = FOLLOWING;
         if (c->outcome != CONVERGED || c->done >= c->most) continue;
+
         const int crept = creeps(s, o);
         if (crept || (o->crosses && hesitates(s, o))) c->outcome = GOES_ON;
         if (crept && (o->crosses || c->theta > FALLS)) return BENT;

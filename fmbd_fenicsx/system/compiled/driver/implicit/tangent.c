@@ -80,6 +80,7 @@ static int turning(const System *s, const double *xi, const double *v, double *J
             }
             for (int r = 0; r < TWIST; r++) J[r * TWIST + c] = (both[0][r] - both[1][r]) / (2.0 * TURNED);
         }
+
         for (int c = 0; T && c < TWIST; c++) {
             memset(moved, 0, sizeof moved);
             moved[c] = one[c * TWIST + c] = 1.0;
@@ -90,6 +91,7 @@ static int turning(const System *s, const double *xi, const double *v, double *J
         if (J) J += TWIST * TWIST;
         if (T) memcpy(T, one, sizeof one), T += TWIST * TWIST;
     }
+
     for (int i = TWIST * s->bodies; i < s->nv; i++) {
         if (J) *J++ = 0.0;
         if (T) *T++ = 1.0;
@@ -107,12 +109,14 @@ static void pattern_rows(System *s, const Patterns *o, double *row, double *G)
 {
     memset(G, 0, o->G_start[o->m] * sizeof(double));
     memset(row, 0, s->nv * sizeof(double));
+
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
         k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         for (long i = 0; i < k->n; i++) {
             int number = k->row[i];
             item_row(s, k, i, 1.0, row);
+
             for (int p = o->G_start[number]; p < o->G_start[number + 1]; p++) {
                 G[p] += row[o->G_on[p]];
                 row[o->G_on[p]] = 0.0;
@@ -197,14 +201,17 @@ static int modal_masses(System *s, const Patterns *o, double t, const double *q,
                 for (int j = 0; j < 3; j++) A[at + j * step] = local[j];
             }
 #endif
+
         for (int i = 0; body->inertia && i < D; i++) A[(n + 1) * i] += body->mass;
         for (int i = 0; body->inertia && i < ROT; i++)
             for (int j = 0; j < ROT; j++) A[n * (D + i) + D + j] += body->inertia[ROT * i + j];
         memset(B, 0, (size_t)n * n * sizeof(double));
+
         for (int i = 0; i < n; i++) {
             B[(n + 1) * i] = 1.0;
             memcpy(M + o->M_start[i < TWIST ? TWIST * b + i : body->at_v + i - TWIST], A + n * i, n * sizeof(double));
         }
+
         if (solve_dense(A, n, B, n, n, 0.0)) return SINGULAR;
         for (int i = 0; i < n; i++)
             memcpy(W + o->M_start[i < TWIST ? TWIST * b + i : body->at_v + i - TWIST], B + n * i, n * sizeof(double));
@@ -236,12 +243,14 @@ static int slopes(System *s, const Patterns *o, double t, const double *q, const
         if (b->told && b->told->rests) verdict = take_part_slopes(s, b, q, v, t);
     note_slopes(s, noted);
     s->straight = 1;
+
     for (int c = 0; !verdict && c < o->colours; c++) {
         for (int side = 1; side >= -1; side -= 2) {
             for (int i = 0; i < o->n; i++) moved[i] = o->colour[i] == c ? side * hq[i] : 0.0;
             configuration(s, q, moved, there);
             if ((verdict = lower_rows(s, o, t, there, v, a, lam, side > 0 ? ahead : back))) return verdict;
         }
+
         for (long i = o->coloured_start[c]; i < o->coloured_start[c + 1]; i++) {
             long p = o->coloured[i], row = o->row[p];
             by_q[p] = (ahead[row] - back[row]) / (2.0 * hq[o->column[p]]);
@@ -280,6 +289,7 @@ EXPORT int driver_stage_tangent(System *s, const Patterns *o, double length, dou
     memset(by_a, 0, o->low * sizeof(double));
     for (long i = 0; i < o->masses; i++) by_a[o->of_masses[i]] = M[i];
     if (o->ties) tie_slopes(s, o->ties, o->R_start, o->R_on, o->of_ties, room, data + o->R, by_q, by_v);
+
     long count = o->G_start[o->m];
     for (int k = 0; k < o->levels; k++)
         for (long i = 0; i < count; i++) {
@@ -300,9 +310,11 @@ static void powers(const Patterns *o, const double *data, double *room, double *
     const double *by[3] = {data + o->by_q, data + o->by_v, data + o->by_a}, *G = data + o->G;
     const int ties = o->ties ? o->ties->count : 0;
     const long pulling = ties ? o->R_start[ties] : 0, count = o->levels ? o->G_start[o->m] : 0;
+
     for (int k = 0; k < 3; k++) {
         for (long i = 0; i < pulling; i++) room[i] = k ? 0.0 : data[o->R + o->across_ties[i]];
         for (long i = pulling; i < pulling + ties; i++) room[i] = k ? 0.0 : -1.0;
+
         double *low = room + pulling + ties, *across = low + o->low, *crossed = across + count, *pushed = crossed + o->crossings;
         memcpy(low, by[k], o->low * sizeof(double));
         if (DIM == 3 && k < 2) multiply(&o->turned, -1.0, by[k + 1], data + o->J, low);

@@ -10,6 +10,7 @@ static double pulled(const System *s, const Stages *o, double h)
     const int n = o->n, multipliers = o->size - n;
     double *pull = o->given, *moved = pull + n, worst = 0.0;
     if (!o->ties) return 0.0;
+
     for (int j = 0; j < o->points; j++) {
         const double *efforts = o->dmult + (long)j * multipliers + o->levels * o->m;
         memset(pull, 0, 2 * n * sizeof(double));
@@ -30,6 +31,7 @@ static int is_slack(System *s, const Stages *o, const Convergence *c)
     memset(o->kin, 0, (size_t)o->points * n * sizeof(double));
     memset(o->low, 0, (size_t)o->points * o->size * sizeof(double));
     for (int j = 0; j < o->points; j++) most = fmax(most, largest(o->mult + (long)j * multipliers + first, o->ties->count));
+
     for (int j = 0; j < o->points; j++) {
         double *rows = o->low + (long)j * o->size + n + first;
         configuration(s, o->q0, o->xi + (long)j * n, q);
@@ -37,6 +39,7 @@ static int is_slack(System *s, const Stages *o, const Convergence *c)
         give(s, o->ties, o->mult + (long)j * multipliers + first);
         tie_rows(s, 1, rows);
         give(s, NULL, NULL);
+
         EACH_TIE(s, o->ties, k, i) {
             const double roundoff = (k->stiffness[o->ties->item[i]] + k->damping[o->ties->item[i]] / c->h) * c->still;
             slack |= fabs(rows[o->ties->number[i]]) > fmax(SLACK * most, roundoff);

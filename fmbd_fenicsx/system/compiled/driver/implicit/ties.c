@@ -34,6 +34,7 @@ static void tie_slopes(System *s, const Ties *o, const int *start, const int *on
         const int i = o->item[j], number = o->number[j];
         if (j == o->start[k - s->batch]) values(s, k);
         effort_row(s, k, i, row);
+
         for (int p = start[number]; p < start[number + 1]; p++) {
             R[p] = row[on[p]];
             row[on[p]] = 0.0;

@@ -28,12 +28,14 @@ static void reach(Control *c, double h, const Block *now)
         double *known = c->faster + (i % TWIST >= D);
         *known = fmax(*known, fmax(fabs(now->v[i]), h * fabs(now->a[i])));
     }
+
     c->reached = c->way;
     for (int b = 0; c->way < 1.0 && b < c->frames; b++) { /* longer ways count as one */
         const double *from = c->origin + POSE * b, *to = q + POSE * b;
         for (int i = 0; i < D; i++) c->reached = fmax(c->reached, fabs(to[i] - from[i]) / c->length);
         c->reached = fmax(c->reached, turned(from, to));
     }
+
     for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
         x->reached = fmax(x->size, 1e-2 * c->length);
         for (int i = 0; i < x->n; i++) x->reached = fmax(x->reached, fabs((x->rms ? x->rms[i] : 1.0) * q[x->at_q + i]));
@@ -66,10 +68,12 @@ static double error_norm(const System *s, const Control *c, const double *q, con
             rotation(q + POSE * b, R);
             bend_frame(s->body + b, R, e, e + TWIST * b, bent);
         }
+
         for (int i = 0; i < TWIST; i++) own[i] = e[TWIST * b + i] - bent[i];
         core += squares(own, D, allowed_error(c, share * c->length, c->faster[0], h));
         core += squares(own + D, ROT, allowed_error(c, share, c->faster[1], h));
     }
+
     for (const Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
         for (int i = 0; x->rms && i < x->n; i++)
             core += squares(e + x->at_v + i, 1, (c->rtol * x->reached / x->rms[i] + c->atol) / per);
@@ -98,6 +102,7 @@ static int with_speeds(System *s, const double *p, Control *c, const Block *past
     const double jump = FAR_JUMP * fmax(typical(s, past->a), typical(s, out->a)), part = largest_of(s->units, c->missed, s->nv) / jump;
     double found = *error;
     if (!(error_norm(s, c, out->q, c->missed, h) > fmax(found, c->calm))) return DONE; /* less is what Newton's iteration leaves */
+
     for (int k = 0; k < 2; k++) {
         const Block *at = ends[k];
         for (int i = 0; i < s->nv; i++) c->a[i] = at->a[i] + c->missed[i] / part;
@@ -127,6 +132,7 @@ static int judged(System *s, const double *p, Control *c, const Block *past, con
     double error = error_norm(s, c, out->q, c->e, 0.0);
     if (error <= 1.0 && c->laws && p[HISTORY] >= 1.0 && (verdict = with_speeds(s, p, c, past, out, &error))) return verdict;
     if (!(error <= 1.0)) return SIZE;
+
     c->before = fmax(c->error, c->floor);
     c->error = error;
     c->largest = fmax(c->largest, error);

@@ -42,6 +42,7 @@ static double mean_square(const System *s, const Norm *o, int kind, const double
             sum += e * e;
             of_bent += b * b;
         }
+
         double one = (of_bent > sum ? of_bent : sum) / o->counted[k];
         if (o->counted[k] && !(one <= worst)) worst = one; /* nan stays */
     }

@@ -6,6 +6,7 @@ EXPORT int driver_shut(System *s, double cd, double ck, double t, double allowed
 {
     double *x = room, *y = x + s->nv, *moved = y + s->rows, asked = NAN;
     int verdict = sample(s, t, &asked);
+
     for (long i = 0; i < most && !verdict; i++) {
         if ((verdict = look_at(s, i == 0, cd, ck, t, q, v, room))) break;
         for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
@@ -130,6 +131,7 @@ static long march_on(System *s, int scheme, double *p, double *room, long steps,
             keep_pressures(s, 1);
             return made;
         }
+
         if (tape) tape->left = due ? tape->every : tape->left - 1;
         turn_ring(ring, p);
         if (contact) pass_contact(contact);

@@ -160,6 +160,7 @@ static void take_sizes(const System *s, const OwnSteps *c, const Norm *o, const 
         o->weigh[every + i] = c->index == 3 ? h / place : 1.0 / rate;
         o->weigh[2 * every + i] = c->index == 3 ? h * h / place : h / rate;
     }
+
     for (Deflection *x = c->deflection; x < c->deflection + c->deforming; x++) {
         x->size = fmax(x->size, 1e-2 * c->length);
         for (int i = 0; i < x->n; i++) x->size = fmax(x->size, fabs(now->q[x->at_q + i]) * (x->rms ? x->rms[i] : 1.0));

@@ -19,6 +19,7 @@ static void rigid_motions(const System *s, const Rod *r, double *basis)
         const double *frame = s->frames + (long)FRAME * r->loaded[i];
         double arm[3];
         for (int k = 0; k < 3; k++) arm[k] = frame[k] - mean[k];
+
         for (int k = 0; k < 3; k++) {
             double axis[3] = {k == 0, k == 1, k == 2}, *shift = basis + k * rows + TWIST * i, *turn = shift + 3L * rows;
             shift[k] = 1.0;
@@ -49,6 +50,7 @@ static void bend_rod(const Rod *r, const double *basis, const double *v, double 
     for (int k = 0; k < 6; k++)
         for (int i = 0; i < rows; i++)
             share[k] += basis[(long)k * rows + i] * v[TWIST * r->loaded[i / TWIST] + i % TWIST] * (i % TWIST < 3 ? 1.0 : weight);
+
     for (int i = 0; i < rows; i++) {
         const long at = TWIST * r->loaded[i / TWIST] + i % TWIST;
         double rigid = 0.0;

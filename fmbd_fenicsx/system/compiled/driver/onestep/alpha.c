@@ -30,6 +30,7 @@ int judge(double *p, const double *sizes, int done, double *error)
 {
     double size = sizes[done - 1], left;
     if (!(size < INFINITY)) return -1;
+
     if (done == 1) {
         double guess = p[THETA] > 0.02 ? p[THETA] : 0.02;
         left = guess / (1 - (guess < 0.9 ? guess : 0.9)) * size;
@@ -40,6 +41,7 @@ int judge(double *p, const double *sizes, int done, double *error)
         left = theta / (1 - theta) * size;
         if (size > 1.0 && done > 3 && fmin(size, last) > p[SLOW] * sizes[done - 3]) return -1; /* one bad increment is none */
     }
+
     *error = left;
     return left <= 1.0 || size <= 1e-3;
 }
@@ -158,6 +160,7 @@ static void predict(System *s, const double *p, const Block *past, int known, Al
         out.A[i] = ((1 - af) * out.a[i] + af * now.a[i] - am * now.A[i]) / (1 - am);
         k->begun[i] = k->xi[i] = h * now.v[i] + h * h * (0.5 - p[BETA]) * now.A[i] + k->hb * out.A[i];
     }
+
     for (int i = 0; i < m; i++) {
         out.lam[i] = 0.0;
         for (int j = 0; j <= known; j++) out.lam[i] += w[j] * past[j].lam[i];
@@ -328,6 +331,7 @@ static int iterate(System *s, double *p, AlphaStep *k)
         if (k->done == 1 && k->sizes[0] <= WORTH) k->renewals = 0; /* it was not worth one */
         const int old = outworn(s, p, k);
         if (old && k->touching && !goes_on_slowly(s->contact)) return NEWTON;
+
         if (old && !k->touching) {
             if ((verdict = renew_tangents(s, p, k))) return verdict;
             converged = 0;
@@ -376,6 +380,7 @@ static int alpha_step(System *s, double *p, double *free_room, const Block *past
         if (s->python(SAMPLE, PLACES, k.t)) return FAILED;
     }
     if ((verdict = find_end(s, p, past, known, &k))) return verdict;
+
     while (s->contact && met_others(s->contact, &out, &verdict)) {
         begin(s, p, past[0], out, &k);
         if ((verdict = find_end(s, p, past, known, &k))) return verdict;
@@ -401,6 +406,7 @@ static int filtered(System *s, double scale, double span, const double *weights,
     int verdict;
     if ((verdict = evaluate(s, q, v, a, lam, t))) return verdict;
     if (weights && (verdict = prepare(s, q, weights[0], weights[1], lam, 0, t))) return verdict;
+
     slips(s, 1);
     for (int i = 0; i < s->rows; i++) s->gap[i] = -span * s->slip[i];
     turn_velocity(s, missed);

@@ -58,6 +58,7 @@ static int accelerate(System *s, double t, double length, const double *q, const
     double fastest = largest_of(s->units, v, s->nv), forces = 0.0, gap = 0.0, slip = 0.0, allowed = 0.0, last = INFINITY;
     int verdict = place(s, q, v);
     if (verdict) return verdict;
+
     if (s->redundant) {
         drift(s);
         gap = largest_of(s->row_units, s->gap, s->rows), slip = largest_of(s->row_units, s->slip, s->rows);
@@ -85,6 +86,7 @@ static int accelerate(System *s, double t, double length, const double *q, const
             double typical = fmax(alone(s), fastest * fastest / length);
             allowed = CONTRADICTS * typical + BESIDE * (gap * typical + slip * fastest) / length;
         }
+
         if (k > 0 && s->redundant && !(largest_of(s->row_units, s->b + s->nu, s->rows) <= allowed)) return NEWTON;
         if (settled) return DONE;
         if ((verdict = with_all_rows(s, 1.0, x, y, t))) return verdict;
@@ -322,6 +324,7 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
 
     if (s->redundant) memset(lam, 0, s->rows * sizeof(double)); /* the smallest follow from none */
     if ((verdict = sample_both(s, o->times))) return verdict;
+
     for (int k = 0; k < most; k++) {
         keep_sample(s, s->sampled[1], 1);
         verdict = open_rows(s, o, a, speeds, moved, open);
@@ -349,6 +352,7 @@ static int solve_stage(System *s, const Stage *o, double *p, double *a, double *
             if (s->fields && lingers(p, k + 1, left)) return NEWTON; /* new tangents are Python's */
         } else ended = at_roundoff(size, last, fmax(largest_of(s->units, a, s->nv), 1e-300), nothing);
         if (ended < 0) return NEWTON;
+
         if (ended && !balanced) {
             if (p) p[LEFT] += left;
             return DONE;

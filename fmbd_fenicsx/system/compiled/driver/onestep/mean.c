@@ -63,6 +63,7 @@ static void keep_end(System *s, Step *o, int end)
         memcpy(map, k->map, size * sizeof(double));
         map += size;
     }
+
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->quotient == POINT) continue;
         values(s, k);
@@ -82,6 +83,7 @@ static int mean_begin(System *s, Step *o, double **room)
         o->s[end] = part_of(room, n);
         o->sampled[end] = part_of(room, sample_size(s));
     }
+
     o->share = part_of(room, n), o->effort = part_of(room, n), o->means = part_of(room, 4 * n);
     o->q = part_of(room, s->nq), o->middle = part_of(room, s->nq);
     o->v = part_of(room, s->nv), o->w = part_of(room, s->nv), o->xi = part_of(room, s->nv);
@@ -108,6 +110,7 @@ static void mean_motion(const System *s, Step *o, const double *a)
         o->w[i] = o->v0[i] + 0.5 * o->h * a[i];
         o->xi[i] = o->h * o->w[i];
     }
+
     for (int b = 0; b < s->bodies; b++) {
         double *turn = o->xi + TWIST * b + D, square = dot(turn, turn, ROT), angle = sqrt(square);
         double ratio = angle > 1e-8 ? 2.0 * atan(0.5 * angle) / angle : 1.0 - square / 12.0;
@@ -130,6 +133,7 @@ static int mean_forces(System *s, const Step *o, const double *lam, double t)
         if ((verdict = mean_items(s, k, o, first, lam, t))) return verdict;
         first += k->quotient != POINT ? k->n : 0;
     }
+
     for (Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (rod_mean_forces(s, k, o->q0, o->q, o->h, t)) return FAILED;
     for (int i = 0; i < s->surfaces; i++) {
@@ -139,6 +143,7 @@ static int mean_forces(System *s, const Step *o, const double *lam, double t)
         for (int j = 0; j < TWIST; j++)
             add(s->residual + body->at_u, wrench[j], k->map + j * (TWIST + body->modes), TWIST + body->modes);
     }
+
     for (int b = 0; b < s->bodies; b++) {
         const Body *body = s->body + b;
         double turning[ROT];
@@ -200,6 +205,7 @@ static int mean_residual(System *s, Step *o, const double *a, const double *lam,
     verdict = mean_end(s, o, a, gap);
     keep_sample(s, o->sampled[1], 1);
     if (verdict || (verdict = mean_bodies(s, o, a, t, o->inertia))) return verdict;
+
     s->evaluations++;
     for (const Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (k->load) rod_loads(s, k);
@@ -207,11 +213,13 @@ static int mean_residual(System *s, Step *o, const double *a, const double *lam,
     place_mean(s, o);
     slips(s, 1);
     for (int i = 0; i < s->rows; i++) o->missing[i] = gap[i] - o->gap0[i] - o->h * s->slip[i];
+
     for (const Batch *k = s->batch; k < s->batch + s->batches; k++) /* rows on velocities: the mean motion does not slip */
         for (long i = 0; k->role == ROW && k->flow && i < k->n; i++) {
             gap[k->row[i]] = o->h * s->slip[k->row[i]];
             o->missing[k->row[i]] = 0.0;
         }
+
     if ((verdict = mean_forces(s, o, lam, t))) return verdict;
     return give_back(s, o, a, lam, t);
 }
@@ -237,6 +245,7 @@ static int mean_prepare(System *s, const Step *o, const double *lam, double *fac
     for (Rod *k = s->rod; k < s->rod + s->rods; k++)
         if (rod_forces(s, k, t)) return FAILED;
     if ((verdict = acting(s, lam, t))) return verdict;
+
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) /* of the means that the residual has */
         for (long i = 0; k->line && i < k->n; i++) {
             if (k->role == LAW && k->sloped != s->evaluations) continue;
@@ -310,6 +319,7 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
         if (slow && taken++ == MATRICES) return NEWTON;
         turned = s->stiff && k && (s->bridged || other_slopes(s, 0.5 * h, 0.25 * h * h));
         if (turned) anew = 1;
+
         if (anew) {
             forget(&told);
             told.poor = s->fields > 0; /* each of their increments is worth more than what the pairs cost */
@@ -319,6 +329,7 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
             }
             if (mean_prepare(s, &o, lam, factored)) return NEWTON;
         }
+
         anew = slow = 0;
         if ((verdict = mean_increment(s, &o, factored, gap, x, y))) return verdict;
         if (!k || sizes[k - 1] > e[NOISE]) improve(s, &told, x, NULL, y);
@@ -331,10 +342,12 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
         done[0] = k + 1;
         rate = k ? sizes[k] / fmax(sizes[k - 1], 1e-300) : 0.0;
         over = !s->bridged && mean_over(sizes, k + 1, rate, e);
+
         if (over && s->stiff && hesitations < HESITATIONS && undecided(s, 1.0, x)) {
             hesitations++;
             over = 0;
         }
+
         if (over) {
             if (!(sizes[k] <= fmax(e[ENOUGH], e[LOST]))) return NEWTON;
             mean_motion(s, &o, a);
@@ -346,6 +359,7 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
             memcpy(v, o.v, s->nv * sizeof(double));
             return DONE;
         }
+
         anew = slow = !turned && mean_lingers(&told, sizes + since, k + 1 - since, e);
         if (anew) since = k + 1;
     }

@@ -13,6 +13,7 @@ static int law_of_step(System *s, Batch *k, const void *how, double t)
     const Mean *o = how;
     const long n = k->n;
     if (k->act) return control_effort(s, k, t);
+
     double *middle = o->room, *sum = middle + n, *slope = sum + n, *drag = slope + n;
     memcpy(middle, k->s, n * sizeof(double));
     memset(sum, 0, 3 * n * sizeof(double));
@@ -21,10 +22,12 @@ static int law_of_step(System *s, Batch *k, const void *how, double t)
             k->s[i] = o->from[i] + 2.0 * GAUSS[g] * (middle[i] - o->from[i]);
             formula(k, i, t);
         }
+
         add(sum, SHARES[g], k->effort, n);
         add(slope, 2.0 * GAUSS[g] * SHARES[g], k->stiffness, n);
         add(drag, SHARES[g], k->damping, n);
     }
+
     if (k->role == FORMULA) {
         memcpy(k->effort, sum, n * sizeof(double));
         memcpy(k->stiffness, slope, n * sizeof(double));
@@ -51,6 +54,7 @@ static void mean_shares(System *s, const Batch *k, const Step *o, long first)
             linear += o->h * row * s->velocity[at[e]];
             whole = fmax(whole, fabs(unit * row));
         }
+
         share[i] = 1.0;
         if (k->quotient == DISTANCE) share[i] = 2.0 * out[0] / (from[i] + to[i]);
         int far = fabs(linear) > fmax(UNMOVED * whole, UNKNOWN * fabs(to[i]));
@@ -68,6 +72,7 @@ static int mean_efforts(System *s, Batch *k, const Step *o, long first, double t
         k->rate[i] = (to[i] - from[i]) / o->h;
         sum[i] = 0.0;
     }
+
     for (int g = 0; g < 3 && k->role == LINEAR; g++) {
         for (long i = 0; i < k->n; i++) {
             k->s[i] = from[i] + GAUSS[g] * (to[i] - from[i]);
@@ -75,6 +80,7 @@ static int mean_efforts(System *s, Batch *k, const Step *o, long first, double t
         }
         add(sum, SHARES[g], k->effort, k->n);
     }
+
     if (k->role == FORMULA || k->role == LAW) {
         const Mean mean = {from, o->means};
         for (long i = 0; i < k->n; i++) k->s[i] = 0.5 * (from[i] + to[i]);
@@ -91,6 +97,7 @@ static int mean_items(System *s, Batch *k, const Step *o, long first, const doub
     const int exact = k->quotient != POINT;
     int verdict;
     if (k->role == MOUNT || k->role == WHOLE || k->role == READ || (k->role == TERM && !exact)) return items(s, k, lam, t);
+
     if (k->role != ROW) {
         if (k->terms && exact) add_terms(k, o->share + first - k->terms * k->n); /* which have had their turn */
         else values(s, k);
@@ -101,6 +108,7 @@ static int mean_items(System *s, Batch *k, const Step *o, long first, const doub
         verdict = exact ? mean_efforts(s, k, o, first, t) : k->role != GIVEN ? efforts(s, k, t) : DONE;
         if (verdict) return verdict;
     }
+
     const double *out = k->out, *effort = exact ? o->effort + first : k->effort;
     const int *at = k->at;
     for (long i = 0; i < k->n; i++, out += k->outputs, at += k->live) {

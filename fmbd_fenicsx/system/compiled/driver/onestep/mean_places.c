@@ -52,6 +52,7 @@ static void turn_of_ports(const double *A, const double *b, double *Z)
     for (int j = 0; j < 9; j++) W[j] = -(C[j / 3] * F[j % 3] + C[3 + j / 3] * F[3 + j % 3] + C[6 + j / 3] * F[6 + j % 3]);
     for (int i = 0; i < 3; i++) trace -= W[4 * i];
     for (int i = 0; i < 3; i++) W[4 * i] += trace;
+
     whole = size * cofactors(W, C);
     product_transposed(A, C, Z);
     for (int i = 0; i < 9; i++) Z[i] /= whole;
@@ -70,6 +71,7 @@ static void mean_surface(Surface *k, const double *A, int modes)
     turn_of_ports(A, k->b, Z);
     times(A, k->p, lever);
     memset(k->map, 0, (size_t)TWIST * width * sizeof(double));
+
     for (int n = 0; n < modes; n++) {
         double sum[ROT] = {0.0}, one[ROT], rate[D], w[ROT], swing[D];
         for (int c = 0; c < D; c++) {
@@ -77,6 +79,7 @@ static void mean_surface(Surface *k, const double *A, int modes)
             turned_by_port(A, c, rate, one);
             add(sum, 1.0, one, ROT);
         }
+
         for (int j = 0; j < ROT; j++) w[j] = dot(Z + ROT * j, sum, ROT);
         spin(w, lever, swing);
         double *column = k->map + TWIST + n;
@@ -98,6 +101,7 @@ static void place_mean(System *s, const Step *o)
         memcpy(velocity, x + SPEED, TWIST * sizeof(double));
         memcpy(velocity + TWIST, k->field ? k->field->rates : o->w + k->at_v, k->modes * sizeof(double));
     }
+
     for (int i = 0; i < s->surfaces; i++) {
         Surface *k = s->surface + i;
         const Body *body = s->body + k->body;

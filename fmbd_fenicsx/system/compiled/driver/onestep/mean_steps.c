@@ -87,6 +87,7 @@ static int mean_march_step(System *s, double *p, double *room, const Block *past
     verdict = driver_mean_step(s, (int)room[INCREMENTS], 0, *now.t, h, p[LENGTH], e, now.q, now.v, made.a, made.lam, sizes, done, out.q,
                                out.v, rest);
     if (verdict) return verdict;
+
     if (largest_turn(s, h, now.v, made.a) > room[TURNS]) return DOUBT; /* Python warns of it */
     if ((verdict = sample(s, t, &last))) return verdict;
     if ((verdict = accelerate(s, t, p[LENGTH], out.q, out.v, out.a, out.lam, rest, 0))) return verdict;

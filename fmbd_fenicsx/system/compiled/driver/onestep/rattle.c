@@ -63,6 +63,7 @@ static int rattle_step(System *s, double *p, double *room, const Block *past, in
     if ((verdict = solve_stage(s, &other, NULL, push, next.half, &more, rest))) return verdict;
     add(out.v, 0.5 * h, push, n);
     if ((verdict = sample(s, t, &last))) return verdict;
+
     if ((verdict = accelerate(s, t, p[LENGTH], out.q, out.v, out.a, out.lam, rest, 1))) return verdict;
     *out.t = t;
     *next.factored = 1.0;

@@ -87,6 +87,7 @@ static int half_explicit_error(System *s, const Explicit *o, double h, const Slo
     const double *parts[2] = {places, speeds};
     int verdict;
     missed_by(s, o, 0, h, e, places, speeds);
+
     if (s->rows) {
         if ((verdict = sample(s, *out.t, &asked)) || (verdict = look_at(s, 1, 0.0, 0.0, *out.t, out.q, out.v, rest))) return verdict;
         memcpy(open, s->gap, s->rows * sizeof(double));
@@ -136,6 +137,7 @@ static int passing_slopes(System *s, double *p, Explicit *o, const Method *metho
     const double most = farthest_turn(s->bodies, c->turn, 1.0, now);
     int verdict = take_bases(s, &o->norm, now->q, now->v);
     if (verdict) return verdict;
+
     for (;;) {
         if ((verdict = own_size(c, now, found->proposed, most, p + H))) return verdict;
         o->norm.h = p[H];

@@ -45,6 +45,7 @@ static void learn(const System *s, Secants *k, const double *f)
         add(p, -share, o, w);
         add(d, -share, o + w, w);
     }
+
     double size = sqrt(lengths_dot(s, d, d));
     if (!(size > ALIKE * whole && size < INFINITY)) return;
     for (int i = 0; i < 2 * w; i++) p[i] /= size;
@@ -70,6 +71,7 @@ static void improve(const System *s, Secants *k, double *x, double *closing, dou
             double share = lengths_dot(s, p + w, f);
             for (int i = 0; i < w; i++) k->made[i] += share * (p[i] - p[w + i]);
         }
+
         memcpy(x, k->made, n * sizeof(double));
         if (closing) memcpy(closing, k->made + n, n * sizeof(double));
         memcpy(y, k->made + 2 * n, s->rows * sizeof(double));

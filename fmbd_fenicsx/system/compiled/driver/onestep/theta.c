@@ -35,6 +35,7 @@ static int theta_residuals(System *s, const ThetaRoom *o, double h, double theta
         o->v[i] = o->xi[i] / h;
         o->a[i] = (o->v[i] - now.v[i]) / (theta * h);
     }
+
     if ((verdict = driver_compose(s, 1, now.q, s->nq, o->part, s->nv, o->q))) return verdict;
     s->share = h;
     if ((verdict = driver_balances(s, 1, &t, o->q, o->v, o->a, out.lam, o->sums))) return verdict;
@@ -111,6 +112,7 @@ static int theta_step(System *s, double *p, double *room, const Block *past, int
         out.v[i] = o.massless[i] ? mean + left * h * slope : now.v[i] + (mean - now.v[i]) / theta;
         o.a[i] = slope;
     }
+
     if (room[PROJECTS] != 0.0) {
         if ((verdict = driver_constraints(s, 1, out.t, out.q, out.v, o.gap, o.slip, o.partial, o.second))) return verdict;
         memset(o.sums, 0, s->nv * sizeof(double));

@@ -73,6 +73,7 @@ static void rod_kinematics(System *s, Rod *k)
             for (int j = 0; j < STRAINS; j++) k->strain[STRAINS * at + j] = found[j] - k->natural[STRAINS * at + j];
             memcpy(k->E + STRAINS * Z * at, found + STRAINS, STRAINS * Z * sizeof(double));
             memcpy(k->z + Z * at, z, Z * sizeof(double));
+
             if (k->beta > 0.0) {
                 rod_point(k, N, slope, moving, z);
                 for (int j = 0; j < STRAINS; j++) k->rate[STRAINS * at + j] = dot(found + STRAINS + Z * j, z, Z);
@@ -136,12 +137,14 @@ static void rod_push(System *s, const Rod *k, long e, double nodal[][NODAL])
         const double *N = k->N + g * k->k, *slope = k->slope + at * k->k;
         double on_z[Z];
         rod_pull(k, at, on_z);
+
         for (int i = 0; i < k->k; i++) {
             add(pull[i], slope[i], on_z, D);
             add(pull[i] + D, N[i], on_z + D, 4);
             add(pull[i] + D, slope[i], on_z + D + 4, 4);
         }
     }
+
     for (int i = 0; i < k->k; i++) {
         double moment[3], *f = s->residual + s->body[node[i]].at_u;
         quaternion_moment(nodal[i] + D, pull[i] + D, moment);
@@ -178,6 +181,7 @@ static int rod_end(System *s, Rod *k, const double *q, double t, double *energy)
             for (int j = 0; j < STRAINS; j++) k->strain[STRAINS * at + j] = found[j] - k->natural[STRAINS * at + j];
         }
     }
+
     if (ask_law(s, k, SECTIONS, t)) return FAILED;
     *energy = 0.0;
     for (long at = 0; at < k->n * k->points; at++) {
@@ -198,6 +202,7 @@ static void rod_mean_nodes(System *s, const Rod *k, long e, const double *q0, co
     rod_nodes(s, k, node, nodal);
     s->q = q1;
     rod_nodes(s, k, node, then);
+
     double side = dot(nodal[0] + D, then[0] + D, 4) < 0.0 ? -1.0 : 1.0;
     for (int i = 0; i < k->k; i++) {
         const double *velocity = s->velocity + s->body[node[i]].at_u;
@@ -313,6 +318,7 @@ static void rod_turned(double block[NODAL][NODAL], const double *pi, const doubl
         memcpy(half[a], block[a], D * sizeof(double));
         quaternion_moment(pj, block[a] + D, half[a] + D);
     }
+
     for (int b = 0; b < TWIST; b++) {
         double column[4];
         for (int a = 0; a < D; a++) out[a][b] = half[a][b];
@@ -347,6 +353,7 @@ int rod_tangents(System *s, Rod *k, double t, double geometric)
             for (int i = 0; i < k->k; i++)
                 along[i] += N[i] * dot(on_z + D, nodal[i] + D, 4) + slope[i] * dot(on_z + D + 4, nodal[i] + D, 4);
         }
+
         for (int i = 0; i < k->k; i++)
             for (int j = 0; j <= i; j++) {
                 rod_turned(blocks[i][j], nodal[i] + D, nodal[j] + D, out);
