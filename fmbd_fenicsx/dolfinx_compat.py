@@ -248,6 +248,7 @@ def integrals_of(form: Any) -> list[tuple[int, np.ndarray, np.ndarray | None, np
         return None
     packed = cpp.fem.pack_coefficients(inner)
     found = []
+
     for kind in inner.integral_types:
         place = known.index(kind)
         first, end = (form.ufcx_form.form_integral_offsets[i] for i in (place, place + 1))

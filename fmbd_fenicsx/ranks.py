@@ -79,6 +79,7 @@ def together(comm: Any, error: BaseException | None, value: Any = None) -> list[
         if error is not None:
             raise error
         return [value]
+
     found = comm.allgather((None if error is None else (type(error), str(error)), value))
     for failed, _ in found:
         if failed is not None:

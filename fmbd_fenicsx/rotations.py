@@ -249,6 +249,7 @@ class Motions:
             raise InputError(f"A rotation is {wanted}, finite; found {rotation!r}.")
         if given.ndim == 2:
             refuse_no_rotation(given)
+
         if self.dim == 2:
             q[2] = float(given) if given.ndim == 0 else np.arctan2(given[1, 0], given[0, 0])
             return q

@@ -71,6 +71,7 @@ class MixedField(Field):
             raise InputError(
                 f'Body "{self.name}": displacement and pressure need degree 2 or more, found {degree}: P1 with P1 is not stable.'
             )
+
         Q = fem.functionspace(self.mesh.dolfinx, ("Lagrange", degree - 1))
         self.pressure = Q
         self._w, self._p = fem.Function(self.space), fem.Function(Q)
@@ -78,6 +79,7 @@ class MixedField(Field):
         v = ufl.TestFunction(self.space)
         p = ufl.TrialFunction(Q)
         q = ufl.TestFunction(Q)
+
         try:
             energy, self.elastic_measure = integrated(
                 lambda dx: self._energy(self._w, self._p, dx),
@@ -85,6 +87,7 @@ class MixedField(Field):
                 degree=degree,
                 chosen=self.forms.quadrature is not None,
             )
+
             force = ufl.derivative(energy, self._w, v)
             balance = ufl.derivative(energy, self._p, q)
             self._energy_form, self._balance_form = (compat.form(x) for x in (energy, balance))
@@ -96,6 +99,7 @@ class MixedField(Field):
             raise InputError(
                 f'Body "{self.name}": energy(u, p, dx) did not give a UFL form of rank 0: {type(error).__name__}: {error}'
             ) from error
+
         self.n_pressure = Q.dofmap.index_map.size_local
         self.carried = self._energy.carried
         self.keeps_volume = self.carried and self._energy.incompressible

@@ -56,6 +56,7 @@ def warn_of_acceleration_jumps(system: System, schedule: StepSchedule) -> None:
             found = _jumps(Accelerations(motion), instants(schedule, LOOKS))
         except FmbdError:  # beyond where a run has ended that was to be longer
             continue
+
         if not found:
             continue
         more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""

@@ -77,6 +77,7 @@ class CompiledCalls:
         self._began = self.recorder.earlier
         self._last, self.local_error = self.stepper.state.t + (steps - 1) * h, 0.0
         begin, made, chunk, more = clock.perf_counter(), 0, FIRST, True
+
         while more and made < steps and clock.perf_counter() - begin < CHUNK:
             now = min(chunk, steps - made, self.next_look(done + made) - done - made)
             if tape is not None:

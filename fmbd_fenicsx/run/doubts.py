@@ -62,6 +62,7 @@ def warn_of_doubts(
     _turns(system, recorder, size)
     if system.keepers:
         _chatter(system)
+
     _impacts(counters)
     _open_velocities(recorder, counters)
     _open_joints(recorder)
@@ -210,6 +211,7 @@ def _contradictions(solver: StepSolver, recorder: Recorder, end: State) -> None:
     length, open_by = system.length, float(np.abs(left).max())
     if open_by <= CONTRADICTS * length + CURVES * drift.gap**2 / length:
         return
+
     log.warning(
         "joints and drives contradict each other: at the end %s is open by %.2g m wherever the bodies go, and this form of the "
         "constraints does not hold positions. Take a drive away, or let it ask for what the others allow",

@@ -154,6 +154,7 @@ def _finished(
     warn_of_short_tables(task.scene, task.schedule.begin, task.schedule.t_end)
     if task.scene.breakpoints:
         warn_of_close_break_points(task.scene, task.schedule.t_end)
+
     warn_of_dense_break_points(task.schedule)
     if problem.said.carries_accelerations and problem.system.prescribes:
         warn_of_acceleration_jumps(problem.system, task.schedule)

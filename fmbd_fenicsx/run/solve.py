@@ -84,6 +84,7 @@ def solve(
             checkpoint is None and restart is None, "A run with tol is made of several runs: no checkpoint, no restart."
         )
         return solve_within(scene, dict(tol), t_end=t_end, start=(scheme, dt), settings=(newton, output, linear))
+
     scheme = default_scheme(scene) if scheme is None else checked_scheme(scheme)
     output = Output() if output is None else output
     newton = Newton() if newton is None else newton.afresh()
@@ -91,6 +92,7 @@ def solve(
     check_contents(scene, scheme)
     halvings = output.estimate_error and not Declared.by(scheme).adaptive
     schedule = step_schedule(scene, scheme, t_end, dt, multiple=4 if halvings else 1)
+
     beside = (
         steps_beside(scene, output, schedule)
         if output.estimate_error and checkpoint is None and restart is None

@@ -178,6 +178,7 @@ class ConstantSteps(Around):
                 began, t = self.stepper.state, self.stepper.state.t + h
                 if ahead is not None:
                     ahead(t)
+
                 try:
                     self._advance(h, 0)
                 except StabilityError:

@@ -121,6 +121,7 @@ class Loop:
         self.events = _events(problem, schedule, output, state)
         self.event_met = False
         self._sampled = False  # whether controllers have sampled in the newest state
+
         self.calls = CompiledCalls(
             self.stepper,
             schedule,

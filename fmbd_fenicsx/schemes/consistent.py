@@ -207,6 +207,7 @@ def _refined(
         system.max_abs(a), speed * speed / system.length
     )  # of zero in equilibrium; v^2 of a float may not overflow
     last, noise = np.inf, -1.0
+
     for k in range(40):
         if k == 8:  # slow: take the inertia of the deformed bodies
             solver.refresh(ev)

@@ -38,6 +38,7 @@ class Bends:
         if not self.bodies:
             return
         turned = self._surfaces(state)
+
         for k, part, stiffened in list(self.bodies):
             s = max(turned.get(part.frame, 0.0), self._mean(part, self.system.local_q(state.q, k)))
             left = s * s if stiffened else s

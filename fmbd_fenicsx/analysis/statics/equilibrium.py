@@ -127,6 +127,7 @@ def equilibrium(
             _check_given_speeds(newton, point.q, t)
             if made is not None:
                 point, t = made.points[-1], made.parameter[-1]
+
             check_steady(newton, point, t)
             if made is None:
                 _tell_roundoff(newton, point, t, given)

@@ -62,6 +62,7 @@ class LoadSteps:
                             f"No equilibrium was found beyond t = {made[-1][0]:g} s: {error}"
                         ) from error
                     continue
+
                 made.append((target, point))
                 if newton.iterations - before <= FAST:
                     step *= 1.5

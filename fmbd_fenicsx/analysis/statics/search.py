@@ -150,6 +150,7 @@ def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriu
         for there in aside:
             other = _shares(system, there.image - here.motion)
             moved = {name: size for name, size in moved.items() if other[name] <= SAME * size} or moved
+
     if free:
         name = max(moved, key=lambda name: moved[name])
         return f'No static equilibrium: body "{name}" can move freely ({error}). Hold it by a joint or a spring.'
@@ -160,12 +161,14 @@ def _why(newton: StaticNewton, start: StaticPoint, t: float, error: NoEquilibriu
             f"No static equilibrium was found from the given placement, in which {worst_block(system, g)} is open by "
             f"{gap:.3g} m: {error}. Check the positions of the bodies and the points of the joint."
         )
+
     narrow = [block.told for block in system.blocks if block.narrow]
     if narrow:
         return (
             f"No static equilibrium was found from the given placement: {error}. There a body turns as on a hinge of little "
             f"stiffness: {narrow[0]}. Hold a larger surface."
         )
+
     return (
         f"No static equilibrium was found from the given placement: {error}. The load may be above its limit: "
         "follow the equilibria with path=fmbd.ArcLength(...); loads that turn with bodies want to grow by themselves, from small "

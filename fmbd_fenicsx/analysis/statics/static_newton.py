@@ -175,6 +175,7 @@ class StaticNewton:
                     raise ConvergenceError(f'cells of body "{body}" are turned inside out')
                 self.stalled = size if stalled else 0.0
                 return point
+
             if sizes[-2] <= size <= TINY * system.length:  # roundoff, enlarged by a motion without stiffness
                 break
         raise ConvergenceError(f"increments of {', '.join(f'{x:.1e}' for x in sizes[-4:])} m")

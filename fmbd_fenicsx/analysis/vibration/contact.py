@@ -39,6 +39,7 @@ def closed_contacts(at: Any, system: System, solver: StepSolver) -> ClosedContac
         len(at.state.q) == system.n_q and len(at.state.lam) == system.n_lam,
         f"The equilibrium belongs to another scene or number of ranks: {len(at.state.q)} coordinates, not {system.n_q}.",
     )
+
     newton: Any = static_newton(system, solver, at.state, at.spin, balanced=True)
     assert isinstance(newton, ContactNewton)
     none = np.zeros(system.n_v), np.zeros(system.n_lam)

@@ -59,6 +59,7 @@ class Factor:
                 ) from error
             field.indefinite = True  # LDL^T from now on: Cholesky factorisations that fail leave memory behind
             self.factor = direct(E, field.dim, False)
+
         self.how: str = self.factor.how
         self._rows = E.getSizes()[0][0]
         self.norm = float(E.norm(PETSc.NormType.NORM_INFINITY))
@@ -108,6 +109,7 @@ class Factor:
                 r += self.cd * f.damping_in_tangent(x)
             r -= b
             return r
+
         if x.ndim == 2:
             r = times_columns(self._E, x)
         else:
@@ -214,6 +216,7 @@ def factored(E: Any, definite: bool) -> Any:
     ksp.setType("preonly")
     pc = ksp.getPC()
     pc.setType("cholesky")
+
     cholmod = E.getComm().size == 1 and definite
     pc.setFactorSolverType("cholmod" if cholmod else "mumps")
     options, warnings = PETSc.Options(), "mat_cholmod_print"
@@ -222,6 +225,7 @@ def factored(E: Any, definite: bool) -> Any:
         pc.setFactorOrdering("rcm")  # CHOLMOD takes this order, good for slender bodies, or its own: that of least fill
     if quiet:
         options[warnings] = 0
+
     try:
         ksp.setUp()
     except PETSc.Error:

@@ -38,6 +38,7 @@ def separate(model: Any, dim: int, groups: dict[str, int], inside: set[tuple[int
         model.mesh.removeElements(dim, e)
     patterns, part = np.unique(member, axis=0, return_inverse=True)
     tags: list[list[int]] = [[] for _ in rows]
+
     for k, pattern in enumerate(patterns):
         if pattern.any():
             entity = model.addDiscreteEntity(dim)

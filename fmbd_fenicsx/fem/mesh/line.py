@@ -56,6 +56,7 @@ def _read(path: Path, line: str | None) -> tuple[Array, dict[str, Array]]:
 
     require_file(path)
     gmsh.initialize(interruptible=False)
+
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.open(str(path))

@@ -32,6 +32,7 @@ class ConjugateGradients(FieldFactor):
             raise InputError(
                 f'Body "{field.name}": multigrid is for displacement forms; a body with pressure needs linear=Direct().'
             )
+
         self.field, self.cm, self.ck = field, block.cm, block.ck
         self.judge = Judge(f'the elastic block of body "{field.name}" by conjugate gradients', 10 * rtol)
         self.iterations = 0
@@ -46,6 +47,7 @@ class ConjugateGradients(FieldFactor):
         ksp.setFromOptions()
         if ksp.getPC().getType() == "mg":
             E.convert("baij")  # products with blocks are twice as fast; the coarse level is made already
+
         ksp.setUp()
         self.how = f"conjugate gradients with {ksp.getPC().getType()}"
         check_options(prefix, field.comm)

@@ -163,6 +163,7 @@ class _Cone:
         along = np.arange(m) * d
         back = sp.csr_matrix((self.slope, (along + 1, along)), shape=P.shape)
         P = (P - back @ P).tocsr()  # P w - V y has no share in the known forces
+
         weight = self.weight.ravel()
         soft = self.stiffness.ravel() > 0
         free = (weight > 0) & ~soft

@@ -147,6 +147,7 @@ class _Iterated:
             largest = max(largest, float(np.abs(self.L).max(initial=0.0)))
             if np.abs(z).max(initial=0.0) <= self.tolerance * largest:
                 break
+
             step[active] = p
             answer = self.W @ step
             alpha = rz / float(p @ answer[active])

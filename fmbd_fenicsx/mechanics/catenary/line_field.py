@@ -48,6 +48,7 @@ class LineField:
         line = mesh.create_interval(self.comm, body.cells, [0.0, body.length])
         cell = basix.create_element(basix.ElementFamily.Hermite, basix.CellType.interval, 3)
         hermite = basix.ufl.wrap_element(cell)
+
         count = len(body.wires)
         self.space = fem.functionspace(line, basix.ufl.blocked_element(hermite, shape=(count,)))
         u = ufl.TrialFunction(self.space)

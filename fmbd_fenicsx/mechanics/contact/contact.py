@@ -220,6 +220,7 @@ def contact(
             f'{what}: its slave and the obstacle "{master.name}" are both of body "{slave.body.name}". '
             "Give an obstacle on another body, or at rest.",
         )
+
     if isinstance(master, Surface):
         if isinstance(slave, RigidPoints | RodPoints):
             raise InputError(

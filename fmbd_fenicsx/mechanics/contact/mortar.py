@@ -237,6 +237,7 @@ class MortarPair:
         for side, means, sign in ((self.slave, S, 1.0), (self.master, Q, -1.0)):
             entries = in_turn(means.row, c), means.node.repeat(c), (sign * means.weight).repeat(c)
             contacts.add_nodes((core, field), side.trace, (entries, e.reshape(-1, e.shape[2])), here.nodes(side.trace))
+
         one = np.ones(self.count)
         return Rows(
             gap=touch.gap,

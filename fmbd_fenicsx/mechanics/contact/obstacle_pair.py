@@ -172,6 +172,7 @@ class ObstacleSearch:
         if len(on := self.pushed):
             assert R is not None
             pushing.append((on, self.frame[self.of[on]], -1.0, r[on], R[on]))
+
         for on, frames, sign, *at in pushing:
             told = (sign * e[on]).reshape(-1, e.shape[2]), *(y.repeat(c, axis=0) for y in (touch.x[on], *at))
             contacts.add_frames(core, in_turn(on, c), frames.repeat(c), told)
@@ -182,6 +183,7 @@ class ObstacleSearch:
                 rows = self.of == i
                 place = pose[: contacts.m.dim] + touch.relative[rows] @ contacts.m.matrix(pose).T
                 drift[rows] += weight * (e[rows, 1:] * place[:, None]).sum(2)
+
         return Rows(
             gap=touch.gap,
             L=LinearRows(core, tuple(field)),

@@ -221,6 +221,7 @@ class FloatingField(FieldPart):
         for k in range(m.n_rot):
             Q[:, :, d + k] = f.mass(m.spin(np.eye(m.n_rot)[k : k + 1], P))
             J[:, k] = m.moment(P, Q[:, :, d + k]).sum(0)
+
         self.inertia = f.total(J)
         self.moment = f.total(f.mass(P).sum(0))
         if self.stiffening is not None:

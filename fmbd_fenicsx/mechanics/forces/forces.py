@@ -224,6 +224,7 @@ class Tyre(Force):
             f'Tyre "{self.name}": it has one end, the wheel centre point_a of the body a; b and point_b have no effect. The road '
             "is the function road(x, t).",
         )
+
         function(f'Tyre "{self.name}": road', self.road, "xt", named="x, t")
         number(f'Tyre "{self.name}": radius', self.radius, above=0.0, unit="m")
         size = float(np.linalg.norm(vector(f'Tyre "{self.name}": up', self.up, size=self.a.dim)))

@@ -426,6 +426,7 @@ def c_lines(results: Sequence[Expression], targets: Sequence[str]) -> list[str]:
         if node.operation == "symbol":
             text[node] = node.arguments[0]
             continue
+
         if node.operation == "constant":
             text[node] = f"({node.arguments[0]!r})"
             continue

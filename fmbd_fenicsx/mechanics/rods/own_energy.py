@@ -32,6 +32,7 @@ class OwnLaw:
         e = ufl.variable(self._e)
         gamma = ufl.as_vector([e[0], e[1], e[2]])
         kappa = ufl.as_vector([e[3], e[4], e[5]])
+
         try:
             W = ufl.as_ufl(energy(gamma, kappa, place))
             if W.ufl_shape:
@@ -45,6 +46,7 @@ class OwnLaw:
                 "Section: energy(gamma, kappa, s) must return a scalar UFL expression of two vectors and the arc length: "
                 f"{type(error).__name__}: {error}"
             ) from error
+
         self._mesh = line
         self._cells = np.arange(n, dtype=np.int32)
         rest = self.stress(np.zeros((*self.shape, 6)))

@@ -76,6 +76,7 @@ def attach(slave: Any, make: Callable[[], Scene], *, dt: float) -> None:
     varying = Fmi3Variability.continuous
     time = Float64("time", causality=Fmi3Causality.independent, variability=varying, getter=lambda: unit.stepper.t)
     slave.register_variable(time, nested=False)
+
     for label, name in inputs.items():
         source = unit.scene.inputs[name]
         variable = Float64(
@@ -84,6 +85,7 @@ def attach(slave: Any, make: Callable[[], Scene], *, dt: float) -> None:
         )  # fmt: skip
         ends = {key: f"{end:.17g}" for key, end in (("min", source.lower), ("max", source.upper)) if abs(end) < inf}
         slave.register_variable(variable, nested=False, var_type=Float64Type(f"range of {label}", **ends))
+
     for name in unit.outputs:
         variable = Float64(
             name, causality=Fmi3Causality.output, variability=varying, initial=Fmi3Initial.calculated,

@@ -178,6 +178,7 @@ def _uncertain_in_time(run: Run, stated: Statement) -> list[str]:
             "half of it tells the error, and no order is seen. Both may pass by what lasts less than a step. Take a smaller dt, "
             "or a scheme that chooses its steps (rtol)"
         ]
+
     if not irregular((order, run.scheme.order), seen, (stated.time or 0.0) / stated.span):
         return []
     return [

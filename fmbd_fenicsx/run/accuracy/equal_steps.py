@@ -197,6 +197,7 @@ def compare_steps(
     fine, coarse = given.recorder, coarser[0].recorder
     ratio = given.schedule.steps / coarser[0].schedule.steps
     errors, orders, by_chance = {}, {}, set()
+
     for name in fine.series:
         apart = _deviation(fine, coarse, name)
         p = float("nan") if known is None else known.get(name, float("nan"))

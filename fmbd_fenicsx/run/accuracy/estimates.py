@@ -181,6 +181,7 @@ def _from_tolerance(
     landing, mean = schedule, schedule.span / max(int(recorder.indices[-1]), 1)
     if finer and seen_by_ends(problem.system):
         landing = landing.below(SHORT * mean)
+
     if lands:
         landing = replace(landing, marks=tuple(sorted({*schedule.marks, *instants})))
     if finer and problem.said.ends_ahead and not (lands and recorder.indices[-1] >= MANY):
@@ -260,6 +261,7 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
     """The estimates that were asked for; collective."""
     ended = clock.perf_counter()
     jumps = _jumps_within(run, made.schedule) if output.estimate_error else ()
+
     if output.estimate_error and not made.schedule.steps:
         ending = replace(made.schedule, stops=tuple(sorted({*made.schedule.stops, *jumps})))
         run.deviations["time"] = tolerance_error(problem, made.recorder, ending)
@@ -273,6 +275,7 @@ def state_errors(run: Run, problem: Problem, made: Compared, output: Output) -> 
             run.deviations["algebra"] = algebra_error(made, tight[1])
             problem, made = tight
             found = equal_steps_error(problem, made, jumps, kinked=has_kinks)
+
         errors, run.damped = with_damped(found.errors, damped_vibrations(problem, made.schedule))
         run.deviations["time"] = errors
         run.observed_order, run.halved, run.alone, made = found.orders, found.halved, found.unseen, found.with_others

@@ -42,6 +42,7 @@ def look_at_given_velocities(
             f'Body "{system.frame_names[int(np.argmax(change))]}" is given a velocity, which a scene with settle=True does not '
             "take: it starts at rest in equilibrium, moved by drives alone. Leave out the velocity, or settle=True."
         )
+
     log.warning(
         'the velocities that bodies were given contradict the joints: that of body "%s" is changed by %.3g m/s (or rad/s times a '
         "length), the largest given is %.3g m/s. The run begins with the nearest velocities that joints allow, as after an "

@@ -106,6 +106,7 @@ class EventWatch:
         assert tape.kept is not None
         values, levels = begun[None], self.crossings["level"]
         directions = self.crossings["direction"]
+
         for steps in tape.kept.inside(stepper.state.t, np.array([*self.places, 1.0])):
             seen = tape.kept.told_of(states_within(steps, stepper, roundoff), steps)
             if seen is None:  # NumPy has something to say of it

@@ -120,6 +120,7 @@ class Recorder:
         """The instants within the steps after step ``first`` that a march has kept on its ``tape``; collective."""
         if self.instants is None or tape.kept is None:
             return
+
         for steps in tape.kept.steps(stepper.state.t):
             begin, spent = clock.perf_counter(), self.seconds
             self.drift.judge_tape(tape.recorded(), float(steps.after.t[-1, 0]))

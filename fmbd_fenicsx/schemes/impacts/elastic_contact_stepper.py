@@ -143,6 +143,7 @@ class ElasticContactStepper(ContactStepper):
         lend_energies(p, observers.energy)
         if joints is not None:
             march.judge(joints.limits(h), np.inf)
+
         assert driver is not None
         driver.begin_steps(s)
         march.tables.recall()

@@ -54,6 +54,7 @@ class MoreauStep(ContactStep):
                 start[start[:, 0] > STILL * stepper.system.length / h, 0] = 0.0
                 rebound = np.where(bounces, rebound, (before - start)[:, 0])
                 self.turn = np.where(bounces[:, None], 0.0, (before - start)[:, 1:])
+
             self.impact = Impact(before, rebound)
             self.contact.impact = self.impact if (bounces & (rebound < 0.0)).any() else None
         self.iterations = self.solve()

@@ -284,6 +284,7 @@ class MoreauStepper(ContactStepper):
             held = none.copy()
             held[closing] = ~open_.any(axis=0)
             return 1.0, -1, held
+
         last = open_.argmax(axis=0)  # the largest share at which each is still open
         first = int(np.argmax(last))
         which = int(np.flatnonzero(closing)[first])

@@ -68,6 +68,7 @@ class Impact:
         # without a rebound energy is lost; then secants that halve the work of an end which stays
         lower, upper, side = 0.0, 1.0, 0
         force, least, size = at(lower)
+
         for _ in range(TRIED):
             if least > -CLOSE * size or upper - lower <= NARROW:
                 break

@@ -140,6 +140,7 @@ class FieldEquations(Equations):
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
         told = self._told(t, p)
+
         if told is not None:
             low, rates = self.form.lower(told.sums, told, p.vd), told.rates
         else:

@@ -182,6 +182,7 @@ def merged(
     units = [unit for unit, _ in steps]
     pivots = [width(unit) for unit in units]
     rest = [width(around) for _, around in steps]
+
     for k, (_, around) in enumerate(steps):
         if not around:
             continue

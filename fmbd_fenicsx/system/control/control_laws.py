@@ -66,6 +66,7 @@ def unfelt(ask: Callable[[Array, Array], Answers], y: Array, z: Array, places: A
     changes = np.abs(np.concatenate(differences(y, places, lambda y: ask(y, z)))) @ places
     slopes = np.concatenate(differences(z, np.zeros(m), lambda z: ask(y, z)))
     found = np.zeros(m)
+
     for k in range(m):
         felt = np.abs(slopes[:, k])
         efforts, own = np.flatnonzero(felt[:-m]), len(felt) - m + k

@@ -109,11 +109,13 @@ class StepMemory:
             elif count == 1 and self.slopes is None:
                 left = 1.0 - float(miss @ past) / float(past @ past)  # of a miss once z has moved by it
                 change = self._moved(share, miss, left)
+
             size = _largest(change)
             if size <= 1e-14 * (_largest(z) + _largest(share * rate)):
                 return u, z, rate
             z, before, past = z - change, size, miss
             u, rate = law(z)
+
         raise CallbackError(
             f'Controller "{self.name}": its memory has no value at t = {t:g} s. Is the law smooth in it?'
         )

@@ -88,6 +88,7 @@ class LawWithMemory:
         if found is None and (z := self.kept.within(t)) is not None:
             u, rate = self.asked(t, y, z)
             found = self._answers[key] = u, z, rate
+
         if found is None:
             last = next(reversed(self._answers), None)  # of the same instant its memory is near
             start = self._answers[last][1] if last is not None and last[0] == t else None

@@ -123,6 +123,7 @@ class PointMemories:
                 slopes = [differences(z[i], size, laws[i], answers[i]) for i in range(k)]
                 change = _change(rule.couple, slopes, miss)
                 share = _share(change, size)
+
             if share > LEFT:
                 z = z - change
             if share <= NEAR:

@@ -156,6 +156,7 @@ class Builder:
             rows.add(joint, (a, b), min(narrow, default=0.0))
             if new is not None:
                 self.closing.append(new)
+
         for body in self.scene.bodies.values():
             if not (body.turns or body.locked):
                 rows.add(attitude_of(body), (self.markers.add(ground, None), self.markers.add(body, None)))

@@ -63,6 +63,7 @@ def make_plan(scene: Scene, system: System, path: str = "NumPy", methods: Mappin
         (bool(reduced), ("modes and inertia tensors of reduced bodies",), "modal reduction"),
         (bool(scene.ties), (), "field multipliers"),
     )
+
     constant = tuple([x for there, of, _ in table if there for x in of])
     left = tuple([without for there, _, without in table if not there and without])
     return Plan(tuple(unknowns), constant, left, path, _solvers(methods or {}))

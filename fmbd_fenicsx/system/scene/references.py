@@ -25,6 +25,7 @@ def check_references(scene: Scene) -> None:
     for tie in scene.ties.values():
         for side in (tie.a, tie.b):
             check_side(scene, side, f'Tie "{tie.name}"')
+
     for force in scene.forces.values():
         for side in force.sides:
             if side is not None:

@@ -97,6 +97,7 @@ def _stiff_ties(system: System, acceleration: float) -> StiffTies:
     places = system.n_rows + np.arange(len(free))
     batch = CouplingBatch(terms, [_standing(float(s)) for s in free])
     with_rows = replace(system, forces=tuple(forces), batches=(*system.batches, (batch, places)), cache={})
+
     return StiffTies(
         system=with_rows,
         joints=np.setdiff1d(np.arange(with_rows.n_lam), places),

@@ -241,10 +241,12 @@ class SharedRuns:
 
         coarser: list[Compared] = []
         unseen = False
+
         try:
             coarser.append(self._coarser(solved, max(near) if near else self._wanted(steps, known, bool(earlier))))
             first = coarser[0].schedule.steps
             before = [n for n in have if n <= first / NEAREST]
+
             if before:
                 coarser.append(have[max(before)])
             elif not known.seen:
@@ -252,6 +254,7 @@ class SharedRuns:
                 if found is not None:
                     return found
                 half = steps // 2
+
                 if first <= half / NEAREST:  # those of a look at spaces: larger ones would tell less of an order
                     coarser.insert(0, self._with(solved, half))
                 else:
@@ -261,6 +264,7 @@ class SharedRuns:
                 log.info("the run with larger steps did not end: %s", error)
                 return TimeError({}, {}, given) if solved.run.counters.get("halved_steps") else self._by_half(solved)
             unseen = not known.seen
+
         orders, seen = _expected(solved.problem), dict(self._seen)
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
         ratio = steps / coarser[0].schedule.steps

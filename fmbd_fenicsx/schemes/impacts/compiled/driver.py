@@ -111,6 +111,7 @@ class ContactDriver(PairTables):
         counts |= {"states": 2 * room, "near": len(contacts.pairs), "listed": len(contacts.pairs)}
         sizes |= {"lower": len(spheres.spheres), "stood": len(spheres.spheres) * (d + d * d)}
         places = {name: self._zeros(name, size) for name, size in sizes.items()}
+
         return Contacts(
             **self._spheres(spheres), **self._trees(), **self._problem(room, k),
             moving=int(any(pair.moving for pair in contacts.pairs)),
@@ -136,6 +137,7 @@ class ContactDriver(PairTables):
         problem = {name: self._zeros(f"problem {name}", size) for name, size in values.items()}
         factor = {"own": room * k * k, "size": room, "upper": pairs // 2 * k * k, "lower": pairs // 2 * k * k}
         blocks = {name: self._zeros(f"factor {name}", size) for name, size in factor.items()}
+
         return {
             "all": Problem(**{name: at[name] for name in pattern}, **problem),
             "graph": Graph(**at),

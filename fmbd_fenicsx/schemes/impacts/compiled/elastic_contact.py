@@ -65,6 +65,7 @@ class Encounters(PairTables):
             now=self._touch("now", m, d), end=self._touch("end", m, d), aside=self._touch("aside", m, d),
             python=self.function, system=ctypes.addressof(tables.c),
         )  # fmt: skip
+
         system = self.system
         self.structure = ELASTIC_CONTACT(
             contacts=ctypes.addressof(self.c), laws=self.laws, candidates=self.candidates, share=stepper.share,
@@ -79,6 +80,7 @@ class Encounters(PairTables):
             sways=self._zeros("sways", s.n_frames, np.int32), factored=self._zeros("factored", s.n_q),
             offset=self._zeros("offset", self.candidates),
         )  # fmt: skip
+
         self.address: int = ctypes.addressof(self.structure)
         self._first = self.c.now.gap  # of the two rooms that C takes in turn
         self._room = 0, 0  # rows that there is room for, and columns
@@ -97,6 +99,7 @@ class Encounters(PairTables):
             trace = contacts.traces[i]
             one.size, one.first, one.extent = trace.n, first, trace.size
             first += trace.n
+
         o.traces, o.nodes = len(self.traces), ctypes.addressof(self._nodes_of_traces)
         o.nodes_of = self._array("nodes of", [self.traces.index(pair.slave.trace) for pair in self.listed], np.int32)
         o.node = self._array("node", np.concatenate([pair.trace_nodes for pair in self.listed]), np.int32)
@@ -170,6 +173,7 @@ class Encounters(PairTables):
         self._part(own, "since")[:] = books.touching
         self._part(own, "impulse")[:] = books.impulse
         self._part(own, "held")[:] = books.force
+
         if known is not None:
             own[CONFIRMED:TIME] = known.h, known.first, known.second, known.relied
             self._part(own, "near")[:] = np.frombuffer(bytes.fromhex(known.candidates), dtype=bool)
@@ -230,6 +234,7 @@ class Encounters(PairTables):
             one.columns, one.at = Y.shape[1], int(first[k])
             one.C, one.Y = address_of(C), address_of(Y)
             a["answered"][one.first + nodes] = 1
+
         o.columns = int(first[-1])
         moving = any(self.contacts.traces[i].moving for i in self.traces)
         o.coupled = int(moving or o.columns > 0 or self._on_core)
@@ -243,6 +248,7 @@ class Encounters(PairTables):
             acts = self._acting(i, count)
             if not acts.nnz:
                 continue
+
             E, d = self.compliance.blocks.of(i), self.tables.dim
             blocks = sp.bsr_matrix(E, blocksize=(d, d))
             blocks.sort_indices()
@@ -261,6 +267,7 @@ class Encounters(PairTables):
         near, surface = self.arrays["near"][:count], self.arrays["surface"].reshape(-1, 2)[:, 0]
         n = self._nodes_of_traces[self.traces.index(i)].size
         found = sp.csr_matrix((count, n))
+
         for law, points in enumerate(map(int, surface)):
             if self.traces[self.arrays["nodes of"][points]] != i:
                 continue

@@ -55,6 +55,7 @@ class FacingSurfaces:
         for side in range(2):
             self._facets(o.side[side], side, at[1 + side])
         _shapes(o.psi, keep, self._named("psi"), (m, basis.degree, False))
+
         for name, values, kind in (
             ("held", np.cumsum([0, *counts]), np.int32), ("holder", holder[order], np.int32),
             ("at", self._local(0, pair.trace_nodes), np.int32),

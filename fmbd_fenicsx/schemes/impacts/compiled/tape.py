@@ -62,6 +62,7 @@ class ContactTape(Tape):
 
         contacts = self.contacts
         gap, x, normal, carried, force, impulse, work, times = parts
+
         found = ContactForces(
             contacts.names,
             0.0,

@@ -160,6 +160,7 @@ class EnergyMomentumStepper(StepsInParts):
                 self.age.take(len(found.sizes), renewed=found.renewed)
                 self._kept = None
                 return self._take(h, (found.a, found.lam), found.end)
+
             if self.system.fields:
                 self.age.failed()
             elif np.isfinite(found.a).all():

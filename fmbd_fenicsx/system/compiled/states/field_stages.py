@@ -31,6 +31,7 @@ class FieldStageRoom(PointRoom):
         n, m, frames = system.n_v, system.n_lam, system.n_frames
         size, width = n + len(levels) * m, len(levels) * m
         formulas = states.tables.formulas
+
         sizes: Sizes = {
             "s": (p, 2), "t": k, "q0": system.n_q, "xi": (k, n), "rate": (k, n), "v": (k, n), "vd": (k, n), "mult": (k, width),
             "couple": (k, k), "inverse": (p, k, 2), "vectors": (k, p, 2), "past": k * ENDINGS, "ends": ENDINGS,
@@ -51,6 +52,7 @@ class FieldStageRoom(PointRoom):
             "b": 2 * n, "c": 2 * (n + m), "given": 2 * m, "found": 2 * m, "room": 3 * n + size,
             "closed": (3, n), "sampled": states.calls.written, **self._pressures(k),
         }  # fmt: skip
+
         more = zeros_of(of_fields)
         self.known = {name: x for name, (x, _) in more.items()}
         self.known["units"][m * n :] = np.eye(m).ravel()

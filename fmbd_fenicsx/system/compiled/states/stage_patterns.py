@@ -125,6 +125,7 @@ class StageStructure:
             normal=self._pairs(self.normal), turned=self._pairs(self.turned), crossed=self._pairs(self.crossed),
             **{name: part.start for name, part in self.parts.items()},
         )  # fmt: skip
+
         self.address = ctypes.addressof(self.c)
         n, n_q = self.n, self.couplings.system.n_q
         masses, widest = len(couplings.masses), max(map(len, couplings.of_body), default=0)

@@ -53,6 +53,7 @@ def _batch(tables: TableLayout, items: Items, frames: np.ndarray) -> Any:
     one.sides, one.terms = frames.shape[1], len(items.terms)
     if isinstance(kind, SumKind):
         one.into = store.integers(np.array(kind.into, dtype=int))
+
     where = np.zeros(one.sides * tables.twist, int)
     where[list(kind.entries)] = 1 + np.arange(len(kind.entries))
     one.where = store.integers(np.tile(where, (n, 1)))
@@ -62,6 +63,7 @@ def _batch(tables: TableLayout, items: Items, frames: np.ndarray) -> Any:
     one.turning = int(any(term.kind.pattern for term in items.terms))
     if items.role == ROW:
         one.row = store.integers(items.row)
+
     if mapped:
         _mapped_places(tables, one, (items, frames))
     else:

@@ -68,6 +68,7 @@ class Tables(TableLayout):
         self.fields: list[FieldTable] = []
         for (k, _), block in zip(system.fields, blocks, strict=True):
             self.fields.append(FieldTable(self, self.fields, k, block))
+
         self.floating = {field.part.frame: field for field in self.fields}
         self.listening = Listening(self)
         self.items: list[Items] = self.tied.items + items_of(system, self.looks, self.listening.items, coordinates)
@@ -118,6 +119,7 @@ class Tables(TableLayout):
             for x in self.items
             if x.role != READ
         )
+
         whole = ((_bytes(self.frame[f.a]), _bytes(self.frame[f.b])) for f in (*self.loads, *self.mounts))
         rods = frozenset(rod_pairs(self.system.elements)) if self.system.elements else frozenset()
         on = _bytes(self.system.markers.frame[self.surfaces])
@@ -138,6 +140,7 @@ class Tables(TableLayout):
                     ends[int(number)].add(tuple(map(int, end)))
                     terms[int(number)] += 1
             pairs |= {(a, b) for x in bodies.tolist() for a, b in combinations(sorted({*x} - {-1}), 2)}
+
         for f in (*self.loads, *self.mounts):
             both: Any = self.body_of(self.frame[np.stack((f.a, f.b), axis=1)])
             pairs |= {(min(x), max(x)) for x in both.tolist() if x[0] != x[1] and min(x) >= 0}
@@ -190,6 +193,7 @@ class Tables(TableLayout):
 
         parts = [field.part for field in self.fields]
         known: list[Any] = [*self.items, *self.rods, *self.listening.listeners, *self.fields]
+
         self.c = structure("System", self.dim)(
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
             rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,

@@ -246,6 +246,7 @@ class FieldTable:
             **{name: store.shared(x) for name, x in self.matrices.of_nodes().items()},
             **self._residual(), **self._stiffening(), **self.forces_in_c.members(),
         )  # fmt: skip
+
         self._lend()
         self.sway(True)
         return self.c
@@ -278,6 +279,7 @@ class FieldTable:
         if field.carried:  # C moves that of the field itself
             self.gap = gap
             unknown = {"gap": at_gap, "began": store.address(np.zeros(field.n_pressure))}
+
         rows = {name: store.shared(x) for name, x in self.matrices.of_pressure().items()}
         factor = store.array([field.compliance_factor.handle], np.uint64)[1]
         made = structure("Pressure", self.tables.dim)(

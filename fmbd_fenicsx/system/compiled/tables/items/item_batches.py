@@ -133,6 +133,7 @@ def item_batch(tables: TableLayout, items: Items, number: int) -> Any:
         if values is not None:
             numbers[k] = values
         setattr(one, name, first + 8 * n * k)
+
     if items.formula is not None:
         _formula(store, one, items)
     if items.slot is not None:

@@ -219,6 +219,7 @@ def _efforts(loads: ScalarLoads, looks: Looks) -> list[Items]:
         part.role = GIVEN
         part.given = lambda t: loads.given(timed, t)
         out.append(part)
+
     if len(called):
         part = whole.part(called)
         part.role = LAW

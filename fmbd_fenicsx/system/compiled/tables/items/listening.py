@@ -118,6 +118,7 @@ class Listening:
         made = store.zeros({"y": count, "known_y": count, "u": acts, "known_u": acts})
         y, u = made["y"][0], made["u"][0]
         number = first = 0
+
         for one, acting in zip(self.listeners, self._acting, strict=True):
             n, own = len(one.y), one.loads.owned
             one.y, one.u = y[first : first + n], u[number : number + len(one.u)]
