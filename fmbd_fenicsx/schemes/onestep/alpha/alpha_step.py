@@ -214,7 +214,7 @@ class AlphaStep:
     def _wants_tangent(self) -> bool:
         """Whether the next increment is worth a tangent of its own."""
         slow = self.newton.theta > SLOW_TURN and not self.secants.poor
-        turned = self.stiff and self.done > 0 and (self.done == 1 or slow or self.misfit > 0.0)
+        turned = self.stiff and self.done > 0 and (self.done == 1 or slow or self.misfit > SLOW_TURN)
         impatient = self.done > self.patience and not self.system.fields and not self.secants.poor
 
         return self.far or self.tangent is not None or turned or impatient

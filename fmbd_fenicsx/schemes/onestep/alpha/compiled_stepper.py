@@ -262,9 +262,11 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
 
         driver.tables.recall()
         driver.tables.c.renewals = newton.renewals
+        factors = int(driver.tables.c.factors)
         # steps of one size close their joints or fail, and are judged where they are looked at
         joints = None if control is None else observers.joints
         made, verdict = driver.march(steps, observers.tape, control, None if joints is None else joints.limits(h))
+        self.solver.core.factorisations += int(driver.tables.c.factors) - factors
         if joints is not None and made:
             joints.passed(driver.state().t, float(driver.closed.fastest))
         if made:
@@ -288,7 +290,6 @@ class CompiledAlphaStepper(CompiledSteps, AlphaStepper):
         self.counters["compiled_steps"] += made
         self._count_increments(p, made)
         self.newton.renewals = int(driver.tables.c.renewals)
-        self.solver.core.factorisations += made
         self.local_error = float(p[slots.LOCAL])
         self._ahead = self._driven = True
         self.state = self._tail = driver.state()

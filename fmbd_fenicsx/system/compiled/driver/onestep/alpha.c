@@ -2,7 +2,7 @@
 
    A block of a state holds t, q (nq), v (nv), a (nv), A (nv), lambda (rows). */
 
-static const double SLOW_TURN = 0.01; /* rate of Newton above which efforts get a new tangent */
+static const double SLOW_TURN = 0.01; /* rate of Newton, and share that pulls mislead it, above which efforts get a new tangent */
 static const double LEAP = 1e-3;      /* of the model's length: leaps of accelerations that lead farther are no prediction */
 static const double WORTH = 1e3;      /* first increments, over the tolerance, that are worth a new tangent of fields at once */
 enum { RENEWALS = 10 };               /* of tangents of fields in a step at most */
@@ -204,7 +204,7 @@ static int linearise(System *s, const double *p, AlphaStep *k)
     s->renewed = slow && !k->told.poor;
     int cheap = k->done == 1 && s->fields; /* beside a solution with the factor of a field */
     int turning = s->stiff && later
-                  && (s->renewed || s->bridged || cheap || k->misfit > 0.0 || misled(s) || other_slopes(s, k->damp, k->scale));
+                  && (s->renewed || s->bridged || cheap || k->misfit > SLOW_TURN || misled(s) || other_slopes(s, k->damp, k->scale));
     if (!(k->far || turning || impatient)) return DONE;
 
     /* what reactions push across counts where the iteration is slow without it; as predicted it may be far off */
