@@ -152,14 +152,6 @@ class CoordinatePart(Part):
         if self._tangent is not None:
             check_force(self.body, self._slopes, self._tangent)
 
-    def ports_of(self, w: Array, t: float) -> Array:
-        """The coordinates."""
-        return w
-
-    def port_force(self, f: Array, t: float) -> Array:
-        """Forces on the coordinates."""
-        return f
-
     def mass(self, q: Array) -> Array:
         """M(q), (n, n)."""
         return (
