@@ -32,7 +32,9 @@ DT = 2e-3  # s
 
 
 def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
-    """Four links that fall, with elements that ask functions ``of time``, ``of motion``, of the ``road`` or of a ``curve``."""
+    """Four links that fall, with elements that ask functions ``of time``, ``of motion``, of the ``road``, of a ``curve`` or of
+    their ``own coordinates``.
+    """
     scene, last = chain(4)
     s = [fmbd.angle(scene.joints[f"pin {k}"]) for k in range(4)]
 
@@ -54,6 +56,9 @@ def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
             fmbd.joint_spring("law", s[0], law=lambda x, rate, t: noted(20 * np.sin(x) + rate)),
             fmbd.controller("pd", reads=reads, acts=s[1], law=lambda t, y, z: noted(-20 * y["s"][0] - y["tip"][1])),
         )
+    elif kind == "own coordinates":
+        force = lambda q, v, t: noted(np.array([np.cos(t) - q[0] ** 3 - 0.1 * v[1], -4.0 * q[1] * q[0]]))  # noqa: E731
+        scene.add(fmbd.CoordinateBody("own", np.diag([2.0, 1.0]), force, (0.5, 0.2)))
     elif kind == "curve":
         height = lambda x: 0.1 * (math.cos(float(x)) - math.cos(4.0))  # noqa: E731
         law = lambda xa, Ra, xb, Rb, t: noted([xb[1] - height(xb[0])])  # noqa: E731
@@ -87,7 +92,7 @@ def calls_a_step(scene: Callable[[], fmbd.Scene], scheme: Any, asked: list[float
 
 
 @compiled
-@pytest.mark.parametrize("kind", ["of time", "of motion", "road", "curve"])
+@pytest.mark.parametrize("kind", ["of time", "of motion", "road", "curve", "own coordinates"])
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 def test_calls_a_step(scheme: Any, kind: str) -> None:
     """All evaluations beside the functions' own are compiled code's."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from own_bodies import Carrier, SlidingMass, carrier, line_and_bob
 from profiled import calls_of
+from test_calls_a_step import OWN, SCHEMES, scene_of
 from test_driver import compiled
 from test_line_body import line
 
@@ -17,6 +18,7 @@ import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.schemes.implicit.whole_steps import WholeMatrixSteps
 from fmbd_fenicsx.schemes.marching import MarchingStepper
+from fmbd_fenicsx.system.compiled import choice
 from fmbd_fenicsx.system.compiled.choice import use_driver
 from fmbd_fenicsx.system.compiled.march import March
 from fmbd_fenicsx.system.compiled.tables.bodies.told import can_be_told
@@ -156,6 +158,22 @@ def test_implicit_schemes_march_beside_parts(make: Any, scheme: Any, monkeypatch
     for name in ("q", "v"):
         wanted = getattr(runs[3].state, name)
         np.testing.assert_allclose(getattr(runs[2].state, name), wanted, atol=1e-6 * np.abs(wanted).max(), err_msg=name)
+
+
+@compiled
+@pytest.mark.parametrize(
+    "scheme", [*SCHEMES, *OWN], ids=lambda x: f"{x.name} {x.rtol or ''}" if hasattr(x, "rtol") else x.name
+)
+def test_equations_of_own_coordinates(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside links that NumPy would step with them."""
+    runs = [fmbd.solve(scene_of("own coordinates", []), t_end=0.1, dt=2e-3, scheme=scheme)]
+    monkeypatch.setattr(choice, "covers_bodies", lambda system: False)
+    runs.append(fmbd.solve(scene_of("own coordinates", []), t_end=0.1, dt=2e-3, scheme=scheme))
+    assert runs[1].counters["steps"] == runs[0].counters["steps"]
+    off = 1e-8 if getattr(scheme, "rtol", None) is None else 0.1 * scheme.rtol  # of sizes that roundoff chooses
+    for name in ("q", "v"):
+        found, wanted = (getattr(run.state, name) for run in runs)
+        np.testing.assert_allclose(found, wanted, rtol=0.0, atol=off * np.abs(wanted).max(), err_msg=name)
 
 
 @compiled

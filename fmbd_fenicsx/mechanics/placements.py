@@ -95,6 +95,7 @@ class Part(Protocol):
     rms: Array | None = None  # (n,) root mean square displacement by amplitudes of one, m; None: no amplitudes
     mean_rates: Array | None = None  # (n_twist, n) mean twist of its mass in its frame by u', body axes; None: none
     shortening: Shortening | None = None  # of ports that are of second order in u
+    constant_mass: Array | None = None  # (n, n) of the local coordinates; None: it moves with the part
     leaves_out: bool = False  # whether Newton's matrix lacks terms of its motion: gyroscopic and centrifugal ones
     of_time: bool = (
         True  # whether ``force`` may depend on time beside the motion: one that does not is asked once for each

@@ -192,7 +192,7 @@ class LinePart(Part):
         ds = ufl.Measure("dx", domain=self.space.mesh)
         try:
             M = fem.assemble_matrix(compat.form(b.mass(z, w, ds)))
-            self.M = M.to_dense()
+            self.M = self.constant_mass = M.to_dense()
             self._z = fem.Function(self.space)
             # reduced integration: full would lock thin lines
             energy = b.energy(self._z, ds(metadata={"quadrature_degree": 2 * b.degree - 1}))

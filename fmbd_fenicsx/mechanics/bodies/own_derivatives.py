@@ -35,8 +35,7 @@ def derivative(function: Function, x: Array) -> Array:
     """d function / d x, (m, n), by complex steps; by :func:`differences` when complex numbers do not pass."""
     n = len(x)
     try:
-        columns = [_complex_slope(function, x, e) for e in np.eye(n)]
-        return np.stack(columns, axis=-1) if n else np.zeros((np.size(function(x)), 0))
+        return _complex_slopes(function, x, np.eye(n)).T if n else np.zeros((np.size(function(x)), 0))
     except UNUSABLE:
         pass
     return differences(function, x)
@@ -133,7 +132,7 @@ def slopes_of(function: Function, start: Array) -> Slopes:
 def _complex_steps_tell(function: Function, x: Array, v: Array, told: Array, error: Array) -> bool:
     """Whether the slope along v by a complex step is that which was ``told``, with its ``error``, (m,)."""
     try:
-        slope = _complex_slope(function, x, v)
+        (slope,) = _complex_slopes(function, x, v[None])
         allowed = SAME * np.maximum(np.abs(slope), np.abs(told)) + AGREES * error
         return bool((np.abs(slope - told) <= allowed).all())
     except UNUSABLE:
@@ -157,11 +156,12 @@ def _short_steps(axes: list[ValuesOnLine]) -> tuple[tuple[Sequence[int], ...], t
     return tuple(steps), tuple(errors)
 
 
-def _complex_slope(function: Function, x: Array, v: Array) -> Array:
-    """d function(x + s v) / ds at s = 0, (m,), by a complex step."""
+def _complex_slopes(function: Function, x: Array, ways: Array) -> Array:
+    """d function(x + s v) / ds at s = 0 for each v of some ways, (k, m), by complex steps."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", np.exceptions.ComplexWarning)  # an imaginary part dropped on the way
-        return np.imag(np.ravel(np.asarray(function(x + 1j * _STEP * v), dtype=complex))) / _STEP
+        found = [np.asarray(function(z), dtype=complex).reshape(-1).imag for z in x + 1j * _STEP * ways]
+    return np.array(found) / _STEP
 
 
 class ValuesOnLine:

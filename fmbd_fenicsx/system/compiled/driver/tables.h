@@ -257,6 +257,7 @@ typedef struct {
     double *slopes, *known;            /* modes x modes by coordinates, and by rates; modes: both, and rows, where these were taken */
     double *state;                     /* R, twist, its rate, pose, gravity, u, u', u'' */
     double *rows, *block;              /* TWIST + modes: forces, or energies; the step's block, world axes */
+    double *masses;                    /* the block of a step without stiffness and damping, NULL where masses move with the part */
     int *dest;                         /* places of the lower half of the block */
 } Told;
 

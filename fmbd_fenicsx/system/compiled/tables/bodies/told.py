@@ -44,6 +44,14 @@ class ToldMotion:
         return FrameMotion(t, self._R, twist, accel, gravity), pose, (self._u.copy(), self._rate.copy(), self._second)
 
 
+def _beside_rest(n: int, mass: Array, held: float = 1.0) -> Array:
+    """The block of a part beside that of a frame with n rates, which rests."""
+    block = np.zeros((n + len(mass), n + len(mass)))
+    block[range(n), range(n)] = held
+    block[n:, n:] = mass
+    return block
+
+
 class ToldPart:
     """One such part, number ``k`` of the system, as the structure Told of ``driver/tables.h``."""
 
@@ -91,10 +99,10 @@ class ToldPart:
         if c.cd or c.ck:
             K, D = self.part.stiffness_blocks(motion, local)
             mass = mass + c.cd * D + c.ck * K
-        self.block[n:, n:] = mass
         if self.rests:
-            self.block[range(n), range(n)] = 1.0 - c.imaginary
+            self.block[:] = _beside_rest(n, mass, 1.0 - c.imaginary)
             return
+        self.block[n:, n:] = mass
 
         turn = np.eye(n)
         if d == 3:
@@ -107,10 +115,12 @@ class ToldPart:
         tables, system = self.tables, self.tables.system
         frame = self.part.frame
         body = structure("Body", tables.dim)(large=np.inf) if rigid is None else rigid
+        mass = self.part.constant_mass if self.rests else None
+        masses = None if mass is None else tables.store.address(_beside_rest(tables.twist, mass))
         i, j = np.tril_indices(self.width)
         unknown = tables.at_u[frame] + np.arange(self.width)
         told = structure("Told", tables.dim)(
-            number=self.number, rests=int(self.rests), state=self.motion.address, **self.addresses,
+            number=self.number, rests=int(self.rests), state=self.motion.address, masses=masses, **self.addresses,
             dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])),
         )  # fmt: skip
 
