@@ -96,7 +96,7 @@ class Variants:
             f'Sensor "{what}" has other numbers of records in some variants, {sorted(shapes)}: take them one by one, '
             'variants[i]["..."].',
         )
-        missing = np.full(*shapes, np.nan)
+        missing = np.full(shapes.pop(), np.nan)
         return np.stack([missing if variant.error is not None else variant[what] for variant in self])
 
     def __repr__(self) -> str:
