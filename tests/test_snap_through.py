@@ -64,20 +64,14 @@ def test_snaps_through(dt: float, share: float, request: pytest.FixtureRequest) 
     assert not run.counters.get("halved_steps", 0) and "halving" not in run.report()
 
 
-def test_steps_far_beyond_the_snap_pass_it_or_say_so() -> None:
-    """A step of 40 times the time of the snap meets the arch on one way or another, as roundoff has it: it is made in halves
-    and the arch hangs below, or the run ends with an error that names it.
+@pytest.mark.parametrize("change", [0, 2, 5])
+def test_steps_far_beyond_the_snap_pass_it(change: int) -> None:
+    """A step of 40 times the time of the snap is made in parts, and the arch hangs below: iterations that lose their way and end
+    with a cell crushed or turned inside out do not count. Where they lead is roundoff's: loads differ by 1e-6.
     """
-    ended = 0
-    for change in range(8):
-        try:
-            run = run_of((1.0 + 1e-6 * change) * PRESSURE, 0.1, ramp)
-        except fmbd.errors.FmbdError as error:
-            assert "Newton stopped" in str(error) or "Linear solve" in str(error)
-            continue
-        ended += 1
-        assert run["top"][:, 1].min() == pytest.approx(LOWEST, rel=0.15) and "halving" in run.report()
-    assert ended >= 2
+    run = run_of((1.0 + 1e-6 * change) * PRESSURE, 0.1, ramp)
+    assert run["top"][:, 1].min() == pytest.approx(LOWEST, rel=0.15) and "halving" in run.report()
+    assert sum(run.energy.values()).max() < 6.0  # J, 5.1 in steps of 10 ms; 140 and 1 300 with a cell crushed
 
 
 def test_energy_bound(fine: fmbd.Run) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -225,6 +226,13 @@ def strayed(system: System, xi: Array, predicted: Array) -> bool:
     return system.max_abs(xi - predicted) > near
 
 
+def grew(history: list[float]) -> bool:
+    """Whether increments that were far from the tolerance grew from one to the next: the iteration may have left its way, by the
+    natural monotonicity test (Deuflhard, Newton Methods for Nonlinear Problems, doi:10.1007/978-3-642-23899-4).
+    """
+    return any(FAR < size and last < size for last, size in pairwise(history))
+
+
 OTHER_SOLUTION = "Newton found another solution, far from the predicted one"
 ADVICE = ". Try a smaller dt."
 
@@ -233,3 +241,11 @@ def not_converged(t: float, h: float, history: list[float], more: str) -> Conver
     """The error of a step to ``t`` of size ``h`` (s) whose increments, over the tolerance, were ``history``; ``more`` ends it."""
     sizes = " -> ".join(f"{x:.1e}" for x in history)
     return ConvergenceError(f"Newton stopped at t = {t:.6g} s (h = {h:.3g} s): increments over tolerance {sizes}{more}")
+
+
+def crushed(t: float, h: float, body: str) -> ConvergenceError:
+    """The error of a step to ``t`` of size ``h`` (s) that ended where no force has taken a ``body``."""
+    return ConvergenceError(
+        f'Newton stopped at t = {t:.6g} s (h = {h:.3g} s): {OTHER_SOLUTION}: body "{body}" would store more energy than there is'
+        + ADVICE
+    )

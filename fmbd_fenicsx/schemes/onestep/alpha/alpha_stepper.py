@@ -26,6 +26,7 @@ from ....linear.blocks.incompressibility import volume_push
 from ....linear.condensation import StepSolver
 from ....linear.redundancy import least
 from ....rotations import Array
+from ....system.barriers import over_barrier
 from ....system.compiled.declarations import constants
 from ....system.layout import State, States
 from ....system.serialisation import Memory, plain
@@ -34,7 +35,7 @@ from ....system.system import System
 from ...consistent import widest
 from ...dae import GGL
 from ...dense_output import cubic, place_within, state_within
-from ...newton import Newton, not_converged, strayed
+from ...newton import Newton, crushed, grew, not_converged, strayed
 from ...stepping import Observers, TimeStepper
 from .alpha_step import PATIENCE, AlphaStep, Rule, StepStart
 from .damped_start import LEAST, LEFT, LEFT_BEHIND, MOST, damped_acceleration, on_constraints, stages
@@ -248,6 +249,8 @@ class AlphaStepper(TimeStepper):
             self._count(step)
         if not converged or (patience == 0 and strayed(self.system, step.end.xi, step.begun.xi)):
             raise self._failure(step, history)
+        if grew(history) and (body := over_barrier(self.system, start.state, step.found.q)):
+            raise crushed(step.t, rule.h, body)
         return step
 
     def _count(self, step: AlphaStep) -> None:

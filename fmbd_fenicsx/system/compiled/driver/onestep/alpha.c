@@ -313,6 +313,12 @@ static int begin_anew(System *s, double *p, AlphaStep *k)
     return prepare(s, s->q, k->damp, k->scale, out.lam, 0, k->t);
 }
 
+/* Whether an increment of bodies with an energy has grown, as ``grew`` of schemes/newton.py: Python looks where such iterations end. */
+static int grew(const System *s, const AlphaStep *k)
+{
+    return s->foretells && k->done > 1 && k->sizes[k->done - 1] > fmax(WORTH, k->sizes[k->done - 2]);
+}
+
 /* Newton's iteration for the end of the step. */
 static int iterate(System *s, double *p, AlphaStep *k)
 {
@@ -326,6 +332,7 @@ static int iterate(System *s, double *p, AlphaStep *k)
         if ((verdict = linearise(s, p, k))) return verdict;
         if ((verdict = solve(s, k))) return verdict;
         take(s, p, k);
+        if (grew(s, k)) return NEWTON;
 
         converged = judge_step(s, p, &k->now, k->sizes, k->tolerance, k->done, &k->left);
         if (k->done == 1 && k->sizes[0] <= WORTH) k->renewals = 0; /* it was not worth one */
