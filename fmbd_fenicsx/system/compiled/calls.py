@@ -35,6 +35,7 @@ NUMPYS = tuple(
         "PART_FORCES",
         "PART_TANGENTS",
         "FREQUENCIES",
+        "LOOK_AT_END",
     )
 )  # where these fail NumPy makes the step
 
@@ -143,6 +144,7 @@ class Calls:
             "FIELD_LOADS": lambda number, t: tables.fields[number].forces_in_c.load(t),
             "FIELD_ENERGIES": lambda number, t: tables.fields[number].energies(t),
             "FIELD_TANGENTS": lambda number, t: tables.renew_fields(t, predicted=bool(number)),
+            "LOOK_AT_END": lambda number, t: tables.look_at_end(),
             "FREQUENCIES": lambda number, key: tables.frequencies(key),
             "PART_FORCES": lambda number, t: tables.told[number].forces(t),
             "PART_ENERGIES": lambda number, t: tables.told[number].energies(t),

@@ -249,9 +249,14 @@ class AlphaStepper(TimeStepper):
             self._count(step)
         if not converged or (patience == 0 and strayed(self.system, step.end.xi, step.begun.xi)):
             raise self._failure(step, history)
-        if grew(history) and (body := over_barrier(self.system, start.state, step.found.q)):
-            raise crushed(step.t, rule.h, body)
+        if grew(history):
+            self._stays(start.state, step.t, step.found.q)
         return step
+
+    def _stays(self, before: State, t: float, q: Array) -> None:
+        """Raise ConvergenceError where the end of a step, at t (s), lies over an energy barrier; collective."""
+        if body := over_barrier(self.system, before, q):
+            raise crushed(t, t - before.t, body)
 
     def _count(self, step: AlphaStep) -> None:
         """Iterations on the exact tangent, where one is taken."""

@@ -26,6 +26,7 @@ class FieldStepper(CompiledAlphaStepper):
     def _use(self, driver: AlphaDriver) -> None:
         super()._use(driver)
         driver.tables.renewed, driver.tables.user = self._renewed, self
+        driver.tables.look_at_end = self._look_at_end
 
     def _renewed(self, t: float, increments: dict[int, Approach]) -> list[FactoredField]:
         """The fields' blocks with new tangents, for the driver in use, at the state that it evaluated last."""
@@ -33,6 +34,11 @@ class FieldStepper(CompiledAlphaStepper):
         ev = self.system.at(t, q, v)
         ev.forces = a, lam  # whose stress the tangents take
         return self.solver.renew_fields(ev, increments)
+
+    def _look_at_end(self) -> None:
+        """Refuse the end of a step that stores more than there was, as :meth:`AlphaStepper._stays`."""
+        after = self.driver.block(NEXT)
+        self._stays(self.driver.state(), after[0], after[1])
 
     def _march(self, h: float, steps: int, observers: Observers = UNOBSERVED) -> int:
         return super()._march(h, steps, observers) if not self.fresh and self._ready(h) else 0

@@ -65,6 +65,7 @@ class Tables(TableLayout):
         system = self.system
         self.blocks = blocks
         self.user: Any = None  # the stepper whose steps were made last
+        self.look_at_end: Callable[[], None] = lambda: None  # raises ConvergenceError where a step does not count
         self.fields: list[FieldTable] = []
         for (k, _), block in zip(system.fields, blocks, strict=True):
             self.fields.append(FieldTable(self, self.fields, k, block))

@@ -108,6 +108,7 @@ typedef struct {
     int done, hesitations;             /* increments; those that were made as laws were undecided */
     int far;                           /* whether the matrix is far from the state */
     int touching;                      /* contacts that take part */
+    int grown;                         /* increments of bodies with an energy that were larger than the one before */
     int evaluated, renewals;           /* whether the end was evaluated already; new tangents of fields */
     Secants told;
 } AlphaStep;
@@ -313,7 +314,7 @@ static int begin_anew(System *s, double *p, AlphaStep *k)
     return prepare(s, s->q, k->damp, k->scale, out.lam, 0, k->t);
 }
 
-/* Whether an increment of bodies with an energy has grown, as ``grew`` of schemes/newton.py: Python looks where such iterations end. */
+/* Whether an increment of bodies with an energy has grown, as ``grew`` of schemes/newton.py. */
 static int grew(const System *s, const AlphaStep *k)
 {
     return s->foretells && k->done > 1 && k->sizes[k->done - 1] > fmax(WORTH, k->sizes[k->done - 2]);
@@ -332,7 +333,7 @@ static int iterate(System *s, double *p, AlphaStep *k)
         if ((verdict = linearise(s, p, k))) return verdict;
         if ((verdict = solve(s, k))) return verdict;
         take(s, p, k);
-        if (grew(s, k)) return NEWTON;
+        k->grown += grew(s, k);
 
         converged = judge_step(s, p, &k->now, k->sizes, k->tolerance, k->done, &k->left);
         if (k->done == 1 && k->sizes[0] <= WORTH) k->renewals = 0; /* it was not worth one */
@@ -367,6 +368,11 @@ static int find_end(System *s, double *p, const Block *past, int known, AlphaSte
         settle_angles(s, out.q);
     }
     *out.t = k->t;
+    if (k->grown) {
+        s->calls++;
+        const int told = s->python(LOOK_AT_END, 0, k->t);
+        if (told) return told == OUTSIDE ? NEWTON : FAILED;
+    }
     if (s->contact) iterated(s->contact, past, &out, p[H], k->sizes, k->tolerance, k->done);
     return DONE;
 }
