@@ -168,3 +168,41 @@ def test_calls_of_own_steps_with_events(scheme: Any) -> None:
     ends = run(0.2), run(1.5)
     short, long = (calls_of(lambda t=t: run(t)) for t in (0.2, 1.5))
     assert (long - short) / (ends[1].counters["steps"] - ends[0].counters["steps"]) < BETWEEN
+
+
+@compiled
+@pytest.mark.parametrize("scheme", OWN, ids=lambda s: s.name)
+def test_the_function_of_a_joint_is_asked_once_for_a_state(scheme: Any) -> None:
+    """Half of the calls had the arguments of one before; a record asks for rows alone while it closes places."""
+    asked: list[tuple[bytes | float, ...]] = []
+
+    def curve(xa: Any, Ra: Any, xb: Any, Rb: Any, t: float) -> list[float]:
+        asked.append((xb.tobytes(), Rb.tobytes(), t))
+        return [xb[1] - 0.1 * (math.cos(float(xb[0])) - math.cos(4.0))]
+
+    counts = []
+    for times in ((0.0, 0.1), np.linspace(0.0, 0.1, 51)):
+        asked.clear()
+        scene, last = chain(4)
+        scene.add(fmbd.own_joint("curve", fmbd.ground, last, curve, center=(4.0, 0.0)))
+        fmbd.solve(
+            scene, t_end=0.1, scheme=scheme, output=fmbd.Output(times=tuple(times), energy=False, progress=False)
+        )
+        assert len(asked) < 1.2 * len(set(asked))
+        counts.append(len(asked))
+    assert counts[1] - counts[0] < 30 * 50  # some three corrections of seven values
+
+
+def test_the_function_of_a_joint_is_asked_anew_behind_a_restored_state() -> None:
+    """It may read what someone has changed meanwhile: the same arguments are no reason to take the answer of before."""
+    height = 0.0
+    scene, last = chain(2)
+    law = lambda xa, Ra, xb, Rb, t: [xb[1] - height * float(t)]  # noqa: E731
+    scene.add(fmbd.own_joint("lift", fmbd.ground, last, law, center=(2.0, 0.0)))
+    scene.sensor("end", fmbd.position(last, point=(2.0, 0.0)))
+    with fmbd.stepper(scene, dt=1e-3) as s:
+        kept = s.save()
+        for height in (0.0, 0.1, 0.2):  # noqa: B007
+            s.restore(kept)
+            s.step()
+            assert s["end"][1] == pytest.approx(height * 1e-3, abs=1e-9)

@@ -179,12 +179,7 @@ def asked_rows(joint: Joint, motions: Motions, length: Callable[[], float]) -> l
     asked = AskedFunction(joint.name, joint.function, motions, live, length())
     kind, still = asked_kind(asked), np.zeros(motions.dim)
     numbers = ({"component": float(i)} for i in range(asked.count))
-    return [ct.Row(ct.ExpressedInTime, still, motion=_clock, own=kind, constants=number) for number in numbers]
-
-
-def _clock(t: float) -> tuple[float, float, float]:
-    """The time itself as a motion."""
-    return t, 1.0, 0.0
+    return [ct.Row(ct.ExpressedInTime, still, motion=asked.clock, own=kind, constants=number) for number in numbers]
 
 
 def _row(name: str, term: OwnTerm, dim: int) -> ct.Row:

@@ -34,9 +34,11 @@ from .time_derivatives import rates
 TINY = 1e-30  # complex steps
 STEP = 1e-5  # of differences: a share of the length, rad
 DROPPED = 1e-5  # relative: derivatives that differ by more are not those of the function
+NEWEST = 16  # times of which answers are kept, and answers of each
 SHORT = 3e-3  # of motions along which second derivatives are taken: a share of the length, rad
 
 KERNEL = ctypes.CFUNCTYPE(None, ctypes.c_long, *[ctypes.c_void_p] * 5)
+At = tuple[Array, Array, Array, tuple[bytes, ...]]  # both frames and the constants; what of these values depend on
 Poses = tuple[Array, Array]  # x (2, d, ..), R (2, d, d, ..) of both markers
 
 
@@ -50,6 +52,9 @@ class AskedFunction:
         self.function = named("The constraint of joint", name, function)
         self.way: tuple[bool, bool] | None = None  # complex, all columns in one call: decided at the first derivative
         self.error: Exception | None = None  # of a call by compiled code
+        self.known: dict[
+            float, dict[tuple[bytes, ...], Array]
+        ] = {}  # what was found at the newest times, see :meth:`once`
         d, n = motions.dim, motions.n_rot
         self.width = (d + n) * len(self.live)
         # displacements and angular velocities of the columns, steps in m and rad
@@ -89,6 +94,20 @@ class AskedFunction:
         """g, (m,)."""
         x, R = poses
         return self.checked(self.function(x[0], R[0], x[1], R[1], t), t)
+
+    def clock(self, t: float) -> tuple[float, float, float]:
+        """The time as a motion: who asks for it takes what depends on it anew."""
+        self.known.pop(t, None)
+        return t, 1.0, 0.0
+
+    def once(self, t: float, key: tuple[bytes, ...], find: Callable[[], Array]) -> Array:
+        """What it finds, once as long as what depends on time t holds: stages of a step come back to each other's configurations,
+        and records ask again.
+        """
+        kept = self.known.get(t)
+        if kept is None:
+            kept = _keep_newest(self.known, t, {})
+        return kept[key] if key in kept else _keep_newest(kept, key, find())
 
     # -- rows -----------------------------------------------------------------------------------------------------------
     def derivative(self, poses: Poses, t: float) -> Array:
@@ -144,7 +163,8 @@ class AskedFunction:
 
     def _differences(self, poses: Poses, t: float, together: bool) -> Array:
         """(2)."""
-        ahead, behind = (self._columns(poses, t, k * self.steps, together) for k in (1.0, -1.0))
+        ahead = self._columns(poses, t, self.steps, together)
+        behind = self._columns(poses, t, -self.steps, together)
         return np.asarray((ahead - behind) / (2.0 * self.steps), dtype=float)
 
     def _columns(self, poses: Poses, t: float, step: Any, together: bool) -> Array:
@@ -171,11 +191,11 @@ class AskedFunction:
         return bool((np.abs(rows @ along - 0.5 * (ahead - behind)) > DROPPED * scale + 1e-14 * self.length).any())
 
     # -- along motions ----------------------------------------------------------------------------------------------------
-    def moves(self, poses: Poses, t: float) -> bool:
-        """Whether it depends on time, by what it says at two other times."""
-        here = self.at(poses, t)
+    def moves(self, poses: Poses, t: float, here: Array) -> bool:
+        """Whether it depends on time, by what it says now and at two other times."""
         try:
-            return any((self.checked(self.raw(*_both(poses), t + later), t) != here).any() for later in (1e-3, 0.37))
+            soon, late = [self.checked(self.raw(*_both(poses), t + later), t) for later in (1e-3, 0.37)]
+            return bool(((soon != here) | (late != here)).any())
         except Exception:
             return True  # a table of some length
 
@@ -189,11 +209,13 @@ class AskedFunction:
         scale = max(self.length, float(np.abs(poses[0]).max()))
         return np.array([rates(partial(component, i), t, scale)[0] for i in range(self.count)])
 
-    def second(self, path: Callable[[float], Poses], t: float, fast: float) -> Array:
-        """g'' along a path that begins at t, by differences of sixth order; ``fast``: its speed, lengths or rad in a second."""
+    def second(self, path: Callable[[float], Poses], t: float, fast: float, here: Array) -> Array:
+        """g'' along a path that begins at t, by differences of sixth order from what it says there; ``fast``: its speed, lengths
+        or rad in a second.
+        """
         h = SHORT / fast
         weights = (-490.0, 270.0, -27.0, 2.0)
-        found = weights[0] * self.at(path(0.0), t)
+        found = weights[0] * here
         for k in (1, 2, 3):
             for s in (k * h, -k * h):
                 found = found + weights[k] * self.at(path(s), t + s)
@@ -216,9 +238,15 @@ class AskedKind(Kind):
         """One kernel for items between the same two frames, a row of each array: results likewise."""
         if which == "tangent":
             return np.zeros((len(P), 0))
-        component = P[:, self.place("component")][:, 0].astype(int)
-        t = float(P[0, self.place("drive")][0])
-        return (self._value if which == "value" else self._rates)((A[0], B[0], P[0]), t)[component]
+        return self._found(which, (A, B, P))
+
+    def _found(self, which: str, items: tuple[Array, Array, Array], *, whole: bool = True) -> Array:
+        """Values or rates of items; of the latter the first alone where not ``whole``."""
+        A, B, P = items
+        component, drive = self._component_and_drive
+        a, b, p, still = A[0], B[0], P[0], self.dim + self.dim**2  # where velocities begin in a frame
+        at, t = (a, b, p, (a[:still].tobytes(), b[:still].tobytes(), p.tobytes())), float(p[drive])
+        return (self._value(at, t) if which == "value" else self._rates(at, t, whole))[P[:, component].astype(int)]
 
     def address(self, which: str) -> int:
         """Where compiled code finds the kernel."""
@@ -227,11 +255,6 @@ class AskedKind(Kind):
     @cached_property
     def _callbacks(self) -> dict[str, Any]:
         return {which: KERNEL(self._told(which)) for which in KERNELS}
-
-    @cached_property
-    def _known(self) -> dict[tuple[bytes, ...], Array]:
-        """The value at the last configuration: records ask for it again."""
-        return {}
 
     def _told(self, which: str) -> Callable[..., None]:
         """The kernel as compiled code calls it; errors are kept for whoever called C, which goes on without numbers."""
@@ -247,7 +270,8 @@ class AskedKind(Kind):
                     views.clear()
                 views[n, pair, frames, P, out] = found
             try:
-                found[3][:] = self.run(which, *found[:3])
+                if which != "tangent":
+                    found[3][:] = self._found(which, found[:3], whole=not W)
             except Exception as error:
                 self.function.error = self.function.error or error
                 found[3][:] = np.nan
@@ -255,11 +279,16 @@ class AskedKind(Kind):
         return told
 
     @cached_property
+    def _component_and_drive(self) -> tuple[int, int]:
+        """Where the constants have these."""
+        return self.place("component").start, self.place("drive").start
+
+    @cached_property
     def _markers(self) -> tuple[list[slice], list[slice]]:
         """Where the constants have the arms of both markers, and their rotations."""
         return [self.place(name) for name in ("p", "q")], [self.place(name) for name in ("turn_a", "turn_b")]
 
-    def _poses(self, at: tuple[Array, ...], frames: Sequence[tuple[Array, Array]]) -> Poses:
+    def _poses(self, at: At, frames: Sequence[tuple[Array, Array]]) -> Poses:
         """Markers on frames with places and rotations (x, R)."""
         d = self.dim
         arms, turns = self._markers
@@ -267,17 +296,15 @@ class AskedKind(Kind):
         R = [R @ at[2][turn].reshape(d, d) for (_, R), turn in zip(frames, turns, strict=True)]
         return np.array(x), np.array(R)
 
-    def _frames(self, at: tuple[Array, ...]) -> list[tuple[Array, Array]]:
+    def _frames(self, at: At) -> list[tuple[Array, Array]]:
         d = self.dim
         return [(f[:d], f[d : d + d * d].reshape(d, d)) for f in at[:2]]
 
-    def _value(self, at: tuple[Array, ...], t: float) -> Array:
+    def _value(self, at: At, t: float) -> Array:
         """g and its rows, (m, 1 + entries)."""
-        still = self.dim + self.dim**2  # where velocities begin in a frame
-        key = (at[0][:still].tobytes(), at[1][:still].tobytes(), at[2].tobytes())
-        found = self._known.get(key)
-        if found is not None:
-            return found
+        return self.function.once(t, (b"value", *at[3]), lambda: self._rows(at, t))
+
+    def _rows(self, at: At, t: float) -> Array:
         d, f = self.dim, self.function
         frames = self._frames(at)
         poses = self._poses(at, frames)
@@ -289,13 +316,27 @@ class AskedKind(Kind):
             lever = poses[0][side] - frames[side][0]
             part = rows[:, k * size : (k + 1) * size]
             part[:, d:] += f.motions.moment(np.broadcast_to(lever, (len(rows), d)), part[:, :d])
-        found = np.column_stack((np.real(f.at(poses, t)), rows))
-        self._known.clear()
-        self._known[key] = found
+        return np.column_stack((np.real(f.at(poses, t)), rows))
+
+    def _rates(self, at: At, t: float, whole: bool) -> Array:
+        """g_t, and g'' at constant twists of the frames, 0 where not ``whole``, (m, 2)."""
+        ask = self.function.once
+        moves, *in_time = ask(t, (b"time", *at[3]), lambda: self._in_time(at, t))
+        found = np.zeros((len(in_time), 2))
+        found[:, 0] = in_time
+        if whole:
+            found[:, 1] = ask(t, (at[0].tobytes(), at[1].tobytes(), *at[3]), lambda: self._second(at, t, bool(moves)))
         return found
 
-    def _rates(self, at: tuple[Array, ...], t: float) -> Array:
-        """g_t, and g'' at constant twists of the frames, (m, 2)."""
+    def _in_time(self, at: At, t: float) -> Array:
+        """Whether the function depends on time, and g_t, (1 + m,)."""
+        f, poses = self.function, self._poses(at, self._frames(at))
+        here = np.real(self._value(at, t)[:, 0])
+        moves = f.moves(poses, t, here)
+        return np.array([moves, *(f.partial(poses, t) if moves else np.zeros(f.count))])
+
+    def _second(self, at: At, t: float, moves: bool) -> Array:
+        """g'' at constant twists of the frames, (m,)."""
         d, f, m = self.dim, self.function, self.function.motions
         frames = self._frames(at)
         speeds = [(x[d + d * d : 2 * d + d * d], x[2 * d + d * d : 2 * d + d * d + m.n_rot]) for x in at[:2]]
@@ -305,14 +346,18 @@ class AskedKind(Kind):
             moved = [(x + s * v, _turned(R, s * w)) for (x, R), (v, w) in zip(frames, speeds, strict=True)]
             return self._poses(at, moved)
 
-        here = path(0.0)
-        moves = f.moves(here, t)
-        in_time = f.partial(here, t) if moves else np.zeros(f.count)
         fast = max(max(float(np.abs(v).max()) / f.length, float(np.abs(w).max())) for v, w in speeds)
         if moves:
             fast = max(fast, 1.0)
-        second = f.second(path, t, fast) if fast else np.zeros(f.count)
-        return np.stack((in_time, second), axis=-1)
+        return f.second(path, t, fast, self._value(at, t)[:, 0]) if fast else np.zeros(f.count)
+
+
+def _keep_newest(kept: dict[Any, Any], key: Any, value: Any) -> Any:
+    """Keep a value with so many others."""
+    kept[key] = value
+    if len(kept) > NEWEST:
+        del kept[next(iter(kept))]
+    return value
 
 
 def _turned(R: Array, turn: Array) -> Array:

@@ -180,6 +180,7 @@ EXPORT int driver_least(System *s, int factored, double t, long count, const dou
 int prepare_complex(System *s, const double *q, const double *cd, const double *ck, const double *lam, double t);
 void settle_angles(const System *s, double *q);
 int turns_freely(const System *s);
+void openings(System *s, int anew);
 void drift(System *s);
 int sample(System *s, double t, double *last);
 long sample_size(const System *s);

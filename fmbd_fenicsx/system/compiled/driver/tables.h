@@ -37,6 +37,7 @@ enum { LINE = 5, MOST_POINTS = 7 };                                      /* s, s
 enum { GOES_ON, CONVERGED, DIVERGED, TOO_SLOW };           /* outcomes of Newton's iteration of an implicit step */
 enum { ALPHA, RATTLE, RUNGE_KUTTA, HALF_EXPLICIT, MEANS, RADAU, BDF, THETA_RULE }; /* schemes that make many steps in one call, see march.c */
 
+/* Of items; ``W``: weights of a tangent, or where it is not NULL the first of both rates is wanted alone. */
 typedef void kernel(long n, const int *pair, const double *frames, const double *P, const double *W, double *out);
 
 /* Items of one kind between frames of like sort: all entries of their rows that are not on the ground are ``live``. Sums of

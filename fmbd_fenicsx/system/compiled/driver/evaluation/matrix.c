@@ -293,7 +293,7 @@ void slips(System *s, int rates)
     for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
         if (k->role != ROW) continue;
         if (rates && k->driven && !k->flow) {
-            k->rates(k->n, k->pair, s->frames, k->P, 0, k->out);
+            k->rates(k->n, k->pair, s->frames, k->P, s->motion_rate, k->out); /* of two the first alone */
             for (long i = 0; i < k->n; i++) s->slip[k->row[i]] += k->factor[i] * k->out[2 * i];
         }
 

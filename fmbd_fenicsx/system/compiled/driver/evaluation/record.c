@@ -1,15 +1,24 @@
 /* Records of accepted steps: the state, frames that sensors look at, coordinates and efforts, reactions of joints, energies, and
    how far the constraints are open. Python reads them many at a time (recording.py). */
 
-/* Open constraints into gap, their rates into slip; frames are placed. */
-void drift(System *s)
+/* Open constraints into gap, with rows as they stand or ``anew``; frames are placed. */
+void openings(System *s, int anew)
 {
-    slips(s, 1);
     for (int i = 0; i < s->rows; i++) s->gap[i] = -s->motion[i];
     for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
         for (int i = 0; o->field && i < o->field->frames; i++) s->gap[o->field->row + i] = o->field->p[o->field->frame_slot[i]];
-    for (Batch *k = s->batch; k < s->batch + s->batches; k++)
-        for (long i = 0; k->role == ROW && !k->flow && i < k->n; i++) s->gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
+    for (Batch *k = s->batch; k < s->batch + s->batches; k++) {
+        if (k->role != ROW) continue;
+        if (anew) k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
+        for (long i = 0; !k->flow && i < k->n; i++) s->gap[k->row[i]] += k->factor[i] * k->out[i * k->outputs];
+    }
+}
+
+/* The same, and their rates into slip. */
+void drift(System *s)
+{
+    slips(s, 1);
+    openings(s, 0);
 }
 
 /* s, s' and the effort of the items that are read. */

@@ -161,7 +161,7 @@ static int close_start(System *s, const Stages *o, int places, const Block *now)
     if ((verdict = prepare(by, now->q, 1.0 / w, 1.0 / (w * w), e->c + n, 0, *now->t))) return verdict;
 
     if ((verdict = place(by, now->q, v))) return verdict;
-    drift(by);
+    openings(by, 1);
     memcpy(opened, by->gap, o->m * sizeof(double));
     if (places && (verdict = close_rows(by, now->q, opened, none, e->found, dq))) return verdict;
 

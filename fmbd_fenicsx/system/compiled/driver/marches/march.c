@@ -8,7 +8,7 @@ EXPORT int driver_shut(System *s, double cd, double ck, double t, double allowed
     int verdict = sample(s, t, &asked);
 
     for (long i = 0; i < most && !verdict; i++) {
-        if ((verdict = look_at(s, i == 0, cd, ck, t, q, v, room))) break;
+        if ((verdict = look_at(s, 1, i == 0, cd, ck, t, q, v, room))) break;
         for (const Batch *k = s->batch; k < s->batch + s->batches; k++)
             for (long j = 0; k->role == ROW && k->flow && j < k->n; j++) s->gap[k->row[j]] = 0.0;
         if (largest_of(s->row_units, s->gap, s->rows) <= allowed) break;

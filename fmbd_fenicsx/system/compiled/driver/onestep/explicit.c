@@ -119,7 +119,7 @@ EXPORT int driver_least(System *s, int factored, double t, long count, const dou
     int verdict = sample(s, t, &last);
     memset(x, 0, s->nv * sizeof(double));
     if (verdict || (verdict = place(s, q, x))) return verdict;
-    drift(s);
+    openings(s, 1);
     if (!factored && (verdict = prepare(s, q, 0.0, 0.0, lam, 0, t))) return verdict;
 
     for (long i = 0; i < count; i++, lam += s->rows) {
@@ -147,15 +147,17 @@ static double closing_change(System *s, const double *open, double *x, double *y
     return largest_of(s->units, x, s->nv);
 }
 
-/* What rows leave open at a state, and, ``anew``, the factor of M + cd C + ck K there, without reactions. ``room``: nv + rows. */
-static int look_at(System *s, int anew, double cd, double ck, double t, const double *q, const double *v, double *room)
+/* What rows leave open at a state, the gaps alone where ``places``, and, ``anew``, the factor of M + cd C + ck K there, without
+   reactions. ``room``: nv + rows. */
+static int look_at(System *s, int places, int anew, double cd, double ck, double t, const double *q, const double *v, double *room)
 {
     const int strained = cd != 0.0 || ck != 0.0;
     int verdict;
     memset(room, 0, (s->nv + s->rows) * sizeof(double));
     if (anew && strained && (verdict = evaluate(s, q, v, room, room + s->nv, t))) return verdict;
     if ((verdict = place(s, q, v))) return verdict;
-    drift(s);
+    if (places) openings(s, 1);
+    else drift(s);
     return anew ? prepare(s, q, cd, ck, room + s->nv, 0, t) : DONE;
 }
 
@@ -168,7 +170,7 @@ EXPORT int driver_close(System *s, int places, double t, double length, double c
     if (verdict) return verdict;
 
     for (int k = 0; places && k < CLOSED; k++) {
-        if ((verdict = look_at(s, anew, cd, ck, t, q, v, room))) return verdict;
+        if ((verdict = look_at(s, 1, anew, cd, ck, t, q, v, room))) return verdict;
         size = closing_change(s, s->gap, x, y);
         if (!(size < INFINITY)) return NEWTON;
         configuration(s, q, x, moved);
@@ -181,7 +183,7 @@ EXPORT int driver_close(System *s, int places, double t, double length, double c
 
     last = INFINITY;
     for (int k = 0; k < CLOSED; k++) {
-        if ((verdict = look_at(s, anew, cd, ck, t, q, v, room))) return verdict;
+        if ((verdict = look_at(s, 0, anew, cd, ck, t, q, v, room))) return verdict;
         size = closing_change(s, s->slip, x, y);
         if (!(size < INFINITY)) return NEWTON;
         add(v, 1.0, x, s->nv);
@@ -295,7 +297,8 @@ static int open_rows(System *s, const Stage *o, const double *a, double *change,
     add(change, o->c, a, s->nv);
     if (o->on_places) configuration(s, o->after, change, moved);
     if ((verdict = o->on_places ? place(s, moved, o->v) : place(s, o->after, change))) return verdict;
-    drift(s);
+    if (o->on_places) openings(s, 1);
+    else slips(s, 1);
     memcpy(open, o->on_places ? s->gap : s->slip, s->rows * sizeof(double));
     return DONE;
 }

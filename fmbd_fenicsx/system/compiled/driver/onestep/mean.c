@@ -91,7 +91,7 @@ static int mean_begin(System *s, Step *o, double **room)
     o->gap0 = part_of(room, s->rows), o->missing = part_of(room, s->rows);
 
     if ((verdict = sample(s, o->t, &asked)) || (verdict = place(s, o->q0, o->v0))) return verdict;
-    drift(s);
+    openings(s, 1);
     memcpy(o->gap0, s->gap, s->rows * sizeof(double));
     keep_end(s, o, 0);
 
@@ -190,7 +190,7 @@ static int mean_end(System *s, Step *o, const double *a, double *gap)
     mean_motion(s, o, a);
     if ((verdict = place(s, o->q, o->v))) return verdict;
     if (turns_freely(s)) settle_angles(s, o->q);
-    drift(s);
+    openings(s, 1);
     memcpy(gap, s->gap, s->rows * sizeof(double));
     keep_end(s, o, 1);
     return DONE;

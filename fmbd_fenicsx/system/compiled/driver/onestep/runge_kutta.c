@@ -89,7 +89,7 @@ static int half_explicit_error(System *s, const Explicit *o, double h, const Slo
     missed_by(s, o, 0, h, e, places, speeds);
 
     if (s->rows) {
-        if ((verdict = sample(s, *out.t, &asked)) || (verdict = look_at(s, 1, 0.0, 0.0, *out.t, out.q, out.v, rest))) return verdict;
+        if ((verdict = sample(s, *out.t, &asked)) || (verdict = look_at(s, 0, 1, 0.0, 0.0, *out.t, out.q, out.v, rest))) return verdict;
         memcpy(open, s->gap, s->rows * sizeof(double));
         rows_on(s, places);
         add(open, 1.0, s->slip, s->rows);
