@@ -271,7 +271,7 @@ class AskedKind(Kind):
                 views[n, pair, frames, P, out] = found
             try:
                 if which != "tangent":
-                    found[3][:] = self._found(which, found[:3], whole=not W)
+                    found[3][:] = self._found(which, (found[0], found[1], found[2]), whole=not W)
             except Exception as error:
                 self.function.error = self.function.error or error
                 found[3][:] = np.nan

@@ -197,9 +197,8 @@ class CountingSteps:
             steps = sorted({*steps, *ahead[-1:]})
         found = search(function, t, scale, span, steps)
         good = all(not x.contradicted and x.error <= AGREES * error for x, error in zip(found, errors, strict=True))
-        if not good:
-            found = shorter_steps(function, t, scale, span, steps[0])
-        return None if found is None else (found[0].value, found[1].value)
+        best = found if good else shorter_steps(function, t, scale, span, steps[0])
+        return None if best is None else (best[0].value, best[1].value)
 
     def _interval(self, function: Callable[[Any], Any], t: float, scale: float) -> tuple[list[int], list[float]]:
         """The steps that count in the interval around t, with the next shorter ones, and the errors of both rates there."""
