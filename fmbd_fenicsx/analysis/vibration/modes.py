@@ -179,7 +179,12 @@ def modes_of(scene: Scene, n: int, *, at: Any, linear: Any = None, held: bool = 
     shapes = vectors.T @ small.vectors
     sizes = [max(system.max_abs(x.real), system.max_abs(x.imag), 1e-300) for x in shapes]
     scaled = np.array([x / s for x, s in zip(shapes, sizes, strict=True)])
-    return Modes(scene, system, made.about.state, values, scaled, made.markers)
+    found = Modes(scene, system, made.about.state, values, scaled, made.markers)
+    if system.parts:
+        from .axial_forces import tell_axial_forces
+
+        tell_axial_forces(made.about.here, found.about.lam, list(zip(found.frequencies, scaled, strict=True)))
+    return found
 
 
 @contextmanager

@@ -271,6 +271,18 @@ class ReducedPart(Part):
             stress = stress + load.factor(motion.t, self.name) * np.tensordot(axes, c.load_stress[load], 2)
         return stress
 
+    def virial(self, port: Array, t: float, R: Array, centre: Array) -> Array:
+        """sum f (X - centre)^T of forces f on the ports and of loads, body axes, (d, d): the sum of the stress they make, N m."""
+        d, blocks = self.dim, (-1, 1 + self.dim, self.dim)
+        f, at = port.reshape(blocks), self.reference.reshape(blocks).copy()
+        at[:, 0] -= centre
+        out: Array = f.reshape(-1, d).T @ at.reshape(-1, d)
+        for load, b in self.constants.loads:
+            if not load.internal:
+                axes = np.eye(d) if load.follower else R.T
+                out += load.factor(t, self.name) * (axes @ b[0] - np.outer(self._load_sum(load, R), centre))
+        return out
+
     def _load_sum(self, load: Any, R: Array) -> Array:
         total = self.constants.load_sums[load]
         return total if load.follower else R.T @ total

@@ -32,14 +32,21 @@ def port_forces(ev: Evaluation, port: Array) -> list[Array]:
     return forces
 
 
-def pulls(ev: Evaluation, lam: Array) -> dict[int, Array]:
-    """Forces of joints (multipliers lam) and of force elements on the surfaces of bent bodies, by part."""
+def surface_forces(ev: Evaluation, lam: Array) -> Array:
+    """Forces of joints (multipliers lam) and of force elements on the ports of all surfaces in use, body axes, (n_port,)."""
     s = ev.system
-    if not s.curved:
-        return {}
     port = ev.on_ports(ev.wrenches())[1] if s.forces else np.zeros(s.n_port)
     if s.n_lam:
         port -= ev.jacobian.port.T @ lam
+    return port
+
+
+def pulls(ev: Evaluation, lam: Array) -> dict[int, Array]:
+    """:func:`surface_forces` on the surfaces of bent bodies, by part."""
+    s = ev.system
+    if not s.curved:
+        return {}
+    port = surface_forces(ev, lam)
     return {k: p.shortening.N.T @ port[s.port_slice(k)] for k, p in s.curved}
 
 

@@ -1,0 +1,101 @@
+"""Modes of linear bodies under forces along them: what their forms leave out is told, by its size."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.analysis.vibration.axial_forces import left_out
+
+HEIGHT, MODULUS, ANGLE = 0.02, 1e9, 0.4
+BENDING = MODULUS * HEIGHT**3 / 12
+ALONG = np.array([np.cos(ANGLE), np.sin(ANGLE)])
+START = np.array([0.3, 0.2])
+SUPPORTS = {
+    "clamped": np.pi**2 / 4 * BENDING,
+    "pinned": np.pi**2 * BENDING,
+    "both clamped": 4 * np.pi**2 * BENDING,
+}  # Euler, N
+
+
+def strip(kind: str, *, attached: bool, stiffening: bool = False, loads: Any = ()) -> tuple[Any, str, str]:
+    """A strip of one metre, aslant, with the names of its ends."""
+    if kind == "beam":
+        section = fmbd.Section(EA=MODULUS * HEIGHT, EI=BENDING, rhoA=1e3 * HEIGHT)
+        ends = START, START + ALONG
+        return fmbd.Beam("strip", *ends, section, attached=attached, stiffening=stiffening), "start", "end"
+    mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, HEIGHT), counts=(16, 1), origin=(0.0, -HEIGHT / 2))
+    body = fmbd.FloatingBody(
+        "strip",
+        mesh.placed(START, ANGLE),
+        density=1e3,
+        elastic=fmbd.materials.plane_stress(MODULUS, 0.0),
+        frame=fmbd.Attached("left") if attached else fmbd.MeanAxis(),
+        stiffening="left" if stiffening else False,
+        loads=loads,
+    )
+    if kind == "reduced":
+        return body.reduced(basis=fmbd.CraigBampton(("left", "right"), 4)), "left", "right"
+    return body, "left", "right"
+
+
+def column(body: Any, start: str, end: str, support: str, push: float) -> fmbd.Scene:
+    """The strip between supports, its far end free to slide along it and pushed by a force (N)."""
+    scene = fmbd.Scene("column")
+    scene.add(body)
+    near, far = body.surface(start), body.surface(end)
+    if support == "pinned":
+        slide = fmbd.point_on_line("slide", fmbd.ground, far, center=START + ALONG, axis=ALONG)
+        scene.add(fmbd.revolute("root", fmbd.ground, near, center=START), slide)
+    else:
+        scene.add(fmbd.fixed("root", fmbd.ground, near))
+    if support == "both clamped":
+        scene.add(fmbd.prismatic("slide", fmbd.ground, far, axis=ALONG))
+    if push:
+        scene.add(fmbd.force("push", far, tuple(-push * ALONG)))
+    return scene
+
+
+def first(scene: fmbd.Scene) -> fmbd.Modes:
+    return fmbd.modes(scene, 1, at=fmbd.equilibrium(scene))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", ["beam", "reduced", "field"])
+@pytest.mark.parametrize("attached", [False, True])
+@pytest.mark.parametrize("support", list(SUPPORTS))
+def test_what_is_left_out_is_told_by_its_size(kind: str, attached: bool, support: str, caplog: Any) -> None:
+    """A fifth of Euler's load takes a fifth of the stiffness: the force to roundoff, what is missing within a factor of 2.5."""
+    push = 0.2 * SUPPORTS[support]
+    body = strip(kind, attached=attached)
+    alone = first(column(*body, support, 0.0))
+    assert not caplog.text
+
+    found = first(column(*body, support, push))
+    missing = (found.frequencies[0] / alone.frequencies[0]) ** 2 - 0.8
+    here = found.system.at(found.about.t, found.about.q, found.about.v)
+    [(name, force, share, _)] = left_out(here, found.about.lam, [(found.frequencies[0], found.shapes[0])])
+    assert name == "strip" and force == pytest.approx(-push, rel=1e-9)
+    assert missing / 2.5 < share < 2.5 * missing
+    assert ("along itself" in caplog.text) == (share > 0.1) == (missing > 0.1)
+
+
+def test_a_load_on_a_surface_counts_as_a_force_does() -> None:
+    push = 0.2 * SUPPORTS["clamped"]
+    pressed = fmbd.traction("right", tuple(-push / HEIGHT * ALONG))
+    for kind in ("reduced", "field"):
+        found = first(column(*strip(kind, attached=False, loads=(pressed,)), "clamped", 0.0))
+        here = found.system.at(found.about.t, found.about.q, found.about.v)
+        assert left_out(here, found.about.lam, [(1.0, found.shapes[0])])[0][1] == pytest.approx(-push, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["beam", "reduced", "field"])
+def test_a_stiffened_column_is_not_warned_of(kind: str, caplog: Any) -> None:
+    """Half of Euler's load takes half of its stiffness."""
+    body = strip(kind, attached=True, stiffening=True)
+    alone, found = (first(column(*body, "clamped", p * SUPPORTS["clamped"])) for p in (0.0, 0.5))
+    assert (found.frequencies[0] / alone.frequencies[0]) ** 2 == pytest.approx(0.52, abs=0.01)
+    assert "along itself" not in caplog.text
