@@ -63,10 +63,10 @@ def first(scene: fmbd.Scene) -> fmbd.Modes:
     return fmbd.modes(scene, 1, at=fmbd.equilibrium(scene))
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("kind", ["beam", "reduced", "field"])
+@pytest.mark.parametrize(
+    ("kind", "support"), [("beam", support) for support in SUPPORTS] + [("reduced", "pinned"), ("field", "clamped")]
+)
 @pytest.mark.parametrize("attached", [False, True])
-@pytest.mark.parametrize("support", list(SUPPORTS))
 def test_what_is_left_out_is_told_by_its_size(kind: str, attached: bool, support: str, caplog: Any) -> None:
     """A fifth of Euler's load takes a fifth of the stiffness: the force to roundoff, what is missing within a factor of 2.5."""
     push = 0.2 * SUPPORTS[support]

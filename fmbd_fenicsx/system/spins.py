@@ -24,7 +24,7 @@ from ..mechanics.placements import FrameMotion
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation
-from .layout import State
+from .layout import Layout, State
 from .system import System
 
 SHARE = 0.25  # of the stiffness in bending that may be left out
@@ -76,7 +76,7 @@ class Spins:
         return float(np.linalg.norm(state.v[part.frame * n + d : (part.frame + 1) * n]))
 
 
-def in_linear_frames(system: System) -> list[tuple[int, Any, bool]]:
+def in_linear_frames(system: Layout) -> list[tuple[int, Any, bool]]:
     """Bodies with a linear form in moving frames: their numbers, and whether they have stiffening."""
     found: list[tuple[int, Any, bool]] = []
     for k, part in enumerate(system.parts):
