@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, InputError
@@ -300,3 +301,17 @@ def test_velocities_that_joints_do_not_allow_are_told_at_the_start() -> None:
     assert 'body "arm" is changed by 7.14e-07 m/s' in "".join(told(None, 2.0, size=1e-6))
     assert not told((0.0, 1.0), 2.0)
     assert not told(None, 0.0, driven=True)
+
+
+def test_tables_that_end_before_the_run_are_told_with_whose_they_are() -> None:
+    """Of gravity, a force, a motor's target, a drive; the joint's own is long enough."""
+    t = np.linspace(0.0, 0.1, 11)
+    short, long = CubicSpline(t, 0.1 * np.sin(t)), CubicSpline(10 * t, 0.1 * np.sin(t))
+    arm, other = (fmbd.RigidBody(name, 1.0, 0.1, (0.5, 0.0)) for name in ("arm", "other"))
+    pins = [fmbd.revolute(f"pin {b.name}", fmbd.ground, b, center=(0, 0)) for b in (arm, other)]
+    scene = fmbd.Scene("tables", gravity=CubicSpline(t, np.outer(np.ones(11), [0.0, -9.81])))
+    scene.add(arm, other, *pins, fmbd.drive("quick", fmbd.angle(pins[0]), short))
+    scene.add(fmbd.effort("push", fmbd.angle(pins[1]), short), fmbd.effort("pull", fmbd.angle(pins[1]), long))
+    run = fmbd.solve(scene, t_end=0.2, dt=0.01)
+    told = [x.split(" goes")[0] for x in run.warnings if "extrapolated" in x]
+    assert told == ["the table of gravity", 'the table of joint spring or effort "push"', 'the table of joint "quick"']

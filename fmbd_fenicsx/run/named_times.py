@@ -30,7 +30,7 @@ def named_times(scene: Scene, begin: float, end: float) -> Array:
     """
     found = Numbers()
     for part in (*scene.forces.values(), *scene.joints.values(), *scene.bodies.values(), *scene.contacts.values()):
-        for function in _functions(part):
+        for function in functions_of(part):
             found.take(function, DEPTH)
     found.take(scene.gravity, DEPTH)
     times = np.unique([t for t in found.instants(end - begin) if begin < t < end])
@@ -76,13 +76,13 @@ class Numbers:
         return known | {a + sign * b for a in pairs for b in pairs for sign in (1, -1)}
 
 
-def _functions(part: Any) -> Iterator[Any]:
-    """Functions that a part of a scene holds, and those of its loads."""
+def functions_of(part: Any) -> Iterator[Any]:
+    """Functions that a part of a scene holds, and those of its loads and rows."""
     for value in vars(part).values():
         if callable(value):
             yield value
-        elif isinstance(value, tuple):
-            yield from (f for x in value if is_dataclass(x) and not isinstance(x, type) for f in _functions(x))
+        elif isinstance(value, list | tuple):
+            yield from (f for x in value if is_dataclass(x) and not isinstance(x, type) for f in functions_of(x))
 
 
 def _inside(x: Any) -> Iterable[Any]:

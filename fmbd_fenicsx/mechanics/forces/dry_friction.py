@@ -22,6 +22,8 @@ from .force_elements import Loads, MarkerTangent, ScalarLoads
 from .forces import Force
 from .formulas import MEMORY, Formula, table
 
+ALL = slice(None)
+ON_LIMIT = 1e-9  # share of the limit within which a force lies on it
 WITHIN = 1e-9  # share of the last step by which its end is not within it
 KEPT = 7  # numbers of each
 AT_ONCE = 2.0  # steps
@@ -60,16 +62,16 @@ class DryFrictionLoads(ScalarLoads):
         """N of (1), (m,)."""
         return np.clip(self._trial(s, rate, t), -self.limit, self.limit)
 
-    def _stuck(self, t: float) -> Array:
-        """p at a time t, (m,): within the last step that of its beginning."""
-        p, since, before, began = self.kept.T[:4]
+    def _stuck(self, t: float, which: Any = ALL) -> Array:
+        """p of some elements at a time t, (m,): within the last step that of its beginning."""
+        p, since, before, began = self.kept[which].T[:4]
         return np.where(t < since - WITHIN * (since - began), before, p)
 
-    def _trial(self, s: Array, rate: Array, t: float) -> Array:
-        """N if it sticks, (m,)."""
-        trial = np.asarray(self.k * (s - self._stuck(t)) + self.c * rate)
+    def _trial(self, s: Array, rate: Array, t: float, which: Any = ALL) -> Array:
+        """N of some elements if they stick, (m,)."""
+        trial = np.asarray(self.k[which] * (s - self._stuck(t, which)) + self.c[which] * rate)
         # an earlier part of the step slid to where the next one began
-        elsewhere = (t < self.kept[:, 3]) & (np.abs(trial) > self.limit)
+        elsewhere = (t < self.kept[which, 3]) & (np.abs(trial) > self.limit[which])
         return np.where(elsewhere, np.copysign(trial, rate), trial)
 
     def energy(self, kin: Kinematics, t: float) -> float:
@@ -82,19 +84,18 @@ class DryFrictionLoads(ScalarLoads):
         stretch = np.minimum(offset, self.limit / self.k)
         return 0.5 * float((self.k * stretch**2).sum())
 
-    def slopes(self, which: np.ndarray, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
+    def slopes(self, which: Any, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
         """k and c where it sticks, 0 where it slides.
 
         A point that was dragged lies on the limit: there it slides, and roundoff does not decide.
         """
-        k, c = self.k[which], self.c[which]
-        sticks = np.abs(k * (s - self._stuck(t)[which]) + c * rate) <= (1.0 - 1e-9) * self.limit[which]
-        return k * sticks, c * sticks
+        sticks = np.abs(self._trial(s, rate, t, which)) <= (1.0 - ON_LIMIT) * self.limit[which]
+        return self.k[which] * sticks, self.c[which] * sticks
 
     def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:
         """With :meth:`slopes`, and the geometric stiffness of N."""
         s, rate = self._state(kin)
-        return self._tangent_of(kin, self.effort(s, rate, t), self.slopes(np.arange(len(s)), s, rate, t))
+        return self._tangent_of(kin, self.effort(s, rate, t), self.slopes(ALL, s, rate, t))
 
     def first(self, ev: Any, state: Any) -> Array:
         """p of a joint at rest: where it is, without a force; of one that moves: where it is dragged, the force at its limit."""

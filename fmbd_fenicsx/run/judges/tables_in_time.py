@@ -12,6 +12,7 @@ from ...mechanics.forces.effort_laws import Feedback
 from ...mechanics.forces.forces import OfTime
 from ...mechanics.joints.couplings import SmoothMotion
 from ...system.scene.scene import Scene
+from ..named_times import functions_of
 
 ROUNDING = 1e-9  # share of the run by which a table may be shorter
 
@@ -30,19 +31,20 @@ def warn_of_short_tables(scene: Scene, begin: float, end: float) -> None:
 
 
 def _functions_of_time(scene: Scene) -> Iterator[tuple[str, Any]]:
-    """Functions of a user's own that are asked with the time alone, and whose they are."""
+    """Functions of a user's own that may be tables of time, as they were given, and whose they are."""
     yield "gravity", scene.gravity
-    for force in scene.forces.values():
-        law: Any = getattr(force, "law", None)
-        law = law.given if isinstance(law, OfTime) else law.target if isinstance(law, Feedback) else law
-        yield f'{force.kind} "{force.name}"', law.table if isinstance(law, SmoothMotion) else law
-    for joint in scene.joints.values():
-        for motion in (getattr(joint, "motion", None), *(row.motion for row in joint.rows)):
-            if isinstance(motion, SmoothMotion):
-                yield f'joint "{joint.name}"', motion.table
-    for body in scene.bodies.values():
-        for load in getattr(body, "loads", ()):
-            yield f'a load on body "{body.name}"', getattr(load, "time", None)
+    parts = [(f'{force.kind} "{force.name}"', force) for force in scene.forces.values()]
+    parts += [(f'joint "{joint.name}"', joint) for joint in scene.joints.values()]
+    parts += [(f'a load on body "{body.name}"', body) for body in scene.bodies.values()]
+    for what, part in parts:
+        yield from ((what, _as_given(function)) for function in functions_of(part))
+
+
+def _as_given(function: Any) -> Any:
+    """What a drive, a motor or a motion asks for its values."""
+    if isinstance(function, OfTime | Feedback):
+        function = function.given if isinstance(function, OfTime) else function.target
+    return function.table if isinstance(function, SmoothMotion) else function
 
 
 def _span(function: Any) -> tuple[float, float] | None:
