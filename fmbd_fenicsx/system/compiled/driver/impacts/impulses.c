@@ -134,59 +134,86 @@ static int lawful_impulses(Contacts *c, const double *start, double t)
     return 0;
 }
 
+/* A part of a step: its length h, that of the whole step, and the time in its middle, s. */
+typedef struct {
+    double h, span, middle;
+} Part;
+
+/* Velocities halfway through the step, in ``vm``. */
+static void take_middle(const System *s, Block now, Block out, double *vm)
+{
+    for (int i = 0; i < s->nv; i++) vm[i] = 0.5 * (now.v[i] + out.v[i]);
+}
+
+/* The residual in the middle of the step, behind so many iterations, and the matrix, where it is to be taken ``anew`` or laws have
+   other slopes. */
+static int evaluate_middle(System *s, Contacts *c, Part o, Block now, Block out, int done, int anew)
+{
+    double *vm = s->work, *xi = vm + s->nv;
+    int verdict;
+    take_middle(s, now, out, vm);
+    for (int i = 0; i < s->nv; i++) {
+        xi[i] = 0.5 * o.h * vm[i];
+        out.a[i] = (out.v[i] - now.v[i]) / o.h;
+    }
+    configuration(s, now.q, xi, out.q);
+    if ((verdict = evaluate_iterate(s, done, out.q, vm, out.a, out.lam, o.middle))) return verdict;
+    if (!anew && !(s->stiff && (s->bridged || other_slopes(s, 0.5 * o.h, 0.25 * o.h * o.h)))) return DONE;
+
+    if ((verdict = prepare(s, out.q, 0.5 * o.h, 0.25 * o.h * o.h, now.lam, 0, o.middle))) return verdict;
+    if (c->all.m) own_compliance(s, c, c->all.m);
+    return DONE;
+}
+
+/* Increments of velocities and multipliers (times h), x and y: those of the step without impulses, and what these add to it. */
+static int increments_with_impulses(System *s, Contacts *c, Part o, Block now, Block out, double *x, double *y)
+{
+    const int m = c->all.m, n = m * c->components, d = c->components, *closed = c->closed;
+    double *vm = s->work, *change = c->old;
+    take_middle(s, now, out, vm);
+    turn_velocity(s, vm);
+    if (s->rows) slips(s, 1);
+    for (int i = 0; i < s->nu; i++) s->b[i] = -o.h * s->residual[i];
+    for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 * s->slip[i];
+    solution(s, x, y);
+    if (!m) return DONE;
+
+    /* what that leaves of the contacts, without impulses and with those of the iteration before */
+    for (int k = 0; k < n; k++) {
+        int i = closed[k / d];
+        const double *row = c->rows + 2 * c->wide * k;
+        c->all.q[k] = along(c, i, row, out.v) + along(c, i, row, x) - c->drift[k] / o.span + (k % d ? 0.0 : c->rate[i]);
+    }
+    add_push(s, c, c->all.f, x, y);
+    for (int k = 0; k < n; k++) c->open[k] = c->all.q[k] + along(c, closed[k / d], c->rows + 2 * c->wide * k, c->push);
+
+    memcpy(change, c->all.f, n * sizeof(double));
+    if (lawful_impulses(c, change, o.middle)) return LOOK;
+    for (int k = 0; k < n; k++) change[k] = c->all.f[k] - change[k];
+    add_push(s, c, change, x, y);
+    return DONE;
+}
+
 /* The step of length h with the closed contacts: velocities in out.v, multipliers in out.lam, impulses in c->all.f. */
 static int velocities(System *s, Contacts *c, double *p, Block now, Block out, int m, double h, double span)
 {
-    const int n = m * c->components, d = c->components, *closed = c->closed;
+    const Part o = {h, span, *now.t + 0.5 * h};
     const double speed = fmax(largest_of(s->units, now.v, s->nv), 1e-6 * p[LENGTH] / span);
-    double *kept = c->kept;
-    const double middle = *now.t + 0.5 * h;
+    double *x = s->work + 2 * s->nv, *y = x + s->nv, sizes[MOST], left = 0.0;
+    int done = 0, verdict, converged = 0, anew = 1, matrices = 0;
     c->all.m = m;
     c->rough = SHARPLY * p[TOL] * speed;
-    double *vm = s->work, *xi = vm + s->nv, *x = xi + s->nv, *y = x + s->nv, sizes[MOST], left = 0.0;
-    int done = 0, verdict, converged = 0, anew = 0, matrices = 0;
 
     memcpy(out.v, now.v, s->nv * sizeof(double));
     /* of dependent rows the smallest multipliers are found from none */
     if (s->redundant) memset(out.lam, 0, s->rows * sizeof(double));
     else memcpy(out.lam, now.lam, s->rows * sizeof(double));
+
     while (done < (int)p[MAXIT] && done < MOST && !converged) {
-        for (int i = 0; i < s->nv; i++) {
-            vm[i] = 0.5 * (now.v[i] + out.v[i]);
-            xi[i] = 0.5 * h * vm[i];
-            out.a[i] = (out.v[i] - now.v[i]) / h;
-        }
-        configuration(s, now.q, xi, out.q);
-        if ((verdict = evaluate_iterate(s, done, out.q, vm, out.a, out.lam, middle))) return verdict;
-
-        if (!done || anew || (s->stiff && (s->bridged || other_slopes(s, 0.5 * h, 0.25 * h * h)))) {
-            if ((verdict = prepare(s, out.q, 0.5 * h, 0.25 * h * h, now.lam, 0, middle))) return verdict;
-            if (m) own_compliance(s, c, m);
-        }
-        memcpy(kept, out.lam, s->rows * sizeof(double));
-
-        /* the step without impulses, what they add to it, and what that leaves of the contacts */
-        for (int i = 0; i < s->nv; i++) vm[i] = 0.5 * (now.v[i] + out.v[i]);
-        turn_velocity(s, vm);
-        if (s->rows) slips(s, 1);
-        for (int i = 0; i < s->nu; i++) s->b[i] = -h * s->residual[i];
-        for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -2.0 * s->slip[i];
-        solution(s, x, y);
-
-        for (int k = 0; k < n; k++) {
-            int i = closed[k / d];
-            const double *row = c->rows + 2 * c->wide * k;
-            c->all.q[k] = along(c, i, row, out.v) + along(c, i, row, x) - c->drift[k] / span + (k % d ? 0.0 : c->rate[i]);
-        }
-        if (m) add_push(s, c, c->all.f, x, y);
-        for (int k = 0; k < n; k++) c->open[k] = c->all.q[k] + along(c, closed[k / d], c->rows + 2 * c->wide * k, c->push);
-
-        double *old = c->old;
+        if ((verdict = evaluate_middle(s, c, o, now, out, done, anew))) return verdict;
+        memcpy(c->kept, out.lam, s->rows * sizeof(double));
         c->done = done;
-        memcpy(old, c->all.f, n * sizeof(double));
-        if (m && lawful_impulses(c, old, middle)) return LOOK;
-        for (int k = 0; k < n; k++) old[k] = c->all.f[k] - old[k];
-        if (m) add_push(s, c, old, x, y);
+        if ((verdict = increments_with_impulses(s, c, o, now, out, x, y))) return verdict;
 
         add(out.v, 1.0, x, s->nv);
         add(out.lam, 1.0 / h, y, s->rows);
@@ -195,6 +222,7 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
         converged = judge(p, sizes, done, &left);
         if (s->bridged && sizes[done - 1] < INFINITY) converged = 0;
         if (s->redundant && done == 1 && converged > 0) converged = 0; /* the first solution leaves epsilon y open */
+
         /* stresses of the first iterate, where the matrix is from, may be far from those of the middle */
         anew = sizes[done - 1] < INFINITY && matrices < NEW_MATRICES && lingers(p, done, left);
         if (anew) {
@@ -202,7 +230,6 @@ static int velocities(System *s, Contacts *c, double *p, Block now, Block out, i
             converged = 0;
             p[THETA] = 0.1;
         }
-
         if (converged < 0) return NEWTON;
     }
     p[ITERATIONS] += done;

@@ -294,6 +294,20 @@ static int mean_lingers(const Secants *told, const double *sizes, int done, cons
     return told->count >= LEARNT && last > e[NOISE] && (rate >= 0.9 || log(e[NONE] / last) / log(rate) > PATIENT);
 }
 
+/* q and v at the end of a step with accelerations a. */
+static int mean_arrive(System *s, Step *o, const double *a, double *q, double *v)
+{
+    int verdict;
+    mean_motion(s, o, a);
+    if (turns_freely(s)) {
+        if ((verdict = place(s, o->q, o->v))) return verdict;
+        settle_angles(s, o->q);
+    }
+    memcpy(q, o->q, s->nq * sizeof(double));
+    memcpy(v, o->v, s->nv * sizeof(double));
+    return DONE;
+}
+
 /* a and lambda of a step, which begin as a guess, by Newton's iteration with the matrix of its middle; ``sizes`` of the increments
    over that of accelerations, at most so many (``done`` counts, and new tangents of fields, of which the first is taken at once where
    they are ``old``); ``e``: when they end. q, v: the end. NEWTON where this matrix does not serve: a and lambda are as far as they
@@ -350,14 +364,7 @@ EXPORT int driver_mean_step(System *s, int most, int old, double t, double h, do
 
         if (over) {
             if (!(sizes[k] <= fmax(e[ENOUGH], e[LOST]))) return NEWTON;
-            mean_motion(s, &o, a);
-            if (turns_freely(s)) {
-                if ((verdict = place(s, o.q, o.v))) return verdict;
-                settle_angles(s, o.q);
-            }
-            memcpy(q, o.q, s->nq * sizeof(double));
-            memcpy(v, o.v, s->nv * sizeof(double));
-            return DONE;
+            return mean_arrive(s, &o, a, q, v);
         }
 
         anew = slow = !turned && mean_lingers(&told, sizes + since, k + 1 - since, e);
