@@ -36,6 +36,8 @@ MATTERS = 1e-6  # the same of its range, below which nobody minds which one it i
 ALIGNED = 0.5  # cosine between differences of runs below which they are not what one motion leaves by its steps
 ASTRAY = 0.1  # share of the range of a sensor by which runs differ from where on the one with larger steps follows another motion
 FURTHER = 1.5  # times what half the step tells that larger ones are believed, where they tell more
+TWICE = 2.0  # least ratio of steps that tells an error where no order is seen
+MORE_THAN_TWICE = 2.2  # ratio from which on half of the steps are nearer
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,27 @@ def jump_errors(problem: Problem, given: Compared, jumps: Sequence[float]) -> Ti
     expected = expected_orders(problem.scheme, problem.scene, problem.system)
     unseen = dict.fromkeys(finer.series, float("nan"))
     return TimeError(_left_by(given, finer, expected, unseen), unseen, given, halved=True)
+
+
+def doubtful(
+    found: TimeError, expected: Mapping[str, int], ends: tuple[Compared, Compared], sensors: Sequence[str]
+) -> bool:
+    """Whether the runs that told an error, the given one and the next of which are ``ends``, have steps too near to one another
+    to do so without an order, or steps so far apart that they may follow another motion, as some of the ``sensors`` tell.
+    """
+    given, coarser = ends
+    ratio = given.schedule.steps / coarser.schedule.steps
+    if ratio < TWICE and not resolved(known_orders(found), expected):
+        return True
+    if ratio <= MORE_THAN_TWICE:
+        return False
+
+    apart = between(given.recorder, coarser.recorder, expected)
+    return (
+        not found.by_chance.isdisjoint({*sensors, *astray(given, apart, MATTERS)})
+        or bool(astray(given, {n: apart[n] for n in sensors}))
+        or any(found.orders[n] > expected[n] + TOO_HIGH for n in sensors)
+    )
 
 
 def compare_steps(

@@ -28,13 +28,13 @@ from ..deviation import Deviation, at_least
 from ..equal_steps import (
     FEWEST,
     FURTHER,
-    MATTERS,
     Orders,
     TimeError,
     astray,
     between,
     by_half,
     compare_steps,
+    doubtful,
     falling_slowly,
     known_orders,
     of_order,
@@ -52,7 +52,7 @@ from ..estimates import (
     usual_errors,
     usual_power,
 )
-from ..orders import REGULAR, TOO_HIGH, expected_orders, resolved, seen_by_ends
+from ..orders import REGULAR, expected_orders, resolved, seen_by_ends
 from .shares import DOUBTED, Allowed
 
 NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the error of one with smaller steps
@@ -60,8 +60,6 @@ BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
 LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
 LOOSE = 1e-3  # tolerances up to which ten times as much tells something
-TWICE = 2.0  # least ratio where they do not
-MORE_THAN_TWICE = 2.2  # ratio of steps from which on half of them are nearer
 BY_CHANCE = 0.2  # what an order is beyond that of the scheme where kinks may have made it
 PAYS = 1.5  # ratio of steps, as the order of the scheme has it, from which on a looser run is made
 
@@ -230,35 +228,20 @@ class SharedRuns:
 
     def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
         """See :meth:`time_error`."""
-        given, scene = solved.compared, solved.problem.scene
-        steps = given.schedule.steps
-        have = self._runs.setdefault(id(scene), {})
+        given = solved.compared
+        steps, have = given.schedule.steps, self._runs.setdefault(id(solved.problem.scene), {})
         earlier = [n for n in have if n <= steps / NEAREST]
         near = [n for n in earlier if n >= steps / FARTHEST]
-
-        if not near and (found := self._from_afar(solved, earlier, allowed)) is not None:
-            return found
+        if not near and (told := self._from_afar(solved, earlier, allowed)) is not None:
+            return told
 
         coarser: list[Compared] = []
         unseen = False
-
         try:
-            coarser.append(self._coarser(solved, max(near) if near else self._wanted(steps, known, bool(earlier))))
-            first = coarser[0].schedule.steps
-            before = [n for n in have if n <= first / NEAREST]
-
-            if before:
-                coarser.append(have[max(before)])
-            elif not known.seen:
-                found = self._unseen(solved, coarser[0], allowed)
-                if found is not None:
-                    return found
-                half = steps // 2
-
-                if first <= half / NEAREST:  # those of a look at spaces: larger ones would tell less of an order
-                    coarser.insert(0, self._with(solved, half))
-                else:
-                    coarser.append(self._with(solved, max(first // 2, 1)))
+            first = max(near) if near else self._wanted(steps, known, bool(earlier))
+            told = self._gather(coarser, solved, first, known, allowed)
+            if told is not None:
+                return told
         except UNFIT as error:
             if not coarser:
                 log.info("the run with larger steps did not end: %s", error)
@@ -267,32 +250,60 @@ class SharedRuns:
 
         orders, seen = _expected(solved.problem), dict(self._seen)
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
-        ratio = steps / coarser[0].schedule.steps
-        near_by = ratio < TWICE and not resolved(known_orders(found), orders)
-        apart = between(given.recorder, coarser[0].recorder, orders)
-        of_tol = {n: apart[n] for n in allowed.sensors}
-        another = (
-            not found.by_chance.isdisjoint({*allowed.sensors, *astray(given, apart, MATTERS)})
-            or bool(astray(given, of_tol))
-            or any(found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors)
-        )
-        far_off = ratio > MORE_THAN_TWICE and another
-        if near_by or far_off:
-            if allowed.nearly_lets(found.errors) and kinked(solved.run):
-                return replace(found, unseen=True)  # half the step tells it then
-            # irregular motion is not judged by steps of nearly the same size, nor by some that follow another one
-            half = steps // 2
-            farther = max((n for n in have if n <= half / NEAREST), default=max(half // 2, 1))
-            try:
-                coarser = [self._with(solved, n) for n in (half, farther)]
-            except UNFIT:
-                return replace(found, unseen=True)
-            other, found = found, compare_steps(orders, given, coarser, before=seen)
-            if any(other.errors[n].size > DOUBTED * found.errors[n].size for n in allowed.sensors):
-                return replace(found, unseen=True)  # steps of about the same size tell other errors
+        if doubtful(found, orders, (given, coarser[0]), allowed.sensors):
+            found, coarser = self._by_others(solved, found, coarser, allowed, seen)
+            if found.unseen:
+                return found
+
         if not astray(given, between(given.recorder, coarser[0].recorder, orders)):
             found = falling_slowly(found, orders, (given, coarser[0]), allowed.sensors, allowed.lets)
         return replace(found, unseen=unseen and not known_orders(found))
+
+    def _gather(
+        self, coarser: list[Compared], solved: Solved, first: int, known: Orders, allowed: Allowed
+    ) -> TimeError | None:
+        """Add to ``coarser`` the runs that tell an error, of ``first`` steps and of fewer; the error at once where no order has
+        to be seen. Raises one of UNFIT where one does not end.
+        """
+        have, half = self._runs[id(solved.problem.scene)], solved.compared.schedule.steps // 2
+        coarser.append(self._coarser(solved, first))
+        first = coarser[0].schedule.steps
+        before = [n for n in have if n <= first / NEAREST]
+        if before:
+            coarser.append(have[max(before)])
+        if before or known.seen:
+            return None
+
+        told = self._unseen(solved, coarser[0], allowed)
+        if told is None and first <= half / NEAREST:  # of a look at spaces: larger ones would tell less of an order
+            coarser.insert(0, self._with(solved, half))
+        elif told is None:
+            coarser.append(self._with(solved, max(first // 2, 1)))
+        return told
+
+    def _by_others(
+        self, solved: Solved, found: TimeError, coarser: list[Compared], allowed: Allowed, seen: dict[str, float]
+    ) -> tuple[TimeError, list[Compared]]:
+        """The error by half as many steps and by far fewer, and these runs, where what others tell is doubtful: irregular motion
+        is not judged by steps of nearly the same size, nor by some that follow another one. ``unseen`` where half the step has to
+        tell it.
+        """
+        given, half = solved.compared, solved.compared.schedule.steps // 2
+        doubted = replace(found, unseen=True)
+        if allowed.nearly_lets(found.errors) and kinked(solved.run):
+            return doubted, coarser
+
+        farther = max(
+            (n for n in self._runs[id(solved.problem.scene)] if n <= half / NEAREST), default=max(half // 2, 1)
+        )
+        try:
+            others = [self._with(solved, n) for n in (half, farther)]
+        except UNFIT:
+            return doubted, coarser
+        made = compare_steps(_expected(solved.problem), given, others, before=seen)
+        # steps of about the same size may tell other errors
+        apart = any(found.errors[n].size > DOUBTED * made.errors[n].size for n in allowed.sensors)
+        return (replace(made, unseen=True) if apart else made), others
 
     def _unseen(self, solved: Solved, coarser: Compared, allowed: Allowed) -> TimeError | None:
         """The error by the steps from one run with larger ones, where no order has to be seen: half of that of the scheme would
