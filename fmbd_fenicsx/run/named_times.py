@@ -6,8 +6,8 @@ numbers of the function, t_0 and its width, as values that it has from around it
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, is_dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from functools import partial
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -76,13 +76,16 @@ class Numbers:
         return known | {a + sign * b for a in pairs for b in pairs for sign in (1, -1)}
 
 
-def functions_of(part: Any) -> Iterator[Any]:
+def functions_of(part: Any) -> list[Any]:
     """Functions that a part of a scene holds, and those of its loads and rows."""
+    found = []
     for value in vars(part).values():
-        if callable(value):
-            yield value
+        if callable(value) and not isinstance(value, type):
+            found.append(value)
         elif isinstance(value, list | tuple):
-            yield from (f for x in value if is_dataclass(x) and not isinstance(x, type) for f in functions_of(x))
+            held = [x for x in value if hasattr(x, "__dataclass_fields__") and not isinstance(x, type)]
+            found += [f for x in held for f in functions_of(x)]
+    return found
 
 
 def _inside(x: Any) -> Iterable[Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from ...log import log
 from ...mechanics.forces.effort_laws import Feedback
 from ...mechanics.forces.forces import OfTime
+from ...mechanics.joints.constraints import standstill
 from ...mechanics.joints.couplings import SmoothMotion
 from ...system.scene.scene import Scene
 from ..named_times import functions_of
@@ -19,7 +19,13 @@ ROUNDING = 1e-9  # share of the run by which a table may be shorter
 
 def warn_of_short_tables(scene: Scene, begin: float, end: float) -> None:
     """Tell of tables that end, or begin, within a run between two times (s)."""
-    for what, function in _functions_of_time(scene):
+    functions = [("gravity", scene.gravity)] if callable(scene.gravity) else []
+    functions += [(f'{x.kind} "{x.name}"', f) for x in scene.forces.values() for f in functions_of(x)]
+    functions += [
+        (f'joint "{x.name}"', f) for x in scene.joints.values() for f in functions_of(x) if f is not standstill
+    ]
+    functions += [(f'a load on body "{x.name}"', f) for x in scene.bodies.values() for f in functions_of(x)]
+    for what, function in functions:
         span = _span(function)
         if span is None or (span[0] <= begin + ROUNDING * end and span[1] >= end * (1.0 - ROUNDING)):
             continue
@@ -30,25 +36,14 @@ def warn_of_short_tables(scene: Scene, begin: float, end: float) -> None:
         )  # fmt: skip
 
 
-def _functions_of_time(scene: Scene) -> Iterator[tuple[str, Any]]:
-    """Functions of a user's own that may be tables of time, as they were given, and whose they are."""
-    yield "gravity", scene.gravity
-    parts = [(f'{force.kind} "{force.name}"', force) for force in scene.forces.values()]
-    parts += [(f'joint "{joint.name}"', joint) for joint in scene.joints.values()]
-    parts += [(f'a load on body "{body.name}"', body) for body in scene.bodies.values()]
-    for what, part in parts:
-        yield from ((what, _as_given(function)) for function in functions_of(part))
-
-
-def _as_given(function: Any) -> Any:
-    """What a drive, a motor or a motion asks for its values."""
+def _span(function: Any) -> tuple[float, float] | None:
+    """From where to where (s) an interpolation knows its values, as SciPy's say, also one that a drive, a motor or a motion asks;
+    None for other functions.
+    """
     if isinstance(function, OfTime | Feedback):
         function = function.given if isinstance(function, OfTime) else function.target
-    return function.table if isinstance(function, SmoothMotion) else function
-
-
-def _span(function: Any) -> tuple[float, float] | None:
-    """From where to where (s) an interpolation knows its values, as SciPy's say; None for other functions."""
+    if isinstance(function, SmoothMotion):
+        function = function.table
     if getattr(function, "extrapolate", None) not in (True, np.True_):
         return None
     places, degree = getattr(function, "x", None), getattr(function, "k", 0)
