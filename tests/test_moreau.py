@@ -312,6 +312,24 @@ def test_block_that_sticks_to_a_belt_has_its_speed(compiled: bool, monkeypatch: 
     assert run["force"][1:, 0] == pytest.approx(2.0, abs=1e-8)
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_of_several_touches_in_a_step_the_first_cuts_it(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Balls that hit a floor 5, 6 and 9 ms behind the start of a step of 10 ms, whichever was added first."""
+    if not compiled:
+        monkeypatch.setattr(driver, "contact_driver", lambda *_, **__: None)
+    heights = {"last": 9e-3, "first": 5.5e-3, "second": 6e-3}
+    scene = fmbd.Scene("rain")
+    for x, (name, height) in enumerate(heights.items()):
+        ball = fmbd.RigidBody(name, 1.0, 0.1, position=(x, 0.1 + height), velocity=(0.0, -1.0))
+        floor = fmbd.contact(f"{name} on floor", fmbd.ball(ball, 0.1), fmbd.HalfSpace((0, 0), (0, 1)), restitution=1.0)
+        scene.add(ball, floor)
+        scene.sensor(name, fmbd.position(ball))
+    run = fmbd.solve(scene, t_end=0.02, dt=0.01, scheme=fmbd.Moreau())
+    assert (run.counters.get("compiled_steps", 0) > 0) is compiled
+    for name, height in heights.items():
+        assert run[name][-1, 1] == pytest.approx(0.12 - height, abs=1e-9)
+
+
 def test_balls_that_touch_take_one_impact() -> None:
     """A row of five equal balls, hit by the first: Newton's law for all of them at once, P = A^-1 (1 + e) v, and no cradle.
 

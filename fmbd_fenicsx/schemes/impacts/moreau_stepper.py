@@ -286,13 +286,19 @@ class MoreauStepper(ContactStepper):
             return 1.0, -1, held
 
         last = open_.argmax(axis=0)  # the largest share at which each is still open
-        first = int(np.argmax(last))
-        which = int(np.flatnonzero(closing)[first])
-        lower = shares[last[first]]
-        upper = shares[last[first] - 1]
+        among = np.flatnonzero(closing)[last == last.max()]
+        lower, share = shares[last.max()], shares[last.max() - 1]
         from scipy.optimize import brentq
 
-        return float(brentq(lambda x: gaps(x)[which], lower, upper, xtol=1e-14)), which, none
+        # of those that are open at the same share the one that closes first: the others are above where it does
+        which, left = int(among[0]), among
+        while len(left):
+            share = float(brentq(lambda x, i=which: gaps(x)[i], lower, share, xtol=1e-14))
+            there = gaps(share)[left]
+            if (deep := there < -0.5 * TOUCH * self.system.length).any():
+                which = int(left[np.argmin(there)])
+            left = left[deep]
+        return share, which, none
 
     def _take(self, step: MoreauStep) -> None:
         """Make a solved step the present state."""

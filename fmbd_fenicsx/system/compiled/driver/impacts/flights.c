@@ -76,11 +76,11 @@ static int along_parabola(System *s, Contacts *c, Block now, Block out, double l
     return touch(c, c->ahead, *now.t + share * length, &c->aside);
 }
 
-/* The share at which contact i closes, which is open at ``lower`` and not at twice that: by secants that halve the gap of an end
+/* The share at which contact i closes, which is open at ``lower`` and not at ``upper``: by secants that halve the gap of an end
    which stays (Dowell and Jarratt, doi:10.1007/BF01934364). */
-static int closing_share(System *s, Contacts *c, Block now, Block out, int i, double length, double lower, double *share)
+static int closing_share(System *s, Contacts *c, Block now, Block out, int i, double length, double lower, double upper, double *share)
 {
-    double upper = 2.0 * lower, open, shut;
+    double open, shut;
     if (along_parabola(s, c, now, out, length, lower)) return LOOK;
     open = c->aside.gap[i];
     if (along_parabola(s, c, now, out, length, upper)) return LOOK;
@@ -109,7 +109,7 @@ static int closing_share(System *s, Contacts *c, Block now, Block out, int i, do
 /* Share of a solved step at which the first free contact closes, into ``share`` (1: none), and which one that is. ``held``: how many
    would leave for a moment only; these have 0 behind the counts of impacts. */
 static int next_touch(
-    System *s, Contacts *c, Block now, Block out, int m, double length, double *share, int *which, int *held)
+    System *s, Contacts *c, double *p, Block now, Block out, int m, double length, double *share, int *which, int *held)
 {
     int any = 0, left = 0, *open = c->hits + c->points; /* -1: not closing; 0: not yet seen open; else which share it is open at */
     if (along_parabola(s, c, now, out, length, 1.0)) return LOOK;
@@ -138,7 +138,20 @@ static int next_touch(
         if (open[i] > 0 && (*which < 0 || open[i] > open[*which])) *which = i;
     }
 
-    return closing_share(s, c, now, out, *which, length, ldexp(1.0, -open[*which]), share);
+    /* of those that are open at the same share the one that closes first: the others are above where it does */
+    const int last = open[*which];
+    for (int first = *which; first >= 0;) {
+        *which = first;
+        if (closing_share(s, c, now, out, first, length, ldexp(1.0, -last), *share < 1.0 ? *share : ldexp(2.0, -last), share)) return LOOK;
+        first = -1;
+        double deepest = -0.5 * TOUCHING * p[LENGTH];
+        for (int k = 0; k < c->candidates; k++) {
+            const int i = c->candidate[k];
+            if (open[i] != last || !(c->aside.gap[i] < deepest)) continue;
+            deepest = c->aside.gap[first = i];
+        }
+    }
+    return DONE;
 }
 
 /* The solved step once more, so that it ends where contact ``which`` closes; its length. */

@@ -220,7 +220,7 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
             continue;
         }
 
-        if ((verdict = next_touch(s, c, now, out, m, length, &share, &which, &held))) return verdict;
+        if ((verdict = next_touch(s, c, p, now, out, m, length, &share, &which, &held))) return verdict;
         if (!held) break;
         if ((m = holding(s, c, p, now, m, h, &hit)) < 0) return LOOK;
         if (hit) return impact(s, c, p, now, out, m, h);
