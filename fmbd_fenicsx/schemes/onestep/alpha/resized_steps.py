@@ -36,9 +36,11 @@ class ResizedSteps(Remembering):
         inner, s = self.inner, self.inner.state
         if inner.fresh or self.size is None or self.size == h:
             return
-        r = h / self.size
-        v = s.v + self.change.opened(s, h, r * r - 1.0) if self._misses else s.v
-        inner.go_on_from(replace(s, v=v), s.a + r * (inner.A - s.a))
+        v, jump = s.v, inner.A - s.a
+        if self._misses:
+            dv, jump = self.change.of(s, jump, (self.size, h))
+            v = v + dv
+        inner.go_on_from(replace(s, v=v), s.a + h / self.size * jump)
 
     def arrive(self, t: float) -> None:
         """Give the newest state its time, s."""

@@ -4,6 +4,9 @@
 
 S is that of a step over the whole stretch, so that (1) moves elastic bodies as if they were rigid: with M alone it bends them,
 and they vibrate from then on, by ten times the error of equal steps.
+
+Openings of roundoff, that of places over the size, are closed and not widened, and so is G (A - a): far from the origin, behind
+the short steps of a start, forces of roundoff grew by r with each change, up to the whole tension of a tether.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from ....rotations import Array
 from ....system.evaluation import Evaluation
 from ....system.layout import State
 from ....system.system import System
+from ...newton import known_gaps
 from .stretch import DEEPEST, Stretch
 
 FARTHEST = 10.0  # times the least motion that closes constraints: one that bends bodies less may be as large
@@ -35,12 +39,22 @@ class SizeChange:
     weights: Callable[[float], Weights]
     bends: bool
 
-    def opened(self, s: State, h: float, share: float) -> Array:
-        """dv of (1), (n_v,), and the matrix for steps of size h (s); ``share``: r^2 - 1."""
+    def of(self, s: State, jump: Array, sizes: tuple[float, float]) -> tuple[Array, Array]:
+        """dv of (1), (n_v,), and the ``jump`` A - a without roundoff across the constraints, from steps of the first to those of
+        the second of two sizes (s), with the matrix of the latter.
+        """
         ev = self.system.at(s.t, s.q, s.v)
         ev.forces = s.a, s.lam
-        opening, still = share * ev.opening(), np.zeros_like(s.v)
+        before, h = sizes
+        opening, across = ev.opening(), ev.jacobian.times(jump)
+        known = known_gaps(ev, before * opening) / before
+        noise = across - known_gaps(ev, before * before * across) / (before * before)
+        dv = self._opened(ev, (h / before) ** 2 * known - opening, h)
+        return dv, jump - self.solver.solve(np.zeros_like(jump), noise)[0] if noise.any() else jump
 
+    def _opened(self, ev: Evaluation, opening: Array, h: float) -> Array:
+        """dv of (1), (n_v,), for the right-hand side ``opening``, and the matrix for steps of size h (s)."""
+        still = np.zeros(self.system.n_v)
         stiff = self._stiffly(ev, opening, h) if self.bends else None
         self.solver.prepare(ev, self.weights(h))
         soft, _ = self.solver.solve(still, opening)
