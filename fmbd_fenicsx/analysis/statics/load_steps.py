@@ -11,6 +11,7 @@ slender, few where it is nearly linear. Limit points are not passed: take :class
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class LoadSteps:
                 target = min(made[-1][0] + step, stop)
                 before = newton.iterations
                 try:
-                    point = newton.solve(_predicted(newton, made[-2:], target), target, zero)
+                    point = newton.solvable(partial(newton.solve, _predicted(newton, made[-2:], target), target, zero))
                 except (ConvergenceError, LinearSolveError) as error:
                     step = 0.5 * (target - made[-1][0])
                     if step < SHORTEST * (self.first or stop):

@@ -67,7 +67,7 @@ class Rod(Body):
             and surfaces like the ends.
         loads: loads along the rod, :class:`RodLoad`.
         damping: time (s) of Kelvin-Voigt damping: section forces C (e + damping e').
-        prestrain: strains (6,) at which the section is free of stress, or a function of s; None: those of the curve.
+        prestrain: strains (6,) at which the section is free of stress, beyond those of the curve, or a function of s.
         velocity, angular_velocity: of a rigid motion at the start, about the centre of mass; world axes, m/s, rad/s.
 
     Surfaces are "start", "end" and the stations: sections that joints, ties, forces and sensors attach to.
