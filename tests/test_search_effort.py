@@ -14,7 +14,7 @@ from tolerance_scenes import CASES
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, PartsError
-from fmbd_fenicsx.run.accuracy import equal_steps
+from fmbd_fenicsx.run.accuracy import equal_steps, larger_steps
 from fmbd_fenicsx.run.accuracy.deviation import Deviation
 from fmbd_fenicsx.run.accuracy.search import next_attempt, shared_runs, shared_spaces, tolerance
 from fmbd_fenicsx.run.schedule import StepSchedule
@@ -251,6 +251,7 @@ def test_a_third_of_a_tolerance_tells_nothing_of_steps_that_kinks_refuse(monkeyp
     monkeypatch.setattr(
         shared_runs, "tolerance_error", lambda *given, **how: (smooth.append(how["smooth"]), told(*given, **how))[1]
     )
+    monkeypatch.setattr(larger_steps, "two_in_one", lambda solved: None)
     for scene in (at_a_stop(), pendulum()):
         fmbd.solve(scene, t_end=1.0, tol={"x": 1e-3}, scheme=fmbd.Radau(2), output=fmbd.Output(progress=False))
     assert smooth == [False, True]

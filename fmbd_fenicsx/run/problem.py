@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 from ..agreement import OneAnswer
 from ..linear.condensation import StepSolver
@@ -28,6 +28,9 @@ from .judges.given_velocities import look_at_given_velocities
 from .recording.output import Output
 from .schedule import StepSchedule
 from .step_bisection import ConstantSteps, Judges
+
+if TYPE_CHECKING:
+    from ..schemes.own_marching import OwnMarch
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,8 @@ def make_stepper(
     made = _stepper_from(problem, solver, start)
     watch = Watch(system, made.state) if guarded else None
     # a scheme with error control makes its steps smaller by itself
+    if schedule.given:
+        cast("OwnMarch", made).control.given = True
     if not schedule.steps:
         return made if watch is None else Guarded(made, watch)
 

@@ -36,6 +36,7 @@ class StepSchedule:
     solution may have a kink, each of ``marks``, at which it goes on, and the end. They ``begin`` at a time (s).
 
     ``counts``: of equal steps up to each stop, and from the last one to the end. ``largest``: what steps were to be at most, s.
+    ``given``: steps that the scheme would choose end at stops and marks alone, whatever their errors are.
     """
 
     t_end: float
@@ -45,6 +46,7 @@ class StepSchedule:
     marks: tuple[float, ...] = ()
     counts: tuple[int, ...] = ()
     begin: float = 0.0
+    given: bool = False
 
     def next(self, t: float) -> float:
         """Size of the next step, or the most it may be (s). Steps end a few roundings before a break point: on its near side."""

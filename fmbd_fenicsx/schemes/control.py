@@ -65,6 +65,7 @@ class StepControl:
     grow: float = 8.0
     h_old: float = 0.0
     error_old: float = 0.0
+    given: bool = False  # whether steps end where they have to alone, whatever their errors are: none is made smaller
     span: float = 0.0  # s, what a step was at most allowed to be
     # (t, h, cause) since the last accepted step
     rejections: list[tuple[float, float, str]] = field(default_factory=list)
@@ -87,6 +88,14 @@ class StepControl:
         factor = min(max(factor, self.shrink), 1.0 if after_rejection else self.grow)
         return h * factor
 
+    def proposal(self, proposed: float, limit: float) -> float:
+        """The size (s) of a step of at most ``limit`` that is proposed first, where the controller proposes so much."""
+        return self.grow * limit if self.given else proposed
+
+    def passes(self, error: float) -> bool:
+        """Whether a step with this error over the tolerance passes."""
+        return error <= 1.0 or (self.given and error < np.inf)
+
     def largest(self, h: float, error: float) -> float:
         """Step of which an error is expected that may be, where one of size h (s) has this error."""
         return h * growth_factor(max(error, NO_ERROR), self.order, self.safety)
@@ -104,6 +113,8 @@ class StepControl:
 
     def rejected(self, t: float, h: float, error: float, cause: str) -> float:
         """Step after a rejected one. Raises ConvergenceError when steps have become too small to matter."""
+        if self.given:
+            raise ConvergenceError(f"The step of {h:g} s at t = {t:.9g} s has no end: {cause}.")
         self.rejections.append((t, h, cause))
         if cause == "error estimate" and np.isfinite(error):
             least, most = REFUSED

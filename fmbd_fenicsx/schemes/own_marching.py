@@ -95,7 +95,7 @@ class OwnMarch(MarchingStepper):
         common = {
             "index": norm.index, "rtol": norm.rtol, "atol": norm.atol or 0.0, "length": self.system.length, "turn": TURN,
             "safety": control.safety, "harsh": harsh, "mild": mild, "patience": PATIENCE,
-            "order": control.order, "shrink": control.shrink, "grow": control.grow, "least": LEAST_ERROR,
+            "given": control.given, "order": control.order, "shrink": control.shrink, "grow": control.grow, "least": LEAST_ERROR,
         }  # fmt: skip
         return OwnRoom(self._twin, norm.deforming, {**common, **numbers}, error=error, orders=orders)
 

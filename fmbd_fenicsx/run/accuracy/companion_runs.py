@@ -33,6 +33,14 @@ class Compared:
     schedule: StepSchedule
     scheme: Any
 
+    @property
+    def steps(self) -> int:
+        """How many it was to take, or took where the scheme chose them."""
+        schedule = self.schedule
+        if schedule.given:
+            return len(schedule.marks) + len(schedule.stops) + 1
+        return schedule.steps or int(self.recorder.indices[-1])
+
 
 def again(
     problem: Problem, schedule: StepSchedule, steps: int, times: Sequence[float] | None, *, whole: bool = True

@@ -218,14 +218,14 @@ def compare_steps(
     scatter: one that is not regular counts as its mean with a lower one that was seen ``before``, with larger steps.
     """
     fine, coarse = given.recorder, coarser[0].recorder
-    ratio = given.schedule.steps / coarser[0].schedule.steps
+    ratio = given.steps / coarser[0].steps
     errors, orders, by_chance = {}, {}, set()
 
     for name in fine.series:
         apart = _deviation(fine, coarse, name)
         p = float("nan") if known is None else known.get(name, float("nan"))
         if len(coarser) > 1 and apart.size > 0:
-            steps = coarser[1].schedule.steps, coarser[0].schedule.steps, given.schedule.steps
+            steps = coarser[1].steps, coarser[0].steps, given.steps
             far = _deviation(coarse, coarser[1].recorder, name)
             here = far.near(apart.when, max(NEARBY * fine.t_end, 2.0 * fine.t_end / steps[0]))
             ratios = far.size / apart.size, far.mean / apart.mean, here / apart.size
@@ -238,9 +238,9 @@ def compare_steps(
     moves = [n for n, x in fine.series.items() if errors[n].size > ROUNDOFF * np.abs(x).max(initial=0.0)]
     seen = {n: orders[n] for n in moves}
     follows = bool(seen) and resolved(seen, expected) and (len(coarser) > 1 or known is not None)
-    others = [made for made in coarser if follows and made.schedule.steps >= FEWEST]
+    others = [made for made in coarser if follows and made.steps >= FEWEST]
     regular = resolved(seen, expected, REGULAR) and all(p <= expected[n] + TOO_HIGH for n, p in seen.items())
-    told_by = coarser[0 if regular else -1].schedule.steps
+    told_by = coarser[0 if regular else -1].steps
     return TimeError(errors, orders, others[-1] if others else given, by_chance=frozenset(by_chance), told_by=told_by)
 
 
@@ -248,7 +248,7 @@ def of_order(
     expected: Mapping[str, int], given: Compared, coarser: Compared, share: float, least: float = 0.0
 ) -> dict[str, Deviation]:
     """Errors of a run as one with larger steps tells them, by a ``share`` of the expected orders, one at least if need be."""
-    ratio = given.schedule.steps / coarser.schedule.steps
+    ratio = given.steps / coarser.steps
     factors = {n: 1.0 / (ratio ** max(share * p, least) - 1.0) for n, p in expected.items()}
     return {n: scaled(_deviation(given.recorder, coarser.recorder, n), x) for n, x in factors.items()}
 

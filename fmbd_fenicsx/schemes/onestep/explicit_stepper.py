@@ -199,11 +199,12 @@ class ExplicitStepper(OwnMarch):
         assert self.proposed is not None
         self.control.span = max(self.control.span, limit)
         farthest = turn_limit(self.system, self.state)
+        self.proposed = self.control.proposal(self.proposed, limit)
         while True:
             h = self._landing(min(self.proposed, farthest, self.longest_stable), limit)
             self.solver.near_singular.begin_trial()
             made, error, cause = self._attempt(h)
-            if made is not None and error <= 1.0:
+            if made is not None and self.control.passes(error):
                 self.solver.near_singular.accept_trial()
                 break
             self.stats.rejected[cause] += 1
@@ -226,7 +227,11 @@ class ExplicitStepper(OwnMarch):
             moved = self.system.difference(self.state.q, made.q, near=h * made.v)
             if turns_too_far(self.system, moved):
                 return None, np.inf, "turns too far"
-            return made if error > 1.0 else arrived(self.system, made, self.solver), error, "error estimate"
+            return (
+                arrived(self.system, made, self.solver) if self.control.passes(error) else made,
+                error,
+                "error estimate",
+            )
         except (ConvergenceError, LinearSolveError):
             return None, np.inf, "constraints not closed"
         except CallbackError as fault:

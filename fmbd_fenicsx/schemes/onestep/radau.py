@@ -156,6 +156,7 @@ class RadauStepper(ImplicitStepper):
         farthest = turn_limit(self.system, s, steps=self._turning)
         if self.proposed is None:
             self.proposed = self._first_size(self.control.order, limit)
+        self.proposed = self.control.proposal(self.proposed, limit)
 
         h, points, error = self._passing(limit, farthest)
         self.local_error = error
@@ -190,7 +191,7 @@ class RadauStepper(ImplicitStepper):
 
             if not isinstance(points, str):
                 error, cause = self._estimate(h, points), "error estimate"
-                if error <= 1.0:
+                if self.control.passes(error):
                     self.solver.near_singular.accept_trial()
                     return h, points, error
                 iteration.theta = max(iteration.theta, 1e-3)

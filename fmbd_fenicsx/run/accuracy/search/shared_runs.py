@@ -52,6 +52,7 @@ from ..estimates import (
     usual_errors,
     usual_power,
 )
+from ..larger_steps import LargerSteps
 from ..orders import REGULAR, expected_orders, resolved, seen_by_ends
 from .shares import DOUBTED, Allowed
 
@@ -79,6 +80,7 @@ class SharedRuns:
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
         # by scene and steps: whole runs that told an error, and may be the next attempt
         self._whole: dict[tuple[int, int], Solved] = {}
+        self.larger = LargerSteps()
         self._untold: set[int] = set()  # steps of attempts whose errors no run has told
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
 
@@ -398,6 +400,8 @@ class SharedRuns:
         the same few steps.
         """
         problem, given = solved.problem, solved.compared
+        if (found := self.larger.error(solved, allowed)) is not None:
+            return found
         looser, likely = self._looser(solved, allowed), dict[str, Deviation]()
         self._chosen[id(problem.scene)] = given
         if looser is not None:

@@ -293,12 +293,12 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
             }
         } while (tried_anew(o, verdict, work));
 
-        if ((verdict == NEWTON || verdict == SINGULAR) && failed_size(p[H], cause, found)) {
+        if ((verdict == NEWTON || verdict == SINGULAR) && failed_size(c, p[H], cause, found)) {
             work[KNOWN] = 1.0; /* of this state */
             continue;
         }
         if (verdict || (verdict = own_error(s, o, p[H], now, mult, work, &found->error))) return verdict;
-        if (found->error <= 1.0) return DONE;
+        if (lets_pass(c, found)) return DONE;
 
         /* the tangent goes on serving */
         work[RATE] = fmax(work[RATE], 1e-3);
@@ -313,7 +313,7 @@ static int own_radau_step(System *s, double *p, Implicit *o, const Block *now, B
     OwnSteps *c = o->own;
     const Collocation last = collocation_at(s, o->stages, now->own), made = collocation_at(s, o->stages, out.own);
     const double left = left_for(c, now);
-    Passing found = {.proposed = last.control->next};
+    Passing found = {.proposed = proposal(c, last.control->next)};
     int verdict;
     if (!(left > 0.0) || *now->t > c->last) return SIZE;
     const Norm norm = norm_of(o->stages);

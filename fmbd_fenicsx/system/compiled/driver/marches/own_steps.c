@@ -18,6 +18,7 @@ typedef struct OwnSteps {
     const double *mark;                /* times on the way there that are hit, too, rising (s); how many, and how many were passed */
     int marks, passed;
     double ahead;                      /* the next of all these, s */
+    double given;                      /* whether steps end at these times alone, whatever their errors are */
     double sample;                     /* when a controller samples: who takes the sample makes the step that ends there, s */
     double worst, refused;             /* of a march: the largest error, and how many were too large */
     double failed[FAILING];            /* how many tries at a step had no end, by cause */
@@ -73,8 +74,9 @@ static int refused_size(const OwnSteps *c, const Block *now, double h, double or
 enum { FAILURES = 4 }; /* of one step that the iteration finds no end of, before Python makes it, which says what is wrong */
 
 /* Propose a size after such a failure; 0: Python has to make this step. */
-static int failed_size(double h, int cause, Passing *found)
+static int failed_size(const OwnSteps *c, double h, int cause, Passing *found)
 {
+    if (c->given != 0.0) return 0;
     found->proposed = 0.5 * h;
     found->failed[cause]++;
     return ++found->failures <= FAILURES;
@@ -99,6 +101,12 @@ static double accepted_size(const OwnSteps *c, const Controlled *last, Controlle
     made->missed = fmax(known, c->least);
     return h * fmin(fmax(factor, c->shrink), found->refused || found->failures ? 1.0 : c->grow);
 }
+
+/* Whether a try at a step passes. */
+static int lets_pass(const OwnSteps *c, const Passing *found) { return found->error <= 1.0 || (c->given != 0.0 && found->error < INFINITY); }
+
+/* The size that is proposed first, where a controller proposes so much. */
+static double proposal(const OwnSteps *c, double next) { return c->given != 0.0 ? INFINITY : next; }
 
 /* Take note of a step that has passed. */
 static void note_passing(OwnSteps *c, const Passing *found)

@@ -142,11 +142,11 @@ static int passing_slopes(System *s, double *p, Explicit *o, const Method *metho
         if ((verdict = own_size(c, now, found->proposed, most, p + H))) return verdict;
         o->norm.h = p[H];
         take_sizes(s, c, &o->norm, now);
-        if ((verdict = where_stages_lead(s, p, o, method, now, e, out)) == NEWTON && failed_size(p[H], DIVERGES, found)) continue;
+        if ((verdict = where_stages_lead(s, p, o, method, now, e, out)) == NEWTON && failed_size(c, p[H], DIVERGES, found)) continue;
         if (verdict) return verdict;
         if (turn_too_far(s, c, 1, e->xi)) return NEWTON;
         if ((verdict = method->error(s, o, p[H], e, out, &found->error))) return verdict;
-        if (found->error <= 1.0) return DONE;
+        if (lets_pass(c, found)) return DONE;
         if (!refused_size(c, now, p[H], c->order, found)) return NEWTON;
     }
 }
@@ -157,7 +157,7 @@ static int own_explicit_step(System *s, double *p, Explicit *o, const Method *me
     OwnSteps *c = o->own;
     const Controlled *last = (const Controlled *)now->own;
     Controlled *made = (Controlled *)out.own;
-    Passing found = {.proposed = last->next};
+    Passing found = {.proposed = proposal(c, last->next)};
     if (!(left_for(c, now) > 0.0) || *now->t > c->last) return SIZE;
     int verdict = passing_slopes(s, p, o, method, now, e, out, &found);
     if (verdict || (verdict = end_step(s, p, out, e->rest))) return verdict;

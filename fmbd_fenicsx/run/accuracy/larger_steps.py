@@ -1,0 +1,130 @@
+"""Errors of runs with steps of a scheme's own choice, by runs whose steps are two or four of them in one.
+
+The sizes h(t) of such steps are a function of time times the root of the tolerance. Steps of 2 h(t) are spread over the run as
+they are, so that errors of smooth motion are those of h(t) but for a power of two, as with equal steps: the order of the scheme,
+which errors over tolerances do not show. They cost half of a run, one with a smaller tolerance up to three times as much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from ...log import log
+from ...rotations import Array
+from ..problem import Problem
+from ..recording.output import Output
+from ..schedule import StepSchedule, far_side
+from ..single_run import Solved
+from .companion_runs import UNFIT, Compared, companion
+from .equal_steps import FEWEST, TimeError, astray, between, compare_steps, of_order
+from .orders import MOST_LEFT, TOO_HIGH, expected_orders, seen_by_ends
+from .search.shares import DOUBTED, Allowed
+
+SUDDEN = 1 / 3  # of the size of the step before: the error of smooth motion does not ask for so much less at once
+MANY = 6 * FEWEST  # steps of which four in one still follow the motion
+SLOW = 0.75  # share of the order of the scheme that errors are stated by, where half of it would do
+
+
+def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, float]) -> bool:
+    """Whether steps that are two of a run's in one tell its error: it is recorded at their ends, which are ahead in order, and no
+    step is suddenly smaller than the one before, or was refused but for its error (``counters``). What kinks leave is of the
+    order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted.
+    """
+    refused = counters.get("rejections", 0.0)
+    if refused > counters.get("rejected: error estimate", 0.0) or (refused and SLOW * problem.scheme.order > MOST_LEFT):
+        return False
+    output, scene = given.recorder.output, problem.scene
+    at_ends = problem.said.ends_ahead and output.times is None and output.every == 1
+    if not at_ends or scene.contacts or scene.limits or seen_by_ends(problem.system):
+        return False
+    sizes = [np.diff(t) for t in _stretches(given)]
+    smooth = all((h[1:-1] > SUDDEN * h[:-2]).all() for h in sizes)  # the last one ends where it has to
+    return smooth and sum(map(len, sizes)) >= 2 * FEWEST
+
+
+def _stretches(given: Compared) -> list[Array]:
+    """The ends of steps of a run from break point to break point, both among them, s."""
+    times = given.recorder.times
+    stops = np.searchsorted(times, [far_side(t) for t in given.schedule.stops]) - 1
+    return [times[first : last + 1] for first, last in pairwise((0, *stops, len(times) - 1))]
+
+
+def in_one(given: Compared, count: int) -> StepSchedule:
+    """Steps that are so many of a run's in one; the last ones before break points may be less."""
+    ends = [t[count:-1:count] for t in _stretches(given)]
+    return replace(given.schedule, marks=tuple(np.concatenate(ends).tolist()), given=True)
+
+
+def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared:
+    """The run once more with so many steps in one; collective. Raises one of :data:`.UNFIT` where it does not end."""
+    schedule = in_one(given, count)
+    made = companion(problem, schedule, Output(energy=False, progress=False))
+    return Compared(made.recorder, schedule, given.scheme)
+
+
+def two_in_one(solved: Solved) -> Compared | None:
+    """A run once more with steps that are two of its own in one; None where these do not tell its error; collective."""
+    problem, given = solved.problem, solved.compared
+    if not may_be_larger(problem, given, solved.run.counters):
+        return None
+    try:
+        made = with_larger_steps(problem, given, 2)
+    except UNFIT as error:
+        log.info("the run with two steps in one did not end: %s", error)
+        return None
+    return None if _other_steps(made) else made
+
+
+class LargerSteps:
+    """The last run with steps of its own choice, and that beside it with two of these in one; made once."""
+
+    def __init__(self) -> None:
+        self._made: tuple[Compared, Compared | None] | None = None
+
+    def two_in_one(self, solved: Solved) -> Compared | None:
+        """See :func:`two_in_one`."""
+        if self._made is None or self._made[0] is not solved.compared:
+            self._made = solved.compared, two_in_one(solved)
+        return self._made[1]
+
+    def error(self, solved: Solved, allowed: Allowed) -> TimeError | None:
+        """The error by the steps of a run, see :func:`larger_steps_error`; None where larger ones do not tell it; collective."""
+        two = self.two_in_one(solved)
+        return None if two is None else larger_steps_error(solved, two, allowed)
+
+
+def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeError | None:
+    """The error by the steps of a run beside one with ``two`` in one; None where larger ones do not tell it; collective.
+
+    They tell it where half of the order of the scheme would be enough, or most of it is far too much; stated is what :data:`SLOW`
+    of the order has. Else steps that are four in one show the order: see :func:`.compare_steps`.
+    """
+    problem, given = solved.problem, solved.compared
+    orders = expected_orders(problem.scheme, problem.scene, problem.system)
+    slow = TimeError(of_order(orders, given, two, SLOW), dict.fromkeys(orders, float("nan")), two)
+    if allowed.share(slow.errors) > DOUBTED * allowed.room:
+        return slow
+    if astray(given, between(given.recorder, two.recorder, allowed.sensors)):
+        return None
+    if allowed.lets(of_order(orders, given, two, 0.5)):
+        return slow
+    if solved.run.counters.get("rejections") or given.steps < MANY:
+        return None
+    try:
+        four = with_larger_steps(problem, given, 4)
+    except UNFIT as error:
+        log.info("the run with four steps in one did not end: %s", error)
+        return None
+    found = compare_steps(orders, given, [two, four])
+    by_chance = not found.by_chance.isdisjoint(allowed.sensors)
+    strange = any(found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors)
+    return None if by_chance or strange or _other_steps(four) else replace(found, with_others=two)
+
+
+def _other_steps(made: Compared) -> bool:
+    """Whether a run had to take other steps than it was given, as where frames turn far."""
+    return bool(made.recorder.indices[-1] > made.steps)

@@ -1,0 +1,88 @@
+"""Runs whose steps are two or four of another run's own in one tell its error, where no kink makes it chance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from dae_problems import pendulum
+
+import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.run.accuracy.larger_steps import in_one, two_in_one, with_larger_steps
+from fmbd_fenicsx.run.built import build
+from fmbd_fenicsx.run.recording.output import Output
+from fmbd_fenicsx.run.schedule import step_schedule
+from fmbd_fenicsx.run.single_run import Solved, Task, run_once
+from fmbd_fenicsx.schemes.control import StepControl
+from fmbd_fenicsx.schemes.marching import MarchingStepper
+from fmbd_fenicsx.schemes.newton import Newton
+
+
+def made_by(scheme: Any, scene: fmbd.Scene) -> Solved:
+    """A run to 1 s with steps of the scheme's own choice, recorded at their ends."""
+    schedule = step_schedule(scene, scheme, 1.0, None)
+    return run_once(Task(scene, scheme, schedule, Newton(), None, Output(progress=False)), build(scene))
+
+
+@pytest.mark.parametrize("scheme", [fmbd.Radau(2, rtol=1e-6), fmbd.Radau(3, rtol=1e-7), fmbd.HalfExplicit(rtol=1e-6)])
+def test_steps_in_one_end_where_they_are_told_and_have_the_order_of_the_scheme(
+    scheme: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In compiled code and in Python's, whatever their errors over the tolerance are; the last before a break point are less."""
+    solved = made_by(scheme, replace(pendulum(), breakpoints=(0.43,)))
+    given, problem = solved.compared, solved.problem
+    own = given.recorder.times
+    stop = int(np.searchsorted(own, 0.43 - 1e-9))
+
+    apart = []
+    for count in (1, 2, 4):
+        made = with_larger_steps(problem, given, count)
+        ends = np.concatenate((own[: stop + 1 : count], own[stop::count], own[-1:]))
+        np.testing.assert_allclose(made.recorder.times, np.unique(ends), rtol=0, atol=1e-12)
+        assert made.steps == len(made.recorder.times) - 1
+        apart.append(abs(made.recorder.series["x"][-1] - given.recorder.series["x"][-1]).max())
+    assert apart[0] < 1e-3 * apart[1]
+    assert np.log2(apart[2] / apart[1]) == pytest.approx(scheme.order, abs=1.0)
+
+    monkeypatch.setattr(MarchingStepper, "stride", lambda self, h: 0.0)
+    alone = with_larger_steps(problem, given, 4)
+    np.testing.assert_allclose(alone.recorder.series["x"], made.recorder.series["x"], rtol=0, atol=1e-3 * apart[2])
+
+
+def test_given_steps_are_made_or_not_but_no_smaller() -> None:
+    """A run that takes others beside a given one would tell errors of neither."""
+    assert in_one(made_by(fmbd.Radau(2), pendulum()).compared, 2).given
+    with pytest.raises(ConvergenceError, match="no end: Newton diverged"):
+        StepControl(3.0, given=True).rejected(0.0, 0.1, np.inf, "Newton diverged")
+
+
+@pytest.mark.parametrize("begins", [0.307, 0.789, 0.261])
+def test_errors_of_kinks_are_not_told_by_larger_steps(begins: float) -> None:
+    """They are chance in both: a quarter of what a force left that begins to rise within a step was stated."""
+
+    def scene(*breakpoints: float) -> fmbd.Scene:
+        made, last = fmbd.Scene("kink", gravity=(0, 0, -9.81), breakpoints=breakpoints), fmbd.ground
+        for k in range(2):
+            link = fmbd.RigidBody(f"link {k}", 1.0 + k, (0.01, 0.06, 0.05), (0.4 * k + 0.2, 0, 0))
+            made.add(link, fmbd.revolute(f"pin {k}", last, link, center=(0.4 * k, 0, 0), axis=(0, 1, 0.2 * k)))
+            last = link
+        made.add(fmbd.torque("rise", last, lambda t: (0, 40.0 * max(t - begins, 0.0), 0)))
+        made.sensor("end", fmbd.position(last))
+        return made
+
+    quiet = Output(progress=False, energy=False)
+    run = fmbd.solve(scene(), t_end=1.0, tol={"end": 4e-5}, scheme=fmbd.Radau(3), output=quiet)
+    at = Output(progress=False, energy=False, times=tuple(run.times))
+    exact = fmbd.solve(scene(begins), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-10), output=at)
+    assert 0.5 < run.certificate["end"].total / np.abs(run["end"] - exact["end"]).max() < 3.0
+
+
+def test_what_was_refused_for_another_reason_is_not_tried_with_larger_steps() -> None:
+    """Steps that the iteration, not the error, keeps small find no end when they are larger."""
+    solved = made_by(fmbd.Radau(2, rtol=1e-5), pendulum())
+    assert two_in_one(solved) is not None
+    solved.run.counters.update({"rejections": 2.0, "rejected: Newton diverged": 2.0})
+    assert two_in_one(solved) is None
