@@ -33,14 +33,18 @@ SECANTS = 2 * enumeration("PAIRS", "onestep/secants.c")["PAIRS"] + 3
 
 
 def zeros_of(sizes: Sizes) -> dict[str, tuple[Array, int]]:
-    """Arrays of zeros by name, one behind the other in one piece of memory, and their addresses; none is empty there."""
+    """Arrays of zeros by name, one behind the other in one piece of memory, and their addresses; none is empty there.
+    Each begins with a line of the cache.
+    """
     spans, count = [], 0
     for name, shape in sizes.items():
         size = shape if isinstance(shape, int) else math.prod(shape)
         spans.append((name, shape, count, size))
         count += -(-(size or 1) // LANES) * LANES
-    whole = np.zeros(count)
+    whole = np.zeros(count + LANES)
     first = address_of(whole)
+    before = -(first // 8) % LANES  # numbers in front of the next line
+    whole, first = whole[before:], first + 8 * before
 
     made: dict[str, tuple[Array, int]] = {}
     for name, shape, at, size in spans:

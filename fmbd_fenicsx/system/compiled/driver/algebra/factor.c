@@ -29,27 +29,56 @@ static inline void eliminate(double *F, int ld, int end, int k, double inverse)
     }
 }
 
-/* The columns behind a panel that begins at the pivot k less the products of all its pivots, one after another; two columns together,
-   as what is read of the panel serves both. The last of an odd number goes with itself. */
-static void eliminate_panel(double *F, int ld, int rows, int k, const double *inverse)
+/* The columns behind n pivots from k on less the products of all of these, one after another; two columns together, as what is read of
+   the pivots serves both. The last of an odd number goes with itself. */
+static inline __attribute__((always_inline)) void eliminate_together(double *F, int ld, int rows, int k, const int n, const double *inverse)
 {
     const double *column = F + (long)ld * k;
-    const lanes *a = (const lanes *)column, *b = (const lanes *)(column + ld), *c = (const lanes *)(column + 2L * ld),
-                *d = (const lanes *)(column + 3L * ld);
-    for (int j = k + PANEL; j < rows; j += 2) {
+    for (int j = k + n; j < rows; j += 2) {
         const int second = j + 1 < rows ? j + 1 : j;
         double x[PANEL], y[PANEL];
-        for (int p = 0; p < PANEL; p++) {
+        for (int p = 0; p < n; p++) {
             x[p] = column[(long)ld * p + j] * inverse[p];
             y[p] = column[(long)ld * p + second] * inverse[p];
         }
-
         lanes *one = (lanes *)(F + (long)ld * j), *two = (lanes *)(F + (long)ld * second);
         for (int i = j / LANES; i < ld / LANES; i++) {
-            const lanes A = a[i], B = b[i], C = c[i], E = d[i], X = one[i], Y = two[i];
-            one[i] = X - A * x[0] - B * x[1] - C * x[2] - E * x[3];
-            two[i] = Y - A * y[0] - B * y[1] - C * y[2] - E * y[3];
+            lanes X = one[i], Y = two[i];
+            for (int p = 0; p < n; p++) {
+                const lanes A = ((const lanes *)(column + (long)ld * p))[i];
+                X -= A * x[p];
+                Y -= A * y[p];
+            }
+            one[i] = X;
+            two[i] = Y;
         }
+    }
+}
+
+/* The same for the last pivot k of so many that go together. */
+static void eliminate_panel(double *F, int ld, int rows, int k, int together, const double *inverse)
+{
+    if (together == 1) eliminate(F, ld, rows, k, *inverse);
+    else if (together == 2) eliminate_together(F, ld, rows, k - 1, 2, inverse);
+    else if (together == 3) eliminate_together(F, ld, rows, k - 2, 3, inverse);
+    else eliminate_together(F, ld, rows, k - 3, PANEL, inverse);
+}
+
+/* What is left of a front behind its pivots, added to the next one. Rows that lie side by side there go as whole lanes. */
+static void hand_on(const System *s, const Front *f)
+{
+    const Front *g = s->front + f->next;
+    const int left = f->rows - f->pivots, *at = f->to;
+    for (int j = 0; j < left; j++) {
+        double *to = s->L + g->start + (long)g->ld * at[j];
+        const double *from = s->L + f->start + (long)f->ld * (j + f->pivots) + f->pivots;
+        int i = j;
+        for (; i + LANES <= left; i += LANES) {
+            if (at[i + LANES - 1] == at[i] + LANES - 1) *(lanes *)(to + at[i]) += *(const lanes *)(from + i);
+            else
+                for (int l = i; l < i + LANES; l++) to[at[l]] += from[l];
+        }
+        for (; i < left; i++) to[at[i]] += from[i];
     }
 }
 
@@ -92,24 +121,17 @@ static int factor(System *s)
         if (f->apart) continue;
 
         double *F = s->L + f->start, inverse[PANEL];
-        int ld = f->ld, panels = f->pivots - f->pivots % PANEL;
+        const int ld = f->ld;
         for (int k = 0; k < f->pivots; k++) {
-            int u = f->unknown[k], together = k < panels;
+            const int u = f->unknown[k], at = k % PANEL, end = k - at + PANEL < f->pivots ? k - at + PANEL : f->pivots;
             double sign = s->sign[u], pivot = F[(long)(ld + 1) * k] * sign;
             if (s->indefinite && pivot < 0.0) sign = -sign, pivot = -pivot;
             if (!(pivot > least_pivot(s, u))) return SINGULAR;
-            s->inverse[u] = inverse[k % PANEL] = sign / pivot;
-            eliminate(F, ld, together ? k - k % PANEL + PANEL : f->rows, k, s->inverse[u]);
-            if (together && k % PANEL == PANEL - 1) eliminate_panel(F, ld, f->rows, k + 1 - PANEL, inverse);
+            s->inverse[u] = inverse[at] = sign / pivot;
+            if (k + 1 < end) eliminate(F, ld, end, k, s->inverse[u]);
+            else eliminate_panel(F, ld, f->rows, k, at + 1, inverse);
         }
-
-        if (f->next < 0) continue;
-        Front *g = s->front + f->next;
-        for (int j = f->pivots; j < f->rows; j++) {
-            double *to = s->L + g->start + (long)g->ld * f->to[j - f->pivots];
-            const double *from = F + (long)ld * j;
-            for (int i = j; i < f->rows; i++) to[f->to[i - f->pivots]] += from[i];
-        }
+        if (f->next >= 0) hand_on(s, f);
     }
     return DONE;
 }
