@@ -56,7 +56,7 @@ def _stretches(given: Compared) -> list[Array]:
 def in_one(given: Compared, count: int) -> StepSchedule:
     """Steps that are so many of a run's in one; the last ones before break points may be less."""
     ends = [t[count:-1:count] for t in _stretches(given)]
-    return replace(given.schedule, marks=tuple(np.concatenate(ends).tolist()), given=True)
+    return replace(given.schedule, marks=tuple(float(t) for inner in ends for t in inner), given=True)
 
 
 def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared:
