@@ -75,6 +75,21 @@ def test_a_run_can_be_made_longer(tmp_path: Path) -> None:
     assert np.array_equal(longer["tip"], run(tmp_path / "whole", t_end=0.1)["tip"])
 
 
+@pytest.mark.parametrize("snapshots", [fmbd.PerSecond(50), (0.0, 0.03, 0.07, 0.1)])
+def test_a_longer_run_has_all_records_and_snapshots_that_it_asks_for(snapshots: Any, tmp_path: Path) -> None:
+    def output(t_end: float) -> fmbd.Output:
+        times = np.array([0.0, 0.007, 0.03, 0.05, 0.055, 0.08, 0.1])
+        taken = tuple(t for t in snapshots if t <= t_end) if isinstance(snapshots, tuple) else snapshots
+        return fmbd.Output(times=times[times <= t_end], snapshots=taken)
+
+    run(tmp_path, output=output(0.05))
+    longer = run(tmp_path, restart=tmp_path, t_end=0.1, output=output(0.1))
+    whole = run(tmp_path / "whole", t_end=0.1, output=output(0.1))
+    assert np.array_equal(longer.times, whole.times)
+    assert np.array_equal(longer["tip"], whole["tip"])
+    assert [s.t for s in longer.snapshots] == [s.t for s in whole.snapshots]
+
+
 def test_checkpoints_of_an_earlier_run_are_not_touched(tmp_path: Path) -> None:
     run(tmp_path)
     with pytest.raises(InputError, match="holds checkpoints of an earlier run, the newest is 000003_step5"):

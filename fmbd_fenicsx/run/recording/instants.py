@@ -57,9 +57,13 @@ class Instants:
             return end
         return state_between(self.system, (self._before, end), t, stepper, earlier=self.earlier)
 
-    def remember(self, m: Memory) -> None:
-        """What is left, and where the last step began."""
-        self.left = np.array(m("left", self.left.tolist()), dtype=float)
+    def remember(self, m: Memory, recorded: float) -> None:
+        """What is left, and where the last step began; of those that are asked for now, as where a run goes on for longer,
+        what is behind it and behind the newest time ``recorded`` (s).
+        """
+        asked, kept = self.left, np.array(m("left", self.left.tolist()), dtype=float)
         self._before, earlier = m.state("before", self._before), m.state("earlier", self.earlier)
+        reached = recorded if self._before is None else max(recorded, self._before.t)
+        self.left = np.union1d(kept, asked[asked > reached + self.rounding])
         self.earlier = None if earlier is None or earlier.t is None else earlier
         self._number, self._smooth = m("number", (self._number, self._smooth))

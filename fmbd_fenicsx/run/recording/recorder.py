@@ -287,19 +287,22 @@ class Recorder:
         now = self.energy
         self.energies = {k: Records([np.asarray(m(f"energy {k}", now.get(k, np.zeros(0))))]) for k in kinds}
 
-        self.seconds, self._due = m("snapshots due", (self.seconds, self._due))
+        self.seconds, _ = m("snapshots due", (self.seconds, self._due))
         self.drift.remember(m.inside("drift"))
         if self.output.ledger:
             self.bookkeeper.remember(m.inside("ledger"))
-        # a run goes on with the instants that it began with
+        # a run goes on with the instants that it began with, and with what is asked for beside them
+        recorded = float(self.times[-1]) if len(self.times) else -np.inf
         instants = self.instants or Instants(self.system, np.zeros(0), self.rounding)
         self.instants = instants if m("at instants", self.instants is not None) else None
         if self.instants is not None:
-            self.instants.remember(m.inside("instants"))
+            self.instants.remember(m.inside("instants"), recorded)
 
         if self.warned is not None:
             self.warned.found = [(a, b) for a, b in m("warned", [list(x) for x in self.warned.found])]
         self.snapshots = [i.state("state", s) for i, (s,) in m.each("snapshots", [(s,) for s in self.snapshots], 1)]
+        taken = max((recorded, *(s.t for s in self.snapshots[-1:])))
+        self._due = [t for t in self._due if t > taken + self.rounding]
 
     @property
     def times(self) -> Array:
