@@ -90,6 +90,15 @@ def test_a_longer_run_has_all_records_and_snapshots_that_it_asks_for(snapshots: 
     assert [s.t for s in longer.snapshots] == [s.t for s in whole.snapshots]
 
 
+@pytest.mark.parametrize("began", [True, False])
+def test_records_of_another_kind_are_told_of(began: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    at_times, at_steps = {"output": fmbd.Output(times=[0.0, 0.03])}, {}
+    run(tmp_path, **(at_times if began else at_steps))
+    with caplog.at_level("WARNING", logger="fmbd_fenicsx"):
+        run(tmp_path, restart=tmp_path, t_end=0.1, **(at_steps if began else at_times))
+    assert f"began with records at {'given times' if began else 'ends of steps'}" in caplog.text
+
+
 def test_checkpoints_of_an_earlier_run_are_not_touched(tmp_path: Path) -> None:
     run(tmp_path)
     with pytest.raises(InputError, match="holds checkpoints of an earlier run, the newest is 000003_step5"):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ...log import log
 from ...notices import Gathered
 from ...rotations import Array
 from ...schemes.stepping import TimeStepper
@@ -293,8 +294,13 @@ class Recorder:
             self.bookkeeper.remember(m.inside("ledger"))
         # a run goes on with the instants that it began with, and with what is asked for beside them
         recorded = float(self.times[-1]) if len(self.times) else -np.inf
-        instants = self.instants or Instants(self.system, np.zeros(0), self.rounding)
-        self.instants = instants if m("at instants", self.instants is not None) else None
+        instants, asked = self.instants or Instants(self.system, np.zeros(0), self.rounding), self.instants is not None
+        self.instants = instants if (began := m("at instants", asked)) else None
+        if asked != began:
+            log.warning(
+                "restart: the run began with records at %s and goes on so, %s Output(times=) now: begin it anew for others",
+                *(("given times", "without") if began else ("ends of steps", "in spite of")),
+            )
         if self.instants is not None:
             self.instants.remember(m.inside("instants"), recorded)
 
