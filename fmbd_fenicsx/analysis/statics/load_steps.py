@@ -5,7 +5,8 @@ Between two parameters t_0 < t_1 the start of Newton's method is, with sigma = (
     q = q_1 o+ sigma (q_1 o- q_0),       lambda = lambda_1 + sigma (lambda_1 - lambda_0)                        (1)
 
 Steps are shortened where the method fails, and lengthened where it is fast: many load steps where a structure is soft and
-slender, few where it is nearly linear. Limit points are not passed: take :class:`.ArcLength` there.
+slender, few where it is nearly linear. Those in which a body in space turns so far that (1) would take it the other way round are
+shortened too. Limit points are not passed: take :class:`.ArcLength` there.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ import numpy as np
 
 from ...checks import check_fields
 from ...errors import ConvergenceError, LinearSolveError, require
+from ...rotations import Array
+from ...schemes.control import TURN
 from .arc_length import Path
 from .static_newton import StaticNewton, StaticPoint
 
@@ -55,7 +58,10 @@ class LoadSteps:
                 target = min(made[-1][0] + step, stop)
                 before = newton.iterations
                 try:
-                    point = newton.solvable(partial(newton.solve, _predicted(newton, made[-2:], target), target, zero))
+                    first, moved = _predicted(newton, made[-2:], target)
+                    point = newton.solvable(partial(newton.solve, first, target, zero))
+                    if system.motions.dim == 3 and system.turning(moved + newton.moved).max() > TURN:
+                        raise ConvergenceError(f"a body turns by more than {TURN:g} rad in a step")
                 except (ConvergenceError, LinearSolveError) as error:
                     step = 0.5 * (target - made[-1][0])
                     if step < SHORTEST * (self.first or stop):
@@ -71,12 +77,12 @@ class LoadSteps:
         return path
 
 
-def _predicted(newton: StaticNewton, made: list[tuple[float, StaticPoint]], target: float) -> StaticPoint:
-    """The point of (1)."""
+def _predicted(newton: StaticNewton, made: list[tuple[float, StaticPoint]], target: float) -> tuple[StaticPoint, Array]:
+    """The point of (1), and the increments to it, like v."""
     system, (t, last) = newton.residual.system, made[-1]
     if len(made) < 2:
-        return last
+        return last, np.zeros(system.n_v)
     before, past = made[0]
     share = (target - t) / (t - before)
     moved = share * system.difference(past.q, last.q)
-    return StaticPoint(system.compose(last.q, moved), last.lam + share * (last.lam - past.lam))
+    return StaticPoint(system.compose(last.q, moved), last.lam + share * (last.lam - past.lam)), moved

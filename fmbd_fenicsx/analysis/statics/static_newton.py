@@ -73,6 +73,9 @@ class StaticNewton:
     tolerance: float = 1e-12  # of increments, over the model's length
     iterations: int = 0
     tangent_iterations: int = 0
+    moved: Array = field(
+        default_factory=lambda: np.zeros(0), init=False
+    )  # sum of the newest iteration's increments, like v
     slow: bool = field(default=False, init=False)  # whether the newest one was found with inertia beside the tangent
     weights: Weights = field(init=False)
     least: float = field(init=False)
@@ -153,6 +156,7 @@ class StaticNewton:
         system = self.residual.system
         point = start
         sizes = [np.inf]
+        self.moved = np.zeros(system.n_v)
         for _ in range(most):
             r = self.take(point, t)
             self.iterations += 1
@@ -160,6 +164,7 @@ class StaticNewton:
             if step is None:
                 break
             point = StaticPoint(system.compose(point.q, step[0]), point.lam + step[1])
+            self.moved += step[0]
 
             size = system.max_abs(step[0])
             sizes.append(size)
