@@ -41,7 +41,7 @@ def zeros_of(sizes: Sizes) -> dict[str, tuple[Array, int]]:
         size = shape if isinstance(shape, int) else math.prod(shape)
         spans.append((name, shape, count, size))
         count += -(-(size or 1) // LANES) * LANES
-    whole = np.zeros(count + LANES)
+    whole: Array = np.zeros(count + LANES)
     first = address_of(whole)
     before = -(first // 8) % LANES  # numbers in front of the next line
     whole, first = whole[before:], first + 8 * before
