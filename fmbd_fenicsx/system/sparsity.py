@@ -71,10 +71,29 @@ class Pattern:
         """Products with vectors (k, columns), (k, rows)."""
         return np.array([np.bincount(self.rows, data * one[self.columns], self.shape[0]) for one in x])
 
+    def repeated(self, count: int) -> Pattern:
+        """Of so many such matrices on the diagonal."""
+        block, (rows, columns) = np.arange(count)[:, None], self.shape
+        at = (self.rows + rows * block).ravel(), (self.columns + columns * block).ravel()
+        return Pattern((count * rows, count * columns), *at)
+
     def transposed(self) -> tuple[Pattern, np.ndarray]:
         """The pattern of the transpose, and the numbers of the entries in its order."""
         order = np.argsort(self.columns, kind="stable")
         return Pattern((self.shape[1], self.shape[0]), self.columns[order], self.rows[order]), order
+
+
+class Total:
+    """C = A + B + ... for matrices of these patterns, of one shape."""
+
+    def __init__(self, *parts: Pattern) -> None:
+        rows, columns = (np.concatenate([getattr(x, name) for x in parts]) for name in ("rows", "columns"))
+        self.pattern = Pattern.of(parts[0].shape, rows, columns)
+        self.to = self.pattern.places(rows, columns)
+
+    def data(self, *parts: Array) -> Array:
+        """Those of C."""
+        return np.bincount(self.to, np.concatenate(parts), len(self.pattern)).astype(float, copy=False)
 
 
 class Product:

@@ -10,103 +10,129 @@ the phase of their compliance by the masses, so that the two never cancel.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
 from ...errors import LinearSolveError
 from ...rotations import Array
+from ...system.sparsity import Pattern, Product, Total
 from ...system.tangents.step_tangent import StepTangent
 from ..redundancy import CORRECTED, SOFT
 from ..residual import Judge
 from .pencil import OPEN_ROWS, REFINED, SINGULAR_MATRIX
 
-
-def stacked(tangents: list[StepTangent]) -> StepTangent:
-    """The tangent of several stages together, stage by stage."""
-    names = vars(tangents[0])
-    return StepTangent(**{name: _diagonal([getattr(t, name) for t in tangents]) for name in names})
+USED = "J", "M", "G", "U", "by_q", "by_v", "by_a", "R"  # of a tangent
 
 
-def _diagonal(blocks: list[Any]) -> Any:
-    """Sparse matrices of one shape on the diagonal."""
-    (rows, columns), k = blocks[0].shape, len(blocks)
-    ends = np.cumsum([0, *(b.nnz for b in blocks)])
-    start = [b.indptr[:-1] + end for b, end in zip(blocks, ends[:-1], strict=True)]
-    at = [b.indices + i * columns for i, b in enumerate(blocks)]
-    data = np.concatenate([b.data for b in blocks])
-    return sp.csr_matrix(
-        (data, np.concatenate(at), np.append(np.concatenate(start), ends[-1])), shape=(k * rows, k * columns)
-    )
+class WholeStructure:
+    """Where (1) of k ``stages`` has its entries; ``patterns``: of the tangent of one, by its names."""
+
+    def __init__(self, patterns: Mapping[str, Pattern], stages: int) -> None:
+        self.stages = k = stages
+        self.patterns = of = {name: patterns[name].repeated(k) for name in USED}
+        (self.m, self.n), self.ties, self.size = patterns["G"].shape, patterns["R"].shape[0], patterns["by_q"].shape[0]
+        self.levels = (self.size - self.n - self.ties) // self.m if self.m else 0
+
+        moved = np.arange(k * self.n)
+        together = np.arange(k) * self.n + (moved % self.n)[:, None]
+        self.rates = Pattern((len(moved), len(moved)), np.repeat(moved, k), together.ravel())
+        self.D = Total(self.rates, of["J"])
+        self.a = Product(of["by_a"], self.rates)
+        self.va = Total(of["by_v"], self.a.pattern)
+        self.moves = Product(self.va.pattern, self.D.pattern)
+        # of multipliers on levels behind the first
+        self.across = [Product(x, of["U"]) for x in (self.va.pattern, of["by_a"])[: max(self.levels - 1, 0)]]
+
+    @cached_property
+    def ends(self) -> list[int]:
+        """Where columns of each level of multipliers begin, and those of ties."""
+        return [self.stages * (self.n + i * self.m) for i in range(self.levels + 1)]
+
+    def places(self, first: int, count: int, numbers: np.ndarray) -> np.ndarray:
+        """Where rows stand among all, of which each stage has so many from a row of its own on."""
+        return np.asarray(numbers // count * self.size + first + numbers % count if count else numbers)
+
+    @cached_property
+    def whole(self) -> Total:
+        """Of (1), column by column, with softness of the rows of all levels before the ties."""
+        of, n, m, k, ends = self.patterns, self.n, self.m, self.stages, self.ends
+        across = [(self.places(0, n, of["G"].columns), of["G"].rows)][: self.levels]
+        across += [(x.pattern.rows, x.pattern.columns) for x in self.across]
+        soft = [(self.places(n + i * m, m, self.soft.rows), self.soft.columns) for i in range(self.levels)]
+        efforts = np.arange(k * self.ties)
+        tied = [
+            (self.places(0, n, of["R"].columns), of["R"].rows),
+            (self.places(self.size - self.ties, self.ties, efforts), efforts),
+        ]
+
+        parts = [(x.rows, x.columns) for x in (of["by_q"], self.moves.pattern)]
+        for entries in (across, soft):
+            parts += [(rows, end + columns) for (rows, columns), end in zip(entries, ends, strict=False)]
+        parts += [(rows, ends[-1] + columns) for rows, columns in tied]
+        size = k * self.size, k * self.size
+        return Total(*(Pattern(size, columns, rows) for rows, columns in parts))
+
+    @cached_property
+    def soft(self) -> Pattern:
+        """Of what rows that depend on each other have on their multipliers, of each level."""
+        k, m, rows = self.stages, self.m, np.arange(self.stages * self.m)
+        together = np.arange(k) * m + (rows % max(m, 1))[:, None]
+        return Pattern((len(rows), len(rows)), np.repeat(rows, k), together.ravel())
 
 
 class WholePencil:
-    """(1) for one or more rates S of k stages, (k, k) each; the tangent is that of k stages, with sparse matrices.
+    """(1) for the rates S of k stages, (k, k); ``tangents``: the data of that of each.
 
     ``first``: level of the first rows; ``units``: of the multipliers of rows that depend on each other, (m,), None: none do.
     """
 
     room: None = None
 
-    def __init__(self, tangent: StepTangent, rates: list[Array], judge: Judge, first: int, units: Array | None) -> None:
-        self.matrices, self.judge, self.softened = tangent, judge, units is not None
-        self.stages = k = len(rates[0])
-        self.m, self.n = (x // k for x in tangent.G.shape)
-        self.size, self.ties = tangent.by_q.shape[0] // k, tangent.R.shape[0] // k
-        self.levels = (self.size - self.n - self.ties) // self.m if self.m else 0
-        self.systems = [_Whole(self, S, first, units) for S in rates]
+    def __init__(
+        self,
+        structure: WholeStructure,
+        tangents: list[StepTangent],
+        S: Array,
+        judge: Judge,
+        *,
+        first: int,
+        units: Array | None,
+    ) -> None:
+        o = self.structure = structure
+        self.judge, self.softened = judge, units is not None
+        self.data = {name: np.concatenate([getattr(x, name) for x in tangents]) for name in o.patterns}
+        T, n = self.data, o.n
+        rates = np.repeat(S, n, axis=0).ravel()
+        self.D = o.D.data(rates, -T["J"])
+        self.va = o.va.data(T["by_v"], o.a.data(T["by_a"], rates))
 
-    def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
-        """As :meth:`.Pencil.solve`; of stages, (k, ..) each, for one S."""
-        given = zip(kin.reshape(len(self.systems), -1), low.reshape(len(self.systems), -1), strict=True)
-        found = [one.solve(*x) for one, x in zip(self.systems, given, strict=True)]
-        change, mult = (np.concatenate(x) for x in zip(*found, strict=True))
-        return change, mult
+        across = [x.data(a, T["U"]) for x, a in zip(o.across, (self.va, T["by_a"]), strict=False)]
+        moves, gradients = o.moves.data(self.va, self.D), [T["G"]] if o.levels else []
+        self.softness = self._softness(S, first, units)
+        data = T["by_q"], moves, *gradients, *across, *self.softness, T["R"], -np.ones(o.stages * o.ties)
+        self._factor(o.whole.pattern.matrix(o.whole.data(*data)).T.copy())  # its own entries, which are made fewer
 
-
-class _Whole:
-    """One of the systems of a pencil."""
-
-    def __init__(self, pencil: WholePencil, S: Array, first: int, units: Array | None) -> None:
-        T, n, m, ties = pencil.matrices, pencil.n, pencil.m, pencil.ties
-        self.pencil = pencil
-        rates = sp.kron(S, sp.identity(n), format="csr")
-        self.D = rates - T.J
-        self.va = T.by_v + T.by_a @ rates
-
-        balance, efforts = self._placed(0, n), self._placed(pencil.size - ties, ties)
-        across = [balance @ T.G.T, self.va @ T.U, T.by_a @ T.U][: pencil.levels]
-        tied = [balance @ T.R.T - efforts] if ties else []
-        if units is not None:
-            softness = self._softness(S, first, units)
-            across = [
-                x + self._placed(n + i * m, m) @ soft for i, (x, soft) in enumerate(zip(across, softness, strict=True))
-            ]
-            self.softness = sp.block_diag(softness, format="csr")
-        self._factor(sp.hstack((T.by_q + self.va @ self.D, *across, *tied), format="csc"))
-
-    def _placed(self, first: int, count: int) -> Any:
-        """Where so many rows of each stage stand among all, from a row of theirs on; (rows, stages times count)."""
-        o = self.pencil
-        rows = (np.arange(o.stages)[:, None] * o.size + first + np.arange(count)).ravel()
-        return sp.csr_matrix((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape=(o.stages * o.size, len(rows)))
-
-    def _softness(self, S: Array, first: int, units: Array) -> list[Any]:
+    def _softness(self, S: Array, first: int, units: Array | None) -> list[Array]:
         """What rows that depend on each other have on their multipliers, level by level, by the masses."""
-        every = np.tile(units, len(S))
-        M: Any = self.pencil.matrices.M
-        G: Any = self.pencil.matrices.G
-        masses = M.diagonal()
+        o = self.structure
+        if units is None:
+            return [np.zeros(len(o.soft))] * o.levels
+        every = np.tile(units, o.stages)
+        M, G = o.patterns["M"], o.patterns["G"]
+        masses = np.bincount(M.rows, np.where(M.rows == M.columns, self.data["M"], 0.0), M.shape[0])
         light = np.where(masses > 0, 1.0 / np.where(masses > 0, masses, 1.0), 0.0)
-        soft = SOFT * (every**2 * (G.power(2) @ light)).max(initial=0.0) / every**2
+        soft = SOFT * (every**2 * G.times(self.data["G"] ** 2, light[None])[0]).max(initial=0.0) / every**2
         compliance = -np.linalg.matrix_power(np.linalg.inv(S), 2 - first)
-        pulled = sp.kron(compliance, sp.identity(len(units))) @ sp.diags(soft)
-        return [pulled, *[sp.diags(soft)] * (self.pencil.levels - 1)]
+        pulled = np.repeat(compliance, o.m, axis=0).ravel() * soft[o.soft.columns]
+        return [pulled, *[np.where(o.soft.rows == o.soft.columns, soft[o.soft.columns], 0.0)] * (o.levels - 1)]
 
     def _factor(self, K: Any) -> None:
-        judge = self.pencil.judge
+        judge = self.judge
+        K.eliminate_zeros()
         if not np.isfinite(K.data).all():
             raise LinearSolveError(f"{judge.what}: the matrix is not finite.")
         self.rows, self.columns = _balance(K)
@@ -117,43 +143,44 @@ class _Whole:
             raise LinearSolveError(f"{judge.what}: {SINGULAR_MATRIX}") from error
 
     def solve(self, kin: Array, low: Array) -> tuple[Array, Array]:
-        """Increments dxi, dv side by side, (k, 2 n), and multipliers (k, ..), for the residuals of all stages."""
-        o, rhs = self.pencil, -self.rows * (low + self.va @ kin)
+        """As :meth:`.Pencil.solve` of all stages: increments dxi, dv side by side, (k, 2 n), and multipliers (k, ..)."""
+        o, low, kin = self.structure, low.ravel(), kin.ravel()
+        rhs = -self.rows * (low + o.va.pattern.times(self.va, kin[None])[0])
         y = self._back(rhs)
         left, size = self._left(rhs, y, o.size)
         if left > REFINED * size:
             y = y + self._back(rhs - self.matrix @ y)
             left, size = self._left(rhs, y, o.size)
-        for times in CORRECTED if o.softened else ():
+        for times in CORRECTED if self.softened else ():
             y = y + self._back(times * self._open(y))
-        if o.softened:  # rows that contradict each other stay open
+        if self.softened:  # rows that contradict each other stay open
             left, size = self._left(rhs, y, o.n)
-        o.judge.check(left, size, OPEN_ROWS)
+        self.judge.check(left, size, OPEN_ROWS)
 
         k, n, m = o.stages, o.n, o.m
         z = self.columns * y
         dxi, by_level = z[: k * n], z[k * n : k * (n + o.levels * m)].reshape(o.levels, k, m)
-        dv = self.D @ dxi + kin
+        dv = o.D.pattern.times(self.D, dxi[None])[0] + kin
         if o.levels > 1:
-            dv = dv + o.matrices.U @ by_level[1].ravel()
+            dv = dv + o.patterns["U"].times(self.data["U"], by_level[1].reshape(1, -1))[0]
         change = np.concatenate((dxi.reshape(k, n), dv.reshape(k, n)), axis=1)
         efforts = z[k * (n + o.levels * m) :].reshape(k, o.ties)
         return change, np.concatenate((*by_level, efforts), axis=1)
 
     def _open(self, y: Array) -> Array:
         """By what softness leaves rows open."""
-        o, soft = self.pencil, np.zeros_like(y)
-        of_rows = slice(o.stages * o.n, o.stages * (o.n + o.levels * o.m))
-        left = (self.softness @ (self.columns * y)[of_rows]).reshape(o.levels, o.stages, o.m)
-        soft.reshape(o.stages, o.size)[:, o.n : o.n + o.levels * o.m] = left.swapaxes(0, 1).reshape(o.stages, -1)
-        return np.asarray(self.rows * soft)
+        o, open_rows = self.structure, np.zeros((self.structure.stages, self.structure.size))
+        every = (self.columns * y)[o.ends[0] : o.ends[-1]].reshape(o.levels, -1)
+        for i, (soft, one) in enumerate(zip(self.softness, every, strict=True)):
+            open_rows[:, o.n + i * o.m : o.n + (i + 1) * o.m] = o.soft.times(soft, one[None])[0].reshape(o.stages, o.m)
+        return np.asarray(self.rows * open_rows.ravel())
 
     def _back(self, b: Array) -> Array:
         return np.asarray(self.lu.solve(b.astype(self.matrix.dtype)))
 
     def _left(self, rhs: Array, y: Array, rows: int) -> tuple[float, float]:
         """Largest residual of the first rows of each stage, and its scale."""
-        left = np.abs(self.matrix @ y - rhs).reshape(self.pencil.stages, -1)[:, :rows]
+        left = np.abs(self.matrix @ y - rhs).reshape(self.structure.stages, -1)[:, :rows]
         size = np.abs(rhs).max(initial=0.0) + np.abs(y).max(initial=0.0)
         return float(left.max(initial=0.0)), float(size)
 

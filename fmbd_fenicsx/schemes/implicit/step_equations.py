@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from ...linear.condensation import StepSolver
 from ...linear.implicit.pencil import Pencil
 from ...linear.implicit.sparse_pencil import SparsePencil
-from ...linear.implicit.whole_pencil import WholePencil, stacked
+from ...linear.implicit.whole_pencil import WholePencil
 from ...linear.redundancy import least_forces
 from ...linear.residual import Judge
 from ...rotations import Array
@@ -244,7 +244,8 @@ class StepEquations(Equations):
         """Solver of stages with a tangent each; ``rates``: d rate / d xi, (k, k)."""
         units = self.system.multiplier_units if self.solver.core.redundant else None
         first = self.form.levels[0] if self.levels else 0
-        return WholePencil(stacked([self.tangents.matrices(x) for x in tangents]), [rates], judge, first, units)
+        structure, entries = self.tangents.together(tangents)
+        return WholePencil(structure, entries, rates, judge, first=first, units=units)
 
     def inertia(self, tangent: Any, a: Array) -> Array:
         """M a at the tangent's motion."""

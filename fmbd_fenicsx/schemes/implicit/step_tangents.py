@@ -16,6 +16,7 @@ from ...errors import LinearSolveError
 from ...linear.condensation import StepSolver
 from ...linear.implicit.pencil import Pencil
 from ...linear.implicit.sparse_pencil import SparsePencil
+from ...linear.implicit.whole_pencil import WholeStructure
 from ...linear.residual import Judge
 from ...matrices import dense
 from ...rotations import Array
@@ -127,9 +128,18 @@ class DenseTangents(Remembering):
         J, T = self._turning(xi, v)
         return replace(made, J=J, by_q=made.by_q @ T)
 
-    def matrices(self, tangent: StepTangent) -> StepTangent:
-        """A tangent with sparse matrices."""
-        return StepTangent(**{name: sp.csr_matrix(data) for name, data in vars(tangent).items()})
+    def together(self, tangents: list[StepTangent]) -> tuple[WholeStructure, list[StepTangent]]:
+        """Where the matrix of stages with a tangent each has entries, and these tangents as data of patterns: of all that is not
+        zero.
+        """
+        patterns = {}
+        for name, first in vars(tangents[0]).items():
+            seen = np.any([getattr(x, name) != 0.0 for x in tangents], axis=0)
+            patterns[name] = Pattern(first.shape, *np.nonzero(seen))
+        entries = [
+            StepTangent(**{name: patterns[name].taken(matrix) for name, matrix in vars(x).items()}) for x in tangents
+        ]
+        return WholeStructure(patterns, len(tangents)), entries
 
     def pulls(self, efforts: Array) -> Array:
         """Accelerations that efforts of ties (k, p) cause, (k, n_v)."""
@@ -160,6 +170,7 @@ class SparseTangents(Remembering):
         self.weighed = False
         self.told = any(map(is_told, system.parts))  # whether Python tells masses that change
         self._rooms = Rooms(structure)
+        self._whole = dict[int, WholeStructure]()  # of so many stages
 
     @property
     def masses(self) -> Array:
@@ -248,9 +259,12 @@ class SparseTangents(Remembering):
         J, T = structure.turning(xi, v)
         return replace(made, J=J, by_q=structure.turned.data(made.by_q, T))
 
-    def matrices(self, tangent: StepTangent) -> StepTangent:
-        """A tangent with sparse matrices."""
-        return StepTangent(**{name: self.structure.patterns[name].matrix(x) for name, x in vars(tangent).items()})
+    def together(self, tangents: list[StepTangent]) -> tuple[WholeStructure, list[StepTangent]]:
+        """As :meth:`DenseTangents.together`, with patterns found once."""
+        stages = len(tangents)
+        if stages not in self._whole:
+            self._whole[stages] = WholeStructure(self.structure.patterns, stages)
+        return self._whole[stages], tangents
 
     def inertia(self, tangent: StepTangent, a: Array) -> Array:
         """M a."""
