@@ -294,7 +294,7 @@ static int passing_stages(System *s, double *p, Implicit *o, const Block *now, B
         } while (tried_anew(o, verdict, work));
 
         if ((verdict == NEWTON || verdict == SINGULAR) && failed_size(c, p[H], cause, found)) {
-            work[KNOWN] = 1.0; /* of this state */
+            work[KNOWN] = 0.0; /* the tangent was that in the middle of a longer step */
             continue;
         }
         if (verdict || (verdict = own_error(s, o, p[H], now, mult, work, &found->error))) return verdict;
