@@ -153,7 +153,7 @@ def test_implicit_schemes_march_beside_parts(make: Any, scheme: Any, monkeypatch
     calls = [calls_of(lambda steps=steps: run(steps), "/fmbd_fenicsx/") for steps in (10, 30)]
     assert calls[1] - calls[0] < 20 * 140
 
-    monkeypatch.setattr(WholeMatrixSteps, "ready", property(lambda whole: whole.eq.choose()))
+    monkeypatch.setattr(WholeMatrixSteps, "ready", property(lambda whole: whole.eq.make_ready()))
     run(30)
     for name in ("q", "v"):
         wanted = getattr(runs[3].state, name)

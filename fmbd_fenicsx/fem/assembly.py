@@ -4,7 +4,7 @@ components, and on many columns at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -84,3 +84,13 @@ def on_columns(act: Callable[[Any, Any], None], comm: Any, B: Array) -> Array:
 def times_columns(A: Any, B: Array) -> Array:
     """A B for columns (n, k) of this rank's rows; collective."""
     return on_columns(lambda given, out: A.matMult(given, out), A.getComm(), B)
+
+
+def product(A: Any, U: Array, work: Sequence[Any]) -> Array:
+    """A U of a vector (n,) of this rank's rows, or of columns (n, k); ``work``: a right and a left vector of A; collective."""
+    if U.ndim == 2:
+        return times_columns(A, U)
+    x, y = work
+    x.array[:] = U
+    A.mult(x, y)
+    return np.array(y.array)

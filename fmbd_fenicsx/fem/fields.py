@@ -18,7 +18,7 @@ from .. import dolfinx_compat as compat
 from ..energies import StoredEnergy
 from ..errors import InputError
 from ..rotations import Array
-from .assembly import NodalVector, times_columns
+from .assembly import NodalVector, product
 from .elastic_forms import ElasticForms
 from .energy_quadrature import integrated
 from .field_checks import check_field
@@ -221,12 +221,7 @@ class Field(NodalField):
         return self.K if self._unstressed is None else self._unstressed
 
     def _times(self, A: Any, U: Array) -> Array:
-        if U.ndim == 2:
-            return times_columns(A, U)
-        x, y = self._work
-        x.array[:] = U
-        A.mult(x, y)
-        return y.array.copy()
+        return product(A, U, self._work)
 
     def internal(self, U: Array) -> Array:
         """Internal forces K U, or dPi/du, (n d,) -> (n d,); collective."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from ...errors import LinearSolveError
 from ...rotations import Array
-from ..assembly import on_columns, times_columns
+from ..assembly import on_columns, product
 from .partial_factor import IndefiniteError
 from .substructures import substructured
 
@@ -110,12 +110,7 @@ class Factor:
             r -= b
             return r
 
-        if x.ndim == 2:
-            r = times_columns(self._E, x)
-        else:
-            self._x.array[:] = x
-            self._E.mult(self._x, self._b)
-            r = np.array(self._b.array)
+        r = product(self._E, x, (self._x, self._b))
         r[: self._n] -= b
         return r
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import dolfinx_compat as compat
 from ...errors import require
-from ...fem.assembly import petsc_of, times_columns
+from ...fem.assembly import petsc_of, product
 from ...rotations import Array
 
 
@@ -149,21 +149,13 @@ class LineField:
         start, cols, values = self.K.getValuesCSR()
         return sp.csr_matrix((values, cols, start), shape=self.K.size)
 
-    def _product(self, A: Any, u: Array) -> Array:
-        if u.ndim == 2:
-            return times_columns(A, u)
-        x, y = self._work
-        x.array[:] = u
-        A.mult(x, y)
-        return np.asarray(y.array.copy())
-
     def mass(self, A: Array) -> Array:
         """M A, (n, 1) -> (n, 1), or for many vectors side by side."""
-        return self._product(self.M, A[:, 0])[:, None] if A.shape[1] == 1 else self._product(self.M, A)
+        return product(self.M, A[:, 0], self._work)[:, None] if A.shape[1] == 1 else product(self.M, A, self._work)
 
     def tangent(self, u: Array) -> Array:
         """K u with all droppers taut, (n,) or columns (n, k)."""
-        return self._product(self.K, u)
+        return product(self.K, u, self._work)
 
     def damping(self, v: Array) -> Array:
         """Of a damping form: none."""

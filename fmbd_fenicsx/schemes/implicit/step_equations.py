@@ -58,7 +58,7 @@ class StepEquations(Equations):
 
     def remember(self, m: Memory) -> None:
         """With the tangents of the kind that the system has."""
-        self.choose()
+        self.make_ready()
         super().remember(m)
 
     def _structure(self) -> StageStructure | None:
@@ -69,22 +69,24 @@ class StepEquations(Equations):
         couplings = Couplings(states.tables)
         return StageStructure(couplings, states, form.levels, self.stiff, pulls=form.pulls, frozen=form.frozen)
 
-    def choose(self) -> None:
-        """Take notice of who evaluates the system by now, and of a state whose masses are to be taken."""
+    def make_ready(self) -> None:
+        """Tangents of the kind that belongs to who evaluates the system by now, with the masses that were to be weighed."""
         if not isinstance(self.tangents, SparseTangents) and self._chosen is not self.system.evaluator:
-            structure = self._structure()
-            if structure is not None and structure.states.same_rows:
-                self.tangents = SparseTangents(self.system, structure, self.stiff)
-            elif structure is not None:
-                self.resting = RestingTangents(self.system, structure)
-            self._chosen = self.system.evaluator
+            self._choose_tangents()
         if self._weighed is not None:
             state, self._weighed = self._weighed, None
             self.tangents.weigh(self.solver.masses(self.system.at(state.t, state.q, state.v)))
 
+    def _choose_tangents(self) -> None:
+        structure, self._chosen = self._structure(), self.system.evaluator
+        if structure is not None and structure.states.same_rows:
+            self.tangents = SparseTangents(self.system, structure, self.stiff)
+        elif structure is not None:
+            self.resting = RestingTangents(self.system, structure)
+
     def begin(self, state: State) -> None:
         """Local coordinates about the state."""
-        self.choose()
+        self.make_ready()
         self.origin = state.q
         if self.form.frozen:
             self.tangents.direct(self.system.at(state.t, state.q, state.v).jacobian.core)
@@ -253,11 +255,11 @@ class StepEquations(Equations):
 
     def pencil(self, tangent: Any, s: Array, judge: Judge, points: int = 1) -> Pencil | SparsePencil | WholePencil:
         """Solver of so many stages for the frequencies s, (p,)."""
-        self.choose()  # a checkpoint asks before any step
+        self.make_ready()  # a checkpoint asks before any step
         return self.tangents.pencil(tangent, s, judge, redundant=self.solver.core.redundant, points=points)
 
     def weigh(self, state: State) -> None:
-        """Take the mass matrix of a state for the normal directions, when they are asked for."""
+        """Take the mass matrix of a state for the normal directions, see :meth:`make_ready`."""
         self._weighed = state
 
 

@@ -70,7 +70,7 @@ class WholeMatrixSteps(WholeSteps):
     @property
     def ready(self) -> bool:
         """As :attr:`WholeSteps.ready`."""
-        self.eq.choose()
+        self.eq.make_ready()
         return isinstance(self.eq.tangents, SparseTangents) or self.eq.resting is not None
 
     def tables(self, state: State) -> DriverStates | None:
