@@ -117,6 +117,22 @@ def test_one_file_opens_the_whole_scene(pendulums: fmbd.Run, shared_tmp: Path) -
     assert all("displacement" in block.point_data for block in reader.read() if block is not None and block.n_points)
 
 
+@pytest.mark.mpi
+def test_names_that_meet_have_files_of_their_own(rod_mesh: Callable[..., Any], shared_tmp: Path) -> None:
+    rod = fmbd.FloatingBody(
+        "scene", rod_mesh(dim=2, h=0.5, height=0.2), density=1e3, elastic=fmbd.materials.linear_elastic(E, NU)
+    )
+    scene = fmbd.Scene("names")
+    scene.add(rod, rod.with_(name="a/b"), rod.with_(name="a_b"), fmbd.RigidBody("scene_", 1.0, 1.0))
+    run = fmbd.solve(scene, t_end=0.01, dt=0.01, output=fmbd.Output(snapshots=2))
+    files = run.save_fields(shared_tmp / "names")
+    assert [f.name for f in files] == ["scene_.pvd", "a_b.pvd", "a_b_.pvd", "scene.pvd"]
+    run.system.comm.barrier()
+    listed = [(d.attrib["name"], d.attrib["file"]) for d in ET.parse(files[-1]).getroot().iter("DataSet")]
+    assert {name for name, _ in listed} >= {"scene", "a/b", "a_b", "scene_"}
+    assert len({file for _, file in listed}) == len(listed)
+
+
 def test_rigid_bodies_are_written_where_they_are(tmp_path: Path) -> None:
     pv = pytest.importorskip("pyvista")
     ball = fmbd.RigidBody("ball", 1.0, (0.1, 0.1, 0.1), (0.0, 0.0, 1.0), shape=fmbd.contacts.Sphere(0.1))

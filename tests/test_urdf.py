@@ -116,6 +116,19 @@ def test_a_joint_that_mimics_begins_where_the_other_puts_it(tmp_path: Path) -> N
         file.write_text(FINGERS.format(leader=leader))
         with pytest.raises(InputError, match=said):
             fmbd.read_urdf(file)
+    whole = FINGERS.format(leader="a")
+    for given, wrong, said in (
+        ('name="two"', 'name="one"', r"names of links must be unique, found more than once: \['one'\]"),
+        ('joint name="b"', 'joint name="a"', r"names of joints must be unique, found more than once: \['a'\]"),
+        ('<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>', "", 'link "one" has a mass without <inertia>'),
+    ):
+        file.write_text(whole.replace(given, wrong, 1))
+        with pytest.raises(InputError, match=said):
+            fmbd.read_urdf(file)
+    for kind in ("fixed", "floating", "planar"):
+        file.write_text(whole.replace("revolute", kind, 1))
+        with pytest.raises(InputError, match=f'joint "a" of kind "{kind}" has no angle or displacement to start with'):
+            fmbd.read_urdf(file, start={"a": 0.3})
     file.write_text(FINGERS[:300])
     with pytest.raises(InputError, match="no complete XML file"):
         fmbd.read_urdf(file)

@@ -203,7 +203,8 @@ class Tyre(Force):
 
     c = radius + road(x, t) - up . x with x the world position (d,) of the wheel centre ``point_a``; road(x, t) is the height of
     the road along ``up`` under that point, smooth; let it depend on t to drive the road past a vehicle that stays in place.
-    The force acts at the centre; there is no friction.
+    The force acts at the centre, along ``up`` on slopes too: no part of it pushes the wheel along the road, uphill or down, and
+    there is no friction.
     """
 
     road: Road = None  # type: ignore[assignment]

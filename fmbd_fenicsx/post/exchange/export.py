@@ -21,7 +21,7 @@ from ..drawing.draw import draw
 from ..drawing.view import View
 from ..plot import components
 from .files import write_whole
-from .paraview import save_scene
+from .paraview import body_files, save_scene
 
 Quantity = Callable[[Any], Any]
 """A UFL expression of the displacement u in the body's axes, scalar, vector or tensor: say von Mises' stress."""
@@ -78,16 +78,17 @@ def save_fields(run: Run, folder: str | Path, quantities: Mapping[str, Quantity]
     """
     require(bool(run.snapshots), "Fields are those of snapshots: solve(..., output=Output(snapshots=50)).")
     bodies = [b for b in run.scene.bodies.values() if b.meshed]
-    files = [_save_body(run, b, Path(folder), dict(quantities or {})) for b in bodies]
+    files = body_files(Path(folder), [b.name for b in bodies])
+    for b in bodies:
+        _save_body(run, b, files[b.name], dict(quantities or {}))
     drawing = draw(run, view=View(floor=False))
     on_root(run.system.comm, lambda: save_scene(drawing, Path(folder), files))
-    return [*files, Path(folder) / "scene.pvd"]
+    return [*files.values(), Path(folder) / "scene.pvd"]
 
 
-def _save_body(run: Run, body: Any, folder: Path, quantities: dict[str, Quantity]) -> Path:
+def _save_body(run: Run, body: Any, file: Path, quantities: dict[str, Quantity]) -> None:
     from dolfinx import fem, io
 
-    file = folder / f"{body.name.replace('/', '_')}.pvd"
     u = displacement_field(run, body, run.snapshots[0])
     mesh = u.function_space.mesh
     moved = fem.Function(u.function_space, name="displacement")
@@ -101,7 +102,6 @@ def _save_body(run: Run, body: Any, folder: Path, quantities: dict[str, Quantity
             for function, expression in cells:
                 function.interpolate(expression)
             out.write_function([moved, *(function for function, _ in cells)], state.t)
-    return file
 
 
 def _motion(run: Run, body: Any, state: State, u: Any) -> np.ndarray:

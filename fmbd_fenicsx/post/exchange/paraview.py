@@ -7,7 +7,7 @@ snapshot, with its displacement since, so that one "Warp by Vector" shows everyt
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +18,27 @@ from ..drawing.scene_graph import Drawing, Piece
 TRIANGLE, LINE = 5, 3  # VTK's numbers of cells
 
 
-def save_scene(drawing: Drawing, folder: Path, meshed: Sequence[Path]) -> Path:
+def body_files(folder: Path, bodies: Sequence[str]) -> dict[str, Path]:
+    """A file for each body, of its name, where that is no folder, no other body's file, and not that of the scene."""
+    files: dict[str, Path] = {}
+    taken = {"scene"}
+    for body in bodies:
+        stem = body.replace("/", "_")
+        while stem in taken:
+            stem += "_"
+        taken.add(stem)
+        files[body] = folder / f"{stem}.pvd"
+    return files
+
+
+def save_scene(drawing: Drawing, folder: Path, meshed: Mapping[str, Path]) -> Path:
     """Write what is not in the files of the ``meshed`` bodies, and ``scene.pvd`` that lists them all; rank 0."""
-    names = {file.stem for file in meshed}
-    others = [p for p in drawing.pieces if p.name.replace("/", "_") not in names and len(p.triangles) + len(p.edges)]
+    others = [p for p in drawing.pieces if p.name not in meshed and len(p.triangles) + len(p.edges)]
     collection = ET.Element("Collection")
-    for part, file in enumerate(meshed):
+    for part, (body, file) in enumerate(meshed.items()):
         for entry in ET.parse(file).getroot().iter("DataSet"):
             entry.set("part", str(part))
-            entry.set("name", file.stem)
+            entry.set("name", body)
             collection.append(entry)
 
     first = len(meshed)

@@ -30,6 +30,7 @@ from ...rotations import Array
 from .scene import Scene
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating")
+COORDINATES = ("revolute", "continuous", "prismatic")  # kinds with one angle or displacement
 FRICTION_SPEED = 1e-2  # rad/s or m/s at which the friction of a joint is that of sliding
 
 
@@ -131,7 +132,7 @@ class Robot:
 
     def _add_elements(self, scene: Scene, j: RobotJoint) -> None:
         """Damping, friction and mimic of a joint."""
-        if j.kind not in ("revolute", "continuous", "prismatic"):
+        if j.kind not in COORDINATES:
             return
         if j.damping:
             scene.add(joint_spring(f"{j.name} damping", self.coordinate(j.name), damping=j.damping))
@@ -179,6 +180,9 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
     model = URDF.load(str(path), load_meshes=False, build_scene_graph=False).robot
     start = {} if start is None else {joint: number(f'read_urdf: start of "{joint}"', x) for joint, x in start.items()}
     known = [j.name for j in model.joints]
+    for what, names in (("link", [link.name for link in model.links]), ("joint", known)):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        require(not twice, f"{path}: names of {what}s must be unique, found more than once: {twice}.")
     for j in model.joints:
         if j.type not in KINDS:
             raise InputError(
@@ -186,6 +190,12 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
             )
     for joint in start:
         require(joint in known, f'read_urdf: no joint "{joint}" to start with. {near(joint, known)}')
+    for j in model.joints:
+        require(
+            j.name not in start or j.type in COORDINATES,
+            f'read_urdf: joint "{j.name}" of kind "{j.type}" has no angle or displacement to start with. Place its child by the '
+            "<origin> of the joint.",
+        )
 
     children = {j.child for j in model.joints}
     roots = [link.name for link in model.links if link.name not in children]
@@ -290,6 +300,7 @@ def _bodies(path: Path, model: Any, tree: tuple[str, dict[str, Array], dict[str,
             carrier[name] = carrier[joint.parent]
             continue
 
+        require(inertial.inertia is not None, f'{path}: link "{name}" has a mass without <inertia>. Give it one.')
         place = frames[name] @ (np.eye(4) if inertial.origin is None else inertial.origin)
         bodies[name] = RigidBody(
             name, float(inertial.mass), np.asarray(inertial.inertia), position=place[:3, 3], rotation=place[:3, :3]
