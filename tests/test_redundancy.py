@@ -16,6 +16,8 @@ from fmbd_fenicsx.linear.driver_solver import FieldDriverSolver
 from fmbd_fenicsx.linear.implicit.pencil import Pencil
 from fmbd_fenicsx.linear.redundancy import least, null_space
 from fmbd_fenicsx.matrices import dense
+from fmbd_fenicsx.schemes.implicit.implicit_stepper import ImplicitStepper
+from fmbd_fenicsx.schemes.implicit.stage_iteration import StageIteration
 from fmbd_fenicsx.schemes.implicit.step_equations import StepEquations
 from fmbd_fenicsx.schemes.implicit.step_tangents import DenseTangents
 from fmbd_fenicsx.system.compiled.choice import use_driver
@@ -70,6 +72,28 @@ def test_a_door_on_two_hinges(scheme: Any, dt: float | None) -> None:
     assert found == pytest.approx(smallest(rate, run.system.length / np.sqrt(2.0)), rel=1e-4)
     assert run.not_unique == ["low", "high"]
     assert "reactions of low, high" in run.report().replace("\n", " ")
+
+
+@compiled
+@pytest.mark.parametrize("increments", ["NumPy", "compiled"])
+@pytest.mark.parametrize("scheme", [fmbd.Radau(2), fmbd.BDF()], ids=lambda x: x.name)
+def test_hinges_that_are_not_quite_in_line_take_no_more_steps(scheme: Any, increments: str, monkeypatch: Any) -> None:
+    """Stresses that such hinges put on each other grow with each increment, and move nothing: they are no error of the motion."""
+    if increments == "NumPy":
+        monkeypatch.setattr(StageIteration, "follow", lambda *_: None)
+        monkeypatch.setattr(ImplicitStepper, "_made", lambda *_: 0)
+
+    def run(tilt: float) -> Any:
+        gate = fmbd.RigidBody("gate", 1.0, (0.1,) * 3, position=(1.0, 0.0, 0.0))
+        scene = fmbd.Scene("gate", gravity=(0.0, -9.81, 0.0))
+        scene.add(gate, fmbd.revolute("low", fmbd.ground, gate, center=(0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0)))
+        scene.add(fmbd.revolute("high", fmbd.ground, gate, center=(0.0, tilt, 1.0), axis=(tilt, 0.0, 1.0)))
+        scene.sensor("place", fmbd.position(gate))
+        return fmbd.solve(scene, t_end=0.4, scheme=scheme)
+
+    straight, tilted = run(0.0), run(1e-8)
+    assert tilted.counters["steps"] <= 1.1 * straight.counters["steps"]
+    assert tilted["place"][-1] == pytest.approx(straight["place"][-1], abs=1e-6)
 
 
 @compiled

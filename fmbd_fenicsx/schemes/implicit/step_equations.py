@@ -55,6 +55,7 @@ class StepEquations(Equations):
         self.whole = WholeMatrixSteps(self)
         self._chosen: Any = None  # who evaluated the system when these were chosen
         self._weighed: State | None = None  # whose masses are to be taken
+        self._evaluated: tuple[Array, Points]  # times and points whose residual is the newest
 
     def remember(self, m: Memory) -> None:
         """With the tangents of the kind that the system has."""
@@ -95,13 +96,14 @@ class StepEquations(Equations):
         """r_kin and r_low of (1), (2), with what ties leave behind the rows of the form."""
         s, m = self.system, self.system.n_lam
         self.residuals += len(t)
+        self._evaluated = t, p
         told = self._told(t, p)
         if told is not None:
             low = self.lower(told, p.vd, p.mult)
             self.left = low[-1, s.n_v : s.n_v + m]
             return p.rate - told.rates, low
 
-        ev = self.stiff.system.batch(t, s.compose(self.origin, p.xi), p.v)
+        ev = self._batch(t, p)
         v, a = p.v, p.vd
         # more levels than one: positions or accelerations are corrected along M^-1 G^T
         if self.levels > 1:
@@ -113,6 +115,10 @@ class StepEquations(Equations):
         low = self.lower(ev, a, p.mult)
         self.left = low[-1, s.n_v : s.n_v + m]
         return p.rate - s.rate(p.xi, v), low
+
+    def _batch(self, t: Array, p: Points) -> EvaluationBatch:
+        """The system at these points."""
+        return self.stiff.system.batch(t, self.system.compose(self.origin, p.xi), p.v)
 
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
@@ -165,11 +171,19 @@ class StepEquations(Equations):
         return self.tangents.normally(mult[:, level * m : (level + 1) * m])
 
     def pushes(self, mult: Array) -> Array | None:
-        """Accelerations U lambda, U tau that the multipliers (k, n_mult) cause, (1 or 2 k, n_v); None without constraints."""
+        """Accelerations U lambda, U tau that the multipliers (k, n_mult) cause, (1 or 2 k, n_v); None without constraints.
+
+        Where rows depend, by the directions of the points evaluated last: forces between joints that cancel there do not by those
+        of the tangent, and nothing else bounds them.
+        """
+        m, own = self.system.n_lam, self.solver.core.redundant and not self.form.frozen
         if not self.levels:
             return None
-        caused = self.corrections(mult, 0)
-        return caused if self.levels < 3 else np.concatenate((caused, self.corrections(mult, 2)))
+        normal = self._normal_at(self._batch(*self._evaluated)) if own else None
+        accelerating = (0,) if self.levels < 3 else (0, 2)
+        parts = [mult[:, level * m : (level + 1) * m] for level in accelerating]
+        caused = [self.tangents.normally(x) if normal is None else _along(normal, x) for x in parts]
+        return caused[0] if self.levels < 3 else np.concatenate(caused)
 
     def pulls(self, mult: Array) -> Array | None:
         """Accelerations that the efforts of ties in the multipliers (k, n_mult) cause, (k, n_v); None without ties."""

@@ -371,27 +371,22 @@ static void add_increments(Stages *o)
 
 #include "implicit/bends.c"
 #include "implicit/tied_points.c"
+#include "implicit/pushes.c"
 
 /* One increment of all points, behind so many of this call: residuals, solutions, what they move. ``moved``: the largest lengths of dxi, dv and U dlambda, and the
    mean squares of the three by their weights; ``judged``: as of farthest_apart(). */
 static int stage_increment(System *s, Stages *o, int increments)
 {
-    const int n = o->n, k = o->points, multipliers = o->size - n;
+    const int k = o->points;
     int verdict = stage_residuals(s, o, increments);
     if (verdict) return verdict;
     if ((s->bridged || s->swung) && !s->bent && o->iterate == FOLLOWING) return BENT;
     if ((verdict = solve_points(s, o)) || (s->bent && (verdict = across_bends(s, o)))) return verdict;
 
-    const Sparse directions = directions_of(o);
-    const int acts = o->fields || !o->levels ? 0 : o->levels > 2 ? 2 : 1; /* levels whose multipliers accelerate */
-    memset(o->push, 0, (size_t)2 * k * n * sizeof(double));
-    for (int i = 0; i < acts; i++)
-        for (int j = 0; j < k; j++)
-            apply_real(&directions, 1.0, o->dmult + j * multipliers + 2 * i * o->m, o->push + (long)(i * k + j) * n);
-
+    if ((verdict = pushes(s, o, o->dmult))) return verdict;
     const double *moved[3] = {o->dxi, o->dv, o->push};
     for (int i = 0; i < 3; i++) {
-        const int count = i == 2 && acts > 1 ? 2 * k : k;
+        const int count = i == 2 && o->levels > 2 && !o->fields ? 2 * k : k;
         o->moved[i] = largest_length(s, o, count, moved[i]);
         o->moved[3 + i] = largest_square(s, o, count, i, moved[i]);
     }
