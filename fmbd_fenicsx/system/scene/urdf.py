@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ...checks import number
+from ...checks import instance, number
 from ...errors import InputError, near, require
 from ...mechanics.bodies.bodies import FloatingBody, RigidBody
 from ...mechanics.forces.forces import joint_spring
@@ -165,11 +165,11 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
         InputError: no such file, no XML, joints of an unknown kind or without a tree, links that move without mass, a start
             that a mimic contradicts; all named.
     """
+    path = Path(instance("read_urdf: file", file, (str, Path)))
     try:
         from yourdfpy import URDF
     except ImportError:
         raise InputError("read_urdf needs yourdfpy: ./with-dolfinx pip install yourdfpy.") from None
-    path = Path(file)
     require(path.is_file(), f"read_urdf: there is no file {path} (looked in {Path.cwd()}).")
 
     try:
