@@ -48,6 +48,8 @@ from .stage_newton import LEAST_SHARE, LONGER, RATES, StageNewton
 if TYPE_CHECKING:
     from ...system.compiled.kept import KeptSteps
 
+TROUBLED = 4  # trouble beyond which stages that have failed take a tangent each
+
 
 @dataclass(frozen=True)
 class Radau(OfForm):
@@ -183,7 +185,7 @@ class RadauStepper(ImplicitStepper):
                     continue  # once more with a new tangent
                 self._trouble += 2
                 # on the way through a singular configuration smaller steps fail alike
-                if self._trouble > 4:
+                if self._trouble > TROUBLED:
                     points = iteration.find_singular(h, start)
                     # masses and directions of constraints are those of stages that ran away
                     if isinstance(points, str):
@@ -270,7 +272,7 @@ class RadauStepper(ImplicitStepper):
         if self.adaptive:
             own = self._own_room(
                 error=tab.error, places=0 in self.scheme.form.levels, turning=self._turning,
-                most=2.0 * self.newton.max_iterations, **self.eq.size_grid,
+                most=2.0 * self.newton.max_iterations, troubled=TROUBLED if self.eq.dense else 0, **self.eq.size_grid,
             )  # fmt: skip
         room = ImplicitRoom(stages, coefficients, own=own)
         room.c.longer, room.c.least_share = LONGER, LEAST_SHARE
@@ -304,10 +306,15 @@ class RadauStepper(ImplicitStepper):
     # -- what it leaves ---------------------------------------------------------------------------------------------
     def _take_march(self, march: March, made: int) -> None:
         super()._take_march(march, made)
-        self._trouble = max(self._trouble - made, 0)
+        self._trouble = self._trouble if self.adaptive else max(self._trouble - made, 0)
+
+    def _lend_own(self, own: OwnRoom) -> None:
+        super()._lend_own(own)
+        own.c.trouble = self._trouble
 
     def _take_own(self, own: OwnRoom, made: int) -> None:
         super()._take_own(own, made)
+        self._trouble = int(own.c.trouble)
         self.iteration.judge.solves += made + int(own.c.refused)  # of the estimates
 
     def _recall(self, kept: Array, factored: float) -> None:

@@ -24,6 +24,7 @@ typedef struct OwnSteps {
     double failed[FAILING];            /* how many tries at a step had no end, by cause */
     double order, shrink, grow, least; /* of the controller; least error that it remembers */
     double turning, most;              /* of Radau: steps are to turn by so much less; increments, twice */
+    double trouble, troubled;          /* of Radau: two for each failure of late, less one for each step; with more Python makes the step */
     const double *error;               /* weights of slopes, or of Radau's stages, in the error */
     struct Orders *orders;             /* of BDF */
 } OwnSteps;
@@ -79,7 +80,8 @@ static int failed_size(const OwnSteps *c, double h, int cause, Passing *found)
     if (c->given != 0.0) return 0;
     found->proposed = 0.5 * h;
     found->failed[cause]++;
-    return ++found->failures <= FAILURES;
+    found->failures++;
+    return c->troubled > 0.0 ? c->trouble + 2 * found->failures <= c->troubled : found->failures <= FAILURES;
 }
 
 /* What the controller of a step keeps with its end: the size that it proposes, its own size (0: there is none), the error that it
@@ -113,6 +115,7 @@ static void note_passing(OwnSteps *c, const Passing *found)
 {
     c->worst = fmax(c->worst, found->error);
     c->refused += found->refused;
+    c->trouble = fmax(c->trouble + 2 * found->failures - 1, 0.0);
     for (int i = 0; i < FAILING; i++) c->failed[i] += found->failed[i];
 }
 
