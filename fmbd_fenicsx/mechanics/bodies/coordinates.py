@@ -44,7 +44,6 @@ def own_constraint(body: Any, part: int) -> PortConstraint:
         safe("'s gamma", body.gamma),
         safe("'s rate", body.rate),
         body.vectorized,
-        body.constraint,
         slopes_of(of_place_and_time(function), np.append(np.asarray(body.start, dtype=float), 0.0)),
     )
     check_constraint(law, body)

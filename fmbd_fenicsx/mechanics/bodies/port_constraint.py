@@ -28,7 +28,6 @@ class PortConstraint:
     gamma_: Callable[[Array, Array, float], Array] | None = None
     rate_: Callable[[Array, float], Array] | None = None
     vectorized: bool = False
-    raw: Callable[[Any, Any], Any] | None = None  # the user's function itself
     slopes: Slopes | None = None  # of the function of all its numbers, the time last; None: by complex steps
 
     def many(self, what: str, t: Array, *arrays: Array) -> Array:

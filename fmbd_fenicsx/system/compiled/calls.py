@@ -15,7 +15,7 @@ from ...kernel_cache import address_of
 from ...mechanics.forces.formulas import TARGET
 from ...mechanics.forces.laws_together import mean_effort
 from ...mechanics.joints.couplings import SmoothMotion, Standing
-from ...mechanics.kinds.python_kinds import PythonKind
+from ...mechanics.kinds.asked import AskedKind
 from .declarations import PYTHON, enumeration
 from .tables.items.item_batches import turned, turning
 from .tables.items.items import GIVEN, Items
@@ -63,7 +63,7 @@ class Calls:
         ]
 
         # functions of the user's own, and how often C asks
-        self.asked: list[Any] = [items.kind.function for items in tables.items if isinstance(items.kind, PythonKind)]
+        self.asked: list[Any] = [items.kind.function for items in tables.items if isinstance(items.kind, AskedKind)]
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
         timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
         slower = any(_differentiated(motion) for motion, _ in self.prescribed)

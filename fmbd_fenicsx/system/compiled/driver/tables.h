@@ -52,7 +52,7 @@ typedef struct {
     struct Act *act;                   /* LAW: of a controller, else NULL */
     int quotient;                      /* efforts: POINT .. of what they do over a step */
     int told;                          /* READ: whether its s and s' are told at every evaluation, to controllers */
-    int terms, sides;                  /* sums: of how many; frames of an item, 2 but for sums and constraints of own equations */
+    int terms, sides;                  /* sums: of how many; frames of an item, 2 where these are no sums */
     int turning;                       /* sums: whether rows of terms turn, so that efforts are stiff across them */
     int *into;                         /* sums: of each entry of the rows of the terms, to which output it adds */
     double *shift;                     /* sums: n, what is added */

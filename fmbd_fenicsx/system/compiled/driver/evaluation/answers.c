@@ -225,7 +225,7 @@ int side_row(System *s, const Batch *k, long i, int side, int *body)
 /* ``factor`` times the row of one item, as its kernel left it, added to one like v. */
 void item_row(System *s, const Batch *k, long i, double factor, double *row)
 {
-    for (int side = 0; side < k->sides; side++) {
+    for (int side = 0; side < 2; side++) {
         int body, width = side_row(s, k, i, side, &body);
         if (width) add_row(s, body, s->big, width - TWIST, factor * k->factor[i], row);
     }
