@@ -59,24 +59,22 @@ def in_one(given: Compared, count: int) -> StepSchedule:
     return replace(given.schedule, marks=tuple(float(t) for inner in ends for t in inner), given=True)
 
 
-def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared:
-    """The run once more with so many steps in one; collective. Raises one of :data:`.UNFIT` where it does not end."""
+def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared | None:
+    """The run once more with so many steps in one; None where it does not end, or had to take others; collective."""
     schedule = in_one(given, count)
-    made = companion(problem, schedule, Output(energy=False, progress=False))
-    return Compared(made.recorder, schedule, given.scheme)
+    try:
+        made = companion(problem, schedule, Output(energy=False, progress=False))
+    except UNFIT as error:
+        log.info("the run with %d steps in one did not end: %s", count, error)
+        return None
+    larger = Compared(made.recorder, schedule, given.scheme)
+    return None if _other_steps(larger) else larger
 
 
 def two_in_one(solved: Solved) -> Compared | None:
     """A run once more with steps that are two of its own in one; None where these do not tell its error; collective."""
     problem, given = solved.problem, solved.compared
-    if not may_be_larger(problem, given, solved.run.counters):
-        return None
-    try:
-        made = with_larger_steps(problem, given, 2)
-    except UNFIT as error:
-        log.info("the run with two steps in one did not end: %s", error)
-        return None
-    return None if _other_steps(made) else made
+    return with_larger_steps(problem, given, 2) if may_be_larger(problem, given, solved.run.counters) else None
 
 
 class LargerSteps:
@@ -114,15 +112,13 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
         return slow
     if solved.run.counters.get("rejections") or given.steps < MANY:
         return None
-    try:
-        four = with_larger_steps(problem, given, 4)
-    except UNFIT as error:
-        log.info("the run with four steps in one did not end: %s", error)
+    four = with_larger_steps(problem, given, 4)
+    if four is None:
         return None
     found = compare_steps(orders, given, [two, four])
     by_chance = not found.by_chance.isdisjoint(allowed.sensors)
     strange = any(found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors)
-    return None if by_chance or strange or _other_steps(four) else replace(found, with_others=two)
+    return None if by_chance or strange else replace(found, with_others=two)
 
 
 def _other_steps(made: Compared) -> bool:
