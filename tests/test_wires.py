@@ -4,6 +4,8 @@ sliding.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,9 @@ import scipy.sparse.linalg as spl
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.mechanics.catenary.line_field import LineField
+from fmbd_fenicsx.run.built import build
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.system.layout import State
 
@@ -216,3 +220,15 @@ def test_stabilised_form_keeps_the_velocities_on_the_wire() -> None:
     plain, stabilised = made
     assert stabilised.drift[1] < 1e-2 * plain.drift[1]
     assert stabilised["y"][:, 0] == pytest.approx(plain["y"][:, 0], abs=1e-2 * np.ptp(plain["y"][:, 0]))
+
+
+@pytest.mark.mpi
+def test_inner_products_count_wires_once(rod_mesh: Any) -> None:
+    """Each rank holds the wires whole, but only its nodes of a body beside them."""
+    block = fmbd.FloatingBody("block", rod_mesh(dim=2, h=0.5), density=1e3, elastic=linear_elastic(1e6, 0.3))
+    scene = fmbd.Scene("beside wires")
+    scene.add(fmbd.Wires("w", 20.0, 40, (WIRE,)), block)
+    system = build(scene).system
+    (_, field), (_, wires) = system.fields
+    components = system.n_core + field.comm.allreduce(field.n) + wires.n
+    assert system.dot(np.ones(system.n_v), np.ones(system.n_v)) == components

@@ -24,7 +24,7 @@ from ..mechanics.frames import Markers
 from ..mechanics.joints.constraints import Batch
 from ..mechanics.joints.counted import CountedAngles
 from ..mechanics.placements import DistributedPart, FrameElements, Part, RigidBlock, is_distributed
-from ..ranks import rank_sum, rank_sums
+from ..ranks import rank_sums
 from ..rotations import Array, Motions
 from .gravity import Gravity
 
@@ -351,9 +351,8 @@ class Layout:
     def dot(self, x: Array, y: Array) -> float:
         """x . y for arrays like v; collective."""
         core = float(x[: self.n_core] @ y[: self.n_core])
-        if not self.fields:
-            return core
-        return core + float(rank_sum(self.comm, np.array(x[self.n_core :] @ y[self.n_core :])))
+        shares = [np.array(self.local_v(x, k) @ self.local_v(y, k)) for k, _ in self.fields]
+        return core + float(sum(self.field_sums(shares)))
 
     def finite(self, *given: Array) -> bool:
         """Whether all numbers of some arrays are finite; collective."""
