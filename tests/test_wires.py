@@ -15,6 +15,7 @@ import scipy.sparse.linalg as spl
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.linear.blocks.low_rank import KEPT, SlackFactor
 from fmbd_fenicsx.materials import linear_elastic
 from fmbd_fenicsx.mechanics.catenary.line_field import LineField
 from fmbd_fenicsx.run.built import build
@@ -232,3 +233,16 @@ def test_inner_products_count_wires_once(rod_mesh: Any) -> None:
     (_, field), (_, wires) = system.fields
     components = system.n_core + field.comm.allreduce(field.n) + wires.n
     assert system.dot(np.ones(system.n_v), np.ones(system.n_v)) == components
+
+
+def test_factors_in_use_are_not_freed() -> None:
+    """Schemes with several sizes of steps hold more factors than the field keeps; those that nobody holds are freed."""
+    field, none = LineField(fmbd.Wires("w", 20.0, 4, (WIRE,))), np.zeros(0, dtype=int)
+    held = [SlackFactor(field, 1.0, 1e-6 * 2.0**k, none) for k in range(KEPT + 3)]
+    for factor in held:
+        factor.solve(np.ones(field.n))  # judged by its residual
+    for factor in held:
+        factor.destroy()
+    SlackFactor(field, 2.0, 1e-6, none)
+    assert len(field.factors) == KEPT
+    field.destroy()

@@ -10,6 +10,7 @@ Y is computed once for a ratio cm : ck; a change of the slack set costs a small 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,22 +20,38 @@ from ...rotations import Array
 from ..residual import Judge
 from .spd import CholeskyFactor, FieldFactor
 
-KEPT = 3  # factors for different ratios cm : ck
+KEPT = 3  # factors for different ratios cm : ck, beside those in use
+
+
+@dataclass
+class TautFactor:
+    """The factor of wires with all droppers taut, Y of (1), and how many factors with slack ones use these."""
+
+    factor: CholeskyFactor
+    Y: Array
+    users: int = 0
+
+
+def _taut(field: Any, cm: float, ck: float) -> TautFactor:
+    """That of a ratio cm : ck, kept with the field; older ones that nobody uses are freed."""
+    made: dict[tuple[float, float], TautFactor] = field.factors
+    if (cm, ck) not in made:
+        idle = [key for key, one in made.items() if not one.users]
+        for key in idle[: max(len(made) - KEPT + 1, 0)]:
+            made.pop(key).factor.destroy()
+        base = CholeskyFactor(field, cm, ck)
+        made[cm, ck] = TautFactor(base, base.solve_columns(field.B.T.toarray()))
+    return made[cm, ck]
 
 
 class SlackFactor(FieldFactor):
     """(cm M + ck K) of wires with the droppers ``slack`` (numbers) left out."""
 
     def __init__(self, field: Any, cm: float, ck: float, slack: np.ndarray) -> None:
-        made = field.factors
-        self.fresh = (cm, ck) not in made
-        if self.fresh:
-            while len(made) >= KEPT:
-                made.pop(next(iter(made)))[0].destroy()
-            base = CholeskyFactor(field, cm, ck)
-            made[cm, ck] = (base, base.solve_columns(field.B.T.toarray()))
-
-        self.base, Y = made[cm, ck]
+        self.fresh = (cm, ck) not in field.factors
+        self.taut = _taut(field, cm, ck)
+        self.taut.users += 1
+        self.base, Y = self.taut.factor, self.taut.Y
         self.how = self.base.how
         self.judge = Judge(f'the wires of body "{field.name}"')
         self.field, self.weights = field, (cm, ck)
@@ -76,7 +93,8 @@ class SlackFactor(FieldFactor):
         return x
 
     def destroy(self) -> None:
-        """Nothing: the factor belongs to the field, whose ``free_factors`` frees it."""
+        """Use the taut factor no more; it stays with the field, whose ``free_factors`` frees it."""
+        self.taut.users -= 1
 
 
 class HeavierFactor(FieldFactor):

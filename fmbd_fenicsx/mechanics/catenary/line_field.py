@@ -192,8 +192,8 @@ class LineField:
 
     def free_factors(self) -> None:
         """Free the factors."""
-        for factor, _ in self.factors.values():
-            factor.destroy()
+        for taut in self.factors.values():
+            taut.factor.destroy()
         self.factors.clear()
 
     def destroy(self) -> None:
