@@ -332,3 +332,30 @@ def test_terms_that_cancel() -> None:
     assert np.allclose(found[:, 0], first, atol=1e-9)
     assert np.allclose(found[:, 1], second, atol=1e-6)
     assert calls < 40 * len(times)
+
+
+def test_a_table_is_asked_for_many_times_by_one_call() -> None:
+    """Where it takes arrays; rates are those that numbers give, to the last bit."""
+    at, s = np.linspace(0.0, 1.0, 11), np.array([0.0, 3.0, 4.0, 3.0, 1.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
+    calls = 0
+
+    def table(t: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        return np.interp(t, at, s)
+
+    times = [0.00123 * k for k in range(1, 800)]
+    kept = CountingSteps()
+    together = [rates(table, t, kept=kept) for t in times]
+    by_arrays, calls, kept = calls, 0, CountingSteps()
+    assert together == [rates(lambda t: float(table(t)), t, kept=kept) for t in times]
+    assert by_arrays < 0.35 * calls
+
+
+def test_a_function_that_takes_arrays_for_something_else_is_asked_for_numbers() -> None:
+    """As one that reads the largest of them."""
+    law = lambda t: float(t) ** 2 if np.ndim(t) == 0 else np.full(np.shape(t), np.max(t)) ** 2
+    kept = CountingSteps()
+    found = np.array([rates(law, 0.1 * k, kept=kept) for k in range(1, 20)])
+    assert kept.takes_arrays is False
+    assert found == pytest.approx(np.array([(0.2 * k, 2.0) for k in range(1, 20)]), rel=1e-5)

@@ -14,7 +14,7 @@ a kink formulas of s'' may agree by chance: a step counts for s'' where its s' i
 those behind it: where no polynomial joins both sides, the side ahead is asked alone. The steps that count at a few places of an
 interval of time serve all of it, where they do not contradict each other: two to four in place of some fifteen. Where they do,
 beside a kink, the longest of the shorter ones counts that roundoff alone limits and the next shorter one agrees with
-(:class:`CountingSteps`).
+(:class:`CountingSteps`). All that these steps need is asked for by one call of a function that takes an array of times.
 """
 
 from __future__ import annotations
@@ -23,13 +23,12 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from operator import mul
+from operator import mul, sub
 from typing import Any
 
 import numpy as np
 
-from ...errors import FmbdError
+from ...errors import AGREEMENTS, FmbdError
 from .expressions import Program, as_expression, gradient, passing, symbol
 from .jets import Jet, jet
 
@@ -162,6 +161,31 @@ class Best:
             self.value, self.error, self.number, self.rounded = value, doubt, number, doubt <= AGREES * roundoff
 
 
+class Values(dict[float, float]):
+    """Values of a function of time, each asked for once."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        super().__init__()
+        self.function = function
+
+    def __missing__(self, t: float) -> float:
+        self[t] = value = float(self.function(t))
+        return value
+
+    def together(self, times: Sequence[float]) -> list[float] | None:
+        """The function's answers to an array of times; None where it has none for each."""
+        asked = np.array(times)
+        asked.flags.writeable = False
+        try:
+            found = self.function(asked)
+        except OUTSIDE:
+            return None
+        if not (isinstance(found, np.ndarray) and found.shape == asked.shape and found.dtype == float):
+            return None
+        answers: list[float] = found.tolist()
+        return answers if math.isfinite(sum(answers)) else None
+
+
 class CountingSteps:
     """Steps that count at a few places of an interval of time, which is so many of those over which it is smooth at t = 0.
 
@@ -172,6 +196,7 @@ class CountingSteps:
         self.breaks: list[float] = []  # times (s) at which the function is not smooth, rising
         self.width = math.nan  # s
         self.intervals: dict[int, tuple[list[int], list[float]]] = {}
+        self.takes_arrays: bool | None = None  # whether the function does; None: not tried yet
 
     def break_at(self, times: Iterable[float]) -> None:
         """The function is not smooth at some more times, s."""
@@ -185,8 +210,9 @@ class CountingSteps:
         i = bisect_right(self.breaks, t)
         return self.breaks[i - 1] if i else -math.inf, self.breaks[i] if i < len(self.breaks) else math.inf
 
-    def by_few(self, function: Callable[[Any], Any], t: float, scale: float) -> Rates | None:
+    def by_few(self, values: Values, t: float, scale: float) -> Rates | None:
         """Both rates by the steps of this interval; None where they are not as good as in the places that they are from."""
+        function = values.__getitem__
         steps, errors = self._interval(function, t, scale)
         if not steps:
             return None
@@ -195,10 +221,42 @@ class CountingSteps:
         if fits_behind_alone:  # a shorter one shows where that is another function
             ahead = [n for n, h in enumerate(STEPS) if t + 6 * h < span[1]]
             steps = sorted({*steps, *ahead[-1:]})
+        self._ask(values, t, span, steps)
         found = search(function, t, scale, span, steps)
         good = all(not x.contradicted and x.error <= AGREES * error for x, error in zip(found, errors, strict=True))
-        best = found if good else shorter_steps(function, t, scale, span, steps[0])
+        best = found if good else self._by_shorter(values, t, scale, span, steps[0])
         return None if best is None else (best[0].value, best[1].value)
+
+    def _by_shorter(self, values: Values, t: float, scale: float, span: Span, number: int) -> tuple[Best, Best] | None:
+        """Both rates by the longest step below one of a number that roundoff limits and the next shorter one agrees with."""
+        for n in range(number - 1, 0, -1):
+            self._ask(values, t, span, (n - 1, n))
+            found = search(values.__getitem__, t, scale, span, (n - 1, n))
+            if all(best.number == n and best.rounded and best.agrees for best in found):
+                return found
+        return None
+
+    def _ask(self, values: Values, t: float, span: Span, steps: Sequence[int]) -> None:
+        """Find what some steps need by one call of a function that takes arrays, where all of it is known.
+
+        Whether it takes them is seen where all values are known alone, and at every later call by one of them.
+        """
+        if self.takes_arrays is False or AGREEMENTS:
+            return
+        times = [t]
+        for h in [STEPS[n] for n in steps]:
+            times += [t + k * h for nodes, _ in _sides(t, h, span)[:1] for k in nodes]
+        found = values.together(times)
+        try:
+            alone = [values[x] for x in (times[:1] if self.takes_arrays else times)]
+        except OUTSIDE:
+            return
+        if found is None:
+            self.takes_arrays = self.takes_arrays or False
+            return
+        most = max(map(abs, found))
+        self.takes_arrays = max(map(abs, map(sub, found, alone))) <= SAME * most
+        values.update(zip(times, found, strict=True) if self.takes_arrays else ())
 
     def _interval(self, function: Callable[[Any], Any], t: float, scale: float) -> tuple[list[int], list[float]]:
         """The steps that count in the interval around t, with the next shorter ones, and the errors of both rates there."""
@@ -245,27 +303,17 @@ def _smooth_step(function: Callable[[Any], Any]) -> float:
 
 def _differenced(function: Callable[[Any], Any], t: float, scale: float, kept: CountingSteps | None) -> Rates:
     """(1) for m = 1 and 2, each with the step that suits it best; NaN where the function is known at t alone."""
-    function = cache(function)  # steps are looked at again beside others
-    few = None if kept is None else kept.by_few(function, t, scale)
+    values = Values(function)  # steps are looked at again beside others
+    few = None if kept is None else kept.by_few(values, t, scale)
     if few is not None:
         return few
+    function = values.__getitem__
     span = ALWAYS if kept is None else kept.smooth_about(t)
     found = search(function, t, scale, span)
     if found[1].parted:
         ahead = search(function, t, scale, (t, span[1]))
         found = ahead if ahead[1].error < SMOOTH * found[1].error else found
     return found[0].value, found[1].value
-
-
-def shorter_steps(
-    function: Callable[[Any], Any], t: float, scale: float, span: Span, number: int
-) -> tuple[Best, Best] | None:
-    """Both rates by the longest step, shorter than one of a number, that roundoff limits and the next shorter one agrees with."""
-    for n in range(number - 1, 0, -1):
-        found = search(function, t, scale, span, (n - 1, n))
-        if all(best.number == n and best.rounded and best.agrees for best in found):
-            return found
-    return None
 
 
 def search(
@@ -293,8 +341,9 @@ def search(
         d = [value - here for value in there]
         most = max(map(abs, d))
         noise = EPS * max(scale, abs(here), max(map(abs, there))) + EPS * abs(t) / h * most
-        (rate, rough_rate), (curve, rough_curve) = (formula.sums(d) for formula in formulas)
-        blur, blurred = (noise * formula.size for formula in formulas)
+        of_rate, of_curve = formulas
+        (rate, rough_rate), (curve, rough_curve) = of_rate.sums(d), of_curve.sums(d)
+        blur, blurred = noise * of_rate.size, noise * of_curve.size
 
         rate, doubt = rate / h, (abs(rate - rough_rate) + blur) / h
         # where longer steps fit on another side only, and it is another function there
@@ -326,9 +375,7 @@ def _around(
     function: Callable[[Any], Any], t: float, h: float, span: Span
 ) -> tuple[list[float], tuple[DifferenceFormula, ...]] | None:
     """Values at t + k h with the formulas of these k: on both sides, else ahead, else behind; None where neither is known."""
-    for nodes, formulas in SIDES:
-        if t + min(nodes) * h < span[0] or t + max(nodes) * h >= span[1]:
-            continue
+    for nodes, formulas in _sides(t, h, span):
         try:
             there = [float(function(t + k * h)) for k in nodes]
         except OUTSIDE:
@@ -336,3 +383,8 @@ def _around(
         if all(map(math.isfinite, there)):
             return there, formulas
     return None
+
+
+def _sides(t: float, h: float, span: Span) -> list[tuple[tuple[int, ...], tuple[DifferenceFormula, ...]]]:
+    """Those of :data:`SIDES` about t with steps h that stay in a span of time."""
+    return [side for side in SIDES if t + side[0][0] * h >= span[0] and t + side[0][-1] * h < span[1]]
