@@ -24,6 +24,7 @@ from .formulas import MEMORY, Formula, table
 
 ALL = slice(None)
 ON_LIMIT = 1e-9  # share of the limit within which a force lies on it
+DIGITS = 1.8e-15  # share of s and p that is roundoff
 WITHIN = 1e-9  # share of the last step by which its end is not within it
 KEPT = 7  # numbers of each
 AT_ONCE = 2.0  # steps
@@ -38,6 +39,7 @@ class DryFrictionLoads(ScalarLoads):
     """
 
     by_ends = True
+    follows_laws = True  # what sticks may slide at the next end of a step
 
     def __init__(
         self, motions: Motions, forces: list[Any], markers: list[tuple[int, int]], relative: RelativeCoordinates
@@ -87,9 +89,10 @@ class DryFrictionLoads(ScalarLoads):
     def slopes(self, which: Any, s: Array, rate: Array, t: float) -> tuple[Array, Array]:
         """k and c where it sticks, 0 where it slides.
 
-        A point that was dragged lies on the limit: there it slides, and roundoff does not decide.
+        A point that was dragged lies on the limit: there it slides, and roundoff, after many turns too, does not decide.
         """
-        sticks = np.abs(self._trial(s, rate, t, which)) <= (1.0 - ON_LIMIT) * self.limit[which]
+        roundoff = DIGITS * self.k[which] * (np.abs(s) + np.abs(self._stuck(t, which)))
+        sticks = np.abs(self._trial(s, rate, t, which)) <= (1.0 - ON_LIMIT) * self.limit[which] - roundoff
         return self.k[which] * sticks, self.c[which] * sticks
 
     def tangent(self, kin: Kinematics, t: float) -> MarkerTangent:

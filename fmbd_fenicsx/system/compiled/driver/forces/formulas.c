@@ -30,9 +30,9 @@ static double stuck(const double *kept, double t)
 }
 
 /* Dry friction, sticking below its limit; a point that was dragged lies on it, and roundoff does not decide: it slides. */
-static double friction(double effort, double limit, double *k, double *c)
+static double friction(double effort, double limit, double roundoff, double *k, double *c)
 {
-    if (fabs(effort) > (1.0 - 1e-9) * limit) *k = *c = 0.0;
+    if (fabs(effort) > (1.0 - 1e-9) * limit - roundoff) *k = *c = 0.0;
     return fmax(-limit, fmin(limit, effort));
 }
 
@@ -205,9 +205,10 @@ void formula(Batch *k, long i, double t)
 
     if (k->formula == SERVO) k->effort[i] = cut(p[0] * (x - p[4]) + p[1] * (rate - p[5]), p[2], slope, drag);
     else {
-        const double trial = p[0] * (x - stuck(kept, t)) + p[1] * rate;
+        const double sticks = stuck(kept, t), trial = p[0] * (x - sticks) + p[1] * rate;
+        const double roundoff = 1.8e-15 * p[0] * (fabs(x) + fabs(sticks));
         const int elsewhere = t < kept[BEGAN] && fabs(trial) > p[2]; /* an earlier part of the step slid to where the next one began */
-        k->effort[i] = friction(elsewhere ? copysign(trial, rate) : trial, p[2], slope, drag);
+        k->effort[i] = friction(elsewhere ? copysign(trial, rate) : trial, p[2], roundoff, slope, drag);
     }
 }
 
