@@ -106,13 +106,16 @@ class DryFrictionLoads(ScalarLoads):
         moves = np.abs(rate) > ROUNDOFF * self.relative.swept(ev.kin)
         p = s - np.where(moves, np.sign(rate) * self.limit - self.c * rate, 0.0) / self.k
         now = np.full(len(p), ev.t)
-        return np.column_stack((p, now, p, now, np.zeros((len(p), 3))))
+        return np.column_stack((p, now, s, now, np.zeros((len(p), 3))))  # p is not s where it slides
 
     def overran(self, ev: Any, h: float) -> bool:
-        """Whether friction pushes along the motion: that turned within the step, by more than the spring before sliding gives."""
+        """Whether what slides where the step ends, or sticks there and slid where it began, goes backwards: it turned within the
+        step, by more than the spring before sliding gives.
+        """
         s, rate = self._state(ev.kin)
         trial = self._trial(s, rate, ev.t)
-        wrong = (np.abs(trial) > self.limit) & (trial * rate < 0) & (self.k * np.abs(rate) * h > self.limit)
+        ahead = np.where(np.abs(trial) > self.limit, trial, self.kept[:, 0] - self.kept[:, 2])
+        wrong = (ahead * rate < 0) & (self.k * np.abs(rate) * h > self.limit)
         return bool(wrong.any())
 
     def accepted(self, ev: Any, state: Any) -> Array:

@@ -260,12 +260,14 @@ void drag_friction(System *s, double t)
     }
 }
 
-/* Whether dry friction pushes along the motion at the end of a step of h: it turned within, by more than its spring gives. */
+/* Whether dry friction that slides at the end of a step of h, or sticks there and slid at its beginning, goes backwards: it turned within,
+   by more than its spring gives. */
 static int overruns(const Batch *k, long i, double t, double h)
 {
-    const double *p = k->constants + FORMULA_WIDTH * i, rate = k->rate[i];
-    double effort = p[0] * (k->s[i] - k->free[i] - stuck(k->kept + MEMORY * i, t)) + p[1] * rate;
-    return fabs(effort) > p[2] && effort * rate < 0.0 && p[0] * fabs(rate) * h > p[2];
+    const double *p = k->constants + FORMULA_WIDTH * i, *kept = k->kept + MEMORY * i, rate = k->rate[i];
+    const double trial = p[0] * (k->s[i] - k->free[i] - stuck(kept, t)) + p[1] * rate;
+    const double ahead = fabs(trial) > p[2] ? trial : kept[STUCK] - kept[STUCK_BEFORE];
+    return ahead * rate < 0.0 && p[0] * fabs(rate) * h > p[2];
 }
 
 /* What item i stores at a time t, at the s, s' and effort of the last evaluation, J. */
