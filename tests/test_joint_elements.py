@@ -114,6 +114,8 @@ OWN_STEPS = [
     fmbd.BDF(rtol=1e-6),
     fmbd.ExplicitRungeKutta(1e-6),
     fmbd.HalfExplicit(1e-6),
+    fmbd.GeneralizedAlpha(rtol=1e-3),
+    fmbd.GeneralizedAlpha(rtol=1e-6),
 ]
 
 
@@ -136,6 +138,23 @@ def test_own_steps_see_where_sliding_ends(scheme: Any, compiled: bool, monkeypat
     run = fmbd.solve(scene, t_end=1.5, scheme=scheme)
     # twice what the spring gives
     assert run["turn"][-1, 0] == pytest.approx(0.5 * 10.0 * 0.8**2 + 8.0 * 0.7, abs=2 * 3.0 / 5e3)
+
+
+@pytest.mark.parametrize("stick", [1e4, 1e6, 1e8])
+def test_own_steps_see_where_sliding_ends_after_many_turns(stick: float) -> None:
+    """A clutch that slips for 118 turns: its angles' roundoff is above a share of the limit. Steps of 12 s ended stuck, going
+    backwards at 25 rad/s, and the wheel was off by 6.8 rad.
+    """
+    scene = fmbd.Scene("clutch")
+    wheels = [
+        fmbd.RigidBody(f"wheel {k}", 1.0, J, angular_velocity=w) for k, (J, w) in enumerate([(0.5, 100.0), (2.0, -5.0)])
+    ]
+    scene.add(*wheels)
+    turns = [scene.add(fmbd.revolute(f"bearing {k}", fmbd.ground, w, center=(0, 0))) for k, w in enumerate(wheels)]
+    scene.add(fmbd.dry_friction("clutch", fmbd.angle(turns[0]) - fmbd.angle(turns[1]), limit=3.0, stick=stick))
+    scene.sensor("turn", fmbd.angle(turns[0]))
+    run = fmbd.solve(scene, t_end=25.0, scheme=fmbd.GeneralizedAlpha(rtol=1e-4))
+    assert run["turn"][-1, 0] == pytest.approx(100.0 * 14.0 - 3.0 * 14.0**2 + 16.0 * 11.0, abs=2 * 3.0 / stick + 1e-4)
 
 
 def test_dry_friction_holds_a_load_that_smooth_friction_lets_creep() -> None:
