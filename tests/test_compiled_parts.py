@@ -177,6 +177,21 @@ def test_equations_of_own_coordinates(scheme: Any, monkeypatch: pytest.MonkeyPat
 
 
 @compiled
+@pytest.mark.parametrize("scheme", [fmbd.Radau(rtol=1e-5), fmbd.BDF(rtol=1e-5)], ids=lambda x: x.name)
+def test_frames_at_rest_count_in_no_norm(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Means over them too made errors of one coordinate half as large, and steps longer."""
+
+    def steps() -> float:
+        scene = fmbd.Scene("duffing")
+        scene.add(fmbd.CoordinateBody("duffing", np.eye(1), lambda q, v, t: -q - q**3, (1.0,)))
+        return fmbd.solve(scene, t_end=10.0, scheme=scheme).counters["steps"]
+
+    found = steps()
+    monkeypatch.setattr(choice, "covers_bodies", lambda system: False)
+    assert found == pytest.approx(steps(), rel=0.02)
+
+
+@compiled
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_reduced_body_under_loads(dim: int, rod_mesh: Any) -> None:
     """Of such bodies Python is asked for all forces."""

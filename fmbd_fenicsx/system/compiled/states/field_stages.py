@@ -57,16 +57,17 @@ class FieldStageRoom(PointRoom):
         self.known = {name: x for name, (x, _) in more.items()}
         self.known["units"][m * n :] = np.eye(m).ravel()
         self.known["square"][:] = self.twin.velocities(square)
-        (self._span, self._counted), self._by = self.twin.kinds, np.zeros(p, np.uint64)
+        self._by = np.zeros(p, np.uint64)
         self.fields = FieldStages(
-            by=address_of(self._by), kinds=len(self._span), span=address_of(self._span), counted=address_of(self._counted),
-            length=system.length, pressures=sum(self._counts), **{name: address for name, (_, address) in more.items()},
+            by=address_of(self._by), length=system.length, pressures=sum(self._counts),
+            **{name: address for name, (_, address) in more.items()},
         )  # fmt: skip
         self.c = Stages(
             n=n, m=m, size=size, levels=len(levels), frequencies=p, points=k, first=levels[0] if levels else 0, relax=1.0,
             s=made["s"][1], fields=ctypes.addressof(self.fields),
             **{name: made[name][1] for name in (*POINTS, "given", "slopes")},
         )  # fmt: skip
+        self._count_moving()
         self.address = ctypes.addressof(self.c)
 
     def _pressures(self, points: int) -> Sizes:

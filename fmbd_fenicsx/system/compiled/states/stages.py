@@ -55,6 +55,11 @@ class PointRoom:
         """Addresses of what whole steps take tangents with, by their names in implicit.c."""
         return {}
 
+    def _count_moving(self) -> None:
+        """Tell of what norms take means, see :attr:`.Twin.kinds`."""
+        self._kinds = ends, counts = self.states.twin.kinds
+        self.c.kinds, self.c.kind_end, self.c.counted = len(ends), address_of(ends), address_of(counts)
+
     def put(self, t: Array, q0: Array, points: Any, rule: StageRule, weights: Array) -> None:
         """Points about q0 at the times t (k,), the rule, and weights of increments (3, n)."""
         x = self.arrays
@@ -145,6 +150,7 @@ class StageRoom(PointRoom):
         for name in ("stack", "mark", "found"):
             setattr(c, name, self._integers(size, np.int32))
         c.next = self._integers(size, np.int64)
+        self._count_moving()
         self.address, self._room = ctypes.addressof(c), FILLED * entries + 2 * size
         self._make_room()
 

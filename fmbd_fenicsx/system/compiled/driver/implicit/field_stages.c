@@ -7,8 +7,6 @@ static const double ROUNDED = 1e-14; /* roundoff of rates, over their largest */
 
 typedef struct FieldStages {
     System **by;                       /* who has the matrix of each frequency */
-    int kinds, *span, *counted;        /* entries like v whose means count by themselves, of the core and of each field: their ends, and
-                                          how many move */
     double t, length, *q, *v, *a, *lam, *balance; /* the motion where derivatives are taken; balance and rows there */
     double *sampled, sampled_at;       /* what depends on time only there, and its time; other: it was not asked for */
     int aligned;                       /* whether that of the points was asked for, too */

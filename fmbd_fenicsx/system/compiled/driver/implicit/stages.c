@@ -46,6 +46,8 @@ typedef struct {
     int iterate, swings, hesitations; /* what points are: ON_ITS_OWN ..; whether efforts of these laws changed much in an increment, */
                                     /* and how often they have been waited for */
     int crosses;                    /* whether an iteration crosses bends of laws */
+    int kinds, *kind_end, *counted; /* entries like v whose means count by themselves, of the core and of each field: their ends, and */
+                                    /* how many move */
     double *bases, *bent, span;     /* of rods and frames whose deformations are weighed apart, NULL: see bend(); n; s, of the step */
     struct FieldStages *fields;     /* of elastic fields, whose systems have no such K; NULL for others */
 } Stages;
@@ -299,8 +301,7 @@ static int stage_residuals(System *s, const Stages *o, int increments)
 /* What increments and errors of points are measured by. */
 static Norm norm_of(const Stages *o)
 {
-    const FieldStages *f = o->fields;
-    return (Norm){o->n, f ? f->kinds : 1, f ? f->span : &o->n, f ? f->counted : &o->n, o->weigh, o->bases, o->bent, o->span};
+    return (Norm){o->n, o->kinds, o->kind_end, o->counted, o->weigh, o->bases, o->bent, o->span};
 }
 
 /* The largest over so many of them. */
