@@ -32,8 +32,8 @@ DT = 2e-3  # s
 
 
 def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
-    """Four links that fall, with elements that ask functions ``of time``, ``of motion``, of the ``road``, of a ``curve`` or of
-    their ``own coordinates``.
+    """Four links that fall, with elements that ask functions ``of time``, of time by ``plain numbers``, ``of motion``, of the
+    ``road``, of a ``curve`` or of their ``own coordinates``.
     """
     scene, last = chain(4)
     s = [fmbd.angle(scene.joints[f"pin {k}"]) for k in range(4)]
@@ -49,6 +49,11 @@ def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
             fmbd.forces.motor("motor", s[1], target=lambda t: noted(np.sin(t)), kp=30.0, kd=3.0),
             fmbd.pid("pid", s[2], target=lambda t: noted(0.3 * np.sin(t)), gains=(40.0, 10.0, 4.0)),
             fmbd.drive("drive", s[3], lambda t: noted(0.5 * (1 - np.cos(2 * t)))),
+        )
+    elif kind == "plain numbers":
+        scene.add(
+            fmbd.forces.motor("motor", s[1], target=lambda t: noted(math.sin(2 * float(t))), kp=30.0, kd=3.0),
+            fmbd.drive("drive", s[3], lambda t: noted(abs(0.5 * math.sin(float(t))))),
         )
     elif kind == "of motion":
         reads = {"s": s[1], "tip": fmbd.position(last)}
@@ -98,6 +103,17 @@ def test_calls_a_step(scheme: Any, kind: str) -> None:
     """All evaluations beside the functions' own are compiled code's."""
     asked: list[float] = []
     found, each = calls_a_step(lambda: scene_of(kind, asked), scheme, asked)
+    assert found < AROUND + EACH * each
+
+
+@compiled
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
+def test_calls_of_functions_of_plain_numbers(scheme: Any) -> None:
+    """Their rates are those of polynomials: each function is asked for its place, and seldom for more."""
+    asked: list[float] = []
+    found, each = calls_a_step(lambda: scene_of("plain numbers", asked), scheme, asked)
+    times = getattr(scheme, "stages", 4)  # of a step at most
+    assert each < 2 * (2 * times + 3)
     assert found < AROUND + EACH * each
 
 

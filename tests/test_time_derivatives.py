@@ -359,3 +359,46 @@ def test_a_function_that_takes_arrays_for_something_else_is_asked_for_numbers() 
     found = np.array([rates(law, 0.1 * k, kept=kept) for k in range(1, 20)])
     assert kept.takes_arrays is False
     assert found == pytest.approx(np.array([(0.2 * k, 2.0) for k in range(1, 20)]), rel=1e-5)
+
+
+def of_plain_numbers(t: float) -> float:
+    """With a kink at every tenth of a second."""
+    return abs(math.sin(10 * math.pi * float(t))) + 0.1 * float(t) ** 2
+
+
+def test_polynomials_serve_many_times() -> None:
+    """Both rates are nearly exact at seven values a time, and do not depend on what was asked before."""
+    calls, times = 0, [0.0007 + 1e-3 * k for k in range(500)]
+
+    def counted(t: Any) -> float:
+        nonlocal calls
+        calls += 1
+        return of_plain_numbers(t)
+
+    def found(times: list[float]) -> dict[float, Any]:
+        kept = CountingSteps()
+        return {t: kept.by_polynomial(counted, t, of_plain_numbers(t)) for t in times}
+
+    ahead = found(times)
+    assert calls < 8 * len(times)
+    assert ahead == found(times[::-1])
+
+    known = {t: rate for t, rate in ahead.items() if rate is not None}
+    assert len(known) > 0.98 * len(times)
+    t, w = np.array(list(known)), 10 * math.pi
+    side = np.sign(np.sin(w * t))
+    exact = np.stack((side * w * np.cos(w * t) + 0.2 * t, -side * w * w * np.sin(w * t) + 0.2), axis=1)
+    assert (np.abs(np.array(list(known.values())) - exact).max(axis=0) < (1e-8, 1e-6)).all()
+
+
+def test_a_polynomial_does_not_serve_where_it_has_missed_something() -> None:
+    """A pulse between the values that it was made of; at a break it is what it is behind it."""
+    law = lambda t: 0.3 * float(t) + (1e-3 if 0.505 < float(t) < 0.506 else 0.0)
+    kept = CountingSteps()
+    assert kept.by_polynomial(law, 0.4, law(0.4)) == pytest.approx((0.3, 0.0))
+    assert kept.by_polynomial(law, 0.5055, law(0.5055)) is None
+
+    bent, kept = lambda t: max(float(t) - 0.25, 0.0), CountingSteps()
+    kept.break_at([0.25])
+    assert kept.by_polynomial(bent, 0.25, 0.0) == pytest.approx((1.0, 0.0))
+    assert kept.by_polynomial(bent, 0.2499, 0.0) == pytest.approx((0.0, 0.0))

@@ -67,13 +67,14 @@ class SmoothMotion:
 
     def rates(self, t: float, place: float | None = None) -> tuple[float, float]:
         """s' and s'' of a function that gives s alone, at t the ``place``; a few roundings behind its end those at its end."""
+        place = self.place(t) if place is None else place
         if self.formula is not None:
-            told = self.formula(t, self.place(t) if place is None else place)
+            told = self.formula(t, place)
             if told is not None:
                 return told
         inside = t * (1.0 - ROUNDINGS)
         try:
-            found = rates(self.differenced, t, kept=self.steps)
+            found = self.steps.by_polynomial(self.differenced, t, place) or rates(self.differenced, t, kept=self.steps)
         except FmbdError:
             return rates(self.differenced, inside)
         return found if isfinite(found[0]) and isfinite(found[1]) else rates(self.differenced, inside)

@@ -14,7 +14,8 @@ a kink formulas of s'' may agree by chance: a step counts for s'' where its s' i
 those behind it: where no polynomial joins both sides, the side ahead is asked alone. The steps that count at a few places of an
 interval of time serve all of it, where they do not contradict each other: two to four in place of some fifteen. Where they do,
 beside a kink, the longest of the shorter ones counts that roundoff alone limits and the next shorter one agrees with
-(:class:`CountingSteps`). All that these steps need is asked for by one call of a function that takes an array of times.
+(:class:`CountingSteps`). All that these steps need is asked for by one call of a function that takes an array of times. Where
+it is smooth in an interval, a polynomial tells its rates instead (:mod:`.time_polynomials`): two to seven values a time.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import numpy as np
 from ...errors import AGREEMENTS, FmbdError
 from .expressions import Program, as_expression, gradient, passing, symbol
 from .jets import Jet, jet
+from .time_polynomials import HALVES, TimePolynomial, polynomial, times_between
 
 EPS = float(np.finfo(float).eps)
 STEPS = tuple(2.0**k for k in range(-39, 19, 3))  # s
@@ -46,6 +48,7 @@ OUTSIDE = (*REFUSED, ArithmeticError, FmbdError)  # of functions of a part of th
 Rates = tuple[float, float]
 Span = tuple[float, float]  # of time, s
 ALWAYS: Span = -math.inf, math.inf
+AHEAD: Span = 0.0, math.inf  # kinks at t = 0 are not seen from both sides
 
 
 def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: CountingSteps | None = None) -> Rates:
@@ -53,14 +56,17 @@ def rates(function: Callable[[Any], Any], t: float, scale: float = 0.0, kept: Co
 
     ``scale``: of terms that may cancel in s, whose roundoff stays; ``kept``: steps of differences of this function.
     """
+    return _by_jets(function, t) or _differenced(function, t, scale, kept)
+
+
+def _by_jets(function: Callable[[Any], Any], t: float) -> Rates | None:
+    """Both rates, exact, of a function that takes jets; None of any other."""
     try:
         found = function(Jet(t, 1.0))
         found = jet(found if isinstance(found, Jet) else np.ravel(found)[0])
     except (*REFUSED, ZeroDivisionError):
-        return _differenced(function, t, scale, kept)
-    if not (math.isfinite(found.first) and math.isfinite(found.second)):
-        return _differenced(function, t, scale, kept)
-    return found.first, found.second
+        return None
+    return (found.first, found.second) if math.isfinite(found.first) and math.isfinite(found.second) else None
 
 
 class TimeFormula:
@@ -197,6 +203,11 @@ class CountingSteps:
         self.width = math.nan  # s
         self.intervals: dict[int, tuple[list[int], list[float]]] = {}
         self.takes_arrays: bool | None = None  # whether the function does; None: not tried yet
+        self.takes_jets: bool | None = None  # likewise, where it begins
+        self.widest = math.nan  # interval of a polynomial, s
+        self.polynomials: dict[
+            tuple[float, int, float], TimePolynomial | None
+        ] = {}  # by width (s), number, break before it
 
     def break_at(self, times: Iterable[float]) -> None:
         """The function is not smooth at some more times, s."""
@@ -204,11 +215,51 @@ class CountingSteps:
         if breaks != self.breaks:
             self.breaks = breaks
             self.intervals.clear()
+            self.polynomials.clear()
 
     def smooth_about(self, t: float) -> Span:
         """Between which times (s) it is smooth: at a break it is what it is behind it."""
         i = bisect_right(self.breaks, t)
         return self.breaks[i - 1] if i else -math.inf, self.breaks[i] if i < len(self.breaks) else math.inf
+
+    def by_polynomial(self, function: Callable[[Any], Any], t: float, place: float) -> Rates | None:
+        """Both rates by the polynomial of the widest interval around t that has one, where it is at a ``place``.
+
+        None without any, and of a function that takes jets.
+        """
+        if self.takes_jets is None:
+            self.takes_jets = _by_jets(function, 0.0) is not None
+            self.widest = math.nan if self.takes_jets else INTERVAL * _smooth_step(function, AHEAD)
+        if self.takes_jets:
+            return None
+        span, width = self.smooth_about(t), self.widest
+        for _ in range(HALVES):
+            key = width, math.floor(t / width), span[0]
+            if key not in self.polynomials:
+                if len(self.polynomials) == MOST:
+                    self.polynomials.clear()
+                self.polynomials[key] = self._polynomial(function, key, span)
+            found = self.polynomials[key]
+            if found is not None:
+                return found.rates(t, place)
+            width *= 0.5
+        return None
+
+    def _polynomial(
+        self, function: Callable[[Any], Any], key: tuple[float, int, float], span: Span
+    ) -> TimePolynomial | None:
+        """That of one interval, from values as far around it as the function is smooth."""
+        width, number, _ = key
+        begin, values = number * width, Values(function)
+        first, behind = max(span[0], 0.0 if number >= 0 else -math.inf), math.nextafter(span[1], -math.inf)
+        ends = max(begin - 0.5 * width, first), min(begin + 1.5 * width, behind)
+        times = times_between(*ends)
+        self._ask(values, times)
+        try:
+            there = [values[t] for t in times]
+        except OUTSIDE:
+            return None
+        return polynomial(there, ends, (begin, begin + width)) if all(map(math.isfinite, there)) else None
 
     def by_few(self, values: Values, t: float, scale: float) -> Rates | None:
         """Both rates by the steps of this interval; None where they are not as good as in the places that they are from."""
@@ -221,7 +272,7 @@ class CountingSteps:
         if fits_behind_alone:  # a shorter one shows where that is another function
             ahead = [n for n, h in enumerate(STEPS) if t + 6 * h < span[1]]
             steps = sorted({*steps, *ahead[-1:]})
-        self._ask(values, t, span, steps)
+        self._ask(values, _times_around(t, span, steps))
         found = search(function, t, scale, span, steps)
         good = all(not x.contradicted and x.error <= AGREES * error for x, error in zip(found, errors, strict=True))
         best = found if good else self._by_shorter(values, t, scale, span, steps[0])
@@ -230,22 +281,19 @@ class CountingSteps:
     def _by_shorter(self, values: Values, t: float, scale: float, span: Span, number: int) -> tuple[Best, Best] | None:
         """Both rates by the longest step below one of a number that roundoff limits and the next shorter one agrees with."""
         for n in range(number - 1, 0, -1):
-            self._ask(values, t, span, (n - 1, n))
+            self._ask(values, _times_around(t, span, (n - 1, n)))
             found = search(values.__getitem__, t, scale, span, (n - 1, n))
             if all(best.number == n and best.rounded and best.agrees for best in found):
                 return found
         return None
 
-    def _ask(self, values: Values, t: float, span: Span, steps: Sequence[int]) -> None:
-        """Find what some steps need by one call of a function that takes arrays, where all of it is known.
+    def _ask(self, values: Values, times: Sequence[float]) -> None:
+        """Find what a function says at some times by one call, if it takes arrays and is known at all of them.
 
         Whether it takes them is seen where all values are known alone, and at every later call by one of them.
         """
         if self.takes_arrays is False or AGREEMENTS:
             return
-        times = [t]
-        for h in [STEPS[n] for n in steps]:
-            times += [t + k * h for nodes, _ in _sides(t, h, span)[:1] for k in nodes]
         found = values.together(times)
         try:
             alone = [values[x] for x in (times[:1] if self.takes_arrays else times)]
@@ -261,7 +309,7 @@ class CountingSteps:
     def _interval(self, function: Callable[[Any], Any], t: float, scale: float) -> tuple[list[int], list[float]]:
         """The steps that count in the interval around t, with the next shorter ones, and the errors of both rates there."""
         if math.isnan(self.width):
-            self.width = INTERVAL * _smooth_step(function)
+            self.width = INTERVAL * _smooth_step(function, ALWAYS)
         number = math.floor(t / self.width)
         if number not in self.intervals:
             if len(self.intervals) == MOST:
@@ -286,11 +334,11 @@ class CountingSteps:
         return sorted(steps), [best.error for best in worst]
 
 
-def _smooth_step(function: Callable[[Any], Any]) -> float:
-    """The longest step (s) over which it is a polynomial about t = 0."""
+def _smooth_step(function: Callable[[Any], Any], span: Span) -> float:
+    """The longest step (s) over which it is a polynomial about t = 0 in a span."""
     here = float(function(0.0))
     for n, h in enumerate(STEPS):
-        around = _around(function, 0.0, h, ALWAYS)
+        around = _around(function, 0.0, h, span)
         if around is None:
             return STEPS[max(n - 1, 0)]
         there, (formula, _) = around
@@ -383,6 +431,14 @@ def _around(
         if all(map(math.isfinite, there)):
             return there, formulas
     return None
+
+
+def _times_around(t: float, span: Span, steps: Sequence[int]) -> list[float]:
+    """At which a function is asked for its rates at t by some steps."""
+    times = [t]
+    for h in [STEPS[n] for n in steps]:
+        times += [t + k * h for nodes, _ in _sides(t, h, span)[:1] for k in nodes]
+    return times
 
 
 def _sides(t: float, h: float, span: Span) -> list[tuple[tuple[int, ...], tuple[DifferenceFormula, ...]]]:
