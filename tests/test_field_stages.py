@@ -158,8 +158,8 @@ def test_every_form_has_the_same_orders_where_rows_are_linear(
 def test_a_stiff_rod_released_at_once_takes_large_steps(
     rod_mesh: Callable[..., Any], form: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Vibrations above 1e4 rad/s of amplitudes below the tolerance: 20 steps a second, not 300 a millisecond. Where factors are dear
-    there are few.
+    """Vibrations above 1e4 rad/s of amplitudes below the tolerance: 20 steps a second, not 300 a millisecond. Where factors are
+    dear there are few.
     """
     scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.1), E=2e11)
     at_once = fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(3, form, 1e-4))

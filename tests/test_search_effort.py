@@ -14,9 +14,10 @@ from tolerance_scenes import CASES
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError, PartsError
-from fmbd_fenicsx.run.accuracy import equal_steps, larger_steps
+from fmbd_fenicsx.run import single_run, time_loop
+from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps, larger_steps
 from fmbd_fenicsx.run.accuracy.deviation import Deviation
-from fmbd_fenicsx.run.accuracy.search import next_attempt, shared_runs, shared_spaces, tolerance
+from fmbd_fenicsx.run.accuracy.search import next_attempt, shared_runs, shared_spaces, shared_tolerances, tolerance
 from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.system.evaluation import Evaluation
@@ -247,11 +248,41 @@ def test_half_the_step_that_tells_an_error_is_the_next_attempt(
 def test_a_third_of_a_tolerance_tells_nothing_of_steps_that_kinks_refuse(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a stop leaves is of the size of the tolerance, and chance: two runs come near, and a tenth of an error was stated."""
     smooth: list[bool] = []
-    told = shared_runs.tolerance_error
-    monkeypatch.setattr(
-        shared_runs, "tolerance_error", lambda *given, **how: (smooth.append(how["smooth"]), told(*given, **how))[1]
-    )
+    told = shared_tolerances.tolerance_error
+
+    def noted(*given: Any, **how: Any) -> Any:
+        smooth.append(how["smooth"])
+        return told(*given, **how)
+
+    monkeypatch.setattr(shared_tolerances, "tolerance_error", noted)
     monkeypatch.setattr(larger_steps, "two_in_one", lambda solved: None)
     for scene in (at_a_stop(), pendulum()):
         fmbd.solve(scene, t_end=1.0, tol={"x": 1e-3}, scheme=fmbd.Radau(2), output=fmbd.Output(progress=False))
     assert smooth == [False, True]
+
+
+@pytest.mark.parametrize("called", [False, True])
+def test_a_tenth_of_a_tolerance_that_tells_too_large_an_error_is_the_next_attempt(
+    monkeypatch: pytest.MonkeyPatch, called: bool
+) -> None:
+    """Its run is there, and small enough; where something is called on the way it belongs to attempts alone."""
+    asked: list[float] = []
+    march = time_loop.march
+
+    def counted(problem: Any, *given: Any, **how: Any) -> Any:
+        asked.append(problem.scheme.rtol)
+        return march(problem, *given, **how)
+
+    for module in (single_run, companion_runs):
+        monkeypatch.setattr(module, "march", counted)
+    output = fmbd.Output(progress=False, on_step=(lambda now: None) if called else None)
+    scheme = fmbd.GeneralizedAlpha(rtol=1e-4)
+    run = fmbd.solve(pendulum(), t_end=2.0, tol={"x": 4e-3}, scheme=scheme, output=output)
+    steps = [a.step for a in run.history]
+    assert len(steps) == 2 and run.history[-1].then == "done"
+    if called:
+        assert 1.2e-5 < steps[1] < 8e-5
+        assert asked == pytest.approx([1e-4, 1e-5, steps[1], 0.1 * steps[1]])
+    else:
+        assert asked == pytest.approx([1e-4, 1e-5, 1e-6])
+        assert steps == pytest.approx(asked[:2])

@@ -2,7 +2,8 @@
 
 Implicit schemes of several stages ask for a few frequencies, over the size of the step. Those that come back step after step, of
 small bodies all, get elastic factors of their own, complex ones too, so that no vibration is left to an iteration, however stiff
-it is. Others, and all of very large bodies, take the real factor whose frequency is next to |s|, of a geometric grid of three for a decade.
+it is. Others, and all of very large bodies, take the real factor whose frequency is next to |s|, of a geometric grid of three for
+a decade.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -51,9 +51,17 @@ DECADES = 3  # of tolerances that are tried for it
 SHOWN = 4  # jumps in a message
 SATURATION = 1.5  # the error of the finer basis counts as at most a third of that of the given one
 
+Whole = Callable[[float], tuple[dict[str, Deviation], Compared] | None]  # of a tolerance
+
 
 def tolerance_error(
-    problem: Problem, coarse: Recorder, schedule: StepSchedule, *, instants: int = CERTIFIED_AT, smooth: bool = False
+    problem: Problem,
+    coarse: Recorder,
+    schedule: StepSchedule,
+    *,
+    instants: int = CERTIFIED_AT,
+    smooth: bool = False,
+    whole: Whole | None = None,
 ) -> dict[str, Deviation]:
     """Error of each sensor by the tolerance of an error-controlled scheme, both runs at the recorded times; collective.
 
@@ -68,7 +76,8 @@ def tolerance_error(
     second end, so that n_s / n_r is 3/2 at least; what kinks leave is chance, and comes near in both runs.
     """
     try:
-        apart, left = beyond_by_tolerance(problem, Compared(coarse, schedule, problem.scheme), instants, smooth=smooth)
+        given = Compared(coarse, schedule, problem.scheme)
+        apart, left = beyond_by_tolerance(problem, given, instants, smooth=smooth, whole=whole)
     except UNFIT as error:
         log.warning("no error estimate: the run with a smaller tolerance did not end: %s", error)
         return {}
@@ -76,10 +85,17 @@ def tolerance_error(
 
 
 def beyond_by_tolerance(
-    problem: Problem, given: Compared, instants: int, *, smooth: bool, of: Built | None = None
+    problem: Problem,
+    given: Compared,
+    instants: int,
+    *,
+    smooth: bool,
+    of: Built | None = None,
+    whole: Whole | None = None,
 ) -> tuple[dict[str, Deviation], dict[str, float]]:
     """What a run with a smaller tolerance has beyond a given one, as :func:`tolerance_error` takes it, and k of that one;
-    ``of``: it is made with another system of the problem's scene; collective. Raises one of :data:`.UNFIT` where it does not end.
+    ``of``: it is made with another system of the problem's scene; ``whole``: who makes one that serves again, or none.
+    Collective. Raises one of :data:`.UNFIT` where it does not end.
     """
     coarse, rtol = given.recorder, problem.scheme.rtol
     few = smooth and _lands_at(problem, coarse) and coarse.indices[-1] >= MANY
@@ -87,7 +103,8 @@ def beyond_by_tolerance(
     orders = expected_orders(problem.scheme, problem.scene, problem.system)
     for _ in range(DECADES):
         rtol = max(share * rtol, FINEST)
-        apart, finer = _from_tolerance(problem, given, rtol, instants, every, of)
+        made = None if whole is None else whole(rtol)
+        apart, finer = made or _from_tolerance(problem, given, rtol, instants, every, of)
         if grown(given, finer) ** max(orders.values(), default=1) >= TELLING or rtol == FINEST:
             break
     return apart, {n: min(max(grown(given, finer) ** -p, share**FALLS), LEFT) for n, p in orders.items()}

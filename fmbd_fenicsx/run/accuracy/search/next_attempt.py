@@ -53,6 +53,7 @@ BOTH = 0.6  # part of it for each of space and modes, where there are both
 SMALL = 0.5  # part of what it is allowed up to which an error is not estimated again when the other kind is refined
 TIGHTER = 0.05  # share of the tolerance that Newton's iteration is brought to leave, where it left too much
 LEAST_NEWTON = 1e-12  # tolerance of Newton's iteration: roundoff is above smaller ones
+SURE = 0.7  # of a tolerance that is thought to be small enough, where a run with it has to be made
 FALLS = 1.1  # ratio by which errors in space have to fall when meshes are refined
 WORTH = 4  # times the fewest steps of runs that tell errors: what is made after a first look
 MANY = 32  # grains above which numbers of steps are rounded to four
@@ -203,6 +204,8 @@ def next_plan(
 
     factor = 0.25 if unseen else _factor(plan, run, tol, shares=(over["time"], wanted), history=history)
     finer = finer_steps(plan, factor)
+    if not plan.steps:
+        finer = replace(finer, scheme=shared.tighter(made.scene, finer.scheme, SURE))
     if run.halved and not changes:
         finer = _as_half_tells(plan, run, tol, finer)
     made = replace(made, scheme=finer.scheme, schedule=max(made.schedule, finer.schedule, key=lambda x: x.steps))
@@ -386,7 +389,7 @@ def _factor(
     slope = usual_power(run.scheme)
     if same and same[-1].worst > now:
         slope = float(np.clip(np.log(same[-1].worst / now) / np.log(same[-1].step / plan.step), 0.5, 1.2))
-    return float(np.clip(0.7 * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
+    return float(np.clip(SURE * (wanted / now) ** (1.0 / slope), 1e-6, 0.5))
 
 
 def _order(run: Run, tol: Tolerance) -> tuple[float, bool]:

@@ -24,10 +24,8 @@ from ...schedule import StepSchedule
 from ...single_run import Solved, Task, run_once
 from ..certificate import kinked, show_kinks
 from ..companion_runs import UNFIT, Compared, again, companion, steps_beside, unbegun
-from ..deviation import Deviation, at_least
 from ..equal_steps import (
     FEWEST,
-    FURTHER,
     Orders,
     TimeError,
     astray,
@@ -40,17 +38,8 @@ from ..equal_steps import (
     of_order,
 )
 from ..estimates import (
-    LOOKED_AT,
-    TELLING,
-    beyond,
-    grown,
     looked_at,
-    looser_run,
-    of_tolerances,
     run_like,
-    tolerance_error,
-    usual_errors,
-    usual_power,
 )
 from ..larger_steps import LargerSteps
 from ..orders import REGULAR, expected_orders, resolved, seen_by_ends
@@ -60,9 +49,7 @@ NEAREST, FARTHEST = 1.5, 8.0  # ratios of steps between which a run tells the er
 BEYOND = 20.0  # the same where they show the order of the scheme
 PARTED = 0.25  # halvings of steps, for each step, that a run may take: beyond, smaller steps cost less
 LOOSER = 5.0, 30.0  # ratios of tolerances between which an earlier attempt tells the error of a later one
-LOOSE = 1e-3  # tolerances up to which ten times as much tells something
 BY_CHANCE = 0.2  # what an order is beyond that of the scheme where kinks may have made it
-PAYS = 1.5  # ratio of steps, as the order of the scheme has it, from which on a looser run is made
 
 
 class SharedRuns:
@@ -78,8 +65,8 @@ class SharedRuns:
         # by break points the most steps with which a run failed, or only went on in parts: so it would in finer spaces
         self._parted: dict[tuple[float, ...], int] = {}
         self._seen: dict[str, float] = {}  # order of each sensor in the last comparison
-        # by scene and steps: whole runs that told an error, and may be the next attempt
-        self._whole: dict[tuple[int, int], Solved] = {}
+        # by scene and steps, or tolerance: whole runs that told an error, and may be the next attempt
+        self._whole: dict[tuple[int, float], Solved] = {}
         self.larger = LargerSteps()
         self._untold: set[int] = set()  # steps of attempts whose errors no run has told
         self._scenes: list[Scene] = []  # kept alive, so that their ids stay theirs
@@ -113,7 +100,7 @@ class SharedRuns:
 
     def solve(self, scene: Scene, scheme: Any, schedule: StepSchedule, output: Output) -> Solved:
         """One run, kept for later ones with smaller steps to be compared with; collective."""
-        there = self._whole.pop((id(scene), schedule.steps), None)
+        there = self._whole.pop((id(scene), schedule.steps or scheme.rtol), None)
         if there is not None:
             return there
         before, beside = self._before(scene, scheme, schedule), steps_beside(scene, output, schedule)
@@ -206,7 +193,7 @@ class SharedRuns:
         if kinked(solved.run):
             return True
         scene, scheme = solved.problem.scene, solved.compared.scheme
-        made, orders, fewest = self._runs[id(scene)], _expected(solved.problem), found.told_by
+        made, orders, fewest = self._runs[id(scene)], orders_of(solved.problem), found.told_by
         if any(found.orders.get(n, 0.0) > orders[n] + BY_CHANCE for n in sensors):
             fewest = max((n for n in made if n <= fewest / NEAREST), default=fewest)
         between = [made[n].recorder for n in made if fewest <= n < solved.compared.schedule.steps]
@@ -225,8 +212,8 @@ class SharedRuns:
         except UNFIT:
             if larger is None or not larger.unseen:
                 return larger or TimeError({}, {}, given)
-            return replace(larger, errors=of_order(_expected(solved.problem), given, have[larger.told_by], 0.5))
-        return by_half(_expected(solved.problem), given, finer, coarser=coarser, larger=larger)
+            return replace(larger, errors=of_order(orders_of(solved.problem), given, have[larger.told_by], 0.5))
+        return by_half(orders_of(solved.problem), given, finer, coarser=coarser, larger=larger)
 
     def _compared(self, solved: Solved, known: Orders, allowed: Allowed) -> TimeError:
         """See :meth:`time_error`."""
@@ -250,7 +237,7 @@ class SharedRuns:
                 return TimeError({}, {}, given) if solved.run.counters.get("halved_steps") else self._by_half(solved)
             unseen = not known.seen
 
-        orders, seen = _expected(solved.problem), dict(self._seen)
+        orders, seen = orders_of(solved.problem), dict(self._seen)
         found = compare_steps(orders, given, coarser, known.seen or None, before=seen)
         if doubtful(found, orders, (given, coarser[0]), allowed.sensors):
             found, coarser = self._by_others(solved, found, coarser, allowed, seen)
@@ -302,7 +289,7 @@ class SharedRuns:
             others = [self._with(solved, n) for n in (half, farther)]
         except UNFIT:
             return doubted, coarser
-        made = compare_steps(_expected(solved.problem), given, others, before=seen)
+        made = compare_steps(orders_of(solved.problem), given, others, before=seen)
         # steps of about the same size may tell other errors
         apart = any(found.errors[n].size > DOUBTED * made.errors[n].size for n in allowed.sensors)
         return (replace(made, unseen=True) if apart else made), others
@@ -315,7 +302,7 @@ class SharedRuns:
         What is stated goes with three quarters of the order, at least one: neither half nor all of it is far from that; beside
         elements that only ends of steps move with half of it, which these have.
         """
-        given, orders = solved.compared, _expected(solved.problem)
+        given, orders = solved.compared, orders_of(solved.problem)
         whole = compare_steps(orders, given, [coarser])
         if not allowed.last:
             halves = {n: 0.5 * p for n, p in orders.items()}
@@ -336,7 +323,7 @@ class SharedRuns:
     def _from_afar(self, solved: Solved, earlier: Sequence[int], allowed: Allowed) -> TimeError | None:
         """The error by the steps from two earlier runs with far larger ones, if all three show the order of the scheme."""
         given, scene = solved.compared, solved.problem.scene
-        orders, have = _expected(solved.problem), self._runs[id(scene)]
+        orders, have = orders_of(solved.problem), self._runs[id(scene)]
         known = sorted(n for n in earlier if n >= given.schedule.steps / BEYOND)[::-1]
         below = [n for n in earlier if known and n <= known[0] / NEAREST]
         if not below or astray(given, between(given.recorder, have[known[0]].recorder, allowed.sensors)):
@@ -382,8 +369,7 @@ class SharedRuns:
         """The run with half the step: a whole one, which may be the next attempt, where nothing is called or kept on the way."""
         scene, given = solved.problem.scene, solved.compared
         output, schedule = given.recorder.output, given.schedule.with_steps(2 * given.schedule.steps)
-        acts = output.on_step is not None or output.events or output.snapshots
-        if acts or self.kept(scene, schedule.steps) is not None:
+        if acts(output) or self.kept(scene, schedule.steps) is not None:
             return self._with(solved, schedule.steps)
         self._refuse_parted(scene, schedule.steps)
         found = self.solve(scene, given.scheme, schedule, output)
@@ -391,47 +377,6 @@ class SharedRuns:
             raise ConvergenceError("half of the steps had to be made in parts")
         self._whole[id(scene), schedule.steps] = found
         return found.compared
-
-    def tolerance_error(self, solved: Solved, allowed: Allowed) -> TimeError:
-        """The error by the tolerance of a scheme with error control; collective.
-
-        A run with a smaller one tells it, but where a looser run shows that it is far too large. What a run has beyond a looser
-        one is mostly the error of that one: its own may be a tenth of what is thought, or six times as much where both begin with
-        the same few steps.
-        """
-        problem, given = solved.problem, solved.compared
-        if (found := self.larger.error(solved, allowed)) is not None:
-            return found
-        looser, likely = self._looser(solved, allowed), dict[str, Deviation]()
-        self._chosen[id(problem.scene)] = given
-        if looser is not None:
-            apart, loose = looser
-            falls = (loose.scheme.rtol / problem.scheme.rtol) ** usual_power(problem.scheme)
-            seen = {n: grown(loose, given) ** p for n, p in _expected(problem).items()}
-            likely = of_tolerances(apart, falls, seen) if min(seen[n] for n in allowed.sensors) >= TELLING else {}
-            if likely and allowed.share(likely) > DOUBTED * allowed.room:
-                return TimeError(likely, {}, given)
-
-        smooth = not solved.run.counters.get("rejected: error estimate")
-        errors = tolerance_error(problem, given.recorder, given.schedule, instants=LOOKED_AT, smooth=smooth)
-        return TimeError({n: at_least(x, likely.get(n, x), FURTHER) for n, x in errors.items()}, {}, given)
-
-    def _looser(self, solved: Solved, allowed: Allowed) -> tuple[dict[str, Deviation], Compared] | None:
-        """What a run has beyond one with a larger tolerance, and that one: the attempt before, or one with ten times its own,
-        where these are clearly fewer steps and a first attempt with errors of the usual size would not do; else None.
-        """
-        problem, given = solved.problem, solved.compared
-        scene, scheme = problem.scene, problem.scheme
-        before = self._before(scene, scheme, given.schedule)
-        if before is not None:
-            return beyond(given.recorder, before), before
-        fewer = scheme.rtol <= LOOSE and 10.0 ** (usual_power(scheme) / scheme.order) >= PAYS
-        if id(scene) in self._chosen or not fewer or allowed.lets(usual_errors(given)):
-            return None
-        try:
-            return looser_run(problem, given)
-        except UNFIT:
-            return None
 
     def _before(self, scene: Scene, scheme: Any, schedule: StepSchedule) -> Compared | None:
         """The attempt before with steps of its own choice, where its tolerance is as much looser as tells an error."""
@@ -441,6 +386,11 @@ class SharedRuns:
         return found
 
 
-def _expected(problem: Problem) -> dict[str, int]:
+def acts(output: Output) -> bool:
+    """Whether anything is called or kept on the way."""
+    return bool(output.on_step is not None or output.events or output.snapshots)
+
+
+def orders_of(problem: Problem) -> dict[str, int]:
     """The order of the scheme in each sensor."""
     return expected_orders(problem.scheme, problem.scene, problem.system)

@@ -26,7 +26,7 @@ from ...single_run import Solved
 from ..companion_runs import UNFIT, Compared
 from ..deviation import Deviation, scaled
 from ..estimates import LOOKED_AT, beyond_by_tolerance, mode_deviations
-from .shared_runs import SharedRuns
+from .shared_tolerances import SharedTolerances
 from .space_levels import (
     AHEAD,
     UNENDED,
@@ -67,7 +67,7 @@ class TimeAndSpace:
         return found
 
 
-class SharedSpaces(SharedRuns):
+class SharedSpaces(SharedTolerances):
     """Scenes with other meshes and more modes beside shared runs.
 
     ``looked``: share of the tolerance that the error in space of a scene takes, by a look at it.
