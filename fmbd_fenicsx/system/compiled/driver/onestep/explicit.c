@@ -162,7 +162,9 @@ static int look_at(System *s, int places, int anew, double cd, double ck, double
 }
 
 /* q (``places``), then v, moved onto the constraints in the metric of M + cd C + ck K, as project() of schemes/consistent.py. The factor
-   of the first configuration serves as long as each correction is a hundred times smaller than the one before. ``room``: nv + rows + nq. */
+   of the first configuration serves as long as each correction is a hundred times smaller than the one before. Far from the origin, and
+   after many turns, places are known to less than a share of the length: corrections that fall no more are roundoff. ``room``: nv + rows +
+   nq. */
 EXPORT int driver_close(System *s, int places, double t, double length, double cd, double ck, double *q, double *v, double *room)
 {
     double *x = room, *y = x + s->nv, *moved = y + s->rows, asked = NAN, last = INFINITY, size;
@@ -175,7 +177,7 @@ EXPORT int driver_close(System *s, int places, double t, double length, double c
         if (!(size < INFINITY)) return NEWTON;
         configuration(s, q, x, moved);
         memcpy(q, moved, s->nq * sizeof(double));
-        if (size <= 1e-13 * length) break;
+        if (size <= 1e-13 * length || (size >= 0.5 * last && last <= 1e-8 * length)) break;
         if (k == CLOSED - 1) return NEWTON;
         anew = size > 1e-2 * last;
         last = size;
