@@ -318,3 +318,31 @@ def test_doors_that_springs_couple_are_looked_at_one_by_one() -> None:
     assert max(len(own) for own, _ in redundancy.rows_together(G)) <= 10
     assert N.shape == (40, 20) and np.abs(G.T @ (system.multiplier_units[:, None] * N)).max() < 1e-10
     assert np.allclose(N.T @ N, np.eye(20), atol=1e-13)
+
+
+def tower(loops: int) -> fmbd.Scene:
+    """Four-bar loops in space, one hung upon another by hinges that are parallel: each has three rows too many."""
+    scene = fmbd.Scene("tower", gravity=(0.0, 0.0, -9.81))
+    above: tuple[Any, Any] = (fmbd.ground, fmbd.ground)
+    for i in range(loops):
+        places = {"left": (0.0, 0.0, -0.5 - i), "right": (1.0, 0.0, -0.5 - i), "bar": (0.5, 0.0, -1.0 - i)}
+        left, right, bar = (fmbd.RigidBody(f"{x}{i}", 1.0, (1e-3, 2e-3, 2e-3), place) for x, place in places.items())
+        scene.add(left, right, bar)
+        joined = {"a": (above[0], left, 0, 0), "b": (above[1], right, 1, 0), "c": (left, bar, 0, 1), "d": (right, bar, 1, 1)}
+        for name, (one, other, x, down) in joined.items():
+            scene.add(fmbd.revolute(f"{name}{i}", one, other, center=(x, 0.0, -i - down), axis=(0.0, 1.0, 0.0)))
+        above = bar, bar
+    scene.sensor("a", fmbd.reaction("a0"))
+    scene.sensor("b", fmbd.reaction("b0"))
+    return scene
+
+
+@compiled
+def test_a_tower_of_loops_hangs_on_compiled_steps() -> None:
+    """What all of it hangs on is closed by hardly more than rows that depend are: two increments, and one that finds no more."""
+    loops = 27
+    run = fmbd.solve(tower(loops), t_end=0.01, dt=1e-3, output=fmbd.Output(estimate_error=False))
+    assert run.counters["compiled_steps"] == run.counters["steps"]
+    assert run.counters["newton_iterations"] <= 3 * run.counters["steps"]
+    weight = 3 * loops * 9.81
+    np.testing.assert_allclose(abs(run["a"] + run["b"])[:, 2], weight, rtol=1e-6)

@@ -16,6 +16,7 @@
 #include "evaluation/evaluate.c"
 #include "forces/links.c"
 #include "evaluation/matrix.c"
+#include "evaluation/dependent_rows.c"
 #include "evaluation/states.c"
 #include "evaluation/record.c"
 #include "evaluation/answers.c"

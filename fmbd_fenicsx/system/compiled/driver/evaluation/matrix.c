@@ -246,34 +246,6 @@ int with_fields(System *s, double scale, double *x, double *y, double t)
     return DONE;
 }
 
-/* The solution for rows that are epsilon y / u^2 open, ``times`` that, added to x and y. */
-static void add_softness(System *s, double times, double *x, double *y)
-{
-    double *more = s->work + s->again, *left = more + s->parts * s->nv;
-    for (int part = 0; part < s->parts; part++) {
-        double *b = s->b + part * (s->nu + s->rows), *open = b + s->nu;
-        memset(b, 0, s->nu * sizeof(double));
-        for (int i = 0; i < s->rows; i++) open[i] = times * softness(s, i) * y[part * s->rows + i];
-        for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++) /* conditions of frames are not softened */
-            if (o->field) memset(open + o->field->row, 0, o->field->frames * sizeof(double));
-    }
-
-    for (const Body *o = s->body; s->fields && o < s->body + s->bodies; o++)
-        if (o->field) field_without_load(o);
-    solution(s, more, left);
-    add(x, 1.0, more, s->parts * s->nv);
-    add(y, 1.0, left, s->parts * s->rows);
-}
-
-/* The same where rows depend, with the corrections of soften(); b holds nothing of use then. */
-int with_all_rows(System *s, double scale, double *x, double *y, double t)
-{
-    int verdict = with_fields(s, scale, x, y, t);
-    if (verdict || !s->redundant) return verdict;
-    for (int k = 0; k < CORRECTIONS; k++) add_softness(s, CORRECTED[k], x, y);
-    return DONE;
-}
-
 /* Newton's increment from -scale times the residuals evaluated last and the open constraints. */
 int increment(System *s, double scale, double *x, double *y, double t)
 {
