@@ -328,7 +328,12 @@ def tower(loops: int) -> fmbd.Scene:
         places = {"left": (0.0, 0.0, -0.5 - i), "right": (1.0, 0.0, -0.5 - i), "bar": (0.5, 0.0, -1.0 - i)}
         left, right, bar = (fmbd.RigidBody(f"{x}{i}", 1.0, (1e-3, 2e-3, 2e-3), place) for x, place in places.items())
         scene.add(left, right, bar)
-        joined = {"a": (above[0], left, 0, 0), "b": (above[1], right, 1, 0), "c": (left, bar, 0, 1), "d": (right, bar, 1, 1)}
+        joined = {
+            "a": (above[0], left, 0, 0),
+            "b": (above[1], right, 1, 0),
+            "c": (left, bar, 0, 1),
+            "d": (right, bar, 1, 1),
+        }
         for name, (one, other, x, down) in joined.items():
             scene.add(fmbd.revolute(f"{name}{i}", one, other, center=(x, 0.0, -i - down), axis=(0.0, 1.0, 0.0)))
         above = bar, bar
