@@ -33,9 +33,10 @@ from ..certificate import FLOOR, Certificate, moving, stated_of
 from ..companion_runs import UNFIT, Compared
 from ..damped import damped_vibrations
 from ..deviation import Deviation
-from ..equal_steps import Orders, TimeError, known_orders
+from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped
 from .next_attempt import (
+    SMALL,
     AttemptPlan,
     Known,
     Looked,
@@ -412,6 +413,10 @@ def _other_errors(plan: AttemptPlan, tol: Tolerance, shared: SharedSpaces, solve
     begun = clock.perf_counter()
     if meshed_bodies(plan.scene) and "space" not in known:
         spans, limit = moving(run.series, run.scene.sensors, FLOOR), space_limit(plan.scene)
+        look = shared.kept(plan.scene, plan.orders.follow)
+        if look is not None and shared.looked.get(id(plan.scene), np.inf) <= SMALL * limit:
+            if not astray(solved.compared, between(solved.compared.recorder, look.recorder, spans)):
+                steps = [look]  # small as it is, more steps need not tell it
         run.deviations["space"], run.space_unstated = shared.space_error(
             plan.scene, steps, plan.below, lambda found: largest_share(found, spans, tol) <= limit
         )
