@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from dae_problems import pendulum
+from tolerance_scenes import geared_chain
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConvergenceError
+from fmbd_fenicsx.run.accuracy import companion_runs, larger_steps
+from fmbd_fenicsx.run.accuracy.equal_steps import compare_steps
 from fmbd_fenicsx.run.accuracy.larger_steps import in_one, two_in_one, with_larger_steps
 from fmbd_fenicsx.run.built import build
 from fmbd_fenicsx.run.recording.output import Output
@@ -31,17 +35,24 @@ def made_by(scheme: Any, scene: fmbd.Scene) -> Solved:
 def test_steps_in_one_end_where_they_are_told_and_have_the_order_of_the_scheme(
     scheme: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In compiled code and in Python's, whatever their errors over the tolerance are; the last before a break point are less."""
+    """In compiled code and in Python's, whatever their errors over the tolerance are; the last before a break point are less, and
+    those before a step that is suddenly longer.
+    """
     solved = made_by(scheme, replace(pendulum(), breakpoints=(0.43,)))
     given, problem = solved.compared, solved.problem
     own = given.recorder.times
-    stop = int(np.searchsorted(own, 0.43 - 1e-9))
+    stop, sizes = int(np.searchsorted(own, 0.43 - 1e-9)), np.diff(own)
+    longer = np.append(False, sizes[1:] > 3.0 * sizes[:-1])
+    assert longer.any()
 
     apart = []
     for count in (1, 2, 4):
         made = with_larger_steps(problem, given, count)
-        ends = np.concatenate((own[: stop + 1 : count], own[stop::count], own[-1:]))
-        np.testing.assert_allclose(made.recorder.times, np.unique(ends), rtol=0, atol=1e-12)
+        rows = np.searchsorted(own, made.recorder.times - 1e-12)
+        np.testing.assert_allclose(made.recorder.times, own[rows], rtol=0, atol=1e-12)
+        for first, last in pairwise(rows):
+            assert not longer[first + 1 : last].any()
+            assert last - first == count or last in (stop, len(own) - 1) or longer[last]
         assert made.steps == len(made.recorder.times) - 1
         apart.append(abs(made.recorder.series["x"][-1] - given.recorder.series["x"][-1]).max())
     assert apart[0] < 1e-3 * apart[1]
@@ -78,6 +89,42 @@ def test_errors_of_kinks_are_not_told_by_larger_steps(begins: float) -> None:
     at = Output(progress=False, energy=False, times=tuple(run.times))
     exact = fmbd.solve(scene(begins), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-10), output=at)
     assert 0.5 < run.certificate["end"].total / np.abs(run["end"] - exact["end"]).max() < 3.0
+
+
+def test_first_steps_that_grow_are_larger_in_the_run_that_tells_their_error() -> None:
+    """The second step is eight times the first, too long for its error, which is most of all: together with the first it is an
+    eighth longer, and half of the error was told.
+    """
+    solved = made_by(fmbd.HalfExplicit(rtol=1e-7), geared_chain())
+    given, problem = solved.compared, solved.problem
+    two, four = (with_larger_steps(problem, given, count) for count in (2, 4))
+    told = compare_steps({"end": 4, "pin force": 4}, given, [two, four]).errors["end"].size
+
+    at = Output(progress=False, energy=False, times=tuple(given.recorder.times[::3]))
+    exact = fmbd.solve(geared_chain(), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-11), output=at)["end"]
+    assert 0.8 < told / np.abs(given.recorder.series["end"][::3] - exact).max() < 1.5
+
+
+def test_larger_steps_tell_errors_beside_refused_ones_where_their_order_is_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Those of smooth motion: a tenth of the tolerance takes nearly three times as many steps as the run; not in a few steps."""
+    asked: list[tuple[float, bool]] = []
+    made = companion_runs.march
+
+    def counted(problem: Any, solver: Any, schedule: Any, *given: Any) -> Any:
+        asked.append((problem.scheme.rtol, schedule.given))
+        return made(problem, solver, schedule, *given)
+
+    monkeypatch.setattr(companion_runs, "march", counted)
+    quiet = Output(progress=False, energy=False)
+    run = fmbd.solve(geared_chain(), t_end=1.0, tol={"end": 1e-5}, scheme=fmbd.HalfExplicit(), output=quiet)
+    assert run.counters["rejections"] and run.counters["steps"] >= larger_steps.MANY
+    assert asked[-2:] == [(run.scheme.rtol, True)] * 2
+
+    monkeypatch.setattr(larger_steps, "MANY", 1e3)
+    fmbd.solve(geared_chain(), t_end=1.0, tol={"end": 1e-5}, scheme=fmbd.HalfExplicit(), output=quiet)
+    assert asked[-1] == (pytest.approx(0.1 * run.scheme.rtol), False)
 
 
 def test_what_was_refused_for_another_reason_is_not_tried_with_larger_steps() -> None:

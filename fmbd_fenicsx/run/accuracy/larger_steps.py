@@ -21,7 +21,7 @@ from ..schedule import StepSchedule, far_side
 from ..single_run import Solved
 from .companion_runs import UNFIT, Compared, companion
 from .equal_steps import FEWEST, TimeError, astray, between, compare_steps, of_order
-from .orders import MOST_LEFT, TOO_HIGH, expected_orders, seen_by_ends
+from .orders import MOST_LEFT, REGULAR, TOO_HIGH, expected_orders, resolved, seen_by_ends
 from .search.shares import DOUBTED, Allowed
 
 SUDDEN = 1 / 3  # of the size of the step before: the error of smooth motion does not ask for so much less at once
@@ -32,10 +32,11 @@ SLOW = 0.75  # share of the order of the scheme that errors are stated by, where
 def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, float]) -> bool:
     """Whether steps that are two of a run's in one tell its error: it is recorded at their ends, which are ahead in order, and no
     step is suddenly smaller than the one before, or was refused but for its error (``counters``). What kinks leave is of the
-    order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted.
+    order :data:`.MOST_LEFT` at most: beside refused steps nothing above that is taken for granted, and has to be seen.
     """
     refused = counters.get("rejections", 0.0)
-    if refused > counters.get("rejected: error estimate", 0.0) or (refused and SLOW * problem.scheme.order > MOST_LEFT):
+    unseen = given.steps < MANY and SLOW * problem.scheme.order > MOST_LEFT
+    if refused > counters.get("rejected: error estimate", 0.0) or (refused and unseen):
         return False
     output, scene = given.recorder.output, problem.scene
     at_ends = problem.said.ends_ahead and output.times is None and output.every == 1
@@ -54,9 +55,18 @@ def _stretches(given: Compared) -> list[Array]:
 
 
 def in_one(given: Compared, count: int) -> StepSchedule:
-    """Steps that are so many of a run's in one; the last ones before break points may be less."""
-    ends = [t[count:-1:count] for t in _stretches(given)]
-    return replace(given.schedule, marks=tuple(float(t) for inner in ends for t in inner), given=True)
+    """Steps that are so many of a run's in one; the last ones before break points may be less, and those before one that is
+    suddenly longer: together with them it would hardly be larger than alone, and its error the same in both runs.
+    """
+    marks = []
+    for t in _stretches(given):
+        h, held = np.diff(t), 0
+        for k in range(len(h)):
+            if held == count or (held and h[k - 1] < SUDDEN * h[k]):
+                marks.append(float(t[k]))
+                held = 0
+            held += 1
+    return replace(given.schedule, marks=tuple(marks), given=True)
 
 
 def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared | None:
@@ -99,18 +109,20 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     """The error by the steps of a run beside one with ``two`` in one; None where larger ones do not tell it; collective.
 
     They tell it where half of the order of the scheme would be enough, or most of it is far too much; stated is what :data:`SLOW`
-    of the order has. Else steps that are four in one show the order: see :func:`.compare_steps`.
+    of the order has. Else steps that are four in one show the order: see :func:`.compare_steps`. Beside steps that were refused,
+    of smooth motion as of kinks, it has to be that of the scheme.
     """
-    problem, given = solved.problem, solved.compared
+    problem, given, refused = solved.problem, solved.compared, bool(solved.run.counters.get("rejections"))
     orders = expected_orders(problem.scheme, problem.scene, problem.system)
     slow = TimeError(of_order(orders, given, two, SLOW), dict.fromkeys(orders, float("nan")), two)
     if allowed.share(slow.errors) > DOUBTED * allowed.room:
         return slow
     if astray(given, between(given.recorder, two.recorder, allowed.sensors)):
         return None
-    if allowed.lets(of_order(orders, given, two, 0.5)):
+    taken_for_granted = not refused or SLOW * problem.scheme.order <= MOST_LEFT
+    if taken_for_granted and allowed.lets(of_order(orders, given, two, 0.5)):
         return slow
-    if solved.run.counters.get("rejections") or given.steps < MANY:
+    if given.steps < MANY:
         return None
     four = with_larger_steps(problem, given, 4)
     if four is None:
@@ -118,7 +130,8 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     found = compare_steps(orders, given, [two, four])
     by_chance = not found.by_chance.isdisjoint(allowed.sensors)
     strange = any(found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors)
-    return None if by_chance or strange else replace(found, with_others=two)
+    low = refused and not resolved({n: found.orders[n] for n in allowed.sensors}, orders, REGULAR)
+    return None if by_chance or strange or low else replace(found, with_others=two)
 
 
 def _other_steps(made: Compared) -> bool:
