@@ -102,7 +102,8 @@ def test_smaller_tolerances_tell_errors_of_controlled_steps(
     np.testing.assert_allclose([x.scheme.rtol for x in made], [1e-4, 1e-3, rtol, told_by])
     assert len(run.history) == 2
     if times is None:
-        assert 2 * (len(made[-1].marks) + 1) == pytest.approx(run.counters["steps"], abs=1)
+        first = 1  # which the next one is far longer than
+        assert first + 2 * len(made[-1].marks) == pytest.approx(run.counters["steps"], abs=1)
     else:
         assert all(len(x.output.times) <= 100 for x in made[1::2])
     true = float(np.abs(run["x"] - case.reference(case, run.times)).max())
