@@ -21,6 +21,7 @@ from .acceleration_jumps import warn_of_acceleration_jumps
 from .accuracy.companion_runs import Compared
 from .built import Built, ConsistentStart
 from .doubts import warn_of_doubts
+from .judges.prescribed_motions import ending_at_kinks
 from .judges.rank_advice import advise_on_ranks
 from .judges.tables_in_time import warn_of_short_tables
 from .judges.turning_rows import warn_of_turning_rows
@@ -94,7 +95,8 @@ def run_once(
     try:
         with built.warned:
             found = built.start(task.scene, task.scheme, solver=solver, h=task.schedule.next(task.schedule.begin))
-            schedule = seeing_loads(task.schedule, task.scheme, task.scene, built.system, found.state)
+            schedule = ending_at_kinks(task.schedule, task.scene, built.system)
+            schedule = seeing_loads(schedule, task.scheme, task.scene, built.system, found.state)
             task = replace(task, schedule=schedule)
             started = clock.perf_counter()
             problem = _problem(task, built, solver, found)

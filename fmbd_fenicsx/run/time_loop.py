@@ -67,12 +67,12 @@ def _events(problem: Problem, schedule: StepSchedule, output: Output, state: Sta
 
 
 def _motions(problem: Problem, schedule: StepSchedule, t: float) -> PrescribedMotions | None:
-    """Who looks whether prescribed motions make sense; None where there are none, and in runs that warn of nothing."""
-    if problem.warned is None:
+    """Who looks whether prescribed motions make sense; None where there are none, in runs that warn of nothing, and where a
+    scheme chooses its steps: there all of a run is looked at before.
+    """
+    if problem.warned is None or not schedule.steps:
         return None
     motions = PrescribedMotions(problem.scene, problem.system, t, planned=schedule.steps)
-    if not schedule.steps:
-        motions.ahead(schedule.t_end)
     return motions if motions.followers else None
 
 
@@ -237,8 +237,6 @@ class Loop:
         made = self.calls.make(self.progress.done, self._unkept(self.progress.done))
         if made:
             self.state = self.stepper.state
-            if self.motions is not None:
-                self.motions.look(self.state.t, made)
             self.judges.forecast.note(self.state, made)
             return made, None
 
@@ -247,8 +245,6 @@ class Loop:
         seen = attempt_judged(system, self.stepper, h, closed=judges.closed, balanced=judges.balanced)
 
         self.state = self.stepper.state
-        if self.motions is not None:
-            self.motions.look(self.state.t)
         self.judges.forecast.note(self.state)
 
         # equal steps note their parts one by one

@@ -15,12 +15,13 @@ Where D is large, and at some steps in any case, they are compared with slopes b
 of a step and two widths; where all of them differ the rates contradict the motion.
 
 Jumps that no body can follow and contradictions end the run. Small jumps and kinks are warned of: they are impacts, and forces
-beside them depend on the step.
+beside them depend on the step. Steps of a scheme's own choice end at those of a whole run, as at break points: error control
+would only creep up to them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -34,6 +35,7 @@ from ...mechanics.joints.drives import Coupling
 from ...rotations import Array
 from ...system.scene.scene import Scene
 from ...system.system import System
+from ..schedule import StepSchedule
 
 DOUBTFUL = 2e-3  # (1), (2) over the motion in the steps, from which on they are looked at closely
 SHARP = 0.01  # change of slope over the slopes that is a kink
@@ -46,6 +48,7 @@ SMOOTH = 8  # halvings from which on an interval is given up, in which slopes ch
 LOOKS = 40  # close looks at one motion that found nothing; afterwards only worse steps are looked at
 KINKS = 100  # of one motion, after which no more are looked for
 MOST = 5000  # places in a run with constant steps
+STATED = 1e-6  # of a time: a kink that is so near to one that was stated is that one
 AHEAD = 1000  # places at the start of a run whose steps are not known
 PLACES = (0.29, 0.53, 0.83)  # of a step, where rates are compared with slopes
 APART = 5e-7  # of the model's length, or rad: drives of one coordinate that differ by more contradict each other
@@ -64,7 +67,7 @@ class Follower:
     rates: Array = field(default_factory=lambda: np.zeros((0, 3)))  # s, s', s'' at the last place, where they are given
     fastest: float = 0.0
     looks: int = 0
-    kinks: int = 0
+    sharp: list[float] = field(default_factory=list)  # times (s) of kinks and jumps
     worst: float = 0.0
     steps: int = 0
     compared: int = 0
@@ -113,7 +116,7 @@ class Follower:
             if (
                 bends[i] > DOUBTFUL
                 and i - 3 >= smooth
-                and self.kinks < KINKS
+                and len(self.sharp) < KINKS
                 and self._is_sharp(t[i - 3], t[i], bends[i])
             ):
                 smooth = int(i)  # the same one is not found again
@@ -157,7 +160,9 @@ class Follower:
         grows = all(abs(x - w * turn) <= 0.5 * w * abs(turn) for w, x in zip(WIDER, wider, strict=True))
         slopes = max(around, 0.1 * width * max(self.fastest, steepest))
         if grows and abs(turn) > SHARP * slopes + noise:
-            self._kink(0.5 * (a + b), before / width, after / width)
+            # where lines through the places of either side meet
+            meet = a + (places[2] - places[1] - after * (b - a) / width) / (before - after) * width
+            self._kink(min(max(meet, a), b), before / width, after / width)
             return True
         return False
 
@@ -190,15 +195,15 @@ class Follower:
                 f"The motion of {self.name} jumps by {size:.3g} at t = {t:.6g} s: no body can follow. Let it change over a "
                 "time, say by a smooth step."
             )
-        self.kinks += 1
+        self.sharp.append(t)
         log.warning(
             "the motion of %s jumps by %.3g at t = %.6g s: it is an impact, and forces beside it depend on the step",
             self.name, size, t,
         )  # fmt: skip
 
     def _kink(self, t: float, before: float, after: float) -> None:
-        self.kinks += 1
-        if any(abs(t - stated) <= 1e-6 * abs(stated) for stated in self.stated):
+        self.sharp.append(t)
+        if any(abs(t - stated) <= STATED * abs(stated) for stated in self.stated):
             return
         log.warning(
             "the motion of %s has a kink at t = %.6g s, its rate changes from %.4g to %.4g 1/s: it is an impact, and forces "
@@ -280,7 +285,7 @@ class PrescribedMotions:
     """All prescribed motions of a scene, looked at from t (s) on; ``planned`` steps of the run, 0 where they are not known."""
 
     def __init__(self, scene: Scene, system: System, t: float, *, planned: int = 0) -> None:
-        self.time, self.every = t, max(1, planned // MOST)
+        self.time, self._begun, self.every = t, t, max(1, planned // MOST)
         stated = tuple(scene.breakpoints)
         found: dict[int, Follower] = {}
         for motion, length in prescribed(system):
@@ -293,9 +298,14 @@ class PrescribedMotions:
         for follower in self.followers:
             follower.look(np.array([t]))
 
-    def ahead(self, t_end: float) -> None:
-        """Look at all of a run whose steps are not known; see :meth:`look`. Error control would only creep up to a jump."""
+    def ahead(self, t_end: float) -> tuple[float, ...]:
+        """Look at all of a run whose steps are not known, see :meth:`look`; times (s) of kinks and jumps in it, on either side of
+        which rates are from now on those of that side.
+        """
         self.look(t_end, AHEAD)
+        for follower in self.followers:
+            follower.motion.steps.break_at(follower.sharp)
+        return tuple(sorted({t for follower in self.followers for t in follower.sharp if self._begun < t < t_end}))
 
     def look(self, t: float, steps: int = 1) -> None:
         """Look at the motions from where they were looked at last up to t (s), the end of so many steps.
@@ -313,6 +323,15 @@ class PrescribedMotions:
             for one, other, joint in self.rivals:
                 _compare_drives(one, other, joint)
         self.time = t
+
+
+def ending_at_kinks(schedule: StepSchedule, scene: Scene, system: System) -> StepSchedule:
+    """A schedule whose steps, of a scheme's own choice, end where prescribed motions have kinks; warns of these."""
+    if schedule.steps:
+        return schedule
+    found = PrescribedMotions(scene, system, schedule.begin).ahead(schedule.t_end)
+    apart = [t for t in found if not any(abs(t - stop) <= STATED * stop for stop in schedule.stops)]
+    return replace(schedule, stops=tuple(sorted((*schedule.stops, *apart))))
 
 
 def _compare_drives(one: Follower, other: Follower, joint: str) -> None:
