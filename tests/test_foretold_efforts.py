@@ -104,3 +104,16 @@ def test_slack_ties_need_no_tangent() -> None:
     counters = fmbd.solve(scene, t_end=0.3, dt=1e-3).counters
     assert counters["newton_iterations"] > 1.5 * counters["steps"]
     assert counters["core_factorisations"] < 1.1 * counters["steps"]
+
+
+def test_springs_that_do_not_turn_take_one_tangent_a_step() -> None:
+    """Those in hinges, in steps of NumPy as in compiled ones: a second matrix is for what an increment has changed."""
+    scene, above = fmbd.Scene("hinges", gravity=(0.0, -G)), fmbd.ground
+    for k in range(4):
+        link = fmbd.RigidBody(f"link {k}", 1.0, 1 / 12, (k + 0.5, 0.0))
+        pin = fmbd.revolute(f"pin {k}", above, link, center=(k, 0.0))
+        scene.add(link, pin, fmbd.joint_spring(f"spring {k}", fmbd.angle(pin), stiffness=1e4, damping=1.0))
+        above = link
+    run = fmbd.solve(scene, t_end=0.1, dt=2e-3, scheme=fmbd.GeneralizedAlpha(compiled=False))
+    assert run.counters["newton_iterations"] > 1.9 * 50
+    assert run.counters["core_factorisations"] < 1.2 * 50

@@ -212,9 +212,10 @@ class AlphaStep:
         return known
 
     def _wants_tangent(self) -> bool:
-        """Whether the next increment is worth a tangent of its own."""
+        """Whether the next increment is worth a tangent of its own; by about the rule of the driver, ``onestep/alpha.c``."""
         slow = self.newton.theta > SLOW_TURN and not self.secants.poor
-        turned = self.stiff and self.done > 0 and (self.done == 1 or slow or self.misfit > SLOW_TURN)
+        cheap = self.done == 1 and bool(self.system.fields)  # beside a solution with the factor of a field
+        turned = self.stiff and self.done > 0 and (cheap or slow or self.misfit > SLOW_TURN)
         impatient = self.done > self.patience and not self.system.fields and not self.secants.poor
 
         return self.far or self.tangent is not None or turned or impatient
