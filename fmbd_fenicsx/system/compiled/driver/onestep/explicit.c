@@ -163,19 +163,21 @@ static int look_at(System *s, int places, int anew, double cd, double ck, double
 
 /* q (``places``), then v, moved onto the constraints in the metric of M + cd C + ck K, as project() of schemes/consistent.py. The factor
    of the first configuration serves as long as each correction is a hundred times smaller than the one before. Far from the origin, and
-   after many turns, places are known to less than a share of the length: corrections that fall no more are roundoff. ``room``: nv + rows +
-   nq. */
-EXPORT int driver_close(System *s, int places, double t, double length, double cd, double ck, double *q, double *v, double *room)
+   after many turns, places are known to less than a share of the length: corrections that fall no more are roundoff. ``way``: by how much
+   q was moved, like v, NULL: nobody asks. ``room``: nv + rows + nq. */
+static int close_rows(System *s, int places, double t, double length, double cd, double ck, double *q, double *v, double *way, double *room)
 {
     double *x = room, *y = x + s->nv, *moved = y + s->rows, asked = NAN, last = INFINITY, size;
     int verdict = sample(s, t, &asked), anew = 1;
     if (verdict) return verdict;
+    if (way) memset(way, 0, s->nv * sizeof(double));
 
     for (int k = 0; places && k < CLOSED; k++) {
         if ((verdict = look_at(s, 1, anew, cd, ck, t, q, v, room))) return verdict;
         size = closing_change(s, s->gap, x, y);
         if (!(size < INFINITY)) return NEWTON;
         configuration(s, q, x, moved);
+        if (way) add(way, 1.0, x, s->nv);
         memcpy(q, moved, s->nq * sizeof(double));
         if (size <= 1e-13 * length || (size >= 0.5 * last && last <= 1e-8 * length)) break;
         if (k == CLOSED - 1) return NEWTON;
@@ -194,6 +196,11 @@ EXPORT int driver_close(System *s, int places, double t, double length, double c
         last = size;
     }
     return NEWTON;
+}
+
+EXPORT int driver_close(System *s, int places, double t, double length, double cd, double ck, double *q, double *v, double *room)
+{
+    return close_rows(s, places, t, length, cd, ck, q, v, NULL, room);
 }
 
 /* a and lambda nearer to the balance and to G a + g'' = 0 at (t, q, v), as corrected() of schemes/consistent.py: by one increment in the
@@ -230,11 +237,17 @@ EXPORT int driver_correct(System *s, long count, const double *t, const double *
     return verdict;
 }
 
-/* The end of a step: q and v moved onto the constraints, then a and lambda there; ``room`` as of both. */
+/* The end of a step: q and v moved onto the constraints, then a and lambda there; ``way`` and ``room`` as of both. */
+static int arrive_at(System *s, int places, double t, double length, double *q, double *v, double *a, double *lam, double *way,
+                     double *room)
+{
+    int verdict = close_rows(s, places, t, length, 0.0, 0.0, q, v, way, room);
+    return verdict ? verdict : accelerate(s, t, length, q, v, a, lam, room, 0);
+}
+
 EXPORT int driver_arrive(System *s, int places, double t, double length, double *q, double *v, double *a, double *lam, double *room)
 {
-    int verdict = driver_close(s, places, t, length, 0.0, 0.0, q, v, room);
-    return verdict ? verdict : accelerate(s, t, length, q, v, a, lam, room, 0);
+    return arrive_at(s, places, t, length, q, v, a, lam, NULL, room);
 }
 
 /* The stages of an explicit Runge-Kutta method in local coordinates xi about q0, whose rates and accelerations (stages x nv) are

@@ -110,11 +110,12 @@ static int half_explicit_error(System *s, const Explicit *o, double h, const Slo
 static const Method RUNGE_KUTTA_METHOD = {runge_kutta_stages, runge_kutta_error};
 static const Method HALF_EXPLICIT_METHOD = {half_explicit_stages, half_explicit_error};
 
-/* The end of a step, q and v moved onto the constraints, with a and lambda there. */
-static int end_step(System *s, const double *p, Block out, double *room)
+/* The end of a step, q and v moved onto the constraints, q by ``way``, with a and lambda there. */
+static int end_step(System *s, const double *p, Block out, double *way, double *room)
 {
     double last = NAN;
-    if (s->rows) return driver_arrive(s, 1, *out.t, p[LENGTH], out.q, out.v, out.a, out.lam, room);
+    if (s->rows) return arrive_at(s, 1, *out.t, p[LENGTH], out.q, out.v, out.a, out.lam, way, room);
+    memset(way, 0, s->nv * sizeof(double));
     int verdict = sample(s, *out.t, &last);
     return verdict ? verdict : accelerate(s, *out.t, p[LENGTH], out.q, out.v, out.a, out.lam, room, 0);
 }
@@ -129,8 +130,9 @@ static int where_stages_lead(System *s, double *p, const Explicit *o, const Meth
     return DONE;
 }
 
-/* The stages of a step of a size that passes. */
-static int passing_slopes(System *s, double *p, Explicit *o, const Method *method, const Block *now, const Slopes *e, Block out,
+/* A step of a size that passes, up to its end. Stages follow accelerations alone: what places miss the constraints by is an error too, all
+   that tells of a kink of a drive. */
+static int passing_step(System *s, double *p, Explicit *o, const Method *method, const Block *now, const Slopes *e, Block out,
                           Passing *found)
 {
     const OwnSteps *c = o->own;
@@ -146,7 +148,12 @@ static int passing_slopes(System *s, double *p, Explicit *o, const Method *metho
         if (verdict) return verdict;
         if (turn_too_far(s, c, 1, e->xi)) return NEWTON;
         if ((verdict = method->error(s, o, p[H], e, out, &found->error))) return verdict;
-        if (lets_pass(c, found)) return DONE;
+        if (lets_pass(c, found)) {
+            const double *const closed[1] = {e->xi};
+            if ((verdict = end_step(s, p, out, e->xi, e->rest))) return verdict;
+            found->error = fmax(found->error, own_norm(s, &o->norm, closed, 1));
+            if (lets_pass(c, found)) return DONE;
+        }
         if (!refused_size(c, now, p[H], c->order, found)) return NEWTON;
     }
 }
@@ -159,8 +166,8 @@ static int own_explicit_step(System *s, double *p, Explicit *o, const Method *me
     Controlled *made = (Controlled *)out.own;
     Passing found = {.proposed = proposal(c, last->next)};
     if (!(left_for(c, now) > 0.0) || *now->t > c->last) return SIZE;
-    int verdict = passing_slopes(s, p, o, method, now, e, out, &found);
-    if (verdict || (verdict = end_step(s, p, out, e->rest))) return verdict;
+    int verdict = passing_step(s, p, o, method, now, e, out, &found);
+    if (verdict) return verdict;
 
     /* a step cut short by the end tells nothing of the next one */
     const double h = p[H], next = accepted_size(c, last, made, h, &found, 1.0);
@@ -175,7 +182,7 @@ static int explicit_step(System *s, double *p, Explicit *o, const Method *method
     if (o->own) return own_explicit_step(s, p, o, method, now, e, out);
     memset(out.own, 0, CONTROLLED * sizeof(double));
     int verdict = where_stages_lead(s, p, o, method, now, e, out);
-    return verdict ? verdict : end_step(s, p, out, e->rest);
+    return verdict ? verdict : end_step(s, p, out, e->xi, e->rest);
 }
 
 static Explicit *explicit_in(double *room)
