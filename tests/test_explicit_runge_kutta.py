@@ -146,3 +146,26 @@ def test_a_law_that_fails_is_named() -> None:
     scene.add(fmbd.force("wind", scene.bodies["link 2"], lambda t: (np.nan if t > 0.05 else 1.0, 0.0)))
     with pytest.raises(fmbd.errors.FmbdError, match="wind"):
         fmbd.solve(scene, t_end=0.3, scheme=fmbd.ExplicitRungeKutta(1e-7))
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "NumPy"])
+@pytest.mark.parametrize("rate", [1.0, 0.0])
+def test_own_steps_see_the_kink_of_a_drive(rate: float, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm changes its rate at once, a forearm hangs on it. Second rates of the drive vanish on both sides, so stages saw
+    nothing, and the arm was closed onto the drive behind the kink: the forearm was off by 6e-3 and 1e-2 rad.
+    """
+    if not compiled:
+        monkeypatch.setattr(MarchingStepper, "_made", lambda *given: 0)
+
+    def folded(*kinks: float) -> float:
+        scene = fmbd.Scene("arm", gravity=(0, -9.81), breakpoints=kinks)
+        arm, forearm = (fmbd.RigidBody(name, 1.0, 0.1, (x, 0.0)) for name, x in (("arm", 0.5), ("forearm", 1.5)))
+        shoulder, elbow = (
+            fmbd.revolute(f"pin {x}", a, b, center=(x, 0)) for a, b, x in ((fmbd.ground, arm, 0), (arm, forearm, 1))
+        )
+        turn = lambda t: rate * t if t < 0.5 else 0.5 * rate + (0.4 - 0.4 * rate) * (t - 0.5)
+        scene.add(arm, forearm, shoulder, elbow, fmbd.drive("motor", fmbd.angle(shoulder), turn))
+        scene.sensor("fold", fmbd.angle(elbow))
+        return float(fmbd.solve(scene, t_end=1.0, scheme=fmbd.ExplicitRungeKutta(1e-6))["fold"][-1, 0])
+
+    assert folded() == pytest.approx(folded(0.5), abs=3e-5)
