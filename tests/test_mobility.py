@@ -143,6 +143,20 @@ def test_contradicting_redundancy_is_refused() -> None:
         fmbd.solve(four_bar(gap=1e-4), t_end=0.1, dt=0.01)
 
 
+@pytest.mark.parametrize("gap", [1e-4, 1e-2])
+def test_open_joints_are_told_as_a_run_takes_them(gap: float) -> None:
+    """The start closes small gaps and refuses others; the latter were told to be closed."""
+    scene = fmbd.Scene("hung")
+    bob = fmbd.RigidBody("bob", 1.0, 0.1, (1.0, 0.0))
+    scene.add(bob, fmbd.distance("rod", fmbd.ground, bob, point_a=(0, 0), length=1.0 + gap))
+    told = " ".join(scene.check().notes)
+    assert ("the start of a run closes them" in told) == (gap < 1e-3)
+    assert ("a run refuses them" in told) == (gap > 1e-3)
+    if gap > 1e-3:
+        with pytest.raises(ConstraintError, match="do not fit together"):
+            fmbd.solve(scene, t_end=0.01, dt=0.01)
+
+
 def test_contradicting_drives_are_refused() -> None:
     wheel = fmbd.RigidBody("wheel", 1.0, 1.0)
     scene = fmbd.Scene("two drives")

@@ -71,6 +71,22 @@ def test_motion_equals_the_scene_written_by_hand(tmp_path: Path) -> None:
     assert np.abs(runs[0]["elbow"] - runs[1]["elbow"]).max() < 1e-6
 
 
+def test_what_is_left_out_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A start outside of limits, also that of zero, and damping of a joint without a coordinate."""
+    fmbd.read_urdf(written(tmp_path), start={"shoulder": 2.0})
+    assert not caplog.records
+    fmbd.read_urdf(written(tmp_path), start={"shoulder": 2.5})
+    assert '"shoulder" at 2.5, limits -2 to 2' in caplog.text
+    file = written(tmp_path, kind="planar")
+    file.write_text(
+        file.read_text().replace('lower="-2"', 'lower="0.1"').replace("</joint>", '<dynamics damping="1"/></joint>')
+    )
+    caplog.clear()
+    fmbd.read_urdf(file)
+    assert '"shoulder" at 0, limits 0.1 to 2' in caplog.text
+    assert 'left out of joints without one angle or displacement: "elbow" (planar)' in caplog.text
+
+
 def test_bad_input_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='joint "elbow" is of kind "ball"'):
         fmbd.read_urdf(written(tmp_path, kind="ball"))

@@ -21,12 +21,12 @@ from ..linear.residual import NOTHING
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.layout import Layout, State
+from ..system.lengths import FITS
 from ..system.system import System
 
 MASS = Weights(1.0, 0.0, 0.0)
 CLOSED = 1e-9  # of the model's length: what is open by less is open by roundoff
 ALMOST = 1e-8  # of the same: a correction whose square is roundoff
-REFUSED = 1e-3  # a position correction above this share of the model's length is wrong input, not roundoff
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def _closed(state: State, solver: StepSolver, metric: Weights) -> tuple[Evaluati
         step = system.max_abs(dq)
         moved += step
         # joints that far apart are a mistake, not a tolerance
-        if moved > REFUSED * system.length:
+        if moved > FITS * system.length:
             raise _does_not_fit(system, state.t, first)
 
         q = system.compose(q, dq)
@@ -142,7 +142,7 @@ def _does_not_fit(system: System, t: float, g: Array) -> ConstraintError:
     )
 
     return ConstraintError(
-        f"The bodies do not fit together at t = {t:g} s: {found}, and closing it would move bodies by more than {REFUSED:g} "
+        f"The bodies do not fit together at t = {t:g} s: {found}, and closing it would move bodies by more than {FITS:g} "
         f"of the model's length ({system.length:.3g} m). {remedy}."
     )
 
@@ -284,7 +284,7 @@ def _keep_volume(system: System, k: int, made: State, given: State) -> None:
 
         size = mean(dU)
         total = mean(U - system.local_q(given.q, k) + dU)
-        if total > REFUSED * field.size:
+        if total > FITS * field.size:
             raise ConstraintError(
                 f'Body "{part.name}" keeps its volume, but its initial displacements change it: points would have to move by '
                 f"{total:.3g} m. Give displacements with det(1 + grad u) = 1, or none."

@@ -10,6 +10,8 @@ from ..ranks import rank_max, rank_sum
 from ..rotations import Array
 from .layout import Layout
 
+FITS = 1e-3  # of the model's length: a correction of places at the start above it is wrong input, not roundoff
+
 
 class Measured(Layout):
     """A layout whose arrays are measured as lengths."""

@@ -30,6 +30,7 @@ from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation
 from .held_modes import stiff_modes
+from .lengths import FITS
 from .system import System
 
 RANK_TOLERANCE = 1e-9  # singular values below this share of the largest count as zero
@@ -337,7 +338,11 @@ def check(scene: Any, deep: bool = False) -> Mobility:
         )
     notes += [stiff] if (stiff := doubtful_modes(ev)) else []
     if found.open > 1e-6 * system.length:
-        notes.append(f"the constraints are open by {found.open:.2g} m; the start will close them")
+        small = found.open <= FITS * system.length
+        then = (
+            "the start of a run closes them" if small else "a run refuses them: bodies are not where their joints are"
+        )
+        notes.append(f"the constraints are open by {found.open:.2g} m; {then}")
 
     # springs on bodies of the mean mass: a time step far longer sees nothing of them
     stiffest = float(stiffnesses(system).max(initial=0.0))

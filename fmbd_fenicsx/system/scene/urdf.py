@@ -6,7 +6,8 @@
     phi = robot.coordinate("elbow")
 
 The root link stands still. Links without mass go with the link that a fixed joint ties them to. Damping and friction of a joint
-become force elements, a mimic joint a gear. Limits are kept as data: ``robot.joints["elbow"].limits``.
+become force elements, a mimic joint a gear. Limits are kept as data, ``robot.joints["elbow"].limits``; a start outside of them is
+told of.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 
 from ...checks import instance, number
 from ...errors import InputError, near, require
+from ...log import log
 from ...mechanics.bodies.bodies import FloatingBody, RigidBody
 from ...mechanics.forces.forces import joint_spring
 from ...mechanics.forces.joint_elements import joint_friction
@@ -31,6 +33,7 @@ from .scene import Scene
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating")
 COORDINATES = ("revolute", "continuous", "prismatic")  # kinds with one angle or displacement
+ON_LIMIT = 1e-6  # rad or m by which a start may miss a limit that is written with few digits
 FRICTION_SPEED = 1e-2  # rad/s or m/s at which the friction of a joint is that of sliding
 
 
@@ -201,9 +204,33 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
     roots = [link.name for link in model.links if link.name not in children]
     require(len(roots) == 1, f"{path}: expected one root link, found {roots}.")
 
-    frames, joints = _placed(model, roots[0], _with_mimics(path, model, start))
+    starts = _with_mimics(path, model, start)
+    frames, joints = _placed(model, roots[0], starts)
+    _tell(path, joints, starts)
     bodies, carrier = _bodies(path, model, (roots[0], frames, joints))
     return Robot(model.name or path.stem, roots[0], frames, joints, bodies, carrier)
+
+
+def _tell(path: Path, joints: Mapping[str, RobotJoint], starts: Mapping[str, float]) -> None:
+    """Warn of starts outside of limits, and of dynamics that joints without a coordinate have no element for."""
+    outside = [
+        f'"{j.name}" at {starts[j.name]:g}, limits {j.limits[0]:g} to {j.limits[1]:g}'
+        for j in joints.values()
+        if j.limits[0] < j.limits[1] and not j.limits[0] - ON_LIMIT <= starts[j.name] <= j.limits[1] + ON_LIMIT
+    ]
+    if outside:
+        log.warning(
+            "%s: joints begin outside of their limits: %s. Give read_urdf(start=...) others; a stop added at a limit would throw "
+            "them back", path, "; ".join(outside),
+        )  # fmt: skip
+    lost = [
+        f'"{j.name}" ({j.kind})' for j in joints.values() if j.kind not in COORDINATES and (j.damping or j.friction)
+    ]
+    if lost:
+        log.warning(
+            "%s: damping and friction are left out of joints without one angle or displacement: %s. Add a fmbd.bushing or a "
+            "fmbd.force_element", path, ", ".join(lost),
+        )  # fmt: skip
 
 
 def _with_mimics(path: Path, model: Any, start: dict[str, float]) -> dict[str, float]:
