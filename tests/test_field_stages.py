@@ -155,17 +155,10 @@ def test_every_form_has_the_same_orders_where_rows_are_linear(
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("form", [fmbd.Index3(), fmbd.GGL()], ids=lambda f: f.name)
-def test_a_stiff_rod_released_at_once_takes_large_steps(
-    rod_mesh: Callable[..., Any], form: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Vibrations above 1e4 rad/s of amplitudes below the tolerance: 20 steps a second, not 300 a millisecond. Where factors are
-    dear there are few.
-    """
+def test_a_stiff_rod_released_at_once_takes_large_steps(rod_mesh: Callable[..., Any], form: Any) -> None:
+    """Vibrations above 1e4 rad/s of amplitudes below the tolerance: 20 steps a second, not 300 a millisecond."""
     scene = pendulum(rod_mesh(dim=2, h=0.5, height=0.1), E=2e11)
-    at_once = fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(3, form, 1e-4))
-    monkeypatch.setattr("fmbd_fenicsx.linear.frequency_solvers.AT_ONCE", 0)
     run = fmbd.solve(scene, t_end=1.0, scheme=fmbd.Radau(3, form, 1e-4))
-    assert np.abs(at_once["tip"][-1] - run["tip"][-1]).max() < 3e-4
     fine = fmbd.solve(scene, t_end=1.0, dt=1e-3)
     assert np.abs(run["tip"][-1] - fine["tip"][-1]).max() < 3e-4
     assert run.counters["steps"] + run.counters["rejections"] <= 40

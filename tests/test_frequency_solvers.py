@@ -96,17 +96,9 @@ def test_exact_factors_leave_nothing_where_nothing_turns(rod_mesh: Callable[...,
         assert (np.abs(x - y).max(axis=1) < 2e-2 * np.abs(y).max(axis=1)).all()
 
 
-def test_frequencies_get_factors_when_they_come_back(
-    rod_mesh: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first one is that of the grid; others of large bodies have its next one until they have been asked for a few times."""
+def test_frequencies_get_factors_when_they_come_back(rod_mesh: Callable[..., Any]) -> None:
+    """The first one is that of the grid; others have its next one until they have been asked for a few times."""
     system = pendulum(rod_mesh(dim=2, h=0.5, height=0.2)).build()[0]
-    at_once = FrequencySolvers(system, StepSolver(system))
-    at_once.settles = True
-    at_once.of(500.0 + 0.0j)
-    assert at_once.settled(S) and at_once.of(S).exact
-
-    monkeypatch.setattr(frequency_solvers, "AT_ONCE", 0)
     solvers = FrequencySolvers(system, StepSolver(system))
     assert solvers.of(500.0 + 0.0j).exact
     # of a scheme whose steps have any size

@@ -1,9 +1,8 @@
 """Solvers of a constrained system for motions exp(s t): with M + C / s + K / s^2 for real and complex frequencies s (1/s).
 
-Implicit schemes of several stages ask for a few frequencies, over the size of the step. Those that come back step after step, of
-small bodies all, get elastic factors of their own, complex ones too, so that no vibration is left to an iteration, however stiff
-it is. Others, and all of very large bodies, take the real factor whose frequency is next to |s|, of a geometric grid of three for
-a decade.
+Implicit schemes of several stages ask for a few frequencies, over the size of the step. Those that come back step after step get
+elastic factors of their own, complex ones too, so that no vibration is left to an iteration, however stiff it is. Others, and all
+of large bodies, take the real factor whose frequency is next to |s|, of a geometric grid of three for a decade.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from .condensation import StepSolver
 
 DECADE = 3  # real factors for a decade of frequencies
 SAME = 1e-8  # relative difference below which frequencies are the same: steps of one size differ by roundoff
-# times that a frequency of large bodies is asked for before it gets own factors, which cost what one to five steps gain by them
+# times that a frequency is asked for before it gets own factors, which cost what one to five steps gain by them
 SETTLED = 4
 MANY = 32  # frequencies that are remembered
 KEPT = 12  # sets of elastic factors, that of the mass included
@@ -31,7 +30,6 @@ LARGE_KEPT = 5  # the same of large bodies: those of a decade, one more and the 
 # of the matrices of all fields, up to which there are complex factors: measured, these have four entries for each of them in the
 # plane and six in space (450 000 entries, 39 MB), and more in larger bodies
 ENTRIES = 1_000_000
-AT_ONCE = 100_000  # the same up to which factors cost less than the first step gains by them
 
 
 @dataclass(frozen=True)
@@ -69,9 +67,7 @@ class FrequencySolvers(Remembering):
 
     def __init__(self, system: System, solver: StepSolver) -> None:
         self.real = solver
-        entries = _entries(system)
-        solver.elastic.kept = KEPT if entries <= ENTRIES else LARGE_KEPT
-        self._waits = 0 if entries <= AT_ONCE else SETTLED  # times that a frequency is asked for without factors
+        solver.elastic.kept = KEPT if _entries(system) <= ENTRIES else LARGE_KEPT
         self.settles = False
         self.asked: list[tuple[complex, int]] = []  # the last frequencies, and how often
         self.anchor: float | None = None  # first frequency of the grid, 1/s
@@ -91,13 +87,13 @@ class FrequencySolvers(Remembering):
         if not self.settles:
             return FrequencySolver.of(self.real, complex(nearest), False)
         s, count = self._noted(s)
-        if count > self._waits and self._possible:
+        if count > SETTLED and self._possible:
             return FrequencySolver.of(self._complex_at(place) if s.imag else self.real, s, True)
         return FrequencySolver.of(self.real, complex(nearest), False)
 
     def at_hand(self, s: float) -> Weights:
         """Those of the real matrix that steps with a frequency s (1/s) were solved by: its own, or the next one of the grid."""
-        known = [x for x, count in self.asked if abs(x - s) <= SAME * s and count > self._waits]
+        known = [x for x, count in self.asked if abs(x - s) <= SAME * s and count > SETTLED]
         own = known and self.settles and self._possible
         return FrequencySolver.of(self.real, complex(known[0] if own else self._on_grid(s)), True).weights
 
@@ -113,13 +109,13 @@ class FrequencySolvers(Remembering):
         """Frequencies (p,) that every step will ask for: they get their own factors at once."""
         for x in s:
             first, _ = self._noted(complex(x))
-            self.asked[-1] = first, max(self._waits, self.asked[-1][1])
+            self.asked[-1] = first, max(SETTLED, self.asked[-1][1])
 
     def settled(self, s: complex) -> bool:
         """Whether who asks for a frequency next gets its own factors; this is no such question."""
         nearest = self._on_grid(abs(s))
         known = max((count for known, count in self.asked if abs(known - s) <= SAME * abs(s)), default=0)
-        return abs(s - nearest) <= SAME * nearest or (self.settles and known >= self._waits)
+        return abs(s - nearest) <= SAME * nearest or (self.settles and known >= SETTLED)
 
     def _noted(self, s: complex) -> tuple[complex, int]:
         """A frequency as it was asked for first, and how often it has been, with this time."""
