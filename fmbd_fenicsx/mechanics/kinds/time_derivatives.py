@@ -32,7 +32,7 @@ import numpy as np
 from ...errors import AGREEMENTS, FmbdError
 from .expressions import Program, as_expression, gradient, passing, symbol
 from .jets import Jet, jet
-from .time_polynomials import HALVES, TimePolynomial, polynomial, times_between
+from .time_polynomials import FEW, LEVELS, PARTS, TimePolynomial, falls, polynomial, times_between
 
 EPS = float(np.finfo(float).eps)
 STEPS = tuple(2.0**k for k in range(-39, 19, 3))  # s
@@ -186,9 +186,8 @@ class Values(dict[float, float]):
             found = self.function(asked)
         except OUTSIDE:
             return None
-        if not (isinstance(found, np.ndarray) and found.shape == asked.shape and found.dtype == float):
-            return None
-        answers: list[float] = found.tolist()
+        usable = isinstance(found, np.ndarray) and found.shape == asked.shape and found.dtype == float
+        answers: list[float] = found.tolist() if usable else [math.nan]
         return answers if math.isfinite(sum(answers)) else None
 
 
@@ -233,7 +232,7 @@ class CountingSteps:
         if self.takes_jets:
             return None
         span, width = self.smooth_about(t), self.widest
-        for _ in range(HALVES):
+        for _ in range(LEVELS):
             key = width, math.floor(t / width), span[0]
             if key not in self.polynomials:
                 if len(self.polynomials) == MOST:
@@ -242,7 +241,7 @@ class CountingSteps:
             found = self.polynomials[key]
             if found is not None:
                 return found.rates(t, place)
-            width *= 0.5
+            width /= PARTS
         return None
 
     def _polynomial(
@@ -254,12 +253,15 @@ class CountingSteps:
         first, behind = max(span[0], 0.0 if number >= 0 else -math.inf), math.nextafter(span[1], -math.inf)
         ends = max(begin - 0.5 * width, first), min(begin + 1.5 * width, behind)
         times = times_between(*ends)
-        self._ask(values, times)
-        try:
-            there = [values[t] for t in times]
-        except OUTSIDE:
-            return None
-        return polynomial(there, ends, (begin, begin + width)) if all(map(math.isfinite, there)) else None
+        for some in (times[FEW], times):
+            self._ask(values, some)
+            try:
+                there = [values[t] for t in some]
+            except OUTSIDE:
+                return None
+            if not all(map(math.isfinite, there)) or (some is not times and not falls(there)):
+                return None
+        return polynomial(there, ends, (begin, begin + width))
 
     def by_few(self, values: Values, t: float, scale: float) -> Rates | None:
         """Both rates by the steps of this interval; None where they are not as good as in the places that they are from."""

@@ -9,8 +9,8 @@ last quarter of the c_k, of size e, is roundoff of s, or has no weight in the ra
 
     e sum_k |T_k'| < RATE max |s' r|,    e sum_k |T_k''| < CURVE max |s'' r^2|                            (2)
 
-up to the last c_k above e, those behind it count as zero. An interval without such a polynomial is halved. What is found of one
-does not depend on what was asked before.
+up to the last c_k above e, those behind it count as zero. Every third value tells first whether the c_k fall at all. An interval
+without such a polynomial is cut in parts. What is found of one does not depend on what was asked before.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from numpy.polynomial import chebyshev
 from ...rotations import Array
 
 N = 24  # degree of polynomials
-HALVES = 14  # widths of intervals, each half of the one before
+PARTS, LEVELS = 8, 5  # of an interval; widths of intervals
+FEW = slice(None, None, 3)  # values that are looked at first
+FALLS = 3e-3  # of the largest c_k, k > 0, by these: what the last two may be
 ROUNDED = 4.0  # times e: c_k below are none
 RATE, CURVE = 1e-10, 1e-7  # of the largest s' and s''
 SEEN = 1e-14  # of the largest s: roundoff
@@ -35,6 +37,7 @@ EPS = float(np.finfo(float).eps)
 _K = np.arange(N + 1.0)
 _X = np.cos(np.pi * _K / N)
 _SERIES = np.linalg.inv(np.cos(np.outer(np.arccos(_X), _K)))  # c by values at these x
+_OF_FEW = np.linalg.inv(np.cos(np.outer(np.arccos(_X[FEW]), _K[: N // 3 + 1])))  # the same by these
 _RATE = np.array([np.append(chebyshev.chebder(row), 0.0) for row in np.eye(N + 1)]).T  # those of ds/dx by c
 
 
@@ -50,14 +53,19 @@ class TimePolynomial:
     def rates(self, t: float, place: float) -> tuple[float, float] | None:
         """s' and s'' at a time where the function says ``place``; None where the polynomial does not."""
         x = (t - self.middle) / self.radius
-        s, rate, curve = (np.cos(_K * math.acos(min(max(x, -1.0), 1.0))) @ self.series).tolist()
+        s, rate, curve = map(float, np.cos(_K * math.acos(min(max(x, -1.0), 1.0))) @ self.series)
         return (rate, curve) if abs(s - place) <= self.off else None
 
 
 def times_between(begin: float, end: float) -> list[float]:
     """At which a function is asked for its polynomial."""
-    times: list[float] = (0.5 * (begin + end) + 0.5 * (end - begin) * _X).tolist()
-    return times
+    return list(map(float, 0.5 * (begin + end) + 0.5 * (end - begin) * _X))
+
+
+def falls(values: Sequence[float]) -> bool:
+    """Whether values at few of these times let (2) be hoped for."""
+    c = np.abs(_OF_FEW @ np.array(values))
+    return bool(c[-2:].max() <= FALLS * c[1:].max() + SEEN * np.abs(values).max())
 
 
 def polynomial(
