@@ -77,7 +77,7 @@ class SlackFactor(FieldFactor):
         if self.small is not None and H.shape[1]:
             Z = Z + self.Y @ sl.lu_solve(self.small, self.B @ Z)
         for z, h in zip(Z.T, H.T, strict=True):
-            self._judged(z, np.asarray(h))
+            self._judged(np.asarray(z), np.asarray(h))
         return np.asarray(Z)
 
     def _judged(self, x: Array, b: Array) -> Array:
