@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
-from fmbd_fenicsx.analysis.vibration.axial_forces import left_out
+from fmbd_fenicsx.system.axial_forces import left_out
 
 HEIGHT, MODULUS, ANGLE = 0.02, 1e9, 0.4
 BENDING = MODULUS * HEIGHT**3 / 12

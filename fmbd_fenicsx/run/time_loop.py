@@ -10,6 +10,7 @@ from ..agreement import OneAnswer
 from ..errors import ConvergenceError, LinearSolveError
 from ..linear.condensation import StepSolver
 from ..log import log
+from ..system.axial_forces import IN_RUNS, AxialForces
 from ..system.bends import Bends
 from ..system.element_memory import next_sample, restore
 from ..system.evaluation import Evaluation
@@ -116,7 +117,7 @@ class Loop:
         self.judges.forecast.since = state.t
         self.motions = _motions(problem, schedule, state.t)
         watched = problem.warned is not None and system.parts
-        watchers = (SmallTurns(system), Spins(system), Bends(system)) if watched else ()
+        watchers = (SmallTurns(system), Spins(system), Bends(system), AxialForces(system, IN_RUNS)) if watched else ()
         self.watchers = [watcher for watcher in watchers if watcher.bodies]
         self.events = _events(problem, schedule, output, state)
         self.event_met = False

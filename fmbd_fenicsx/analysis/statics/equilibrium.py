@@ -22,6 +22,7 @@ from ...log import log
 from ...mechanics.forces.effort_laws import Friction
 from ...mechanics.forces.forces import CoordinateForce
 from ...rotations import Array
+from ...system.axial_forces import AxialForces
 from ...system.bends import Bends
 from ...system.compiled.choice import use_driver
 from ...system.layout import State
@@ -145,7 +146,7 @@ def equilibrium(
         }
 
         found = Equilibrium(scene, system, state_of(system, point, t, turning), markers, turning, made, counters)
-        for watch in (Spins, SmallTurns, Bends):
+        for watch in (Spins, SmallTurns, Bends, AxialForces):
             watch(system).look(found.state)
         tell_of_modes(system.at(t, found.state.q))
         if made is not None:

@@ -181,7 +181,7 @@ def modes_of(scene: Scene, n: int, *, at: Any, linear: Any = None, held: bool = 
     scaled = np.array([x / s for x, s in zip(shapes, sizes, strict=True)])
     found = Modes(scene, system, made.about.state, values, scaled, made.markers)
     if system.parts:
-        from .axial_forces import tell_axial_forces
+        from ...system.axial_forces import tell_axial_forces
 
         tell_axial_forces(made.about.here, found.about.lam, list(zip(found.frequencies, scaled, strict=True)))
     return found

@@ -1,0 +1,164 @@
+"""How much of the stiffness of linear bodies the forces along them would change, which their forms leave out.
+
+A force N along a slender body of length L works on the slopes of its displacements u, N int u'^2 dx / 2. In a moving frame what
+the frame turns by is seen, the slopes in it are not, unless the body has ``stiffening``; in absolute coordinates none are. N
+comes from the mean stress
+
+    V sigma = sum_n f_n (X_n - c)^T                                                                         (1)
+
+of nodal forces f that strain the body (of a field: f = K u), c its centre of mass; the slopes from the displacements,
+
+    int u'^2 dx = waves / L^2 int u^2 dx.                                                                   (2)
+
+``waves`` is 4.6, 8.3, 12.3 for first shapes that are clamped at one end, pinned at both, clamped at both, in a frame at one
+end; in mean axes 50 to 60 for the last two and for free ends. Where no shapes are known, the first between the joints of a body
+tells, of frequency omega_1 as they hold it (``spins``), with displacements in space:
+
+    share = waves |N| / (m L omega_1^2).                                                                    (3)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..log import log
+from ..mechanics.elastic.absolute import AbsoluteField
+from ..mechanics.elastic.modes import first_eigenvalue_bound
+from ..mechanics.reduction.reduced import ReducedPart
+from ..rotations import Array
+from .evaluation import Evaluation
+from .layout import Layout, State
+from .spins import held_frequency, in_linear_frames
+from .system import System
+from .tangents.foreshortened_ports import surface_forces
+
+SHARE = 0.1  # of its stiffness in a shape that may be left out: a twentieth of the frequency
+IN_RUNS = 0.25  # the same at an instant of a run, where forces come and go
+ATTACHED, MEAN = 8.0, 55.0  # waves of (2) by the frame
+STILL = 1e-6  # displacement of a body that takes no part in a shape, over the largest
+CLAMPED = (
+    0.02  # square of the first frequency clamped at one end over that without supports: the softest that joints hold
+)
+RIGID = 1e-6  # of that square, without supports, below which a shape is a rigid motion
+LOOKS = 8  # at a run of equal steps, at least
+
+
+class AxialForces:
+    """Who looks at the linear bodies of a system that may be pressed or pulled along themselves; told is what leaves out more
+    than a ``share`` of its stiffness.
+    """
+
+    def __init__(self, system: System, share: float = SHARE) -> None:
+        self.system, self.share = system, share
+        self.bodies = _bodies(system)
+        self._asked = 0
+        self._free = {k: _first_free(part) for k, part in self.bodies}
+
+    def most(self, steps: int) -> int:
+        """So many of all steps at most between two looks."""
+        return steps // LOOKS + 1 if self.bodies else steps
+
+    def look(self, state: State) -> None:
+        """Warn once of each body that leaves out too much, by (3); of many states at ever fewer. Collective."""
+        self._asked += 1
+        if not self.bodies or self._asked % (self._asked // LOOKS + 1):
+            return
+        ev = self.system.at(state.t, state.q, state.v)
+        on_surfaces = surface_forces(ev, state.lam)
+        for k, part in list(self.bodies):
+            force, length = axial_force(ev, k, part, on_surfaces)
+            missing = ATTACHED * abs(force) / (part.mass_total * length)
+            if missing <= self.share * CLAMPED * self._free[k]:
+                continue
+            found = missing / held_frequency(ev, k, part) ** 2
+            if found > self.share:
+                self.bodies.remove((k, part))
+                _tell(part.name, force, found, "in bending between its joints")
+
+
+def tell_axial_forces(ev: Evaluation, lam: Array, shapes: Sequence[tuple[float, Array]]) -> None:
+    """Warn of each body whose form leaves out a share of its stiffness in one of the ``shapes`` that is not small."""
+    for name, force, share, frequency in left_out(ev, lam, shapes):
+        if share > SHARE:
+            _tell(name, force, share, f"in the mode of {frequency:.4g} Hz")
+
+
+def _tell(name: str, force: float, share: float, where: str) -> None:
+    pulled = force > 0
+    log.warning(
+        'body "%s" is %s along itself by some %.3g N, which %s %s of its stiffness %s; its linear form leaves that out%s. Take '
+        "stiffening=True with an attached frame, an energy, or a Rod",
+        name,
+        "pulled" if pulled else "pressed",
+        abs(force),
+        "adds" if pulled else "takes",
+        f"some {100.0 * share:.0f} %" if share < 1.0 or pulled else "all",
+        where,
+        "" if pulled else ", and it does not buckle",
+    )
+
+
+def _bodies(system: Layout) -> list[tuple[int, Any]]:
+    """Linear bodies without stiffening, in moving frames or in absolute coordinates."""
+    still = [(k, p) for k, p in system.fields if isinstance(p, AbsoluteField) and not p.field.nonlinear]
+    return [(k, part) for k, part, stiffened in in_linear_frames(system) if not stiffened] + still
+
+
+def left_out(
+    ev: Evaluation, lam: Array, shapes: Sequence[tuple[float, Array]]
+) -> list[tuple[str, float, float, float]]:
+    """Of each linear body without stiffening its name, the mean force (N) along it, and where it matters most among ``shapes``
+    (frequencies in Hz, increments like v): its share of the stiffness there, by (2), and the frequency; collective.
+    """
+    bodies = _bodies(ev.system)
+    on_surfaces = surface_forces(ev, lam) if bodies else np.zeros(0)
+    found = []
+    for k, part in bodies:
+        force, length = axial_force(ev, k, part, on_surfaces)
+        waves = MEAN if part.frame < ev.system.n_frames and part.mean_rates is None else ATTACHED
+        moved, frequency = max((_over_stiffness(part, ev.system.local_v(y, k)), f) for f, y in shapes)
+        found.append((part.name, force, waves * abs(force) * moved / (part.mass_total * length), frequency))
+    return found
+
+
+def axial_force(ev: Evaluation, k: int, part: Any, on_surfaces: Array) -> tuple[float, float]:
+    """Mean force (N, tension positive) along a principal axis of the body k, the largest, and its length (m); collective."""
+    d = ev.system.motions.dim
+    if isinstance(part, ReducedPart):
+        constants = part.constants
+        centre, second = constants.S[:, 0] / constants.mass, constants.T[0, 0]
+        stress = part.virial(on_surfaces[ev.system.port_slice(k)], ev.t, ev.rotation[part.frame], centre)
+    else:
+        f, u = part.field, ev.system.local_q(ev.q, k)
+        MX = f.mass(f.X)
+        first, second = f.total(MX.T @ np.ones(f.n)), f.total(MX.T @ f.X)
+        centre = first / f.mass_total
+        strained = f.stiffness(u).reshape(-1, d) - f.loads.constant(ev.t, ev.rotation[part.frame])[1]
+        stress = f.total(strained.T @ (f.X - centre))
+
+    sizes, axes = np.linalg.eigh(second - part.mass_total * np.outer(centre, centre))
+    length = float(np.sqrt(12.0 * sizes[-1] / part.mass_total))
+    along = np.einsum("ia,ij,ja->a", axes, stress, axes)
+    return float(along[np.abs(along).argmax()]) / length, length
+
+
+def _over_stiffness(part: Any, u: Array) -> float:
+    """Mass times displacements squared of a shape over twice its energy of strain, s^2; collective."""
+    if isinstance(part, ReducedPart):
+        M = np.trace(part.constants.T[1:, 1:], axis1=2, axis2=3)
+        moved, strained = (float(np.real(u.conj() @ A @ u)) for A in (M, part.constants.K))
+    else:
+        f = part.field
+        parts = [np.ascontiguousarray(x) for x in (u.real, u.imag)]
+        sums = [np.array([x @ f.mass(x.reshape(-1, f.dim)).ravel(), x @ f.stiffness(x)]) for x in parts]
+        moved, strained = f.total(sum(sums)).tolist()
+    takes_part = moved > STILL**2 * part.mass_total and strained > RIGID * _first_free(part) * moved
+    return moved / strained if takes_part else 0.0
+
+
+def _first_free(part: Any) -> float:
+    """Square of the first frequency without supports, (rad/s)^2; collective."""
+    return part.first_frequency**2 if isinstance(part, ReducedPart) else first_eigenvalue_bound(part.field)
