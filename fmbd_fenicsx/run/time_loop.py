@@ -117,7 +117,9 @@ class Loop:
         self.judges.forecast.since = state.t
         self.motions = _motions(problem, schedule, state.t)
         watched = problem.warned is not None and system.parts
-        watchers = (SmallTurns(system), Spins(system), Bends(system), AxialForces(system, IN_RUNS)) if watched else ()
+        watchers = (
+            (SmallTurns(system), Spins(system), Bends(system), AxialForces(system, IN_RUNS, state.t)) if watched else ()
+        )
         self.watchers = [watcher for watcher in watchers if watcher.bodies]
         self.events = _events(problem, schedule, output, state)
         self.event_met = False

@@ -11,10 +11,8 @@ of nodal forces f that strain the body (of a field: f = K u), c its centre of ma
     int u'^2 dx = waves / L^2 int u^2 dx.                                                                   (2)
 
 ``waves`` is 4.6, 8.3, 12.3 for first shapes that are clamped at one end, pinned at both, clamped at both, in a frame at one
-end; in mean axes 50 to 60 for the last two and for free ends. Where no shapes are known, the first between the joints of a body
-tells, of frequency omega_1 as they hold it (``spins``), with displacements in space:
-
-    share = waves |N| / (m L omega_1^2).                                                                    (3)
+end; in mean axes 50 to 60 for the last two and for free ends. Runs and equilibria, which know no shapes, take the first of each
+body as its joints hold it (``spins``).
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation
 from .layout import Layout, State
-from .spins import held_frequency, in_linear_frames
+from .spins import held_mode, in_linear_frames
 from .system import System
 from .tangents.foreshortened_ports import surface_forces
 
@@ -43,26 +41,29 @@ CLAMPED = (
     0.02  # square of the first frequency clamped at one end over that without supports: the softest that joints hold
 )
 RIGID = 1e-6  # of that square, without supports, below which a shape is a rigid motion
+SLENDER = 4.0  # length over the least thickness
 LOOKS = 8  # at a run of equal steps, at least
 
 
 class AxialForces:
     """Who looks at the linear bodies of a system that may be pressed or pulled along themselves; told is what leaves out more
-    than a ``share`` of its stiffness.
+    than a ``share`` of its stiffness. Bending does not follow what passes within 1 / omega_1: in a run, which starts at a time
+    ``start`` (s), forces are told of that looks have found for so long.
     """
 
-    def __init__(self, system: System, share: float = SHARE) -> None:
+    def __init__(self, system: System, share: float = SHARE, start: float = -np.inf) -> None:
         self.system, self.share = system, share
         self.bodies = _bodies(system)
         self._asked = 0
         self._free = {k: _first_free(part) for k, part in self.bodies}
+        self._since = dict.fromkeys(self._free, (0.0, start))  # sign of a force that counts, and when it was seen first
 
     def most(self, steps: int) -> int:
         """So many of all steps at most between two looks."""
         return steps // LOOKS + 1 if self.bodies else steps
 
     def look(self, state: State) -> None:
-        """Warn once of each body that leaves out too much, by (3); of many states at ever fewer. Collective."""
+        """Warn once of each body that leaves out too much; of many states at ever fewer. Collective."""
         self._asked += 1
         if not self.bodies or self._asked % (self._asked // LOOKS + 1):
             return
@@ -70,13 +71,24 @@ class AxialForces:
         on_surfaces = surface_forces(ev, state.lam)
         for k, part in list(self.bodies):
             force, length = axial_force(ev, k, part, on_surfaces)
-            missing = ATTACHED * abs(force) / (part.mass_total * length)
-            if missing <= self.share * CLAMPED * self._free[k]:
-                continue
-            found = missing / held_frequency(ev, k, part) ** 2
-            if found > self.share:
+            found, omega = self._share(ev, k, part, _slopes(ev, part, force, length))
+            sign, since = self._since[k]
+            if found <= self.share:
+                self._since[k] = 0.0, state.t
+            elif sign * force < 0.0:
+                self._since[k] = np.sign(force), state.t
+            elif omega * (state.t - since) > 1.0:
                 self.bodies.remove((k, part))
                 _tell(part.name, force, found, "in bending between its joints")
+            else:
+                self._since[k] = np.sign(force), since
+
+    def _share(self, ev: Evaluation, k: int, part: Any, slopes: float) -> tuple[float, float]:
+        """What is left out of the first shape as joints hold it, and its frequency (rad/s); 0 where no joints make it count."""
+        if slopes <= self.share * CLAMPED * self._free[k]:
+            return 0.0, 0.0
+        omega, shape = held_mode(ev, k, part)
+        return slopes * _over_stiffness(part, shape), omega
 
 
 def tell_axial_forces(ev: Evaluation, lam: Array, shapes: Sequence[tuple[float, Array]]) -> None:
@@ -118,14 +130,21 @@ def left_out(
     found = []
     for k, part in bodies:
         force, length = axial_force(ev, k, part, on_surfaces)
-        waves = MEAN if part.frame < ev.system.n_frames and part.mean_rates is None else ATTACHED
         moved, frequency = max((_over_stiffness(part, ev.system.local_v(y, k)), f) for f, y in shapes)
-        found.append((part.name, force, waves * abs(force) * moved / (part.mass_total * length), frequency))
+        found.append((part.name, force, _slopes(ev, part, force, length) * moved, frequency))
     return found
 
 
+def _slopes(ev: Evaluation, part: Any, force: float, length: float) -> float:
+    """waves |N| / (m L), 1/s^2: by (2) the work of a force on the slopes of a shape over its mass times displacements squared."""
+    waves = MEAN if part.frame < ev.system.n_frames and part.mean_rates is None else ATTACHED
+    return waves * abs(force) / (part.mass_total * length)
+
+
 def axial_force(ev: Evaluation, k: int, part: Any, on_surfaces: Array) -> tuple[float, float]:
-    """Mean force (N, tension positive) along a principal axis of the body k, the largest, and its length (m); collective."""
+    """Mean force (N, tension positive) along a principal axis of the body k, the largest, and its length (m); none of a body that
+    is not slender. Collective.
+    """
     d = ev.system.motions.dim
     if isinstance(part, ReducedPart):
         constants = part.constants
@@ -141,6 +160,8 @@ def axial_force(ev: Evaluation, k: int, part: Any, on_surfaces: Array) -> tuple[
 
     sizes, axes = np.linalg.eigh(second - part.mass_total * np.outer(centre, centre))
     length = float(np.sqrt(12.0 * sizes[-1] / part.mass_total))
+    if sizes[0] * SLENDER**2 > sizes[-1]:
+        return 0.0, length
     along = np.einsum("ia,ij,ja->a", axes, stress, axes)
     return float(along[np.abs(along).argmax()]) / length, length
 

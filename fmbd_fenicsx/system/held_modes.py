@@ -18,7 +18,7 @@ from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation
 from .layout import RowBlock
-from .spins import frequency_by_modes
+from .spins import mode_by_modes
 
 SHARE = 0.02  # of a first frequency that half of the modes may change
 HELD = 1e-6  # part of a rotation in the rows of a joint that is none
@@ -36,7 +36,7 @@ def stiff_modes(ev: Evaluation) -> str:
     for k, part in free:
         if not any(_turns_with(ev, k, part, rows, block) for block in s.blocks):
             continue
-        all_modes, half = (frequency_by_modes(ev, k, part, rows, n) / (2 * np.pi) for n in (part.n, part.n // 2))
+        all_modes, half = (mode_by_modes(ev, k, part, rows, n)[0] / (2 * np.pi) for n in (part.n, part.n // 2))
         if half > (1 + SHARE) * all_modes or np.isinf(all_modes):
             found = f"{_hertz(all_modes)} by all of them, {_hertz(half)} by half"
             return (

@@ -18,8 +18,9 @@ import scipy.linalg as sl
 
 from ..log import log
 from ..matrices import dense
+from ..mechanics.elastic.field_part import FieldPart
 from ..mechanics.elastic.floating import FloatingField
-from ..mechanics.elastic.modes import first_eigenvalue_bound, first_frequency, rigid_fields
+from ..mechanics.elastic.modes import first_eigenvalue_bound, first_mode, rigid_fields
 from ..mechanics.placements import FrameMotion
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
@@ -57,7 +58,7 @@ class Spins:
                 continue
 
             ev = self.system.at(state.t, state.q, state.v)
-            first = held_frequency(ev, k, part)
+            first = held_mode(ev, k, part)[0]
             share = (spin / first) ** 2
             if share <= SHARE:
                 continue
@@ -98,18 +99,20 @@ def _slowest(part: Any) -> float:
     return LOW * float(np.sqrt(first_eigenvalue_bound(part.field)))
 
 
-def held_frequency(ev: Evaluation, k: int, part: Any) -> float:
-    """omega_1 of (1) of body k, rad/s, infinite where joints hold all of its modes; collective."""
+def held_mode(ev: Evaluation, k: int, part: Any) -> tuple[float, Array]:
+    """omega_1 of (1) of body k, rad/s, infinite where joints hold all of its modes, and its shape on the local coordinates, in
+    the frame; collective.
+    """
     s = ev.system
     rows = np.concatenate(
         [np.arange(b.rows.start, b.rows.stop) for b in s.blocks if b.kind != "frame"] or [np.zeros(0, int)]
     )
     if isinstance(part, ReducedPart):
-        return frequency_by_modes(ev, k, part, dense(ev.jacobian.core[rows]), part.n)
+        return mode_by_modes(ev, k, part, dense(ev.jacobian.core[rows]), part.n)
     return _of_field(ev, k, part, ev.jacobian.port[rows][:, s.port_slice(k)])
 
 
-def frequency_by_modes(ev: Evaluation, k: int, part: ReducedPart, rows: Array, count: int) -> float:
+def mode_by_modes(ev: Evaluation, k: int, part: ReducedPart, rows: Array, count: int) -> tuple[float, Array]:
     """(1) of the reduced body k by its first modes only, so many; ``rows`` of the joints on the core."""
     n, d = ev.system.motions.n_twist, ev.system.motions.dim
     rest = FrameMotion(ev.t, ev.rotation[part.frame], np.zeros(n), None, np.zeros(d))
@@ -123,13 +126,15 @@ def frequency_by_modes(ev: Evaluation, k: int, part: ReducedPart, rows: Array, c
     J = np.hstack((rows[:, n * part.frame : n * (part.frame + 1)], rows[:, first : first + count])) / unit
     V = sl.null_space(_of_length_one(J)) / unit[:, None]
     if not V.shape[1]:
-        return np.inf
-    squares = sl.eigh(V.T @ K @ V, V.T @ M @ V, eigvals_only=True)
-    bends = squares[squares > RIGID * max(squares[-1], 0.0)]
-    return float(np.sqrt(bends[0])) if len(bends) else np.inf
+        return np.inf, np.zeros(count)
+    squares, shapes = sl.eigh(V.T @ K @ V, V.T @ M @ V)
+    bends = np.flatnonzero(squares > RIGID * max(squares[-1], 0.0))
+    if not len(bends):
+        return np.inf, np.zeros(count)
+    return float(np.sqrt(squares[bends[0]])), (V @ shapes[:, bends[0]])[n:]
 
 
-def _of_field(ev: Evaluation, k: int, part: FloatingField, on_ports: Array) -> float:
+def _of_field(ev: Evaluation, k: int, part: FieldPart, on_ports: Array) -> tuple[float, Array]:
     """(1) of the displacement field of body k, which holds rigid motions too: rows on its ports.
 
     What was found last is kept with the system: in its own axes a body is held alike as long as its joints turn with it.
@@ -156,8 +161,13 @@ def _of_field(ev: Evaluation, k: int, part: FloatingField, on_ports: Array) -> f
 
     known = ev.system.cache.get(("held", k))
     if known is None or not _span_one_space(f, known[0], conditions):
-        known = ev.system.cache["held", k] = conditions, first_frequency(f, conditions)
-    return float(known[1])
+        omega, u = first_mode(f, conditions)
+        if part.n_frame_rows:
+            C = part.port_columns(np.arange(part.n_frame_rows), ev.t)
+            u = u - Z @ np.linalg.solve(f.total(C.T @ Z), f.total(C.T @ u))
+        known = ev.system.cache["held", k] = conditions, (omega, u)
+    shape: tuple[float, Array] = known[1]
+    return shape
 
 
 def _span_one_space(field: Any, A: Array, B: Array) -> bool:

@@ -119,8 +119,10 @@ def _rayleigh(field: Field) -> Callable[[Array], tuple[float, Array]]:
     return quotient
 
 
-def first_frequency(field: Field, conditions: Array) -> float:
-    """Lowest frequency omega (rad/s) under the conditions, by inverse iteration, to about a percent; collective."""
+def first_mode(field: Field, conditions: Array) -> tuple[float, Array]:
+    """Lowest frequency omega (rad/s) under the conditions, by inverse iteration, to about a percent, and its shape (n d,) of
+    modal mass 1; collective.
+    """
     body = ConditionedBody(field, conditions)
     u = waves(field, np.random.default_rng(5))
 
@@ -137,7 +139,7 @@ def first_frequency(field: Field, conditions: Array) -> float:
             break
 
     body.destroy()
-    return float(np.sqrt(value))
+    return float(np.sqrt(value)), u
 
 
 class ConditionedBody:
