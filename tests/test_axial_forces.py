@@ -99,3 +99,50 @@ def test_a_stiffened_column_is_not_warned_of(kind: str, caplog: Any) -> None:
     alone, found = (first(column(*body, "clamped", p * SUPPORTS["clamped"])) for p in (0.0, 0.5))
     assert (found.frequencies[0] / alone.frequencies[0]) ** 2 == pytest.approx(0.52, abs=0.01)
     assert "along itself" not in caplog.text
+
+
+@pytest.mark.parametrize(("kind", "share"), [("beam", 0.5), ("reduced", 0.4), ("absolute", 0.4)])
+def test_runs_and_equilibria_tell_of_a_force_that_stays(kind: str, share: float, caplog: Any) -> None:
+    """Pinned columns: two fifths of Euler's load; a hundredth, and a force that passes while nothing bends, are not told of."""
+
+    def scene(push: Any) -> fmbd.Scene:
+        if kind == "absolute":
+            mesh = fmbd.read_gmsh("meshes/block.py", size=(1.0, HEIGHT), counts=(16, 1), origin=(0.0, -HEIGHT / 2))
+            material = fmbd.materials.plane_stress(MODULUS, 0.0)
+            body = fmbd.AbsoluteBody("strip", mesh.placed(START, ANGLE), density=1e3, elastic=material)
+            made = column(body, "left", "right", "pinned", 0.0)
+        else:
+            made = column(*strip(kind, attached=False), "pinned", 0.0)
+        far = next(iter(made.bodies.values())).surface("end" if kind == "beam" else "right")
+        made.add(fmbd.force("push", far, lambda t: tuple(-push(t) * ALONG)))
+        return made
+
+    euler = SUPPORTS["pinned"]
+    ramp = lambda t: 0.5 - 0.5 * np.cos(np.pi * min(5.0 * t, 1.0))
+    steps = {"t_end": 0.4, "dt": 2e-3}
+    fmbd.equilibrium(scene(lambda t: 0.01 * euler))
+    fmbd.solve(scene(lambda t: 0.01 * euler * ramp(t)), **steps)
+    fmbd.solve(scene(lambda t: 0.4 * euler * np.exp(-(((t - 0.2) / 2e-3) ** 2))), **steps)
+    assert "along itself" not in caplog.text
+
+    for told in (
+        lambda: fmbd.equilibrium(scene(lambda t: 0.4 * euler)),
+        lambda: fmbd.solve(scene(lambda t: 0.4 * euler * ramp(t)), **steps),
+    ):
+        caplog.clear()
+        told()
+        assert "is pressed along itself" in caplog.text
+        found = float(caplog.text.split("which takes some ")[1].split(" %")[0]) / 100
+        assert found == pytest.approx(share, rel=0.6)
+
+
+def test_a_block_is_no_column(caplog: Any) -> None:
+    block = fmbd.read_gmsh("meshes/block.py", size=(1.0, 1.0), counts=(4, 4))
+    pressed = fmbd.traction("right", (-0.1 * MODULUS, 0.0))
+    body = fmbd.AbsoluteBody(
+        "block", block, density=1e3, elastic=fmbd.materials.plane_stress(MODULUS, 0.0), loads=[pressed]
+    )
+    scene = fmbd.Scene("block")
+    scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
+    fmbd.equilibrium(scene)
+    assert "along itself" not in caplog.text

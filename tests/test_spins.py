@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.mechanics.elastic.modes import first_eigenvalue_bound
 from fmbd_fenicsx.system import spins
 from fmbd_fenicsx.system.spins import held_mode
 
@@ -102,6 +103,18 @@ def test_a_blade_that_spins_up_is_told_by_its_clamped_frequency(kind: str, caplo
     caplog.clear()
     fmbd.equilibrium(alone, spin=fmbd.Spin(0.7 * 3.516 * UNIT))
     assert "49 % of its stiffness" in caplog.text
+
+
+def test_the_attitude_of_a_mesh_does_not_matter() -> None:
+    """Below a twentieth of the bound nothing is looked at: aslant it was twenty times the first frequency."""
+    body, _, _ = blade("floating")
+    bounds = []
+    for angle in (0.0, 0.4, 2.0):
+        scene = fmbd.Scene("free")
+        scene.add(body.with_(mesh=body.mesh.placed((0.3, 0.2), angle)))
+        bounds.append(np.sqrt(first_eigenvalue_bound(scene.build()[0].part("blade")[1].field)))
+    assert 22.373 * UNIT < bounds[0] < 1.3 * 22.373 * UNIT
+    assert bounds == pytest.approx([bounds[0]] * 3, rel=1e-6)
 
 
 def test_steps_that_are_tried_only_tell_nothing() -> None:

@@ -24,7 +24,7 @@ import numpy as np
 
 from ..log import log
 from ..mechanics.elastic.absolute import AbsoluteField
-from ..mechanics.elastic.modes import first_eigenvalue_bound
+from ..mechanics.elastic.modes import first_eigenvalue_bound, principal_axes
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
 from .evaluation import Evaluation
@@ -68,7 +68,7 @@ class AxialForces:
         if not self.bodies or self._asked % (self._asked // LOOKS + 1):
             return
         ev = self.system.at(state.t, state.q, state.v)
-        on_surfaces = surface_forces(ev, state.lam)
+        on_surfaces = _on_surfaces(ev, state.lam, self.bodies)
         for k, part in list(self.bodies):
             force, length = axial_force(ev, k, part, on_surfaces)
             found, omega = self._share(ev, k, part, _slopes(ev, part, force, length))
@@ -126,13 +126,18 @@ def left_out(
     (frequencies in Hz, increments like v): its share of the stiffness there, by (2), and the frequency; collective.
     """
     bodies = _bodies(ev.system)
-    on_surfaces = surface_forces(ev, lam) if bodies else np.zeros(0)
+    on_surfaces = _on_surfaces(ev, lam, bodies)
     found = []
     for k, part in bodies:
         force, length = axial_force(ev, k, part, on_surfaces)
         moved, frequency = max((_over_stiffness(part, ev.system.local_v(y, k)), f) for f, y in shapes)
         found.append((part.name, force, _slopes(ev, part, force, length) * moved, frequency))
     return found
+
+
+def _on_surfaces(ev: Evaluation, lam: Array, bodies: Sequence[tuple[int, Any]]) -> Array:
+    """Forces on the surfaces in use, (n_port,); fields tell theirs by their strains."""
+    return surface_forces(ev, lam) if any(isinstance(part, ReducedPart) for _, part in bodies) else np.zeros(0)
 
 
 def _slopes(ev: Evaluation, part: Any, force: float, length: float) -> float:
@@ -145,20 +150,17 @@ def axial_force(ev: Evaluation, k: int, part: Any, on_surfaces: Array) -> tuple[
     """Mean force (N, tension positive) along a principal axis of the body k, the largest, and its length (m); none of a body that
     is not slender. Collective.
     """
-    d = ev.system.motions.dim
     if isinstance(part, ReducedPart):
         constants = part.constants
         centre, second = constants.S[:, 0] / constants.mass, constants.T[0, 0]
         stress = part.virial(on_surfaces[ev.system.port_slice(k)], ev.t, ev.rotation[part.frame], centre)
+        sizes, axes = np.linalg.eigh(second - part.mass_total * np.outer(centre, centre))
     else:
-        f, u = part.field, ev.system.local_q(ev.q, k)
-        MX = f.mass(f.X)
-        first, second = f.total(MX.T @ np.ones(f.n)), f.total(MX.T @ f.X)
-        centre = first / f.mass_total
-        strained = f.stiffness(u).reshape(-1, d) - f.loads.constant(ev.t, ev.rotation[part.frame])[1]
-        stress = f.total(strained.T @ (f.X - centre))
+        f = part.field
+        strained = f.stiffness(ev.system.local_q(ev.q, k)) - f.loads.constant(ev.t, ev.rotation[part.frame])[1].ravel()
+        stress = f.total(strained.reshape(f.X.shape).T @ f.X)
+        sizes, axes = principal_axes(f)
 
-    sizes, axes = np.linalg.eigh(second - part.mass_total * np.outer(centre, centre))
     length = float(np.sqrt(12.0 * sizes[-1] / part.mass_total))
     if sizes[0] * SLENDER**2 > sizes[-1]:
         return 0.0, length

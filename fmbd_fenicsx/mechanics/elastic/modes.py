@@ -71,6 +71,20 @@ def quadratic_fields(X: Array) -> Iterator[Array]:
         yield u
 
 
+def principal_axes(field: Field) -> tuple[Array, Array]:
+    """int rho x x^T about the centre of mass along its principal axes, (d,) ascending (kg m^2), and these axes, columns (d, d);
+    collective.
+    """
+    sizes, axes = np.linalg.eigh(field.total(field.mass(field.X).T @ field.X))
+    return sizes, axes
+
+
+def _bent(field: Field) -> Iterator[Array]:
+    """Quadratic displacements of a body along and across its principal axes, however it was meshed; collective."""
+    axes = principal_axes(field)[1]
+    return (u @ axes.T for u in quadratic_fields(field.X @ axes / field.size))
+
+
 def waves(field: Any, draw: np.random.Generator) -> Array:
     """Displacements (n d,) by waves of random lengths and phases: the same on any number of ranks, and of any mesh."""
     d = field.dim
@@ -83,7 +97,7 @@ def first_eigenvalue_bound(field: Field) -> float:
     bodies of one material. Collective.
     """
     quotient = _rayleigh(field)
-    return min(quotient(shape.ravel())[0] for shape in quadratic_fields(field.X / field.size))
+    return min(quotient(shape.ravel())[0] for shape in _bent(field))
 
 
 def bound_by_soft_parts(field: Field) -> float:
@@ -92,7 +106,7 @@ def bound_by_soft_parts(field: Field) -> float:
     """
     f, quotient, best = field, _rayleigh(field), first_eigenvalue_bound(field)
     alone = f.K.getDiagonal().array[: field.n * field.dim]
-    moved = [f.mass(shape).ravel() / alone for shape in quadratic_fields(f.X / f.size)]
+    moved = [f.mass(shape).ravel() / alone for shape in _bent(f)]
     soft, u = min(map(quotient, moved), key=lambda found: found[0])
     while 0.0 < soft < SOFTER * best:
         best = soft
