@@ -50,6 +50,7 @@ class Problem:
     warned: Gathered | None = None  # the warnings of the run; None: it warns of nothing
     most_parts: float | None = None  # times that steps may be halved; None: as often as that helps
     beside: Output | None = None  # how sensors are recorded beside what the run is asked for
+    books: bool = False  # whether works are recorded: powers of drives are read of multipliers
 
     @cached_property
     def said(self) -> Declared:
@@ -162,5 +163,6 @@ def _stepper_from(problem: Problem, solver: StepSolver, start: State) -> TimeSte
     """The scheme's own, from a consistent state."""
     gives_up = problem.most_parts == 0.0 and not problem.said.adaptive
     made = made_stepper(problem.scheme, problem.system, solver, problem.newton, start, gives_up=gives_up)
-    made.recorded = max((sensor.derivative for sensor in problem.scene.sensors.values()), default=0)
+    read = [sensor.derivative for sensor in problem.scene.sensors.values()]
+    made.recorded = 2 if problem.books else max(read, default=0)
     return made

@@ -128,6 +128,7 @@ def _problem(task: Task, built: Built, solver: StepSolver, start: ConsistentStar
         warned=built.warned,
         most_parts=task.most_parts,
         beside=task.beside,
+        books=task.output.ledger,
     )
 
 
