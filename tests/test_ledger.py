@@ -53,6 +53,25 @@ def test_works_of_rigid_elements_explain_the_energy(dim: int) -> None:
     assert "stay" in str(book) and "rest" in str(book)
 
 
+def test_works_of_drives_are_of_corrected_multipliers() -> None:
+    """Those of the stages were booked unless a sensor read reactions: a crank's drive was off by an eighth of its work."""
+    scene = fmbd.Scene("crank", gravity=(0, -9.81))
+    crank, rod, slider = (
+        fmbd.RigidBody(n, m, J, (x, 0.0))
+        for n, m, J, x in (("a", 1, 0.05, 0.15), ("b", 2, 0.2, 0.7), ("c", 3, 0.1, 1.1))
+    )
+    pins = [
+        fmbd.revolute(f"pin {x}", a, b, center=(x, 0))
+        for x, a, b in ((0, fmbd.ground, crank), (0.3, crank, rod), (1.1, rod, slider))
+    ]
+    rail = fmbd.prismatic("rail", fmbd.ground, slider, axis=(1, 0))
+    turn = lambda t: 3 * t + 0.5 * np.sin(7 * t)
+    scene.add(crank, rod, slider, *pins, rail, fmbd.drive("motor", fmbd.angle(pins[0]), turn))
+    run = fmbd.solve(scene, t_end=1.0, dt=2e-3, scheme=fmbd.Radau(2, fmbd.Index3(), rtol=None), output=BOOKED)
+    work = run.ledger.work["motor"]
+    assert abs(run.ledger.rest[-1]) < 1e-3 * np.abs(work).max()
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", ["floating", "reduced", "absolute"])
 def test_loads_and_damping_of_elastic_bodies_are_listed(rod_mesh: Callable[..., Any], kind: str) -> None:
