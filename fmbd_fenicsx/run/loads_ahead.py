@@ -22,7 +22,7 @@ from ..system.layout import State
 from ..system.scene.scene import Scene
 from ..system.system import System
 from .accuracy.companion_runs import UNFIT
-from .accuracy.jumps_in_time import HeldState, all_along, jumps_in_time, loads_vary
+from .accuracy.jumps_in_time import SEEN, HeldState, all_along, jumps_in_time, loads_vary
 from .judges.energy_check import closed
 from .named_times import named_times
 from .schedule import StepSchedule, far_side, near_side
@@ -142,9 +142,32 @@ def comings(held: HeldState, within: tuple[float, float], each: float, named: Ar
     found = []
     for first, last in sorted({*after_rest, *(steep if len(steep) <= OFTEN else ())}):
         changed = held.change(np.tile(rows[first], (last - first, 1)), rows[first + 1 : last + 1], scale)
-        marks = times[[first + 1, first + 1 + int(changed.argmax())]]
+        most = first + 1 + int(changed.argmax())
+        corners = _corners(held, times[first : last + 1], rows[first : last + 1], scale)
+        marks = np.array([corners.get(0, times[first + 1]), corners.get(most - last - 1, times[most])])
         goes = bool(changed[-1] < GONE * changed.max())
         found.append(Coming(float(times[first]), tuple(marks[marks < times[-1]].tolist()), float(times[last]), goes))
+    return found
+
+
+def _corners(held: HeldState, times: Array, rows: Array, scale: Array) -> dict[int, float]:
+    """Instants (s) at which a load that changes from the first to the last of some ``times`` begins to (0), or rests again (-1),
+    with a corner: where the straight line through the two instants beside it meets the load at rest. What a corner within a step
+    leaves is chance; a smooth change is seen by the error of the step. Collective.
+    """
+    found: dict[int, float] = {}
+    for end, way in ((0, 1), (-1, -1)) if len(times) > QUIET else ():
+        t, x = times[::way][:3], rows[::way][:3]
+        slope, change = (x[2] - x[1]) / (t[2] - t[1]), x[1] - x[0]
+        k = int(np.abs(change / scale).argmax())
+        part = change[k] / (slope[k] * (t[1] - t[0])) if slope[k] else 0.0
+        if not TOGETHER < part < 1.0 - TOGETHER:
+            continue
+        corner = t[1] - part * (t[1] - t[0])
+        middle = 0.5 * (corner + t[1])
+        straight = np.array((x[0], x[1] + slope * (middle - t[1])))
+        if (held.change(held.rows(np.array((corner, middle))), straight, scale) <= SEEN).all():
+            found[end] = float(corner)
     return found
 
 

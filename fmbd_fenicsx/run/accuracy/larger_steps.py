@@ -48,17 +48,17 @@ def may_be_larger(problem: Problem, given: Compared, counters: Mapping[str, floa
 
 
 def _stretches(given: Compared) -> list[Array]:
-    """The ends of steps of a run from break point to break point, both among them, s."""
-    times = given.recorder.times
-    stops = np.searchsorted(times, [far_side(t) for t in given.schedule.stops]) - 1
+    """The ends of steps of a run from one break point, or mark, to the next, both among them, s."""
+    times, schedule = given.recorder.times, given.schedule
+    stops = np.searchsorted(times, [far_side(t) for t in sorted({*schedule.stops, *schedule.marks})]) - 1
     return [times[first : last + 1] for first, last in pairwise((0, *stops, len(times) - 1))]
 
 
 def in_one(given: Compared, count: int) -> StepSchedule:
-    """Steps that are so many of a run's in one; the last ones before break points may be less, and those before one that is
-    suddenly longer: together with them it would hardly be larger than alone, and its error the same in both runs.
+    """Steps that are so many of a run's in one; the last ones before break points and marks may be less, and those before one
+    that is suddenly longer: together with them it would hardly be larger than alone, and its error the same in both runs.
     """
-    marks = []
+    marks = list(set(given.schedule.marks) - set(given.schedule.stops))
     for t in _stretches(given):
         h, held = np.diff(t), 0
         for k in range(len(h)):
@@ -66,7 +66,7 @@ def in_one(given: Compared, count: int) -> StepSchedule:
                 marks.append(float(t[k]))
                 held = 0
             held += 1
-    return replace(given.schedule, marks=tuple(marks), given=True)
+    return replace(given.schedule, marks=tuple(sorted(marks)), given=True)
 
 
 def with_larger_steps(problem: Problem, given: Compared, count: int) -> Compared | None:
