@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.schemes.onestep.alpha.compiled_stepper import CompiledAlphaStepper
 from fmbd_fenicsx.system.compiled.choice import driver_states
 from fmbd_fenicsx.system.compiled.library import driver_library
-from fmbd_fenicsx.system.compiled.order import Elimination, Fronts, RowGroup, joint_tree
+from fmbd_fenicsx.system.compiled.order import Elimination, Fronts, RowGroup, joint_tree, loop_of
 from fmbd_fenicsx.system.compiled.tables.structures import zeros_of
 from fmbd_fenicsx.system.compiled.tables.tables import Tables
 from fmbd_fenicsx.system.evaluation import Evaluation
@@ -579,3 +580,36 @@ def test_a_step_goes_on_where_the_driver_refuses_a_matrix(monkeypatch: pytest.Mo
     parts = fmbd.solve(links(4, 2), t_end=0.05, dt=5e-3).state
     assert sum(kept) >= 10
     assert np.abs(parts.q - whole.q).max() < 1e-9
+
+
+def hinged_grid(n: int) -> fmbd.Scene:
+    """Bars along the edges of n x n squares, hinged at their ends, some of them in line with their neighbours."""
+    scene, ends = fmbd.Scene("grid", gravity=(0.0, -9.81)), {}
+    for (i, j), (right, down) in product(np.ndindex(n, n), [(1, 0), (0, 1)]):
+        if max(i + right, j + down) == n:
+            continue
+        bar = fmbd.RigidBody(f"{i} {j} {right}", 0.1, 1e-4, (0.1 * (i + right / 2), -0.1 * (j + down / 2)))
+        scene.add(bar)
+        for node in ((i, j), (i + right, j + down)):
+            ends.setdefault(node, []).append(bar)
+    for (i, j), bars in ends.items():
+        for k, two in enumerate(pairwise(bars)):
+            scene.add(fmbd.revolute(f"{i} {j} {k}", *two, center=(0.1 * i, -0.1 * j)))
+    scene.add(fmbd.revolute("held", fmbd.ground, ends[0, 0][0], center=(0.0, 0.0)))
+    scene.sensor("corner", fmbd.sensors.position(ends[n - 1, n - 1][-1]))
+    return scene
+
+
+@compiled
+def test_loops_that_their_neighbours_would_lock_are_eliminated_after_their_bodies() -> None:
+    """Two bars in line leave nothing free along them while what they hang on stands: rows wait for all bodies of their loop."""
+    fast, slow = pair(lambda: hinged_grid(8), t_end=5e-3, dt=1e-3)
+    assert fast.counters["compiled_steps"] == 5
+    np.testing.assert_allclose(fast["corner"], slow["corner"], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("ends", [(3, 5), (5,), (2, 5)])
+def test_a_loop_is_what_moves_beside_one_body(ends: tuple[int, ...]) -> None:
+    """Bodies 0 1 2 3 one behind another, 4 5 behind 1."""
+    parent = {0: -1, 1: 0, 2: 1, 3: 2, 4: 1, 5: 4}
+    assert loop_of(ends, parent) == {(3, 5): {2, 3, 4, 5}, (5,): {0, 1, 4, 5}, (2, 5): {2, 4, 5}}[ends]

@@ -78,6 +78,8 @@ class DriverSolver:
         if self.usable is None:
             factor = self.states.factor
             factored = not self.core.redundant and factor.prepare(ev, 0.0, 0.0)
+            while not (factored or self.core.redundant) and self.states.unlock():
+                factored = factor.prepare(ev, 0.0, 0.0)
             self.usable = factored and (factor.independent() or rows_are_independent(ev, even=True))
 
     def _solves(self) -> bool:

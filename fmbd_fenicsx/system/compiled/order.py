@@ -5,6 +5,10 @@ is grown from the ground; the rows of a joint of the tree are eliminated with th
 pivot for that body and a negative one for each row. So is a row that couples the coordinate of this joint with others. Rows that
 close a loop, or couple more, come after all their bodies. Among what may come next, the group with the fewest neighbours is taken
 (minimum degree): chains and trees fill nothing, the work is proportional to their length.
+
+Where the bodies of a loop are in line, what comes later may lock them while it stands: such a row has no pivot though it depends
+on no other. It then comes after all bodies of its loop but the one that leads to the others: what is eliminated before it hangs
+on one body alone, and locks nothing. For all rows that would fill more (a star of n loops n^2).
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ from .declarations import enumeration
 
 LANES = enumeration("LANES", "algebra/factor.c")["LANES"]  # columns of fronts begin at whole vectors of the processor
 
+LOCKED = "rows that wait for all bodies of their loops"  # kept with a system: numbers of rows
 ENTRY = 16  # eliminations that cost as much as clearing an entry of a front and adding it to the next one
 
 
@@ -27,13 +32,15 @@ ENTRY = 16  # eliminations that cost as much as clearing an entry of a front and
 class RowGroup:
     """Rows of constraints that act on the same bodies; ``coupling``: they are sums of coordinates of several joints.
 
-    ``ends``: pairs of markers that they act on, those of a joint and of its coordinates are the same.
+    ``ends``: pairs of markers that they act on, those of a joint and of its coordinates are the same; ``locked``: whether bodies
+    that are eliminated later have locked some of them.
     """
 
     bodies: tuple[int, ...]
     rows: tuple[int, ...]
     coupling: bool
     ends: frozenset[tuple[int, ...]] = frozenset()
+    locked: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +80,22 @@ def joint_tree(n_bodies: int, groups: list[RowGroup]) -> dict[int, list[int]]:
                     reached.append(other)
                     led[other].append(number)
     return led
+
+
+def parents(groups: list[RowGroup], led: dict[int, list[int]]) -> dict[int, int]:
+    """The body that leads to each one in a tree of joints, -1: the ground, or none."""
+    return {b: next((x for g in joints for x in groups[g].bodies if x != b), -1) for b, joints in led.items()}
+
+
+def loop_of(bodies: Iterable[int], parent: dict[int, int]) -> set[int]:
+    """The bodies between these in a tree and the first one that leads to all of them."""
+    ways = []
+    for body in bodies:
+        way = [body]
+        while way[-1] != -1:
+            way.append(parent[way[-1]])
+        ways.append(set(way))
+    return set().union(*ways) - (set.intersection(*ways) if len(ways) > 1 else {-1})
 
 
 def with_bodies(widths: list[int], groups: list[RowGroup], led: dict[int, list[int]]) -> dict[int, int]:
@@ -117,15 +140,17 @@ class Elimination:
         self.unit_of = {node: u for u, unit in enumerate(self.units) for node in unit}
         self.waiting = [0] * n
         self.closers: dict[int, list[int]] = {}
+        parent = parents(groups, led)
         for number, group in enumerate(groups):
             if n + number in self.unit_of:
                 continue
-            # a loop: after all its bodies
+            # a loop: after its bodies
             self.unit_of[n + number] = len(self.units)
-            for body in group.bodies:
+            before = loop_of(group.bodies, parent) if group.locked else group.bodies
+            for body in before:
                 self.closers.setdefault(body, []).append(len(self.units))
             self.units.append([n + number])
-            self.waiting.append(len(group.bodies))
+            self.waiting.append(len(before))
 
     def run(self) -> list[tuple[list[int], set[int]]]:
         """(nodes eliminated together, nodes they are coupled with then) in order."""

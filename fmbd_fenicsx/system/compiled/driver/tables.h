@@ -332,6 +332,7 @@ typedef struct {
     Rod *rod;
     double *frames, *velocity, *residual;
     double *gap, *motion, *gravity, *weight, *diagonal;
+    double *locked;                    /* rows: 1 for those that the last factor has found no pivot for */
     int *row_dest;                     /* diagonal places of the rows */
     long storage;
     double *L, *inverse, *b, *local;

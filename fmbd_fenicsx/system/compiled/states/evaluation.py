@@ -21,6 +21,7 @@ from ...evaluator import Seen
 from ...system import System
 from ..calls import Calls
 from ..declarations import enumeration
+from ..order import LOCKED
 from ..tables.structures import zeros_of
 from ..tables.tables import Tables
 from .driver_evaluation import DriverBatch, DriverEvaluation
@@ -71,6 +72,16 @@ class DriverStates(CompiledGeometry):
     def tables_of(self) -> Tables:
         """New tables of the system."""
         return Tables(self.system, redundant=self.dependent)
+
+    def unlock(self) -> bool:
+        """Let rows that others lock wait for their loops, as the newest factor has found them; whether there are new ones."""
+        known = self.system.cache.get(LOCKED, frozenset())
+        locked = known.union(np.flatnonzero(self.tables.arrays["locked"]).tolist())
+        if locked == known:
+            return False
+        self.system.cache[LOCKED] = locked
+        self.renew()
+        return True
 
     def let_depend(self) -> None:
         """Solve for rows that depend on each other from now on."""

@@ -16,7 +16,7 @@ from ....mechanics.joints.relative import RelativeCoordinates
 from ....mechanics.kinds.frames import FRAME
 from ....mechanics.placements import Approach
 from ...system import System
-from ..order import RowGroup
+from ..order import LOCKED, RowGroup
 from .apart import attitudes_apart
 from .bodies.bodies import reduced_body, rigid_bodies, surface
 from .bodies.fields import Block, FieldTable
@@ -61,6 +61,7 @@ class Tables(TableLayout):
         """``blocks``: factors and columns of the floating fields for the size of a step; ``coordinates``: one item each that
         nothing acts on, for :meth:`coordinate`.
         """
+        self._locked: frozenset[int] = system.cache.get(LOCKED, frozenset())
         super().__init__(system)
         system = self.system
         self.blocks = blocks
@@ -124,7 +125,17 @@ class Tables(TableLayout):
         whole = ((_bytes(self.frame[f.a]), _bytes(self.frame[f.b])) for f in (*self.loads, *self.mounts))
         rods = frozenset(rod_pairs(self.system.elements)) if self.system.elements else frozenset()
         on = _bytes(self.system.markers.frame[self.surfaces])
-        return self.dim, self.rows, _bytes(self.width), on, tuple(acting), tuple(whole), rods, tuple(self.held)
+        return (
+            self.dim,
+            self.rows,
+            _bytes(self.width),
+            on,
+            tuple(acting),
+            tuple(whole),
+            rods,
+            tuple(self.held),
+            self._locked,
+        )
 
     def _shape(self) -> MatrixShape:
         """Groups of rows, and the bodies that are coupled."""
@@ -151,7 +162,8 @@ class Tables(TableLayout):
             found.setdefault((tuple(sorted(touched[row])), bool(terms[row] > 1)), []).append(row)
         groups = []
         for (near, coupling), rows in found.items():
-            groups.append(RowGroup(near, tuple(rows), coupling, frozenset(end for row in rows for end in ends[row])))
+            met = frozenset(end for row in rows for end in ends[row])
+            groups.append(RowGroup(near, tuple(rows), coupling, met, locked=not self._locked.isdisjoint(rows)))
         firsts = {int(rows[0]): body for body, rows in self.held.items()}
         apart = {firsts[group.rows[0]]: group for group in groups if group.rows[0] in firsts}
         return MatrixShape(tuple(int(n) for n in self.width), tuple(groups), frozenset(pairs), apart)
@@ -257,7 +269,7 @@ class Tables(TableLayout):
             "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows),
             "directions": 9 * parts * self.rows,
             "big": (2 * self.twist + 1) * sides * widest + size,
-            **dict.fromkeys(("gap", "slip", "weight", *MOTIONS), self.rows),
+            **dict.fromkeys(("gap", "slip", "weight", "locked", *MOTIONS), self.rows),
             "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},
         })  # fmt: skip
         self.arrays = {name: x for name, (x, _) in arrays.items()}

@@ -11,6 +11,7 @@ static void clear(System *s)
 {
     memset(s->L, 0, (size_t)s->storage * sizeof(double));
     memset(s->weight, 0, (size_t)s->rows * sizeof(double));
+    memset(s->locked, 0, (size_t)s->rows * sizeof(double));
 }
 
 enum { PANEL = 4 }; /* pivots whose products are taken off later columns together: each is read and written once for them */
@@ -111,9 +112,11 @@ static double least_pivot(const System *s, int u)
     return s->redundant ? 0.1 * softness(s, row) : 1e-11 * s->weight[row];
 }
 
-/* SINGULAR when a pivot has the wrong sign, where bodies are stable, or is small against what it is made of. */
+/* SINGULAR when a pivot has the wrong sign, where bodies are stable, or is small against what it is made of. Rows without a pivot
+   are left out then, so that all of them are known: they depend on others, or what comes later locks them, see order.py. */
 static int factor(System *s)
 {
+    int verdict = DONE;
     s->factors++;
     soften(s);
 
@@ -126,14 +129,19 @@ static int factor(System *s)
             const int u = f->unknown[k], at = k % PANEL, end = k - at + PANEL < f->pivots ? k - at + PANEL : f->pivots;
             double sign = s->sign[u], pivot = F[(long)(ld + 1) * k] * sign;
             if (s->indefinite && pivot < 0.0) sign = -sign, pivot = -pivot;
-            if (!(pivot > least_pivot(s, u))) return SINGULAR;
+            if (!(pivot > least_pivot(s, u))) {
+                if (u < s->nu) return SINGULAR;
+                verdict = SINGULAR;
+                s->locked[u - s->nu] = 1.0;
+                sign = 0.0, pivot = 1.0;
+            }
             s->inverse[u] = inverse[at] = sign / pivot;
             if (k + 1 < end) eliminate(F, ld, end, k, s->inverse[u]);
             else eliminate_panel(F, ld, f->rows, k, at + 1, inverse);
         }
         if (f->next >= 0) hand_on(s, f);
     }
-    return DONE;
+    return verdict;
 }
 
 static void swap(double *a, double *b, int n)
