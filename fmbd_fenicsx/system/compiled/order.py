@@ -95,7 +95,7 @@ def loop_of(bodies: Iterable[int], parent: dict[int, int]) -> set[int]:
         while way[-1] != -1:
             way.append(parent[way[-1]])
         ways.append(set(way))
-    return set().union(*ways) - (set.intersection(*ways) if len(ways) > 1 else {-1})
+    return set().union(*ways) - (ways[0].intersection(*ways[1:]) if len(ways) > 1 else {-1})
 
 
 def with_bodies(widths: list[int], groups: list[RowGroup], led: dict[int, list[int]]) -> dict[int, int]:
