@@ -640,3 +640,23 @@ def test_an_event_ends_a_march(scheme: Any, monkeypatch: pytest.MonkeyPatch) -> 
     assert once.status == turn.status == "ended by an event"
     assert once.state.t == pytest.approx(turn.state.t, rel=1e-12)
     assert once.state.q == pytest.approx(turn.state.q, rel=1e-11)
+
+
+class Swaying:
+    """A form of a user's own: joints are to be open by 1e-6 t^2."""
+
+    def rows(self, ev: Any, a: Any) -> list[Any]:
+        return [row - 1e-6 * np.atleast_1d(ev.t)[:, None] ** 2 for row in super().rows(ev, a)]  # type: ignore[misc]
+
+
+@compiled
+@pytest.mark.parametrize("scheme", [fmbd.Radau, fmbd.BDF])
+def test_a_form_of_ones_own_is_that_of_compiled_steps_too(scheme: Any) -> None:
+    """Compiled code knew the levels of a form alone, and left its rows out in silence."""
+    form = type("Swaying", (Swaying, fmbd.Index3), {})()
+    scene = fmbd.Scene("bob", gravity=(0.0, -9.81))
+    bob = fmbd.PointMass("bob", 1.0, (1.0, 0.0))
+    scene.add(bob, fmbd.distance("string", fmbd.ground, bob, point_a=(0.0, 0.0), point_b=(1.0, 0.0)))
+    end = fmbd.solve(scene, t_end=0.1, dt=0.01, scheme=scheme(form=form, rtol=None)).state
+    gaps = scene.build()[0].at(end.t, end.q, end.v).constraint()
+    assert np.abs(gaps).max() == pytest.approx(1e-8, rel=0.02)

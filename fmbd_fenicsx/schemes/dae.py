@@ -57,6 +57,11 @@ class Form:
         return 0.0, 0.0
 
     @property
+    def by_levels(self) -> bool:
+        """Whether its rows are those of its levels, as compiled code makes them: not where a form of a user's own has others."""
+        return type(self).rows is Form.rows and type(self).lower is Form.lower
+
+    @property
     def unit(self) -> str:
         """Of the first of its rows, as lengths."""
         return ("m", "m/s", "m/s^2")[self.levels[0]]

@@ -210,7 +210,7 @@ class FieldEquations(Equations):
     @property
     def _known(self) -> bool:
         """Whether compiled code evaluates points of these forms."""
-        return 2 not in self.form.levels
+        return self.form.by_levels and 2 not in self.form.levels
 
     def solvers_of(self, s: Array) -> list[FrequencySolver]:
         """Who solves for the frequencies s (p,)."""

@@ -65,7 +65,7 @@ class StepEquations(Equations):
     def _structure(self) -> StageStructure | None:
         """Patterns of the equations where compiled code knows them, and solves sparse stage systems; else None."""
         states, form = self.system.evaluator, self.form
-        if not isinstance(states, DriverStates) or (self.tied and not states.same_rows):
+        if not isinstance(states, DriverStates) or not form.by_levels or (self.tied and not states.same_rows):
             return None
         couplings = Couplings(states.tables)
         return StageStructure(couplings, states, form.levels, self.stiff, pulls=form.pulls, frozen=form.frozen)
@@ -123,7 +123,8 @@ class StepEquations(Equations):
     def _told(self, t: Array, p: Points) -> PointsTold | None:
         """All of it in one compiled call, where the form asks for places and velocities only; None where it is found in parts."""
         m, states = self.system.n_lam, self.system.evaluator
-        if not isinstance(states, DriverStates) or 2 in self.form.levels or self.tied:
+        own = not self.form.by_levels or 2 in self.form.levels
+        if not isinstance(states, DriverStates) or own or self.tied:
             return None
         lam, mu = p.mult[:, :m], p.mult[:, m:]
         corrected = (mu, self.tangents.metric()) if self.levels > 1 else (None, None)
