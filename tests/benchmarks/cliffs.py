@@ -7,6 +7,7 @@ A step is the difference of whole runs of N and 2 N steps; ``compiled`` is the s
 
 import argparse
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -21,6 +22,7 @@ from fmbd_fenicsx.errors import FmbdError, InputError  # noqa: E402
 
 SHORTEST = 0.03  # s of CPU time that the longer run should take
 MOST = 2000  # steps
+TIMES, ANGLES = (0.0, 0.02, 0.05, 1.0), (0.0, 0.1, 0.1, 0.0)  # s, rad: of a table
 
 
 # ---- elements, beside those of tests/combinations.py ----------------------------------------------------------
@@ -82,6 +84,10 @@ def plain(kind):
 MORE = {
     "joint spring": on_hinge(lambda a: fmbd.joint_spring("spring", a, stiffness=100.0, damping=1.0)),
     "motor": on_hinge(lambda a: fmbd.forces.motor("motor", a, target=lambda t: t, kp=100.0, kd=5.0)),
+    "motor by a table": on_hinge(
+        lambda a: fmbd.forces.motor("motor", a, target=lambda t: np.interp(t, TIMES, ANGLES), kp=100.0, kd=5.0)
+    ),
+    "drive with kinks": on_hinge(lambda a: fmbd.drive("drive", a, lambda t: 0.1 * abs(math.sin(20.0 * t)))),
     "pid": on_hinge(lambda a: fmbd.forces.pid("pid", a, target=lambda t: t, gains=(100.0, 10.0, 5.0))),
     "dry friction": on_hinge(lambda a: fmbd.dry_friction("dry", a, limit=5.0, stick=1e4, damping=10.0)),
     "smooth friction": on_hinge(lambda a: fmbd.joint_friction("smooth", a, coulomb=5.0, speed=0.01)),
