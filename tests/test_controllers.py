@@ -599,3 +599,34 @@ def test_slopes_of_a_memory_serve_the_step() -> None:
         asked.clear()
     assert max(counts[1:]) <= 4
     assert counts[0] <= 8
+
+
+def test_bearing_friction_that_follows_its_reaction() -> None:
+    """mu r |F| of a pendulum's pin, sampled, against its equation: of first order in the period, see docs/howto.md."""
+    m, out, J, moment, slow = 2.0, 0.5, 0.1, 0.3 * 0.05, 0.01
+
+    def swing(t: float, y: Array) -> list[float]:
+        angle, w = y
+        along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        drive, bent = -m * G * out * np.cos(angle), moment * np.tanh(w / slow)
+        alpha = drive / (J + m * out**2)
+        for _ in range(60):  # friction and reaction answer to each other
+            force = m * (out * (alpha * across - w * w * along) + np.array([0.0, G]))
+            alpha = (drive - bent * np.linalg.norm(force)) / (J + m * out**2)
+        return [w, alpha]
+
+    def off(period: float) -> float:
+        scene = fmbd.Scene("bearing", gravity=(0, -G))
+        arm = fmbd.RigidBody("arm", m, J, position=(out, 0))
+        pin = fmbd.revolute("pin", fmbd.ground, arm, center=(0, 0))
+        law = lambda t, y, z: (-moment * np.linalg.norm(y["force"]) * np.tanh(y["rate"][0] / slow), ())
+        turn = fmbd.angle(pin)
+        reads = {"force": fmbd.reaction_force(pin), "rate": fmbd.joint_rate(turn)}
+        scene.add(arm, pin, fmbd.controller("friction", reads=reads, acts=turn, law=law, every=period))
+        scene.sensor("turn", turn)
+        run = fmbd.solve(scene, t_end=0.5, dt=period)
+        return float(np.abs(run["turn"][:, 0] - exact.sol(run.times)[0]).max())
+
+    exact = solve_ivp(swing, (0.0, 0.5), (0.0, 0.0), method="LSODA", rtol=1e-9, atol=1e-10, dense_output=True)
+    coarse, fine = off(2e-3), off(1e-3)
+    assert fine < 1.5e-4 and 1.6 < coarse / fine < 2.2, (coarse, fine)
