@@ -79,6 +79,14 @@ class UnilateralForces:
             return z, dl
         return solver.solve(-scale * (r - contacts.transposed(system, L, change.ravel())), -residuals[1])
 
+    def opened(self, u: Array) -> Array:
+        """What opens (m, 1 or d) under the forces of the law for openings u under the present ones, by the compliance of the last
+        increment.
+        """
+        assert self.rows is not None
+        force = small_problem(self.problem, self._W, (u.ravel(), self.rows.friction), self.force, self.counts)
+        return u + (self._W @ (force - self.force).ravel()).reshape(u.shape)
+
     def renew(self) -> None:
         """The matrix is a new one."""
         self._W = None

@@ -38,6 +38,7 @@ class MoreauStep(ContactStep):
         self.impact: Impact | None = None
         self.rows: Rows | None = None
         self.turn: Array | float = 0.0  # of slips with the rows, in half a flight, m/s
+        self.slips: Array = np.zeros((closed.sum(), 0))  # at the start of a flight, along the axes of its middle, m/s
 
         # rows at the middle; what comes in before an impact rebounds by its share, and what leaves may come back
         if closed.any():
@@ -54,6 +55,7 @@ class MoreauStep(ContactStep):
                 start[start[:, 0] > STILL * stepper.system.length / h, 0] = 0.0
                 rebound = np.where(bounces, rebound, (before - start)[:, 0])
                 self.turn = np.where(bounces[:, None], 0.0, (before - start)[:, 1:])
+                self.slips = start[:, 1:]
 
             self.impact = Impact(before, rebound)
             self.contact.impact = self.impact if (bounces & (rebound < 0.0)).any() else None
@@ -85,6 +87,15 @@ class MoreauStep(ContactStep):
         u[:, 1:] /= self.span  # slips over the step become velocities
         return u
 
+    @property
+    def openings(self) -> Array:
+        """What the law of contact is for at the present velocities, (3) or (4), m/s, (m, 1 or d)."""
+        assert self.impact is not None
+        u = self._openings(self.v)
+        u[:, 0] += self.impact.rebound
+        u[:, 1:] += self.turn
+        return u
+
     def increment(self) -> float:
         """One Newton step; returns its size over the tolerance."""
         p = self.p
@@ -98,12 +109,7 @@ class MoreauStep(ContactStep):
 
         slip = 2 * (ev.jacobian.times(vm) + ev.constraint_rate()) if system.n_lam else np.zeros(0)
 
-        touching = None
-        if self.rows is not None and self.impact is not None:
-            u = self._openings(self.v)
-            u[:, 0] += self.impact.rebound
-            u[:, 1:] += self.turn
-            touching = self.rows, u
+        touching = None if self.rows is None else (self.rows, self.openings)
         dv, dlam = self.changes(touching, (r, slip), 1.0)
 
         self.lam = self.lam + dlam / h

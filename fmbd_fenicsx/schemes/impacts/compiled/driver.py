@@ -101,7 +101,7 @@ class ContactDriver(PairTables):
 
         sizes = {
             "held": m * k, "force": m * d, "normal": m, "impulse": len(contacts.pairs) * d, "works": 5, "drift": rows, "rate": m,
-            "before": rows, "rebound": room,
+            "before": rows, "rebound": room, "slip": rows,
             "rows": 2 * (rows + k) * wide, "Y": rows * self.n, "push": self.n + self.m, "open": rows, "old": rows,
             "turns": self.tables.nb * d * d, "least": (41 + 4 * k) * rows, "ahead": self.nq, "xi": self.n, "still": self.n,
             "kept": self.m + 1, "own": m * (1 + 2 * d),

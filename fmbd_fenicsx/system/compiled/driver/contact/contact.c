@@ -100,6 +100,7 @@ typedef struct {
     int loaded;                               /* whether there are force elements */
     double *rows, *drift, *rate;              /* of closed contacts: components x 2 wide, body axes; tangential; of gaps */
     double *before, *rebound;                 /* of closed contacts: rates before a part; what normals that bounce come back with */
+    double *slip;                             /* of closed contacts at the start of a flight, along the axes of its middle */
     Problem all, asked;                       /* of all closed contacts; of a group, what Python is asked */
     Graph graph;
     Blocks blocks;

@@ -168,9 +168,9 @@ static int start_rates(Contacts *c, Block now, int m, double length)
     return 0;
 }
 
-/* The slips of contact i at the start of a flight of a length, which start_rates() left in ``before``, along the axes of its middle: what
-   they change by, in half of it, goes into its drift. */
-static void turn_slips(const Contacts *c, int i, double length, const double *rows, Block now, const double *before, double *drift)
+/* The slips of contact i at the start of a flight of a length, which start_rates() left in ``before``, along the axes of its middle into
+   ``slip``: what they change by, in half of it, goes into its drift. */
+static void turn_slips(const Contacts *c, int i, double length, const double *rows, Block now, const double *before, double *drift, double *slip)
 {
     double e[D * D], to[D * D];
     if (c->components == 1 || c->pair[c->of[i]].shape == LIMIT) return;
@@ -181,5 +181,6 @@ static void turn_slips(const Contacts *c, int i, double length, const double *ro
         for (int b = 0; b < D - 1; b++) start += before[b + 1] * dot(e + D * b, to + D * a, D);
         double rate = along(c, i, rows + 2 * c->wide * (a + 1), now.v) - drift[a + 1] / length;
         drift[a + 1] -= length * (rate - start);
+        slip[a + 1] = start;
     }
 }

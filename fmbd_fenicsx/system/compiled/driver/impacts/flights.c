@@ -54,7 +54,7 @@ static int solved(System *s, Contacts *c, double *p, Block now, Block out, int m
         contact_rows(c, i, c->ahead, &c->end, rows);
         if (drifts(c, i, c->ahead, t + 0.5 * length, way_over(t, span), &c->end, c->drift + d * k)) return LOOK;
 
-        if (flight && !c->bouncing[i]) turn_slips(c, i, length, rows, now, c->before + d * k, c->drift + d * k);
+        if (flight && !c->bouncing[i]) turn_slips(c, i, length, rows, now, c->before + d * k, c->drift + d * k, c->slip + d * k);
         for (int a = 0; a < d; a++) c->all.f[d * k + a] = length * c->held[d * i + a];
         c->all.mu[k] = o->friction;
         for (int a = 0; a < d; a++)

@@ -17,6 +17,7 @@
 #include "contact/friction.c"
 #include "impacts/impulses.c"
 #include "impacts/flights.c"
+#include "impacts/turns.c"
 #include "contact/elastic_books.c"
 
 enum { BOUNDED = AM }; /* of the parameters: whether obstacles are thin, so that points could pass through */
@@ -226,6 +227,7 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
         if (hit) return impact(s, c, p, now, out, m, h);
     }
     if (share < 1.0 && (verdict = located(s, c, p, now, out, m, which, &length, share))) return verdict;
+    if ((verdict = turned(s, c, p, now, out, m, &length, APPROACH * p[LENGTH] / h))) return verdict;
     return taken(s, c, p, now, out, m, length, h);
 }
 
