@@ -80,12 +80,22 @@ class UnilateralForces:
         return solver.solve(-scale * (r - contacts.transposed(system, L, change.ravel())), -residuals[1])
 
     def opened(self, u: Array) -> Array:
-        """What opens (m, 1 or d) under the forces of the law for openings u under the present ones, by the compliance of the last
+        """What opens (m, 1 or d) under the forces of the law, for openings u under the present ones, by the compliance of the last
         increment.
         """
         assert self.rows is not None
         force = small_problem(self.problem, self._W, (u.ravel(), self.rows.friction), self.force, self.counts)
-        return u + (self._W @ (force - self.force).ravel()).reshape(u.shape)
+        return u + np.asarray(self._W @ (force - self.force).ravel()).reshape(u.shape)
+
+    def sizes_of_groups(self) -> Array:
+        """How many contacts each of them (m,) moves, at once or by others, with itself."""
+        m, d = self.force.shape
+        if not isinstance(self._W, np.ndarray):
+            return np.full(m, m)
+        from scipy.sparse.csgraph import connected_components
+
+        labels = connected_components(np.abs(self._W).reshape(m, d, m, d).any(axis=(1, 3)))[1]
+        return np.bincount(labels)[labels]
 
     def renew(self) -> None:
         """The matrix is a new one."""

@@ -87,6 +87,12 @@ class MoreauStep(ContactStep):
         u[:, 1:] /= self.span  # slips over the step become velocities
         return u
 
+    def end_with(self, slips: Array) -> None:
+        """Solve it once more, such that contacts whose slips have come to rest end with others, m/s, (m, d - 1)."""
+        self.turn = self.turn - slips
+        self.v, self.lam = self.p.state.v.copy(), self.p.state.lam.copy()
+        self.iterations += self.solve()
+
     @property
     def openings(self) -> Array:
         """What the law of contact is for at the present velocities, (3) or (4), m/s, (m, 1 or d)."""

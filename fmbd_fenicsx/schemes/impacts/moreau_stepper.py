@@ -27,7 +27,7 @@ from .contact_detection import candidates, tell_rest
 from .contact_ledger import StepForces
 from .contact_stepper import ContactStepper
 from .moreau_step import MoreauStep
-from .slip_turns import turned
+from .slip_turns import won_behind_stops
 
 # length of an impact, as a share of the step; gap of a closed contact, as a share of the model's length
 IMPACT, TOUCH = constants("impacts/flights.c", "INSTANT", "TOUCHING")
@@ -162,7 +162,9 @@ class MoreauStepper(ContactStepper):
                 return self._impact(h, rested, hit, closed | hit)
             closed, taking = closed | held, taking | held
         flight = step if share == 1.0 else self._located(step, share, which)
-        return turned(flight, slow, lambda length: self._solved(length, taking, bouncing))
+        if (won := won_behind_stops(flight, slow)) is not None:
+            flight.end_with(won)
+        return flight
 
     def _solved(self, h: float, closed: np.ndarray, bouncing: np.ndarray, *, span: float = 0.0) -> MoreauStep:
         """A step of length h (s) from the present state, its impulses first those of the last flight."""

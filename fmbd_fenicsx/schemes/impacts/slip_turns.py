@@ -1,18 +1,22 @@
-"""Where in a flight of the Moreau scheme slips turn about: friction turns there, and the flight ends.
+"""Slips that turn about in a flight of the Moreau scheme: friction acts against what a contact wins behind its stop, too.
 
-A slip s that comes to rest in a flight of length h, by the law at its end, may stay at rest or begin anew the other way. In the
-first case one impulse of friction is right; in the second it would hold the contact still until the end of the flight, an error
-of its velocity of first order. Which of them it is tells the same problem of forces with that slip left out at the start,
+A slip s that the law at the end of a flight, (4) of :mod:`.moreau`, brings to rest may stay there, or have begun anew the other way.
+In the first case the impulse of friction is right; in the second it holds the contact still until the end, an error of its
+velocity of first order. Which of them it is tells the same problem of forces with other slips b s at the start,
 
-    U' = U - s,   under forces f' of the law:    the contact turns about where it slides, |U'| > 0                      (1)
+    U(b) = U + (b - 1) s + W (f(b) - f),   f(b) by the law;    the contact turns about where U(0) != 0                  (1)
 
-A slip that still goes on at a share r of the flight, with a part l of it left, ends at r / (1 - l) along a straight line, which
-slips follow while friction does.
+With a slip so large that it goes on, it is braked by U(b) - b s. So it is at rest at the share r of the flight, and wins the rest of
+U(0) behind it,
+
+    r = - s . s / s . (U(b) - b s),       U_1 = (1 - r) U(0)                                                            (2)
+
+so the flight is solved once more with that end in place of rest. The times of several stops are found apart from each other, and
+only where up to ``ALONE`` contacts move each other: in heaps slips turn in each step, and none of them tells what the heap does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,60 +28,37 @@ from ...system.compiled.declarations import constants, enumeration
 if TYPE_CHECKING:
     from .moreau_step import MoreauStep
 
-# of a slip: what is left where it has stopped; of what a contact wins from rest: a slip that is rest, and by how much of its time
-# a flight ends behind the stop; attempts to end a flight there
-STOPPED, RESTS = constants("impacts/turns.c", "STOPPED", "RESTS")
-TRIALS = enumeration("TRIALS", "impacts/turns.c")["TRIALS"]
+# of a slip: what is left where it has stopped; of what a contact wins from rest: a slip that is rest; slips that go on, in slips
+STOPPED, RESTS, ON = constants("impacts/turns.c", "STOPPED", "RESTS", "ON")
+ALONE = enumeration("ALONE", "impacts/turns.c")["ALONE"]
 
 
-def turned(step: MoreauStep, slow: float, solved: Callable[[float], MoreauStep]) -> MoreauStep:
-    """A solved flight, or a shorter one that ends where the first of its slips turns about.
+def won_behind_stops(step: MoreauStep, slow: float) -> Array | None:
+    """(1 - r) U(0) of (2) of the closed contacts (m, d - 1) of a solved flight, zero where slips do not turn about; None where none does.
 
-    ``slow``: speed (m/s) that is none; ``solved``: the flight of a length (s) with the same contacts.
+    ``slow``: speed (m/s) that is none.
     """
     if not step.flies or step.rows is None or step.rows.components == 1:
-        return step
-    turns, share = _turning(step, slow)
-    whole, stopped, foretold = step.h, 1.0, False
-
-    for trial in range(TRIALS + 1):
-        if share >= 1.0:
-            break
-        step = solved(share * whole)
-        left = float(_slips_left(step)[turns].min())
-        if trial == TRIALS or (foretold and left <= STOPPED):
-            break
-        foretold = left > STOPPED
-        if foretold:
-            share = min(stopped, (1.0 + RESTS) * share / (1.0 - left)) if left < 1.0 else stopped
-        else:
-            stopped, share = share, 0.5 * share
-    return step
-
-
-def _turning(step: MoreauStep, slow: float) -> tuple[np.ndarray, float]:
-    """Which closed contacts (m,) turn about by (1), and a share of the flight at which the first has stopped for sure, at most 1/2
-    (1: none turns).
-    """
-    assert step.rows is not None
-    stops = (step.rows.friction > 0.0) & ~step.bouncing[step.closed] & (_slips_left(step) <= STOPPED)
+        return None
+    opening, slips = step.openings, step.slips
+    size = np.einsum("mk,mk->m", slips, slips)
+    left = np.einsum("mk,mk->m", slips, opening[:, 1:])
+    stops = (step.rows.friction > 0.0) & ~step.bouncing[step.closed] & (size > 0.0) & (left <= STOPPED * size)
+    if stops.any():
+        stops &= step.contact.sizes_of_groups() <= ALONE
     if not stops.any():
-        return stops, 1.0
+        return None
 
-    start = np.where(stops[:, None], step.slips, 0.0)
-    opening = step.openings
-    opening[:, 1:] -= start
+    def ends(factor: float) -> Array:
+        """Slips (m, d - 1) at the end of the flight, of those that stop with so many times their slip at its start."""
+        at = opening.copy()
+        at[stops, 1:] += (factor - 1.0) * slips[stops]
+        return step.contact.opened(at)[:, 1:]
+
     try:
-        won = np.linalg.norm(step.contact.opened(opening)[:, 1:], axis=1)
+        won, slope = ends(0.0), ends(ON) - ON * slips
     except ConvergenceError:
-        return np.zeros_like(stops), 1.0
-    slip = np.linalg.norm(start, axis=1)
-    turns = stops & (won > slow) & (slip > RESTS * won)
-    return turns, float(np.minimum(0.5, slip[turns] / won[turns]).min(initial=1.0))
-
-
-def _slips_left(step: MoreauStep) -> Array:
-    """What is left of the slips (m,) of closed contacts at the end of a flight, along those at its start and as shares of them."""
-    size = np.einsum("mk,mk->m", step.slips, step.slips)
-    ends = np.einsum("mk,mk->m", step.slips, step.openings[:, 1:])
-    return np.divide(ends, size, out=np.ones_like(ends), where=size > 0.0)
+        return None
+    most, braked = np.einsum("mk,mk->m", won, won), -np.einsum("mk,mk->m", slips, slope)
+    turns = stops & (most > slow**2) & (size > RESTS**2 * most) & (braked > size)
+    return np.where(turns[:, None], won - (size / np.where(turns, braked, 1.0))[:, None] * won, 0.0) if turns.any() else None

@@ -227,7 +227,7 @@ static int part(System *s, Contacts *c, double *p, Block now, Block out, double 
         if (hit) return impact(s, c, p, now, out, m, h);
     }
     if (share < 1.0 && (verdict = located(s, c, p, now, out, m, which, &length, share))) return verdict;
-    if ((verdict = turned(s, c, p, now, out, m, &length, APPROACH * p[LENGTH] / h))) return verdict;
+    if ((verdict = turned(s, c, p, now, out, m, length, APPROACH * p[LENGTH] / h))) return verdict;
     return taken(s, c, p, now, out, m, length, h);
 }
 
