@@ -312,6 +312,33 @@ def test_block_that_sticks_to_a_belt_has_its_speed(compiled: bool, monkeypatch: 
     assert run["force"][1:, 0] == pytest.approx(2.0, abs=1e-8)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("compiled", [True, False])
+def test_slip_that_turns_about_within_a_step_is_of_second_order(
+    compiled: bool, dim: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A block pushed up an incline stops and slides back: friction held it to the end of the step in which it stops, 5e-4 m/s."""
+    if not compiled:
+        monkeypatch.setattr(driver, "contact_driver", lambda *_, **__: None)
+    angle, mu, up, along = 0.3, 0.2, np.eye(dim)[-1], np.eye(dim)[0]
+    rise, fall = (9.81 * (np.sin(angle) + sign * mu * np.cos(angle)) for sign in (1, -1))
+    inertia = 0.1 if dim == 2 else (0.1, 0.1, 0.1)
+    block = fmbd.RigidBody("block", 1.0, inertia, position=tuple(0.1 * up), velocity=tuple(-along))
+    feet = np.array([(x, *y, -0.1) for x in (-0.2, 0.2) for y in ([()] if dim == 2 else [(-0.2,), (0.2,)])])
+    slope = fmbd.HalfSpace((0,) * dim, tuple(up))
+    scene = fmbd.Scene("incline", gravity=tuple(9.81 * (np.sin(angle) * along - np.cos(angle) * up)))
+    scene.add(block, fmbd.contact("feet", fmbd.corners(block, feet), slope, friction=mu))
+    scene.sensor("v", fmbd.velocity(block))
+    scene.sensor("force", fmbd.contact_force("feet"))
+    run = fmbd.solve(scene, t_end=0.4, dt=1e-2)
+    assert (run.counters.get("compiled_steps", 0) > 0) is compiled
+    t = run.times
+    exact = np.where(t < 1 / rise, rise * t - 1, fall * (t - 1 / rise))
+    assert run["v"][:, 0] == pytest.approx(exact, abs=1e-8)
+    mean = np.diff(exact) / 1e-2 - 9.81 * np.sin(angle)
+    assert run["force"][1:, 0] == pytest.approx(mean, abs=1e-6)
+
+
 @pytest.mark.parametrize("compiled", [True, False])
 def test_of_several_touches_in_a_step_the_first_cuts_it(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Balls that hit a floor 5, 6 and 9 ms behind the start of a step of 10 ms, whichever was added first."""

@@ -80,11 +80,12 @@ class UnilateralForces:
         return solver.solve(-scale * (r - contacts.transposed(system, L, change.ravel())), -residuals[1])
 
     def opened(self, u: Array) -> Array:
-        """What opens (m, 1 or d) under the forces of the law, for openings u under the present ones, by the compliance of the last
-        increment.
+        """What opens (m, 1 or d) under the forces of the law, for openings u under the present ones; they are none of the step.
+
+        By the compliance of the last increment.
         """
         assert self.rows is not None
-        force = small_problem(self.problem, self._W, (u.ravel(), self.rows.friction), self.force, self.counts)
+        force = small_problem(self.problem, self._W, (u.ravel(), self.rows.friction), self.force, ContactCounts())
         return u + np.asarray(self._W @ (force - self.force).ravel()).reshape(u.shape)
 
     def sizes_of_groups(self) -> Array:

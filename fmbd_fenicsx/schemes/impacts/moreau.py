@@ -11,7 +11,8 @@ flight from the rates r_0 at its start to U_1 their rates are extrapolated from 
 
     0 <= P _|_ U_0 + U_1 - min(r_0, 0) >= 0                                                                             (4)
 
-so that curved paths cost no energy at first order; slips likewise, by U_0 + U_1 - r_0. One that leaves, r_0 > 0, and is
+so that curved paths cost no energy at first order; slips likewise, by U_0 + U_1 - r_0, and those that turn about within it
+by :mod:`.slip_turns`. One that leaves, r_0 > 0, and is
 pressed back within the flight comes back at its speed, without work. Where all later impacts of a contact are over within a
 step (Zeno), by its speed u, its restitution e and the acceleration a that the last flight presses with, 2 e u <= (1 - e) a h,
 it comes to rest there. A touch that begins and ends a flight nearer than closed contacts drift needs no time of its own: it

@@ -1,7 +1,7 @@
 /* Slips that turn about in a flight, as schemes/impacts/slip_turns.py has them. */
 
 static const double STOPPED = 1e-6, RESTS = 1e-4, ON = 1e4; /* as in slip_turns.py */
-enum { ALONE = 1000 };
+enum { COUPLED = 12 };
 
 /* Whether the slip of the closed contact k has stopped at the end of a flight of a length with the velocities v. */
 static int stops(const Contacts *c, int k, const double *v, double length)
@@ -36,11 +36,13 @@ static int turn_about(Contacts *c, int g, const int *stop, double length, double
     Problem o = problem_of(c, g);
     const size_t bytes = d * o.m * sizeof(double);
     double *held = c->old + d * from, *won = c->open + d * from, *drift = c->drift + d * from;
+    const Tally tally = c->tally;
     memcpy(held, o.f, bytes);
     int found = !slips_with(c, &o, g, stop, -1.0), any = 0;
     memcpy(won, o.u, bytes);
     found = found && !slips_with(c, &o, g, stop, ON);
     memcpy(o.f, held, bytes);
+    c->tally = tally; /* these are no forces of the step */
 
     for (int k = 0; k < d * o.m && found; k += d) {
         const double *slip = c->slip + d * from + k + 1, *u = won + k + 1;
@@ -61,13 +63,15 @@ static int turned(System *s, Contacts *c, double *p, Block now, Block out, int m
     for (int g = 0; g < c->graph.groups; g++) {
         int some = 0;
         for (int k = c->graph.group[g]; k < c->graph.group[g + 1]; k++) some |= stop[k];
-        if (some && c->graph.group[g + 1] - c->graph.group[g] <= ALONE) any |= turn_about(c, g, stop, length, slow);
+        if (some && c->graph.group[g + 1] - c->graph.group[g] <= COUPLED) any |= turn_about(c, g, stop, length, slow);
     }
     if (!any) return DONE;
 
     const double noted = p[LEFT], middle = *now.t + 0.5 * length;
+    const int done = c->done;
     if (s->samples && s->python(SAMPLE, 0, middle)) return FAILED;
     int verdict = velocities(s, c, p, now, out, m, length, length);
     p[LEFT] = noted; /* that of the first iteration stands for both */
+    c->done += done;
     return verdict;
 }
