@@ -170,7 +170,8 @@ static int start_rates(Contacts *c, Block now, int m, double length)
 
 /* The slips of contact i at the start of a flight of a length, which start_rates() left in ``before``, along the axes of its middle into
    ``slip``: what they change by, in half of it, goes into its drift. */
-static void turn_slips(const Contacts *c, int i, double length, const double *rows, Block now, const double *before, double *drift, double *slip)
+static void turn_slips(
+    const Contacts *c, int i, double length, const double *rows, Block now, const double *before, double *drift, double *slip)
 {
     double e[D * D], to[D * D];
     if (c->components == 1 || c->pair[c->of[i]].shape == LIMIT) return;

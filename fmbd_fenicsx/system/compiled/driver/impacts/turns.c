@@ -1,7 +1,7 @@
 /* Slips that turn about in a flight, as schemes/impacts/slip_turns.py has them. */
 
 static const double STOPPED = 1e-6, RESTS = 1e-4, ON = 1e4; /* as in slip_turns.py */
-enum { COUPLED = 12 };
+enum { COUPLED = 10 };
 
 /* Whether the slip of the closed contact k has stopped at the end of a flight of a length with the velocities v. */
 static int stops(const Contacts *c, int k, const double *v, double length)
