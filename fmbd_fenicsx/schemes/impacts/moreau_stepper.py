@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...errors import FmbdError
+from ...errors import ConvergenceError, FmbdError
 from ...linear.condensation import StepSolver
 from ...linear.redundancy import least
 from ...mechanics.contact.obstacles import way_over
@@ -162,8 +162,12 @@ class MoreauStepper(ContactStepper):
                 return self._impact(h, rested, hit, closed | hit)
             closed, taking = closed | held, taking | held
         flight = step if share == 1.0 else self._located(step, share, which)
-        if (won := won_behind_stops(flight, slow)) is not None:
+        if (won := won_behind_stops(flight, slow)) is None:
+            return flight
+        try:
             flight.end_with(won)
+        except ConvergenceError:
+            return self._solved(flight.h, taking, bouncing)
         return flight
 
     def _solved(self, h: float, closed: np.ndarray, bouncing: np.ndarray, *, span: float = 0.0) -> MoreauStep:

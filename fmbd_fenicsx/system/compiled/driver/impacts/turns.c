@@ -1,7 +1,7 @@
 /* Slips that turn about in a flight, as schemes/impacts/slip_turns.py has them. */
 
 static const double STOPPED = 1e-6, RESTS = 1e-4, ON = 1e4; /* as in slip_turns.py */
-enum { COUPLED = 10 };
+enum { COUPLED = 8 };
 
 /* Whether the slip of the closed contact k has stopped at the end of a flight of a length with the velocities v. */
 static int stops(const Contacts *c, int k, const double *v, double length)
@@ -70,8 +70,8 @@ static int turned(System *s, Contacts *c, double *p, Block now, Block out, int m
     const double noted = p[LEFT], middle = *now.t + 0.5 * length;
     const int done = c->done;
     if (s->samples && s->python(SAMPLE, 0, middle)) return FAILED;
-    int verdict = velocities(s, c, p, now, out, m, length, length);
+    if (velocities(s, c, p, now, out, m, length, length)) return solved(s, c, p, now, out, m, length, length); /* as it was */
     p[LEFT] = noted; /* that of the first iteration stands for both */
     c->done += done;
-    return verdict;
+    return DONE;
 }
