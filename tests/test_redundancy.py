@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from combinations import BODIES
 from test_compiled_evaluation import compiled
 
@@ -74,6 +75,19 @@ def test_a_door_on_two_hinges(scheme: Any, dt: float | None) -> None:
     assert "reactions of low, high" in run.report().replace("\n", " ")
 
 
+def gate(tilt: float) -> fmbd.Scene:
+    """A gate that falls on two hinges; the axis of one is off by ``tilt`` rad."""
+    body = fmbd.RigidBody("gate", 1.0, (0.1,) * 3, position=(1.0, 0.0, 0.0))
+    scene = fmbd.Scene("gate", gravity=(0.0, -9.81, 0.0))
+    scene.add(body, fmbd.revolute("low", fmbd.ground, body, center=(0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0)))
+    scene.add(fmbd.revolute("high", fmbd.ground, body, center=(0.0, tilt, 1.0), axis=(tilt, 0.0, 1.0)))
+    scene.sensor("place", fmbd.position(body))
+    for name in ("low", "high"):
+        scene.sensor(name + " force", fmbd.reaction_force(name))
+        scene.sensor(name + " moment", fmbd.reaction_torque(name))
+    return scene
+
+
 @compiled
 @pytest.mark.parametrize("increments", ["NumPy", "compiled"])
 @pytest.mark.parametrize("scheme", [fmbd.Radau(2), fmbd.BDF()], ids=lambda x: x.name)
@@ -83,17 +97,46 @@ def test_hinges_that_are_not_quite_in_line_take_no_more_steps(scheme: Any, incre
         monkeypatch.setattr(StageIteration, "follow", lambda *_: None)
         monkeypatch.setattr(ImplicitStepper, "_made", lambda *_: 0)
 
-    def run(tilt: float) -> Any:
-        gate = fmbd.RigidBody("gate", 1.0, (0.1,) * 3, position=(1.0, 0.0, 0.0))
-        scene = fmbd.Scene("gate", gravity=(0.0, -9.81, 0.0))
-        scene.add(gate, fmbd.revolute("low", fmbd.ground, gate, center=(0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0)))
-        scene.add(fmbd.revolute("high", fmbd.ground, gate, center=(0.0, tilt, 1.0), axis=(tilt, 0.0, 1.0)))
-        scene.sensor("place", fmbd.position(gate))
-        return fmbd.solve(scene, t_end=0.4, scheme=scheme)
-
-    straight, tilted = run(0.0), run(1e-8)
+    straight, tilted = (fmbd.solve(gate(tilt), t_end=0.4, scheme=scheme) for tilt in (0.0, 1e-8))
     assert tilted.counters["steps"] <= 1.1 * straight.counters["steps"]
     assert tilted["place"][-1] == pytest.approx(straight["place"][-1], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "dt"),
+    [*SCHEMES, (fmbd.GeneralizedAlpha(0.9, compiled=False), 0.02), (fmbd.Radau(2, fmbd.Index3(), None), 0.02)],
+    ids=lambda x: getattr(x, "name", None),
+)
+def test_hinges_a_hair_out_of_line_bear_what_those_in_line_do(scheme: Any, dt: float | None) -> None:
+    """Rows that no step could tell from rows that are the same: no stress of 1e5 N, and as many steps."""
+    dt = dt and 3e-3  # s: stress goes with 1 / dt^2
+    straight, tilted = (fmbd.solve(gate(tilt), t_end=0.3, dt=dt, scheme=scheme) for tilt in (0.0, 1e-7))
+    assert tilted.counters["steps"] <= 1.1 * straight.counters["steps"]
+    assert tilted["place"][-1] == pytest.approx(straight["place"][-1], abs=1e-5)
+    for name in ("low", "high"):
+        np.testing.assert_allclose(tilted[name + " force"][-1], straight[name + " force"][-1], rtol=0, atol=1e-3)
+        np.testing.assert_allclose(tilted[name + " moment"][-1], straight[name + " moment"][-1], rtol=0, atol=1e-3)
+
+
+def test_hinges_that_hold_nearly_the_same_are_told_of() -> None:
+    """Once, with what to do; where such a scene goes on, or stops, its forces are no surprise."""
+    with pytest.raises(fmbd.errors.FmbdError, match='joint "high"'):
+        fmbd.solve(gate(1e-5), t_end=0.3, dt=0.003)
+    (note,) = [x for x in gate(1e-5).check().notes if "hold nearly the same" in x]
+    assert '"low", "high"' in note and "bushing" in note and "4e-06" in note.replace("3.7e-06", "4e-06")
+
+
+def test_smallest_forces_of_a_compliance_leave_out_what_rows_contradict_each_other_in() -> None:
+    """S y = b with rows that are there twice, whose right-hand sides differ by 1e-6: y is as large as without."""
+    rng = np.random.default_rng(0)
+    G = rng.normal(size=(8, 20))
+    G = np.vstack((G, G[:4]))
+    S = sp.csc_matrix(G @ G.T)
+    b = S @ rng.normal(size=12)
+    fit = redundancy.least_forces(S, b)
+    assert np.abs(S @ fit - b).max() < 1e-13 * np.abs(b).max()
+    b[0] += 1e-6 * np.abs(b).max()
+    assert redundancy.least_forces(S, b) == pytest.approx(fit, abs=1e-3 * np.abs(fit).max())
 
 
 @compiled

@@ -32,7 +32,7 @@ from ..system.tangents.force_tangent import force_tangent
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from .border import Border
-from .configuration_warnings import CLOSE, LOOK_LIMIT, NearSingular, dependent_rows
+from .configuration_warnings import CLOSE, CORRECTIONS, LOOK_LIMIT, NearSingular, dependent_rows
 from .core import ADVICE, TIE_LIMIT, CoreSolver
 from .core_matrix import core_matrix
 from .driver_solver import DriverSolver, driver_solver
@@ -193,8 +193,7 @@ class StepSolver:
         A solver whose start was found by another one has prepared nothing when schemes ask it.
         """
         if self._look:
-            dependent = dependent_rows(ev)
-            self.core.redundant = dependent > 0
+            dependent, self.core.redundant = dependent_rows(ev)
             self.core.rank = self.system.n_lam - dependent if dependent else None
         self._look = False
 
@@ -251,7 +250,7 @@ class StepSolver:
         except LinearSolveError:
             if self.core.redundant or self.system.n_lam <= LOOK_LIMIT or rows_are_independent(ev):
                 raise
-            self.core.redundant = True
+            self.core.redundant = CORRECTIONS
             self.core.factor(A, ev.jacobian.core)
 
     def _turned(self, ev: Evaluation) -> list[Any]:

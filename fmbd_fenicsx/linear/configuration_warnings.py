@@ -8,32 +8,39 @@ from ..log import log
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.lengths import Measured
-from ..system.mobility import NEAR_SINGULAR, mobility, nearly_dependent, rows_are_independent
+from ..system.mobility import ALIKE, NEAR_SINGULAR, mobility, nearly_dependent, nearly_the_same, rows_are_independent
 
 CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
+CORRECTIONS = 2  # of a solution where dependent rows are the same, see algebra/factor.c
+MORE = 4  # where they nearly are
 LOOK_LIMIT = 600  # constraint rows up to which dependent ones are looked for
 
 
-def dependent_rows(ev: Evaluation) -> int:
-    """How many constraint rows depend on others in a configuration, with a word on ties that do; collective.
+def dependent_rows(ev: Evaluation) -> tuple[int, int]:
+    """How many constraint rows depend on others in a configuration, with a word on ties that do, and how many corrections
+    solutions take then; collective.
 
     The configuration looked at last is kept with the system: runs with other steps begin in the same one.
     """
     known = ev.system.cache.get("dependent rows")
     if known is not None and _same_everywhere(ev, *known[:2]):
-        return int(known[2])
+        return known[2]  # type: ignore[no-any-return]
     found = _look(ev)
     ev.system.cache["dependent rows"] = ev.t, ev.q.copy(), found
     return found
 
 
-def _look(ev: Evaluation) -> int:
+def _look(ev: Evaluation) -> tuple[int, int]:
     """See :func:`dependent_rows`."""
     if not 0 < ev.system.n_lam <= LOOK_LIMIT or rows_are_independent(ev):
-        return 0
+        return 0, 0
     found = mobility(ev)
     warn_of_ties(ev.system, found.shares)
-    return found.redundant
+    if not found.redundant:
+        return 0, 0
+    if near := nearly_the_same(ev, found):
+        log.warning("%s", near)
+    return found.redundant, MORE if near or found.misfit > ALIKE else CORRECTIONS
 
 
 def _same_everywhere(ev: Evaluation, t: float, q: Array) -> bool:

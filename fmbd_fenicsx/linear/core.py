@@ -75,14 +75,15 @@ class Saddle:
 
 
 class CoreSolver:
-    """Factor (1) and solve it. ``redundant`` permits dependent constraint rows: multipliers of minimum norm.
+    """Factor (1) and solve it. ``redundant`` permits dependent constraint rows: multipliers of minimum norm;
+    it is the number of corrections that solutions in compiled code take then, 0 where rows do not depend.
 
     ``ratio`` tells how close to singular the last factored matrix was (smallest over largest pivot; with redundant rows:
     of the singular values kept).
     """
 
     def __init__(self, judge: Judge) -> None:
-        self.judge, self.redundant = judge, False
+        self.judge, self.redundant = judge, 0
         self.factorisations = 0
         self.ratio, self.exact = 1.0, True
         self.rank: int | None = None  # of the constraints, where they are redundant

@@ -80,13 +80,13 @@ class DriverSolver:
             factored = not self.core.redundant and factor.prepare(ev, 0.0, 0.0)
             while not (factored or self.core.redundant) and self.states.unlock():
                 factored = factor.prepare(ev, 0.0, 0.0)
-            self.usable = factored and (factor.independent() or rows_are_independent(ev, even=True))
+            self.usable = factored and (factor.independent() or rows_are_independent(ev))
 
     def _solves(self) -> bool:
         """Whether the driver solves: rows do not depend on each other, or are known to, for the smallest multipliers then."""
         if not self.usable and self.core.redundant:
-            self.states.let_depend()
-        return bool(self.usable) or self.core.redundant
+            self.states.let_depend(self.core.redundant)
+        return bool(self.usable or self.core.redundant)
 
     def _usable_at(self, t: float, q: Array, v: Array) -> bool:
         """Whether one call finds all; the state is evaluated where nothing is known so far."""
@@ -114,7 +114,7 @@ class DriverSolver:
         self.ready = False
         if self.states.system.fields:
             return None
-        self.states.let_depend()
+        self.states.let_depend(self.core.redundant)
         return self.explicit.least(t, q, lam)
 
     def closed(self, t: float, q: Array, v: Array, metric: Weights = MASSES) -> tuple[Array, Array] | None:
@@ -256,7 +256,7 @@ class FieldDriverSolver(DriverSolver):
         ev, weights = self.told.at(state.t, state.q, state.v), Weights(1.0, 0.5 * h, 0.25 * h * h)
         states = self.told.of_steps(self.elastic.beside(ev.jacobian, weights))
         if not self.usable:
-            states.let_depend()
+            states.let_depend(self.core.redundant)
         states.tables.renewed = lambda *_: self._renewed(states, ev, weights)
         if self._made is None or self._made.states is not states:
             self._made = MeanStates(states)

@@ -23,14 +23,12 @@ from scipy.sparse.linalg import splu
 
 from ..matrices import dense
 from ..rotations import Array
-from ..system.compiled.declarations import array_of, constants
 from ..system.evaluation import Evaluation
 from ..system.layout import State
+from ..system.mobility import DEPENDENT, SOFT
 from .condensation import StepSolver
+from .configuration_warnings import CORRECTIONS
 
-DEPENDENT = 1e-8  # singular values of G, scaled, below this share of the largest belong to the null space
-(SOFT,) = constants("parts.h", "SOFT")  # share of a row's compliance
-CORRECTED = array_of("parts.h", "CORRECTED")  # times it, of what is left open
 SINGULAR = 1e-14  # singular values of a scaled matrix below this share belong to rows that depend on each other
 
 
@@ -99,15 +97,21 @@ def least(solver: StepSolver, t: float, q: Array, lam: Array) -> Array:
 def least_forces(S: Any, b: Array) -> Array:
     """Multipliers y, (m,) or (m, k), with S y = b for a sparse compliance S of rows that may depend on each other.
 
-    Rows are softened, so that of all y one of small norm is found; what softness leaves open is closed twice.
+    Rows are softened, so that of all y one of small norm is found; what softness leaves open
+    is closed twice, as in ``algebra/factor.c``.
     """
     size = np.sqrt(S.diagonal())
     scale = sp.diags(1.0 / np.where(size > 0, size, 1.0))
     lu = splu(sp.csc_matrix(scale @ S @ scale + SOFT * sp.identity(len(size))))
     y = lu.solve(scale @ b)
-    for times in CORRECTED:
-        y = y + lu.solve(times * SOFT * y)
+    for times in corrected(CORRECTIONS):
+        y = y - lu.solve(times * SOFT * y)
     return np.asarray(scale @ y)
+
+
+def corrected(count: int) -> list[float]:
+    """How often further solutions ask for what softness leaves open, as ``correction`` of ``algebra/factor.c``."""
+    return [1.0] * (count - 1) + [-float(count)] * (count > 0)
 
 
 def not_unique(solver: StepSolver, state: State) -> list[str]:
@@ -121,7 +125,7 @@ def not_unique(solver: StepSolver, state: State) -> list[str]:
     return [block.name for block in system.blocks if open_rows[block.rows].any()]
 
 
-def scaled_solution(J: Array, r: Array, *, redundant: bool) -> Array:
+def scaled_solution(J: Array, r: Array, *, redundant: int) -> Array:
     """J^-1 r with rows and columns scaled; where rows depend on each other the smallest solution.
 
     Raises LinAlgError where J is singular or not finite.

@@ -20,15 +20,16 @@ from ..errors import ConvergenceError, require
 from ..rotations import Array
 from ..system.compiled.declarations import constants
 from ..system.evaluation import Evaluation
-from ..system.lengths import farthest
+from ..system.lengths import SHUT, farthest
 from ..system.system import System
 
 FAR = 1e3  # of the tolerance: a first increment above it is worth a tangent of its own in bodies that change theirs every step
 # share of places that increments may be roundoff of
 (LEFT_OF_PLACES,) = constants("parts.h", "LEFT_OF_PLACES")
 FINEST = 1e-13  # increments are known to about this share
-SHUT = 5e-7  # of the model's length: a joint that is open by more ends a step
-CLOSING = 0.1  # of it: increments that leave joints closed, as rates of convergence foretell errors to a factor of ten
+CLOSING = (
+    0.1  # of SHUT: increments that leave joints closed, as rates of convergence foretell errors to a factor of ten
+)
 
 
 @dataclass(frozen=True)

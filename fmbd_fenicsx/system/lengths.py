@@ -11,6 +11,7 @@ from ..rotations import Array
 from .layout import Layout
 
 FITS = 1e-3  # of the model's length: a correction of places at the start above it is wrong input, not roundoff
+SHUT = 5e-7  # of the model's length: a joint that is open by more ends a step
 
 
 class Measured(Layout):

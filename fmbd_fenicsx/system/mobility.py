@@ -1,17 +1,21 @@
 """Mobility of a scene: degrees of freedom, rank of the constraints, redundant rows by joint, signs of unusual input.
 
-The constraint Jacobian is scaled by masses, G_s = E G D with D = diag(M)^-1/2 and E the inverse row norms of G D, so that its
-singular values do not depend on units; nodal displacements enter through the ports p = P w with a factor of P P^T.
-With U_0 the left null vectors of G_s,
+The constraint Jacobian is scaled, G_s = E G D, E the inverse row norms of G D, so that its singular values do not depend on
+units: D counts turns at the model's length, as if all frames had one mass m and the inertia m L^2. What depends is a matter
+of places alone: by their own masses rows on both sides of a body of hardly any mass look the same. Nodal displacements enter
+through the ports p = P w with a factor of P P^T. With U_0 the left vectors of singular values below sigma_1 DEPENDENT,
 
     freedom = velocities - rank,   redundancy = rows - rank = sum over joints of |U_0 rows of the joint|^2          (1)
+
+Why there: wherever bodies turn, such rows open by a few times that share of the model's length, less than a step may leave open
+(``SHUT`` of :mod:`~fmbd_fenicsx.system.lengths`), so that nobody can tell them from rows that are the same.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,12 +32,16 @@ from ..mechanics.forces.force_elements import ScalarLoads
 from ..mechanics.joints.joints import ground
 from ..mechanics.reduction.reduced import ReducedPart
 from ..rotations import Array
+from .compiled.declarations import constants
 from .evaluation import Evaluation
 from .held_modes import stiff_modes
-from .lengths import FITS
+from .lengths import FITS, SHUT
 from .system import System
 
-RANK_TOLERANCE = 1e-9  # singular values below this share of the largest count as zero
+DEPENDENT = 0.1 * SHUT  # singular values below this share of the largest belong to rows that depend on each other
+(SOFT,) = constants("parts.h", "SOFT")  # share of a row's compliance that solutions beside dependent rows add
+ALIKE = 1e-10  # those below this share leave nothing that could be seen in multipliers
+CLEAR = math.sqrt(SOFT)  # rows that solutions beside dependent ones hold apart in one increment
 NEAR_SINGULAR = 1e-6
 LEAST_SHARE = 0.005  # of a row, that is listed
 CERTAIN = 1e-5  # smallest over largest singular value above which a Gram matrix shows that rows are independent
@@ -53,6 +61,7 @@ class Mobility:
         shares: joint -> its share in the redundancy; the shares add up to ``redundant``.
         conditioning: smallest nonzero singular value of the scaled G over the largest.
         open: largest residual of the constraints as given (m).
+        misfit: largest singular value over the largest of those that count as zero: by how much dependent rows differ.
         notes: what looks unusual, one sentence each.
     """
 
@@ -63,6 +72,7 @@ class Mobility:
     conditioning: float
     open: float
     notes: tuple[str, ...] = ()
+    misfit: float = 0.0
 
     @property
     def freedom(self) -> int:
@@ -90,39 +100,31 @@ class Mobility:
 
 
 def _masses(ev: Evaluation) -> Array:
-    """The diagonal of M over the core, (n_core,); 1 for the modes of reduced bodies."""
+    """1 / D^2 of G_s over the core, (n_core,): frames of one mass, the largest; 1 for the modes of reduced bodies."""
     s = ev.system
-    n = s.motions.n_twist
-    mass = np.ones(s.n_core)
+    n, d = s.motions.n_twist, s.motions.dim
+    frames, mass = np.zeros((s.n_frames, n)), np.ones(s.n_core)
     if s.rigid is not None:
-        diagonal = np.diagonal(s.rigid.matrices(), axis1=1, axis2=2)
-        mass[(s.rigid.frame[:, None] * n + np.arange(n)).ravel()] = diagonal.ravel()
+        frames[s.rigid.frame] = np.diagonal(s.rigid.matrices(), axis1=1, axis2=2)
     # elastic bodies: the inertia of their frames at rest
     for _, p in s.fields:
         if p.frame < s.n_frames:
-            block = p.mass_blocks(_at_rest(ev, p.frame), np.zeros(p.n))[0]
-            mass[p.frame * n : (p.frame + 1) * n] = np.diag(block)
+            frames[p.frame] = np.diag(p.mass_blocks(_at_rest(ev, p.frame), np.zeros(p.n))[0])
 
     for k, part in s.core_parts:
         local: Any = part
         if isinstance(local, CoordinatePart):
             mass[s.slices[1][k]] = np.diag(local.mass(s.local_q(ev.q, k)))
 
+    frames[:] = frames[:, :d].max(initial=1e-300)
+    frames[:, d:] *= s.length**2
+    mass[: frames.size] = frames.ravel()
     return np.where(mass > 0, mass, mass.max(initial=1e-300))
 
 
-def _even_masses(ev: Evaluation) -> Array:
-    """The same with frames of one mass, the largest, and of its moment of inertia at the length of the system."""
-    s, mass = ev.system, _masses(ev)
-    frames = mass[: s.n_frames * s.motions.n_twist].reshape(s.n_frames, s.motions.n_twist)
-    frames[:] = frames[:, : s.motions.dim].max(initial=1e-300)
-    frames[:, s.motions.dim :] *= s.length**2
-    return mass
-
-
-def scaled_jacobian(ev: Evaluation, mass: Array | None = None) -> Array:
-    """G_s of (1), dense (n_lam, n_core + ports of fields); ``mass``: the diagonal of M, where it is another."""
-    G = dense(ev.jacobian.core) / np.sqrt(_masses(ev) if mass is None else mass)
+def scaled_jacobian(ev: Evaluation) -> Array:
+    """G_s of (1), dense (n_lam, n_core + ports of fields)."""
+    G = dense(ev.jacobian.core) / np.sqrt(_masses(ev))
 
     # ports of fields beside the core, of its size
     typical = float(np.abs(G).max(initial=1.0))
@@ -137,18 +139,16 @@ def scaled_jacobian(ev: Evaluation, mass: Array | None = None) -> Array:
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
 
 
-def rows_are_independent(ev: Evaluation, above: float = 0.0, *, even: bool = False) -> bool:
+def rows_are_independent(ev: Evaluation, above: float = 0.0) -> bool:
     """Whether the constraint rows certainly do not depend on each other; False where a closer look is needed, :func:`mobility`.
-    ``above``: sigma_min / sigma_max that they certainly have. ``even``: with bodies of one mass, whatever they weigh, since the
-    rows on both sides of a body of hardly any mass look the same by (1).
+    ``above``: sigma_min / sigma_max that they certainly have.
 
     A factor of G_s G_s^T and a few inverse iterations tell its smallest eigenvalue, sigma_min^2: for chains and trees the work is
     proportional to their length. Squares hide what is below 1e-8, so only sigma_min > 1e-5 sigma_max is certain.
     """
     s, core = ev.system, ev.jacobian.core
-    mass = _even_masses(ev) if even else _masses(ev)
     if s.fields or not sp.issparse(core):
-        G: Any = scaled_jacobian(ev, mass)
+        G: Any = scaled_jacobian(ev)
         gram = G @ G.T
         factor, fault = dpotrf(gram, lower=1)
         if fault:
@@ -157,7 +157,7 @@ def rows_are_independent(ev: Evaluation, above: float = 0.0, *, even: bool = Fal
         def solve(x: Array) -> Array:
             return np.asarray(dpotrs(factor, x, lower=1)[0])
     else:
-        G = core.tocsr() @ sp.diags(1.0 / np.sqrt(mass))
+        G = core.tocsr() @ sp.diags(1.0 / np.sqrt(_masses(ev)))
         size = np.sqrt(np.asarray(G.multiply(G).sum(axis=1)).ravel())
         G = sp.diags(1.0 / np.where(size > 0, size, 1.0)) @ G
         gram = (G @ G.T).tocsc()
@@ -221,7 +221,7 @@ def mobility(ev: Evaluation) -> Mobility:
         return Mobility(velocities, 0, 0, {}, 1.0, 0.0)
 
     U, s, _ = np.linalg.svd(scaled_jacobian(ev))
-    rank = int((s > RANK_TOLERANCE * s[0]).sum())
+    rank = int((s > DEPENDENT * s[0]).sum())
     loose = (U[:, rank:] ** 2).sum(1)  # the share of each row in what depends on others
     # dependence has no culprit: every row that takes part bears its share
     shares = {b.name: float(loose[b.rows].sum()) for b in system.blocks}
@@ -232,6 +232,7 @@ def mobility(ev: Evaluation) -> Mobility:
         {name: x for name, x in shares.items() if x > 1e-6},
         float(s[rank - 1] / s[0]) if rank else 0.0,
         float(np.abs(ev.constraint()).max()),
+        misfit=float(s[rank] / s[0]) if 0 < rank < len(s) else 0.0,
     )
 
 
@@ -241,6 +242,24 @@ def nearly_dependent(ev: Evaluation, rank: int) -> tuple[float, str]:
     k = min(rank, len(s)) - 1
     part = {b.name: float((U[b.rows, k] ** 2).sum()) for b in ev.system.blocks}
     return float(s[k] / s[0]), max(part, key=lambda name: part[name])
+
+
+def nearly_the_same(ev: Evaluation, found: Mobility) -> str:
+    """Which joints hold nearly the same, beside rows that depend on each other, as sentences; "" where none do.
+
+    Solutions with softened rows (``algebra/factor.c``) hold rows apart that differ by more than ``CLEAR``.
+    """
+    if not found.redundant or found.conditioning >= CLEAR:
+        return ""
+    vector = np.linalg.svd(scaled_jacobian(ev))[0][:, found.rank - 1] ** 2
+    joints = ", ".join(f'"{b.name}"' for b in ev.system.blocks if vector[b.rows].sum() > 0.1)
+    return (
+        f"joints {joints} hold nearly the same: what they hold beyond each other moves by {found.conditioning:.1e} of what "
+        "moves other rows. Whether this scene moves, and by which forces, hangs on that: they are up to "
+        f"{1.0 / found.conditioning:.0e} times the loads, and steps that cannot hold such rows apart fail. Let points and axes "
+        f"agree to {DEPENDENT:.0e} of the model's length, so that they count as the same, or replace one joint by a bushing or "
+        "by joints that hold less"
+    )
 
 
 def locked_modes(ev: Evaluation) -> str:
@@ -258,10 +277,10 @@ def locked_modes(ev: Evaluation) -> str:
     modes = np.concatenate([np.arange(span.start, span.stop) for span, _ in reduced])
     G = scaled_jacobian(ev)
     U, size, _ = np.linalg.svd(np.delete(G, modes, axis=1))
-    N = U[:, int((size > RANK_TOLERANCE * size[0]).sum()) :]
+    N = U[:, int((size > DEPENDENT * size[0]).sum()) :]
     rows, share, motions = np.linalg.svd(N.T @ G[:, modes], full_matrices=False)
     share /= size[0]
-    locked = np.flatnonzero((share > RANK_TOLERANCE) & (share < LOCKED))
+    locked = np.flatnonzero((share > DEPENDENT) & (share < LOCKED))
     if not len(locked):
         return ""
 
@@ -336,6 +355,9 @@ def check(scene: Any, deep: bool = False) -> Mobility:
         notes.append(
             "the configuration is near-singular: constraints almost depend on each other, or a motion branches here"
         )
+    notes += [near] if (near := nearly_the_same(ev, found)) else []
+    if found.misfit > ALIKE:
+        notes.append(f"rows that differ by {found.misfit:.1e} of what moves them most count as the same")
     notes += [stiff] if (stiff := doubtful_modes(ev)) else []
     if found.open > 1e-6 * system.length:
         small = found.open <= FITS * system.length
@@ -354,9 +376,7 @@ def check(scene: Any, deep: bool = False) -> Mobility:
 
     notes += _yielding_friction(scene, system.length)
 
-    return Mobility(
-        found.velocities, found.rows, found.rank, found.shares, found.conditioning, found.open, tuple(notes)
-    )
+    return replace(found, notes=tuple(notes))
 
 
 def _yielding_friction(scene: Any, length: float) -> list[str]:

@@ -37,7 +37,7 @@ class Pencil:
 
     room: None = None
 
-    def __init__(self, tangent: StepTangent, s: Array, judge: Judge, redundant: bool = False) -> None:
+    def __init__(self, tangent: StepTangent, s: Array, judge: Judge, redundant: int = 0) -> None:
         self.s, self.judge, self.t, self.redundant = s, judge, tangent, redundant
         T = tangent
         n = tangent.M.shape[0]

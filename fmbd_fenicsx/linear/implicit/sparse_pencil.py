@@ -23,10 +23,8 @@ class SparsePencil:
         self.t, self.s, self.judge, self.room = tangent, s, judge, room
 
     @classmethod
-    def factored(
-        cls, tangent: StepTangent, s: Array, judge: Judge, room: StageRoom, *, redundant: bool
-    ) -> SparsePencil:
-        """With factors of a tangent; ``redundant``: rows depend on each other."""
+    def factored(cls, tangent: StepTangent, s: Array, judge: Judge, room: StageRoom, *, redundant: int) -> SparsePencil:
+        """With factors of a tangent; ``redundant``: corrections of rows that depend on each other."""
         if not room.factor(tangent, s, redundant=redundant):
             raise LinearSolveError(f"{judge.what}: {SINGULAR_MATRIX}")
         return cls(tangent, s, judge, room)

@@ -19,9 +19,10 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from ...errors import LinearSolveError
 from ...rotations import Array
+from ...system.mobility import SOFT
 from ...system.sparsity import Pattern, Product, Total
 from ...system.tangents.step_tangent import StepTangent
-from ..redundancy import CORRECTED, SOFT
+from ..redundancy import corrected
 from ..residual import Judge
 from .pencil import OPEN_ROWS, REFINED, SINGULAR_MATRIX
 
@@ -87,7 +88,8 @@ class WholeStructure:
 class WholePencil:
     """(1) for the rates S of k stages, (k, k); ``tangents``: the data of that of each.
 
-    ``first``: level of the first rows; ``units``: of the multipliers of rows that depend on each other, (m,), None: none do.
+    ``first``: level of the first rows; ``units``: of the multipliers of rows that depend on each other, (m,), None: none
+    do; ``corrections``: of their solutions.
     """
 
     room: None = None
@@ -101,9 +103,10 @@ class WholePencil:
         *,
         first: int,
         units: Array | None,
+        corrections: int,
     ) -> None:
         o = self.structure = structure
-        self.judge, self.softened = judge, units is not None
+        self.judge, self.softened, self.corrections = judge, units is not None, corrections
         self.data = {name: np.concatenate([getattr(x, name) for x in tangents]) for name in o.patterns}
         T, n = self.data, o.n
         rates = np.repeat(S, n, axis=0).ravel()
@@ -151,10 +154,15 @@ class WholePencil:
         if left > REFINED * size:
             y = y + self._back(rhs - self.matrix @ y)
             left, size = self._left(rhs, y, o.size)
-        for times in CORRECTED if self.softened else ():
+        for times in corrected(self.corrections):
             y = y + self._back(times * self._open(y))
         if self.softened:  # rows that contradict each other stay open
             left, size = self._left(rhs, y, o.n)
+            if left > REFINED * size:
+                missing = rhs - self.matrix @ y
+                missing.reshape(o.stages, -1)[:, o.n :] = 0.0
+                y = y + self._back(missing)
+                left, size = self._left(rhs, y, o.n)
         self.judge.check(left, size, OPEN_ROWS)
 
         k, n, m = o.stages, o.n, o.m

@@ -24,14 +24,13 @@ from ...errors import BalanceError, ConvergenceError
 from ...rotations import Array
 from ...schemes.consistent import worst_block
 from ...schemes.declared import Declared
-from ...schemes.newton import SHUT
 from ...system.compiled.march import JointLimits
 from ...system.compiled.tape import Openness
 from ...system.element_memory import accept, overran
 from ...system.evaluation import Evaluation
 from ...system.evaluator import Seen
 from ...system.layout import State
-from ...system.lengths import farthest
+from ...system.lengths import SHUT, farthest
 from ...system.serialisation import Remembering, plain
 from ...system.system import System
 from .force_balance import Balanced

@@ -259,10 +259,11 @@ class StepEquations(Equations):
 
     def whole_pencil(self, tangents: list[Any], rates: Array, judge: Judge) -> WholePencil:
         """Solver of stages with a tangent each; ``rates``: d rate / d xi, (k, k)."""
-        units = self.system.multiplier_units if self.solver.core.redundant else None
+        redundant = self.solver.core.redundant
+        units = self.system.multiplier_units if redundant else None
         first = self.form.levels[0] if self.levels else 0
         structure, entries = self.tangents.together(tangents)
-        return WholePencil(structure, entries, rates, judge, first=first, units=units)
+        return WholePencil(structure, entries, rates, judge, first=first, units=units, corrections=redundant)
 
     def inertia(self, tangent: Any, a: Array) -> Array:
         """M a at the tangent's motion."""

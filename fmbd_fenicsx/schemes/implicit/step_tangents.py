@@ -153,7 +153,7 @@ class DenseTangents(Remembering):
         """M a."""
         return tangent.M @ a
 
-    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: bool, points: int = 1) -> Pencil:
+    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: int, points: int = 1) -> Pencil:
         """Solver of the stages for the frequencies s, (p,)."""
         return Pencil(tangent, s, judge, redundant)
 
@@ -270,7 +270,7 @@ class SparseTangents(Remembering):
         """M a."""
         return self.structure.couplings.masses.times(tangent.M, a[None])[0]
 
-    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: bool, points: int = 1) -> SparsePencil:
+    def pencil(self, tangent: StepTangent, s: Array, judge: Judge, *, redundant: int, points: int = 1) -> SparsePencil:
         """Solver of so many stages for the frequencies s, (p,)."""
         return SparsePencil.factored(tangent, s, judge, self.room(len(s), points), redundant=redundant)
 

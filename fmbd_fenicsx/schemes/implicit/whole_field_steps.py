@@ -40,7 +40,7 @@ class WholeFieldSteps(WholeSteps):
         if not isinstance(states, DriverStates) or self.eq.solver.driver is None:
             return None
         if self.eq.solver.core.redundant:
-            states.let_depend()
+            states.let_depend(self.eq.solver.core.redundant)
         return states
 
     def solves_for(self, s: Array) -> bool:

@@ -67,7 +67,7 @@ def whole_numbers(address: int, size: int) -> np.ndarray:
 class ContactDriver(PairTables):
     """The driver for one system with contact: tables, calls into Python, and three states in turn."""
 
-    def __init__(self, system: System, plain: System, library: Any, impacts: int, *, redundant: bool) -> None:
+    def __init__(self, system: System, plain: System, library: Any, impacts: int, *, redundant: int) -> None:
         self.impacts, self.accumulations = impacts, 0
         self.unsolved: ConvergenceError | None = None  # why forces of the last step were not found
         self.library, pairs = library, system.contacts.pairs
@@ -256,7 +256,7 @@ class ContactDriver(PairTables):
         return numbers(now.gap, m).copy(), places, normals
 
 
-def contact_driver(system: System, *, redundant: bool, impacts: int) -> ContactDriver | None:
+def contact_driver(system: System, *, redundant: int, impacts: int) -> ContactDriver | None:
     """The driver for a system with contact and so many impacts a step, or None where the NumPy path has to do."""
     contacts = system.contacts
     if system.fields:

@@ -136,7 +136,7 @@ def drivable(system: System) -> Any:
 
 
 def alpha_driver(
-    system: System, *, redundant: bool, blocks: Sequence[Block] = (), alone: bool = True
+    system: System, *, redundant: int, blocks: Sequence[Block] = (), alone: bool = True
 ) -> AlphaDriver | None:
     """The driver for a system, or None where the NumPy path has to do; ``blocks``: of its fields for the size of a step.
 
@@ -145,7 +145,7 @@ def alpha_driver(
     evaluator = system.evaluator
     if alone and solves(evaluator):
         tables, calls = evaluator.give()
-        tables.c.redundant = int(redundant)
+        tables.c.redundant = redundant
         made = AlphaDriver(evaluator.library, tables, calls)
         made.evaluator = evaluator
         return made
@@ -157,7 +157,7 @@ def alpha_driver(
     return AlphaDriver(library, tables, calls) if tables.fronts.storage <= STORAGE_LIMIT else None
 
 
-def _field_tables(system: System, redundant: bool, blocks: Sequence[Block]) -> tuple[Tables, Calls]:
+def _field_tables(system: System, redundant: int, blocks: Sequence[Block]) -> tuple[Tables, Calls]:
     """Tables with factors of the fields: those that another size of step or an earlier run had, where these remember nothing of
     its steps and its tangents.
     """

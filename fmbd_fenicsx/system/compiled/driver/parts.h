@@ -97,13 +97,12 @@ void drag_friction(System *s, double t);
 double largest(const double *x, int n);
 double largest_of(const double *units, const double *x, int n);
 double small(const System *s, const double *p, const double *q, double accelerated);
+double correction(int k, int count);
 int judge(double *p, const double *sizes, int done, double *error);
 int lingers(const double *p, int done, double left);
 
-/* Dependent rows, see factor.c: epsilon over the largest compliance of one, and shares of further right-hand sides. */
+/* Dependent rows, see factor.c: epsilon over the largest compliance of one. */
 static const double SOFT = 1e-9;
-static const double CORRECTED[] = {1.0, -2.0};
-enum { CORRECTIONS = sizeof CORRECTED / sizeof *CORRECTED };
 
 /* Parameters of a march; increments of a step at most. */
 enum { H, AM, AF, GAMMA, BETA, TOL, FLOOR, CEILING, LENGTH, THETA, SLOW, MAXIT, HISTORY, PATIENCE, NEW_TANGENT, FAR,  /* in */

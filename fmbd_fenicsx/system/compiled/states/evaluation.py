@@ -49,7 +49,7 @@ class DriverStates(CompiledGeometry):
         self.factor = DriverFactor(self)
         self.anew = True  # whether laws are asked again, since a state was taken
         self.taken: bool = False
-        self.dependent = False  # whether rows depend on each other: multipliers are the smallest then
+        self.dependent = 0  # corrections of rows that depend on each other: multipliers are the smallest then
         self.address: int = 0
         self.renew()
 
@@ -83,11 +83,11 @@ class DriverStates(CompiledGeometry):
         self.renew()
         return True
 
-    def let_depend(self) -> None:
-        """Solve for rows that depend on each other from now on."""
+    def let_depend(self, corrections: int) -> None:
+        """Solve for rows that depend on each other from now on, with so many corrections of a solution."""
         if not self.dependent:
-            self.dependent, self.factor.held = True, None
-            self.tables.c.redundant = 1
+            self.dependent, self.factor.held = corrections, None
+            self.tables.c.redundant = corrections
 
     @property
     def remembers(self) -> bool:

@@ -81,7 +81,7 @@ class FieldStates(DriverStates):
 
     def tables_of(self) -> Tables:
         """Tables with fields that nothing is solved for."""
-        return Tables(self.system, redundant=False, blocks=[unsolved(part) for _, part in self.system.fields])
+        return Tables(self.system, redundant=0, blocks=[unsolved(part) for _, part in self.system.fields])
 
     def rows(self, at: Configurations) -> Array | None:
         """None: G of a field is kept by its ports."""

@@ -186,9 +186,9 @@ class StageRoom(PointRoom):
             "directions": address_of(of_rows),
         }
 
-    def let_depend(self, *, redundant: bool) -> None:
-        """Say whether rows depend on each other."""
-        self.c.units = address_of(self._units) if redundant else None
+    def let_depend(self, *, redundant: int) -> None:
+        """Say whether rows depend on each other, and how many corrections solutions take then."""
+        self.c.units, self.c.corrections = address_of(self._units) if redundant else None, redundant
 
     @property
     def frequencies(self) -> Array:
@@ -196,8 +196,10 @@ class StageRoom(PointRoom):
         s = self.arrays["s"]
         return s[:, 0] + 1j * s[:, 1] if s[:, 1].any() else s[:, 0].copy()
 
-    def factor(self, tangent: StepTangent, s: Array, *, redundant: bool) -> bool:
-        """The factors of the frequencies s (p,); False where K is singular, or not finite. ``redundant``: rows depend."""
+    def factor(self, tangent: StepTangent, s: Array, *, redundant: int) -> bool:
+        """The factors of the frequencies s (p,); False where K is singular, or not finite. ``redundant``: corrections of rows
+        that depend.
+        """
         self.let_depend(redundant=redundant)
         structure = self.structure
         structure.data(tangent, self.data)

@@ -54,7 +54,7 @@ class Tables(TableLayout):
         self,
         system: System,
         *,
-        redundant: bool,
+        redundant: int,
         blocks: Sequence[Block] = (),
         coordinates: Sequence[RelativeCoordinates] = (),
     ) -> None:
@@ -195,7 +195,7 @@ class Tables(TableLayout):
         self.c.indefinite = int(any(field.indefinite for field in self.fields))
 
     # -- all of it -------------------------------------------------------------------------------------------------------------
-    def _system(self, redundant: bool) -> None:
+    def _system(self, redundant: int) -> None:
         """The structure System."""
         s, looks = self.system, self.looks
         once = 4 * s.n_v + 3 * self.rows  # work of a step, and of a second solution where there are fields
@@ -209,7 +209,7 @@ class Tables(TableLayout):
 
         self.c = structure("System", self.dim)(
             **counts, **lists, **self._numbers(once), fronts=len(self.fronts.fronts), front=ctypes.addressof(fronts_of(self)),
-            rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=int(redundant), fields=len(self.fields), core=s.n_core,
+            rows=self.rows, nu=self.nu, nv=s.n_v, nq=s.n_q, redundant=redundant, fields=len(self.fields), core=s.n_core,
             again=once, stiff=int(bool(self.rods or self.told) or any(f.stiff for f in s.forces)),
             remembers=max((x.remembers for x in known), default=0),
             storage=self.fronts.storage, seen=len(looks.markers), seen_frame=self.store.integers(self.frame[looks.markers]),
@@ -267,7 +267,7 @@ class Tables(TableLayout):
             "L": self.fronts.storage + 8, "lossy": (parts - 1) * self.fronts.storage + 8, "diagonal": size,
             "inverse": parts * size, "b": parts * size, "local": parts * size + 8,
             "work": once + s.n_v + self.rows + SECANTS * (2 * s.n_v + self.rows),
-            "directions": 9 * parts * self.rows,
+            "directions": 10 * parts * self.rows,
             "big": (2 * self.twist + 1) * sides * widest + size,
             **dict.fromkeys(("gap", "slip", "weight", "locked", *MOTIONS), self.rows),
             "frames": (self.nb + 1 + len(self.surfaces), FRAME[self.dim]), **{name: len(x) for name, x in given.items()},

@@ -89,8 +89,11 @@ static void hand_on(const System *s, const Front *f)
    Rockafellar, doi:10.1287/moor.1.2.97).
 
    Of a combination of rows with the singular value sigma one solution closes the share k = sigma^2 / (sigma^2 + epsilon), and what
-   rows contradict each other in (k = 0) goes to y over epsilon. To ask for what it closed leaves nothing of that in y, to ask then
-   for what is open twice closes k^2 (3 - 2 k): further right-hand sides are the softness times y, CORRECTED times. */
+   rows contradict each other in (k = 0) goes to y over epsilon. To ask for what it closed, n - 1 times, leaves k^(n - 1) of that in
+   y, to ask then n times for what is open closes k^n (1 + n (1 - k)): further right-hand sides are the softness times y so often.
+   Two corrections serve rows that are the same but for roundoff, more those that nearly are (linear/redundancy.py). */
+double correction(int k, int count) { return k + 1 < count ? 1.0 : -count; }
+
 static double softness(const System *s, int row)
 {
     return s->epsilon / (s->multiplier_units[row] * s->multiplier_units[row]);

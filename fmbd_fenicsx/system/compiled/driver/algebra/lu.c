@@ -198,8 +198,14 @@ static void NAME(resolve)(const Stages *o, int f, const NUMBER *kin, const NUMBE
         judged[0] = NAME(remainder)(o, A, right, y, left, o->size, judged + 1);
     }
     if (o->units) { /* rows that contradict each other stay open */
-        for (int k = 0; k < CORRECTIONS; k++) NAME(add_softness)(o, f, CORRECTED[k], y, left, more);
+        for (int k = 0; k < o->corrections; k++) NAME(add_softness)(o, f, correction(k, o->corrections), y, left, more);
         judged[0] = NAME(remainder)(o, A, right, y, left, o->n, judged + 1);
+        if (judged[0] > REFINE * judged[1]) {
+            for (int i = o->n; i < o->size; i++) left[i] = 0.0;
+            NAME(substitute)(o, o->lower + f, left, more);
+            for (int i = 0; i < o->size; i++) y[i] += more[i];
+            judged[0] = NAME(remainder)(o, A, right, y, left, o->n, judged + 1);
+        }
     }
 
     for (int i = 0; i < o->size; i++) y[i] *= columns[i];

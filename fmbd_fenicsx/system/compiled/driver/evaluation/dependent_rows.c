@@ -37,9 +37,10 @@ static void closed_share(System *s, const double *y, double *x, double *closed)
 }
 
 /* Combinations of rows that one solution closes badly, as those that all of a tall tower hangs on: y with A y = z, z the multipliers
-   of the first solution, from A z, which has nothing of contradictions, by conjugate directions p with q = A p (Orthodir, the least
-   error of A y; Young and Jea, doi:10.1016/0024-3795(80)90247-2). ``first``: A z; x and y: of the corrections of soften(). */
-static void close_faint(System *s, const double *z, const double *first, double *x, double *y)
+   of the first solution, from A^k z, which has nothing of contradictions, by conjugate directions p with q = A p (Orthodir, the least
+   error of A y; Young and Jea, doi:10.1016/0024-3795(80)90247-2). ``first``: A^k z; x and y: of the corrections, that asked for the
+   softness times ``asked``. */
+static void close_faint(System *s, const double *z, const double *first, const double *asked, double *x, double *y)
 {
     const int m = s->parts * s->rows;
     double *more = s->work + s->again, *p = s->directions, *q = p + m, *before = q + m, *q_before = before + m;
@@ -70,7 +71,7 @@ static void close_faint(System *s, const double *z, const double *first, double 
     }
 
     /* x is that of the corrections: of ``found`` instead */
-    for (int i = 0; i < m; i++) next[i] = found[i] - CORRECTED[0] * z[i] - CORRECTED[1] * first[i];
+    for (int i = 0; i < m; i++) next[i] = found[i] - asked[i];
     of_softness(s, 1.0, next, more, q);
     add(x, 1.0, more, s->parts * s->nv);
     memcpy(y, found, m * sizeof(double));
@@ -83,14 +84,18 @@ int with_all_rows(System *s, double scale, double *x, double *y, double t)
     if (verdict || !s->redundant) return verdict;
 
     const int n = s->parts * s->nv, m = s->parts * s->rows;
-    double *more = s->work + s->again, *left = more + n, *made = s->directions + 7 * m, open = 0.0;
-    for (int k = 0; k < CORRECTIONS; k++) {
-        memcpy(made + k * m, y, m * sizeof(double));
-        of_softness(s, CORRECTED[k], y, more, left);
+    double *more = s->work + s->again, *left = more + n, *z = s->directions + 7 * m, *last = z + m, *asked = last + m, open = 0.0;
+    memcpy(z, y, m * sizeof(double));
+    memset(asked, 0, m * sizeof(double));
+    for (int k = 0; k < s->redundant; k++) {
+        const double times = correction(k, s->redundant);
+        memcpy(last, y, m * sizeof(double));
+        add(asked, times, last, m);
+        of_softness(s, times, y, more, left);
         add(x, 1.0, more, n);
         add(y, 1.0, left, m);
-        open = force_product(s, left, left) / (CORRECTED[k] * CORRECTED[k]);
+        open = force_product(s, left, left) / (times * times);
     }
-    if (open > OPEN * OPEN * force_product(s, made + m, made + m)) close_faint(s, made, made + m, x, y);
+    if (open > OPEN * OPEN * force_product(s, last, last)) close_faint(s, z, last, asked, x, y);
     return DONE;
 }
