@@ -118,10 +118,10 @@ def test_hinges_a_hair_out_of_line_bear_what_those_in_line_do(scheme: Any, dt: f
         np.testing.assert_allclose(tilted[name + " moment"][-1], straight[name + " moment"][-1], rtol=0, atol=1e-3)
 
 
-def test_hinges_that_hold_nearly_the_same_are_told_of() -> None:
-    """Once, with what to do; where such a scene goes on, or stops, its forces are no surprise."""
-    with pytest.raises(fmbd.errors.FmbdError, match='joint "high"'):
-        fmbd.solve(gate(1e-5), t_end=0.3, dt=0.003)
+def test_hinges_that_hold_nearly_the_same_are_told_of(caplog: pytest.LogCaptureFixture) -> None:
+    """Once, with what to do, where the run begins; whether such a scene goes on or stops, its forces are no surprise."""
+    fmbd.solve(gate(1e-5), t_end=0.003, dt=0.003)
+    assert caplog.text.count("hold nearly the same") == 1
     (note,) = [x for x in gate(1e-5).check().notes if "hold nearly the same" in x]
     assert '"low", "high"' in note and "bushing" in note and "4e-06" in note.replace("3.7e-06", "4e-06")
 

@@ -70,8 +70,8 @@ static void close_faint(System *s, const double *z, const double *first, const d
         }
     }
 
-    /* x is that of the corrections: of ``found`` instead */
-    for (int i = 0; i < m; i++) next[i] = found[i] - asked[i];
+    /* x is that of the corrections: of ``found`` instead, whose softness is taken back, while what is ``left`` of z stays open */
+    for (int i = 0; i < m; i++) next[i] = left[i] - found[i] - asked[i];
     of_softness(s, 1.0, next, more, q);
     add(x, 1.0, more, s->parts * s->nv);
     memcpy(y, found, m * sizeof(double));

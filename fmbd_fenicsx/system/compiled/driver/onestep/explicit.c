@@ -143,7 +143,7 @@ static double closing_change(System *s, const double *open, double *x, double *y
 {
     memset(s->b, 0, s->nu * sizeof(double));
     for (int i = 0; i < s->rows; i++) s->b[s->nu + i] = -open[i];
-    with_fields(s, 0.0, x, y, 0.0);
+    with_all_rows(s, 0.0, x, y, 0.0);
     return largest_of(s->units, x, s->nv);
 }
 
