@@ -394,3 +394,17 @@ def test_a_tower_of_loops_hangs_on_compiled_steps() -> None:
     assert run.counters["newton_iterations"] <= 3 * run.counters["steps"]
     weight = 3 * loops * 9.81
     np.testing.assert_allclose(abs(run["a"] + run["b"])[:, 2], weight, rtol=1e-6)
+
+
+@compiled
+def test_smallest_multipliers_of_a_tower_are_found_by_the_driver() -> None:
+    """Forces on the bodies stay, to more digits than are asked for."""
+    system, state, _ = tower(60).build()
+    use_driver(system)
+    lam = np.random.default_rng(0).normal(size=system.n_lam) * system.multiplier_units
+    driver = StepSolver(system).driver
+    assert driver is not None
+    found = driver.least(state.t, state.q, lam[None])
+    assert found is not None
+    G = dense(system.at(state.t, state.q).jacobian.core)
+    np.testing.assert_allclose(G.T @ found[0], G.T @ lam, rtol=0, atol=1e-9 * np.abs(G.T @ lam).max())

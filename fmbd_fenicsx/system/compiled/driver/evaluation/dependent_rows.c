@@ -2,7 +2,7 @@
 
 static const double OPEN = 1e-3;         /* share that corrections find open, above which directions are followed; */
 static const double LEAST_CLOSED = 1e-3; /* share that a solution has to close of one whose rows count as independent; */
-static const double LEFT_FAINT = 1e-6;   /* share of the multipliers below which a further one is the last */
+static const double LEFT_FAINT = 1e-10;  /* share of the multipliers below which a further one is the last */
 
 /* The solution for rows that are ``times`` epsilon y / u^2 open. */
 static void of_softness(System *s, double times, const double *y, double *x, double *made)
