@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import fmbd_fenicsx as fmbd
+from fmbd_fenicsx.system import axial_forces
 from fmbd_fenicsx.system.axial_forces import left_out
 
 HEIGHT, MODULUS, ANGLE = 0.02, 1e9, 0.4
@@ -146,3 +148,15 @@ def test_a_block_is_no_column(caplog: Any) -> None:
     scene.add(body, fmbd.fixed("clamp", fmbd.ground, body.surface("left")))
     fmbd.equilibrium(scene)
     assert "along itself" not in caplog.text
+
+
+def test_looks_become_fewer_and_do_not_cease(monkeypatch: Any) -> None:
+    """Steps of a scheme's own choice, and those of several ranks, ask for a look each."""
+    system, state, _ = column(*strip("beam", attached=True), "clamped", 0.0).build()
+    at: list[float] = []
+    monkeypatch.setattr(axial_forces, "axial_force", lambda ev, *of: at.append(ev.t) or (0.0, 1.0))
+    watch = axial_forces.AxialForces(system)
+    for t in range(1000):
+        watch.look(replace(state, t=float(t)))
+    assert at[:4] == [0.0, 1.0, 2.0, 3.0] and len(at) < 80
+    assert max(b - a for a, b in zip(at, [*at[1:], 1000.0], strict=True)) < 150.0

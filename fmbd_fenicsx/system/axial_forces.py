@@ -54,7 +54,7 @@ class AxialForces:
     def __init__(self, system: System, share: float = SHARE, start: float = -np.inf) -> None:
         self.system, self.share = system, share
         self.bodies = _bodies(system)
-        self._asked = 0
+        self._asked, self._due = 0, 1  # looks that were asked for, and the next that is taken
         self._free = {k: _first_free(part) for k, part in self.bodies}
         self._since = dict.fromkeys(self._free, (0.0, start))  # sign of a force that counts, and when it was seen first
 
@@ -65,8 +65,9 @@ class AxialForces:
     def look(self, state: State) -> None:
         """Warn once of each body that leaves out too much; of many states at ever fewer. Collective."""
         self._asked += 1
-        if not self.bodies or self._asked % (self._asked // LOOKS + 1):
+        if not self.bodies or self._asked < self._due:
             return
+        self._due = self._asked + self._asked // LOOKS + 1
         ev = self.system.at(state.t, state.q, state.v)
         on_surfaces = _on_surfaces(ev, state.lam, self.bodies)
         for k, part in list(self.bodies):
