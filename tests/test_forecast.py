@@ -72,13 +72,15 @@ def far_away(far: float) -> fmbd.Scene:
     return scene
 
 
-def ends_after(scene: fmbd.Scene, h: float, says: str, *, longer: float = 1.0, most: int = 5000) -> int:
+def ends_after(
+    scene: fmbd.Scene, h: float, says: str, *, longer: float = 1.0, most: int = 5000, planned: int = 0
+) -> int:
     """How many steps of h (s), each so many times as long as the one before, a run of 1 s makes before it is refused."""
     from dataclasses import replace
 
     system, state, _ = scene.build()
     solver = StepSolver(system)
-    watched, t, k = Forecast(solver, 0.0, 1.0, 0), 0.0, 0
+    watched, t, k = Forecast(solver, 0.0, 1.0, planned), 0.0, 0
     try:
         for k in range(1, most + 1):
             t += h * longer**k
@@ -100,6 +102,13 @@ def test_steps_without_end_that_do_not_grow_end_the_run() -> None:
     assert ends_after(far_away(0.0), 1e-12, 'The fastest period is 6.3e-06 s, of body "bob"') == 2100
     assert ends_after(far_away(0.0), 1e-12, "", longer=1.0001) == 5000
     assert ends_after(far_away(0.0), 1e-13, "No spring is there to blame") == 2100  # for so many steps in its period
+
+
+def test_parts_without_end_of_equal_steps_end_the_run() -> None:
+    """A hundred steps in 2e5 parts each, where the run would make 2e7; not so many steps that were asked for."""
+    assert ends_after(far_away(0.0), 5e-8, 'The fastest period is 6.3e-06 s, of body "bob"', planned=100) == 2100
+    assert ends_after(far_away(0.0), 5e-8, "", planned=20_000_000) == 5000
+    assert ends_after(far_away(0.0), 2e-7, "", planned=100) == 5000
 
 
 @pytest.mark.parametrize("sprung", [False, True])

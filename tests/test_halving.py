@@ -110,6 +110,31 @@ def test_parts_and_renewals() -> None:
     assert stepper.local_error == 0.1
 
 
+def test_steps_that_fail_one_after_another_begin_in_parts() -> None:
+    """Failures of whole steps die out: 1, 2, 4, ... steps begin in halves before one is tried whole again."""
+    failed = []
+
+    class Told(Brittle):
+        def advance(self, h: float) -> State:
+            if h > self.longest:
+                failed.append(self.state.t)
+            return super().advance(h)
+
+    system, state = body()
+    stepper = ConstantSteps(Told(state, 0.3), system, None, None)
+    for k in range(1, 201):
+        assert stepper.advance(1.0).t == k
+    assert failed[:3] == [0.0, 0.0, 0.5] and len(failed) < 40 and stepper.counters["made"] == 800
+    assert stepper.counters["halved_steps"] == 600
+
+    stepper.stepper.longest = 1.0  # type: ignore[attr-defined]
+    for _ in range(500):
+        stepper.advance(1.0)
+    made = stepper.counters["made"]
+    stepper.advance(1.0)
+    assert stepper.counters["made"] == made + 1
+
+
 def test_without_renewal_the_worker_goes_on() -> None:
     system, state = body()
     worker = Brittle(state, 0.3)

@@ -2,6 +2,7 @@
 
 A step whose Newton iteration or linear solve fails is made in two halves, these again in halves, down to 1/64. So is one that
 gains energy from nothing (:mod:`.judges.energy_check`), down to 1/1024; all later steps are then made in parts of that size.
+Steps that fail one after another are begun in halves: 1, 2, 4, ... of them, before the next one is tried whole.
 Recorded states stay on the grid of whole steps. A scheme remembers accelerations, past values or predictors of one step size, so
 before each change of size its worker is made anew from the consistent state nearest to the present one, as at the start of a run.
 Workers of schemes whose rule holds for steps of any size go on as they are: with contact (its forces are their memory), RATTLE,
@@ -78,7 +79,7 @@ class ConstantSteps(Around):
     keeps: ClassVar = {
         "stepper": worker,
         "watch": worker,
-        **dict.fromkeys(("halved", "whole", "_size", "local_error", "_past"), plain()),
+        **dict.fromkeys(("halved", "whole", "failing", "_spell", "_rest", "_size", "local_error", "_past"), plain()),
     }
 
     def __init__(
@@ -100,8 +101,11 @@ class ConstantSteps(Around):
         self._glance: tuple[Any, Glance | None] = None, None
         self._seen: Evaluation | None = None  # the system in the newest state, where it was looked at
         self.local_error = 0.0
-        self.halved = 0  # steps and parts of steps that failed
+        self.halved = 0  # steps and parts of steps that failed, or would have
         self.whole = 0  # halvings that every step gets since energy was gained
+        self.failing = 0  # further ones that steps begin with, as those before failed without
+        self._spell, self._rest = 0, 0  # steps that begin so after the next failure, and those still to come
+        self._failed = False  # whether the newest step did, as it began
         self._size: float | None = None  # the stepper's last
         self._newest: tuple[State | None, State | None] = None, None  # the newest whole step, from and to
         self._past: dict[str, float] = {}  # counters of former steppers
@@ -154,7 +158,26 @@ class ConstantSteps(Around):
     def stride(self, h: float) -> float:
         """That of the stepper; 0 where :meth:`advance` has to make all steps."""
         remembering = bool(self.system.keepers) and not self.stepper.keeps_memories
-        return 0.0 if self.whole or remembering else self.stepper.stride(h)
+        return 0.0 if self._begins or remembering else self.stepper.stride(h)
+
+    @property
+    def _begins(self) -> int:
+        """Halvings that the next step begins with."""
+        return self.whole + self.failing
+
+    def _foresee(self) -> None:
+        """How many halvings the next step begins with, after whether the newest one failed with its own."""
+        if self._failed:
+            if self._spell:  # not the first one in a row
+                self.failing, self._rest = self.failing + 1, self._spell
+            self._spell = max(2 * self._spell, 1)
+        elif not self.failing:
+            self._spell = 0
+        else:
+            self._rest -= 1
+            if self._rest <= 0:
+                self.failing -= 1
+        self._failed = False
 
     def advance(self, h: float) -> State:
         """One step of size h (s), whole or in parts; collective.
@@ -194,6 +217,7 @@ class ConstantSteps(Around):
                     self.stepper.state = replace(self.stepper.state, t=t)
 
                 self._newest = began, self.stepper.state
+                self._foresee()
                 self.made += 1
                 if clock.perf_counter() > until or (self.made < most and self.stepper.stride(h)):
                     break
@@ -201,7 +225,8 @@ class ConstantSteps(Around):
 
     def _advance(self, h: float, depth: int) -> None:
         """One part of size h, 1/2^depth of the step."""
-        if depth < self.whole:
+        if depth < self._begins:
+            self.halved += depth >= self.whole
             return self._halves(h, depth)
         if self._size not in (None, h):
             self._begin(self.stepper.state)
@@ -219,7 +244,7 @@ class ConstantSteps(Around):
         gain = None if self.watch is None else self.watch.gain(after, self._seen, energies)
         if self.watch is None or gain is None:
             return self._accept(after)
-        self.whole = depth + 1
+        self.whole, self.failing = depth + 1, 0
         self.watch.count(before, gain, self.whole > HALVINGS)
         return self._halves(h, depth, before)
 
@@ -230,6 +255,7 @@ class ConstantSteps(Around):
         if not self.halved and self.parted < self.most:
             log.warning("t = %g s: a step of h = %g s failed and is made in parts. %s", before.t, h, error)
         self.halved += 1
+        self._failed = self._failed or depth == self._begins
         try:
             self._halves(h, depth, before)
         except StabilityError:

@@ -13,14 +13,15 @@ So does one whose forces are roundoff: where places known to eps |x| answer with
 
     16 eps |x| K_ii / M_ii  >  0.1 (|g| + v^2 / L)                                                               (2)
 
-and one that would need ten milliards of steps, as soon as a thousand of them are no longer than those before.
+and one that would need ten milliards of steps, as soon as a thousand of them are no longer than those before. Of parts that equal
+steps are made in ten millions are enough.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...errors import ConvergenceError
+from ...errors import ConvergenceError, PartsError
 from ...linear.condensation import StepSolver
 from ...linear.configuration_warnings import CLOSE
 from ...log import log
@@ -34,7 +35,7 @@ from ...system.tangents.force_tangent import force_tangent
 EVERY = 100  # steps
 MANY = 1e5  # steps that a user wants to be told of
 TIMES = 10  # the planned ones, where steps are constant
-HOPELESS = 1e7  # steps that a run at a singular position does not make
+HOPELESS = 1e7  # steps that a run at a singular position does not make, nor a run of equal steps in parts
 FALLEN = 1e-3  # of the pace before
 PATIENCE = 3  # looks, one after another
 ENDLESS = 1e10  # steps that no run makes
@@ -63,7 +64,7 @@ class Forecast:
     def note(self, state: State, steps: int = 1) -> None:
         """So many more steps, or parts of steps, the last of which ended in ``state``; collective.
 
-        Raises ConvergenceError where steps of error control stay too small to end.
+        Raises ConvergenceError where steps of error control, or parts of equal ones (PartsError), stay too small to end.
         """
         self.taken += steps
         recent = self.taken - self.counted
@@ -87,6 +88,8 @@ class Forecast:
             )  # fmt: skip
 
         if self.planned:
+            if many and needed >= HOPELESS and not self._grown(state):
+                raise endless(state.t, STEADY, pace, needed, reason(self.solver, state, pace), PartsError)
             return
         why = self._hopeless(state, pace, needed) if many else ""
         self.stuck = self.stuck + 1 if why else 0
@@ -113,9 +116,11 @@ class Forecast:
         return not before or pace > GROWN * before
 
 
-def endless(t: float, steps: int, pace: float, needed: float, why: str) -> ConvergenceError:
+def endless(
+    t: float, steps: int, pace: float, needed: float, why: str, kind: type[ConvergenceError] = ConvergenceError
+) -> ConvergenceError:
     """The error of a run at t (s) whose last steps took ``pace`` (s) each."""
-    return ConvergenceError(
+    return kind(
         f"Steps do not come away from t = {t:.9g} s: the last {steps} took {pace:.1e} s each, and the run would need about "
         f"{needed:.0e}. {why}"
     )
