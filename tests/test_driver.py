@@ -613,3 +613,17 @@ def test_a_loop_is_what_moves_beside_one_body(ends: tuple[int, ...]) -> None:
     """Bodies 0 1 2 3 one behind another, 4 5 behind 1."""
     parent = {0: -1, 1: 0, 2: 1, 3: 2, 4: 1, 5: 4}
     assert loop_of(ends, parent) == {(3, 5): {2, 3, 4, 5}, (5,): {0, 1, 4, 5}, (2, 5): {2, 4, 5}}[ends]
+
+
+def test_forces_of_time_act_beside_joints_that_are_there_twice() -> None:
+    """Tables that are made anew when rows turn out to depend know nothing of functions of time yet."""
+
+    def made(hinges: int) -> fmbd.Run:
+        scene = fmbd.Scene("pushed")
+        link = fmbd.RigidBody("link", mass=2.0, inertia=0.5, position=(1.0, 0.0))
+        scene.add(link, *(fmbd.revolute(f"hinge {k}", fmbd.ground, link, center=(0, 0)) for k in range(hinges)))
+        scene.add(fmbd.force("push", link, lambda t: (0.0, 3.0 * np.cos(t)), point=(1.5, 0.0)))
+        scene.sensor("end", fmbd.position(link))
+        return fmbd.solve(scene, t_end=0.02, dt=1e-3)
+
+    assert made(2)["end"][-1] == pytest.approx(made(1)["end"][-1], abs=1e-12)

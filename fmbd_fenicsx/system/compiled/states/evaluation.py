@@ -47,7 +47,6 @@ class DriverStates(CompiledGeometry):
     def __init__(self, system: System, library: Any) -> None:
         self.system, self.library = system, library
         self.factor = DriverFactor(self)
-        self.anew = True  # whether laws are asked again, since a state was taken
         self.taken: bool = False
         self.dependent = 0  # corrections of rows that depend on each other: multipliers are the smallest then
         self.address: int = 0
@@ -59,6 +58,7 @@ class DriverStates(CompiledGeometry):
         self.calls = Calls(self.tables)
         self.address = ctypes.addressof(self.tables.c)
         self.taken = False
+        self.anew = True  # whether laws are asked again: a state was taken since, or the tables are new
         self.twin = self.tables.twin  # between arrays of the system and those of the tables
         self.same_rows = self.twin.system is self.system  # whether the driver's configurations are the system's own
         self.know_twin()
