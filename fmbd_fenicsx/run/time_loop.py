@@ -159,11 +159,13 @@ class Loop:
         """Steps up to the end, to an event that ends the run, or to a request to stop."""
         keeper = self.keeper
         with OneAnswer(self.problem.system.comm), StopRequests() if keeper is None else keeper.listen() as stop:
-            self._look()
+            if self.watchers:
+                self._look()
             while not self.schedule.ended(self.state.t, self.progress.done):
                 made, seen = self._equal_steps() if self.schedule.steps else self._chosen_step()
                 self._count(made)
-                self._look()
+                if self.watchers:
+                    self._look()
                 if self._ends_by_event():
                     break
 
@@ -342,7 +344,7 @@ class Loop:
         progress = self.progress
         return Marched(
             recorder=self.recorder,
-            state=self.state,
+            state=self.stepper.told(self.state),
             local_error=progress.local_error,
             done=progress.done,
             first=progress.first,

@@ -98,6 +98,12 @@ class TimeStepper(Remembering):
         """The system in the newest state, where it is known."""
         return None
 
+    def told(self, state: State) -> State:
+        """A state in the newest step as whoever keeps it is told of it: with accelerations and multipliers as accurate as
+        those that sensors read, also where none does (:attr:`recorded`); collective.
+        """
+        return state
+
     def advance(self, h: float) -> State:
         """One step of size h (s), with error control of at most h; returns the new state, which is ``self.state`` then.
 
@@ -201,6 +207,10 @@ class Around(TimeStepper):
     def earlier(self) -> State | None:
         """That of the stepper."""
         return self.stepper.earlier
+
+    def told(self, state: State) -> State:
+        """As that of the stepper."""
+        return self.stepper.told(state)
 
     def stride(self, h: float) -> float:
         """That of the stepper."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -191,7 +191,7 @@ class Recorder:
         """Record step n when it is due; ``seen``: the system in that state, where known, ``stepper``: who made it. Collective."""
         rounding = self.rounding
         if self._due and state.t >= self._due[0] - rounding:
-            self.snapshots.append(state)
+            self.snapshots.append(state if stepper is None else stepper.told(state))
             self._due = [t for t in self._due if t > state.t + rounding]
 
         if self.instants is not None:
@@ -212,8 +212,8 @@ class Recorder:
         """The end of the last step, whose time was ``summed``, has the time of the run's end."""
         if self.instants is None and self.times[-1] == summed.t:
             self.times[-1] = state.t
-        if self.snapshots and self.snapshots[-1] is summed:
-            self.snapshots[-1] = state
+        if self.snapshots and self.snapshots[-1].t == summed.t:
+            self.snapshots[-1] = replace(self.snapshots[-1], t=state.t)
 
     def go_on(self, state: State) -> None:
         """The next step begins in another state than the last one ended in: behind a jump of forces."""

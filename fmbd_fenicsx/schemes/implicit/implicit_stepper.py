@@ -58,7 +58,7 @@ class ImplicitStepper(OwnMarch):
     iteration: StepNewton
     keeps: ClassVar = {
         "state": Memory.state,
-        **dict.fromkeys(("proposed", "local_error"), plain()),
+        **dict.fromkeys(("proposed", "local_error", "_newest_size"), plain()),
         "control": plain(StepControl),
         "stats": plain(Statistics),
         "iteration": worker,
@@ -66,6 +66,7 @@ class ImplicitStepper(OwnMarch):
         "eq": worker,
     }
     _lent: ImplicitRoom | None = None
+    _newest_size = 0.0  # s, of the newest step
 
     def __init__(self, scheme: Any, system: System, solver: StepSolver, newton: Newton, state: State) -> None:
         self.scheme, self.system, self.solver, self.newton, self.state = scheme, system, solver, newton, state
@@ -159,9 +160,11 @@ class ImplicitStepper(OwnMarch):
 
         Raises ConvergenceError when steps would have to be too small.
         """
-        if self._step_in_one_call(h):
-            return self.state
-        return self._controlled(h) if self.adaptive else self._constant(h)
+        begun = self.state.t
+        if not self._step_in_one_call(h):
+            self.state = self._controlled(h) if self.adaptive else self._constant(h)
+        self._newest_size = self.state.t - begun
+        return self.state
 
     def _constant(self, h: float) -> State:
         raise NotImplementedError
@@ -224,17 +227,31 @@ class ImplicitStepper(OwnMarch):
         raise NotImplementedError
 
     @property
+    def _independent(self) -> bool:
+        """Whether accelerations and multipliers may be corrected: not with pressures that belong to them."""
+        return not any(part.field.carried for _, part in self.system.fields)
+
+    @property
     def _correctable(self) -> bool:
-        """Whether accelerations and multipliers are read that may be corrected: not with pressures that belong to them."""
-        return self.recorded > 1 and not any(part.field.carried for _, part in self.system.fields)
+        """Whether accelerations and multipliers are read that may be corrected."""
+        return self.recorded > 1 and self._independent
+
+    @property
+    def _rough(self) -> bool:
+        """Whether those of ends of steps are less accurate than the motion: no row on accelerations tells them."""
+        return self.system.n_lam > 0 and 2 not in self.scheme.form.levels
 
     @property
     def _corrects(self) -> bool:
-        """Whether those of ends of steps are corrected: they are read, and no row on accelerations tells them, nor a test of
-        errors.
-        """
-        told = 2 in self.scheme.form.levels or not self.system.n_lam
-        return self._correctable and not told
+        """Whether those of ends of steps are corrected in each step, as somebody reads them."""
+        return self._correctable and self._rough
+
+    def told(self, state: State) -> State:
+        """As :meth:`TimeStepper.told`."""
+        h = self._newest_size
+        if self._corrects or not h > 0.0 or not (self._rough and self._independent):
+            return state
+        return all_corrected(self.system, States.of([state]), self.solver, [self._step_metric(h)]).state(0)
 
     # -- steps of compiled code ---------------------------------------------------------------------------------------------
     def _in_one_call(self, h: float) -> bool:
@@ -286,6 +303,7 @@ class ImplicitStepper(OwnMarch):
         self._count_increments(march.parameters, made)
         self._count_solves(int(work[slots.INCREMENTS]))
         self.stats.steps += made
+        self._newest_size = self.state.t - self.origin.t
         iteration.factorisations += int(work[slots.FACTORED])
         self.eq.jacobians += int(work[slots.TANGENTS])
         # those of increments have been counted
