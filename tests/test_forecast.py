@@ -111,6 +111,20 @@ def test_parts_without_end_of_equal_steps_end_the_run() -> None:
     assert ends_after(far_away(0.0), 2e-7, "", planned=100) == 5000
 
 
+@pytest.mark.parametrize("scheme", [fmbd.Radau(3), fmbd.BDF(), fmbd.GeneralizedAlpha(rtol=1e-4)], ids=lambda x: x.name)
+def test_a_body_whose_turning_bounds_steps_is_named(scheme: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """A screw at 5 000 rad/s; no spring and no law is there to look for."""
+    shaft = fmbd.RigidBody("shaft", 1.0, (1e-3, 1e-3, 1e-3), angular_velocity=(5000.0, 0, 0))
+    bore = fmbd.cylindrical("bore", fmbd.ground, shaft, axis=(1, 0, 0))
+    scene = fmbd.Scene("screw")
+    scene.add(shaft, bore, fmbd.screw("thread", bore, lead=1e-3))
+    met = fmbd.Event("x", 0.1)
+    scene.sensor("x", fmbd.displacement(bore))
+    fmbd.solve(scene, t_end=1e4, scheme=scheme, output=fmbd.Output(events=[met], times=[1e4], progress=False))
+    assert 'Body "shaft" turns at 5e+03 rad/s' in caplog.text and "0.0005 s here" in caplog.text
+    assert "No spring" not in caplog.text
+
+
 @pytest.mark.parametrize("sprung", [False, True])
 def test_a_steep_law_is_named(sprung: bool) -> None:
     """Friction of 200 N that is smooth over 1e-5 m/s, at rest, also beside a spring that is slower."""

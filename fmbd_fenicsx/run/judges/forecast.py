@@ -5,7 +5,8 @@ coordinates, all others held,
 
     T = 2 pi sqrt(M_ii / K_ii)                                                                                   (1)
 
-with K the stiffness of springs, joint springs and other force elements. Elastic bodies have faster ones of their own. Close to
+with K the stiffness of springs, joint springs and other force elements. Elastic bodies have faster ones of their own. Where
+a body in space turns by a tenth of what a step may turn it, its turning is what steps are for. Close to
 a singular position, which the smallest singular value of G over the largest tells, no period is to blame: constraints almost
 depend on each other there, and its inverse amplifies what they are open by. Error control that has fallen to a thousandth of its
 pace there, and would need ten millions of steps, does not come away again: the run ends when that has gone on for some hundreds.
@@ -26,10 +27,12 @@ from ...linear.condensation import StepSolver
 from ...linear.configuration_warnings import CLOSE
 from ...log import log
 from ...mechanics.forces.force_elements import ScalarLoads
+from ...schemes.control import TURN
 from ...schemes.newton import LEFT_OF_PLACES
 from ...system.layout import State
 from ...system.lengths import farthest
 from ...system.mobility import nearly_dependent
+from ...system.system import System
 from ...system.tangents.force_tangent import force_tangent
 
 EVERY = 100  # steps
@@ -42,6 +45,7 @@ ENDLESS = 1e10  # steps that no run makes
 STEADY = 1000  # steps whose pace is compared with that of as many before
 GROWN = 1.001  # the least growth of a pace
 DROWNED = 0.1  # of the accelerations of a motion
+TURNING = 0.1 * TURN  # rad a step, from which on turning is to blame
 RESOLVED = 1e7  # steps in a period, from which on it is not to blame for them
 LOOKED_AT = 2000  # constraints up to which their singular values are found
 
@@ -128,7 +132,8 @@ def endless(
 
 def reason(solver: StepSolver, state: State, pace: float = np.inf) -> str:
     """Why steps of ``pace`` (s) are small in a state, as far as it tells, as a sentence; collective."""
-    return singular(solver, state) or drowned(solver, state) or fastest(solver, state, pace)
+    named = singular(solver, state) or drowned(solver, state) or spinning(solver.system, state, pace)
+    return named or fastest(solver, state, pace)
 
 
 def singular(solver: StepSolver, state: State) -> str:
@@ -162,6 +167,22 @@ def drowned(solver: StepSolver, state: State) -> str:
         f'Places are known to {known:.1e} m here, which the springs of body "{body}" answer with accelerations of {pushed:.1e} '
         f"m/s^2; those of the motion are {moves:.1e} m/s^2. Put the origin into the scene, replace stiff springs by joints, or "
         "give light bodies more mass."
+    )
+
+
+def spinning(system: System, state: State, pace: float) -> str:
+    """The body in space that turns fastest, where that is what steps of ``pace`` (s) are for, as sentences, or nothing."""
+    if system.motions.dim == 2 or not system.n_frames:
+        return ""
+    speeds = system.turning(state.v)
+    k = int(speeds.argmax())
+    speed = float(speeds[k])
+    if not TURNING <= speed * pace < np.inf:
+        return ""
+    return (
+        f'Body "{system.frame_names[k]}" turns at {speed:.3g} rad/s, by {speed * pace:.2g} rad a step, and steps turn bodies in '
+        f"space by {TURN:g} rad at most, {TURN / speed:.2g} s here: larger ones do not follow it. Make the run shorter, or in "
+        "the plane, where turns have no limit."
     )
 
 
