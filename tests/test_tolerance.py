@@ -456,7 +456,7 @@ def test_steps_that_help_nothing_end_the_search() -> None:
     search, plan = tolerance.Search(), tolerance._first(CASES["mass on spring"].scene(), None, 3.0, 1e-4)
     search.history = [tolerance.Attempt(3e-2, 0, 0, 5.0, {}, 0.0, ""), tolerance.Attempt(1e-3, 0, 0, 7.0, {}, 0.0, "")]
     assert "do not fall with the steps" in search.stalled(plan, 6.0)
-    assert not search.stalled(plan, 4.0) and not search.stalled(plan, 0.9)
+    assert not search.stalled(plan, 3.0) and not search.stalled(plan, 0.9)
     assert not search.stalled(replace(plan, meshes=1), 6.0)
 
 

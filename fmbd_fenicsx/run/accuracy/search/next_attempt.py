@@ -185,6 +185,8 @@ def next_plan(
 
     # spaces
     limits = _limits(over)
+    if _unresolved(plan, run, tol):
+        limits |= {k: max(limits[k], over["time"]) for k in ("space", "modes")}
     if why := _do_not_fall(plan, over["space"], limits["space"], certificate.unstated.get("space", "")):
         return None, why
     try:
@@ -216,6 +218,13 @@ def next_plan(
             made, schedule=made.schedule.below(max(factor, NEAR) * plan.schedule.span / run.counters["steps"])
         )
     return made, " and ".join([*done, "finer steps"])
+
+
+def _unresolved(plan: AttemptPlan, run: Run, tol: Tolerance) -> bool:
+    """Whether other steps show another motion than these: what finer spaces change in it is chance, as far as it is less than
+    that, and they would bring vibrations that need still smaller steps.
+    """
+    return bool(plan.steps) and not _order(run, tol)[1]
 
 
 def _as_half_tells(plan: AttemptPlan, run: Run, tol: Tolerance, finer: AttemptPlan) -> AttemptPlan:

@@ -179,11 +179,16 @@ class Search:
             self.best = ratio, run
 
     def stalled(self, plan: AttemptPlan, ratio: float) -> str:
-        """Why smaller steps are of no use: errors have not fallen while steps of the same spaces became far smaller; "" else."""
-        same = [a for a in self.history if (a.meshes, a.modes) == (plan.meshes, plan.modes)]
+        """Why smaller steps are of no use: errors have not fallen while steps of the same spaces became far smaller, or so little
+        that at the best rate seen they would have to become as much smaller again, and more; "" else.
+        """
+        same = [a for a in self.history if (a.meshes, a.modes) == (plan.meshes, plan.modes) and a.step > plan.step]
         far = STALLED_IN_CONTACT if plan.scene.contacts else STALLED
         coarser = [a for a in same if a.step >= far * plan.step * (1 - 1e-9)]
-        if not plan.steps or ratio <= 1.0 or not coarser or min(a.worst for a in coarser) > ratio:
+        if not plan.steps or ratio <= 1.0 or not coarser:
+            return ""
+        best = max(np.log(a.worst / ratio) / np.log(a.step / plan.step) for a in same)
+        if np.log(ratio) <= best * np.log(far):
             return ""
         last = coarser[-1]
         return (
