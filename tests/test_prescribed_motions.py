@@ -82,6 +82,20 @@ def test_a_kink_is_named_with_its_time(at: float, scale: float, h: float, caplog
     assert abs(said - at) < 1e-5 * at
 
 
+def test_equal_steps_pass_over_a_kink_that_is_not_named(caplog: Any) -> None:
+    """What they leave is of first order, in motions too, and a break point ends it; own steps end at the kink."""
+    kink = lambda t: t + max(t - 0.1234, 0.0)
+    advice = "error of first order in all motion behind it: name it, Scene(breakpoints=[0.1234])"
+    driven(kink, t_end=0.3)
+    assert advice in caplog.text
+    caplog.clear()
+    driven(kink, t_end=0.3, scheme=fmbd.Radau(2))
+    assert "has a kink at t = 0.1234 s" in caplog.text and advice not in caplog.text
+    caplog.clear()
+    driven(kink, t_end=0.3, stops=(0.1234,))
+    assert "kink" not in caplog.text
+
+
 MOTIONS = {
     "kinks": lambda t: math.sin(3 * t) + 0.5 * max(t - 0.42, 0.0) - 0.5 * max(t - 0.44, 0.0) + 0.2 * max(t - 0.7, 0.0),
     "small jumps": lambda t: t + 1e-6 * (t > 0.3) + 1e-6 * (t > 0.315),

@@ -15,8 +15,8 @@ Where D is large, and at some steps in any case, they are compared with slopes b
 of a step and two widths; where all of them differ the rates contradict the motion.
 
 Jumps that no body can follow and contradictions end the run. Small jumps and kinks are warned of: they are impacts, and forces
-beside them depend on the step. Steps of a scheme's own choice end at those of a whole run, as at break points: error control
-would only creep up to them.
+beside them depend on the step. Equal steps pass over them, with errors of first order, where no break point is. Steps of a
+scheme's own choice end at those of a whole run, as at break points: error control would only creep up to them.
 """
 
 from __future__ import annotations
@@ -62,6 +62,7 @@ class Follower:
     motion: SmoothMotion
     length: float
     stated: tuple[float, ...] = ()  # times (s) of which the user has said that motions are not smooth there
+    equal: bool = False  # whether steps are of one size, which pass over what is sharp
     times: Array = field(default_factory=lambda: np.zeros(0))  # of the last three places
     places: Array = field(default_factory=lambda: np.zeros(0))
     rates: Array = field(default_factory=lambda: np.zeros((0, 3)))  # s, s', s'' at the last place, where they are given
@@ -197,8 +198,7 @@ class Follower:
             )
         self.sharp.append(t)
         log.warning(
-            "the motion of %s jumps by %.3g at t = %.6g s: it is an impact, and forces beside it depend on the step",
-            self.name, size, t,
+            "the motion of %s jumps by %.3g at t = %.6g s: %s", self.name, size, t, self._impact(t),
         )  # fmt: skip
 
     def _kink(self, t: float, before: float, after: float) -> None:
@@ -206,9 +206,19 @@ class Follower:
         if any(abs(t - stated) <= STATED * abs(stated) for stated in self.stated):
             return
         log.warning(
-            "the motion of %s has a kink at t = %.6g s, its rate changes from %.4g to %.4g 1/s: it is an impact, and forces "
-            "beside it depend on the step", self.name, t, before, after,
+            "the motion of %s has a kink at t = %.6g s, its rate changes from %.4g to %.4g 1/s: %s",
+            self.name, t, before, after, self._impact(t),
         )  # fmt: skip
+
+    def _impact(self, t: float) -> str:
+        """What something sharp at t (s) does, and what helps."""
+        told = "it is an impact, and forces beside it depend on the step"
+        if not self.equal:
+            return told
+        return (
+            f"{told}. Equal steps pass over it, which leaves an error of first order in all motion behind it: name it, "
+            f"Scene(breakpoints=[{t:.9g}]), so that steps end there, or take a scheme that chooses its steps (rtol)"
+        )
 
     # -- rates ----------------------------------------------------------------------------------------------------
     def _look_at_rates(self, number: int, step: tuple[float, float], defect: float) -> None:
@@ -290,7 +300,7 @@ class PrescribedMotions:
         found: dict[int, Follower] = {}
         for motion, length in prescribed(system):
             if isinstance(motion, SmoothMotion):
-                found.setdefault(id(motion), Follower(motion, length, stated))
+                found.setdefault(id(motion), Follower(motion, length, stated, bool(planned)))
 
         self.followers = list(found.values())
         self.rivals = [(found[i], found[j], name) for i, j, name in _rivals(scene) if i in found and j in found]
