@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sl
 import scipy.sparse as sp
 
+from .errors import LinearSolveError
 from .rotations import Array
 
 RANK = 1e-9  # singular values of rows of one size below this share of the largest are zero
@@ -16,6 +18,21 @@ WIDE, FEW = 10_000, 0.05  # size and share of entries of an array whose products
 def dense(A: Any) -> Array:
     """A as an array."""
     return A.toarray() if sp.issparse(A) else np.asarray(A)
+
+
+def singular_values(A: Array, *, full: bool = True) -> tuple[Array, Array, Array]:
+    """U, s, V^T of A; slower where the fast way does not converge. ``full``: U and V are square."""
+    try:
+        return tuple(np.linalg.svd(A, full_matrices=full))  # type: ignore[return-value]
+    except np.linalg.LinAlgError:
+        if not np.isfinite(A).all():
+            raise LinearSolveError("A matrix whose singular values are asked for is not finite.") from None
+    try:
+        return tuple(sl.svd(A, full_matrices=full, lapack_driver="gesvd"))  # type: ignore[return-value]
+    except np.linalg.LinAlgError as error:
+        raise LinearSolveError(
+            f"Singular values of a matrix {A.shape[0]} x {A.shape[1]} were not found: {error}."
+        ) from error
 
 
 def left_free(G: Array) -> Array:

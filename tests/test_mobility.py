@@ -12,8 +12,9 @@ from dae_problems import parallelograms
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import ConstraintError, LinearSolveError
-from fmbd_fenicsx.linear import condensation, configuration_warnings
+from fmbd_fenicsx.linear import configuration_warnings
 from fmbd_fenicsx.linear.configuration_warnings import CLOSE, NearSingular
+from fmbd_fenicsx.matrices import singular_values
 from fmbd_fenicsx.schemes.marching import MarchingStepper
 from fmbd_fenicsx.system.mobility import Mobility, nearly_dependent, rows_are_independent
 
@@ -456,7 +457,7 @@ def test_elastic_body_almost_without_mass(rod_mesh: Any) -> None:
 
 
 def test_many_dependent_rows_move_as_few_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows that are too many to be looked at, of four-bars in space with four hinges each, whose sparse factor is singular."""
+    """Rows that are too many to be counted, of four-bars in space with four hinges each: without singular values."""
     scene = fmbd.Scene("four-bars", gravity=(0, 0, -9.81))
     for i in range(8):
         corners = np.array([(i, 0, 0), (i + 0.1, 0, 0.2), (i + 0.4, 0, 0.25), (i + 0.3, 0, 0)], float)
@@ -469,10 +470,22 @@ def test_many_dependent_rows_move_as_few_do(monkeypatch: pytest.MonkeyPatch) -> 
     scene.sensor("coupler", fmbd.position(bars[1]))
     few = fmbd.solve(scene, t_end=0.02, dt=1e-3)["coupler"]
     monkeypatch.setattr(configuration_warnings, "LOOK_LIMIT", 100)
-    monkeypatch.setattr(condensation, "LOOK_LIMIT", 100)
     many = fmbd.solve(scene, t_end=0.02, dt=1e-3)["coupler"]
     assert np.ptp(few[:, 0]) > 1e-4
     np.testing.assert_allclose(many, few, rtol=0.0, atol=1e-9)
+
+
+def test_singular_values_that_do_not_converge_are_found_the_slow_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = four_bar().check()
+
+    def fails(*_: Any, **__: Any) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", fails)
+    found = four_bar().check()
+    assert (found.rank, found.rows) == (given.rank, given.rows)
+    with pytest.raises(LinearSolveError, match="not finite"):
+        singular_values(np.full((2, 2), np.nan))
 
 
 def test_mobility_of_the_flat_double_four_bar() -> None:

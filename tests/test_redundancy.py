@@ -13,6 +13,8 @@ from test_compiled_evaluation import compiled
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear import redundancy
 from fmbd_fenicsx.linear.condensation import StepSolver
+from fmbd_fenicsx.linear.configuration_warnings import LOOK_LIMIT
+from fmbd_fenicsx.linear.core import CoreSolver
 from fmbd_fenicsx.linear.driver_solver import FieldDriverSolver
 from fmbd_fenicsx.linear.implicit.pencil import Pencil
 from fmbd_fenicsx.linear.redundancy import least, null_space
@@ -397,13 +399,27 @@ def test_a_tower_of_loops_hangs_on_compiled_steps() -> None:
 
 
 @compiled
-def test_smallest_multipliers_of_a_tower_are_found_by_the_driver() -> None:
-    """Forces on the bodies stay, to more digits than are asked for."""
-    system, state, _ = tower(60).build()
+def test_runs_of_tall_towers_begin_and_end_without_dense_matrices(monkeypatch: Any) -> None:
+    """Rows that depend are known by a sparse factor, and whose reactions are not unique by the smallest multipliers of some."""
+    for where, name in ((np.linalg, "svd"), (CoreSolver, "factor"), (redundancy, "null_space")):
+        monkeypatch.setattr(where, name, None)
+    scene = tower(31)
+    run = fmbd.solve(scene, t_end=0.002, dt=1e-3, output=fmbd.Output(estimate_error=False))
+    assert run.system.n_lam > LOOK_LIMIT and run.counters["compiled_steps"] == 2
+    assert run.not_unique == list(scene.joints) and not any("degrees of freedom" in x for x in run.warnings)
+
+
+@compiled
+@pytest.mark.parametrize("loops", [5, 60])
+def test_smallest_multipliers_of_a_tower_are_found_by_the_driver(loops: int) -> None:
+    """Forces on the bodies stay, to more digits than are asked for, by what further solutions close of few loops."""
+    system, state, _ = tower(loops).build()
     use_driver(system)
     lam = np.random.default_rng(0).normal(size=system.n_lam) * system.multiplier_units
-    driver = StepSolver(system).driver
+    solver = StepSolver(system)
+    driver = solver.driver
     assert driver is not None
+    solver.look_for_dependent_rows(system.at(state.t, state.q))
     found = driver.least(state.t, state.q, lam[None])
     assert found is not None
     G = dense(system.at(state.t, state.q).jacobian.core)

@@ -26,13 +26,12 @@ from ..mechanics.placements import Approach
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.evaluator import Evaluator
-from ..system.mobility import rows_are_independent
 from ..system.system import System
 from ..system.tangents.force_tangent import force_tangent
 from .blocks.field_blocks import FactoredField, FieldBlocks, Weights
 from .blocks.incompressibility import move_pressures, volume_gaps, volume_push
 from .border import Border
-from .configuration_warnings import CLOSE, CORRECTIONS, LOOK_LIMIT, NearSingular, dependent_rows
+from .configuration_warnings import CLOSE, NearSingular, dependent_rows
 from .core import ADVICE, TIE_LIMIT, CoreSolver
 from .core_matrix import core_matrix
 from .driver_solver import DriverSolver, driver_solver
@@ -153,6 +152,9 @@ class StepSolver:
         self.weights, self._held = weights, None
 
         self.look_for_dependent_rows(ev)
+        # rows that turn out to depend are the driver's too
+        if self.core.redundant and self._driver_prepares(ev, weights, keep=keep, apart=apart):
+            return
         try:
             self.prepared = self._prepared(ev)
         except LinearSolveError as error:
@@ -222,7 +224,7 @@ class StepSolver:
         s, w = self.system, self.weights
         A, border = self._core_with_forces(ev)
         if not s.fields:
-            self._factor_core(A, ev)
+            self.core.factor(A, ev.jacobian.core)
             return CoreAlone(s, self.core)
 
         self.corotations = self._turned(ev)
@@ -242,16 +244,6 @@ class StepSolver:
         corrected = w.ck and s.contacts is None
         momenta = [f.missing_momentum(s.local_q(ev.q, k)) if corrected else None for k, f in s.fields]
         return Condensed(fields, self.core, A, slice(None), momenta)
-
-    def _factor_core(self, A: Any, ev: Evaluation) -> None:
-        """Factor A and G; rows that were too many to be looked at depend on each other where that is singular."""
-        try:
-            self.core.factor(A, ev.jacobian.core)
-        except LinearSolveError:
-            if self.core.redundant or self.system.n_lam <= LOOK_LIMIT or rows_are_independent(ev):
-                raise
-            self.core.redundant = CORRECTIONS
-            self.core.factor(A, ev.jacobian.core)
 
     def _turned(self, ev: Evaluation) -> list[Any]:
         """Rotations of the factors of fields at a configuration, None for those that do not turn."""

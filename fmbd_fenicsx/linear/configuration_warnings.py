@@ -8,17 +8,26 @@ from ..log import log
 from ..rotations import Array
 from ..system.evaluation import Evaluation
 from ..system.lengths import Measured
-from ..system.mobility import ALIKE, NEAR_SINGULAR, mobility, nearly_dependent, nearly_the_same, rows_are_independent
+from ..system.mobility import (
+    ALIKE,
+    CERTAIN,
+    NEAR_SINGULAR,
+    mobility,
+    nearly_dependent,
+    nearly_the_same,
+    rows_are_independent,
+    rows_differ,
+)
 
 CLOSE = 1e-3  # sigma_min / sigma_max of a position close to a singular one
 CORRECTIONS = 2  # of a solution where dependent rows are the same, see algebra/factor.c
 MORE = 4  # where they nearly are
-LOOK_LIMIT = 600  # constraint rows up to which dependent ones are looked for
+LOOK_LIMIT = 600  # constraint rows up to which dependent ones are counted
 
 
 def dependent_rows(ev: Evaluation) -> tuple[int, int]:
     """How many constraint rows depend on others in a configuration, with a word on ties that do, and how many corrections
-    solutions take then; collective.
+    solutions take then; of many rows only whether some do: their number is 0. Collective.
 
     The configuration looked at last is kept with the system: runs with other steps begin in the same one.
     """
@@ -32,8 +41,10 @@ def dependent_rows(ev: Evaluation) -> tuple[int, int]:
 
 def _look(ev: Evaluation) -> tuple[int, int]:
     """See :func:`dependent_rows`."""
-    if not 0 < ev.system.n_lam <= LOOK_LIMIT or rows_are_independent(ev):
+    if not ev.system.n_lam or rows_are_independent(ev):
         return 0, 0
+    if ev.system.n_lam > LOOK_LIMIT:
+        return 0, 0 if rows_differ(ev) else CORRECTIONS
     found = mobility(ev)
     warn_of_ties(ev.system, found.shares)
     if not found.redundant:
@@ -73,7 +84,7 @@ class NearSingular:
 
     def look(self, ev: Evaluation, rank: int | None, *, limit: float = NEAR_SINGULAR) -> None:
         """``limit``: sigma_min / sigma_max below which it is close. Once warned of, a position is left behind above ``CLOSE``."""
-        if rows_are_independent(ev, CLOSE if self.now else limit):
+        if rows_are_independent(ev, max(CERTAIN, CLOSE if self.now else limit)):
             self.now = False
             return
         ratio, joint = nearly_dependent(ev, rank or ev.system.n_lam)

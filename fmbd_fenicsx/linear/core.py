@@ -19,7 +19,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from ..errors import LinearSolveError
-from ..matrices import dense
+from ..matrices import dense, singular_values
 from ..rotations import Array
 from .residual import Judge
 from .scaling import both_sides, even_rows, even_scales, scales
@@ -185,7 +185,7 @@ class CoreSolver:
             return
         AB = back(lu, pivots, upper)[0]
         # singular values of the compliance of the rows: zero for those that depend on others
-        U, s, Vt = np.linalg.svd(B @ AB)
+        U, s, Vt = singular_values(B @ AB)
         keep = s > RANK_TOLERANCE * s[0]
         if self.rank is None:
             self.rank = int(keep.sum())
@@ -204,7 +204,7 @@ class CoreSolver:
 
         Multipliers that move next to nothing are left out; a motion of next to no inertia counts down to roundoff.
         """
-        U, s, Vt = np.linalg.svd(K)
+        U, s, Vt = singular_values(K)
         share = (abs(Vt[:, : self.n]) ** 2).sum(1)
         keep = s > np.where(share > MOVES, len(s) * EPS, RANK_TOLERANCE) * s[0]
         # a null vector with a part in x is a motion that nothing holds

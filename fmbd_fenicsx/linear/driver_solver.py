@@ -7,6 +7,7 @@ multipliers are the smallest then.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import cached_property
 from typing import Any, TypeGuard
 
@@ -105,6 +106,10 @@ class DriverSolver:
         found = None if explicit is None else explicit.accelerations(t, q, v)
         self.ready, self._weights = found is not None, MASSES
         return found
+
+    def idle(self) -> AbstractContextManager[None]:
+        """Between steps: tables that they have taken are the solver's meanwhile."""
+        return self.states.back() if self.states.taken else nullcontext()
 
     def least(self, t: float, q: Array, lam: Array) -> Array | None:
         """Of multipliers (k, n_lam) of rows that depend the smallest with the same forces, in one call; None as above.

@@ -13,6 +13,7 @@ result does not depend on the system of units.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,8 @@ from ..system.mobility import DEPENDENT, SOFT
 from .condensation import StepSolver
 from .configuration_warnings import CORRECTIONS
 
+PROBES = 3  # multipliers of no special direction that show which rows share
+OPEN = 1e-6  # share of a multiplier of one above which its row shares
 SINGULAR = 1e-14  # singular values of a scaled matrix below this share belong to rows that depend on each other
 
 
@@ -44,16 +47,17 @@ def null_space(ev: Evaluation) -> Array:
     size = np.sqrt((rows * rows).sum(axis=1))
     scale = 1.0 / np.where(size > 0, size, 1.0)
 
-    # rows of one size: singular values tell dependence, not units
+    # rows of one size: pivots tell dependence, not units
     rows = scale[:, None] * rows
     parts = rows_together(rows)
-    found = [np.linalg.svd(rows[np.ix_(*part)]) for part in parts]
-    least_stretch = DEPENDENT * max(stretch[0] for _, stretch, _ in found)
+    found = [sl.qr(rows[np.ix_(*part)], pivoting=True) for part in parts]
+    pivots = [np.abs(R.diagonal()) for _, R, _ in found]
+    least_pivot = DEPENDENT * max(each[0] for each in pivots)
 
     # orthonormal in forces, so that moments and forces share alike
     bases = []
-    for (own, _), (U, stretch, _) in zip(parts, found, strict=True):
-        null = scale[own, None] * U[:, int((stretch > least_stretch).sum()) :]
+    for (own, _), (Q, _, _), pivot in zip(parts, found, pivots, strict=True):
+        null = scale[own, None] * Q[:, int((pivot > least_pivot).sum()) :]
         bases.append(np.linalg.qr(null / s.multiplier_units[own, None])[0])
     N = np.zeros((s.n_lam, sum(Q.shape[1] for Q in bases)))
     N[np.concatenate([own for own, _ in parts])] = sl.block_diag(*bases)
@@ -119,8 +123,12 @@ def not_unique(solver: StepSolver, state: State) -> list[str]:
     system = solver.system
     if not solver.core.redundant:
         return []
-    N = null_space(system.at(state.t, state.q))
-    open_rows = np.abs(N).max(axis=1, initial=0.0) > 1e-6
+    # what the smallest multipliers leave of any lies in the null space
+    some = np.random.default_rng(0).normal(size=(PROBES, system.n_lam))
+    u = system.multiplier_units
+    with nullcontext() if solver.driver is None else solver.driver.idle():
+        left = some - least(solver, state.t, state.q, u * some) / u
+    open_rows = np.abs(left).max(axis=0) > OPEN
 
     return [block.name for block in system.blocks if open_rows[block.rows].any()]
 

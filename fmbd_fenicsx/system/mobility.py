@@ -25,7 +25,7 @@ from scipy.sparse.linalg import splu
 
 from ..energies import MixedEnergy
 from ..log import log
-from ..matrices import dense
+from ..matrices import dense, singular_values
 from ..mechanics.bodies.coordinates import CoordinatePart
 from ..mechanics.forces.dry_friction import DryFriction
 from ..mechanics.forces.force_elements import ScalarLoads
@@ -139,9 +139,9 @@ def scaled_jacobian(ev: Evaluation) -> Array:
     return np.asarray(G / np.where(norms > 0, norms, 1.0)[:, None])
 
 
-def rows_are_independent(ev: Evaluation, above: float = 0.0) -> bool:
+def rows_are_independent(ev: Evaluation, above: float = CERTAIN) -> bool:
     """Whether the constraint rows certainly do not depend on each other; False where a closer look is needed, :func:`mobility`.
-    ``above``: sigma_min / sigma_max that they certainly have.
+    ``above``: sigma_min / sigma_max that they have.
 
     A factor of G_s G_s^T and a few inverse iterations tell its smallest eigenvalue, sigma_min^2: for chains and trees the work is
     proportional to their length. Squares hide what is below 1e-8, so only sigma_min > 1e-5 sigma_max is certain.
@@ -170,9 +170,14 @@ def rows_are_independent(ev: Evaluation, above: float = 0.0) -> bool:
     return certainly_regular(solve, s.n_lam, largest, above)
 
 
-def certainly_regular(solve: Callable[[Array], Array], count: int, largest: float, above: float = 0.0) -> bool:
+def rows_differ(ev: Evaluation) -> bool:
+    """Whether rows that are too many for singular values are further from dependence than roundoff of G_s G_s^T tells."""
+    return rows_are_independent(ev, math.sqrt(ev.system.n_lam * np.finfo(float).eps))
+
+
+def certainly_regular(solve: Callable[[Array], Array], count: int, largest: float, above: float = CERTAIN) -> bool:
     """Whether inverse iterations show that a Gram matrix of ``count`` rows has no eigenvalue near zero; ``solve``: by its factor,
-    ``largest``: bound of its largest eigenvalue, ``above``: sigma_min / sigma_max that is asked for, where more than is certain.
+    ``largest``: bound of its largest eigenvalue, ``above``: sigma_min / sigma_max that is asked for.
     """
     x = 1.0 + 0.5 * np.cos(np.arange(count))  # no special direction
     inverse = 0.0
@@ -182,7 +187,7 @@ def certainly_regular(solve: Callable[[Array], Array], count: int, largest: floa
         inverse = math.sqrt(x @ x)
         if not math.isfinite(inverse):
             return False
-    return bool(inverse * largest < 1.0 / max(CERTAIN, above) ** 2)
+    return bool(inverse * largest < 1.0 / above**2)
 
 
 def _port_factor(ev: Evaluation, k: int, part: Any) -> Array:
@@ -220,7 +225,7 @@ def mobility(ev: Evaluation) -> Mobility:
     if not system.n_lam:
         return Mobility(velocities, 0, 0, {}, 1.0, 0.0)
 
-    U, s, _ = np.linalg.svd(scaled_jacobian(ev))
+    U, s, _ = singular_values(scaled_jacobian(ev))
     rank = int((s > DEPENDENT * s[0]).sum())
     loose = (U[:, rank:] ** 2).sum(1)  # the share of each row in what depends on others
     # dependence has no culprit: every row that takes part bears its share
@@ -238,7 +243,7 @@ def mobility(ev: Evaluation) -> Mobility:
 
 def nearly_dependent(ev: Evaluation, rank: int) -> tuple[float, str]:
     """sigma_rank / sigma_1 of the scaled G, and the joint with the largest part in that smallest singular vector."""
-    U, s, _ = np.linalg.svd(scaled_jacobian(ev), full_matrices=False)
+    U, s, _ = singular_values(scaled_jacobian(ev), full=False)
     k = min(rank, len(s)) - 1
     part = {b.name: float((U[b.rows, k] ** 2).sum()) for b in ev.system.blocks}
     return float(s[k] / s[0]), max(part, key=lambda name: part[name])
@@ -251,7 +256,7 @@ def nearly_the_same(ev: Evaluation, found: Mobility) -> str:
     """
     if not found.redundant or found.conditioning >= CLEAR:
         return ""
-    vector = np.linalg.svd(scaled_jacobian(ev))[0][:, found.rank - 1] ** 2
+    vector = singular_values(scaled_jacobian(ev))[0][:, found.rank - 1] ** 2
     joints = ", ".join(f'"{b.name}"' for b in ev.system.blocks if vector[b.rows].sum() > 0.1)
     return (
         f"joints {joints} hold nearly the same: what they hold beyond each other moves by {found.conditioning:.1e} of what "
@@ -276,9 +281,9 @@ def locked_modes(ev: Evaluation) -> str:
 
     modes = np.concatenate([np.arange(span.start, span.stop) for span, _ in reduced])
     G = scaled_jacobian(ev)
-    U, size, _ = np.linalg.svd(np.delete(G, modes, axis=1))
+    U, size, _ = singular_values(np.delete(G, modes, axis=1))
     N = U[:, int((size > DEPENDENT * size[0]).sum()) :]
-    rows, share, motions = np.linalg.svd(N.T @ G[:, modes], full_matrices=False)
+    rows, share, motions = singular_values(N.T @ G[:, modes], full=False)
     share /= size[0]
     locked = np.flatnonzero((share > DEPENDENT) & (share < LOCKED))
     if not len(locked):

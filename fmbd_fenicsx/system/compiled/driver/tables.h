@@ -345,7 +345,7 @@ typedef struct {
     double cd, ck, epsilon;            /* of the matrix in the fronts */
     double share;                      /* change of q over that of v in a step: open speeds times it are closed like gaps */
     const double *q;                   /* the configuration evaluated last */
-    double *work, *big, *directions;   /* directions: 10 x parts x rows, see close_faint() */
+    double *work, *big, *directions;   /* directions: 11 x parts x rows, see close_faint(), driver_least() */
     long evaluations, factors, calls;
     int remembers;                     /* whether some formula or rod has a memory; 2: a controller in Python has one */
     int seen, readings, reactions;     /* of records: frames, items that are read, joints whose reaction is */

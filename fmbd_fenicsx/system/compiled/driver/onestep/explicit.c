@@ -115,7 +115,7 @@ EXPORT int driver_accelerate(System *s, int factored, double t, double length, c
    forces at rest. NEWTON where the forces are not the same, since rows nearly depend. ``room``: 2 nv + rows. */
 EXPORT int driver_least(System *s, int factored, double t, long count, const double *q, double *lam, double *room)
 {
-    double *push = room, *x = push + s->nv, *y = x + s->nv, last = NAN;
+    double *push = room, *x = push + s->nv, *y = x + s->nv, *least = s->directions + 10 * s->parts * s->rows, last = NAN;
     int verdict = sample(s, t, &last);
     memset(x, 0, s->nv * sizeof(double));
     if (verdict || (verdict = place(s, q, x))) return verdict;
@@ -124,16 +124,23 @@ EXPORT int driver_least(System *s, int factored, double t, long count, const dou
 
     for (long i = 0; i < count; i++, lam += s->rows) {
         all_rows(s, lam, push);
-        double forces = largest_force(s, push);
-        turn_velocity(s, push);
-        memcpy(s->b, s->velocity, s->nu * sizeof(double));
-        memset(s->b + s->nu, 0, s->rows * sizeof(double));
-        if ((verdict = with_all_rows(s, 0.0, x, y, t))) return verdict;
+        const double forces = largest_force(s, push);
+        double missed = forces;
+        memset(least, 0, s->rows * sizeof(double));
+        do { /* again with what a solution lacks, while that becomes less */
+            const double before = missed;
+            turn_velocity(s, push);
+            memcpy(s->b, s->velocity, s->nu * sizeof(double));
+            memset(s->b + s->nu, 0, s->rows * sizeof(double));
+            if ((verdict = with_all_rows(s, 0.0, x, y, t))) return verdict;
 
-        add(lam, -1.0, y, s->rows);
-        all_rows(s, lam, push);
-        if (!(largest_force(s, push) <= SAME_FORCES * forces)) return NEWTON;
-        memcpy(lam, y, s->rows * sizeof(double));
+            add(least, 1.0, y, s->rows);
+            add(lam, -1.0, y, s->rows);
+            all_rows(s, lam, push);
+            missed = largest_force(s, push);
+            if (!(missed <= SAME_FORCES * forces || missed < 0.5 * before)) return NEWTON;
+        } while (missed > SAME_FORCES * forces);
+        memcpy(lam, least, s->rows * sizeof(double));
     }
     return DONE;
 }
