@@ -201,7 +201,8 @@ class StepSolver:
 
     def note_lost_gaps(self, ev: Evaluation) -> None:
         """Gaps of roundoff were all that an iteration could close: say so where the position is close to a singular one."""
-        self.near_singular.look(ev, self.core.rank, limit=CLOSE)
+        if not self.core.uncounted:
+            self.near_singular.look(ev, self.core.rank, limit=CLOSE)
 
     def holds(self, ev: Evaluation, weights: Weights) -> bool:
         """Whether :meth:`prepare` would make the matrices again that are there; collective."""

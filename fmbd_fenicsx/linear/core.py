@@ -89,6 +89,11 @@ class CoreSolver:
         self.rank: int | None = None  # of the constraints, where they are redundant
         self._saddle: Saddle | None = None
 
+    @property
+    def uncounted(self) -> bool:
+        """Whether some rows depend on others, so many rows that nobody has counted how many."""
+        return bool(self.redundant) and self.rank is None
+
     def factor(self, A: Any, G: Any, C: Array | None = None, upper: Array | None = None) -> None:
         """Factor for A (n, n) and rows G (m, n), both dense or both sparse; C (m, m) stands for the 0 where given, and
         ``upper`` (n, m) for G^T.

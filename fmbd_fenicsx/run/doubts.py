@@ -222,8 +222,7 @@ def _contradictions(solver: StepSolver, recorder: Recorder, end: State) -> None:
 def _immovable(solver: StepSolver) -> None:
     """A scene that nothing drives and that cannot move: its motion is none."""
     system, core = solver.system, solver.core
-    uncounted = core.redundant and core.rank is None
-    if system.fields or not system.n_lam or not system.n_core or uncounted:
+    if system.fields or not system.n_lam or not system.n_core or core.uncounted:
         return
     rank = system.n_lam if core.rank is None else core.rank
     driven = any(batch.driven for batch, _ in system.batches)
