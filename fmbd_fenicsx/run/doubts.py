@@ -222,11 +222,11 @@ def _contradictions(solver: StepSolver, recorder: Recorder, end: State) -> None:
 def _immovable(solver: StepSolver) -> None:
     """A scene that nothing drives and that cannot move: its motion is none."""
     system, core = solver.system, solver.core
-    if system.fields or not system.n_lam or not system.n_core or core.uncounted:
+    if system.fields or not system.n_lam or not system.n_core:
         return
     rank = system.n_lam if core.rank is None else core.rank
     driven = any(batch.driven for batch, _ in system.batches)
-    if rank >= system.n_v and not driven:
+    if rank >= system.n_v and not driven and not core.uncounted:
         log.warning(
             "the scene has 0 degrees of freedom (%d velocities, %d independent constraints) and no drive: nothing can move. A "
             "joint holds more than is meant; see scene.check()", system.n_v, rank,

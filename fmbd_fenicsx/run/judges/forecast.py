@@ -139,7 +139,7 @@ def reason(solver: StepSolver, state: State, pace: float = np.inf) -> str:
 def singular(solver: StepSolver, state: State) -> str:
     """That a state is close to a singular position, as sentences, or nothing; collective."""
     s = solver.system
-    if not 0 < s.n_lam <= LOOKED_AT:
+    if not 0 < s.n_lam <= LOOKED_AT or solver.core.uncounted:
         return ""
     ratio, joint = nearly_dependent(s.at(state.t, state.q, state.v), solver.core.rank or s.n_lam)
     if ratio >= CLOSE:
