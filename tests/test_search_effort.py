@@ -17,7 +17,14 @@ from fmbd_fenicsx.errors import ConvergenceError, PartsError
 from fmbd_fenicsx.run import single_run, time_loop
 from fmbd_fenicsx.run.accuracy import companion_runs, equal_steps, larger_steps
 from fmbd_fenicsx.run.accuracy.deviation import Deviation
-from fmbd_fenicsx.run.accuracy.search import next_attempt, shared_runs, shared_spaces, shared_tolerances, tolerance
+from fmbd_fenicsx.run.accuracy.search import (
+    foretold,
+    next_attempt,
+    shared_runs,
+    shared_spaces,
+    shared_tolerances,
+    tolerance,
+)
 from fmbd_fenicsx.run.schedule import StepSchedule
 from fmbd_fenicsx.schemes.onestep.alpha.alpha_stepper import AlphaStepper
 from fmbd_fenicsx.system.evaluation import Evaluation
@@ -307,3 +314,25 @@ def test_searches_whose_steps_resolve_no_vibration_end_in_the_spaces_that_are_th
     run = fmbd.solve(scene, t_end=0.5, tol={"force": 0.05}, output=fmbd.Output(progress=False))
     assert {(a.meshes, a.modes) for a in run.history} == {(0, 0)}
     assert "do not fall with the steps" in run.history[-1].then and run.certificate["force"].time > 10.0
+
+
+def test_an_attempt_far_dearer_than_all_before_is_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the seconds of a step, or by how much dearer the last attempt became where the scheme chooses its steps."""
+    said: list[str] = []
+    monkeypatch.setattr(foretold, "note", said.append)
+    own, run = fmbd.Radau(3), SimpleNamespace(seconds={"steps": 0.5})
+    before, last = (tolerance.Attempt(1e-2, 0, 0, 30.0, {}, seconds, "") for seconds in (0.5, 1.0))
+    plan = tolerance._first(pendulum(), None, 1.0, 0.01)
+
+    def foretell(tried: Any, steps: int, *history: tolerance.Attempt) -> list[str]:
+        said.clear()
+        made = replace(tried, schedule=tried.schedule.with_steps(steps)) if steps else tried
+        foretold.foretell(tried, made, run, history)  # type: ignore[arg-type]
+        return said
+
+    assert "5000 steps, is expected to take 25 s" in foretell(plan, 5000, before, last)[0]
+    assert not foretell(plan, 1000, before, last)  # 5 s
+    assert not foretell(plan, 5000, last, replace(last, seconds=10.0))
+    chosen = tolerance._first(pendulum(), own, 1.0, None)
+    assert "is expected to take 128 s" in foretell(chosen, 0, before, replace(last, seconds=8.0))[0]
+    assert not foretell(chosen, 0, before, last) and not foretell(chosen, 0, last)

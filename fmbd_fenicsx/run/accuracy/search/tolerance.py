@@ -35,6 +35,7 @@ from ..damped import damped_vibrations
 from ..deviation import Deviation
 from ..equal_steps import Orders, TimeError, astray, between, known_orders
 from ..estimates import usual_errors, warn_of_uncertain, with_damped
+from .foretold import foretell
 from .next_attempt import (
     SMALL,
     AttemptPlan,
@@ -193,8 +194,8 @@ class Search:
         last = coarser[-1]
         return (
             f"errors do not fall with the steps: {last.worst:.2g} times the tolerance with {last.step:.2g} s, {ratio:.2g} times "
-            f"with {plan.step:.2g} s. The sensor jumps, follows vibrations that no step so far resolves, or moves chaotically. "
-            "Give a smaller dt to begin with, smooth the load, take a sensor that is a mean over time or space, or a shorter run"
+            f"with {plan.step:.2g} s. The sensor jumps, follows vibrations that no step so far resolves (fmbd.Radau(3) may), or "
+            "moves chaotically. Give a smaller dt to begin with, smooth the load, take a mean over time or space, or a shorter run"
         )
 
     def result(self, scene: Scene, tol: Tolerance) -> Run:
@@ -258,6 +259,7 @@ def _one_more(
     found.history.append(Attempt(plan.step, plan.meshes, plan.modes, ratio, errors, seconds, then))
     if made is None:
         found.why = then
+    foretell(plan, made, run, found.history)
     return made
 
 
