@@ -195,7 +195,7 @@ class Search:
         return (
             f"errors do not fall with the steps: {last.worst:.2g} times the tolerance with {last.step:.2g} s, {ratio:.2g} times "
             f"with {plan.step:.2g} s. The sensor jumps, follows vibrations that no step so far resolves (fmbd.Radau(3) may), or "
-            "moves chaotically. Give a smaller dt to begin with, smooth the load, take a mean over time or space, or a shorter run"
+            "moves chaotically. Give a smaller dt to begin with, smooth the load, take means over time or space, or a shorter run"
         )
 
     def result(self, scene: Scene, tol: Tolerance) -> Run:
