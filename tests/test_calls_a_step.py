@@ -31,9 +31,28 @@ BETWEEN = 150.0  # calls of one of ten steps and more of a scheme's own choice a
 DT = 2e-3  # s
 
 
+def circle(q: Any, t: Any) -> Any:
+    """A point on a circle, whose other coordinate turns with time."""
+    return np.array([q[0] ** 2 + q[2] ** 2 - 1.0, q[1] - 0.2 - 0.1 * np.sin(q[0] - 0.6) - 0.05 * np.sin(t) ** 2])
+
+
+def slopes(q: Any, t: Any) -> Any:
+    """Its derivative by the coordinates."""
+    return np.array([[2 * q[0], 0.0, 2 * q[2]], [-0.1 * np.cos(q[0] - 0.6), 1.0, 0.0]])
+
+
+ROWS: dict[str, Any] = {
+    "own coordinates": {},
+    "own rows": {"constraint": circle},
+    "own numbers": {"constraint": lambda q, t: circle([float(x) for x in q], t)},
+    "own slopes": {"constraint": circle, "jacobian": slopes},
+}
+
+
 def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
     """Four links that fall, with elements that ask functions ``of time``, of time by ``plain numbers``, ``of motion``, of the
-    ``road``, of a ``curve`` or of their ``own coordinates``.
+    ``road``, of a ``curve`` or of their ``own coordinates``, alone and with a constraint by formulas, by plain numbers, or whose
+    derivative is given.
     """
     scene, last = chain(4)
     s = [fmbd.angle(scene.joints[f"pin {k}"]) for k in range(4)]
@@ -61,9 +80,9 @@ def scene_of(kind: str, asked: list[float]) -> fmbd.Scene:
             fmbd.joint_spring("law", s[0], law=lambda x, rate, t: noted(20 * np.sin(x) + rate)),
             fmbd.controller("pd", reads=reads, acts=s[1], law=lambda t, y, z: noted(-20 * y["s"][0] - y["tip"][1])),
         )
-    elif kind == "own coordinates":
-        force = lambda q, v, t: noted(np.array([np.cos(t) - q[0] ** 3 - 0.1 * v[1], -4.0 * q[1] * q[0]]))  # noqa: E731
-        scene.add(fmbd.CoordinateBody("own", np.diag([2.0, 1.0]), force, (0.5, 0.2)))
+    elif kind.startswith("own"):
+        force = lambda q, v, t: noted(np.array([np.cos(t) - q[0] ** 3 - 0.1 * v[1], -4.0 * q[1] * q[0], q[0] - 9.81]))  # noqa: E731
+        scene.add(fmbd.CoordinateBody("own", np.diag([2.0, 1.0, 0.5]), force, (0.6, 0.2, 0.8), **ROWS[kind]))
     elif kind == "curve":
         height = lambda x: 0.1 * (math.cos(float(x)) - math.cos(4.0))  # noqa: E731
         law = lambda xa, Ra, xb, Rb, t: noted([xb[1] - height(xb[0])])  # noqa: E731
@@ -97,7 +116,7 @@ def calls_a_step(scene: Callable[[], fmbd.Scene], scheme: Any, asked: list[float
 
 
 @compiled
-@pytest.mark.parametrize("kind", ["of time", "of motion", "road", "curve", "own coordinates"])
+@pytest.mark.parametrize("kind", ["of time", "of motion", "road", "curve", "own coordinates", "own rows"])
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 def test_calls_a_step(scheme: Any, kind: str) -> None:
     """All evaluations beside the functions' own are compiled code's."""

@@ -101,6 +101,8 @@ class Part(Protocol):
         True  # whether ``force`` may depend on time beside the motion: one that does not is asked once for each
     )
 
+    together: bool = False  # whether ``force_many`` tells the rows of many motions by one call
+
     def remember(self, m: Any) -> None:
         """Write to a checkpoint what the part remembers beside its coordinates, or take it from there: nothing, unless it holds a
         frozen tangent; collective.

@@ -44,6 +44,7 @@ def own_constraint(body: Any, part: int) -> PortConstraint:
         safe("'s gamma", body.gamma),
         safe("'s rate", body.rate),
         body.vectorized,
+        body.constraint,
         slopes_of(of_place_and_time(function), np.append(np.asarray(body.start, dtype=float), 0.0)),
     )
     check_constraint(law, body)
@@ -136,6 +137,7 @@ class CoordinatePart(Part):
         self.n = self.n_port = len(np.asarray(body.start))
         self.reference = np.zeros(self.n)
         self.port_matrix = np.eye(self.n)
+        self.together = bool(body.vectorized)
         self._force = named("The force of body", body.name, body.force, to_end=True)
         tangent = body.force_jacobian
         self._tangent = None if tangent is None else named("The force_jacobian of body", body.name, tangent)

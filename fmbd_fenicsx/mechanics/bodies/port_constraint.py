@@ -28,7 +28,13 @@ class PortConstraint:
     gamma_: Callable[[Array, Array, float], Array] | None = None
     rate_: Callable[[Array, float], Array] | None = None
     vectorized: bool = False
+    raw: Callable[[Any, Any], Any] | None = None  # the user's function itself
     slopes: Slopes | None = None  # of the function of all its numbers, the time last; None: by complex steps
+
+    @property
+    def derivatives_given(self) -> bool:
+        """Whether functions of the user's own tell any of its derivatives."""
+        return any(given is not None for given in (self.jacobian_, self.gamma_, self.rate_))
 
     def many(self, what: str, t: Array, *arrays: Array) -> Array:
         """``values``, ``jacobian``, ``rate`` or ``gamma`` of k configurations, arrays (k, n), t (k,): one call where possible."""

@@ -1,6 +1,5 @@
 """Kinds by a function of numbers of a user's own, g(x_a, R_a, x_b, R_b, t) -> (m,), that Python is asked for at every evaluation.
 
-Kernels of such a kind are functions of Python with the arguments of compiled ones, so that compiled steps call them as any other.
 Rows are derivatives by displacements x + e_k and turns R + e_k~ R of both markers:
 
     complex steps    Im g(z + i h e_k) / h, exact to roundoff                                                       (1)
@@ -13,48 +12,40 @@ that write x[0], R[1, 0] and NumPy's functions of these do.
 
 from __future__ import annotations
 
-import ctypes
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import product
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from ...errors import AGREEMENTS, CallbackError, named, require
 from ...log import log
 from ...rotations import Array, Motions, hat, spin_matrix
-from .derivation import KERNELS, Kind
 from .expressions import ZERO
-from .frames import FRAME
+from .python_kinds import Answers, At, PythonKind
 from .time_derivatives import rates
 
 TINY = 1e-30  # complex steps
 STEP = 1e-5  # of differences: a share of the length, rad
 DROPPED = 1e-5  # relative: derivatives that differ by more are not those of the function
-NEWEST = 16  # times of which answers are kept, and answers of each
 SHORT = 3e-3  # of motions along which second derivatives are taken: a share of the length, rad
 
-KERNEL = ctypes.CFUNCTYPE(None, ctypes.c_long, *[ctypes.c_void_p] * 5)
-At = tuple[Array, Array, Array, tuple[bytes, ...]]  # both frames and the constants; what of these values depend on
 Poses = tuple[Array, Array]  # x (2, d, ..), R (2, d, d, ..) of both markers
 
 
-class AskedFunction:
+class AskedFunction(Answers):
     """The function of one joint, with its derivatives. ``live``: the sides that move; ``length``: of the model, m."""
 
     def __init__(
         self, name: str, function: Callable[..., Any], motions: Motions, live: Sequence[int], length: float
     ) -> None:
+        super().__init__()
         self.name, self.raw, self.motions, self.live, self.length = name, function, motions, tuple(live), length
         self.function = named("The constraint of joint", name, function)
         self.way: tuple[bool, bool] | None = None  # complex, all columns in one call: decided at the first derivative
-        self.error: Exception | None = None  # of a call by compiled code
-        self.known: dict[
-            float, dict[tuple[bytes, ...], Array]
-        ] = {}  # what was found at the newest times, see :meth:`once`
         d, n = motions.dim, motions.n_rot
         self.width = (d + n) * len(self.live)
         # displacements and angular velocities of the columns, steps in m and rad
@@ -94,20 +85,6 @@ class AskedFunction:
         """g, (m,)."""
         x, R = poses
         return self.checked(self.function(x[0], R[0], x[1], R[1], t), t)
-
-    def clock(self, t: float) -> tuple[float, float, float]:
-        """The time as a motion: who asks for it takes what depends on it anew."""
-        self.known.pop(t, None)
-        return t, 1.0, 0.0
-
-    def once(self, t: float, key: tuple[bytes, ...], find: Callable[[], Array]) -> Array:
-        """What it finds, once as long as what depends on time t holds: stages of a step come back to each other's configurations,
-        and records ask again.
-        """
-        kept = self.known.get(t)
-        if kept is None:
-            kept = _keep_newest(self.known, t, {})
-        return kept[key] if key in kept else _keep_newest(kept, key, find())
 
     # -- rows -----------------------------------------------------------------------------------------------------------
     def derivative(self, poses: Poses, t: float) -> Array:
@@ -228,60 +205,14 @@ def _both(poses: Poses) -> tuple[Array, Array, Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class AskedKind(Kind):
+class AskedKind(PythonKind):
     """The kind of one joint; its items are the numbers that the function returns, told apart by their ``component``."""
 
     function: AskedFunction = None  # type: ignore[assignment]
-    asked: ClassVar[bool] = True
 
     def run(self, which: str, A: Array, B: Array, P: Array, W: Any = 1.0) -> Array:
         """One kernel for items between the same two frames, a row of each array: results likewise."""
-        if which == "tangent":
-            return np.zeros((len(P), 0))
-        return self._found(which, (A, B, P))
-
-    def _found(self, which: str, items: tuple[Array, Array, Array], *, whole: bool = True) -> Array:
-        """Values or rates of items; of the latter the first alone where not ``whole``."""
-        A, B, P = items
-        component, drive = self._component_and_drive
-        a, b, p, still = A[0], B[0], P[0], self.dim + self.dim**2  # where velocities begin in a frame
-        at, t = (a, b, p, (a[:still].tobytes(), b[:still].tobytes(), p.tobytes())), float(p[drive])
-        return (self._value(at, t) if which == "value" else self._rates(at, t, whole))[P[:, component].astype(int)]
-
-    def address(self, which: str) -> int:
-        """Where compiled code finds the kernel."""
-        return int(ctypes.cast(self._callbacks[which], ctypes.c_void_p).value or 0)
-
-    @cached_property
-    def _callbacks(self) -> dict[str, Any]:
-        return {which: KERNEL(self._told(which)) for which in KERNELS}
-
-    def _told(self, which: str) -> Callable[..., None]:
-        """The kernel as compiled code calls it; errors are kept for whoever called C, which goes on without numbers."""
-        views: dict[tuple[Any, ...], tuple[Array, ...]] = {}
-
-        def told(n: int, pair: int, frames: int, P: int, W: int, out: int) -> None:
-            found = views.get((n, pair, frames, P, out))
-            if found is None:
-                size, (a, b) = FRAME[self.dim], (ctypes.c_int * 2).from_address(pair)
-                found = _view(frames + 8 * size * a, 1, size), _view(frames + 8 * size * b, 1, size)
-                found = *found, _view(P, n, self.width), _view(out, n, len(self.outputs[which]))
-                if len(views) > 16:
-                    views.clear()
-                views[n, pair, frames, P, out] = found
-            try:
-                if which != "tangent":
-                    found[3][:] = self._found(which, (found[0], found[1], found[2]), whole=not W)
-            except Exception as error:
-                self.function.error = self.function.error or error
-                found[3][:] = np.nan
-
-        return told
-
-    @cached_property
-    def _component_and_drive(self) -> tuple[int, int]:
-        """Where the constants have these."""
-        return self.place("component").start, self.place("drive").start
+        return np.zeros((len(P), 0)) if which == "tangent" else self._found(which, (A, B, P))
 
     @cached_property
     def _markers(self) -> tuple[list[slice], list[slice]]:
@@ -300,10 +231,6 @@ class AskedKind(Kind):
         d = self.dim
         return [(f[:d], f[d : d + d * d].reshape(d, d)) for f in at[:2]]
 
-    def _value(self, at: At, t: float) -> Array:
-        """g and its rows, (m, 1 + entries)."""
-        return self.function.once(t, (b"value", *at[3]), lambda: self._rows(at, t))
-
     def _rows(self, at: At, t: float) -> Array:
         d, f = self.dim, self.function
         frames = self._frames(at)
@@ -317,16 +244,6 @@ class AskedKind(Kind):
             part = rows[:, k * size : (k + 1) * size]
             part[:, d:] += f.motions.moment(np.broadcast_to(lever, (len(rows), d)), part[:, :d])
         return np.column_stack((np.real(f.at(poses, t)), rows))
-
-    def _rates(self, at: At, t: float, whole: bool) -> Array:
-        """g_t, and g'' at constant twists of the frames, 0 where not ``whole``, (m, 2)."""
-        ask = self.function.once
-        moves, *in_time = ask(t, (b"time", *at[3]), lambda: self._in_time(at, t))
-        found = np.zeros((len(in_time), 2))
-        found[:, 0] = in_time
-        if whole:
-            found[:, 1] = ask(t, (at[0].tobytes(), at[1].tobytes(), *at[3]), lambda: self._second(at, t, bool(moves)))
-        return found
 
     def _in_time(self, at: At, t: float) -> Array:
         """Whether the function depends on time, and g_t, (1 + m,)."""
@@ -352,14 +269,6 @@ class AskedKind(Kind):
         return f.second(path, t, fast, self._value(at, t)[:, 0]) if fast else np.zeros(f.count)
 
 
-def _keep_newest(kept: dict[Any, Any], key: Any, value: Any) -> Any:
-    """Keep a value with so many others."""
-    kept[key] = value
-    if len(kept) > NEWEST:
-        del kept[next(iter(kept))]
-    return value
-
-
 def _turned(R: Array, turn: Array) -> Array:
     """R after the rotation vector, world axes."""
     if len(turn) == 1:
@@ -370,11 +279,6 @@ def _turned(R: Array, turn: Array) -> Array:
         return R
     K = hat(turn / angle)
     return np.asarray(R + np.sin(angle) * K @ R + (1.0 - np.cos(angle)) * K @ (K @ R))
-
-
-def _view(address: int, n: int, width: int) -> Array:
-    """Numbers in memory as an array."""
-    return np.ctypeslib.as_array((ctypes.c_double * (n * width)).from_address(address)).reshape(n, width)
 
 
 def asked_kind(function: AskedFunction) -> AskedKind:

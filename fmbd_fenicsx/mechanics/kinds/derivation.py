@@ -24,7 +24,7 @@ import numpy as np
 from ...rotations import Array
 from .definitions import COORDINATES, FLOWS, IN_SPACE, Definition
 from .expressions import ZERO, Expression, Program, c_lines, gradient, rebuilt, symbol, symbols_of
-from .frames import FRAME, PLACES, AskedConstants, SymbolicFrame, twist_gradient, twist_of
+from .frames import FRAME, PLACES, AskedConstants, SymbolicFrame, symbolic_frames, twist_gradient, twist_of
 
 KERNELS = ("value", "rates", "tangent")
 WEIGHT = symbol("weight")
@@ -49,7 +49,7 @@ class Kind:
     pattern: tuple[tuple[int, int], ...]
     outputs: dict[str, list[Expression]]
     given: list[tuple[Expression, Expression]]
-    frames: tuple[SymbolicFrame, SymbolicFrame]
+    frames: tuple[SymbolicFrame, ...]
     flow: bool = False  # a speed, which is no rate of a coordinate
     sides: Mapping[str, int] = field(default_factory=dict)  # of constants that are fixed in A (0) or B (1)
     asked: ClassVar[bool] = False  # whether its kernels are told by Python
@@ -111,14 +111,17 @@ class Kind:
         return [f"P_{name}_{i}" for name, size in self.constants.items() for i in range(size)]
 
 
-def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -> Kind:
-    """Rows, rates and tangent of a definition; ``flow``: it gives a speed, linear in the twists or beside a given speed, and no
-    coordinate.
+def derive(
+    name: str, dim: int, definition: Definition, *, flow: bool = False, between: int = 2, tangent: bool = True
+) -> Kind:
+    """Rows, rates and tangent of a definition ``between`` so many frames; ``flow``: it gives a speed, linear in the twists or
+    beside a given speed, and no coordinate; ``tangent``: whether it has one.
     """
-    frames = SymbolicFrame("A", dim), SymbolicFrame("B", dim)
+    frames = symbolic_frames(between, dim)
     constants = AskedConstants(dim)
     # flows are linear in the twist already, but for what they give to bodies at rest; others get their row by (1)
-    y = definition(*frames, constants)
+    seen: Any = (*frames, constants)
+    y = definition(*seen)
     sizes = dict(constants.sizes)
     if "drive" in sizes:
         sizes |= {"drive1": 1, "drive2": 1}
@@ -136,7 +139,7 @@ def derive(name: str, dim: int, definition: Definition, *, flow: bool = False) -
     for slope, u in zip(twist_gradient(speed, frames), twist, strict=True):
         second = second + slope * u
 
-    lower = _lower_half([twist_gradient(r, frames) for r in row])
+    lower = _lower_half([twist_gradient(r, frames) for r in row]) if tangent else {}
     # what is zero in the formula is not computed
     entries = tuple(i for i, r in enumerate(row) if r is not ZERO)
     outputs = {
@@ -184,10 +187,11 @@ def c_kernel(kind: Kind, which: str) -> str:
     size = FRAME[kind.dim]
 
     lines = [f"void {kind.name}_{which}({SIGNATURE})", "{", "    (void)P; (void)W;"]
-    lines.append(f"    for (long i_ = 0; i_ < n; i_++, pair += 2, P += {kind.width}, out += {len(results)}) {{")
     lines.append(
-        f"        const double *A = frames + {size} * pair[0], *B = frames + {size} * pair[1]; (void)A; (void)B;"
+        f"    for (long i_ = 0; i_ < n; i_++, pair += {len(kind.frames)}, P += {kind.width}, out += {len(results)}) {{"
     )
+    placed = ", ".join(f"*{frame.name} = frames + {size} * pair[{k}]" for k, frame in enumerate(kind.frames))
+    lines.append(f"        const double {placed}; " + " ".join(f"(void){frame.name};" for frame in kind.frames))
     lines += [f"        const double {name} = P[{i}];" for i, name in enumerate(kind.symbols()) if name in used]
     if "weight" in used:
         lines.append("        const double weight = W[i_];")

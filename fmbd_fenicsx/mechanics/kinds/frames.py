@@ -111,6 +111,11 @@ class SymbolicFrame:
         return self.v + spin(self.w, self.axis(p))
 
 
+def symbolic_frames(count: int, dim: int) -> tuple[SymbolicFrame, ...]:
+    """So many frames, the first two of them A and B."""
+    return tuple(SymbolicFrame("AB"[k] if k < 2 else f"F{k}", dim) for k in range(count))
+
+
 class AskedConstants:
     """Names the constants of a definition as it asks for them, in this order."""
 

@@ -22,7 +22,7 @@ from ...errors import FmbdError, InputError
 from ...rotations import Array
 from .derivation import DRIVE, Kind, derive
 from .expressions import Expression, as_expression, constant, gradient, rebuilt, symbol, symbols_of
-from .frames import FRAME, AskedConstants, SymbolicFrame, Vector, spin, twist_of
+from .frames import FRAME, AskedConstants, SymbolicFrame, Vector, spin, symbolic_frames, twist_of
 
 PLAIN = 10  # whole numbers up to this size stay in the formula
 
@@ -129,6 +129,37 @@ def own_term(what: str, y: Expression, dim: int) -> OwnTerm:
     Raises:
         InputError: it depends on no marker, has no finite numbers, or is not linear in the velocities.
     """
+    z, numbers = _apart(what, y)
+    frames = symbolic_frames(2, dim)
+    speeds = twist_of(frames)
+    flow = bool(symbols_of([y]) & set(speeds))
+    if flow:
+        _require_linear(what, y, speeds)
+    kind = _kind(dim, z, len(numbers), flow)
+    if not kind.entries:
+        raise InputError(f"{what}: its formula does not depend on the motion of the markers a and b.")
+    return OwnTerm(kind, {"own": np.array(numbers)} if numbers else {})
+
+
+def term_of_points(what: str, y: Expression, dim: int, count: int) -> tuple[OwnTerm, list[int]]:
+    """A formula of the places of so many points, the origins of :func:`~.frames.symbolic_frames`, as a kind without a tangent
+    between those that are in it, and which these are: formulas of other points are the same kind.
+
+    Raises:
+        InputError: it has no finite numbers.
+    """
+    frames, there = symbolic_frames(count, dim), symbols_of([y])
+    points = [k for k, frame in enumerate(frames) if there & set(frame.x)]
+    first = symbolic_frames(len(points), dim)
+    to = {x: z for k, frame in zip(points, first, strict=True) for x, z in zip(frames[k].x, frame.x, strict=True)}
+    z, numbers = _apart(what, rebuilt([y], symbols=to)[0])
+    return OwnTerm(
+        _kind_of_points(dim, z, len(numbers), len(points)), {"own": np.array(numbers)} if numbers else {}
+    ), points
+
+
+def _apart(what: str, y: Expression) -> tuple[Expression, list[float]]:
+    """A formula with symbols for its numbers, and these."""
     numbers: list[float] = []
 
     def lifted(x: float) -> Expression:
@@ -144,16 +175,7 @@ def own_term(what: str, y: Expression, dim: int) -> OwnTerm:
         raise InputError(
             f"{what}: its formula holds {[x for x in numbers if not np.isfinite(x)]}, which are no finite numbers."
         )
-
-    frames = [SymbolicFrame(name, dim) for name in "AB"]
-    speeds = twist_of(frames)
-    flow = bool(symbols_of([y]) & set(speeds))
-    if flow:
-        _require_linear(what, y, speeds)
-    kind = _kind(dim, z, len(numbers), flow)
-    if not kind.entries:
-        raise InputError(f"{what}: its formula does not depend on the motion of the markers a and b.")
-    return OwnTerm(kind, {"own": np.array(numbers)} if numbers else {})
+    return z, numbers
 
 
 def _require_linear(what: str, y: Expression, speeds: list[Expression]) -> None:
@@ -171,13 +193,24 @@ def _kind(dim: int, y: Expression, numbers: int, flow: bool) -> Kind:
 
     def definition(a: SymbolicFrame, b: SymbolicFrame, c: AskedConstants) -> Expression:
         markers_of((a, b), c)
-        if numbers:
-            c.vector("own", numbers)
-        if DRIVE in symbols_of([y]):
-            c.scalar("drive")
-        return as_expression(y)
+        return _of_numbers(y, numbers, c)
 
     return derive("own", dim, definition, flow=flow)
+
+
+@cache
+def _kind_of_points(dim: int, y: Expression, numbers: int, count: int) -> Kind:
+    """The same of a formula of the places of so many points."""
+    return derive("own", dim, lambda *given: _of_numbers(y, numbers, given[-1]), between=count, tangent=False)
+
+
+def _of_numbers(y: Expression, numbers: int, c: AskedConstants) -> Expression:
+    """A formula that names its numbers, and the time where it is in it, as constants of the item."""
+    if numbers:
+        c.vector("own", numbers)
+    if DRIVE in symbols_of([y]):
+        c.scalar("drive")
+    return as_expression(y)
 
 
 def _frame_numbers(dim: int, x: Array) -> Array:

@@ -15,7 +15,7 @@ from ...kernel_cache import address_of
 from ...mechanics.forces.formulas import TARGET
 from ...mechanics.forces.laws_together import mean_effort
 from ...mechanics.joints.couplings import SmoothMotion, Standing
-from ...mechanics.kinds.asked import AskedKind
+from ...mechanics.kinds.python_kinds import PythonKind
 from .declarations import PYTHON, enumeration
 from .tables.items.item_batches import turned, turning
 from .tables.items.items import GIVEN, Items
@@ -33,6 +33,7 @@ NUMPYS = tuple(
         "FIELD_MEANS",
         "FIELD_TANGENTS",
         "PART_FORCES",
+        "PART_POINTS",
         "PART_TANGENTS",
         "FREQUENCIES",
         "LOOK_AT_END",
@@ -63,7 +64,7 @@ class Calls:
         ]
 
         # functions of the user's own, and how often C asks
-        self.asked: list[Any] = [items.kind.function for items in tables.items if isinstance(items.kind, AskedKind)]
+        self.asked: list[Any] = [items.kind.function for items in tables.items if isinstance(items.kind, PythonKind)]
         self.loaded_rods = [rod for rod in tables.rods if rod.of_time]
         timed = (self.prescribed, self.loaded, self.given, self.loaded_rods, self.targets)
         slower = any(_differentiated(motion) for motion, _ in self.prescribed)
@@ -147,6 +148,7 @@ class Calls:
             "LOOK_AT_END": lambda number, t: tables.look_at_end(),
             "FREQUENCIES": lambda number, key: tables.frequencies(key),
             "PART_FORCES": lambda number, t: tables.told[number].forces(t),
+            "PART_POINTS": lambda number, t: tables.told[number].points(),
             "PART_ENERGIES": lambda number, t: tables.told[number].energies(t),
             "PART_TANGENTS": lambda number, t: tables.told[number].tangents(t),
             "PART_SLOPES": lambda number, t: tables.told[number].slopes(t),

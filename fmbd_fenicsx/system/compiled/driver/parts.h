@@ -38,6 +38,8 @@ PART void field_energies(System *s, int b, double t, const double *q, const doub
 /* told.c */
 PART int told_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t);
 PART int told_block(System *s, const Body *o, double t);
+PART int foretell_part(System *s, const Body *o, int count, const double *t, int each, const double *q, const double *xi, const double *v,
+                       const double *a);
 PART int take_part_slopes(System *s, const Body *o, const double *q, const double *v, double t);
 PART void told_energies(System *s, int b, double t, const double *q, const double *v, const double *gravity, double *out);
 
@@ -203,6 +205,7 @@ EXPORT void driver_rate(const System *s, long count, const double *xi, long step
 EXPORT void driver_difference(const System *s, long count, const double *q0, long step, const double *q1, long end_step,
                               const double *near, long near_step, double *xi);
 int acting(System *s, const double *lam, double t);
+int foretell_parts(System *s, long count, const double *t, int each, const double *q, const double *xi, const double *v, const double *a);
 int body_forces(System *s, const double *q, const double *v, const double *a, double t);
 void derivatives_in_time(System *s, double *partial, double *second);
 int efforts(System *s, Batch *k, double t);

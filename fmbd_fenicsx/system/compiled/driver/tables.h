@@ -52,7 +52,7 @@ typedef struct {
     struct Act *act;                   /* LAW: of a controller, else NULL */
     int quotient;                      /* efforts: POINT .. of what they do over a step */
     int told;                          /* READ: whether its s and s' are told at every evaluation, to controllers */
-    int terms, sides;                  /* sums: of how many; frames of an item, 2 where these are no sums */
+    int terms, sides;                  /* sums: of how many; frames of an item, 2 but for sums and constraints of own equations */
     int turning;                       /* sums: whether rows of terms turn, so that efforts are stiff across them */
     int *into;                         /* sums: of each entry of the rows of the terms, to which output it adds */
     double *shift;                     /* sums: n, what is added */
@@ -259,6 +259,8 @@ typedef struct {
     double *state;                     /* R, twist, its rate, pose, gravity, u, u', u'' */
     double *rows, *block;              /* TWIST + modes: forces, or energies; the step's block, world axes */
     double *masses;                    /* the block of a step without stiffness and damping, NULL where masses move with the part */
+    double *ahead;                     /* MOST_STAGES x: time, u, u', u'' of points that are asked for together, and rows; NULL: never */
+    int foretold;                      /* how many of them are known */
     int *dest;                         /* places of the lower half of the block */
 } Told;
 
@@ -473,7 +475,7 @@ typedef struct {
 /* What Python is asked for, and its answer where a body does not go: NumPy makes, or refuses, the step. */
 enum { SAMPLE, EFFORT, SLOPES, WRENCHES, SECTIONS, SECTION_SLOPES, WHOLE_SLOPES, FIELD, FIELD_FORCES, FIELD_ENERGIES,
        FIELD_TANGENTS, PART_FORCES, PART_ENERGIES, PART_TANGENTS, KEEP, EFFORTS, EFFORT_SLOPES,
-       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS, PART_SLOPES,
+       FIELD_MEANS, EFFORT_MEANS, FREQUENCIES, FIELD_LOADS, PART_SLOPES, PART_POINTS,
        COLLOCATE, MEMORY_ERROR, LEAD_MEMORIES, LOOK_AT_END };
 enum { OUTSIDE = 2 };
 

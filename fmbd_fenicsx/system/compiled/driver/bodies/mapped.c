@@ -23,7 +23,7 @@ void through(const double *map, int width, const double *y, double *row)
         if (y[j] != 0.0) add(row, y[j], map + (long)j * width, width);
 }
 
-/* The row of an item on the twists of both frames, 2 TWIST */
+/* The row of an item on the twists of both of its two frames, 2 TWIST */
 void twist_row(const Batch *k, long i, double *y)
 {
     const double *out = k->out + i * k->outputs;
@@ -31,20 +31,32 @@ void twist_row(const Batch *k, long i, double *y)
     for (int j = 0; j < 2 * TWIST; j++) y[j] = where[j] ? out[where[j]] : 0.0;
 }
 
+/* The row of an item on the twist of one of its frames. */
+static void row_of_side(const Batch *k, long i, int side, double *y)
+{
+    const double *out = k->out + 1 + i * k->outputs;
+    memset(y, 0, TWIST * sizeof(double));
+    for (int e = 0; e < k->outputs - 1; e++) {
+        const int at = k->component[e] - TWIST * side;
+        if (at >= 0 && at < TWIST) y[at] = out[e];
+    }
+}
+
 static void mapped_rows(System *s, const Batch *k)
 {
     for (long i = 0; i < k->n; i++) {
         const int *to = k->row_to + k->row_start[i], *on = k->row_on + k->row_start[i];
-        double y[2 * TWIST], square = 0.0;
-        twist_row(k, i, y);
+        double y[TWIST], square = 0.0;
 
-        for (int side = 0; side < 2; side++) {
+        for (int side = 0; side < k->sides; side++) {
             const double *map;
-            int width = side_map(s, k->pair[2 * i + side], &map);
+            int width = side_map(s, k->pair[k->sides * i + side], &map);
             if (!width) continue;
-            through(map, width, y + TWIST * side, s->big);
+            row_of_side(k, i, side, y);
+            through(map, width, y, s->big);
             for (int j = 0; j < width; j++, to++, on++) {
                 double entry = k->factor[i] * s->big[j];
+                if (entry == 0.0) continue;
                 s->L[*to] += entry;
                 square += entry * entry / s->diagonal[*on];
             }

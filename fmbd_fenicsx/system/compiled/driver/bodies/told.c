@@ -30,6 +30,39 @@ static void along_part(const Body *o, const double *q, const double *v, double *
     }
 }
 
+/* Ask by one call for the forces of a part whose frame rests, see foretell_parts(). */
+int foretell_part(System *s, const Body *o, int count, const double *t, int each, const double *q, const double *xi, const double *v,
+                  const double *a)
+{
+    Told *e = o->told;
+    const int n = o->modes;
+    double *x = e->ahead;
+    e->foretold = count;
+    for (int j = 0; j < count; j++, v += s->nv, a += s->nv, x += 1 + 4 * n) {
+        const double *u = q + (long)each * j * s->nq + o->at_q, *more = xi ? xi + (long)j * s->nv + o->at_v : NULL;
+        x[0] = t[j];
+        for (int i = 0; i < n; i++) x[1 + i] = more ? u[i] + more[i] : u[i];
+        memcpy(x + 1 + n, v + o->at_v, n * sizeof(double));
+        memcpy(x + 1 + 2 * n, a + o->at_v, n * sizeof(double));
+    }
+
+    s->calls++;
+    const int told = s->python(PART_POINTS, e->number, *t);
+    if (told) e->foretold = 0;
+    return told == OUTSIDE ? NEWTON : told ? FAILED : DONE;
+}
+
+/* Rows of the coordinates where they have been asked for, else NULL. */
+static const double *foretold(const Told *e, int n, const Motion *m, double t)
+{
+    const double *x = e->ahead;
+    for (int j = 0; j < e->foretold; j++, x += 1 + 4 * n) {
+        if (x[0] != t || memcmp(x + 1, m->U, n * sizeof(double)) || memcmp(x + 1 + n, m->Ud, n * sizeof(double))) continue;
+        if (!memcmp(x + 1 + 2 * n, m->Udd, n * sizeof(double))) return x + 1 + 3 * n;
+    }
+    return NULL;
+}
+
 /* Rows of the frame (world axes) and of the coordinates, behind each other in f. */
 int told_force(System *s, int b, const double *q, const double *v, const double *a, double *f, double t)
 {
@@ -43,7 +76,10 @@ int told_force(System *s, int b, const double *q, const double *v, const double 
     }
 
     Motion m = motion_of(o, b, q, v, a);
-    int verdict = tell(s, PART_FORCES, e->number, o->modes, e->state, R, &m, s->gravity, t);
+    const double *rows = foretold(e, o->modes, &m, t);
+    int verdict = DONE;
+    if (rows) memcpy(e->rows + TWIST, rows, o->modes * sizeof(double));
+    else verdict = tell(s, PART_FORCES, e->number, o->modes, e->state, R, &m, s->gravity, t);
     if (verdict) return verdict;
     memcpy(f + TWIST, e->rows + TWIST, o->modes * sizeof(double));
     if (e->rests) return DONE;

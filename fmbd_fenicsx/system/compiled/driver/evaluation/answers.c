@@ -62,7 +62,8 @@ EXPORT int driver_balances(System *s, long count, const double *t, const double 
                            const double *lam, double *out)
 {
     double *none = s->work, last = NAN;
-    int verdict;
+    int verdict = foretell_parts(s, count, t, 1, q, NULL, v, a);
+    if (verdict) return verdict;
     if (!lam) memset(none, 0, s->rows * sizeof(double));
 
     for (long i = 0; i < count; i++, q += s->nq, v += s->nv, a += s->nv, out += s->nv) {
@@ -182,7 +183,8 @@ EXPORT int driver_batch(System *s, long count, const double *t, const double *q,
                         double *sums, double *gap, double *slip, double *partial, double *second)
 {
     double *none = s->work, last = NAN;
-    int verdict;
+    int verdict = foretell_parts(s, count, t, 1, q, NULL, v, a);
+    if (verdict) return verdict;
     if (!lam) memset(none, 0, s->rows * sizeof(double));
 
     for (long i = 0; i < count; i++, q += s->nq, v += s->nv, a += s->nv, sums += s->nv) {
@@ -225,7 +227,7 @@ int side_row(System *s, const Batch *k, long i, int side, int *body)
 /* ``factor`` times the row of one item, as its kernel left it, added to one like v. */
 void item_row(System *s, const Batch *k, long i, double factor, double *row)
 {
-    for (int side = 0; side < 2; side++) {
+    for (int side = 0; side < k->sides; side++) {
         int body, width = side_row(s, k, i, side, &body);
         if (width) add_row(s, body, s->big, width - TWIST, factor * k->factor[i], row);
     }

@@ -61,6 +61,15 @@ void turn_velocity(System *s, const double *v)
     }
 }
 
+/* Ask for the forces of parts that tell those of many points together: at q o exp(xi), one q for all or ``each`` its own (xi NULL). */
+int foretell_parts(System *s, long count, const double *t, int each, const double *q, const double *xi, const double *v, const double *a)
+{
+    int verdict = DONE;
+    for (const Body *o = s->body; o < s->body + s->bodies && !verdict; o++)
+        if (o->told && o->told->ahead && count > 1 && count <= MOST_STAGES) verdict = foretell_part(s, o, count, t, each, q, xi, v, a);
+    return verdict;
+}
+
 /* Forces of inertia and weight, and those within bodies. */
 int body_forces(System *s, const double *q, const double *v, const double *a, double t)
 {

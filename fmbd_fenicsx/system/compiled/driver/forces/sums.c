@@ -28,17 +28,6 @@ void values(const System *s, const Batch *k)
     else k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
 }
 
-/* The row of an item on the twist of one of its frames. */
-static void row_of_side(const Batch *k, long i, int side, double *y)
-{
-    const double *out = k->out + 1 + i * k->outputs;
-    memset(y, 0, TWIST * sizeof(double));
-    for (int e = 0; e < k->outputs - 1; e++) {
-        const int at = k->component[e] - TWIST * side;
-        if (at >= 0 && at < TWIST) y[at] = out[e];
-    }
-}
-
 /* slope r r^T of items with frames on surfaces, r their rows on the rates of all bodies. */
 static void mapped_squares(System *s, const Batch *k, const double *slope)
 {

@@ -210,7 +210,7 @@ static void columns_of_rows(System *s, double *A)
         if (k->role != ROW) continue;
         k->value(k->n, k->pair, s->frames, k->P, 0, k->out);
         for (long i = 0; i < k->n; i++)
-            for (int side = 0; side < 2; side++) {
+            for (int side = 0; side < k->sides; side++) {
                 int body, width = side_row(s, k, i, side, &body), row = k->row[i];
                 const Body *o = s->body + body;
                 for (int j = width && rests(o) ? TWIST : 0; j < width; j++) /* a frame that rests bears nothing */

@@ -211,7 +211,8 @@ EXPORT int driver_points(System *s, long count, const double *t, const double *q
 {
     const Sparse metric = {s->nv, W_start, W_on, W};
     double last = NAN;
-    int verdict;
+    int verdict = foretell_parts(s, count, t, 0, q0, xi, v, a);
+    if (verdict) return verdict;
     for (long i = 0; i < count; i++, xi += s->nv, v += s->nv, a += s->nv, rates += s->nv, sums += s->nv) {
         long at = i * s->rows;
         if ((verdict = sample(s, t[i], &last))) return verdict;
@@ -269,6 +270,7 @@ static int stage_residuals(System *s, const Stages *o, int increments)
 
     s->bridged = s->swung = 0;
     if (o->fields) o->fields->aligned = 0;
+    if (o->levels < 3 && (verdict = foretell_parts(s, o->points, o->t, 0, o->q0, o->xi, o->v, o->vd))) return verdict;
     for (int j = 0; j < o->points; j++) {
         double *kin = o->kin + j * n, *low = o->low + j * size, *mult = o->mult + j * (size - n);
         if ((verdict = sample_point(s, o, j, known))) return verdict;

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .....mechanics.bodies.port_constraint import PortConstraint
 from .....mechanics.elastic.second_order import SecondOrder
 from .....mechanics.rods.elements import RodElements
 from .....mechanics.validity import TOO_LARGE
@@ -151,7 +152,8 @@ def covers_bodies(system: System) -> bool:
     """Whether all bodies are known to the driver, with all that loads them."""
     known = all(_known_part(p) for p in system.parts)
     rods = all(isinstance(e, RodElements) for e in system.elements)
-    return known and rods and not system.port_constraints and covers_ties(system) and system.n_frames > 0
+    own = {type(law) for law, _ in system.port_constraints} <= {PortConstraint}
+    return known and rods and own and covers_ties(system) and system.n_frames > 0
 
 
 def _known_part(part: Any) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from .....mechanics.placements import FrameMotion, Part
 from .....mechanics.reduction.reduced import ReducedPart
 from .....rotations import Array
+from ...declarations import enumeration
 from ..resting import RestingPart
 from ..structures import structure
 
@@ -26,6 +27,9 @@ def can_be_told(part: Any) -> bool:
     own = type(part.part if isinstance(part, RestingPart) else part)
     constant = own.ports_of is Part.ports_of and own.port_force is Part.port_force
     return constant and part.shortening is None
+
+
+MOST_STAGES = enumeration("MOST_STAGES")["MOST_STAGES"]
 
 
 class ToldMotion:
@@ -67,6 +71,10 @@ class ToldPart:
         self.rows, self.block, self.by_motion, _ = (x for x, _ in made.values())
         self.addresses = {name: address for name, (_, address) in made.items()}
         self._of_time = self.part.of_time
+        self._told: Any = None  # the structure
+        self._ahead, ahead = tables.store.array(np.zeros((MOST_STAGES, 1 + 4 * n)))
+        if self.rests and self.part.together:
+            self.addresses["ahead"] = ahead
         self._last: tuple[bytes, Array] | None = None  # motion and rows of forces, of a part that knows no time
 
     def forces(self, t: float) -> None:
@@ -80,6 +88,12 @@ class ToldPart:
         self.rows[: self.tables.twist], self.rows[self.tables.twist :] = self.part.force(motion, local)
         if not self._of_time:
             self._last = known, self.rows.copy()
+
+    def points(self) -> None:
+        """Rows of the coordinates at the points of a step, by one call."""
+        n, asked = self.part.n, self._ahead[: self._told.foretold]
+        t, u, rate, second = (x.T for x in np.split(asked.T[: 1 + 3 * n].copy(), (1, 1 + n, 1 + 2 * n)))
+        asked[:, 1 + 3 * n :] = self.part.force_many(t[:, 0], (u, rate, second))
 
     def energies(self, t: float) -> None:
         """Kinetic, elastic and weight energy."""
@@ -119,7 +133,7 @@ class ToldPart:
         masses = None if mass is None else tables.store.address(_beside_rest(tables.twist, mass))
         i, j = np.tril_indices(self.width)
         unknown = tables.at_u[frame] + np.arange(self.width)
-        told = structure("Told", tables.dim)(
+        told = self._told = structure("Told", tables.dim)(
             number=self.number, rests=int(self.rests), state=self.motion.address, masses=masses, **self.addresses,
             dest=tables.store.integers(tables.fronts.place(unknown[i], unknown[j])),
         )  # fmt: skip

@@ -13,10 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .....mechanics.bodies.port_constraint import PortConstraint
+from .....mechanics.bodies.port_kind import formulas_of, points_of, port_kind
 from .....mechanics.frames import Markers
 from .....mechanics.joints.constraints import standstill
 from .....mechanics.joints.trace_rows import TiedSide, TraceRows
-from .....mechanics.kinds.derivation import kinds
+from .....mechanics.kinds.derivation import Kind, kinds
+from .....mechanics.kinds.python_kinds import Answers
 from .....rotations import Array
 from ..resting import RestingField
 from .items import ROW, Items
@@ -36,8 +39,8 @@ class SeenByTie:
 
 
 class TiedPoints:
-    """The ties of a system where all parts have frames (:mod:`..resting`): the ``system`` with their points as markers behind the
-    others, what each of these ``sees`` by its number, and the ``items``.
+    """The ties of a system where all parts have frames (:mod:`..resting`), and constraints of own equations: the ``system`` with
+    their points as markers behind the others, what each of these ``sees`` by its number, and the ``items``.
     """
 
     def __init__(self, system: System) -> None:
@@ -46,6 +49,8 @@ class TiedPoints:
         self._frames: list[int] = []
         self._ports: list[np.ndarray] = []
         self.items = [self._rows(tie, np.arange(rows.start, rows.stop)) for tie, rows in system.traces]
+        for law, rows in system.port_constraints:
+            self.items += self._own_rows(law, np.arange(rows.start, rows.stop))
         if self.items:
             self.system = replace(system, markers=self._with_points(system.markers))
 
@@ -83,6 +88,36 @@ class TiedPoints:
         self.sees |= {first + j: SeenByTie(float(side.m[j]), side.s[j]) for j in range(n)}
         return first + np.arange(n), np.zeros((n, d))
 
+    def _own_rows(self, law: PortConstraint, rows: np.ndarray) -> list[Items]:
+        """The rows of a constraint on coordinates of one's own, which are those of points of the part."""
+        d, part = self.system.motions.dim, self.system.parts[law.part]
+        count = points_of(part.n, d)
+        points = len(self.system.markers.frame) + len(self._frames) + np.arange(count)
+        # the last point may have fewer coordinates than a place: others are not looked at
+        ports = np.minimum(np.arange(count * d), part.n - 1).reshape(count, d)
+        self._frames += [part.frame] * count
+        self._ports += list(self.system.port_slice(law.part).start + ports)
+        self.sees |= {int(i): SeenByTie(1.0, np.zeros(d)) for i in points}
+
+        terms = formulas_of(law, np.asarray(part.body.start, dtype=float), d)
+        if not terms:
+            numbers: dict[str, Array] = {"component": np.arange(len(rows), dtype=float)}
+            asked = port_kind(law, part.n, d)
+            return [_rows_of_points(asked, asked.function, np.tile(points, (len(rows), 1)), numbers, rows)]
+
+        # rows of one formula are items of one kind
+        alike: dict[Kind, list[int]] = {}
+        for i, (term, _) in enumerate(terms):
+            alike.setdefault(term.kind, []).append(i)
+        made = []
+        for kind, which in alike.items():
+            of_items = {
+                name: np.array([terms[i][0].constants[name] for i in which]) for name in terms[which[0]][0].constants
+            }
+            between = points[np.array([terms[i][1] for i in which])]
+            made.append(_rows_of_points(kind, Answers(), between, of_items, rows[which]))
+        return made
+
     def _with_points(self, markers: Markers) -> Markers:
         """The markers of the system, and the points."""
         count, d = len(self._frames), markers.motions.dim
@@ -98,6 +133,15 @@ class TiedPoints:
             port=np.concatenate((markers.port.reshape(-1, markers.n_port), ports)).astype(int),
             section=None if section is None else np.append(section, np.zeros(len(ports), dtype=bool)),
         )
+
+
+def _rows_of_points(
+    kind: Kind, answers: Answers, points: np.ndarray, constants: dict[str, Array], rows: np.ndarray
+) -> Items:
+    """Rows of a kind, each between some points (n, ..), of which those with the time in them follow the clock."""
+    made = Items(kind, ROW, points, constants, rows)
+    made.factor, made.drive = np.ones(len(rows)), [answers.clock] * len(rows) if kind.driven else []
+    return made
 
 
 def motions_of_ties(system: System) -> list[tuple[np.ndarray, list[Any], Array]]:
