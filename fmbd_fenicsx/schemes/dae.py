@@ -50,16 +50,16 @@ class Form:
     index: ClassVar[int] = 3
     frozen: ClassVar[bool] = False  # normal directions U at the start of the step
     projected: ClassVar[bool] = False
+    # whether its rows are those of its levels, as compiled code makes them: not where a form of a user's own has others
+    by_levels: ClassVar[bool] = True
+
+    def __init_subclass__(cls) -> None:
+        cls.by_levels = cls.rows is Form.rows and cls.lower is Form.lower
 
     @property
     def pulls(self) -> tuple[float, float]:
         """What rows of accelerations have of G v + g_t (1/s) and of g (1/s^2) beside G a + gamma."""
         return 0.0, 0.0
-
-    @property
-    def by_levels(self) -> bool:
-        """Whether its rows are those of its levels, as compiled code makes them: not where a form of a user's own has others."""
-        return type(self).rows is Form.rows and type(self).lower is Form.lower
 
     @property
     def unit(self) -> str:

@@ -42,7 +42,7 @@ CLAMPED = (
 )
 RIGID = 1e-6  # of that square, without supports, below which a shape is a rigid motion
 SLENDER = 4.0  # length over the least thickness
-LOOKS = 8  # at a run of equal steps, at least
+LOOKS, BETWEEN = 8, 20  # at a long run of equal steps, at least; steps between them, which cost less than a look
 
 
 class AxialForces:
@@ -60,7 +60,7 @@ class AxialForces:
 
     def most(self, steps: int) -> int:
         """So many of all steps at most between two looks."""
-        return steps // LOOKS + 1 if self.bodies else steps
+        return max(steps // LOOKS + 1, BETWEEN) if self.bodies else steps
 
     def look(self, state: State) -> None:
         """Warn once of each body that leaves out too much; of many states at ever fewer. Collective."""

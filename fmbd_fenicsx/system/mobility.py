@@ -116,7 +116,8 @@ def _masses(ev: Evaluation) -> Array:
         if isinstance(local, CoordinatePart):
             mass[s.slices[1][k]] = np.diag(local.mass(s.local_q(ev.q, k)))
 
-    frames[:] = frames[:, :d].max(initial=1e-300)
+    # those of reduced bodies and rods alone count as the mass of all
+    frames[:] = frames[:, :d].max(initial=0.0) or s.mass or 1.0
     frames[:, d:] *= s.length**2
     mass[: frames.size] = frames.ravel()
     return np.where(mass > 0, mass, mass.max(initial=1e-300))
@@ -254,7 +255,7 @@ def nearly_the_same(ev: Evaluation, found: Mobility) -> str:
 
     Solutions with softened rows (``algebra/factor.c``) hold rows apart that differ by more than ``CLEAR``.
     """
-    if not found.redundant or found.conditioning >= CLEAR:
+    if not found.redundant or not found.rank or found.conditioning >= CLEAR:
         return ""
     vector = singular_values(scaled_jacobian(ev))[0][:, found.rank - 1] ** 2
     joints = ", ".join(f'"{b.name}"' for b in ev.system.blocks if vector[b.rows].sum() > 0.1)
