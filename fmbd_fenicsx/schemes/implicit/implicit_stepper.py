@@ -238,8 +238,11 @@ class ImplicitStepper(OwnMarch):
 
     @property
     def _rough(self) -> bool:
-        """Whether those of ends of steps are less accurate than the motion: no row on accelerations tells them."""
-        return self.system.n_lam > 0 and 2 not in self.scheme.form.levels
+        """Whether those of ends of steps are less accurate than the motion: no row on accelerations tells them, but the rows of
+        the system would, other than those of a form of a user's own.
+        """
+        form = self.scheme.form
+        return self.system.n_lam > 0 and form.by_levels and 2 not in form.levels
 
     @property
     def _corrects(self) -> bool:
