@@ -34,6 +34,8 @@ FILES = (
     "field_stages",
     "field_states",
     "kept_steps",
+    "moreau",
+    "redundancy",
     "rods_relaxation",
     "marches",
     "stage_systems",
