@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -116,3 +117,15 @@ def parallelograms(n: int, rate: float, angle: float = np.pi / 2, gravity: float
 def double_four_bar() -> fmbd.Scene:
     """Two of them, whose tops start with 1 m/s; flat at 0.714 s, three freedoms there in place of one (IFToMM A02)."""
     return parallelograms(2, -1.0)
+
+
+def torqued_links(torque: Callable[[float], Any], *breakpoints: float) -> fmbd.Scene:
+    """Two links in space that fall, with a torque (3,) (N m) of time on the last one; sensor "end"."""
+    scene, last = fmbd.Scene("torqued links", gravity=(0, 0, -9.81), breakpoints=breakpoints), fmbd.ground
+    for k in range(2):
+        link = fmbd.RigidBody(f"link {k}", 1.0 + k, (0.01, 0.06, 0.05), (0.4 * k + 0.2, 0, 0))
+        scene.add(link, fmbd.revolute(f"pin {k}", last, link, center=(0.4 * k, 0, 0), axis=(0, 1, 0.2 * k)))
+        last = link
+    scene.add(fmbd.torque("motor", last, torque))
+    scene.sensor("end", fmbd.position(last))
+    return scene

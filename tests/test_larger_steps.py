@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dae_problems import pendulum
+from dae_problems import pendulum, torqued_links
 from tolerance_scenes import geared_chain
 
 import fmbd_fenicsx as fmbd
@@ -74,20 +74,13 @@ def test_given_steps_are_made_or_not_but_no_smaller() -> None:
 def test_errors_of_kinks_are_not_told_by_larger_steps(begins: float) -> None:
     """They are chance in both: a quarter of what a force left that begins to rise within a step was stated."""
 
-    def scene(*breakpoints: float) -> fmbd.Scene:
-        made, last = fmbd.Scene("kink", gravity=(0, 0, -9.81), breakpoints=breakpoints), fmbd.ground
-        for k in range(2):
-            link = fmbd.RigidBody(f"link {k}", 1.0 + k, (0.01, 0.06, 0.05), (0.4 * k + 0.2, 0, 0))
-            made.add(link, fmbd.revolute(f"pin {k}", last, link, center=(0.4 * k, 0, 0), axis=(0, 1, 0.2 * k)))
-            last = link
-        made.add(fmbd.torque("rise", last, lambda t: (0, 40.0 * max(t - begins, 0.0), 0)))
-        made.sensor("end", fmbd.position(last))
-        return made
+    def rises(t: float) -> tuple[float, ...]:
+        return (0, 40.0 * max(t - begins, 0.0), 0)
 
     quiet = Output(progress=False, energy=False)
-    run = fmbd.solve(scene(), t_end=1.0, tol={"end": 4e-5}, scheme=fmbd.Radau(3), output=quiet)
+    run = fmbd.solve(torqued_links(rises), t_end=1.0, tol={"end": 4e-5}, scheme=fmbd.Radau(3), output=quiet)
     at = Output(progress=False, energy=False, times=tuple(run.times))
-    exact = fmbd.solve(scene(begins), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-10), output=at)
+    exact = fmbd.solve(torqued_links(rises, begins), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-10), output=at)
     assert 0.5 < run.certificate["end"].total / np.abs(run["end"] - exact["end"]).max() < 3.0
 
 

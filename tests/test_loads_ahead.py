@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dae_problems import torqued_links
 from profiled import calls_of
 from scipy.special import erf
 
@@ -101,23 +102,16 @@ def test_steps_end_at_corners_of_loads_that_no_number_names(scheme: Any) -> None
     """A torque that saturates: what its corners left within steps was chance, an eighth of the error was stated."""
     middle = 0.327
 
-    def scene(*breakpoints: float) -> fmbd.Scene:
-        made, last = fmbd.Scene("saturated", gravity=(0, 0, -9.81), breakpoints=breakpoints), fmbd.ground
-        for k in range(2):
-            link = fmbd.RigidBody(f"link {k}", 1.0 + k, (0.01, 0.06, 0.05), (0.4 * k + 0.2, 0, 0))
-            made.add(link, fmbd.revolute(f"pin {k}", last, link, center=(0.4 * k, 0, 0), axis=(0, 1, 0.2 * k)))
-            last = link
-        made.add(fmbd.torque("motor", last, lambda t: (0, min(max(20.0 * (t - middle), -1.0), 1.5), 0)))
-        made.sensor("end", fmbd.position(last))
-        return made
+    def saturates(t: float) -> tuple[float, ...]:
+        return (0, min(max(20.0 * (t - middle), -1.0), 1.5), 0)
 
     quiet, corners = fmbd.Output(progress=False, energy=False), (middle - 0.05, middle + 0.075)
-    run = fmbd.solve(scene(), t_end=1.0, tol={"end": 1e-6}, scheme=scheme, output=quiet)
+    run = fmbd.solve(torqued_links(saturates), t_end=1.0, tol={"end": 1e-6}, scheme=scheme, output=quiet)
     for t in corners:
         assert np.abs(run.times - t).min() < 1e-12
     at = replace(quiet, times=tuple(run.times))
-    exact = fmbd.solve(scene(*corners), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-11), output=at)["end"]
-    true = np.abs(run["end"] - exact).max()
+    exact = fmbd.solve(torqued_links(saturates, *corners), t_end=1.0, scheme=fmbd.Radau(5, rtol=1e-11), output=at)
+    true = np.abs(run["end"] - exact["end"]).max()
     assert true < 1e-6 and 0.5 < run.certificate["end"].total / true < 3.0
 
 

@@ -108,7 +108,7 @@ class PythonKind(Kind):
         ]
 
     def _value(self, at: At, t: float) -> Array:
-        """The same, as kept."""
+        """:meth:`_rows`, found once."""
         return self.function.once(t, (b"value", *at[-1]), lambda: self._rows(at, t))
 
     def _rates(self, at: At, t: float, whole: bool) -> Array:
