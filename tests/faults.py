@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from programs import launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CheckpointError
 
-ROOT = Path(__file__).resolve().parents[1]
 DT, T_END, EVERY = 1e-3, 0.2, 7
 RIGHT = "went on"
 SECONDS = 120.0  # after which a child counts as one that hangs
@@ -249,14 +249,10 @@ ENDS: dict[str, Callable[[int, int], bool]] = {
 }
 
 
-def launch(ranks: int, *words: str) -> int:
+def exit_code(ranks: int, *words: str) -> int:
     """Exit code of the program on so many ranks, 124 for one that hangs."""
-    command = [sys.executable, "-c", PROGRAM, *words]
-    if ranks > 1:
-        command = [shutil.which("mpirun") or "mpiexec", "-n", str(ranks), *command]
-    env = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
     try:
-        return subprocess.run(command, capture_output=True, cwd=ROOT, timeout=SECONDS, env=env, check=False).returncode
+        return launch(PROGRAM, ranks, *words, timeout=SECONDS).returncode
     except subprocess.TimeoutExpired:
         return 124
 
@@ -267,7 +263,7 @@ def on_ranks(folder: Path, most: int) -> Counter[str]:
     for ranks in range(1, most + 1):
         for what, right in ENDS.items():
             home = folder / f"{what} {ranks}"
-            code = launch(ranks, what, str(ranks - 1), str(home))
+            code = exit_code(ranks, what, str(ranks - 1), str(home))
             if not right(code, ranks):
                 found[f"{what} on {ranks} ranks: exit code {code}"] += 1
                 continue

@@ -11,9 +11,9 @@ import checkpoint_scenes
 import numpy as np
 import pytest
 from checkpoint_scenes import SCENES, links, soft, wheel
+from programs import launch
 from rank_scenes import largest_difference
 from test_own_tangents import blocks as rubbing_blocks
-from test_ranks import launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.linear.blocks.field_blocks import Weights

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from programs import ROOT, launch
 from test_driver import compiled
-from test_ranks import ROOT, launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CheckpointError, InputError, Stopped

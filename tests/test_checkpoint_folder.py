@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from programs import launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import CheckpointError
@@ -143,5 +144,5 @@ def test_rank_that_leaves_ends_the_others(rank: int) -> None:
         "import sys\nimport fmbd_fenicsx as fmbd\nfrom mpi4py import MPI\n"
         f"if MPI.COMM_WORLD.rank == {rank}:\n    sys.exit(5)\nMPI.COMM_WORLD.barrier()\n"
     )
-    done = subprocess.run(["mpirun", "-n", "2", sys.executable, "-c", script], capture_output=True, timeout=60)
+    done = launch(script, 2, timeout=60)
     assert done.returncode != 0

@@ -4,22 +4,21 @@ figures."""
 import ast
 import json
 import shutil
-import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from demo_process import run_copy
+from programs import ROOT, run_on_ranks
 
-ROOT = Path(__file__).resolve().parents[1]
 DEMOS = sorted(p for p in (ROOT / "demos").glob("*.py") if "finish(" in p.read_text())
 
 
-def run(demo: Path, file: Path, *before: str) -> dict[str, float]:
+def run(demo: Path, file: Path, ranks: int = 1) -> dict[str, float]:
     """Run a demo as a program of its own; the values of its checks by name."""
-    command = [*before, sys.executable, str(demo), "--fast", "--json", str(file)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280)
+    command = [sys.executable, str(demo), "--fast", "--json", str(file)]
+    done = run_on_ranks(ranks, command, timeout=280)
     return passed(done.returncode, done.stdout + done.stderr, file)
 
 
@@ -59,7 +58,7 @@ def test_a_demo_is_a_program(tmp_path):
 @pytest.mark.parametrize("demo", PARAMETERS)
 def test_demo_has_the_same_figures_on_two_ranks(demo, tmp_path):
     one = run(demo, tmp_path / "one.json")
-    two = run(demo, tmp_path / "two.json", "mpirun", "-n", "2")
+    two = run(demo, tmp_path / "two.json", ranks=2)
     assert two == pytest.approx(one, rel=1e-6, abs=1e-9)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_ranks import launch
+from programs import launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx.errors import InputError

@@ -6,14 +6,13 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+from programs import ROOT, launch
 
 from fmbd_fenicsx.errors import ConstraintError
 from fmbd_fenicsx.run.stop_requests import StopRequests
 
-ROOT = Path(__file__).resolve().parents[1]
 PENDULUM = """
 import signal
 import fmbd_fenicsx as fmbd
@@ -31,17 +30,6 @@ scene.add(fmbd.force("none", bob, force))
 run = fmbd.solve(scene, t_end=1e4, dt=1e-3)
 print("never", flush=True)
 """
-
-
-def ranks(code: str, n: int) -> subprocess.CompletedProcess[str]:
-    """Run a program on n ranks; both streams, exit code."""
-    return subprocess.run(
-        ["mpirun", "-n", str(n), sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        cwd=ROOT,
-    )
 
 
 @pytest.mark.serial
@@ -100,6 +88,6 @@ rank = MPI.COMM_WORLD.rank
     ids=["one rank", "all ranks", "one rank tells all"],
 )
 def test_a_failing_rank_ends_all_with_one_message_and_its_exit_code(body):
-    done = ranks(HOOK + body, 3)
+    done = launch(HOOK + body, 3, timeout=60)
     assert done.returncode == ConstraintError.exit_code
     assert done.stderr.count("ConstraintError: it broke") == 1, done.stderr

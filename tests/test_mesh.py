@@ -14,8 +14,8 @@ import ufl
 from faulty import FAULTS
 from motion import elastic_rod
 from mpi4py import MPI
+from programs import launch
 from scipy.spatial.transform import Rotation
-from test_ranks import launch
 
 import fmbd_fenicsx as fmbd
 from fmbd_fenicsx import dolfinx_compat, read_gmsh

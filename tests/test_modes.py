@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_ranks import launch
+from programs import launch
 from test_traces import ROOT
 
 import fmbd_fenicsx as fmbd

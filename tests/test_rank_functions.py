@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import launch
 
-ROOT = Path(__file__).resolve().parents[1]
 pytestmark = [
     pytest.mark.serial,
     pytest.mark.skipif(shutil.which("mpirun") is None, reason="no mpirun"),
@@ -40,9 +38,7 @@ def solve(made, dt=0.01, **more):
 
 def run(code: str, n: int) -> subprocess.CompletedProcess[str]:
     """A program on n ranks; it has to end by itself."""
-    command = [sys.executable, "-c", SCENE + code]
-    many = ["mpirun", "--oversubscribe", "-n", str(n), *command] if n > 1 else command
-    return subprocess.run(many, capture_output=True, text=True, timeout=120, cwd=ROOT)
+    return launch(SCENE + code, n, timeout=120)
 
 
 @pytest.mark.parametrize(

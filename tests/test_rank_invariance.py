@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from programs import ROOT, launch
 from rank_scenes import LAW, SCENES, largest_difference
-from test_ranks import ROOT, launch
 
 import fmbd_fenicsx as fmbd
 

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import subprocess
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from motion import elastic_rod
+from programs import launch
 
 import fmbd_fenicsx as fmbd
-
-ROOT = Path(__file__).resolve().parents[1]
 
 SCRIPT = """
 import json, sys
@@ -45,18 +39,6 @@ if MPI.COMM_WORLD.rank == 0:
            "equal": all(r == ranks[0] for r in ranks)}
     print(json.dumps(out))
 """
-
-
-def launch(code: str, ranks: int, *words: str, timeout: float = 240.0) -> subprocess.CompletedProcess[str]:
-    """Run a script on so many ranks, from the checkout."""
-    command = [sys.executable, "-c", code, *words]
-    if ranks > 1:
-        runner = shutil.which("mpirun") or shutil.which("mpiexec")
-        if runner is None:
-            pytest.skip("no mpirun here")
-        command = [runner, "-n", str(ranks), *command]
-    env = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "PMIX", "PMI_"))}
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=timeout, env=env)  # noqa: PLW1510
 
 
 def result(ranks: int, dim: int, frame: str) -> dict[str, Any]:
