@@ -56,6 +56,11 @@ class Marched:
 MOST = 10_000_000  # steps in one call
 
 
+def _stride(watcher: SmallTurns | Spins | Bends | AxialForces, steps: int) -> int:
+    """So many of all steps at most between two looks of a watcher: all where it has nothing to look at any more."""
+    return max(steps // watcher.looks + 1, watcher.between) if watcher.bodies else steps
+
+
 def _events(problem: Problem, schedule: StepSchedule, output: Output, state: State) -> EventWatch | None:
     """Who looks for the events of a run; loaded only when asked for."""
     if not output.events:
@@ -201,7 +206,7 @@ class Loop:
             self.motions.look(self.state.t + h)
 
         done, steps = self.progress.done, self.schedule.steps
-        most = min([w.most(steps) for w in self.watchers] + [self._unkept(done)])
+        most = min([_stride(watcher, steps) for watcher in self.watchers] + [self._unkept(done)])
         made, compiled = 0, bool(self.stepper.stride(h))
         if compiled:
             made = self.calls.make(done, most)

@@ -42,7 +42,6 @@ CLAMPED = (
 )
 RIGID = 1e-6  # of that square, without supports, below which a shape is a rigid motion
 SLENDER = 4.0  # length over the least thickness
-LOOKS, BETWEEN = 8, 20  # at a long run of equal steps, at least; steps between them, which cost less than a look
 
 
 class AxialForces:
@@ -51,6 +50,8 @@ class AxialForces:
     ``start`` (s), forces are told of that looks have found for so long.
     """
 
+    looks, between = 8, 20  # at a long run of equal steps, at least; steps between them, which cost less than a look
+
     def __init__(self, system: System, share: float = SHARE, start: float = -np.inf) -> None:
         self.system, self.share = system, share
         self.bodies = _bodies(system)
@@ -58,31 +59,29 @@ class AxialForces:
         self._free = {k: _first_free(part) for k, part in self.bodies}
         self._since = dict.fromkeys(self._free, (0.0, start))  # sign of a force that counts, and when it was seen first
 
-    def most(self, steps: int) -> int:
-        """So many of all steps at most between two looks."""
-        return max(steps // LOOKS + 1, BETWEEN) if self.bodies else steps
-
     def look(self, state: State) -> None:
         """Warn once of each body that leaves out too much; of many states at ever fewer. Collective."""
         self._asked += 1
         if not self.bodies or self._asked < self._due:
             return
-        self._due = self._asked + self._asked // LOOKS + 1
+        self._due = self._asked + self._asked // self.looks + 1
+
         ev = self.system.at(state.t, state.q, state.v)
         on_surfaces = _on_surfaces(ev, state.lam, self.bodies)
         for k, part in list(self.bodies):
             force, length = axial_force(ev, k, part, on_surfaces)
-            found, omega = self._share(ev, k, part, _slopes(ev, part, force, length))
+            share, omega = self._share(ev, k, part, _slopes(ev, part, force, length))
             sign, since = self._since[k]
-            if found <= self.share:
+
+            if share <= self.share:
                 self._since[k] = 0.0, state.t
             elif sign * force < 0.0:
                 self._since[k] = np.sign(force), state.t
-            elif omega * (state.t - since) > 1.0:
-                self.bodies.remove((k, part))
-                _tell(part.name, force, found, "in bending between its joints")
-            else:
+            elif omega * (state.t - since) <= 1.0:
                 self._since[k] = np.sign(force), since
+            else:
+                self.bodies.remove((k, part))
+                _tell(part.name, force, share, "in bending between its joints")
 
     def _share(self, ev: Evaluation, k: int, part: Any, slopes: float) -> tuple[float, float]:
         """What is left out of the first shape as joints hold it, and its frequency (rad/s); 0 where no joints make it count."""
@@ -172,15 +171,20 @@ def axial_force(ev: Evaluation, k: int, part: Any, on_surfaces: Array) -> tuple[
 def _over_stiffness(part: Any, u: Array) -> float:
     """Mass times displacements squared of a shape over twice its energy of strain, s^2; collective."""
     if isinstance(part, ReducedPart):
-        M = np.trace(part.constants.T[1:, 1:], axis1=2, axis2=3)
-        moved, strained = (float(np.real(u.conj() @ A @ u)) for A in (M, part.constants.K))
+        mass = np.trace(part.constants.T[1:, 1:], axis1=2, axis2=3)
+        moved = float(np.real(u.conj() @ mass @ u))
+        strained = float(np.real(u.conj() @ part.constants.K @ u))
     else:
-        f = part.field
-        parts = [np.ascontiguousarray(x) for x in (u.real, u.imag)]
-        sums = [np.array([x @ f.mass(x.reshape(-1, f.dim)).ravel(), x @ f.stiffness(x)]) for x in parts]
-        moved, strained = f.total(sum(sums)).tolist()
-    takes_part = moved > STILL**2 * part.mass_total and strained > RIGID * _first_free(part) * moved
-    return moved / strained if takes_part else 0.0
+        field = part.field
+        sums = np.zeros(2)
+        for x in (np.ascontiguousarray(u.real), np.ascontiguousarray(u.imag)):
+            sums = sums + (x @ field.mass(x.reshape(-1, field.dim)).ravel(), x @ field.stiffness(x))
+        moved, strained = field.total(sums).tolist()
+
+    still = moved <= STILL**2 * part.mass_total
+    if still or strained <= RIGID * _first_free(part) * moved:
+        return 0.0
+    return moved / strained
 
 
 def _first_free(part: Any) -> float:

@@ -19,19 +19,16 @@ from .spins import in_linear_frames
 from .system import System
 
 SHARE = 0.02  # of its size by which a body may be stretched where it is turned most
-LOOKS = 8  # at a run of equal steps, at least
 
 
 class Bends:
     """Who looks at the linear bodies of a system in moving frames."""
 
+    looks, between = 8, 1  # at a run of equal steps, at least; steps from one to the next where it is short
+
     def __init__(self, system: System) -> None:
         self.system = system
         self.bodies = in_linear_frames(system)
-
-    def most(self, steps: int) -> int:
-        """So many of all steps at most between two looks."""
-        return steps // LOOKS + 1 if self.bodies else steps
 
     def look(self, state: State) -> None:
         """Warn once of each body that is bent too far for its form; collective."""

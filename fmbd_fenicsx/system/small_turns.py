@@ -15,19 +15,16 @@ from .layout import State
 from .system import System
 
 SMALL = 0.05  # rad
-LOOKS, FEW = 128, 8  # at a run of equal steps, at least, and steps from one to the next where it is short
 
 
 class SmallTurns:
     """Who looks at those among the bodies in absolute coordinates that are to turn little."""
 
+    looks, between = 128, 8  # at a run of equal steps, at least; steps from one to the next where it is short
+
     def __init__(self, system: System) -> None:
         self.system = system
         self.bodies: list[tuple[int, Any]] = [(k, p) for k, p in system.fields if p.turns_little]
-
-    def most(self, steps: int) -> int:
-        """So many of all steps at most between two looks."""
-        return max(steps // LOOKS + 1, FEW) if self.bodies else steps
 
     def look(self, state: State) -> None:
         """Warn once of each body that has turned by more than is small; collective."""

@@ -30,7 +30,6 @@ from .system import System
 
 SHARE = 0.25  # of the stiffness in bending that may be left out
 LOW = 0.05  # of the first frequency of a free body, below which no support brings it
-LOOKS = 8  # at a run of equal steps, at least
 RIGID = 1e-9  # omega^2 below this share of the largest: a rigid motion
 DEPENDENT = 1e-12
 ALIKE = 1e-6  # square of the sine between spaces of conditions that are one
@@ -39,14 +38,12 @@ ALIKE = 1e-6  # square of the sine between spaces of conditions that are one
 class Spins:
     """Who looks at the linear bodies of a system that may spin."""
 
+    looks, between = 8, 1  # at a run of equal steps, at least; steps from one to the next where it is short
+
     def __init__(self, system: System) -> None:
         self.system = system
         self.bodies = [(k, part) for k, part, stiffened in in_linear_frames(system) if not stiffened]
         self._slow: dict[int, float] = {}  # of bodies that were looked at, rad/s: below it nothing is to be said of one
-
-    def most(self, steps: int) -> int:
-        """So many of all steps at most between two looks."""
-        return steps // LOOKS + 1 if self.bodies else steps
 
     def look(self, state: State) -> None:
         """Warn once of each body whose stress of inertia forces is not small; collective."""

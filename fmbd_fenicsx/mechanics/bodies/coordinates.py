@@ -178,10 +178,12 @@ class CoordinatePart(Part):
             flat = given.ravel()
             if isfinite(flat.dot(flat)):
                 return given
+
         try:
             found: Array = floats(given)
         except (TypeError, ValueError, OverflowError):
             found = np.full(1, np.nan)
+
         if found.shape != shape or not np.isfinite(found).all():
             when = "" if t is None else f" at t = {t:g} s"
             wanted = " x ".join(map(str, shape))

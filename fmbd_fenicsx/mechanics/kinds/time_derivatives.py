@@ -231,6 +231,7 @@ class CountingSteps:
             self.widest = math.nan if self.takes_jets else INTERVAL * _smooth_step(function, AHEAD)
         if self.takes_jets:
             return None
+
         span, width = self.smooth_about(t), self.widest
         for _ in range(LEVELS):
             key = width, math.floor(t / width), span[0]
@@ -238,9 +239,10 @@ class CountingSteps:
                 if len(self.polynomials) == MOST:
                     self.polynomials.clear()
                 self.polynomials[key] = self._polynomial(function, key, span)
-            found = self.polynomials[key]
-            if found is not None:
-                return found.rates(t, place)
+
+            polynomial = self.polynomials[key]
+            if polynomial is not None:
+                return polynomial.rates(t, place)
             width /= PARTS
         return None
 

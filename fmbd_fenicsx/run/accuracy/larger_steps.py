@@ -112,25 +112,26 @@ def larger_steps_error(solved: Solved, two: Compared, allowed: Allowed) -> TimeE
     of the order has. Else steps that are four in one show the order: see :func:`.compare_steps`. Beside steps that were refused,
     of smooth motion as of kinks, it has to be that of the scheme.
     """
-    problem, given, refused = solved.problem, solved.compared, bool(solved.run.counters.get("rejections"))
-    orders = expected_orders(problem.scheme, problem.scene, problem.system)
-    slow = TimeError(of_order(orders, given, two, SLOW), dict.fromkeys(orders, float("nan")), two)
+    problem, given, sensors = solved.problem, solved.compared, allowed.sensors
+    refused = bool(solved.run.counters.get("rejections"))
+    expected = expected_orders(problem.scheme, problem.scene, problem.system)
+
+    slow = TimeError(of_order(expected, given, two, SLOW), dict.fromkeys(expected, float("nan")), two)
     if allowed.share(slow.errors) > DOUBTED * allowed.room:
         return slow
-    if astray(given, between(given.recorder, two.recorder, allowed.sensors)):
+    if astray(given, between(given.recorder, two.recorder, sensors)):
         return None
     taken_for_granted = not refused or SLOW * problem.scheme.order <= MOST_LEFT
-    if taken_for_granted and allowed.lets(of_order(orders, given, two, 0.5)):
+    if taken_for_granted and allowed.lets(of_order(expected, given, two, 0.5)):
         return slow
-    if given.steps < MANY:
-        return None
-    four = with_larger_steps(problem, given, 4)
+
+    four = with_larger_steps(problem, given, 4) if given.steps >= MANY else None
     if four is None:
         return None
-    found = compare_steps(orders, given, [two, four])
-    by_chance = not found.by_chance.isdisjoint(allowed.sensors)
-    strange = any(found.orders[n] > orders[n] + TOO_HIGH for n in allowed.sensors)
-    low = refused and not resolved({n: found.orders[n] for n in allowed.sensors}, orders, REGULAR)
+    found = compare_steps(expected, given, [two, four])
+    by_chance = not found.by_chance.isdisjoint(sensors)
+    strange = any(found.orders[name] > expected[name] + TOO_HIGH for name in sensors)
+    low = refused and not resolved({name: found.orders[name] for name in sensors}, expected, REGULAR)
     return None if by_chance or strange or low else replace(found, with_others=two)
 
 

@@ -19,16 +19,17 @@ ROUNDING = 1e-9  # share of the run by which a table may be shorter
 
 def warn_of_short_tables(scene: Scene, begin: float, end: float) -> None:
     """Tell of tables that end, or begin, within a run between two times (s)."""
+    named = [(f'{force.kind} "{force.name}"', force) for force in scene.forces.values()]
+    named += [(f'joint "{joint.name}"', joint) for joint in scene.joints.values()]
+    named += [(f'a load on body "{body.name}"', body) for body in scene.bodies.values()]
+
     functions = [("gravity", scene.gravity)] if callable(scene.gravity) else []
-    functions += [(f'{x.kind} "{x.name}"', f) for x in scene.forces.values() for f in functions_of(x)]
-    functions += [
-        (f'joint "{x.name}"', f) for x in scene.joints.values() for f in functions_of(x) if f is not standstill
-    ]
-    functions += [(f'a load on body "{x.name}"', f) for x in scene.bodies.values() for f in functions_of(x)]
+    functions += [(what, f) for what, thing in named for f in functions_of(thing) if f is not standstill]
     for what, function in functions:
         span = _span(function)
         if span is None or (span[0] <= begin + ROUNDING * end and span[1] >= end * (1.0 - ROUNDING)):
             continue
+
         log.warning(
             "the table of %s goes from %g to %g s, the run from %g to %g s: outside, its interpolation is extrapolated. Let the "
             "table cover the run, or give a function that says what is there",

@@ -230,6 +230,7 @@ class ExplicitStepper(OwnMarch):
                 return None, np.inf, "turns too far"
             if not self.control.passes(error):
                 return made, error, "error estimate"
+
             closed = arrived(self.system, made, self.solver)
             way = self.system.difference(made.q, closed.q)
             return closed, max(error, self.norm(h, way, np.zeros_like(way))), "error estimate"

@@ -213,19 +213,19 @@ def read_urdf(file: str | Path, *, start: Mapping[str, float] | None = None) -> 
 
 def _tell(path: Path, joints: Mapping[str, RobotJoint], starts: Mapping[str, float]) -> None:
     """Warn of starts outside of limits, and of dynamics that joints without a coordinate have no element for."""
-    outside = [
-        f'"{j.name}" at {starts[j.name]:g}, limits {j.limits[0]:g} to {j.limits[1]:g}'
-        for j in joints.values()
-        if j.limits[0] < j.limits[1] and not j.limits[0] - ON_LIMIT <= starts[j.name] <= j.limits[1] + ON_LIMIT
-    ]
+    outside, lost = [], []
+    for joint in joints.values():
+        start, (lower, upper) = starts[joint.name], joint.limits
+        if lower < upper and not lower - ON_LIMIT <= start <= upper + ON_LIMIT:
+            outside.append(f'"{joint.name}" at {start:g}, limits {lower:g} to {upper:g}')
+        if joint.kind not in COORDINATES and (joint.damping or joint.friction):
+            lost.append(f'"{joint.name}" ({joint.kind})')
+
     if outside:
         log.warning(
             "%s: joints begin outside of their limits: %s. Give read_urdf(start=...) others; a stop added at a limit would throw "
             "them back", path, "; ".join(outside),
         )  # fmt: skip
-    lost = [
-        f'"{j.name}" ({j.kind})' for j in joints.values() if j.kind not in COORDINATES and (j.damping or j.friction)
-    ]
     if lost:
         log.warning(
             "%s: damping and friction are left out of joints without one angle or displacement: %s. Add a fmbd.bushing or a "

@@ -43,36 +43,43 @@ static void closed_share(System *s, const double *y, double *x, double *closed)
 static void close_faint(System *s, const double *z, const double *first, const double *asked, double *x, double *y)
 {
     const int m = s->parts * s->rows;
-    double *more = s->work + s->again, *p = s->directions, *q = p + m, *before = q + m, *q_before = before + m;
-    double *next = q_before + m, *found = next + m, *left = found + m, last = 1.0;
+    double *more = s->work + s->again, *p = s->directions, *q = p + m, *p_before = q + m, *q_before = p_before + m;
+    double *image = q_before + m, *found = image + m, *left = found + m, size_before = 1.0;
     const double enough = LEFT_FAINT * LEFT_FAINT * force_product(s, first, first);
+
     memcpy(p, first, m * sizeof(double));
     closed_share(s, p, more, q);
-    memset(before, 0, 4 * m * sizeof(double));
+    memset(p_before, 0, m * sizeof(double));
+    memset(q_before, 0, m * sizeof(double));
+    memset(found, 0, m * sizeof(double));
     memcpy(left, z, m * sizeof(double));
 
     for (int k = 0; k < m; k++) {
         const double size = force_product(s, q, q);
         if (!(size > LEAST_CLOSED * LEAST_CLOSED * force_product(s, p, p))) break;
+
         const double step = force_product(s, left, q) / size;
         add(found, step, p, m);
         add(left, -step, q, m);
         if (!(step * step * size > enough)) break;
 
-        closed_share(s, q, more, next);
-        const double along = force_product(s, next, q) / size, back = force_product(s, next, q_before) / last;
-        last = size;
+        /* the next direction A p = q, freed of the last two, with its image */
+        closed_share(s, q, more, image);
+        const double along = force_product(s, image, q) / size;
+        const double back = force_product(s, image, q_before) / size_before;
         for (int i = 0; i < m; i++) {
-            const double direction = q[i] - along * p[i] - back * before[i];
-            const double image = next[i] - along * q[i] - back * q_before[i];
-            before[i] = p[i], q_before[i] = q[i];
-            p[i] = direction, q[i] = image;
+            const double next_p = q[i] - along * p[i] - back * p_before[i];
+            const double next_q = image[i] - along * q[i] - back * q_before[i];
+            p_before[i] = p[i], q_before[i] = q[i];
+            p[i] = next_p, q[i] = next_q;
         }
+        size_before = size;
     }
 
     /* x is that of the corrections: of ``found`` instead, whose softness is taken back, while what is ``left`` of z stays open */
-    for (int i = 0; i < m; i++) next[i] = left[i] - found[i] - asked[i];
-    of_softness(s, 1.0, next, more, q);
+    double *open = image, *made = q;
+    for (int i = 0; i < m; i++) open[i] = left[i] - found[i] - asked[i];
+    of_softness(s, 1.0, open, more, made);
     add(x, 1.0, more, s->parts * s->nv);
     memcpy(y, found, m * sizeof(double));
 }

@@ -63,18 +63,20 @@ class ToldPart:
         self.tables, self.number, self.k = tables, number, k
         self.part: Any = tables.system.parts[k]
         self.rests = isinstance(self.part, RestingPart)
-        self.width = tables.twist + self.part.n
-        self.motion = ToldMotion(tables, self.part.n)
         n = self.part.n
+        self.width = tables.twist + n
+        self.motion = ToldMotion(tables, n)
+
         sizes = {"rows": self.width, "block": (self.width, self.width), "slopes": (2, n, n), "known": 3 * n}
         made = tables.store.zeros(sizes)
         self.rows, self.block, self.by_motion, _ = (x for x, _ in made.values())
         self.addresses = {name: address for name, (_, address) in made.items()}
-        self._of_time = self.part.of_time
-        self._told: Any = None  # the structure
         self._ahead, ahead = tables.store.array(np.zeros((MOST_STAGES, 1 + 4 * n)))
         if self.rests and self.part.together:
             self.addresses["ahead"] = ahead
+
+        self._of_time = self.part.of_time
+        self._told: Any = None  # the structure
         self._last: tuple[bytes, Array] | None = None  # motion and rows of forces, of a part that knows no time
 
     def forces(self, t: float) -> None:
