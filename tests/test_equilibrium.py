@@ -419,6 +419,17 @@ def test_gyroscopic_forces_hold_what_spins_fast(caplog: pytest.LogCaptureFixture
     assert "unstable" not in caplog.text
 
 
+def test_weight_across_the_axis_of_a_rotation_is_refused() -> None:
+    """In axes that turn it goes round: an arm under it hung as if it did not."""
+    arm = fmbd.RigidBody("arm", 1.0, (0.1, 0.1, 0.1), position=(0.5, 0.0, 0.0))
+    hinge = fmbd.revolute("hinge", fmbd.ground, arm, center=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
+    scene = fmbd.Scene("arm", gravity=(0.0, 0.0, -9.81))
+    scene.add(arm, hinge, fmbd.joint_spring("spring", fmbd.angle(hinge), stiffness=10.0))
+    fmbd.equilibrium(scene, spin=fmbd.Spin(3.0))
+    with pytest.raises(InputError, match="across the axis"):
+        fmbd.equilibrium(scene, spin=fmbd.Spin(3.0, axis=(1.0, 0.0, 0.0)))
+
+
 def test_nothing_is_told_of_roundoff_where_nothing_displaces(rod_mesh, caplog):
     """A thin strip of aluminium, clamped, without a load: places are known to roundoff, displacements are none."""
     energy = fmbd.materials.saint_venant_kirchhoff(7e10, 0.3)

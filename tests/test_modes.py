@@ -133,6 +133,35 @@ def test_states_in_a_motion_that_is_not_steady_are_told_of(held: bool, caplog: p
     assert ("the motion at this state is not steady" in caplog.text) == held
 
 
+@pytest.mark.parametrize("kind", ["hinge", "free", "round", "slow"])
+def test_states_that_turn_with_what_holds_them_are_told_of(kind: str, caplog: pytest.LogCaptureFixture) -> None:
+    """A blade on a hinge of its hub, e off the mast, swings with W sqrt(3 e / 2 l) in axes that turn; at a state in motion it had
+    another rate, without a word, and a body that tumbles had none.
+    """
+    e, length, rate = 0.3, 5.0, 1e-6 if kind == "slow" else 40.0
+    scene = fmbd.Scene("hub")
+    if kind in ("free", "round"):
+        inertia = (1.0, 2.0, 3.0 if kind == "free" else 1.0)
+        scene.add(fmbd.RigidBody("body", 1.0, inertia, angular_velocity=(0.0, rate, 0.0)))
+    else:
+        hub = fmbd.RigidBody("hub", 50.0, 10.0, angular_velocity=rate)
+        middle = e + length / 2
+        blade = fmbd.RigidBody(
+            "blade", 20.0, 20.0 * length**2 / 12, (middle, 0.0), velocity=(0.0, rate * middle), angular_velocity=rate
+        )
+        mast = fmbd.revolute("mast", fmbd.ground, hub, center=(0.0, 0.0))
+        hinge = scene.add(fmbd.revolute("hinge", hub, blade, center=(e, 0.0)))
+        scene.add(hub, blade, mast)
+        if kind == "slow":  # against its own vibration
+            scene.add(fmbd.joint_spring("damper", fmbd.angle(hinge), stiffness=1e4))
+        scene.add(fmbd.drive("turn", fmbd.angle(mast), lambda t: rate * t))
+    fmbd.modes(scene, 1)
+    assert ("not steady" in caplog.text) == (kind in ("hinge", "free"))
+    if kind == "hinge":
+        turning = fmbd.modes(scene, 1, at=fmbd.equilibrium(scene, spin=fmbd.Spin(rate)))
+        assert turning.omega[0] == pytest.approx(rate * np.sqrt(1.5 * e / length), rel=1e-9)
+
+
 def test_damping_ratio_of_one_mass() -> None:
     """zeta = c / 2 sqrt(k m)."""
     scene = fmbd.Scene("one")

@@ -122,6 +122,7 @@ def equilibrium(
             # a spin of some bodies turns them in their own frames
             turning = spin if spin is None or not spin.bodies else body_spin(system, given.q, spin)
             newton = static_newton(system, solver, replace(given, t=t), turning)
+            _check_weight(newton.residual, t)
             _check_drives(newton.residual, given.q, t)
             point = _with_controllers(newton, StaticPoint(given.q, np.zeros(system.n_lam)), t, path)
             made = None if path is None else path.trace(newton, point, t)
@@ -198,6 +199,21 @@ def _tell_roundoff(newton: StaticNewton, point: StaticPoint, t: float, given: St
             "apart; take fmbd.FloatingBody or bodies of one stiffness each, or rigid ones for what hardly deforms",
             lost, lost / size,
         )  # fmt: skip
+
+
+def _check_weight(residual: Residual, t: float) -> None:
+    """Refuse gravity across the axis of a rotation of the whole scene: in axes that turn it goes round."""
+    spin, system = residual.spin, residual.system
+    if not isinstance(spin, Spin) or spin.rate == 0.0:
+        return
+    pull = np.asarray(system.gravity(t), dtype=float)
+    across = spin.matrix(system.motions.dim) @ pull / spin.rate
+    if np.linalg.norm(across) > CHANGED * np.linalg.norm(pull):
+        raise InputError(
+            f"Gravity {tuple(map(float, pull))} acts across the axis {tuple(spin.axis)} of the rotation: in axes that turn it goes "
+            "round, and no motion is steady. Leave it out, let it act along the axis, or name the bodies that spin while "
+            "the others rest, fmbd.Spin(rate, axis, bodies=(...))."
+        )
 
 
 def _check_drives(residual: Residual, q: Array, t: float) -> None:

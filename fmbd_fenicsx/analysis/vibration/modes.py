@@ -17,7 +17,7 @@ import numpy as np
 
 from ...agreement import OneAnswer
 from ...checks import typed
-from ...errors import InputError, require
+from ...errors import InputError, LinearSolveError, require
 from ...linear.condensation import StepSolver
 from ...log import log
 from ...mechanics.elastic.modes import squares_of_frequencies
@@ -39,7 +39,7 @@ from ..small_motions.steady import BodySpin, Spin
 from ..statics.equilibrium import Equilibrium
 from ..statics.search import static_newton
 from ..statics.static_newton import StaticNewton, StaticPoint
-from .rotors import check_round
+from .rotors import changes, check_round
 from .symmetry import is_symmetric
 
 PLANE = 1e-6  # share of circling motion below which a mode is plane
@@ -48,7 +48,7 @@ STAYS = 1e-10  # relative change of squared eigenvalues that are those wanted
 RIGID = 1e-3  # share of the largest that is added: what rigid motions have is roundoff of it
 ROUGH = 5e-6  # relative change by roundoff of the stiffness that they may have
 ROUNDOFF = 1e2 * np.finfo(float).eps  # of products with the stiffness, which are differences of forces, over its size
-UNSTEADY = 1e-2  # way by which accelerations would move a scene in a long time, over the model's length
+UNSTEADY = 1e-2  # way by which accelerations would move a scene in a long time, over the model's length; changes of small motions
 NOTHING = 1e-6  # motion in a long time that counts as rest, over the model's length
 
 
@@ -219,7 +219,8 @@ def _linearised(scene: Scene, at: Any, linear: Any, built: tuple[System, State, 
         _refuse_rolling_fields(system, about.state)
         newton = static_newton(system, solver, about.state, about.spin, balanced=True)
         about = replace(about, time=newton.tau)
-        _refuse_moving(about, newton)
+        if not isinstance(at, Equilibrium) or at.spin is None:
+            _refuse_moving(about, newton)
     except BaseException:
         solver.destroy()
         raise
@@ -269,11 +270,7 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
 
     The time step of ``newton`` is long against all vibrations; what moves nothing in it, or until it is balanced, is roundoff.
     """
-    if about.spin is not None:
-        return
-
-    system = about.system
-    state = about.state
+    system, state = about.system, about.state
     shift = newton.weights.cm
     speed, accel = system.max_abs(state.v), system.max_abs(state.a)
     # what gravity would do is the scale of accelerations
@@ -281,20 +278,30 @@ def _refuse_moving(about: Perturbation, newton: StaticNewton) -> None:
 
     if speed == 0.0 and system.keepers:
         refuse_moving_memory(about, shift)
-    if accel <= max(FAR * pull, NOTHING * system.length * shift):
+    resting = accel <= max(FAR * pull, NOTHING * system.length * shift)
+    if resting and speed == 0.0:
         return
 
     # where would a long step bring it? In motion, by the forces that accelerate it
-    def step() -> Array:
+    def step() -> tuple[float, float]:
         r = newton.take(StaticPoint(state.q, state.lam), state.t)
-        return newton.solver.solve(*((-r[0], -r[1]) if speed == 0.0 else (about.mass(state.a), 0.0 * r[1])))[0]
+        pushed = (-r[0], -r[1]) if speed == 0.0 else (about.mass(state.a), 0.0 * r[1])
+        away = 0.0 if resting else system.max_abs(newton.solver.solve(*pushed)[0])
+        return away, 0.0 if speed == 0.0 else changes(about, newton)
 
-    away = system.max_abs(newton.solvable(step))
+    try:
+        away, changed = newton.solvable(step)
+    except LinearSolveError:
+        if not resting:
+            raise
+        return  # nothing can be told
     if speed != 0.0:
-        if away > UNSTEADY * system.length:
+        if max(away / system.length, changed) > UNSTEADY:
             log.warning(
-                "modes: the motion at this state is not steady: bodies move with %.3g m/s and accelerate with %.3g m/s^2. "
-                "Modes and linear models hold about equilibria and steady motions: at=fmbd.equilibrium(scene)", speed, accel,
+                "modes: the motion at this state is not steady: bodies move with %.3g m/s and accelerate with %.3g m/s^2%s. "
+                "Modes and linear models hold about equilibria and steady motions: at=fmbd.equilibrium(scene), of what turns as "
+                "a whole with spin=fmbd.Spin(...)", speed, accel,
+                "" if changed <= UNSTEADY else ", and what holds them or their inertia turns with them",
             )  # fmt: skip
         return
     if away > NOTHING * system.length:
