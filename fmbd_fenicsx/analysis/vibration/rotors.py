@@ -1,5 +1,6 @@
 """Whether coefficients of small motions stay as bodies turn: those that spin among others at rest must be round for it, and what
-holds a body that goes round must turn with the axes."""
+holds a body that goes round must turn with the axes.
+"""
 
 from __future__ import annotations
 
