@@ -210,8 +210,8 @@ def _check_weight(residual: Residual, t: float) -> None:
     across = spin.matrix(system.motions.dim) @ pull / spin.rate
     if np.linalg.norm(across) > CHANGED * np.linalg.norm(pull):
         raise InputError(
-            f"Gravity {tuple(map(float, pull))} acts across the axis {tuple(spin.axis)} of the rotation: in axes that turn it goes "
-            "round, and no motion is steady. Leave it out, let it act along the axis, or name the bodies that spin while "
+            f"Gravity {tuple(map(float, pull))} acts across the axis {tuple(spin.axis)} of the rotation: in axes that turn it "
+            "goes round, and no motion is steady. Leave it out, let it act along the axis, or name the bodies that spin while "
             "the others rest, fmbd.Spin(rate, axis, bodies=(...))."
         )
 
